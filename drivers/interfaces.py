@@ -1,0 +1,256 @@
+"""The Protocols every part is behind. Missions and flight code know only these.
+
+Every part is an async context manager: entering it opens and checks the real thing with a bounded wait, leaving
+it is bounded in time and leaves no process, port or thread behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from path.camera import CameraModel
+from path.messages import Message
+from path.observations import Box, Depth, Detection, MarkerDetection, Region
+
+
+class PartError(Exception):
+    """A part of the rig cannot do what was asked. ``remedy`` is the next step for the person reading it."""
+
+    def __init__(self, message: str, remedy: str = "") -> None:
+        super().__init__(message)
+        self.remedy = remedy
+
+
+class VehicleError(PartError):
+    """The vehicle refused, did not answer in time, or is gone."""
+
+
+class CameraError(PartError):
+    """The camera gave no frame in time, or not what its calibration says."""
+
+
+class LinkError(PartError):
+    """The link to the other drone cannot be opened or used."""
+
+
+class Part(Protocol):
+    """Opened and closed by ``async with``."""
+
+    async def __aenter__(self) -> Self: ...
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None: ...
+
+
+class Clock(Protocol):
+    """One drone's clock. Every stamp a role makes or compares is of this clock."""
+
+    def now_ns(self) -> int: ...
+
+
+# --- vehicle ---------------------------------------------------------------------------------------------------
+
+
+class FlightMode(Enum):
+    """The modes the missions use; everything else a pilot may select is ``OTHER``."""
+
+    HOLD = "hold"
+    TAKEOFF = "takeoff"
+    OFFBOARD = "offboard"
+    RETURN = "return"
+    LAND = "land"
+    OTHER = "other"
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleState:
+    """The newest telemetry of a vehicle, one value.
+
+    Attributes:
+        stamp_ns: when the newest position/attitude arrived, role clock.
+        position_n_m: (north, east, down) from the mission origin, by the vehicle's own estimate.
+        velocity_n_mps: NED.
+        q_n_b: attitude wxyz, body FRD to NED.
+        heartbeat_ns: arrival of the newest heartbeat, role clock.
+    """
+
+    stamp_ns: int
+    heartbeat_ns: int
+    position_n_m: tuple[float, float, float]
+    velocity_n_mps: tuple[float, float, float]
+    q_n_b: tuple[float, float, float, float]
+    armed: bool
+    in_air: bool
+    armable: bool
+    mode: FlightMode
+    battery: float
+
+
+@dataclass(frozen=True, slots=True)
+class VelocitySetpoint:
+    """Fly this velocity (NED, m/s) with the nose at this yaw (rad, 0 = north, clockwise)."""
+
+    velocity_n_mps: tuple[float, float, float]
+    yaw_rad: float
+
+
+class Vehicle(Part, Protocol):
+    """A drone that can be flown by velocity setpoints.
+
+    No method retries a motion command. Every wait is bounded and ends in VehicleError. ``state`` never blocks;
+    how old it is, is the caller's business (``VehicleState.stamp_ns``).
+    """
+
+    @property
+    def state(self) -> VehicleState: ...
+
+    def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
+        """Attitude ``q_n_b`` (wxyz) at a role-clock stamp, interpolated; the nearest one when out of range."""
+        ...
+
+    async def wait_armable(self, timeout_s: float) -> None: ...
+
+    async def arm(self) -> None: ...
+
+    async def take_off(self, height_m: float, timeout_s: float) -> None:
+        """Climb to ``height_m`` above home; returns once there and holding."""
+        ...
+
+    async def start_offboard(self, first: VelocitySetpoint) -> None:
+        """Enter velocity control; returns once the vehicle says it is in OFFBOARD."""
+        ...
+
+    def fly(self, setpoint: VelocitySetpoint) -> None:
+        """Send one setpoint now. Never blocks, never repeats by itself."""
+        ...
+
+    async def hold(self) -> None: ...
+
+    async def land(self, timeout_s: float) -> None:
+        """Land where it is; returns once disarmed on the ground."""
+        ...
+
+
+# --- camera ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One colour image with depth registered to it.
+
+    Attributes:
+        stamp_ns: mid-exposure, role clock.
+        color: (h, w, 3) uint8 BGR, distorted as the lens gives it.
+        depth_mm: (h, w) uint16, z along the optical axis in millimetres, 0 = no measurement; None without depth.
+    """
+
+    stamp_ns: int
+    frame_id: int
+    color: NDArray[np.uint8]
+    depth_mm: NDArray[np.uint16] | None
+
+
+class Camera(Part, Protocol):
+    """A calibrated camera. ``read`` gives the newest frame not yet given, waiting at most ``timeout_s``."""
+
+    @property
+    def model(self) -> CameraModel: ...
+
+    async def read(self, timeout_s: float) -> Frame:
+        """Raises CameraError when no new frame came in time."""
+        ...
+
+
+class View(Protocol):
+    """What can be asked of one camera frame. Nothing is computed before it is asked."""
+
+    @property
+    def stamp_ns(self) -> int: ...
+
+    @property
+    def frame_id(self) -> int: ...
+
+    def targets(self, region: Region | None) -> Sequence[Detection]:
+        """Target-like objects whose box centre is in ``region`` (None: whole image)."""
+        ...
+
+    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
+        """Markers of the layout in ``region`` (None: whole image), with corner covariance."""
+        ...
+
+    def depth(self, box: Box) -> Depth | None:
+        """Robust depth over a box; None when there is none to be trusted (a hole, outside limits)."""
+        ...
+
+    def image(self) -> NDArray[np.uint8] | None:
+        """The colour image (BGR) for logs and pictures; None where there are no pixels."""
+        ...
+
+
+class Sight(Part, Protocol):
+    """A camera with what finds things in its frames: the perception seam of a role."""
+
+    @property
+    def model(self) -> CameraModel: ...
+
+    async def view(self, timeout_s: float) -> View:
+        """The newest view not yet given. Raises CameraError when none came in time."""
+        ...
+
+
+class Detector(Protocol):
+    """Finds target-like objects in an image, from its pixels alone."""
+
+    def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]: ...
+
+
+# --- link ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    message: Message
+    arrival_ns: int  # role clock
+
+
+@dataclass(slots=True)
+class LinkCounters:
+    """Counted at the socket. ``bytes_*`` include UDP/IP headers (28 B a packet) where there are any."""
+
+    packets_sent: int = 0
+    packets_received: int = 0
+    bytes_sent: int = 0
+    bytes_received: int = 0
+    dropped: dict[str, int] = field(default_factory=dict[str, int])  # by reason
+
+
+class Link(Part, Protocol):
+    """Carries messages to and from the other drone. May lose, delay, duplicate and reorder; never raises on input."""
+
+    @property
+    def counters(self) -> LinkCounters: ...
+
+    def send(self, message: Message) -> None: ...
+
+    async def receive(self) -> Received: ...
+
+
+# --- log -------------------------------------------------------------------------------------------------------
+
+
+class Log(Protocol):
+    """Where a role writes all it sees and decides. Never raises: flight goes on with a full disk."""
+
+    def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
+        """One record: JSON-able mapping, stamp of the role clock."""
+        ...
+
+    def image(self, topic: str, stamp_ns: int, image: NDArray[np.uint8]) -> None: ...

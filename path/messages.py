@@ -1,0 +1,141 @@
+"""The messages two drones exchange, as values. How they look on the wire is ``drivers.wire``.
+
+Stamps are nanoseconds of the *sending* drone's clock; the receiver converts them (``flight.clocks``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from path.observations import Box, MissReason
+
+Vec3 = tuple[float, float, float]
+Quat = tuple[float, float, float, float]  # wxyz
+
+
+class Role(Enum):
+    SENDER = "sender"
+    RECEIVER = "receiver"
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """D1 -> D2: where the target is, in the marker frame (eq. target_virtual)."""
+
+    handoff_id: int  # u16
+    epoch: int  # u16
+    target_id: int  # u8, the object D1 says it tracks
+    sequence: int  # u16, one per distinct D1 frame
+    capture_ns: int  # when D1's frame was taken, D1's clock
+    point_v_m: Vec3
+    gravity_v: Vec3  # unit vector of gravity in ``v`` at capture, from D1's attitude
+    sigma_m: float  # standard deviation of the point
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """D2 -> D1: the box D2's own detector found (eq. d2_candidate), and the pose it used; or why there is none."""
+
+    handoff_id: int
+    epoch: int
+    target_id: int
+    sequence: int  # u16, one per distinct D2 frame
+    target_sequence: int  # the Target this answers
+    capture_ns: int  # when D2's frame was taken, D2's clock
+    box: Box | None  # None exactly when ``reason`` is set
+    reason: MissReason | None
+    position_v_m: Vec3  # T_v_c2
+    rotation_v_c2: Quat
+    sigma_m: float  # position standard deviation of T_v_c2
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """Both ways, a few times a second: what coarse rendezvous, feed-forward and the console need."""
+
+    role: Role
+    stamp_ns: int
+    position_n_m: Vec3  # own estimate, in the mission's local NED frame
+    velocity_n_mps: Vec3
+    yaw_rad: float
+    phase: int  # index into flight phases
+    responsible: bool
+    observing: bool
+    battery: float  # 0..1
+
+
+@dataclass(frozen=True, slots=True)
+class Ping:
+    """Clock exchange, first half."""
+
+    nonce: int  # u32
+    sent_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Pong:
+    """Clock exchange, second half: echoes the ping."""
+
+    nonce: int
+    ping_sent_ns: int
+    received_ns: int
+    sent_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Commit:
+    """D1 -> D2: D1 has released the target; D2 may hold it provisionally until the lease ends."""
+
+    handoff_id: int
+    epoch: int
+    target_id: int
+    nonce: int  # u32
+    lease_end_ns: int  # D1's clock
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Accept:
+    """D2 -> D1: taken provisionally; repeated until confirmed."""
+
+    handoff_id: int
+    epoch: int
+    target_id: int
+    nonce: int
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Confirm:
+    """D1 -> D2: D2 holds the target for good; one for every Accept."""
+
+    handoff_id: int
+    epoch: int
+    target_id: int
+    nonce: int
+    stamp_ns: int
+
+
+class AbortReason(Enum):
+    PILOT = "pilot"
+    TIMEOUT = "timeout"
+    TARGET_LOST = "target_lost"
+    MARKER_LOST = "marker_lost"
+    VEHICLE = "vehicle"
+    CAMERA = "camera"
+    GUARD = "guard"
+    SHUTDOWN = "shutdown"
+
+
+@dataclass(frozen=True, slots=True)
+class Abort:
+    """Either way: this handoff is over; nothing is transferred by it."""
+
+    handoff_id: int
+    epoch: int
+    reason: AbortReason
+    stamp_ns: int
+
+
+Message = Target | Candidate | Status | Ping | Pong | Commit | Accept | Confirm | Abort

@@ -1,0 +1,101 @@
+"""What a camera view yields: boxes, marker corners, depths, and the reasons when it yields nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """An axis-aligned box ``(x, y, w, h)`` in px; ``x, y`` is the top-left corner, floats allowed."""
+
+    x: float
+    y: float
+    w: float
+    h: float
+
+    @property
+    def center(self) -> tuple[float, float]:
+        return self.x + self.w / 2.0, self.y + self.h / 2.0
+
+    @property
+    def area(self) -> float:
+        return self.w * self.h
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A part of an image in px: ``x0 <= x < x1``, ``y0 <= y < y1``. May reach beyond the image."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+
+    def clipped(self, width: int, height: int) -> Region | None:
+        """The part inside a ``width`` x ``height`` image, or None when nothing is left."""
+        x0, y0 = max(self.x0, 0.0), max(self.y0, 0.0)
+        x1, y1 = min(self.x1, float(width)), min(self.y1, float(height))
+        return Region(x0, y0, x1, y1) if x1 > x0 and y1 > y0 else None
+
+    def contains(self, u: float, v: float) -> bool:
+        return self.x0 <= u < self.x1 and self.y0 <= v < self.y1
+
+
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """A target-like object found in an image. ``score`` in 0..1."""
+
+    box: Box
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerDetection:
+    """One fiducial found in an image.
+
+    Attributes:
+        marker_id: id in the dictionary of the layout.
+        corners_px: shape (4, 2), distorted pixel coordinates, in the marker's own corner order
+            (top-left, top-right, bottom-right, bottom-left as printed).
+        covariance_px2: shape (8, 8), covariance of the corners in the order u0 v0 u1 v1 ...
+    """
+
+    marker_id: int
+    corners_px: NDArray[np.float64]
+    covariance_px2: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Depth:
+    """Robust registered depth over a box. ``z_m`` along the optical axis, ``sigma_m`` its standard deviation."""
+
+    z_m: float
+    sigma_m: float
+
+
+class MissReason(Enum):
+    """Why a frame pair does not count. Values are stable: they are logged, counted and sent over the link."""
+
+    NO_TARGET = "no_target"
+    AMBIGUOUS_TARGET = "ambiguous_target"
+    NO_DEPTH = "no_depth"
+    NO_MARKER = "no_marker"
+    WRONG_MARKER = "wrong_marker"
+    MARKER_TWICE = "marker_twice"
+    MARKER_OBLIQUE = "marker_oblique"
+    MARKER_FLIPPED = "marker_flipped"
+    POSE_UNCERTAIN = "pose_uncertain"
+    PRIOR_OUTSIDE = "prior_outside"
+    NO_CANDIDATE = "no_candidate"
+    LOW_IOU = "low_iou"
+    STALE = "stale"
+    DUPLICATE = "duplicate"
+    CLOCK = "clock"
+    NO_TRACK = "no_track"
+    LINK_SILENT = "link_silent"
+    NON_FINITE = "non_finite"
