@@ -1,0 +1,114 @@
+"""Settings of the method. Degrees appear here only; everything computed is in radians."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Literal
+
+BoxMapping = Literal["center", "corner"]
+
+WHOLE = ("hold_frames", "min_depth_pixels", "track_length")
+FRACTIONS = ("tau_min", "tau_max", "depth_center_fraction", "min_depth_valid")
+MAY_BE_ZERO = ("pixel_sigma_px", "mount_sigma_m", "mount_sigma_deg", "target_center_sigma_m", "clock_sigma_s")
+
+
+@dataclass(frozen=True, slots=True)
+class MethodConfig:
+    """Everything the method can be told; the same on both drones.
+
+    ``tau_min``, ``tau_max`` and ``z0_m`` are not published: these defaults are plausible values, and are to be
+    replaced by those of a ROC sweep (false accepts against rejected true pairs).
+
+    Attributes:
+        box_mapping: map the centre of D2's box, then rescale ("center"), or its corner as the paper does ("corner",
+            which drifts with the cameras' relative roll).
+        tau_min, tau_max: IoU needed far away and at ``z0_m`` or nearer (eq. adaptive_threshold).
+        z0_m: reference viewing distance (eq. scale_factor).
+        hold_frames, hold_s: distinct fresh agreeing frame pairs, and the time from the first to the last of them on
+            capture stamps; both are needed.
+        max_gap_s: longest time between two consecutive agreeing pairs; a longer one restarts the count.
+        max_candidate_age_s: a candidate whose frame is older than this when it comes in, is stale.
+        max_bracket_s: D1's track is interpolated only between samples at most this far apart.
+        max_extrapolation_s: how far D2 carries the target's point beyond its newest sample.
+        track_length: samples kept of each track.
+        min_depth_m, max_depth_m: what the depth camera can be trusted with.
+        depth_center_fraction: central part of the box, per side, that is asked for depth.
+        min_depth_valid, min_depth_pixels: share and number of its pixels that must carry depth.
+        max_depth_spread_m: largest robust spread of depth over the target; more is not one surface.
+        depth_sigma_at_1m_m: depth noise at 1 m; it grows with the square of the distance.
+        pixel_sigma_px: noise of a box centre.
+        mount_sigma_m, mount_sigma_deg: uncertainty of ``T_v_c1``, per axis.
+        target_center_sigma_m: how far apart the two cameras' box centres are on the body of the target.
+        clock_sigma_s: uncertainty of a capture instant between the drones.
+        relative_speed_mps: speed of the target in ``v`` that this uncertainty is multiplied with.
+        max_pose_sigma_m: position standard deviation of ``T_v_c2`` above which the pose is not used.
+        max_incidence_deg: largest angle between marker normal and line of sight.
+        search_sigmas: the search region reaches this many standard deviations around the prior.
+        min_search_px, max_search_px: bounds of the region's half sides.
+        ambiguity_margin: two candidates whose squared Mahalanobis distances from the prior differ by less than this
+            are not told apart.
+    """
+
+    box_mapping: BoxMapping = "center"
+    tau_min: float = 0.25
+    tau_max: float = 0.45
+    z0_m: float = 1.5
+    hold_frames: int = 350
+    hold_s: float = 7.0
+    max_gap_s: float = 0.2
+    max_candidate_age_s: float = 0.5
+    max_bracket_s: float = 0.2
+    max_extrapolation_s: float = 0.2
+    track_length: int = 64
+    min_depth_m: float = 0.3
+    max_depth_m: float = 6.0
+    depth_center_fraction: float = 0.5
+    min_depth_valid: float = 0.5
+    min_depth_pixels: int = 12
+    max_depth_spread_m: float = 0.3
+    depth_sigma_at_1m_m: float = 0.005
+    pixel_sigma_px: float = 1.5
+    mount_sigma_m: float = 0.002
+    mount_sigma_deg: float = 0.2
+    target_center_sigma_m: float = 0.05
+    clock_sigma_s: float = 0.005
+    relative_speed_mps: float = 1.0
+    max_pose_sigma_m: float = 0.1
+    max_incidence_deg: float = 70.0
+    search_sigmas: float = 3.5
+    min_search_px: float = 16.0
+    max_search_px: float = 200.0
+    ambiguity_margin: float = 6.0
+
+    def __post_init__(self) -> None:
+        """Raises ValueError naming the first field that cannot be right, and what is allowed."""
+        if self.box_mapping not in ("center", "corner"):
+            raise ValueError(f'box_mapping: {self.box_mapping!r} is neither "center" nor "corner"')
+        for field in fields(self):
+            if field.name != "box_mapping":
+                _check(field.name, getattr(self, field.name))
+        for low, high in (
+            ("tau_min", "tau_max"),
+            ("min_depth_m", "max_depth_m"),
+            ("min_search_px", "max_search_px"),
+        ):
+            if getattr(self, low) > getattr(self, high):
+                raise ValueError(f"{low}: {getattr(self, low)!r} is above {high} = {getattr(self, high)!r}")
+        if not self.max_incidence_deg < 90.0:
+            raise ValueError(f"max_incidence_deg: {self.max_incidence_deg!r} is not below 90")
+        if self.track_length < 4:
+            raise ValueError(f"track_length: {self.track_length!r} is below 4")
+
+
+def _check(name: str, value: object) -> None:
+    if name in WHOLE:
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise ValueError(f"{name}: {value!r} is not a whole number of at least 1")
+        return
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError(f"{name}: {value!r} is not a finite number")
+    if name in FRACTIONS and not 0.0 < value <= 1.0:
+        raise ValueError(f"{name}: {value!r} is not above 0 and at most 1")
+    if value < 0.0 or (value == 0.0 and name not in MAY_BE_ZERO):
+        raise ValueError(f"{name}: {value!r} is not {'at least' if name in MAY_BE_ZERO else 'above'} 0")
