@@ -1,0 +1,178 @@
+"""A rig as values: the parts of both drones by name, and how a part is made from its name.
+
+How a rig is written is ``drivers.rig_file``; what is checked before anything moves is ``drivers.rig_check``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from drivers.interfaces import Clock
+from drivers.tables import RigError, decode_table, suggestion
+from path.camera import CameraModel
+from path.config import MethodConfig
+from path.geometry import Pose
+from path.messages import Role
+
+if TYPE_CHECKING:
+    from path.marker.layout import MarkerLayout
+
+Level = Literal["sim", "sim-rendered", "sitl", "hitl", "field"]
+
+
+@dataclass(frozen=True, slots=True)
+class PartSpec:
+    """A part by name: ``factory`` is ``module:Class``; ``options`` are decoded as ``Class.Config``.
+
+    May be a field of another part's Config (``[sender.sight.camera]``), which then opens it itself.
+    """
+
+    factory: str
+    options: Mapping[str, Any]
+    where: str
+
+    @classmethod
+    def from_table(cls, table: Any, where: str) -> PartSpec:
+        """Used by ``decode_table``. Raises RigError when ``factory`` is missing or no ``module:Class``."""
+        if not isinstance(table, Mapping):
+            raise RigError([f"{where}: expected a table with a factory"])
+        factory = table.get("factory")
+        if not isinstance(factory, str) or factory.count(":") != 1:
+            raise RigError([f"{where}: missing key 'factory', such as \"drivers.mavsdk_vehicle:MavsdkVehicle\""])
+        return cls(factory, {key: value for key, value in table.items() if key != "factory"}, where)
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where the mission's local frames (NED ``n`` and ENU ``w``) have their zero."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+
+    def __post_init__(self) -> None:
+        if not (-90.0 <= self.latitude_deg <= 90.0 and -180.0 <= self.longitude_deg <= 180.0):
+            raise ValueError("latitude_deg must be within -90..90 and longitude_deg within -180..180")
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """How camera and marker sit on their drone.
+
+    Attributes:
+        T_b_c: camera to body (FRD) of the role's own drone.
+        T_b_v: marker frame to body (FRD) of the *sender*, for both roles.
+    """
+
+    T_b_c: Pose
+    T_b_v: Pose
+
+    @property
+    def T_v_c(self) -> Pose:
+        """``T_v_c1``, the sender's fixed mounting; without meaning for the receiver."""
+        return self.T_b_v.inverse() @ self.T_b_c
+
+
+@dataclass(frozen=True, slots=True)
+class PartContext:
+    """What a part may know of its role besides its own options.
+
+    ``harness`` is the in-process substitute world at the sim levels (parts of ``hil`` cast it), else None.
+    """
+
+    role: Role
+    clock: Clock
+    camera: CameraModel
+    mount: Mount
+    layout: MarkerLayout
+    origin: Origin
+    harness: object | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RoleRig:
+    """One drone of the rig."""
+
+    vehicle: PartSpec
+    sight: PartSpec
+    link: PartSpec
+    clock: PartSpec
+    camera: CameraModel
+    mount: Mount
+
+    @property
+    def parts(self) -> tuple[PartSpec, ...]:
+        return self.clock, self.vehicle, self.sight, self.link
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A whole rig. ``mission`` and ``world`` stay tables: who uses them decodes them with ``decode_table``."""
+
+    name: str
+    description: str
+    level: Level
+    harness: str | None
+    origin: Origin
+    method: MethodConfig
+    mission: Mapping[str, Any]
+    world: Mapping[str, Any]
+    layout: MarkerLayout
+    sender: RoleRig
+    receiver: RoleRig
+    file: Path
+
+    def role(self, role: Role) -> RoleRig:
+        return self.sender if role is Role.SENDER else self.receiver
+
+    def where(self, table: str) -> str:
+        """How messages name a table of this rig."""
+        return f"{self.file.name}: {table}"
+
+
+def import_factory(factory: str, where: str) -> Any:
+    """The class named ``module:Class``. Raises RigError naming ``where``."""
+    module_name, _, class_name = factory.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise RigError([f"{where}.factory: cannot import {module_name}: {error}"]) from error
+    if not hasattr(module, class_name):
+        classes = [name for name, value in vars(module).items() if hasattr(value, "Config")]
+        hint = suggestion(class_name, classes)
+        raise RigError([f"{where}.factory: {module_name} has no {class_name}{hint}"])
+    return getattr(module, class_name)
+
+
+def decode_part(spec: PartSpec) -> tuple[Any, Any]:
+    """The part's class and its decoded Config. Raises RigError."""
+    kind = import_factory(spec.factory, spec.where)
+    config = getattr(kind, "Config", None)
+    if config is None or not dataclasses.is_dataclass(config):
+        raise RigError([f"{spec.where}.factory: {spec.factory} is no part: it has no Config dataclass"])
+    return kind, decode_table(spec.options, config, spec.where)  # type: ignore[arg-type]
+
+
+def create(spec: PartSpec, context: PartContext) -> Any:
+    """Make the part a spec names. Entering it, with ``async with``, is what opens it. Raises RigError."""
+    kind, config = decode_part(spec)
+    return kind(config, context)
+
+
+class _NoClock:
+    """Stands in while the clock itself is made."""
+
+    def now_ns(self) -> int:
+        raise RuntimeError("the clock cannot be used while it is made")
+
+
+def part_context(rig: Rig, role: Role, harness: object | None = None) -> PartContext:
+    """The context of one role's parts, with its clock made. Raises RigError."""
+    own = rig.role(role)
+    early = PartContext(role, _NoClock(), own.camera, own.mount, rig.layout, rig.origin, harness)
+    return dataclasses.replace(early, clock=create(own.clock, early))

@@ -1,0 +1,87 @@
+"""What is checked of a rig before anything moves, without touching hardware."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from drivers.rig import PartSpec, Rig, decode_part, import_factory
+from drivers.tables import Problems, RigError
+from path.messages import Role
+
+EXCLUSIVE = ("url", "bind", "sysid", "interface", "device", "serial")
+"""Options of a part that name something only one part of a rig may use."""
+
+
+def check_rig(rig: Rig) -> None:
+    """Check all that can be checked without touching hardware. Raises RigError with every problem found.
+
+    Factories import and take their options, no two parts share a port, system id, interface or device, the two links
+    point at each other, and the harness (its ``check_rig(rig)``, when it has one) agrees.
+    """
+    problems = Problems()
+    configs: dict[str, Any] = {}
+    for role in Role:
+        for spec in rig.role(role).parts:
+            _check_part(spec, configs, problems)
+    _check_exclusive(configs, problems)
+    if rig.harness is None:
+        _check_mirrored(rig, configs, problems)
+    else:
+        _check_harness(rig, rig.harness, problems)
+    problems.raise_any()
+
+
+def _check_part(spec: PartSpec, configs: dict[str, Any], problems: Problems) -> None:
+    try:
+        _, config = decode_part(spec)
+    except RigError as error:
+        problems.absorb(error)
+        return
+    configs[spec.where] = config
+    for name in (f.name for f in dataclasses.fields(config)):
+        if isinstance(inner := getattr(config, name), PartSpec):
+            _check_part(inner, configs, problems)
+
+
+def _check_exclusive(configs: Mapping[str, Any], problems: Problems) -> None:
+    used: dict[tuple[str, str], str] = {}
+    for where, config in configs.items():
+        for name in (f.name for f in dataclasses.fields(config) if f.name in EXCLUSIVE):
+            value = getattr(config, name)
+            if value in (None, ""):
+                continue
+            key = _resource(name, value)
+            if key in used:
+                problems.add(f"{where}.{name}", f"{value!r} is already used by {used[key]}; each needs its own")
+            used.setdefault(key, f"{where.partition(': ')[2]}.{name}")
+
+
+def _resource(name: str, value: Any) -> tuple[str, str]:
+    """What an option occupies. Two listeners on one UDP port collide whatever their addresses say."""
+    text = str(value)
+    local = name == "bind" or text.startswith(("udpin://", "tcpin://"))
+    if name in ("url", "bind") and local:
+        return "port", text.rpartition(":")[2]
+    return ("device" if name in ("device", "url") else name), text
+
+
+def _check_mirrored(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> None:
+    ends = [configs.get(rig.role(role).link.where) for role in Role]
+    if not all(hasattr(end, "bind") and hasattr(end, "peer") for end in ends):
+        return
+    for own, other, role in ((ends[0], ends[1], "sender"), (ends[1], ends[0], "receiver")):
+        peer, bind = str(getattr(own, "peer")), str(getattr(other, "bind"))  # noqa: B009 (Config of any link)
+        same_host = bind.rpartition(":")[0] in ("0.0.0.0", "", peer.rpartition(":")[0])
+        if peer.rpartition(":")[2] != bind.rpartition(":")[2] or not same_host:
+            problems.add(rig.where(f"{role}.link.peer"), f"{peer!r} is not where the other drone listens: {bind!r}")
+
+
+def _check_harness(rig: Rig, harness: str, problems: Problems) -> None:
+    try:
+        kind = import_factory(harness, rig.where("rig"))
+        if hasattr(kind, "check_rig"):
+            kind.check_rig(rig)
+    except RigError as error:
+        problems.absorb(error)
