@@ -1,0 +1,111 @@
+"""What a mission flies: heights, distances, limits and deadlines (the ``[mission]`` table of a rig)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class TargetDesignation:
+    """Which object the sender is to track: the place where the operator pointed, in the mission's local frame."""
+
+    north_m: float = 4.0
+    east_m: float = 0.0
+    height_m: float = 0.10  # of the object's middle above the ground
+    radius_m: float = 0.9  # how far from the place an object may be and still be the one meant
+
+
+@dataclass(frozen=True, slots=True)
+class FollowConfig:
+    """Where a drone stays relative to the target it follows, in the heading it came with."""
+
+    behind_m: float = 1.45  # horizontal distance
+    height_m: float = 1.50  # above the ground
+    gain_per_s: float = 1.0
+    max_speed_mps: float = 1.2
+
+
+@dataclass(frozen=True, slots=True)
+class SeparationConfig:
+    """The volume around D1 that D2's camera stays out of, and the downwash cone below the upper drone."""
+
+    horizontal_m: float = 0.60
+    vertical_m: float = 0.45
+    minimum_m: float = 0.70  # between the two bodies: the guard ends the mission below it
+    downwash_half_angle_deg: float = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class RendezvousConfig:
+    """Stand-off, search and approach of the receiver."""
+
+    stand_off_m: float = 1.75  # from the marker, along the planned line of sight
+    stand_off_tolerance_m: float = 0.25
+    search_slide_m: float = 0.35
+    gain_per_s: float = 0.9
+    max_speed_mps: float = 0.5
+    arrived_m: float = 0.12
+    arrived_speed_mps: float = 0.25
+    max_position_sigma_m: float = 0.08  # of the marker pose, to close in on it
+    min_marker_px: float = 20.0
+    max_incidence_deg: float = 60.0
+    image_margin_px: float = 60.0
+    max_range_m: float = 4.5  # target to D2, its depth camera's useful limit
+
+
+@dataclass(frozen=True, slots=True)
+class GuardConfig:
+    """Limits that beat every script (S8-S10)."""
+
+    fence_radius_m: float = 25.0
+    fence_height_m: float = 6.0
+    min_battery: float = 0.20
+    telemetry_age_s: float = 0.5
+    heartbeat_age_s: float = 2.5
+    frame_age_s: float = 0.8
+    peer_silence_s: float = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Deadlines:
+    """Every wait of a mission is bounded; what a deadline ends in is the outcome's name."""
+
+    armable_s: float = 45.0
+    peer_s: float = 60.0
+    take_off_s: float = 30.0
+    acquire_s: float = 30.0
+    receiver_ready_s: float = 120.0
+    stand_off_s: float = 40.0
+    search_s: float = 25.0
+    approach_s: float = 30.0
+    verify_s: float = 60.0
+    target_coast_s: float = 2.0
+    marker_coast_s: float = 1.0
+    marker_regain_s: float = 4.0
+    depart_s: float = 20.0
+    land_s: float = 40.0
+
+
+@dataclass(frozen=True, slots=True)
+class MissionConfig:
+    """One handoff mission, both roles."""
+
+    handoff_id: int = 1
+    target_id: int = 1
+    heading_deg: float = 0.0  # of the sender's approach to the target
+    take_off_height_m: float = 1.5
+    receiver_take_off_height_m: float = 2.2
+    control_hz: float = 25.0
+    status_hz: float = 10.0
+    ping_hz: float = 4.0
+    image_hz: float = 1.0  # camera images in the log
+    follow_after_s: float = 6.0  # how long D2 follows before it lands
+    depart_m: float = 2.5
+    camera_rotation_sigma_deg: float = 0.2  # attitude noise of the two vehicles, for the gravity prior
+    attitude_sigma_deg: float = 0.6
+    target: TargetDesignation = field(default_factory=TargetDesignation)
+    follow: FollowConfig = field(default_factory=FollowConfig)
+    separation: SeparationConfig = field(default_factory=SeparationConfig)
+    rendezvous: RendezvousConfig = field(default_factory=RendezvousConfig)
+    guard: GuardConfig = field(default_factory=GuardConfig)
+    deadlines: Deadlines = field(default_factory=Deadlines)

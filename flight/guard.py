@@ -1,0 +1,39 @@
+"""Limits that beat every script: checked before each setpoint (S8-S10)."""
+
+from __future__ import annotations
+
+import math
+
+from drivers.interfaces import FlightMode, VehicleState
+from flight.config import GuardConfig
+from flight.outcome import MissionEnd, Outcome
+
+
+def check_vehicle(state: VehicleState, now_ns: int, config: GuardConfig, commanded: FlightMode) -> None:
+    """Raise MissionEnd when the vehicle is no longer ours or no longer safe to fly.
+
+    Args:
+        state: newest telemetry.
+        now_ns: role clock.
+        config: limits.
+        commanded: the mode the script put the vehicle in; any other mode means that somebody took over.
+    """
+    telemetry_age_s = (now_ns - state.stamp_ns) * 1e-9
+    if telemetry_age_s > config.telemetry_age_s:
+        raise MissionEnd(Outcome.VEHICLE_LOST, f"no telemetry for {telemetry_age_s:.1f} s")
+    heartbeat_age_s = (now_ns - state.heartbeat_ns) * 1e-9
+    if heartbeat_age_s > config.heartbeat_age_s:
+        raise MissionEnd(Outcome.VEHICLE_LOST, f"no heartbeat for {heartbeat_age_s:.1f} s")
+    if state.mode is not commanded:
+        raise MissionEnd(Outcome.PILOT_OVERRIDE, f"mode is {state.mode.value}, the script flew {commanded.value}")
+    north, east, down = state.position_n_m
+    if math.hypot(north, east) > config.fence_radius_m or -down > config.fence_height_m:
+        raise MissionEnd(Outcome.GUARD, f"outside the fence at ({north:.1f}, {east:.1f}) m, height {-down:.1f} m")
+    if state.battery < config.min_battery:
+        raise MissionEnd(Outcome.GUARD, f"battery at {100 * state.battery:.0f} %")
+
+
+def check_separation(distance_m: float, minimum_m: float) -> None:
+    """Raise MissionEnd when the measured distance between the drones is below the minimum (S9)."""
+    if distance_m < minimum_m:
+        raise MissionEnd(Outcome.GUARD, f"separation {distance_m:.2f} m is below {minimum_m:.2f} m")

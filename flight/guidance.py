@@ -1,0 +1,78 @@
+"""Velocity commands from positions: pure functions, NED, metres and seconds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from drivers.interfaces import VehicleState, VelocitySetpoint
+
+Vec3 = tuple[float, float, float]
+
+
+def add(a: Vec3, b: Vec3) -> Vec3:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def subtract(a: Vec3, b: Vec3) -> Vec3:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def scale(a: Vec3, k: float) -> Vec3:
+    return a[0] * k, a[1] * k, a[2] * k
+
+
+def norm(a: Vec3) -> float:
+    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+
+
+def limit(a: Vec3, longest: float) -> Vec3:
+    """``a`` shortened to ``longest`` when it is longer."""
+    length = norm(a)
+    return a if length <= longest else scale(a, longest / length)
+
+
+def from_heading(offset_h_m: Vec3, heading_rad: float) -> Vec3:
+    """(forward, right, down) in a levelled heading frame to NED."""
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    forward, right, down = offset_h_m
+    return c * forward - s * right, s * forward + c * right, down
+
+
+def bearing(to_n_m: Vec3) -> float:
+    """Yaw that points the nose along a vector."""
+    return math.atan2(to_n_m[1], to_n_m[0])
+
+
+def wrap(angle_rad: float) -> float:
+    """To (-pi, pi]."""
+    return math.atan2(math.sin(angle_rad), math.cos(angle_rad))
+
+
+def close_in(error_n_m: Vec3, feed_forward_n_mps: Vec3, gain_per_s: float, max_speed_mps: float) -> Vec3:
+    """Proportional pursuit of a (moving) point: the correction is limited, the feed-forward is not."""
+    return add(feed_forward_n_mps, limit(scale(error_n_m, gain_per_s), max_speed_mps))
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """A place and heading to stay at."""
+
+    position_n_m: Vec3
+    yaw_rad: float
+
+    def hold(self, state: VehicleState, gain_per_s: float = 0.8, max_speed_mps: float = 0.8) -> VelocitySetpoint:
+        error = subtract(self.position_n_m, state.position_n_m)
+        return VelocitySetpoint(close_in(error, (0.0, 0.0, 0.0), gain_per_s, max_speed_mps), self.yaw_rad)
+
+
+def slew(previous: VelocitySetpoint, wanted: VelocitySetpoint, dt_s: float, max_accel: float) -> VelocitySetpoint:
+    """Limit the change of velocity between two setpoints to ``max_accel`` (m/s^2)."""
+    change = limit(subtract(wanted.velocity_n_mps, previous.velocity_n_mps), max_accel * dt_s)
+    return VelocitySetpoint(add(previous.velocity_n_mps, change), wanted.yaw_rad)
+
+
+def yaw_of(q_n_b: tuple[float, float, float, float]) -> float:
+    """Heading of an attitude quaternion (wxyz)."""
+    w, x, y, z = q_n_b
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

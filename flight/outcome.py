@@ -1,0 +1,73 @@
+"""How a mission can end. Every failure has a name, an exit code and a sentence for the crew."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from path.messages import AbortReason
+
+
+class Outcome(Enum):
+    """Named end of a mission: (name, exit code, what it means)."""
+
+    COMMITTED = ("committed", 0, "the receiver holds the target, confirmed by both sides")
+    NO_AGREEMENT = ("no_agreement", 10, "the views did not agree for long enough before the deadline")
+    TARGET_NOT_FOUND = ("target_not_found", 11, "the sender never saw the target where it was said to be")
+    TARGET_LOST = ("target_lost", 12, "the target left the view and did not come back in time")
+    MARKER_NOT_FOUND = ("marker_not_found", 13, "the receiver never saw the sender's marker from its stand-off")
+    MARKER_LOST = ("marker_lost", 14, "the marker left the receiver's view and did not come back in time")
+    NO_VIEWPOINT = ("no_viewpoint", 15, "no place keeps marker and target in view at a safe separation")
+    PEER_LOST = ("peer_lost", 16, "nothing was heard from the other drone for too long")
+    CAMERA_LOST = ("camera_lost", 17, "the camera gave no new frame in time")
+    VEHICLE_LOST = ("vehicle_lost", 18, "the flight controller's telemetry stopped")
+    VEHICLE_REFUSED = ("vehicle_refused", 19, "the vehicle did not do what it was told")
+    PILOT_OVERRIDE = ("pilot_override", 20, "the pilot changed the mode: the script let go")
+    GUARD = ("guard", 21, "fence, battery or separation limit reached")
+    ORPHANED = ("orphaned", 22, "the link died inside the hand-over: both observe, nobody is responsible")
+    PEER_ABORTED = ("peer_aborted", 23, "the other drone ended the handoff")
+    CLOCK_FAULT = ("clock_fault", 24, "the drones' clocks could not be aligned")
+    APPROACH_FAILED = ("approach_failed", 25, "the planned viewpoint was not reached in time")
+    INTERRUPTED = ("interrupted", 30, "stopped by Ctrl-C or SIGTERM")
+    CRASHED = ("crashed", 31, "the role's program died")
+    MONITOR_VIOLATED = ("monitor_violated", 40, "a safety monitor of the harness was violated")
+    HARNESS_FAILED = ("harness_failed", 41, "the simulation itself failed: not the mission's fault")
+
+    def __init__(self, label: str, exit_code: int, meaning: str) -> None:
+        self.label = label
+        self.exit_code = exit_code
+        self.meaning = meaning
+
+    @classmethod
+    def from_label(cls, label: str) -> Outcome:
+        """The outcome a log or a process names; KeyError when there is none such."""
+        return _BY_LABEL[label]
+
+
+_BY_LABEL = {outcome.label: outcome for outcome in Outcome}
+
+_ABORT_REASONS = {
+    Outcome.NO_AGREEMENT: AbortReason.TIMEOUT,
+    Outcome.TARGET_NOT_FOUND: AbortReason.TARGET_LOST,
+    Outcome.TARGET_LOST: AbortReason.TARGET_LOST,
+    Outcome.MARKER_NOT_FOUND: AbortReason.MARKER_LOST,
+    Outcome.MARKER_LOST: AbortReason.MARKER_LOST,
+    Outcome.CAMERA_LOST: AbortReason.CAMERA,
+    Outcome.VEHICLE_LOST: AbortReason.VEHICLE,
+    Outcome.VEHICLE_REFUSED: AbortReason.VEHICLE,
+    Outcome.PILOT_OVERRIDE: AbortReason.PILOT,
+    Outcome.GUARD: AbortReason.GUARD,
+}
+
+
+def abort_reason(outcome: Outcome) -> AbortReason:
+    """What the other drone is told when a mission ends this way."""
+    return _ABORT_REASONS.get(outcome, AbortReason.SHUTDOWN)
+
+
+class MissionEnd(Exception):
+    """The mission cannot go on; ``outcome`` says how it ends and ``detail`` what was seen."""
+
+    def __init__(self, outcome: Outcome, detail: str) -> None:
+        super().__init__(f"{outcome.label}: {detail}")
+        self.outcome = outcome
+        self.detail = detail

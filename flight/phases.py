@@ -1,0 +1,26 @@
+"""The course of a mission, in the order both drones go through it."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Phase(IntEnum):
+    """Sent in every Status: the other drone waits for some of these."""
+
+    PREFLIGHT = 0
+    WAITING = 1  # on the ground until the other drone is ready
+    TAKE_OFF = 2
+    ACQUIRE = 3  # sender: fly to the target and find it
+    FOLLOW = 4  # sender: keep the target in view; receiver: after the hand-over
+    STAND_OFF = 5  # receiver: fly to the coarse rendezvous
+    SEARCH = 6  # receiver: find the marker
+    APPROACH = 7  # receiver: close in on marker measurements
+    VERIFY = 8  # both: PATH runs
+    DEPART = 9  # leave the other drone's way
+    LAND = 10
+    DONE = 11
+
+    @property
+    def title(self) -> str:
+        return self.name.lower().replace("_", "-")

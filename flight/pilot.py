@@ -1,0 +1,66 @@
+"""The control loop of one drone: one setpoint per tick, from whatever guidance is in force, guarded."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from drivers.interfaces import Clock, FlightMode, Log, Vehicle, VehicleState, VelocitySetpoint
+from flight.config import MissionConfig
+from flight.guard import check_vehicle
+from flight.guidance import Anchor, slew, yaw_of
+
+Guidance = Callable[[VehicleState], VelocitySetpoint]
+
+MAX_ACCEL_MPS2 = 1.5
+
+
+class Pilot:
+    """Flies a vehicle in offboard control. ``guidance`` may be exchanged at any time; it must not block."""
+
+    def __init__(self, vehicle: Vehicle, clock: Clock, config: MissionConfig, log: Log) -> None:
+        self._vehicle = vehicle
+        self._clock = clock
+        self._config = config
+        self._log = log
+        self._last = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
+        self.guidance: Guidance = self._stay
+        self.in_control = False
+
+    def _stay(self, state: VehicleState) -> VelocitySetpoint:
+        return VelocitySetpoint((0.0, 0.0, 0.0), yaw_of(state.q_n_b))
+
+    def hold_here(self) -> None:
+        """Make staying at the present place the guidance."""
+        state = self._vehicle.state
+        anchor = Anchor(state.position_n_m, yaw_of(state.q_n_b))
+        self.guidance = anchor.hold
+
+    async def take_control(self) -> None:
+        """Enter offboard control at a standstill; ``run`` must be started right after."""
+        self.hold_here()
+        self._last = VelocitySetpoint((0.0, 0.0, 0.0), yaw_of(self._vehicle.state.q_n_b))
+        await self._vehicle.start_offboard(self._last)
+        self.in_control = True
+
+    async def run(self) -> None:
+        """Send setpoints until cancelled. Raises MissionEnd when the guard trips."""
+        period_s = 1.0 / self._config.control_hz
+        loop = asyncio.get_running_loop()
+        due_s = loop.time()
+        while self.in_control:
+            now_ns = self._clock.now_ns()
+            state = self._vehicle.state
+            check_vehicle(state, now_ns, self._config.guard, FlightMode.OFFBOARD)
+            self._last = slew(self._last, self.guidance(state), period_s, MAX_ACCEL_MPS2)
+            self._vehicle.fly(self._last)
+            self._log.write(
+                "/setpoint", now_ns, {"velocity_n_mps": self._last.velocity_n_mps, "yaw_rad": self._last.yaw_rad}
+            )
+            # A late tick is not made up for: the next one comes a full period after a stall.
+            due_s = max(due_s + period_s, loop.time())
+            await asyncio.sleep(due_s - loop.time())
+
+    def let_go(self) -> None:
+        """Stop sending setpoints; the caller has commanded, or is about to command, another mode."""
+        self.in_control = False

@@ -1,0 +1,130 @@
+"""Following one object from frame to frame: a constant-velocity filter in NED, associated in the image."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.interfaces import View
+from flight.guidance import Vec3, add, norm, scale, subtract
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.observations import Box, Depth, Detection, MissReason, Region
+
+MIN_SCORE = 0.3
+_MEASUREMENT_SIGMA_M = 0.05
+_ACCELERATION_SIGMA_MPS2 = 0.6
+_GATE_FLOOR_M = 0.20
+_AMBIGUITY = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """The tracked object in one frame. ``depth`` is None where the depth camera gave nothing to be trusted."""
+
+    box: Box
+    depth: Depth | None
+
+
+class TargetTrack:
+    """Position and velocity of one object in ``n``; the same filter on each axis (Kalman, constant velocity)."""
+
+    def __init__(self, position_n_m: Vec3, stamp_ns: int) -> None:
+        self.position_n_m = position_n_m
+        self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
+        self.stamp_ns = stamp_ns
+        self.seen_ns = stamp_ns
+        self._pp = 0.3**2
+        self._pv = 0.0
+        self._vv = 0.5**2
+
+    def predict(self, stamp_ns: int) -> tuple[Vec3, float]:
+        """Position (m) and its standard deviation per axis at a stamp, the filter left as it is."""
+        dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
+        variance = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + (_ACCELERATION_SIGMA_MPS2 * dt * dt / 2) ** 2
+        return add(self.position_n_m, scale(self.velocity_n_mps, dt)), math.sqrt(variance)
+
+    def update(self, measured_n_m: Vec3, stamp_ns: int) -> None:
+        """Fuse one measured position; older stamps than the newest are ignored."""
+        dt = (stamp_ns - self.stamp_ns) * 1e-9
+        if dt < 0.0:
+            return
+        q = _ACCELERATION_SIGMA_MPS2**2
+        position = add(self.position_n_m, scale(self.velocity_n_mps, dt))
+        pp = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + q * dt**4 / 4.0
+        pv = self._pv + dt * self._vv + q * dt**3 / 2.0
+        vv = self._vv + q * dt * dt
+        gain_p = pp / (pp + _MEASUREMENT_SIGMA_M**2)
+        gain_v = pv / (pp + _MEASUREMENT_SIGMA_M**2)
+        innovation = subtract(measured_n_m, position)
+        self.position_n_m = add(position, scale(innovation, gain_p))
+        self.velocity_n_mps = add(self.velocity_n_mps, scale(innovation, gain_v))
+        self._pp, self._pv, self._vv = (1.0 - gain_p) * pp, (1.0 - gain_p) * pv, vv - gain_v * pv
+        self.stamp_ns = self.seen_ns = stamp_ns
+
+
+def point_in_camera(box: Box, z_m: float, camera: CameraModel) -> Vec3:
+    """The point at a box's centre and a depth, in the camera frame (eq. target_backprojection)."""
+    x, y = camera.ray(*box.center)
+    return x * z_m, y * z_m, z_m
+
+
+def to_local(point_c: Vec3, T_n_c: Pose) -> Vec3:
+    """Camera coordinates to local NED."""
+    north, east, down = T_n_c.apply(np.asarray(point_c)).tolist()
+    return north, east, down
+
+
+def acquire(
+    view: View, T_n_c: Pose, camera: CameraModel, place_n_m: Vec3, radius_m: float
+) -> tuple[Sighting, Vec3] | MissReason:
+    """The object nearest to a designated place, no farther from it than ``radius_m``.
+
+    Returns the sighting and its position in ``n``, or why there is none.
+    """
+    best: tuple[float, Sighting, Vec3] | None = None
+    for detection in view.targets(None):
+        if detection.score < MIN_SCORE:
+            continue
+        depth = view.depth(detection.box)
+        if depth is None:
+            continue
+        position = to_local(point_in_camera(detection.box, depth.z_m, camera), T_n_c)
+        off = norm(subtract(position, place_n_m))
+        if off <= radius_m and (best is None or off < best[0]):
+            best = off, Sighting(detection.box, depth), position
+    return MissReason.NO_TARGET if best is None else (best[1], best[2])
+
+
+def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> Sighting | MissReason:
+    """Find the tracked object in a view and update the track.
+
+    The object must be where the track predicts it, and clearly nearer to there than anything that looks alike.
+    Without depth the track's own range is used, so that the drone keeps following while the frame is a miss.
+    """
+    predicted_n, sigma_m = track.predict(view.stamp_ns)
+    x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
+    if z <= 0.1 or not camera.sees((x, y, z)):
+        return MissReason.NO_TARGET
+    u, v = camera.project_point((x, y, z))
+    gate_px = camera.fx * (3.0 * sigma_m + _GATE_FLOOR_M) / z
+    region = Region(u - gate_px, v - gate_px, u + gate_px, v + gate_px)
+    chosen = _nearest(view.targets(region), (u, v), gate_px)
+    if isinstance(chosen, MissReason):
+        return chosen
+    depth = view.depth(chosen.box)
+    track.update(to_local(point_in_camera(chosen.box, z if depth is None else depth.z_m, camera), T_n_c), view.stamp_ns)
+    return Sighting(chosen.box, depth)
+
+
+def _nearest(found: Sequence[Detection], pixel: tuple[float, float], gate_px: float) -> Detection | MissReason:
+    detections = [d for d in found if d.score >= MIN_SCORE]
+    ranked = sorted((math.dist(d.box.center, pixel), i) for i, d in enumerate(detections))
+    if not ranked or ranked[0][0] > gate_px:
+        return MissReason.NO_TARGET
+    if len(ranked) > 1 and ranked[0][0] > _AMBIGUITY * ranked[1][0]:
+        return MissReason.AMBIGUOUS_TARGET
+    return detections[ranked[0][1]]

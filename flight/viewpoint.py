@@ -1,0 +1,161 @@
+"""The viewpoint planner: where D2 must be to see marker and target, well and safely (section 3 of the mission)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flight.config import RendezvousConfig, SeparationConfig
+from path.camera import CameraModel
+from path.geometry import Pose
+
+Floats = NDArray[np.float64]
+
+_DISTANCES_M = np.arange(0.80, 1.65, 0.05)
+_AZIMUTHS_RAD = np.radians(np.arange(-70.0, 71.0, 10.0))
+_ELEVATIONS_RAD = np.radians(np.arange(0.0, 61.0, 7.5))
+_YAW_SHARES = (0.35, 0.5, 0.65)
+_TARGET_RADIUS_M = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What the planner knows, in D1's heading frame ``h`` (forward, right, down), origin at the marker."""
+
+    target_h_m: Floats  # (3,)
+    marker_normal_h: Floats  # (3,), out of the print
+    marker_side_m: float
+    body_h_m: Floats  # (3,), middle of D1
+    body_radius_m: float = 0.30
+
+
+@dataclass(frozen=True, slots=True)
+class Viewpoint:
+    """A place for D2's camera in ``h``, the yaw relative to D1's heading, and what it gives."""
+
+    camera_h_m: tuple[float, float, float]
+    yaw_h_rad: float
+    marker_px: float
+    incidence_rad: float
+    margin_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class NoViewpoint:
+    """No candidate survived; ``rejected`` counts them by the first rule each broke."""
+
+    rejected: dict[str, int]
+
+    def __str__(self) -> str:
+        reasons = ", ".join(f"{name} {count}" for name, count in sorted(self.rejected.items(), key=lambda kv: -kv[1]))
+        return f"no viewpoint: {reasons}"
+
+
+def plan_viewpoint(
+    scene: Scene,
+    camera: CameraModel,
+    T_b_c: Pose,
+    rendezvous: RendezvousConfig,
+    separation: SeparationConfig,
+) -> Viewpoint | NoViewpoint:
+    """The best place for D2's camera among a grid around the marker.
+
+    Rules, in this order: separation ellipsoid, downwash cone of the upper drone, marker size in the image,
+    incidence on the marker, range to the target, marker and target inside the image with margin, D1's body
+    not in front of the target. The best of the rest has the largest margin for its marker size.
+    """
+    candidates = _candidates()
+    distance = np.linalg.norm(candidates, axis=1)
+    to_marker = -candidates / distance[:, None]
+    incidence = np.arccos(np.clip(-(to_marker @ scene.marker_normal_h), -1.0, 1.0))
+    marker_px = 0.5 * (camera.fx + camera.fy) * scene.marker_side_m / distance
+    to_body = scene.body_h_m - candidates
+    horizontal = np.hypot(to_body[:, 0], to_body[:, 1])
+    to_target = scene.target_h_m - candidates
+    target_range = np.linalg.norm(to_target, axis=1)
+
+    rules: list[tuple[str, NDArray[np.bool_]]] = [
+        (
+            "separation",
+            (horizontal / separation.horizontal_m) ** 2 + (to_body[:, 2] / separation.vertical_m) ** 2 >= 1.0,
+        ),
+        ("too close", np.linalg.norm(to_body, axis=1) >= 1.15 * separation.minimum_m),
+        (
+            "downwash",
+            horizontal >= np.abs(to_body[:, 2]) * math.tan(math.radians(separation.downwash_half_angle_deg)),
+        ),
+        ("marker too small", marker_px >= rendezvous.min_marker_px),
+        ("too oblique", incidence <= math.radians(rendezvous.max_incidence_deg)),
+        ("target too far", target_range <= rendezvous.max_range_m),
+        ("target hidden by D1", _clear_of_body(to_body, to_target, scene.body_radius_m)),
+    ]
+    alive = np.ones(len(candidates), dtype=bool)
+    rejected: dict[str, int] = {}
+    for name, passed in rules:
+        rejected[name] = int(np.count_nonzero(alive & ~passed))
+        alive &= passed
+    if not alive.any():
+        return NoViewpoint(rejected)
+
+    best: Viewpoint | None = None
+    best_score = -math.inf
+    for index in np.flatnonzero(alive):
+        for share in _YAW_SHARES:
+            view = _look(candidates[index], share, scene, camera, T_b_c)
+            if view is None or view[1] < rendezvous.image_margin_px:
+                continue
+            yaw, margin = view
+            score = min(margin, 110.0) + 3.0 * marker_px[index] - 20.0 * incidence[index]
+            if score > best_score:
+                place = candidates[index]
+                best_score = score
+                best = Viewpoint(
+                    (float(place[0]), float(place[1]), float(place[2])),
+                    yaw,
+                    float(marker_px[index]),
+                    float(incidence[index]),
+                    margin,
+                )
+    if best is None:
+        return NoViewpoint({**rejected, "not both in view": int(np.count_nonzero(alive))})
+    return best
+
+
+def _candidates() -> Floats:
+    """Places behind and above the marker, shape (n, 3) in ``h``."""
+    distance, azimuth, elevation = np.meshgrid(_DISTANCES_M, _AZIMUTHS_RAD, _ELEVATIONS_RAD, indexing="ij")
+    level = distance * np.cos(elevation)
+    places = np.stack([-level * np.cos(azimuth), level * np.sin(azimuth), -distance * np.sin(elevation)], axis=-1)
+    return places.reshape(-1, 3)
+
+
+def _clear_of_body(to_body: Floats, to_target: Floats, body_radius_m: float) -> NDArray[np.bool_]:
+    """Whether D1's body leaves the line of sight to the whole target free."""
+    body_range = np.linalg.norm(to_body, axis=1)
+    target_range = np.linalg.norm(to_target, axis=1)
+    cosine = np.sum(to_body * to_target, axis=1) / (body_range * target_range)
+    apart = np.arccos(np.clip(cosine, -1.0, 1.0))
+    return apart >= np.arctan2(body_radius_m, body_range) + np.arctan2(_TARGET_RADIUS_M, target_range)
+
+
+def _look(place_h: Floats, share: float, scene: Scene, camera: CameraModel, T_b_c: Pose) -> tuple[float, float] | None:
+    """Yaw between the bearings of marker and target, and the smallest margin (px) of both; None when one is behind."""
+    to_marker, to_target = -place_h, scene.target_h_m - place_h
+    bearing_marker = math.atan2(to_marker[1], to_marker[0])
+    bearing_target = math.atan2(to_target[1], to_target[0])
+    turn = math.atan2(math.sin(bearing_target - bearing_marker), math.cos(bearing_target - bearing_marker))
+    yaw = bearing_marker + share * turn
+    c, s = math.cos(yaw), math.sin(yaw)
+    R_h_b = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    R_c_h = (R_h_b @ T_b_c.R).T
+    points_c = np.stack([R_c_h @ to_marker, R_c_h @ to_target])
+    if np.any(points_c[:, 2] <= 0.1):
+        return None
+    pixels = camera.project(points_c)
+    radius_px = camera.fx * np.array([scene.marker_side_m, _TARGET_RADIUS_M]) / points_c[:, 2]
+    left, top = pixels[:, 0] - radius_px, pixels[:, 1] - radius_px
+    right, bottom = camera.width - pixels[:, 0] - radius_px, camera.height - pixels[:, 1] - radius_px
+    return yaw, float(min(left.min(), top.min(), right.min(), bottom.min()))
