@@ -8,166 +8,266 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from enum import Enum
 
 from drivers.interfaces import FlightMode, VelocitySetpoint
+from hil.autopilot_values import (
+    Ack,
+    AutopilotConfig,
+    Estimate,
+    OffboardSession,
+    RateCommand,
+    Severity,
+    StatusText,
+)
+from hil.guidance import Guidance, limited
+from path.messages import Vec3
 
-Vec3 = tuple[float, float, float]
-Quat = tuple[float, float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class AutopilotConfig:
-    """Times and limits. Defaults are near PX4's, shortened where a wait would only cost simulation time."""
-
-    settle_s: float = 2.5  # from the first step until armable, ± 10 % by seed
-    arming_fault: str = ""  # when set, never armable, for this reason
-    spool_s: float = 1.0
-    climb_mps: float = 1.0
-    land_mps: float = 0.7
-    touchdown_mps: float = 0.4  # below 1 m over home
-    max_horizontal_mps: float = 3.0
-    max_up_mps: float = 1.5
-    max_down_mps: float = 1.0
-    hold_gain_hz: float = 1.0  # position error to velocity
-    max_height_m: float = 30.0
-    default_takeoff_m: float = 1.5
-    return_height_m: float = 2.5
-    return_mps: float = 1.5
-    offboard_loss_s: float = 0.5
-    offboard_land_s: float = 1.0  # in HOLD after the loss, before LAND
-    land_disarm_s: float = 1.0
-    idle_disarm_s: float = 10.0
-    endurance_s: float = 900.0  # full battery, flying
-    low_battery: float = 0.15
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """What the estimator says. Position (N, E, D) from the mission origin, velocity NED, attitude wxyz body to NED."""
-
-    time_s: float
-    position_n_m: Vec3
-    velocity_n_mps: Vec3
-    q_n_b: Quat
-
-    @property
-    def yaw_rad(self) -> float:
-        w, x, y, z = self.q_n_b
-        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-
-
-@dataclass(frozen=True, slots=True)
-class RateCommand:
-    """To the velocity loop. ``velocity_n_mps`` None: motors idle on the ground; ``thrust_on`` False: motors off."""
-
-    velocity_n_mps: Vec3 | None
-    yaw_rad: float
-    thrust_on: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Ack:
-    """Answer to a command. ``reason`` says why it was refused, empty when accepted."""
-
-    accepted: bool
-    reason: str = ""
-
-
-class Severity(Enum):
-    """MAVLink MAV_SEVERITY numbers."""
-
-    CRITICAL = 2
-    WARNING = 4
-    INFO = 6
-
-
-@dataclass(frozen=True, slots=True)
-class StatusText:
-    time_s: float
-    severity: Severity
-    text: str
-
-
-@dataclass(slots=True)
-class OffboardSession:
-    """One stay in OFFBOARD. ``max_gap_s`` is the longest time between setpoints, the last open one included (S8)."""
-
-    start_s: float
-    max_gap_s: float = 0.0
-    end_s: float | None = None
-    ended_by: FlightMode | None = None
-
-
-class ReturnPhase(Enum):
-    CLIMB = 0
-    CRUISE = 1
-    DESCEND = 2
-
+__all__ = [
+    "Ack",
+    "Autopilot",
+    "AutopilotConfig",
+    "Estimate",
+    "OffboardSession",
+    "RateCommand",
+    "Severity",
+    "StatusText",
+]
 
 OK = Ack(True)
-ZERO: Vec3 = (0.0, 0.0, 0.0)
+CONTACT_S = 0.3  # ground contact this long is a landing
 
 
 class Autopilot:
     """Modes, arming, failsafes and the position loop of one multicopter.
 
     Call ``step`` at a steady rate (50 Hz is enough) and the ``request_*`` methods and ``setpoint`` between steps.
-    Every command is idempotent: MAVSDK resends without saying so. ``status_texts`` only grows; readers keep
-    their own index.
+    Every command is idempotent: MAVSDK resends without saying so. ``status_texts`` and ``offboard_sessions`` only
+    grow; readers keep their own index.
     """
 
     def __init__(self, config: AutopilotConfig, seed: int) -> None:
         self.config = config
+        self.mode = FlightMode.HOLD
+        self.armed = False
+        self.landed = True
+        self.battery = 1.0
+        self.pilot_in_control = False
+        self.home_n_m: Vec3 | None = None
+        self.reasons: tuple[str, ...] = ("starting",)
+        self.status_texts: list[StatusText] = []
+        self.offboard_sessions: list[OffboardSession] = []
+        self._settle_s = config.settle_s * random.Random(seed).uniform(0.9, 1.1)
+        self._boot_s: float | None = None
+        self._now_s = 0.0
+        self._estimate = Estimate(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        self._armed_s = 0.0
+        self._contact_s: float | None = None
+        self._landed_s: float | None = None  # since when on the ground after a flight
+        self._setpoint = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
+        self._setpoint_s = -math.inf
+        self._offboard_lost_s: float | None = None
+        self._battery_landing = False  # the low battery has made it land already; the pilot may still take over
+        self._guidance = Guidance(config)
 
-    # --- telemetry ---
+    @property
+    def armable(self) -> bool:
+        return not self.reasons
 
     @property
-    def mode(self) -> FlightMode: ...
-    @property
-    def armed(self) -> bool: ...
-    @property
-    def landed(self) -> bool: ...
-    @property
-    def armable(self) -> bool: ...
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Why it is not armable; empty when it is."""
-        ...
-    @property
-    def battery(self) -> float:
-        """0..1."""
-        ...
-    @property
-    def home_n_m(self) -> Vec3 | None:
-        """Estimated position at the newest arming, or the first armable one; None before."""
-        ...
-    @property
-    def pilot_in_control(self) -> bool: ...
-    @property
-    def status_texts(self) -> Sequence[StatusText]: ...
-    @property
-    def offboard_sessions(self) -> Sequence[OffboardSession]: ...
+    def _battery_low(self) -> bool:
+        return self.battery <= self.config.low_battery
+
     @property
     def setpoint_gap_s(self) -> float:
-        """Longest gap between setpoints in any OFFBOARD session so far."""
-        ...
+        """Longest time between setpoints in any OFFBOARD session so far."""
+        return max((session.max_gap_s for session in self.offboard_sessions), default=0.0)
 
     # --- commands ---
 
-    def set_battery(self, fraction: float) -> None: ...
+    def set_battery(self, fraction: float) -> None:
+        """Charge left, 0..1 (a fault, or a harness that starts with a used battery)."""
+        self.battery = min(1.0, max(0.0, fraction))
+
     def request_arm(self, now_s: float, arm: bool, force: bool = False) -> Ack:
-        """Arm or disarm. ``force`` never disarms in the air and never skips a check."""
-        ...
+        """Arm or disarm. ``force`` is there because MAVLink has it: it skips no check and stops no motor in the air."""
+        if arm == self.armed:
+            return OK
+        if arm:
+            if self.reasons:
+                return self._refuse(now_s, f"Arming denied: {self.reasons[0]}")
+            self._arm(now_s)
+            return OK
+        if not self.landed:
+            return self._refuse(now_s, "Disarming denied: in the air" + (", even by force" if force else ""))
+        self._disarm(now_s, "by command")
+        return OK
+
     def request_takeoff(self, now_s: float, height_m: float) -> Ack:
-        """Climb to ``height_m`` above home, then HOLD by itself."""
-        ...
+        """Climb to ``height_m`` above home, then HOLD by itself. NaN: the default height."""
+        height_m = self.config.default_takeoff_m if math.isnan(height_m) else height_m
+        if self.mode is FlightMode.TAKEOFF and height_m == self._guidance.climb_to_m:
+            return OK
+        if not self.armed:
+            return self._refuse(now_s, "Takeoff denied: not armed")
+        if self._battery_low:
+            return self._refuse(now_s, "Takeoff denied: battery low")
+        if not self.landed:
+            return self._refuse(now_s, "Takeoff denied: already in the air")
+        if not 0.0 < height_m <= self.config.max_height_m:
+            return self._refuse(now_s, f"Takeoff denied: height {height_m:g} m outside 0..{self.config.max_height_m:g}")
+        self._guidance.climb_to_m, self._landed_s = height_m, None
+        self._enter(now_s, FlightMode.TAKEOFF)
+        return OK
+
     def request_mode(self, now_s: float, mode: FlightMode, by_pilot: bool = False) -> Ack:
-        """OFFBOARD wants a setpoint younger than ``offboard_loss_s``; OTHER is the pilot's alone."""
-        ...
+        """Change the mode. OFFBOARD wants a setpoint younger than ``offboard_loss_s``; OTHER is the pilot's alone."""
+        if mode is FlightMode.TAKEOFF:
+            return self.request_takeoff(now_s, math.nan)
+        if mode is FlightMode.OTHER and not by_pilot:
+            return self._refuse(now_s, "Mode denied: only a pilot selects it")
+        if mode is FlightMode.OFFBOARD and now_s - self._setpoint_s > self.config.offboard_loss_s:
+            return self._refuse(now_s, "Offboard denied: no recent setpoint")
+        if self._battery_landing and not by_pilot and mode is not FlightMode.LAND:
+            return self._refuse(now_s, "Mode denied: battery low, landing")
+        if by_pilot:
+            self.pilot_in_control = True
+            self._say(now_s, Severity.INFO, f"Pilot selected {mode.value}")
+        if mode is not self.mode or self._offboard_lost_s is not None:
+            self._enter(now_s, mode)
+        return OK
+
     def setpoint(self, now_s: float, setpoint: VelocitySetpoint) -> bool:
         """Take a setpoint; False (ignored, not counted as arrived) when it has a non-finite number."""
-        ...
-    def step(self, now_s: float, estimate: Estimate, truth_on_ground: bool) -> RateCommand: ...
+        if not all(map(math.isfinite, (*setpoint.velocity_n_mps, setpoint.yaw_rad))):
+            return False
+        self._note_gap(now_s)
+        self._setpoint, self._setpoint_s = setpoint, now_s
+        return True
+
+    def step(self, now_s: float, estimate: Estimate, truth_on_ground: bool) -> RateCommand:
+        """Advance to ``now_s``: failsafes, then the position loop of the mode. Times must not go back."""
+        if self._boot_s is None:
+            self._boot_s = self._now_s = now_s
+            self._guidance.enter(now_s, estimate)
+        dt, self._now_s, self._estimate = now_s - self._now_s, now_s, estimate
+        self._drain_battery(dt)
+        self._check_health(now_s)
+        self._detect_ground(now_s, truth_on_ground)
+        if self.armed:
+            self._failsafes(now_s)
+        return self._command(now_s)
+
+    # --- state changes ---
+
+    def _say(self, now_s: float, severity: Severity, text: str) -> None:
+        self.status_texts.append(StatusText(now_s, severity, text))
+
+    def _refuse(self, now_s: float, reason: str) -> Ack:
+        self._say(now_s, Severity.CRITICAL, reason)
+        return Ack(False, reason)
+
+    def _arm(self, now_s: float) -> None:
+        self.armed, self._armed_s, self._landed_s = True, now_s, None
+        self.pilot_in_control = False
+        self.home_n_m = self._estimate.position_n_m
+        if self.mode is not FlightMode.OFFBOARD:
+            self._enter(now_s, FlightMode.HOLD)
+        self._say(now_s, Severity.INFO, "Armed")
+
+    def _disarm(self, now_s: float, why: str) -> None:
+        self.armed, self._landed_s = False, None
+        self._enter(now_s, FlightMode.HOLD)
+        self._say(now_s, Severity.INFO, f"Disarmed {why}")
+
+    def _enter(self, now_s: float, mode: FlightMode) -> None:
+        if self.mode is FlightMode.OFFBOARD:
+            self._note_gap(now_s)
+            self.offboard_sessions[-1].end_s = now_s
+            self.offboard_sessions[-1].ended_by = mode
+        self.mode, self._offboard_lost_s = mode, None
+        self._guidance.enter(now_s, self._estimate)
+        if mode is FlightMode.OFFBOARD:
+            self.offboard_sessions.append(OffboardSession(now_s))
+
+    def _note_gap(self, now_s: float) -> None:
+        if self.mode is FlightMode.OFFBOARD and self.armed:
+            session = self.offboard_sessions[-1]
+            session.max_gap_s = max(session.max_gap_s, now_s - self._setpoint_s)
+
+    # --- what happens by itself ---
+
+    def _drain_battery(self, dt: float) -> None:
+        if self.armed:
+            self.set_battery(self.battery - dt / self.config.endurance_s * (0.1 if self.landed else 1.0))
+
+    def _check_health(self, now_s: float) -> None:
+        assert self._boot_s is not None
+        checks = (
+            (now_s - self._boot_s < self._settle_s, "position estimate is settling"),
+            (self._battery_low, "battery low"),
+            (bool(self.config.arming_fault), self.config.arming_fault),
+        )
+        self.reasons = tuple(reason for failed, reason in checks if failed)
+        if self.home_n_m is None and not self.reasons:
+            self.home_n_m = self._estimate.position_n_m
+
+    def _detect_ground(self, now_s: float, contact: bool) -> None:
+        if not contact:
+            self._contact_s = self._landed_s = None
+            self.landed = False
+            return
+        if self._contact_s is None:
+            self._contact_s = now_s
+        if not self.landed and now_s - self._contact_s >= CONTACT_S:
+            self.landed, self._landed_s = True, now_s
+            self._say(now_s, Severity.INFO, "Landing detected")
+
+    def _failsafes(self, now_s: float) -> None:
+        config = self.config
+        if self.landed:
+            if self._landed_s is None and self.mode in (FlightMode.LAND, FlightMode.RETURN):
+                self._landed_s = now_s
+            if self._landed_s is not None and now_s - self._landed_s >= config.land_disarm_s:
+                self._disarm(now_s, "by landing")
+            elif self._idle(now_s):
+                self._disarm(now_s, "by auto preflight disarming")
+        elif self._battery_low and not self._battery_landing:
+            self._say(now_s, Severity.CRITICAL, "Low battery, landing")
+            self._enter(now_s, FlightMode.LAND)
+        self._battery_landing = self._battery_low and not self.landed
+        self._watch_setpoints(now_s)
+
+    def _watch_setpoints(self, now_s: float) -> None:
+        """OFFBOARD without setpoints holds, and lands when nobody speaks up for ``offboard_land_s``."""
+        config = self.config
+        self._note_gap(now_s)
+        if self.mode is FlightMode.OFFBOARD and now_s - self._setpoint_s > config.offboard_loss_s:
+            self._enter(now_s, FlightMode.HOLD)
+            self._offboard_lost_s = now_s
+            self._say(now_s, Severity.CRITICAL, "No offboard setpoints, holding")
+        elif self._offboard_lost_s is not None and now_s - self._offboard_lost_s >= config.offboard_land_s:
+            self._enter(now_s, FlightMode.LAND)
+            self._say(now_s, Severity.CRITICAL, "No offboard setpoints, landing")
+
+    def _idle(self, now_s: float) -> bool:
+        """Armed on the ground for ``idle_disarm_s`` without having flown, and not about to."""
+        waiting = self._landed_s is None and self.mode is not FlightMode.TAKEOFF
+        return waiting and now_s - self._armed_s >= self.config.idle_disarm_s
+
+    def _command(self, now_s: float) -> RateCommand:
+        if not self.armed:
+            return RateCommand(None, self._guidance.yaw_rad, False)
+        assert self.home_n_m is not None
+        velocity, yaw = None, self._guidance.yaw_rad
+        if self.mode is FlightMode.TAKEOFF and self._guidance.height_reached(self._estimate, self.home_n_m):
+            self._enter(now_s, FlightMode.HOLD)
+            self._guidance.hold_height(self.home_n_m)
+        if self.mode is FlightMode.OFFBOARD:
+            limits = self.config.max_horizontal_mps, self.config.max_up_mps, self.config.max_down_mps
+            velocity, yaw = limited(self._setpoint.velocity_n_mps, *limits), self._setpoint.yaw_rad
+        else:
+            velocity = self._guidance.velocity(now_s, self.mode, self._estimate, self.home_n_m)
+        climbing = velocity is not None and velocity[2] < 0.0
+        if self.landed and not (climbing and self.mode in (FlightMode.TAKEOFF, FlightMode.OFFBOARD)):
+            velocity = None  # on the ground only these two modes lift off
+        return RateCommand(velocity, yaw, True)

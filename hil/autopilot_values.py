@@ -1,0 +1,87 @@
+"""What goes into and comes out of the autopilot: settings, estimate, commands, answers and texts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from drivers.interfaces import FlightMode
+from path.messages import Quat, Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotConfig:
+    """Times and limits. Defaults are near PX4's, shortened where a wait would only cost simulation time."""
+
+    settle_s: float = 2.5  # from the first step until armable, ± 10 % by seed
+    arming_fault: str = ""  # when set, never armable, for this reason
+    spool_s: float = 1.0
+    climb_mps: float = 1.0
+    land_mps: float = 0.7
+    touchdown_mps: float = 0.4  # below 1 m over home
+    max_horizontal_mps: float = 3.0
+    max_up_mps: float = 1.5
+    max_down_mps: float = 1.0
+    hold_gain_hz: float = 1.0  # position error to velocity
+    max_height_m: float = 30.0
+    default_takeoff_m: float = 1.5
+    return_height_m: float = 2.5
+    return_mps: float = 1.5
+    offboard_loss_s: float = 0.5
+    offboard_land_s: float = 1.0  # in HOLD after the loss, before LAND
+    land_disarm_s: float = 1.0
+    idle_disarm_s: float = 10.0
+    endurance_s: float = 900.0  # full battery, flying
+    low_battery: float = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What the estimator says. Position (N, E, D) from the mission origin, velocity NED, attitude wxyz body to NED."""
+
+    time_s: float
+    position_n_m: Vec3
+    velocity_n_mps: Vec3
+    q_n_b: Quat
+
+
+@dataclass(frozen=True, slots=True)
+class RateCommand:
+    """To the velocity loop. ``velocity_n_mps`` None: motors idle on the ground; ``thrust_on`` False: motors off."""
+
+    velocity_n_mps: Vec3 | None
+    yaw_rad: float
+    thrust_on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """Answer to a command. ``reason`` says why it was refused, empty when accepted."""
+
+    accepted: bool
+    reason: str = ""
+
+
+class Severity(Enum):
+    """MAVLink MAV_SEVERITY numbers."""
+
+    CRITICAL = 2
+    WARNING = 4
+    INFO = 6
+
+
+@dataclass(frozen=True, slots=True)
+class StatusText:
+    time_s: float
+    severity: Severity
+    text: str
+
+
+@dataclass(slots=True)
+class OffboardSession:
+    """One stay in OFFBOARD. ``max_gap_s`` is the longest time between setpoints, the last open one included (S8)."""
+
+    start_s: float
+    max_gap_s: float = 0.0
+    end_s: float | None = None
+    ended_by: FlightMode | None = None
