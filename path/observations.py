@@ -99,3 +99,18 @@ class MissReason(Enum):
     NO_TRACK = "no_track"
     LINK_SILENT = "link_silent"
     NON_FINITE = "non_finite"
+
+
+@dataclass(frozen=True, slots=True)
+class Missed:
+    """A frame, or a pair of frames, that does not count, and why.
+
+    Attributes:
+        iou: what the boxes gave, when it came to comparing them.
+        ignored: the input was no new evidence at all (an old or repeated frame or packet, or a broken one): it leaves
+            the count of consecutive agreements as it was, while every other miss restarts it.
+    """
+
+    reason: MissReason
+    iou: float | None = None
+    ignored: bool = False
