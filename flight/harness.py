@@ -1,0 +1,105 @@
+"""The seam between a mission and what it flies on: what a harness is asked for and what it answers.
+
+A rig names its harness (``harness = "hil.sim:SimHarness"``); nothing imports one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from drivers.interfaces import Log
+from drivers.rig import Rig
+from flight.outcome import Outcome
+from path.messages import Role
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What a role tells the console, a few times a second."""
+
+    role: Role
+    stamp_ns: int
+    phase: str
+    count: int
+    needed: int
+    iou: float | None
+    tau: float | None
+    separation_m: float | None
+    link_bytes_per_s: float
+    responsible: bool
+    note: str
+
+
+Emit = Callable[[Progress], None]
+
+
+@dataclass(frozen=True, slots=True)
+class RoleResult:
+    """How one role's program ended."""
+
+    role: Role
+    outcome: Outcome
+    detail: str
+    responsible: bool
+    landed: bool
+
+
+class RoleMain(Protocol):
+    """One role's whole program, from opening its parts to the vehicle on the ground."""
+
+    def __call__(
+        self, rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: object | None
+    ) -> Awaitable[RoleResult]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class FlightRequest:
+    """One run.
+
+    Attributes:
+        faults: as written by the user, ``NAME`` or ``NAME=VALUE``.
+        role_main: for harnesses that run the roles in this process.
+        role_command: the command line of one role, for harnesses that run them as processes.
+    """
+
+    rig: Rig
+    out: Path
+    seed: int
+    faults: Sequence[str]
+    role_main: RoleMain
+    role_command: Callable[[Role], Sequence[str]]
+    emit: Emit
+
+
+@dataclass(frozen=True, slots=True)
+class FlightReport:
+    """What the harness saw of a run.
+
+    Attributes:
+        results: by role; None for a program that died.
+        landed: by role, in truth.
+        violations: number of violations by monitor name; empty when all held.
+        simulated_s, wall_s: duration of the run on the mission's clock and on the wall.
+        failure: why the harness itself failed; empty when it did not.
+    """
+
+    results: Mapping[Role, RoleResult | None]
+    landed: Mapping[Role, bool]
+    violations: Mapping[str, int]
+    simulated_s: float
+    wall_s: float
+    interrupted: bool = False
+    failure: str = ""
+    notes: Sequence[str] = field(default_factory=tuple)
+
+
+class Harness(Protocol):
+    """Flies both roles in a world of its own."""
+
+    def fly(self, request: FlightRequest) -> FlightReport:
+        """Blocks until both programs ended and both vehicles are down, or the bound on that is over."""
+        ...

@@ -1,0 +1,71 @@
+"""Faults are data: what goes wrong, how much, and for whom. The harness switches them on behind the drivers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.interfaces import PartError
+from path.messages import Role
+
+
+@dataclass(frozen=True, slots=True)
+class FaultKind:
+    """One kind of fault by name; ``needs_value`` when it is a quantity (``link_loss=0.3``).
+
+    A fault of the ``whole_run`` is there from the start; any other begins while the views agree.
+    """
+
+    name: str
+    role: Role | None
+    needs_value: bool
+    meaning: str
+    whole_run: bool = False
+
+
+FAULTS: dict[str, FaultKind] = {
+    kind.name: kind
+    for kind in (
+        FaultKind("lookalike", None, False, "an identical object drives past the target, 0.35 m from it"),
+        FaultKind("marker_hidden", Role.SENDER, False, "the marker on the sender is covered"),
+        FaultKind("depth_holes", Role.SENDER, False, "the depth cameras measure nothing on objects"),
+        FaultKind("link_loss", None, True, "this share of the packets is lost, both ways", True),
+        FaultKind(
+            "link_delay", None, True, "packets come this many seconds late, both ways, with as much jitter", True
+        ),
+        FaultKind("camera_freeze", Role.RECEIVER, False, "the receiver's camera gives no new frames"),
+        FaultKind("kill_receiver", Role.RECEIVER, False, "the receiver's program dies without a word"),
+        FaultKind("kill_sender", Role.SENDER, False, "the sender's program dies without a word"),
+        FaultKind("fc_link_loss", Role.RECEIVER, False, "the receiver's flight controller falls silent"),
+        FaultKind("pilot_takeover", Role.RECEIVER, False, "the receiver's pilot changes the mode"),
+        FaultKind("battery_sag", Role.SENDER, False, "the sender's battery drops to 15 %"),
+    )
+}
+
+
+class FaultError(PartError):
+    """A fault that does not exist, or without its value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    kind: FaultKind
+    value: float = 0.0
+
+    @property
+    def name(self) -> str:
+        return self.kind.name
+
+
+def parse_fault(text: str) -> Fault:
+    """``NAME`` or ``NAME=VALUE``. Raises FaultError."""
+    name, _, value = text.partition("=")
+    kind = FAULTS.get(name)
+    if kind is None:
+        raise FaultError(f"there is no fault {name!r}", f"one of: {', '.join(sorted(FAULTS))}")
+    if kind.needs_value != bool(value):
+        needs = "needs a value" if kind.needs_value else "takes no value"
+        raise FaultError(f"fault {name} {needs}", f"for example --fault {name}{'=0.3' if kind.needs_value else ''}")
+    try:
+        return Fault(kind, float(value) if value else 0.0)
+    except ValueError:
+        raise FaultError(f"fault {name}: {value!r} is not a number", f"for example --fault {name}=0.3") from None

@@ -1,0 +1,134 @@
+"""Safety monitors of a run: they see truth and every decision of both roles, and count what must never happen.
+
+Records are those the roles log; a monitor recomputes from them and believes no role's own count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivers.interfaces import FlightMode, Log
+from hil.autopilot_values import OffboardSession
+from path.config import MethodConfig
+from path.messages import Role
+
+MAX_SETPOINT_GAP_S = 0.2
+MAX_FAILSAFE_S = 1.0
+
+
+@dataclass(slots=True)
+class _Count:
+    """Consecutive agreeing pairs as the monitor itself counts them (S5, S6)."""
+
+    pairs: int = 0
+    first_ns: int = 0
+    last_ns: int = -1
+    target_id: int = -1
+
+
+@dataclass(slots=True)
+class Monitors:
+    """S1, S5, S6, S8 and S9. Stamps are of the world's clock."""
+
+    method: MethodConfig
+    min_separation_m: float
+    violations: Counter[str] = field(default_factory=Counter[str])
+    details: list[str] = field(default_factory=list[str])
+    closest_m: float = math.inf
+    _responsible: dict[Role, bool] = field(default_factory=dict[Role, bool])
+    _count: _Count = field(default_factory=_Count)
+    _too_close: bool = False
+
+    def on_record(self, role: Role, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        """One record of a role's log."""
+        if topic == "/responsibility":
+            self._on_responsibility(role, stamp_w_ns, bool(record["responsible"]))
+        elif topic == "/agreement":
+            self._on_agreement(stamp_w_ns, record)
+        elif topic == "/commit":
+            self._on_commit(stamp_w_ns, record)
+
+    def on_truth(self, time_s: float, separation_m: float, both_in_air: bool) -> None:
+        """True distance between the two bodies (S9); each excursion below the minimum counts once."""
+        if not both_in_air:
+            return
+        self.closest_m = min(self.closest_m, separation_m)
+        too_close = separation_m < self.min_separation_m
+        if too_close and not self._too_close:
+            self._violated("S9", time_s, f"separation {separation_m:.2f} m is below {self.min_separation_m:.2f} m")
+        self._too_close = too_close
+
+    def on_offboard(self, role: Role, sessions: Iterable[OffboardSession], cut_off: bool) -> None:
+        """Setpoint gaps of one vehicle (S8).
+
+        Args:
+            cut_off: the harness itself stopped the setpoints (a killed program, a dead link to the vehicle): then
+                a gap is no violation as long as the vehicle held and landed in time.
+        """
+        for session in sessions:
+            longest = MAX_FAILSAFE_S if cut_off else MAX_SETPOINT_GAP_S
+            if session.max_gap_s > longest:
+                self._violated("S8", session.start_s, f"{role.value}: {session.max_gap_s:.3f} s between setpoints")
+            if cut_off and session.end_s is not None and session.ended_by is FlightMode.OFFBOARD:
+                self._violated("S8", session.start_s, f"{role.value}: no failsafe after the setpoints stopped")
+
+    def _violated(self, name: str, time_s: float, what: str) -> None:
+        self.violations[name] += 1
+        self.details.append(f"{name} at {time_s:.2f} s: {what}")
+
+    def _on_responsibility(self, role: Role, stamp_w_ns: int, responsible: bool) -> None:
+        self._responsible[role] = responsible
+        if sum(self._responsible.values()) > 1:
+            self._violated("S1", stamp_w_ns * 1e-9, "two responsible drones")
+
+    def _on_agreement(self, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        count = self._count
+        if not record["agreed"]:
+            if record["counted"]:
+                self._count = _Count(last_ns=count.last_ns)
+            return
+        capture_ns = int(record["capture_ns"])
+        iou, tau = record["iou"], record["tau"]
+        if capture_ns <= count.last_ns or iou is None or tau is None or not iou >= tau:
+            self._violated("S6", stamp_w_ns * 1e-9, f"a pair counted that must not: {dict(record)}")
+            return
+        gap_s = (capture_ns - count.last_ns) * 1e-9
+        if count.pairs == 0 or record["target_id"] != count.target_id or gap_s > self.method.max_gap_s:
+            self._count = _Count(1, capture_ns, capture_ns, int(record["target_id"]))
+        else:
+            count.pairs += 1
+            count.last_ns = capture_ns
+        if record["count"] > self._count.pairs:
+            self._violated(
+                "S6", stamp_w_ns * 1e-9, f"the role counts {record['count']}, the monitor {self._count.pairs}"
+            )
+
+    def _on_commit(self, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        count = self._count
+        held_s = (count.last_ns - count.first_ns) * 1e-9
+        full = count.pairs >= self.method.hold_frames and held_s >= self.method.hold_s - 1e-9
+        if not full or record["target_id"] != count.target_id:
+            self._violated(
+                "S5", stamp_w_ns * 1e-9, f"commit to target {record['target_id']} after {count.pairs} pairs, {held_s:.2f} s"
+            )
+
+
+class WatchedLog:
+    """A role's log that the monitors read as it is written. ``offset_ns``: role clock minus world clock."""
+
+    def __init__(self, log: Log, role: Role, monitors: Monitors, offset_ns: int) -> None:
+        self._log = log
+        self._role = role
+        self._monitors = monitors
+        self._offset_ns = offset_ns
+
+    def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
+        self._monitors.on_record(self._role, topic, stamp_ns - self._offset_ns, record)
+        self._log.write(topic, stamp_ns, record)
+
+    def image(self, topic: str, stamp_ns: int, image: Any) -> None:
+        self._log.image(topic, stamp_ns, image)

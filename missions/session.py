@@ -1,0 +1,301 @@
+"""What both roles have in common: their parts, the link pump, status, clocks, waits, and how a mission ends."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import traceback
+from collections.abc import Awaitable, Callable, Coroutine
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.interfaces import (
+    CameraError,
+    Clock,
+    Link,
+    LinkError,
+    Log,
+    PartError,
+    Received,
+    Sight,
+    Vehicle,
+    VehicleError,
+)
+from drivers.rig import Rig, RoleRig, create, part_context
+from flight.clocks import ClockAlignment
+from flight.config import MissionConfig
+from flight.guidance import yaw_of
+from flight.harness import Emit, Progress, RoleResult
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from flight.pilot import Pilot
+from path.messages import Ping, Pong, Role, Status
+
+_POLL_S = 0.02
+_PROGRESS_PERIOD_S = 0.2
+
+
+@dataclass(slots=True)
+class Shown:
+    """What the console shows of the handshake; the role keeps it current."""
+
+    count: int = 0
+    iou: float | None = None
+    tau: float | None = None
+    separation_m: float | None = None
+    note: str = ""
+
+
+class Session:
+    """One role's open parts and its shared machinery. Made by ``open_session``."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        role: Role,
+        config: MissionConfig,
+        log: Log,
+        emit: Emit,
+        stop: asyncio.Event,
+        parts: tuple[Clock, Vehicle, Sight, Link],
+    ) -> None:
+        self.rig = rig
+        self.role = role
+        self.own: RoleRig = rig.role(role)
+        self.config = config
+        self.log = log
+        self.stop = stop
+        self.clock, self.vehicle, self.sight, self.link = parts
+        self.pilot = Pilot(self.vehicle, self.clock, config, log)
+        self.alignment = ClockAlignment()
+        self.phase = Phase.PREFLIGHT
+        self.shown = Shown()
+        self.peer: Status | None = None
+        self.peer_heard_ns = 0
+        self.responsible = False
+        self.observing = False
+        self.on_message: Callable[[Received], None] = lambda _: None
+        self.ended: asyncio.Future[MissionEnd] = asyncio.get_running_loop().create_future()
+        self._spawned: list[asyncio.Task[None]] = []
+        self._emit = emit
+        self._pings = 0
+        self._traffic: list[tuple[float, int]] = []
+
+    # --- time and waiting ---------------------------------------------------------------------------------------
+
+    def now_ns(self) -> int:
+        return self.clock.now_ns()
+
+    def peer_silence_s(self) -> float:
+        return (self.now_ns() - self.peer_heard_ns) * 1e-9
+
+    async def until(self, condition: Callable[[], bool], timeout_s: float, outcome: Outcome, detail: str) -> None:
+        """Wait for a condition; raises MissionEnd(outcome) when it did not come true in time."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + timeout_s
+        while not condition():
+            if loop.time() > end_s:
+                raise MissionEnd(outcome, f"{detail} within {timeout_s:.0f} s")
+            await asyncio.sleep(_POLL_S)
+
+    # --- what the others see -------------------------------------------------------------------------------------
+
+    def enter(self, phase: Phase, note: str = "") -> None:
+        self.phase = phase
+        self.shown.note = note
+        self.log.write("/phase", self.now_ns(), {"phase": phase.title, "note": note})
+        self.show()
+
+    def say(self, note: str) -> None:
+        """One line for the crew."""
+        self.shown.note = note
+        self.log.write("/note", self.now_ns(), {"note": note})
+        self.show()
+
+    def set_responsible(self, responsible: bool, provisional: bool = False) -> None:
+        self.responsible = responsible
+        self.log.write("/responsibility", self.now_ns(), {"responsible": responsible, "provisional": provisional})
+
+    def show(self) -> None:
+        counters = self.link.counters
+        self._emit(
+            Progress(
+                role=self.role,
+                stamp_ns=self.now_ns(),
+                phase=self.phase.title,
+                count=self.shown.count,
+                needed=self.rig.method.hold_frames,
+                iou=self.shown.iou,
+                tau=self.shown.tau,
+                separation_m=self.shown.separation_m,
+                link_bytes_per_s=self._bytes_per_s(counters.bytes_sent + counters.bytes_received),
+                responsible=self.responsible,
+                note=self.shown.note,
+            )
+        )
+
+    def _bytes_per_s(self, total: int) -> float:
+        now_s = asyncio.get_running_loop().time()
+        self._traffic.append((now_s, total))
+        while now_s - self._traffic[0][0] > 2.0:
+            self._traffic.pop(0)
+        first_s, first = self._traffic[0]
+        return (total - first) / (now_s - first_s) if now_s > first_s else 0.0
+
+    # --- background tasks ----------------------------------------------------------------------------------------
+
+    async def pump(self) -> None:
+        """Take messages from the link for ever: clocks and status here, the rest to the role."""
+        while True:
+            received = await self.link.receive()
+            self.peer_heard_ns = received.arrival_ns
+            message = received.message
+            if isinstance(message, Ping):
+                self.link.send(Pong(message.nonce, message.sent_ns, received.arrival_ns, self.now_ns()))
+            elif isinstance(message, Pong):
+                self.alignment.on_pong(message, received.arrival_ns)
+            elif isinstance(message, Status):
+                self.peer = message
+            else:
+                self.on_message(received)
+
+    async def report(self) -> None:
+        """Send Status and Ping, and tell the console, for ever."""
+        period_s = 1.0 / self.config.status_hz
+        pings_every = max(1, round(self.config.status_hz / self.config.ping_hz))
+        shows_every = max(1, round(_PROGRESS_PERIOD_S / period_s))
+        tick = 0
+        while True:
+            self.link.send(self._status())
+            if tick % pings_every == 0:
+                self._pings += 1
+                self.link.send(Ping(self._pings, self.now_ns()))
+            if tick % shows_every == 0:
+                self.show()
+            if tick % round(self.config.status_hz) == 0:
+                self._log_link()
+            tick += 1
+            await asyncio.sleep(period_s)
+
+    def _status(self) -> Status:
+        state = self.vehicle.state
+        return Status(
+            role=self.role,
+            stamp_ns=self.now_ns(),
+            position_n_m=state.position_n_m,
+            velocity_n_mps=state.velocity_n_mps,
+            yaw_rad=yaw_of(state.q_n_b),
+            phase=int(self.phase),
+            responsible=self.responsible,
+            observing=self.observing,
+            battery=state.battery,
+        )
+
+    def _log_link(self) -> None:
+        counters = self.link.counters
+        record: dict[str, Any] = {
+            "packets_sent": counters.packets_sent,
+            "packets_received": counters.packets_received,
+            "bytes_sent": counters.bytes_sent,
+            "bytes_received": counters.bytes_received,
+            "dropped": dict(counters.dropped),
+            "clock_offset_ns": self.alignment.offset_ns if self.alignment.ready else None,
+        }
+        self.log.write("/link", self.now_ns(), record)
+
+    def spawn(self, task: Coroutine[Any, Any, None]) -> None:
+        """Run beside the course until the vehicle is down; how it ends, if it does, ends the course."""
+        spawned = asyncio.create_task(task)
+        self._spawned.append(spawned)
+        spawned.add_done_callback(self._on_done)
+
+    def _on_done(self, task: asyncio.Task[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None and not self.ended.done():
+            self.ended.set_result(as_end(error))
+
+    async def cancel_spawned(self) -> None:
+        for task in self._spawned:
+            task.cancel()
+        await asyncio.gather(*self._spawned, return_exceptions=True)
+
+    async def stopped(self) -> None:
+        await self.stop.wait()
+        raise MissionEnd(Outcome.INTERRUPTED, "told to stop")
+
+
+Course = Callable[[], Awaitable[None]]
+Recovery = Callable[[MissionEnd | None], Awaitable[bool]]
+
+
+async def open_session(
+    stack: AsyncExitStack,
+    rig: Rig,
+    role: Role,
+    config: MissionConfig,
+    log: Log,
+    emit: Emit,
+    stop: asyncio.Event,
+    harness: object | None,
+) -> Session:
+    """Make and open a role's parts, closed again by ``stack``. Raises PartError."""
+    context = part_context(rig, role, harness)
+    own = rig.role(role)
+    link: Link = await stack.enter_async_context(create(own.link, context))
+    sight: Sight = await stack.enter_async_context(create(own.sight, context))
+    vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
+    return Session(rig, role, config, log, emit, stop, (context.clock, vehicle, sight, link))
+
+
+async def fly_course(session: Session, course: Course, recover: Recovery) -> RoleResult:
+    """Run a mission to its end: the course, then the recovery that brings the vehicle down.
+
+    Whatever ends the course first (its own end, a MissionEnd in anything that was spawned, a part's error, a stop)
+    decides the outcome. What was spawned goes on until the vehicle is down: the pilot keeps flying, and the other
+    drone keeps hearing from this one.
+    """
+    for task in (session.pump(), session.report(), session.stopped()):
+        session.spawn(task)
+    flown = asyncio.ensure_future(course())
+    end: MissionEnd | None = None
+    landed = False
+    try:
+        await asyncio.wait([flown, session.ended], return_when=asyncio.FIRST_COMPLETED)
+        if flown.done():
+            error = flown.exception()
+            end = as_end(error) if error else None
+        else:
+            end = session.ended.result()
+            flown.cancel()
+            await asyncio.gather(flown, return_exceptions=True)
+        if end is not None:
+            session.say(str(end))
+        try:
+            landed = await recover(end)
+        except (PartError, MissionEnd) as error:
+            session.say(f"not landed by the script: {error}")
+    finally:
+        await session.cancel_spawned()
+    outcome, detail = (end.outcome, end.detail) if end else (Outcome.COMMITTED, "")
+    session.log.write(
+        "/outcome",
+        session.now_ns(),
+        {"outcome": outcome.label, "detail": detail, "responsible": session.responsible, "landed": landed},
+    )
+    session.enter(Phase.DONE, outcome.label)
+    return RoleResult(session.role, outcome, detail, session.responsible, landed)
+
+
+def as_end(error: BaseException) -> MissionEnd:
+    """Any error as the named end it means. Errors nobody foresaw are printed: they are bugs."""
+    if isinstance(error, MissionEnd):
+        return error
+    if isinstance(error, CameraError):
+        return MissionEnd(Outcome.CAMERA_LOST, str(error))
+    if isinstance(error, VehicleError):
+        return MissionEnd(Outcome.VEHICLE_REFUSED, str(error))
+    if isinstance(error, LinkError):
+        return MissionEnd(Outcome.PEER_LOST, str(error))
+    traceback.print_exception(error, file=sys.stderr)
+    return MissionEnd(Outcome.CRASHED, f"{type(error).__name__}: {error}")
