@@ -10,17 +10,15 @@ import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from drivers.interfaces import Clock
 from drivers.tables import RigError, decode_table, suggestion
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Pose
+from path.marker.layout import MarkerLayout
 from path.messages import Role
-
-if TYPE_CHECKING:
-    from path.marker.layout import MarkerLayout
 
 Level = Literal["sim", "sim-rendered", "sitl", "hitl", "field"]
 

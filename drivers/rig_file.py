@@ -24,13 +24,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from path.marker.layout import Marker, MarkerLayout
 
 from drivers.rig import Level, Mount, Origin, PartSpec, Rig, RoleRig
 from drivers.tables import RigError, decode_table, suggestion
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Matrix, Pose
+from path.marker.layout import Marker, MarkerLayout
 
 Vec3 = tuple[float, float, float]
 
@@ -111,10 +111,10 @@ class _Marker:
     rpy_deg: Vec3 = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if self.id < 0 or self.side_m <= 0 or self.side_sigma_m < 0:
-            raise ValueError("id and side_sigma_m must not be negative, side_m must be positive")
+        self.marker()
 
     def marker(self) -> Marker:
+        """Raises ValueError for a marker that cannot be."""
         roll, pitch, yaw = self.rpy_deg
         turn = _axis(1, yaw) @ _axis(0, pitch) @ _axis(2, roll)
         return Marker(self.id, self.side_m, self.side_sigma_m, Pose(turn, np.array(self.position_v_m)))
@@ -156,11 +156,11 @@ class _RigTable:
     world: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def __post_init__(self) -> None:
-        ids = [m.id for m in self.markers]
-        if not ids:
-            raise ValueError("a rig needs at least one [[markers]]")
-        if len(set(ids)) != len(ids):
-            raise ValueError(f"markers {ids} use an id twice")
+        self.layout()
+
+    def layout(self) -> MarkerLayout:
+        """Raises ValueError for a layout that cannot be."""
+        return MarkerLayout(tuple(m.marker() for m in self.markers), self.marker_dictionary)
 
 
 def _axis(axis: int, angle_deg: float) -> Matrix:
@@ -211,7 +211,7 @@ def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
         method=written.method,
         mission=written.mission,
         world=written.world,
-        layout=MarkerLayout(tuple(m.marker() for m in written.markers), written.marker_dictionary),
+        layout=written.layout(),
         sender=_role_rig(written.sender, T_b_v),
         receiver=_role_rig(written.receiver, T_b_v),
         file=path,
