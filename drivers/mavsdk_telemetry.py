@@ -1,0 +1,223 @@
+"""The newest of everything a vehicle says, kept by MAVSDK's callback thread and read by the role's event loop.
+
+Each slot is one immutable value, replaced whole, so that a reader needs no lock and never sees half an update.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any
+
+from drivers.history import StateHistory
+from drivers.interfaces import Clock, FlightMode, VehicleError, VehicleState
+from drivers.mavsdk_geodesy import LocalTangent
+from drivers.mavsdk_modes import SAFETY_ARMED, AutopilotKind
+
+Vec3 = tuple[float, float, float]
+NAN3: Vec3 = (math.nan, math.nan, math.nan)
+AUTOPILOT_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
+KEPT_TEXTS = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Heartbeat:
+    arrival_ns: int
+    autopilot: int
+    custom_mode: int
+    armed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """Global position as mission NED, and the height above the vehicle's own home."""
+
+    arrival_ns: int
+    n_m: Vec3
+    above_home_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Attitude:
+    arrival_ns: int
+    q_n_b: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A STATUSTEXT. ``severity`` in MAVSDK's order: 3 warning, 4 error, 5 critical and up."""
+
+    arrival_ns: int
+    severity: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class CommandAck:
+    """A COMMAND_ACK. ``result`` is MAV_RESULT, 5 of which means: in progress."""
+
+    arrival_ns: int
+    command: int
+    result: int
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    name: str
+    value: float
+
+
+class Telemetry:
+    """Slots, their handlers, and ``state`` made of them. Handlers run on MAVSDK's thread."""
+
+    def __init__(self, sysid: int, clock: Clock, tangent: LocalTangent) -> None:
+        self._sysid = sysid
+        self._clock = clock
+        self._tangent = tangent
+        self._history = StateHistory()
+        self._failure: BaseException | None = None
+        self.kind: AutopilotKind | None = None
+        self.heartbeat: Heartbeat | None = None
+        self.position: Position | None = None
+        self.velocity_n_mps: Vec3 = NAN3
+        self.attitude: Attitude | None = None
+        self.health: dict[str, bool] = {}
+        self.in_air = False
+        self.battery: float | None = None
+        self.texts: tuple[Text, ...] = ()
+        self.acks: dict[int, CommandAck] = {}
+        self.parameter: Parameter | None = None
+
+    def subscribe(self, telemetry: Any, direct: Any) -> None:
+        """Take everything needed from MAVSDK's Telemetry and MavlinkDirect plugins."""
+        direct.subscribe_message("COMMAND_ACK", self._guarded(self._on_ack))
+        direct.subscribe_message("PARAM_VALUE", self._guarded(self._on_parameter))
+        telemetry.subscribe_status_text(self._guarded(self._on_text))
+        telemetry.subscribe_health(self._guarded(self._on_health))
+        telemetry.subscribe_in_air(self._guarded(self._on_in_air))
+        telemetry.subscribe_battery(self._guarded(self._on_battery))
+        telemetry.subscribe_position(self._guarded(self._on_position))
+        telemetry.subscribe_position_velocity_ned(self._guarded(self._on_velocity))
+        telemetry.subscribe_attitude_quaternion(self._guarded(self._on_attitude))
+
+    def subscribe_heartbeat(self, direct: Any) -> None:
+        """Straight from the message: it has mode, arming and autopilot in one, and MAVSDK's own copies come later."""
+        direct.subscribe_message("HEARTBEAT", self._guarded(self._on_heartbeat))
+
+    # --- for the event loop ---
+
+    def check(self) -> None:
+        """Raise VehicleError when a handler failed: MAVSDK itself prints such an exception and goes on."""
+        if self._failure is not None:
+            raise VehicleError(
+                f"telemetry cannot be understood: {self._failure!r}", "report this; the vehicle is no longer followed"
+            ) from self._failure
+
+    def state(self) -> VehicleState:
+        """NaN position and stamp 0 until the vehicle first knew where it is."""
+        self.check()
+        heartbeat, position, attitude = self.heartbeat, self.position, self.attitude
+        if heartbeat is None or attitude is None:
+            raise VehicleError("the vehicle is not connected", "open it first")
+        return VehicleState(
+            # The older of the two, so that one stream that stops cannot hide behind the other.
+            stamp_ns=min(position.arrival_ns, attitude.arrival_ns) if position else 0,
+            heartbeat_ns=heartbeat.arrival_ns,
+            position_n_m=position.n_m if position else NAN3,
+            velocity_n_mps=self.velocity_n_mps,
+            q_n_b=attitude.q_n_b,
+            armed=heartbeat.armed,
+            in_air=self.in_air,
+            armable=not self.missing(),
+            mode=self.mode,
+            battery=self.battery or 0.0,
+        )
+
+    @property
+    def mode(self) -> FlightMode:
+        heartbeat = self.heartbeat
+        return self.kind.mode(heartbeat.custom_mode) if self.kind and heartbeat else FlightMode.OTHER
+
+    def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
+        return self._history.attitude_at(stamp_ns)
+
+    def missing(self) -> list[str]:
+        """What is not ready for flight. ``is_armable`` alone comes seconds before there is a position."""
+        wanted = {
+            "is_armable": "arming checks",
+            "is_local_position_ok": "local position",
+            "is_global_position_ok": "global position",
+            "is_home_position_ok": "home position",
+        }
+        missing = [what for name, what in wanted.items() if not self.health.get(name, False)]
+        return missing + (["position telemetry"] if self.position is None else [])
+
+    def texts_since(self, stamp_ns: int, severity: int = 3) -> list[str]:
+        """Texts of warning or worse that came after a stamp, oldest first, each once."""
+        texts = [text.text for text in self.texts if text.arrival_ns >= stamp_ns and text.severity >= severity]
+        return list(dict.fromkeys(texts))
+
+    # --- on MAVSDK's thread ---
+
+    def _guarded(self, handler: Callable[[Any], None]) -> Callable[[Any, Any], None]:
+        @wraps(handler)
+        def guarded(value: Any, _user_data: Any) -> None:
+            try:
+                handler(value)
+            except Exception as error:  # kept for ``check``: whoever raised it must not end MAVSDK's thread
+                self._failure = self._failure or error
+
+        return guarded
+
+    def _on_heartbeat(self, message: Any) -> None:
+        if message.system_id != self._sysid or message.component_id != AUTOPILOT_COMPONENT:
+            return
+        fields = json.loads(message.fields_json)
+        self.heartbeat = Heartbeat(
+            self._clock.now_ns(),
+            int(fields["autopilot"]),
+            int(fields["custom_mode"]),
+            bool(int(fields["base_mode"]) & SAFETY_ARMED),
+        )
+
+    def _on_ack(self, message: Any) -> None:
+        if message.system_id == self._sysid:
+            fields = json.loads(message.fields_json)
+            ack = CommandAck(self._clock.now_ns(), int(fields["command"]), int(fields["result"]))
+            self.acks[ack.command] = ack
+
+    def _on_parameter(self, message: Any) -> None:
+        if message.system_id == self._sysid:
+            fields = json.loads(message.fields_json)
+            value = fields["param_value"]
+            self.parameter = Parameter(str(fields["param_id"]), math.nan if value is None else float(value))
+
+    def _on_text(self, text: Any) -> None:
+        self.texts = (*self.texts[1 - KEPT_TEXTS :], Text(self._clock.now_ns(), int(text.type), str(text.text)))
+
+    def _on_health(self, health: Any) -> None:
+        self.health = {name: bool(value) for name, value in vars(health).items()}
+
+    def _on_in_air(self, in_air: Any) -> None:
+        self.in_air = bool(in_air)
+
+    def _on_battery(self, battery: Any) -> None:
+        percent = float(battery.remaining_percent)
+        self.battery = min(max(percent / 100.0, 0.0), 1.0) if math.isfinite(percent) else None
+
+    def _on_position(self, position: Any) -> None:
+        n_m = self._tangent.to_ned(position.latitude_deg, position.longitude_deg, position.absolute_altitude_m)
+        self.position = Position(self._clock.now_ns(), n_m, float(position.relative_altitude_m))
+
+    def _on_velocity(self, ned: Any) -> None:
+        velocity = ned.velocity
+        self.velocity_n_mps = (float(velocity.north_m_s), float(velocity.east_m_s), float(velocity.down_m_s))
+
+    def _on_attitude(self, quaternion: Any) -> None:
+        now_ns = self._clock.now_ns()
+        q_n_b = (float(quaternion.w), float(quaternion.x), float(quaternion.y), float(quaternion.z))
+        self.attitude = Attitude(now_ns, q_n_b)
+        self._history.add(now_ns, q_n_b)
