@@ -32,7 +32,7 @@ class AutopilotConfig:
     land_disarm_s: float = 1.0
     idle_disarm_s: float = 10.0
     endurance_s: float = 900.0  # full battery, flying
-    low_battery: float = 0.15
+    low_battery: float = 0.1  # lands by itself; scripts should come down earlier
 
 
 @dataclass(frozen=True, slots=True)
