@@ -1,0 +1,71 @@
+"""What the commands can be told. The command line is generated from these, and so is its help."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+RigName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
+Faults = Annotated[tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE]"), tyro.conf.UseAppendAction]
+
+
+@dataclass(frozen=True, slots=True)
+class HandoffOptions:
+    """Fly a whole handoff: both drones, and the world when the rig has a simulated one."""
+
+    rig: RigName = "sitl"
+    """A rig by name (see `path-handoff rigs`), or a rig's TOML file."""
+
+    seed: int = 0
+    """Seed of the world and of every noise: the same seed is the same run at the sim levels."""
+
+    seeds: int = 1
+    """Fly this many runs with seeds from --seed on, and print what became of them."""
+
+    jobs: int = 0
+    """Runs at a time with --seeds; 0: one per core. Rigs in real time fly one at a time."""
+
+    fault: Faults = ()
+    """What is to go wrong, such as lookalike or link_loss=0.3; may be given several times."""
+
+    out: Path | None = None
+    """Folder for logs, summary and picture; runs/<time> by default."""
+
+    picture: bool = True
+    """Draw run.png at the end."""
+
+
+@dataclass(frozen=True, slots=True)
+class RoleOptions:
+    """Fly one drone's side of a handoff, as in the field: the other side runs on the other drone."""
+
+    rig: RigName
+    """A rig by name (see `path-handoff rigs`), or a rig's TOML file."""
+
+    out: Path | None = None
+    """Folder for the log; runs/<time> by default."""
+
+    console: Annotated[Literal["auto", "events"], tyro.conf.Suppress] = "auto"
+    """`events` writes lines of JSON to stdout, for a parent process."""
+
+
+@dataclass(frozen=True, slots=True)
+class DoctorOptions:
+    """Check this machine, and a rig without moving anything."""
+
+    rig: RigName = "sitl"
+    """The rig to check: its file, its parts, its ports."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportOptions:
+    """Make summary, table and picture of a run again from its logs."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """The folder of the run."""
+
+    picture: bool = True
+    """Draw run.png too."""
