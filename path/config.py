@@ -28,9 +28,11 @@ class MethodConfig:
         hold_frames, hold_s: distinct fresh agreeing frame pairs, and the time from the first to the last of them on
             capture stamps; both are needed.
         max_gap_s: longest time between two consecutive agreeing pairs; a longer one restarts the count.
-        max_candidate_age_s: a candidate whose frame is older than this when it comes in, is stale.
+        max_age_s: a message whose frame is older than this when it comes in, is stale.
+        max_future_s: one whose frame is further in the future than this shows that the clocks do not agree.
         max_bracket_s: D1's track is interpolated only between samples at most this far apart.
         max_extrapolation_s: how far D2 carries the target's point beyond its newest sample.
+        slope_span_s: stretch of the newest samples from which D2 takes the target's motion.
         track_length: samples kept of each track.
         min_depth_m, max_depth_m: what the depth camera can be trusted with.
         depth_center_fraction: central part of the box, per side, that is asked for depth.
@@ -42,10 +44,12 @@ class MethodConfig:
         target_center_sigma_m: how far apart the two cameras' box centres are on the body of the target.
         clock_sigma_s: uncertainty of a capture instant between the drones.
         relative_speed_mps: speed of the target in ``v`` that this uncertainty is multiplied with.
+        relative_accel_mps2: acceleration of the target in ``v`` that the extrapolation does not know of.
         max_pose_sigma_m: position standard deviation of ``T_v_c2`` above which the pose is not used.
         max_incidence_deg: largest angle between marker normal and line of sight.
         search_sigmas: the search region reaches this many standard deviations around the prior.
-        min_search_px, max_search_px: bounds of the region's half sides.
+        min_search_px, max_search_px: the region's half sides are at least the first; a prior that would need more than
+            the second (without the target's own size) is too uncertain to be used.
         ambiguity_margin: two candidates whose squared Mahalanobis distances from the prior differ by less than this
             are not told apart.
     """
@@ -57,9 +61,11 @@ class MethodConfig:
     hold_frames: int = 350
     hold_s: float = 7.0
     max_gap_s: float = 0.2
-    max_candidate_age_s: float = 0.5
+    max_age_s: float = 0.5
+    max_future_s: float = 0.05
     max_bracket_s: float = 0.2
     max_extrapolation_s: float = 0.2
+    slope_span_s: float = 0.2
     track_length: int = 64
     min_depth_m: float = 0.3
     max_depth_m: float = 6.0
@@ -74,6 +80,7 @@ class MethodConfig:
     target_center_sigma_m: float = 0.05
     clock_sigma_s: float = 0.005
     relative_speed_mps: float = 1.0
+    relative_accel_mps2: float = 3.0
     max_pose_sigma_m: float = 0.1
     max_incidence_deg: float = 70.0
     search_sigmas: float = 3.5

@@ -81,8 +81,14 @@ def R_from_quat(q: Quat) -> Matrix:
 
 
 def quat_from_R(R: Matrix) -> Quat:
-    """Unit quaternion with w >= 0 of a rotation matrix of shape (3, 3); exact at every angle (Shepperd's method)."""
+    """Unit quaternion with w >= 0 of a rotation matrix of shape (3, 3)."""
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    return quat_from_entries((a, b, c, d, e, f, g, h, i))
+
+
+def quat_from_entries(entries: tuple[float, float, float, float, float, float, float, float, float]) -> Quat:
+    """Unit quaternion with w >= 0 of a rotation matrix given row by row; exact at every angle (Shepperd's method)."""
+    a, b, c, d, e, f, g, h, i = entries
     trace = a + e + i
     largest = max(trace, a, e, i)
     if largest == trace:

@@ -1,0 +1,125 @@
+"""Where D2 should look: the target's point through D2's pose into its image, with covariance and search region
+(paper, eqs. target_d2 to d2_projection).
+
+The pose covariance is (6, 6), translation first (m), then rotation (rad), of ``T_c2_v`` perturbed in the camera frame:
+``t <- t + dt``, ``R <- exp(dw) R`` with ``t`` untouched.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from path.camera import CameraModel
+from path.config import MethodConfig
+from path.geometry import Matrix
+from path.messages import Vec3
+from path.observations import Missed, MissReason, Region
+from path.rigid import Rigid, transform
+
+Covariance2 = tuple[float, float, float]
+"""Variances and covariance of a pixel, ``(uu, uv, vv)`` in px^2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Where the target is expected in D2's image.
+
+    Attributes:
+        pixel: distorted pixel of the target's point.
+        depth_m: its depth along D2's optical axis.
+        covariance_px2: of a box centre around that pixel.
+        region: what to search, for box centres; may reach beyond the image.
+        target_sequence: the newest Target message it rests on.
+        T_c2_v: the pose it was made with.
+        pose_sigma_m: standard deviation per axis of D2's position in ``v``.
+    """
+
+    pixel: tuple[float, float]
+    depth_m: float
+    covariance_px2: Covariance2
+    region: Region
+    target_sequence: int
+    T_c2_v: Rigid
+    pose_sigma_m: float
+
+    def distance2(self, u: float, v: float) -> float:
+        """Squared Mahalanobis distance of a pixel from the prior."""
+        uu, uv, vv = self.covariance_px2
+        du, dv = u - self.pixel[0], v - self.pixel[1]
+        return (vv * du * du - 2.0 * uv * du * dv + uu * dv * dv) / (uu * vv - uv * uv)
+
+
+def position_sigma(T_c2_v: Rigid, covariance: Matrix) -> float:
+    """Standard deviation per axis in m of D2's position in ``v``, ``-R^T t``, from the pose covariance."""
+    tx, ty, tz = T_c2_v[9:]
+    lever = np.array([[1.0, 0.0, 0.0, 0.0, -tz, ty], [0.0, 1.0, 0.0, tz, 0.0, -tx], [0.0, 0.0, 1.0, -ty, tx, 0.0]])
+    variance = float(np.einsum("ij,jk,ik->", lever, covariance, lever))
+    return math.sqrt(max(0.0, variance) / 3.0)
+
+
+def pixel_covariance(
+    camera: CameraModel, T_c2_v: Rigid, point_c: Vec3, covariance: Matrix, point_sigma_m: float, pixel_sigma_px: float
+) -> Covariance2:
+    """Covariance of the projected point from the pose's (6, 6), the point's sigma per axis and the detector's noise."""
+    a, b, c, d, e, f = camera.project_point_jacobian(point_c)
+    # q = R p_v: the rotation turns the point about the marker's origin, dX = dt + dw x q
+    x, y, z = point_c[0] - T_c2_v[9], point_c[1] - T_c2_v[10], point_c[2] - T_c2_v[11]
+    jacobian = np.array(
+        [
+            [a, b, c, c * y - b * z, a * z - c * x, b * x - a * y],
+            [d, e, f, f * y - e * z, d * z - f * x, e * x - d * y],
+        ]
+    )
+    (uu, uv), (_, vv) = (jacobian @ covariance @ jacobian.T).tolist()
+    point, pixel = point_sigma_m * point_sigma_m, pixel_sigma_px * pixel_sigma_px
+    return (
+        uu + point * (a * a + b * b + c * c) + pixel,
+        uv + point * (a * d + b * e + c * f),
+        vv + point * (d * d + e * e + f * f) + pixel,
+    )
+
+
+def predict(
+    camera: CameraModel,
+    T_c2_v: Rigid,
+    covariance: Matrix,
+    point_v: Vec3,
+    point_sigma_m: float,
+    target_sequence: int,
+    config: MethodConfig,
+    box_size_at_1m_px: tuple[float, float] = (0.0, 0.0),
+) -> Prior | Missed:
+    """The prior of the target's box centre in D2's image.
+
+    Args:
+        covariance: of ``T_c2_v``, (6, 6), see the module.
+        point_v: the target's point in the marker frame, m.
+        point_sigma_m: its standard deviation per axis, time errors included.
+        box_size_at_1m_px: width and height the target's box would have at a depth of 1 m, when known; the region grows
+            by half of what that is at the target's depth.
+
+    Returns:
+        Missed PRIOR_OUTSIDE when D2 cannot see the point, POSE_UNCERTAIN when the pose or the prior is too uncertain to
+        be a hint, NON_FINITE when an input is not a number.
+    """
+    point_c = transform(T_c2_v, point_v)
+    if not math.isfinite(point_c[0] + point_c[1] + point_c[2] + point_sigma_m):
+        return Missed(MissReason.NON_FINITE)
+    if not camera.sees(point_c):
+        return Missed(MissReason.PRIOR_OUTSIDE)
+    sigma_m = math.hypot(point_sigma_m, config.target_center_sigma_m)
+    uu, uv, vv = pixel_covariance(camera, T_c2_v, point_c, covariance, sigma_m, config.pixel_sigma_px)
+    pose_sigma_m = position_sigma(T_c2_v, covariance)
+    if not (math.isfinite(pose_sigma_m + uu + uv + vv) and uu * vv > uv * uv):
+        return Missed(MissReason.NON_FINITE)
+    half_u, half_v = config.search_sigmas * math.sqrt(uu), config.search_sigmas * math.sqrt(vv)
+    if pose_sigma_m > config.max_pose_sigma_m or max(half_u, half_v) > config.max_search_px:
+        return Missed(MissReason.POSE_UNCERTAIN)
+    half_u = max(half_u + 0.5 * box_size_at_1m_px[0] / point_c[2], config.min_search_px)
+    half_v = max(half_v + 0.5 * box_size_at_1m_px[1] / point_c[2], config.min_search_px)
+    u, v = camera.project_point(point_c)
+    region = Region(u - half_u, v - half_v, u + half_u, v + half_v)
+    return Prior((u, v), point_c[2], (uu, uv, vv), region, target_sequence, T_c2_v, pose_sigma_m)

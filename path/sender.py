@@ -1,0 +1,229 @@
+"""One cycle of D1, the sender: say where the target is, judge what D2 answers. Pure: stamps come in, values go out."""
+
+from __future__ import annotations
+
+import math
+from bisect import insort
+from collections import Counter
+from dataclasses import dataclass
+
+from path.agreement import Agreed, TwoViews, Verdict, compare, plain_box
+from path.camera import CameraModel
+from path.config import MethodConfig
+from path.geometry import Pose
+from path.messages import Candidate, Target, Vec3
+from path.observations import Box, Depth, Missed, MissReason
+from path.rigid import rigid, rigid_from_quat
+from path.rotation import normalized
+from path.target import TargetPoint, locate
+from path.timeline import Between, Sample, Track
+from path.window import AgreementWindow, FramePair, serial_difference
+
+MAX_PENDING = 64
+UNIT_TOLERANCE = 0.05  # of a direction or a quaternion that went through float32
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """What became of one candidate.
+
+    Attributes:
+        candidate: None when the verdict is that none came (LINK_SILENT).
+        capture_ns: when D2's frame was taken, D1's clock.
+        own_box: D1's box at that instant, interpolated; None when there is none.
+        mapped_box: D2's box in D1's image; None when it did not come to that.
+    """
+
+    candidate: Candidate | None
+    capture_ns: int
+    verdict: Verdict
+    own_box: Box | None = None
+    mapped_box: Box | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Pending:
+    order: int  # sequence, unwrapped
+    capture_ns: int
+    candidate: Candidate
+
+
+class SenderCycle:
+    """D1's side of the method for one handoff of one target.
+
+    A candidate is offered when it comes in and evaluated once D1 has frames on both sides of its capture instant: its
+    box is compared with D1's own box *at that instant*. Candidates wait for that in the order of their sequence, so a
+    small reordering on the link costs nothing.
+    """
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        peer_camera: CameraModel,
+        T_v_c1: Pose,
+        config: MethodConfig,
+        *,
+        handoff_id: int,
+        epoch: int,
+        target_id: int,
+    ) -> None:
+        """``camera`` is D1's, ``peer_camera`` D2's; ``T_v_c1`` the calibrated mounting of D1's camera."""
+        self.window = AgreementWindow(config)
+        self.misses: Counter[MissReason] = Counter()
+        self.agreed = 0
+        self._views = TwoViews(camera, peer_camera, rigid(T_v_c1))
+        self._config = config
+        self._identity = (handoff_id, epoch, target_id)
+        self._track = Track(config.track_length, config.max_bracket_s)
+        self._pending: list[_Pending] = []
+        self._max_age_ns = round(config.max_age_s * 1e9)
+        self._max_future_ns = round(config.max_future_s * 1e9)
+
+    def observe(
+        self, frame_id: int, stamp_ns: int, box: Box | None, depth: Depth | None, gravity_v: Vec3
+    ) -> Target | Missed:
+        """D1's newest frame: the message to send, or why there is none. A miss restarts the count, unless ``ignored``.
+
+        Args:
+            frame_id: strictly increasing; its low 16 bits are the message's sequence.
+            stamp_ns: mid-exposure, D1's clock.
+            box: the tracked target; None when the frame does not show it.
+            depth: registered depth over that box.
+            gravity_v: unit vector of gravity in the marker frame at ``stamp_ns``.
+        """
+        newest = self._track.newest
+        if newest is not None and (frame_id <= newest.frame or stamp_ns <= newest.stamp_ns):
+            reason = MissReason.DUPLICATE if frame_id == newest.frame else MissReason.STALE
+            return self._missed(Missed(reason, ignored=True))
+        box = None if box is None else plain_box(box)
+        point = Missed(MissReason.NO_TARGET) if box is None else self._locate(box, depth, gravity_v)
+        if isinstance(point, Missed):
+            self._track.add(Sample(stamp_ns, frame_id, None))
+            self.window.restart(stamp_ns)
+            return self._missed(point)
+        assert box is not None
+        self._track.add(Sample(stamp_ns, frame_id, (box.x, box.y, box.w, box.h, *point.point_v_m, point.z_m)))
+        handoff_id, epoch, target_id = self._identity
+        sequence = frame_id & 0xFFFF
+        return Target(handoff_id, epoch, target_id, sequence, stamp_ns, point.point_v_m, gravity_v, point.sigma_m)
+
+    def offer(self, candidate: Candidate, capture_ns: int, now_ns: int) -> Missed | None:
+        """Take in a candidate; None when it will be evaluated, else why it is no evidence (always ``ignored``).
+
+        Args:
+            capture_ns: ``candidate.capture_ns`` converted to D1's clock.
+            now_ns: D1's clock.
+        """
+        reason = self._no_evidence(candidate, capture_ns, now_ns)
+        if reason is not None:
+            return self._missed(Missed(reason, ignored=True))
+        order = self._order(candidate.sequence)
+        insort(self._pending, _Pending(order, capture_ns, candidate), key=lambda pending: pending.order)
+        return None
+
+    def evaluate_ready(self, now_ns: int) -> list[Pair]:
+        """Judge every candidate whose capture instant D1's own frames have passed, or that waited too long."""
+        pairs: list[Pair] = []
+        newest = self._track.newest
+        newest_ns = now_ns - self._max_age_ns if newest is None else max(newest.stamp_ns, now_ns - self._max_age_ns)
+        while self._pending and self._pending[0].capture_ns <= newest_ns:
+            pending = self._pending.pop(0)
+            if self.window.expire(pending.capture_ns):
+                pairs.append(self._silent(pending.capture_ns))
+            pairs.append(self._judge(pending.candidate, pending.capture_ns))
+        # what is older than max_age_s is refused, so no pair can join the run any more
+        if not self._pending and self.window.expire(now_ns - self._max_age_ns):
+            pairs.append(self._silent(now_ns))
+        return pairs
+
+    def _locate(self, box: Box, depth: Depth | None, gravity_v: Vec3) -> TargetPoint | Missed:
+        if not math.isfinite(box.x + box.y + box.w + box.h):
+            return Missed(MissReason.NON_FINITE)
+        if not (box.w > 0.0 and box.h > 0.0):
+            return Missed(MissReason.NO_TARGET)
+        config = self._config
+        if depth is None or not (config.min_depth_m <= depth.z_m <= config.max_depth_m and depth.sigma_m >= 0.0):
+            return Missed(MissReason.NO_DEPTH)
+        point = locate(self._views.camera1, self._views.T_v_c1, box, depth, config)
+        norm = math.sqrt(sum(g * g for g in gravity_v))
+        if not (math.isfinite(sum(point.point_v_m) + point.sigma_m) and abs(norm - 1.0) < UNIT_TOLERANCE):
+            return Missed(MissReason.NON_FINITE)
+        return point
+
+    def _no_evidence(self, candidate: Candidate, capture_ns: int, now_ns: int) -> MissReason | None:
+        if (candidate.handoff_id, candidate.epoch, candidate.target_id) != self._identity:
+            return MissReason.STALE
+        if not _is_sound(candidate):
+            return MissReason.NON_FINITE
+        if any(pending.candidate.sequence == candidate.sequence for pending in self._pending):
+            return MissReason.DUPLICATE
+        if capture_ns - now_ns > self._max_future_ns:
+            return MissReason.CLOCK
+        if now_ns - capture_ns > self._max_age_ns or len(self._pending) >= MAX_PENDING:
+            return MissReason.STALE
+        return self.window.refusal(candidate.sequence)
+
+    def _order(self, sequence: int) -> int:
+        """Unwrapped order of a u16 sequence among those pending."""
+        if not self._pending:
+            return sequence
+        first = self._pending[0]
+        return first.order + serial_difference(sequence, first.candidate.sequence)
+
+    def _judge(self, candidate: Candidate, capture_ns: int) -> Pair:
+        at = self._track.at(capture_ns)
+        reason = self._incomparable(candidate, capture_ns)
+        if reason is not None or at is None or candidate.box is None:
+            verdict, own_box, mapped_box = Missed(reason or MissReason.NO_TRACK), None, None
+        else:
+            x, y, w, h, *point, z1 = at.values
+            own_box, point_v = Box(x, y, w, h), (point[0], point[1], point[2])
+            T_v_c2 = rigid_from_quat(normalized(candidate.rotation_v_c2), candidate.position_v_m)
+            verdict, mapped_box = compare(self._views, T_v_c2, own_box, z1, point_v, candidate.box, self._config)
+        verdict = self._count(candidate.sequence, capture_ns, at, verdict)
+        return Pair(candidate, capture_ns, verdict, own_box, mapped_box)
+
+    def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
+        """Why a fresh candidate cannot even be compared, whatever D1 saw at that instant."""
+        if candidate.reason is not None:
+            return candidate.reason
+        if candidate.sigma_m > self._config.max_pose_sigma_m:
+            return MissReason.POSE_UNCERTAIN
+        used = self._track.find(candidate.target_sequence)
+        if used is None or used.values is None or abs(capture_ns - used.stamp_ns) > self._max_age_ns:
+            return MissReason.STALE
+        return None
+
+    def _count(self, sequence: int, capture_ns: int, at: Between | None, verdict: Verdict) -> Verdict:
+        """Let the window count a verdict; what it refuses becomes an ``ignored`` miss."""
+        if isinstance(verdict, Missed) or at is None:
+            refusal = self.window.disagree(sequence, capture_ns)
+        else:
+            own = (at.before.frame, at.before.stamp_ns), (at.after.frame, at.after.stamp_ns)
+            refusal = self.window.agree(FramePair(sequence, capture_ns, own))
+        if refusal is not None:
+            return self._missed(Missed(refusal, verdict.iou, ignored=True))
+        if isinstance(verdict, Missed):
+            return self._missed(verdict)
+        self.agreed += 1
+        return Agreed(verdict.iou, verdict.tau, self.window.count)
+
+    def _silent(self, instant_ns: int) -> Pair:
+        return Pair(None, instant_ns, self._missed(Missed(MissReason.LINK_SILENT)))
+
+    def _missed(self, missed: Missed) -> Missed:
+        self.misses[missed.reason] += 1
+        return missed
+
+
+def _is_sound(candidate: Candidate) -> bool:
+    """Whether every number is one, the rotation is one, and a box is there exactly when no reason is."""
+    total = sum(candidate.position_v_m) + sum(candidate.rotation_v_c2) + candidate.sigma_m
+    box = candidate.box
+    if box is not None:
+        total += box.x + box.y + box.w + box.h
+        if not (box.w > 0.0 and box.h > 0.0):
+            return False
+    norm = math.sqrt(sum(part * part for part in candidate.rotation_v_c2))
+    one_of_two = (box is None) != (candidate.reason is None)
+    return math.isfinite(total) and abs(norm - 1.0) < UNIT_TOLERANCE and candidate.sigma_m >= 0.0 and one_of_two

@@ -1,0 +1,126 @@
+"""The window of consecutive agreements (paper, eq. temporal_verification), on distinct fresh frame pairs only.
+
+What is safe, and why:
+
+- Only an agreeing pair of a *new* D2 frame with a *new* D1 frame advances the count, at a *later* capture instant than
+  anything counted or missed before. A loop that runs faster than the cameras, a repeated or late packet and a frozen
+  camera advance nothing.
+- A fresh frame of either side that does not agree restarts the count, whatever its reason.
+- What is no evidence (an old, repeated or broken packet, a packet lost) changes nothing by itself: otherwise an echo
+  could hold a handoff up for ever. It cannot stretch a run either: two agreeing pairs more than ``max_gap_s`` apart do
+  not belong to one run.
+- Number of pairs and elapsed time must both be reached, the time on the capture stamps of both sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from path.config import MethodConfig
+from path.observations import MissReason
+
+SERIAL = 1 << 16
+
+
+def serial_difference(a: int, b: int) -> int:
+    """How far u16 sequence ``a`` is ahead of ``b``, in -32768..32767 (serial number arithmetic)."""
+    return ((a - b + SERIAL // 2) % SERIAL) - SERIAL // 2
+
+
+@dataclass(frozen=True, slots=True)
+class FramePair:
+    """Which frames a comparison used.
+
+    Attributes:
+        peer_sequence: u16 sequence of D2's frame.
+        capture_ns: when D2's frame was taken, D1's clock.
+        own_frames: D1's frames before and after that instant, ``(frame number, stamp)`` each; the same one twice when
+            the instants coincide.
+    """
+
+    peer_sequence: int
+    capture_ns: int
+    own_frames: tuple[tuple[int, int], tuple[int, int]]
+
+
+class AgreementWindow:
+    """Counts consecutive agreeing pairs. Mutable; one instance for one handoff of one target."""
+
+    def __init__(self, config: MethodConfig) -> None:
+        self._hold_frames = config.hold_frames
+        self._hold_ns = round(config.hold_s * 1e9)
+        self._max_gap_ns = round(config.max_gap_s * 1e9)
+        self._count = 0
+        self._first = (0, 0)  # capture instant and own stamp of the first pair of the run
+        self._last = (0, 0)
+        self._peer: int | None = None
+        self._own: int | None = None
+        self._floor_ns: int | None = None  # nothing captured at or before this may be counted any more
+
+    @property
+    def count(self) -> int:
+        """Consecutive agreeing pairs."""
+        return self._count
+
+    @property
+    def span_s(self) -> float:
+        """Time from the first to the last pair of the run, the shorter one of both sides' stamps."""
+        return self._span_ns / 1e9
+
+    @property
+    def _span_ns(self) -> int:
+        return min(self._last[0] - self._first[0], self._last[1] - self._first[1]) if self._count else 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run is long enough in pairs and in time (V_k of the paper)."""
+        return self._count >= self._hold_frames and self._span_ns >= self._hold_ns
+
+    def agree(self, pair: FramePair) -> MissReason | None:
+        """Count an agreeing pair. Returns why it does not count (DUPLICATE or STALE), None when it does."""
+        refusal = self.refusal(pair.peer_sequence)
+        if refusal is not None:
+            return refusal
+        self._peer = pair.peer_sequence
+        if self._floor_ns is not None and pair.capture_ns <= self._floor_ns:
+            return MissReason.STALE
+        own = next((frame for frame in pair.own_frames if self._own is None or frame[0] > self._own), None)
+        if own is None:
+            return MissReason.DUPLICATE
+        self.expire(pair.capture_ns)
+        self._own = own[0]
+        self._floor_ns = pair.capture_ns
+        self._last = (pair.capture_ns, own[1])
+        if not self._count:
+            self._first = self._last
+        self._count += 1
+        return None
+
+    def disagree(self, peer_sequence: int, capture_ns: int) -> MissReason | None:
+        """A D2 frame that does not agree restarts the count; returns why it is no new evidence, None when it did."""
+        refusal = self.refusal(peer_sequence)
+        if refusal is None:
+            self._peer = peer_sequence
+            self.restart(capture_ns)
+        return refusal
+
+    def restart(self, stamp_ns: int) -> None:
+        """Something was missed at this instant (D1's clock): no run may reach across it."""
+        self._count = 0
+        self._floor_ns = stamp_ns if self._floor_ns is None else max(self._floor_ns, stamp_ns)
+
+    def expire(self, instant_ns: int) -> bool:
+        """Restart when a pair captured at ``instant_ns`` would come too late for the run; True when that was so."""
+        if not self._count or instant_ns - self._last[0] <= self._max_gap_ns:
+            return False
+        self._count = 0
+        return True
+
+    def refusal(self, peer_sequence: int) -> MissReason | None:
+        """DUPLICATE for the newest D2 frame compared so far, STALE for an older one, None for a new one."""
+        if self._peer is None:
+            return None
+        ahead = serial_difference(peer_sequence, self._peer)
+        if ahead > 0:
+            return None
+        return MissReason.STALE if ahead else MissReason.DUPLICATE
