@@ -9,7 +9,7 @@ import contextlib
 import math
 import socket
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,7 +54,7 @@ class MavlinkVehicle:
 
     Attributes:
         received: messages for this vehicle by type, counted.
-        malformed: datagrams or messages that could not be understood.
+        malformed: messages that could not be understood.
         tap: called with (now_s, message) for every message from anybody; for tests and logs.
     """
 
@@ -67,7 +67,6 @@ class MavlinkVehicle:
         self._socket.setblocking(False)
         self._socket.bind(config.bind)
         self._mav: Any = mavlink.MAVLink(None, srcSystem=config.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
-        self._mav.robust_parsing = True
         self._parameters = Parameters(drone.autopilot.config)
         self._intervals_s = {message: 1.0 / rate for message, (_, rate) in STREAMS.items() if rate > 0.0}
         self._due_s = dict.fromkeys(self._intervals_s, -math.inf)
@@ -149,11 +148,20 @@ class MavlinkVehicle:
                 return
             if self.silent:
                 continue
-            for message in self._mav.parse_buffer(packet) or ():
-                if message.get_type() == "BAD_DATA" or message.get_msgId() < 0:
+            for frame in _frames(packet):
+                message = self._decode(frame)
+                if message is None:
                     self.malformed += 1
                 else:
                     self._take(flight, message, sender)
+
+    def _decode(self, frame: bytearray) -> Any | None:
+        """None for what is damaged or of an unknown id: then pymavlink has checked no CRC."""
+        try:
+            message = self._mav.decode(frame)
+        except mavlink.MAVError:
+            return None
+        return message if message.get_msgId() in mavlink.mavlink_map else None
 
     def _take(self, flight: Flight, message: Any, sender: Address) -> None:
         if self.tap is not None:
@@ -247,6 +255,17 @@ class MavlinkVehicle:
             self._intervals_s[which] = interval_s
             self._due_s[which] = flight.now_s
         return ACCEPTED
+
+
+def _frames(packet: bytes) -> Iterator[bytearray]:
+    """The messages of one datagram. Unlike a byte stream's, its damaged end must not wait for the next one."""
+    rest = bytearray(packet)
+    while rest:
+        overhead = 12 if rest[0] == mavlink.PROTOCOL_MARKER_V2 else 8
+        signed = overhead == 12 and len(rest) > 2 and bool(rest[2] & mavlink.MAVLINK_IFLAG_SIGNED)
+        size = overhead + (rest[1] if len(rest) > 1 else 0) + (mavlink.MAVLINK_SIGNATURE_BLOCK_LEN if signed else 0)
+        yield rest[:size]
+        rest = rest[size:]
 
 
 def _whole(value: float) -> int | None:
