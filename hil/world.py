@@ -1,0 +1,272 @@
+"""The truth: two drones with their autopilots, wind, the target and its look-alikes, and the faults of the world.
+
+Physics runs in fixed steps on a grid of its own and the autopilots on every fourth of them, so that how often and how
+finely ``advance`` is called changes nothing. Random numbers come from one stream for each purpose: what one consumer
+draws never shifts another's. World frame ``w`` is ENU with its origin on the ground, drones are reckoned in NED ``n``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.interfaces import FlightMode
+from drivers.tables import decode_table
+from hil.autopilot import Autopilot, AutopilotConfig, Estimate
+from hil.dynamics import (
+    COMMAND_SIZE,
+    CONTACT,
+    MOTORS_FLY,
+    MOTORS_IDLE,
+    MOTORS_OFF,
+    ROTOR_PHASE,
+    AirframeConfig,
+    Array,
+    fly,
+    standing,
+)
+from hil.estimator import EstimatorConfig, Sensors, WindConfig
+from hil.snapshot import DroneTruth, Snapshot
+from hil.targets import LookAlikeConfig, Point, TargetConfig, Traffic
+from path.geometry import Pose
+from path.messages import Quat, Role, Vec3
+from path.rotation import multiply
+
+STEP_HZ = 200
+STEPS_PER_TICK = 4
+TICK_S = STEPS_PER_TICK / STEP_HZ
+TELEMETRY_TICKS = 128
+ROLES = (Role.SENDER, Role.RECEIVER)
+
+
+@dataclass(frozen=True, slots=True)
+class HomeConfig:
+    """Where a drone stands at the start: (E, N) in m, nose direction clockwise from north."""
+
+    position_m: Point = (0.0, 0.0)
+    heading_deg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class WorldConfig:
+    """The ``[world]`` table of a rig."""
+
+    wind: WindConfig = field(default_factory=WindConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
+    airframe: AirframeConfig = field(default_factory=AirframeConfig)
+    autopilot: AutopilotConfig = field(default_factory=AutopilotConfig)
+    target: TargetConfig = field(default_factory=TargetConfig)
+    look_alikes: LookAlikeConfig = field(default_factory=LookAlikeConfig)
+    sender_home: HomeConfig = field(default_factory=HomeConfig)
+    receiver_home: HomeConfig = field(default_factory=lambda: HomeConfig((1.5, -3.0)))
+
+    def __post_init__(self) -> None:
+        if math.dist(self.sender_home.position_m, self.receiver_home.position_m) < 1.0:
+            raise ValueError("sender_home and receiver_home must be at least 1 m apart")
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any], where: str) -> WorldConfig:
+        """Raises RigError naming every unknown key and wrong value."""
+        return decode_table(table, cls, where)
+
+    def home(self, role: Role) -> HomeConfig:
+        return self.sender_home if role is Role.SENDER else self.receiver_home
+
+
+class Telemetry(NamedTuple):
+    """What a drone could say of itself at one tick."""
+
+    time_s: float
+    estimate: Estimate
+    mode: FlightMode
+    armed: bool
+    landed: bool
+    armable: bool
+    battery: float
+
+
+class SimDrone:
+    """One drone: its autopilot, what it believes, and (for the harness alone) what is true.
+
+    Attributes:
+        autopilot: commands go here, between two calls of ``World.advance``.
+        estimate: the newest one, at most a tick old.
+        telemetry: one entry a tick, newest last, the last ``TELEMETRY_TICKS`` of them.
+    """
+
+    def __init__(self, role: Role, autopilot: Autopilot, state: Array) -> None:
+        self.role = role
+        self.autopilot = autopilot
+        self.estimate = Estimate(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        self.telemetry: deque[Telemetry] = deque(maxlen=TELEMETRY_TICKS)
+        self._state = state
+
+    @property
+    def on_ground(self) -> bool:
+        """Truth: whether it stands on its legs."""
+        return bool(self._state[CONTACT])
+
+    @property
+    def true_position_n_m(self) -> Vec3:
+        n, e, d = self._state[:3].tolist()
+        return n, e, d
+
+    @property
+    def true_velocity_n_mps(self) -> Vec3:
+        n, e, d = self._state[3:6].tolist()
+        return n, e, d
+
+    @property
+    def true_q_n_b(self) -> Quat:
+        w, x, y, z = self._state[6:10].tolist()
+        return w, x, y, z
+
+    def sense(self, time_s: float, row: list[float]) -> None:
+        """Take the estimate of a tick: position, velocity, attitude in one row. Only the world calls this."""
+        n, e, d, vn, ve, vd, w, x, y, z = row
+        self.estimate = Estimate(time_s, (n, e, d), (vn, ve, vd), (w, x, y, z))
+        own = self.autopilot
+        said = Telemetry(time_s, self.estimate, own.mode, own.armed, own.landed, own.armable, own.battery)
+        self.telemetry.append(said)
+
+    def command(self, time_s: float) -> tuple[float, ...]:
+        """Step the autopilot at a tick; a command row of ``hil.dynamics``. Only the world calls this."""
+        command = self.autopilot.step(time_s, self.estimate, bool(self._state[CONTACT]))
+        if command.velocity_n_mps is None:
+            return (MOTORS_IDLE if command.thrust_on else MOTORS_OFF), 0.0, 0.0, 0.0, command.yaw_rad
+        return MOTORS_FLY, *command.velocity_n_mps, command.yaw_rad
+
+
+class World:
+    """Everything that is true, as a function of the seed and of what the two autopilots are told."""
+
+    def __init__(self, config: WorldConfig, seed: int) -> None:
+        """Raises ValueError when the objects do not fit."""
+        self.config = config
+        traffic, sensors, autopilots = np.random.SeedSequence(seed).spawn(3)
+        homes = [config.home(role) for role in ROLES]
+        self._traffic = Traffic(config.target, config.look_alikes, [home.position_m for home in homes], traffic)
+        self._sensors = Sensors(config.wind, config.estimator, TICK_S, sensors.spawn(len(ROLES)))
+        self._airframe = config.airframe.row()
+        self._states = np.stack([_at_home(home, config.airframe.leg_m) for home in homes])
+        self._commands = np.zeros((len(ROLES), COMMAND_SIZE))
+        self._drones = {
+            role: SimDrone(role, Autopilot(config.autopilot, int(own.generate_state(1)[0])), self._states[i])
+            for i, (role, own) in enumerate(zip(ROLES, autopilots.spawn(len(ROLES)), strict=True))
+        }
+        self._step = 0
+        self._commanded_step = -1
+        self._snapshot: Snapshot | None = None
+        self._marker_hidden = False
+        self._depth_holes = False
+        self.time_s = 0.0
+        self.min_separation_m = math.inf  # of the two bodies, while both were in the air
+        self._sense()
+
+    def drone(self, role: Role) -> SimDrone:
+        return self._drones[role]
+
+    def advance(self, to_s: float) -> None:
+        """Let time pass until ``to_s``, the time since the world began. Raises ValueError for the past."""
+        if to_s < self.time_s:
+            raise ValueError(f"the world is at {self.time_s} s and cannot go back to {to_s} s")
+        last = math.floor(to_s * STEP_HZ + 1e-6)
+        while self._step < last:
+            into_tick = self._step % STEPS_PER_TICK
+            if into_tick == 0 and self._commanded_step != self._step:
+                self._command()
+            steps = min(STEPS_PER_TICK - into_tick, last - self._step)
+            sensors = self._sensors
+            errors = sensors.velocity_errors, sensors.attitude_errors
+            fly(self._states, self._commands, sensors.winds, *errors, self._airframe, 1.0 / STEP_HZ, steps)
+            self._step += steps
+            if self._step % STEPS_PER_TICK == 0:
+                self._sense()
+        if to_s > self.time_s:
+            self.time_s, self._snapshot = to_s, None
+
+    def _sense(self) -> None:
+        rows, time_s = self._sensors.tick(self._states).tolist(), self._step / STEP_HZ
+        for drone, row in zip(self._drones.values(), rows, strict=True):
+            drone.sense(time_s, row)
+        if self.both_in_air:
+            self.min_separation_m = min(self.min_separation_m, self.separation_m)
+
+    def _command(self) -> None:
+        self._commanded_step = self._step
+        for i, drone in enumerate(self._drones.values()):
+            self._commands[i] = drone.command(self._step / STEP_HZ)
+
+    # --- truth ---
+
+    @property
+    def separation_m(self) -> float:
+        """True distance between the two bodies."""
+        sender, receiver = self._states[:, :3].tolist()
+        return math.dist(sender, receiver)
+
+    @property
+    def both_in_air(self) -> bool:
+        return not (self._states[0, CONTACT] or self._states[1, CONTACT])
+
+    def snapshot(self) -> Snapshot:
+        """The truth at ``time_s``; between two physics steps the drones are carried on by their velocities."""
+        if self._snapshot is None:
+            late_s = self.time_s - self._step / STEP_HZ
+            drones = {
+                role: _truth(row, late_s, drone.autopilot.armed)
+                for (role, drone), row in zip(self._drones.items(), self._states.tolist(), strict=True)
+            }
+            objects = self._traffic.at(self.time_s)
+            self._snapshot = Snapshot(self.time_s, drones, objects, self._marker_hidden, self._depth_holes)
+        return self._snapshot
+
+    # --- faults ---
+
+    def hide_marker(self, hidden: bool) -> None:
+        """Cover the sender's marker, or uncover it."""
+        self._marker_hidden, self._snapshot = hidden, None
+
+    def depth_holes(self, holes: bool) -> None:
+        """Let the depth cameras measure nothing on objects, or let them see again."""
+        self._depth_holes, self._snapshot = holes, None
+
+    def send_lookalike(self) -> None:
+        """One more look-alike drives across, close past the target, and away; it is gone after seven seconds."""
+        self._traffic.send_lookalike(self.time_s)
+        self._snapshot = None
+
+    def battery(self, role: Role, fraction: float) -> None:
+        """Set what is left of a drone's charge, 0..1."""
+        self._drones[role].autopilot.set_battery(fraction)
+
+    def gps_jump(self, role: Role, vector_n_m: Vec3) -> None:
+        """Shift a drone's position estimate by a NED vector, for good."""
+        self._sensors.position_bias[ROLES.index(role)] += vector_n_m
+
+
+def _at_home(home: HomeConfig, leg_m: float) -> Array:
+    east, north = home.position_m
+    return standing(north, east, math.radians(home.heading_deg), leg_m)
+
+
+def _truth(row: list[float], late_s: float, armed: bool) -> DroneTruth:
+    """A state row in NED as truth in ENU, ``late_s`` after it (less than a physics step)."""
+    n, e, d, vn, ve, vd, w, x, y, z, p, q, r = row[:13]
+    if late_s > 0.0:
+        w, x, y, z = multiply((w, x, y, z), (1.0, 0.5 * late_s * p, 0.5 * late_s * q, 0.5 * late_s * r))
+        n, e, d = n + late_s * vn, e + late_s * ve, d + late_s * vd
+    scale = 2.0 / (w * w + x * x + y * y + z * z)
+    R_w_b = np.array(
+        (
+            (scale * (x * y + w * z), 1.0 - scale * (x * x + z * z), scale * (y * z - w * x)),
+            (1.0 - scale * (y * y + z * z), scale * (x * y - w * z), scale * (x * z + w * y)),
+            (scale * (w * y - x * z), -scale * (y * z + w * x), scale * (x * x + y * y) - 1.0),
+        )
+    )
+    return DroneTruth(Pose(R_w_b, np.array((e, n, -d))), (ve, vn, -vd), row[ROTOR_PHASE], armed)
