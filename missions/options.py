@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 RigName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
+OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 Faults = Annotated[tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE]"), tyro.conf.UseAppendAction]
 
 
@@ -31,7 +32,7 @@ class HandoffOptions:
     fault: Faults = ()
     """What is to go wrong, such as lookalike or link_loss=0.3; may be given several times."""
 
-    out: Path | None = None
+    out: OutFolder = None
     """Folder for logs, summary and picture; runs/<time> by default."""
 
     picture: bool = True
@@ -40,16 +41,26 @@ class HandoffOptions:
 
 @dataclass(frozen=True, slots=True)
 class RoleOptions:
-    """Fly one drone's side of a handoff, as in the field: the other side runs on the other drone."""
+    """One drone's side of a handoff, as in the field."""
 
     rig: RigName
     """A rig by name (see `path-handoff rigs`), or a rig's TOML file."""
 
-    out: Path | None = None
+    out: OutFolder = None
     """Folder for the log; runs/<time> by default."""
 
     console: Annotated[Literal["auto", "events"], tyro.conf.Suppress] = "auto"
-    """`events` writes lines of JSON to stdout, for a parent process."""
+    """`events` writes progress to stdout as lines of JSON, for a parent process."""
+
+
+@dataclass(frozen=True, slots=True)
+class SenderOptions(RoleOptions):
+    """Fly the sender alone, as in the field: the receiver runs on the other drone."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReceiverOptions(RoleOptions):
+    """Fly the receiver alone, as in the field: the sender runs on the other drone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +72,15 @@ class DoctorOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class RigsOptions:
+    """List the rigs that come with PATH."""
+
+
+@dataclass(frozen=True, slots=True)
 class ReportOptions:
     """Make summary, table and picture of a run again from its logs."""
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The folder of the run."""
 
     picture: bool = True

@@ -1,0 +1,81 @@
+"""``path-handoff``: the commands a person starts. Each imports what it needs, and only then."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+
+from missions.options import DoctorOptions, HandoffOptions, ReceiverOptions, ReportOptions, RigsOptions, SenderOptions
+
+MODULES: dict[type[object], str] = {
+    HandoffOptions: "handoff",
+    SenderOptions: "role",
+    ReceiverOptions: "role",
+    DoctorOptions: "doctor",
+    RigsOptions: "rig_library",
+    ReportOptions: "report",
+}
+"""Each has ``run(options) -> exit code``."""
+
+EXIT_REFUSED = 3
+EXIT_CTRL_C = 130
+
+DESCRIPTION = """Two drones pass a moving target, with proof that it is the same target.
+
+examples:
+  path-handoff handoff                        a whole handoff in real time, in a simulated world
+  path-handoff handoff --rig sim --seed 7     the same course, as fast as it computes
+  path-handoff handoff --fault link_loss=0.3  what happens when things go wrong
+  path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
+  path-handoff sender --rig my-rig.toml       one drone's side, as in the field
+"""
+
+Command = (
+    Annotated[HandoffOptions, tyro.conf.subcommand("handoff")]
+    | Annotated[SenderOptions, tyro.conf.subcommand("sender")]
+    | Annotated[ReceiverOptions, tyro.conf.subcommand("receiver")]
+    | Annotated[DoctorOptions, tyro.conf.subcommand("doctor")]
+    | Annotated[RigsOptions, tyro.conf.subcommand("rigs")]
+    | Annotated[ReportOptions, tyro.conf.subcommand("report")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The console script; ends the process with the command's exit code."""
+    command = tyro.cli(
+        Command,  # type: ignore[arg-type]  # a union of options, one for each command
+        args=arguments,
+        prog="path-handoff",
+        description=DESCRIPTION,
+        config=(tyro.conf.OmitSubcommandPrefixes,),
+    )
+    from drivers.interfaces import PartError  # noqa: PLC0415 (numpy behind it is half the time of --help)
+
+    try:
+        code = run(command)
+    except PartError as error:
+        sys.stderr.write(error_text(str(error), error.remedy))
+        code = EXIT_REFUSED
+    except KeyboardInterrupt:
+        code = EXIT_CTRL_C
+    sys.exit(code)
+
+
+def error_text(what: str, remedy: str) -> str:
+    """What went wrong and what to do, as the user sees it."""
+    lines = what.replace("\n", "\n       ")
+    return f"error: {lines}\n" + (f"  fix: {remedy}\n" if remedy else "")
+
+
+def run(command: Command) -> int:
+    """Carry out a command; returns its exit code. Raises PartError when it is refused."""
+    module = importlib.import_module(f"missions.{MODULES[type(command)]}")
+    return module.run(command)
+
+
+if __name__ == "__main__":
+    main()

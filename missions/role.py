@@ -1,0 +1,26 @@
+"""``path-handoff sender`` and ``receiver``: one drone's side of a handoff, in a process of its own."""
+
+from __future__ import annotations
+
+import sys
+
+from missions import rig_library
+from missions.handoff import new_folder
+from missions.options import ReceiverOptions, RoleOptions
+from missions.progress import open_console
+from missions.role_process import run_role
+from path.messages import Role
+
+
+def run(options: RoleOptions) -> int:
+    """Fly one role to its end; returns its outcome's exit code. Raises PartError when the rig or a part is refused."""
+    role = Role.RECEIVER if isinstance(options, ReceiverOptions) else Role.SENDER
+    rig = rig_library.load(options.rig)
+    folder = new_folder(options.out)
+    if options.console == "events":
+        return run_role(rig, role, folder, lambda _: None, parent=True).outcome.exit_code
+    with open_console(sys.stdout) as console:
+        result = run_role(rig, role, folder, console.show, parent=False)
+    sys.stdout.write(f"{role.value}: {result.outcome.label}: {result.detail or result.outcome.meaning}\n")
+    sys.stdout.write(f"log: {folder / role.value}.mcap\n")
+    return result.outcome.exit_code
