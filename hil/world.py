@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from drivers.interfaces import FlightMode
-from drivers.tables import decode_table
 from hil.autopilot import Autopilot, AutopilotConfig, Estimate
 from hil.dynamics import (
     COMMAND_SIZE,
@@ -68,11 +66,6 @@ class WorldConfig:
     def __post_init__(self) -> None:
         if math.dist(self.sender_home.position_m, self.receiver_home.position_m) < 1.0:
             raise ValueError("sender_home and receiver_home must be at least 1 m apart")
-
-    @classmethod
-    def from_table(cls, table: Mapping[str, Any], where: str) -> WorldConfig:
-        """Raises RigError naming every unknown key and wrong value."""
-        return decode_table(table, cls, where)
 
     def home(self, role: Role) -> HomeConfig:
         return self.sender_home if role is Role.SENDER else self.receiver_home
