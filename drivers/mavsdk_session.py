@@ -22,7 +22,7 @@ from mavsdk.mavsdk import Configuration, Mavsdk
 from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.telemetry import Telemetry as TelemetryPlugin
 
-from drivers.interfaces import Clock, VehicleError
+from drivers.interfaces import VehicleError
 from drivers.mavsdk_modes import KINDS, AutopilotKind
 from drivers.mavsdk_port import PortLock
 from drivers.mavsdk_telemetry import AUTOPILOT_COMPONENT, Telemetry
@@ -56,18 +56,20 @@ class SessionConfig:
 class Session:
     """Opened by ``open``, closed by ``close``. All methods belong to the event loop and raise VehicleError."""
 
-    def __init__(self, config: SessionConfig, clock: Clock, telemetry: Telemetry) -> None:
+    def __init__(self, config: SessionConfig, telemetry: Telemetry) -> None:
         self._config = config
-        self._clock = clock
+        self._clock = telemetry.clock
         self._telemetry = telemetry
         self._mavsdk: Any = None
         self._direct: Any = None
+        self._plugin: Any = None  # held here: when it is collected, its subscriptions end without a word
         self._lock: PortLock | None = None
         self._start_s = time.monotonic()
 
     async def open(self) -> AutopilotKind:
         """Connect and wait for the vehicle's heartbeat. Says what was heard instead when it is not there."""
         url = self._config.url
+        self._clock.follow()
         self._lock = PortLock(url)
         _logging.add(self)
         mavsdk_logging.log_subscribe(_to_python_log)
@@ -85,12 +87,13 @@ class Session:
             await asyncio.sleep(POLL_S)
         kind = self._identify()
         self._telemetry.kind = kind
-        self._telemetry.subscribe(TelemetryPlugin(system), self._direct)
+        self._plugin = TelemetryPlugin(system)
+        self._telemetry.subscribe(self._plugin, self._direct)
         return kind
 
     async def close(self) -> None:
         """Idempotent and bounded. MAVSDK's threads and the port are gone afterwards."""
-        mavsdk, self._mavsdk, self._direct = self._mavsdk, None, None
+        mavsdk, self._mavsdk, self._direct, self._plugin = self._mavsdk, None, None, None
         try:
             if mavsdk is not None:
                 await _destroy(mavsdk)

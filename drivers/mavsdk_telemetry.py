@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
@@ -21,6 +22,7 @@ Vec3 = tuple[float, float, float]
 NAN3: Vec3 = (math.nan, math.nan, math.nan)
 AUTOPILOT_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 KEPT_TEXTS = 50
+UNDISTURBED_NS = 100_000  # two readings this close had no other thread between them
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +72,33 @@ class Parameter:
     value: float
 
 
+class ThreadClock:
+    """The role's clock as MAVSDK's thread may read it: some clocks can be read only where the event loop runs.
+
+    ``follow`` belongs to the event loop and is called often, so that a clock that drifts is followed.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._offset_ns: int | None = None
+
+    def follow(self) -> None:
+        before_ns = time.monotonic_ns()
+        now_ns = self._clock.now_ns()
+        after_ns = time.monotonic_ns()
+        if self._offset_ns is None or after_ns - before_ns < UNDISTURBED_NS:
+            self._offset_ns = now_ns - (before_ns + after_ns) // 2
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns() + (self._offset_ns or 0)
+
+
 class Telemetry:
     """Slots, their handlers, and ``state`` made of them. Handlers run on MAVSDK's thread."""
 
     def __init__(self, sysid: int, clock: Clock, tangent: LocalTangent) -> None:
         self._sysid = sysid
-        self._clock = clock
+        self.clock = ThreadClock(clock)
         self._tangent = tangent
         self._history = StateHistory()
         self._failure: BaseException | None = None
@@ -111,6 +134,7 @@ class Telemetry:
 
     def check(self) -> None:
         """Raise VehicleError when a handler failed: MAVSDK itself prints such an exception and goes on."""
+        self.clock.follow()
         if self._failure is not None:
             raise VehicleError(
                 f"telemetry cannot be understood: {self._failure!r}", "report this; the vehicle is no longer followed"
@@ -177,7 +201,7 @@ class Telemetry:
             return
         fields = json.loads(message.fields_json)
         self.heartbeat = Heartbeat(
-            self._clock.now_ns(),
+            self.clock.now_ns(),
             int(fields["autopilot"]),
             int(fields["custom_mode"]),
             bool(int(fields["base_mode"]) & SAFETY_ARMED),
@@ -186,7 +210,7 @@ class Telemetry:
     def _on_ack(self, message: Any) -> None:
         if message.system_id == self._sysid:
             fields = json.loads(message.fields_json)
-            ack = CommandAck(self._clock.now_ns(), int(fields["command"]), int(fields["result"]))
+            ack = CommandAck(self.clock.now_ns(), int(fields["command"]), int(fields["result"]))
             self.acks[ack.command] = ack
 
     def _on_parameter(self, message: Any) -> None:
@@ -196,7 +220,7 @@ class Telemetry:
             self.parameter = Parameter(str(fields["param_id"]), math.nan if value is None else float(value))
 
     def _on_text(self, text: Any) -> None:
-        self.texts = (*self.texts[1 - KEPT_TEXTS :], Text(self._clock.now_ns(), int(text.type), str(text.text)))
+        self.texts = (*self.texts[1 - KEPT_TEXTS :], Text(self.clock.now_ns(), int(text.type), str(text.text)))
 
     def _on_health(self, health: Any) -> None:
         self.health = {name: bool(value) for name, value in vars(health).items()}
@@ -210,14 +234,14 @@ class Telemetry:
 
     def _on_position(self, position: Any) -> None:
         n_m = self._tangent.to_ned(position.latitude_deg, position.longitude_deg, position.absolute_altitude_m)
-        self.position = Position(self._clock.now_ns(), n_m, float(position.relative_altitude_m))
+        self.position = Position(self.clock.now_ns(), n_m, float(position.relative_altitude_m))
 
     def _on_velocity(self, ned: Any) -> None:
         velocity = ned.velocity
         self.velocity_n_mps = (float(velocity.north_m_s), float(velocity.east_m_s), float(velocity.down_m_s))
 
     def _on_attitude(self, quaternion: Any) -> None:
-        now_ns = self._clock.now_ns()
+        now_ns = self.clock.now_ns()
         q_n_b = (float(quaternion.w), float(quaternion.x), float(quaternion.y), float(quaternion.z))
         self.attitude = Attitude(now_ns, q_n_b)
         self._history.add(now_ns, q_n_b)

@@ -83,7 +83,6 @@ class MavsdkVehicle:
 
     def __init__(self, config: MavsdkVehicleConfig, context: PartContext) -> None:
         self._config = config
-        self._clock = context.clock
         origin = context.origin
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
         self._telemetry = Telemetry(config.sysid, context.clock, tangent)
@@ -97,7 +96,8 @@ class MavsdkVehicle:
             command_timeout_s=config.command_timeout_s,
             heartbeat_timeout_s=config.heartbeat_timeout_s,
         )
-        self._session = Session(session, context.clock, self._telemetry)
+        self._clock = self._telemetry.clock
+        self._session = Session(session, self._telemetry)
         self._kind: AutopilotKind = PX4
 
     async def __aenter__(self) -> Self:

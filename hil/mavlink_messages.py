@@ -67,11 +67,12 @@ class Flight:
 
     @property
     def boot_ms(self) -> int:
-        return int(self.now_s * 1e3) & 0xFFFFFFFF
+        """Of the estimate, which may be older than the message."""
+        return int(self.estimate.time_s * 1e3) & 0xFFFFFFFF
 
     @property
     def boot_us(self) -> int:
-        return int(self.now_s * 1e6)
+        return int(self.estimate.time_s * 1e6)
 
     @property
     def local_n_m(self) -> Vec3:

@@ -29,6 +29,7 @@ ACCEPTED, DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
 UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
 NOT_NOW = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 FORCE_MAGIC = 21196.0
+PHASE_TOLERANCE_S = 1e-3
 
 # POSITION_TARGET_TYPEMASK
 IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW = 0b111, 0b111000, 1 << 10
@@ -123,13 +124,16 @@ class MavlinkVehicle:
         if shown != self._shown:  # a change is told at once
             self._shown = shown
             self._due_s[mavlink.MAVLINK_MSG_ID_HEARTBEAT] = -math.inf
+        # By the estimate's time and not by ours: a stream as fast as the estimator then carries every estimate once,
+        # at once, instead of beating against it with up to a period of delay.
+        at_s = flight.estimate.time_s
         for message, due_s in self._due_s.items():
-            if flight.now_s < due_s:
+            if at_s < due_s - PHASE_TOLERANCE_S:
                 continue
             interval_s = self._intervals_s[message]
-            # Keep the phase while on time; after a stall go on from now instead of catching up in a burst.
-            late = flight.now_s - due_s > interval_s
-            self._due_s[message] = (flight.now_s if late else due_s) + interval_s
+            # Keep the phase while on time; after a stall go on from here instead of catching up in a burst.
+            late = at_s - due_s > interval_s
+            self._due_s[message] = (at_s if late else due_s) + interval_s
             self._send_message(flight, message)
 
     def _send_message(self, flight: Flight, message: int) -> bool:
@@ -253,7 +257,7 @@ class MavlinkVehicle:
             self._due_s.pop(which, None)
         else:
             self._intervals_s[which] = interval_s
-            self._due_s[which] = flight.now_s
+            self._due_s[which] = flight.estimate.time_s
         return ACCEPTED
 
 
