@@ -19,7 +19,7 @@ Scalar = TypeVar("Scalar", float, Array)
 Point3 = tuple[float, float, float]
 Coefficients = tuple[float, float, float, float, float]
 
-UNDISTORT_STEP = 1e-12
+UNDISTORT_STEP = 1e-7  # the error after a Newton step is about its square: < 1e-12
 UNDISTORT_ITERATIONS = 20
 BORDER_SAMPLES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -202,6 +202,7 @@ class CameraModel:
 def _one_to_one_radius(coefficients: Coefficients) -> float:
     """Smallest radius where r (1 + k1 r^2 + k2 r^4 + k3 r^6) stops growing, inf when nowhere."""
     k1, k2, _, _, k3 = coefficients
-    roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
-    real = [float(root.real) for root in roots if abs(root.imag) < 1e-9 and root.real > 0.0]
-    return math.sqrt(min(real)) if real else math.inf
+    # in 1/r^2, so that the leading coefficient is never small
+    roots = np.roots([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3])
+    real = [float(root.real) for root in roots if abs(root.imag) < 1e-9 and root.real > 1e-9]
+    return 1.0 / math.sqrt(max(real)) if real else math.inf

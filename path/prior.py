@@ -52,34 +52,39 @@ class Prior:
         return (vv * du * du - 2.0 * uv * du * dv + uu * dv * dv) / (uu * vv - uv * uv)
 
 
-def position_sigma(T_c2_v: Rigid, covariance: Matrix) -> float:
-    """Standard deviation per axis in m of D2's position in ``v``, ``-R^T t``, from the pose covariance."""
-    tx, ty, tz = T_c2_v[9:]
-    lever = np.array([[1.0, 0.0, 0.0, 0.0, -tz, ty], [0.0, 1.0, 0.0, tz, 0.0, -tx], [0.0, 0.0, 1.0, -ty, tx, 0.0]])
-    variance = float(np.einsum("ij,jk,ik->", lever, covariance, lever))
-    return math.sqrt(max(0.0, variance) / 3.0)
-
-
-def pixel_covariance(
+def propagate(
     camera: CameraModel, T_c2_v: Rigid, point_c: Vec3, covariance: Matrix, point_sigma_m: float, pixel_sigma_px: float
-) -> Covariance2:
-    """Covariance of the projected point from the pose's (6, 6), the point's sigma per axis and the detector's noise."""
+) -> tuple[Covariance2, float]:
+    """Covariance of the projected point, and the standard deviation per axis (m) of D2's position in ``v``.
+
+    Args:
+        point_c: the target's point in D2's camera frame, m.
+        covariance: of ``T_c2_v``, (6, 6), see the module.
+        point_sigma_m: of the target's point, per axis.
+        pixel_sigma_px: of a detector's box centre.
+    """
     a, b, c, d, e, f = camera.project_point_jacobian(point_c)
-    # q = R p_v: the rotation turns the point about the marker's origin, dX = dt + dw x q
-    x, y, z = point_c[0] - T_c2_v[9], point_c[1] - T_c2_v[10], point_c[2] - T_c2_v[11]
+    tx, ty, tz = T_c2_v[9:]
+    # the rotation turns the point about the marker's origin: dX = dt + dw x q with q = R p_v
+    x, y, z = point_c[0] - tx, point_c[1] - ty, point_c[2] - tz
     jacobian = np.array(
-        [
-            [a, b, c, c * y - b * z, a * z - c * x, b * x - a * y],
-            [d, e, f, f * y - e * z, d * z - f * x, e * x - d * y],
-        ]
+        (
+            (a, b, c, c * y - b * z, a * z - c * x, b * x - a * y),
+            (d, e, f, f * y - e * z, d * z - f * x, e * x - d * y),
+            # D2's position is -R^T t, in D2's own axes it moves by -(dt - dw x t)
+            (1.0, 0.0, 0.0, 0.0, -tz, ty),
+            (0.0, 1.0, 0.0, tz, 0.0, -tx),
+            (0.0, 0.0, 1.0, -ty, tx, 0.0),
+        )
     )
-    (uu, uv), (_, vv) = (jacobian @ covariance @ jacobian.T).tolist()
+    rows = (jacobian @ covariance @ jacobian.T).tolist()
     point, pixel = point_sigma_m * point_sigma_m, pixel_sigma_px * pixel_sigma_px
-    return (
-        uu + point * (a * a + b * b + c * c) + pixel,
-        uv + point * (a * d + b * e + c * f),
-        vv + point * (d * d + e * e + f * f) + pixel,
+    pixel_covariance = (
+        rows[0][0] + point * (a * a + b * b + c * c) + pixel,
+        rows[0][1] + point * (a * d + b * e + c * f),
+        rows[1][1] + point * (d * d + e * e + f * f) + pixel,
     )
+    return pixel_covariance, math.sqrt(max(0.0, rows[2][2] + rows[3][3] + rows[4][4]) / 3.0)
 
 
 def predict(
@@ -111,8 +116,7 @@ def predict(
     if not camera.sees(point_c):
         return Missed(MissReason.PRIOR_OUTSIDE)
     sigma_m = math.hypot(point_sigma_m, config.target_center_sigma_m)
-    uu, uv, vv = pixel_covariance(camera, T_c2_v, point_c, covariance, sigma_m, config.pixel_sigma_px)
-    pose_sigma_m = position_sigma(T_c2_v, covariance)
+    (uu, uv, vv), pose_sigma_m = propagate(camera, T_c2_v, point_c, covariance, sigma_m, config.pixel_sigma_px)
     if not (math.isfinite(pose_sigma_m + uu + uv + vv) and uu * vv > uv * uv):
         return Missed(MissReason.NON_FINITE)
     half_u, half_v = config.search_sigmas * math.sqrt(uu), config.search_sigmas * math.sqrt(vv)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from operator import itemgetter
 
 from path.agreement import iou, plain_box
 from path.camera import CameraModel
@@ -75,7 +76,7 @@ class ReceiverCycle:
         else:
             return None
         x, y, z = values[3:6]
-        norm = math.sqrt(x * x + y * y + z * z)
+        norm = math.hypot(x, y, z)
         return x / norm, y / norm, z / norm
 
     def prior(self, T_c2_v: Pose, covariance: Matrix, stamp_ns: int) -> Prior | Missed:
@@ -154,9 +155,12 @@ class ReceiverCycle:
         if isinstance(prior, Missed):
             return prior
         gate = self._config.search_sigmas**2
-        near = [(prior.distance2(*detection.box.center), detection) for detection in detections]
-        near = sorted((item for item in near if item[0] <= gate), key=lambda item: item[0])
-        near = [item for item in near if item[1].box.w > 0.0 and item[1].box.h > 0.0]
+        near: list[tuple[float, Detection]] = []
+        for detection in detections:
+            distance2 = prior.distance2(*detection.box.center)
+            if distance2 <= gate and detection.box.w > 0.0 and detection.box.h > 0.0:
+                near.append((distance2, detection))
+        near.sort(key=itemgetter(0))
         if not near:
             return Missed(MissReason.NO_CANDIDATE)
         nearest, best = near[0]
@@ -168,7 +172,7 @@ class ReceiverCycle:
     def _unusable(self, target: Target, capture_ns: int, now_ns: int) -> MissReason | None:
         if (target.handoff_id, target.epoch, target.target_id) != self._identity:
             return MissReason.STALE
-        norm = math.sqrt(sum(g * g for g in target.gravity_v))
+        norm = math.hypot(*target.gravity_v)
         if not (math.isfinite(sum(target.point_v_m) + target.sigma_m) and 0.95 < norm < 1.05 and target.sigma_m >= 0.0):
             return MissReason.NON_FINITE
         newest = self._track.newest

@@ -145,7 +145,7 @@ class SenderCycle:
         if depth is None or not (config.min_depth_m <= depth.z_m <= config.max_depth_m and depth.sigma_m >= 0.0):
             return Missed(MissReason.NO_DEPTH)
         point = locate(self._views.camera1, self._views.T_v_c1, box, depth, config)
-        norm = math.sqrt(sum(g * g for g in gravity_v))
+        norm = math.hypot(*gravity_v)
         if not (math.isfinite(sum(point.point_v_m) + point.sigma_m) and abs(norm - 1.0) < UNIT_TOLERANCE):
             return Missed(MissReason.NON_FINITE)
         return point
@@ -224,6 +224,6 @@ def _is_sound(candidate: Candidate) -> bool:
         total += box.x + box.y + box.w + box.h
         if not (box.w > 0.0 and box.h > 0.0):
             return False
-    norm = math.sqrt(sum(part * part for part in candidate.rotation_v_c2))
+    norm = math.hypot(*candidate.rotation_v_c2)
     one_of_two = (box is None) != (candidate.reason is None)
     return math.isfinite(total) and abs(norm - 1.0) < UNIT_TOLERANCE and candidate.sigma_m >= 0.0 and one_of_two

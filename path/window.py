@@ -84,8 +84,9 @@ class AgreementWindow:
         self._peer = pair.peer_sequence
         if self._floor_ns is not None and pair.capture_ns <= self._floor_ns:
             return MissReason.STALE
-        own = next((frame for frame in pair.own_frames if self._own is None or frame[0] > self._own), None)
-        if own is None:
+        before, after = pair.own_frames
+        own = before if self._own is None or before[0] > self._own else after
+        if self._own is not None and own[0] <= self._own:
             return MissReason.DUPLICATE
         self.expire(pair.capture_ns)
         self._own = own[0]

@@ -1,0 +1,132 @@
+"""The prior in D2's image: the paper's own figure, covariance against sampling, and what is no prior at all."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from path.camera import CameraModel
+from path.config import MethodConfig
+from path.geometry import Matrix, Pose
+from path.observations import Missed, MissReason
+from path.prior import Prior, predict, propagate
+from path.rigid import rigid, transform
+from path.rotation import exp
+
+CONFIG = MethodConfig()
+NOMINAL = CameraModel(  # eq. nominal_intrinsics: 1920 x 1080, 69.4 by 42.5 degrees
+    1920,
+    1080,
+    960.0 / math.tan(math.radians(34.7)),
+    540.0 / math.tan(math.radians(21.25)),
+    960.0,
+    540.0,
+)
+NOMINAL_POSE = Pose(exp(np.array([0.0, math.radians(25.0), 0.0])), np.array([-1.0, 0.2, 1.0]))
+CAMERA = CameraModel(640, 480, 615.0, 616.0, 320.0, 240.0, (-0.1, 0.05, 0.001, -0.001, 0.0))
+POSE = Pose(exp(np.array([0.2, 0.4, -0.1])), np.array([-0.7, 0.1, 1.2]))
+POINT = (0.1, -0.05, 1.4)
+
+
+def covariance(t_sigma_m: float = 0.004, r_sigma_rad: float = 0.003) -> Matrix:
+    """Translation and rotation correlated, as those of a planar marker are."""
+    a = np.diag([t_sigma_m] * 3 + [r_sigma_rad] * 3)
+    a[0, 4] = 0.6 * t_sigma_m
+    a[1, 3] = -0.6 * t_sigma_m
+    return a @ a.T
+
+
+def prior_of(**changes: Any) -> Prior | Missed:
+    values: dict[str, Any] = {
+        "camera": CAMERA,
+        "T_c2_v": rigid(POSE),
+        "covariance": covariance(),
+        "point_v": POINT,
+        "point_sigma_m": 0.01,
+        "target_sequence": 7,
+        "config": CONFIG,
+    }
+    return predict(**(values | changes))
+
+
+def test_nominal_projection_of_the_paper() -> None:
+    # the target at D1's principal point at 1 m, v and c1 taken as one frame, yaw about the camera's y axis
+    assert NOMINAL.fx == pytest.approx(1386.42, abs=0.01)
+    assert NOMINAL.fy == pytest.approx(1388.61, abs=0.01)
+    prior = predict(NOMINAL, rigid(NOMINAL_POSE), covariance(), (0.0, 0.0, 1.0), 0.005, 0, CONFIG)
+    assert isinstance(prior, Prior)
+    assert prior.pixel == pytest.approx((540.08, 685.69), abs=0.01)
+
+
+def test_nominal_geometry_could_not_see_the_marker() -> None:
+    u, _ = NOMINAL.project_point(transform(rigid(NOMINAL_POSE), (0.0, 0.0, 0.0)))
+    assert u == pytest.approx(-426.4, abs=0.1)
+
+
+def test_covariance_is_that_of_sampled_poses() -> None:
+    """Left rotation perturbation in the camera frame, translation untouched by it."""
+    rng = np.random.default_rng(1)
+    n, point_sigma, pixel_sigma = 20_000, 0.005, 1.0
+    samples = rng.multivariate_normal(np.zeros(6), covariance(), n)
+    pixels, positions = np.empty((n, 2)), np.empty((n, 3))
+    for i, sample in enumerate(samples):
+        R, t = exp(sample[3:]) @ POSE.R, POSE.t + sample[:3]
+        point_c = R @ (np.array(POINT) + rng.normal(0.0, point_sigma, 3)) + t
+        pixels[i] = CAMERA.project_point((float(point_c[0]), float(point_c[1]), float(point_c[2])))
+        positions[i] = -R.T @ t
+    pixels += rng.normal(0.0, pixel_sigma, pixels.shape)
+    point_c = transform(rigid(POSE), POINT)
+    (uu, uv, vv), sigma_m = propagate(CAMERA, rigid(POSE), point_c, covariance(), point_sigma, pixel_sigma)
+    sampled = np.cov(pixels.T)
+    scale = math.sqrt(sampled[0, 0] * sampled[1, 1])
+    np.testing.assert_allclose([[uu, uv], [uv, vv]], sampled, atol=0.04 * scale)
+    assert sigma_m == pytest.approx(math.sqrt(np.trace(np.cov(positions.T)) / 3.0), rel=0.04)
+
+
+def test_region_reaches_the_ellipse_and_half_the_targets_box() -> None:
+    prior, with_box = prior_of(), prior_of(box_size_at_1m_px=(200.0, 100.0))
+    assert isinstance(prior, Prior)
+    assert isinstance(with_box, Prior)
+    u, v = prior.pixel
+    edge_u, edge_v = prior.region.x1 - u, prior.region.y1 - v
+    assert edge_u == pytest.approx(CONFIG.search_sigmas * math.sqrt(prior.covariance_px2[0]))
+    assert edge_v == pytest.approx(CONFIG.search_sigmas * math.sqrt(prior.covariance_px2[2]))
+    assert with_box.region.x1 - prior.region.x1 == pytest.approx(100.0 / prior.depth_m)
+    assert with_box.region.y1 - prior.region.y1 == pytest.approx(50.0 / prior.depth_m)
+
+
+def test_region_is_never_smaller_than_the_least() -> None:
+    config = replace(CONFIG, min_search_px=120.0)
+    prior = prior_of(config=config)
+    assert isinstance(prior, Prior)
+    assert prior.region.x1 - prior.pixel[0] == pytest.approx(120.0)
+
+
+def test_distance_is_in_standard_deviations() -> None:
+    prior = prior_of()
+    assert isinstance(prior, Prior)
+    u, v = prior.pixel
+    precision = np.linalg.inv([prior.covariance_px2[:2], prior.covariance_px2[1:]])
+    offset = np.array([7.0, -4.0])
+    assert prior.distance2(u + 7.0, v - 4.0) == pytest.approx(offset @ precision @ offset)
+    assert prior.distance2(u, v) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"point_v": (5.0, 0.0, 1.0)}, MissReason.PRIOR_OUTSIDE),
+        ({"point_v": (0.0, 0.0, -3.0)}, MissReason.PRIOR_OUTSIDE),
+        ({"point_v": (math.nan, 0.0, 1.0)}, MissReason.NON_FINITE),
+        ({"point_sigma_m": math.inf}, MissReason.NON_FINITE),
+        ({"covariance": np.full((6, 6), np.nan)}, MissReason.NON_FINITE),
+        ({"covariance": covariance(t_sigma_m=0.2)}, MissReason.POSE_UNCERTAIN),
+        ({"point_sigma_m": 0.5}, MissReason.POSE_UNCERTAIN),
+    ],
+)
+def test_what_is_no_prior_says_why(changes: dict[str, Any], reason: MissReason) -> None:
+    result = prior_of(**changes)
+    assert isinstance(result, Missed)
+    assert result.reason is reason
