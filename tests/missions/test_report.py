@@ -1,0 +1,125 @@
+"""The report: figures from records alone, with the errors that were put into them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missions.records import RunFolderError, load_run
+from missions.summary import summarize
+from missions.truth import first_hit, truth_of
+from path.messages import Role
+
+MakeRun = Callable[..., Path]
+BOX = np.array([[0.0, 0.0, 0.5, 2.0, 1.0, 1.0]])
+
+
+def test_errors_are_those_that_were_put_in(make_run: MakeRun) -> None:
+    summary = summarize(load_run(make_run(d2_error_m=0.012, target_error_m=0.02)))
+    assert summary["d2_error_m"] == pytest.approx(0.012, abs=2e-4)
+    assert summary["target_error_m"] == pytest.approx(0.02, abs=5e-4)
+    assert summary["target_error_p95_m"] >= summary["target_error_m"]
+
+
+def test_perfect_estimates_have_no_error(make_run: MakeRun) -> None:
+    summary = summarize(load_run(make_run(d2_error_m=0.0, target_error_m=0.0)))
+    assert summary["d2_error_m"] < 2e-4
+    assert summary["target_error_m"] < 5e-4
+
+
+def test_clocks_that_are_mixed_up_would_show(make_run: MakeRun) -> None:
+    run = load_run(make_run())
+    truth = truth_of(run.world)
+    assert truth is not None
+    stamp_ns = run.receiver["/candidate"][100].record["capture_ns"]
+    assert truth.to_world_ns(Role.RECEIVER, stamp_ns) == pytest.approx(22e9, abs=2)
+    assert np.linalg.norm(truth.T_w_c(Role.RECEIVER, stamp_ns).t - truth.T_w_c(Role.RECEIVER, stamp_ns + 10**9).t) > 0.2
+
+
+def test_times_counts_and_rates(make_run: MakeRun) -> None:
+    summary = summarize(load_run(make_run()))
+    expected = {
+        "outcome": "committed",
+        "exit_code": 0,
+        "t_commit_s": 27.05,
+        "agreement_s": 7.05,
+        "iou_median": 0.7,
+        "tau_median": 0.3,
+        "misses": {"low_iou": 2},
+        "pairs_judged": 352,
+        "pairs_agreed": 350,
+        "count_max": 350,
+        "separation_limit_m": 0.7,
+        "link_bytes_per_s": 8000.0,
+        "realtime_factor": 80.0,
+        "wrong_handover": False,
+        "object_handed_over": 0,
+        "monitors": {},
+        "setpoint_gap_s": {"sender": 0.04},
+    }
+    assert {key: summary[key] for key in expected} == expected
+    assert summary["min_separation_m"] == pytest.approx(np.linalg.norm([0.5, 0.9, 0.5]), abs=1e-3)
+    assert summary["frames"]["receiver"] == {"hz": 50.0, "missed": 0}
+    assert summary["frames"]["sender"]["missed"] == 1
+    json.dumps(summary, allow_nan=False)
+
+
+def test_phases_have_starts_and_durations(make_run: MakeRun) -> None:
+    phases = summarize(load_run(make_run()))["phases"]
+    assert phases["sender"][1] == {"phase": "take-off", "start_s": 5.0, "duration_s": 5.0}
+    assert [p["phase"] for p in phases["receiver"]][-2:] == ["follow", "land"]
+    assert phases["sender"][-1]["duration_s"] > 0.0
+
+
+def test_a_hand_over_of_the_wrong_object_is_seen(make_run: MakeRun) -> None:
+    summary = summarize(load_run(make_run(followed_id=1)))
+    assert summary["wrong_handover"] is True
+    assert summary["object_handed_over"] == 1
+
+
+def test_without_a_commit_nothing_was_handed_over(make_run: MakeRun) -> None:
+    summary = summarize(load_run(make_run(committed=False, followed_id=1)))
+    assert summary["outcome"] == "no_agreement"
+    assert summary["wrong_handover"] is False
+    assert summary["t_commit_s"] is None
+    assert summary["agreement_s"] is None
+    assert summary["iou_median"] == 0.7
+
+
+def test_without_a_world_what_needs_truth_is_null(make_run: MakeRun) -> None:
+    summary = summarize(load_run(make_run(world=False)))
+    assert summary["d2_error_m"] is None
+    assert summary["wrong_handover"] is None
+    assert summary["min_separation_m"] > 0.5  # by D2's own measurement of the marker
+
+
+def test_a_run_that_was_cut_off_still_has_a_summary(make_run: MakeRun) -> None:
+    folder = make_run()
+    (folder / "run.json").unlink()
+    (folder / "receiver.mcap").unlink()
+    sender = folder / "sender.mcap"
+    sender.write_bytes(sender.read_bytes()[:2000])
+    summary = summarize(load_run(folder))
+    assert summary["outcome"] == "unfinished"
+    assert summary["iou_median"] is None
+
+
+def test_what_is_no_run_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RunFolderError, match="not the folder of a run"):
+        load_run(tmp_path)
+
+
+def test_a_ray_meets_the_near_face_of_the_nearest_box() -> None:
+    two = np.vstack([BOX, BOX + np.array([5.0, 0, 0, 0, 0, 0])])
+    hit = first_hit(np.array([-10.0, 0.2, 0.5]), np.array([2.0, 0.0, 0.0]), two)
+    assert hit is not None
+    np.testing.assert_allclose(hit, [-1.0, 0.2, 0.5])
+
+
+@pytest.mark.parametrize(("origin", "direction"), [((-10, 0.6, 0.5), (1, 0, 0)), ((-10, 0, 0.5), (-1, 0, 0))])
+def test_a_ray_that_misses_meets_nothing(origin: tuple[float, ...], direction: tuple[float, ...]) -> None:
+    assert first_hit(np.array(origin, float), np.array(direction, float), BOX) is None
