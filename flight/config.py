@@ -101,8 +101,8 @@ class MissionConfig:
     image_hz: float = 1.0  # camera images in the log
     follow_after_s: float = 6.0  # how long D2 follows before it lands
     depart_m: float = 2.5
-    camera_rotation_sigma_deg: float = 0.2  # attitude noise of the two vehicles, for the gravity prior
-    attitude_sigma_deg: float = 0.6
+    search_hz: float = 10.0  # looks at the whole image for the marker
+    attitude_sigma_deg: float = 0.6  # of either vehicle's roll and pitch, for the gravity prior
     target: TargetDesignation = field(default_factory=TargetDesignation)
     follow: FollowConfig = field(default_factory=FollowConfig)
     separation: SeparationConfig = field(default_factory=SeparationConfig)

@@ -44,11 +44,6 @@ def bearing(to_n_m: Vec3) -> float:
     return math.atan2(to_n_m[1], to_n_m[0])
 
 
-def wrap(angle_rad: float) -> float:
-    """To (-pi, pi]."""
-    return math.atan2(math.sin(angle_rad), math.cos(angle_rad))
-
-
 def close_in(error_n_m: Vec3, feed_forward_n_mps: Vec3, gain_per_s: float, max_speed_mps: float) -> Vec3:
     """Proportional pursuit of a (moving) point: the correction is limited, the feed-forward is not."""
     return add(feed_forward_n_mps, limit(scale(error_n_m, gain_per_s), max_speed_mps))
@@ -70,9 +65,3 @@ def slew(previous: VelocitySetpoint, wanted: VelocitySetpoint, dt_s: float, max_
     """Limit the change of velocity between two setpoints to ``max_accel`` (m/s^2)."""
     change = limit(subtract(wanted.velocity_n_mps, previous.velocity_n_mps), max_accel * dt_s)
     return VelocitySetpoint(add(previous.velocity_n_mps, change), wanted.yaw_rad)
-
-
-def yaw_of(q_n_b: tuple[float, float, float, float]) -> float:
-    """Heading of an attitude quaternion (wxyz)."""
-    w, x, y, z = q_n_b
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -6,8 +6,9 @@ A rig names its harness (``harness = "hil.sim:SimHarness"``); nothing imports on
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -48,11 +49,40 @@ class RoleResult:
     landed: bool
 
 
+def encode_event(event: Progress | RoleResult) -> str:
+    """One line of JSON: how a role's program tells its parent process."""
+    if isinstance(event, Progress):
+        return json.dumps({"event": "progress", **asdict(event), "role": event.role.value})
+    record = {**asdict(event), "role": event.role.value, "outcome": event.outcome.label}
+    return json.dumps({"event": "result", **record})
+
+
+def decode_event(line: str | bytes) -> Progress | RoleResult | None:
+    """The event of a line; None when the line is none (a library's own output)."""
+    try:
+        record = json.loads(line)
+        kind, role = record.pop("event"), Role(record.pop("role"))
+        if kind == "progress":
+            return Progress(role=role, **record)
+        return RoleResult(role=role, outcome=Outcome.from_label(record.pop("outcome")), **record)
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return None
+
+
+class InProcess(Protocol):
+    """A harness whose world is in the role's own process; its parts know it as more than this."""
+
+    @property
+    def seed(self) -> int:
+        """Whatever is drawn by chance is drawn from it, so that a run can be repeated."""
+        ...
+
+
 class RoleMain(Protocol):
     """One role's whole program, from opening its parts to the vehicle on the ground."""
 
     def __call__(
-        self, rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: object | None
+        self, rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None
     ) -> Awaitable[RoleResult]: ...
 
 

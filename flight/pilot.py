@@ -8,7 +8,8 @@ from collections.abc import Callable
 from drivers.interfaces import Clock, FlightMode, Log, Vehicle, VehicleState, VelocitySetpoint
 from flight.config import MissionConfig
 from flight.guard import check_vehicle
-from flight.guidance import Anchor, slew, yaw_of
+from flight.guidance import Anchor, slew
+from path.rotation import yaw_of
 
 Guidance = Callable[[VehicleState], VelocitySetpoint]
 
@@ -44,7 +45,13 @@ class Pilot:
         self.in_control = True
 
     async def run(self) -> None:
-        """Send setpoints until cancelled. Raises MissionEnd when the guard trips."""
+        """Send setpoints until cancelled or let go. Raises MissionEnd when the guard trips."""
+        try:
+            await self._run()
+        finally:
+            self.in_control = False
+
+    async def _run(self) -> None:
         period_s = 1.0 / self._config.control_hz
         loop = asyncio.get_running_loop()
         due_s = loop.time()

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from drivers.interfaces import PartError
+from flight.harness import Progress
 from path.messages import Role
+
+AT_COUNT = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +58,37 @@ class Fault:
     @property
     def name(self) -> str:
         return self.kind.name
+
+    @property
+    def kills(self) -> Role | None:
+        """The role whose program this fault ends without a word."""
+        return self.kind.role if self.name.startswith("kill_") else None
+
+    @property
+    def cuts_off(self) -> Role | None:
+        """The role whose vehicle gets no more setpoints because of this fault."""
+        return self.kind.role if self.kills or self.name == "fc_link_loss" else None
+
+
+class FaultTrigger:
+    """Says when a fault begins: from the start, or once the sender has counted ``AT_COUNT`` agreeing pairs."""
+
+    def __init__(self, faults: Sequence[Fault]) -> None:
+        self._waiting = list(faults)
+
+    def from_the_start(self) -> list[Fault]:
+        return self._take(lambda fault: fault.kind.whole_run)
+
+    def on_progress(self, progress: Progress) -> list[Fault]:
+        """The faults that begin with this progress of a role."""
+        if not self._waiting or progress.role is not Role.SENDER or progress.count < AT_COUNT:
+            return []
+        return self._take(lambda _: True)
+
+    def _take(self, due: Callable[[Fault], bool]) -> list[Fault]:
+        taken = [fault for fault in self._waiting if due(fault)]
+        self._waiting = [fault for fault in self._waiting if fault not in taken]
+        return taken
 
 
 def parse_fault(text: str) -> Fault:

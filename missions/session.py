@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 import sys
 import traceback
 from collections.abc import Awaitable, Callable, Coroutine
@@ -21,19 +22,24 @@ from drivers.interfaces import (
     Sight,
     Vehicle,
     VehicleError,
+    View,
 )
 from drivers.rig import Rig, RoleRig, create, part_context
-from flight.clocks import ClockAlignment
+from flight.clocks import ClockAlignment, answer
 from flight.config import MissionConfig
-from flight.guidance import yaw_of
-from flight.harness import Emit, Progress, RoleResult
+from flight.harness import Emit, InProcess, Progress, RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
 from path.messages import Ping, Pong, Role, Status
+from path.rotation import yaw_of
 
 _POLL_S = 0.02
 _PROGRESS_PERIOD_S = 0.2
+
+
+def _ignore(_: object) -> None:
+    pass
 
 
 @dataclass(slots=True)
@@ -59,6 +65,7 @@ class Session:
         emit: Emit,
         stop: asyncio.Event,
         parts: tuple[Clock, Vehicle, Sight, Link],
+        entropy: random.Random,
     ) -> None:
         self.rig = rig
         self.role = role
@@ -66,6 +73,7 @@ class Session:
         self.config = config
         self.log = log
         self.stop = stop
+        self.entropy = entropy
         self.clock, self.vehicle, self.sight, self.link = parts
         self.pilot = Pilot(self.vehicle, self.clock, config, log)
         self.alignment = ClockAlignment()
@@ -75,11 +83,13 @@ class Session:
         self.peer_heard_ns = 0
         self.responsible = False
         self.observing = False
-        self.on_message: Callable[[Received], None] = lambda _: None
+        self.on_message: Callable[[Received], None] = _ignore
+        self.on_status: Callable[[Status], None] = _ignore
         self.ended: asyncio.Future[MissionEnd] = asyncio.get_running_loop().create_future()
         self._spawned: list[asyncio.Task[None]] = []
         self._emit = emit
         self._pings = 0
+        self._image_ns = -(1 << 62)
         self._traffic: list[tuple[float, int]] = []
 
     # --- time and waiting ---------------------------------------------------------------------------------------
@@ -143,6 +153,16 @@ class Session:
         first_s, first = self._traffic[0]
         return (total - first) / (now_s - first_s) if now_s > first_s else 0.0
 
+    def log_image(self, view: View) -> None:
+        """Log the camera's image, ``image_hz`` times a second at the most."""
+        period_ns = round(1e9 / self.config.image_hz)
+        if view.stamp_ns - self._image_ns < period_ns:
+            return
+        image = view.image()
+        if image is not None:
+            self._image_ns = view.stamp_ns
+            self.log.image("/image", view.stamp_ns, image)
+
     # --- background tasks ----------------------------------------------------------------------------------------
 
     async def pump(self) -> None:
@@ -152,11 +172,12 @@ class Session:
             self.peer_heard_ns = received.arrival_ns
             message = received.message
             if isinstance(message, Ping):
-                self.link.send(Pong(message.nonce, message.sent_ns, received.arrival_ns, self.now_ns()))
+                self.link.send(answer(message, received.arrival_ns, self.now_ns()))
             elif isinstance(message, Pong):
                 self.alignment.on_pong(message, received.arrival_ns)
             elif isinstance(message, Status):
                 self.peer = message
+                self.on_status(message)
             else:
                 self.on_message(received)
 
@@ -237,7 +258,7 @@ async def open_session(
     log: Log,
     emit: Emit,
     stop: asyncio.Event,
-    harness: object | None,
+    harness: InProcess | None,
 ) -> Session:
     """Make and open a role's parts, closed again by ``stack``. Raises PartError."""
     context = part_context(rig, role, harness)
@@ -245,7 +266,8 @@ async def open_session(
     link: Link = await stack.enter_async_context(create(own.link, context))
     sight: Sight = await stack.enter_async_context(create(own.sight, context))
     vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
-    return Session(rig, role, config, log, emit, stop, (context.clock, vehicle, sight, link))
+    entropy = random.SystemRandom() if harness is None else random.Random(f"{role.value} {harness.seed}")
+    return Session(rig, role, config, log, emit, stop, (context.clock, vehicle, sight, link), entropy)
 
 
 async def fly_course(session: Session, course: Course, recover: Recovery) -> RoleResult:

@@ -1,0 +1,244 @@
+"""The ``sitl`` harness: the world and both roles as processes, in real time, with real sockets between them.
+
+This process only starts them, passes on what they say, switches faults and makes sure that nothing is left behind.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from drivers.log import read_log
+from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, decode_event
+from hil.faults import Fault, FaultTrigger, parse_fault
+from hil.monitors import Monitors
+from path.messages import Role
+
+WORLD_READY_S = 180.0  # the first start compiles the renderer
+RUN_LIMIT_S = 420.0
+LANDING_LIMIT_S = 45.0
+ROLE_EXIT_S = 60.0
+
+
+class HarnessFailure(Exception):
+    """The simulation itself failed: not the mission's fault."""
+
+
+@dataclass(slots=True)
+class _Run:
+    """What is known of a run while it goes on."""
+
+    request: FlightRequest
+    results: dict[Role, RoleResult] = field(default_factory=dict[Role, RoleResult])
+    interrupted: bool = False
+    finished: dict[str, Any] | None = None
+
+
+class SitlHarness:
+    """Real MAVSDK, real sockets, rendered frames through shared memory; the vehicles are the embedded ones."""
+
+    def fly(self, request: FlightRequest) -> FlightReport:
+        return asyncio.run(_fly(request))
+
+
+async def _fly(request: FlightRequest) -> FlightReport:
+    faults = [parse_fault(text) for text in request.faults]
+    run = _Run(request)
+    start_s = time.monotonic()
+    processes: list[asyncio.subprocess.Process] = []
+    failure = ""
+    try:
+        world = await _start_world(request, processes)
+        trigger = FaultTrigger(faults)
+        for fault in trigger.from_the_start():
+            await _inject(fault, world, {})
+        roles = {role: await _start_role(request, role, processes) for role in Role}
+        await _supervise(run, trigger, world, roles)
+        run.finished = await _finish_world(world)
+    except HarnessFailure as error:
+        failure = str(error)
+    finally:
+        await _kill(processes)
+    return _report(run, failure, time.monotonic() - start_s)
+
+
+async def _start_world(
+    request: FlightRequest, processes: list[asyncio.subprocess.Process]
+) -> asyncio.subprocess.Process:
+    arguments = [str(request.rig.file), str(request.out), str(request.seed)]
+    world = await _spawn([sys.executable, "-m", "hil.sitl_world", *arguments], request.out / "world.stderr.txt")
+    processes.append(world)
+    try:
+        async with asyncio.timeout(WORLD_READY_S):
+            while True:
+                event = await _read_json(world)
+                if event.get("event") == "ready":
+                    return world
+    except TimeoutError:
+        raise HarnessFailure(f"the world was not ready within {WORLD_READY_S:.0f} s") from None
+
+
+async def _read_json(process: asyncio.subprocess.Process) -> dict[str, Any]:
+    assert process.stdout is not None
+    line = await process.stdout.readline()
+    if not line:
+        raise HarnessFailure(f"the world's process ended (exit code {await process.wait()}): see world.stderr.txt")
+    try:
+        return json.loads(line)
+    except ValueError:
+        return {}
+
+
+async def _start_role(
+    request: FlightRequest, role: Role, processes: list[asyncio.subprocess.Process]
+) -> asyncio.subprocess.Process:
+    process = await _spawn(request.role_command(role), request.out / f"{role.value}.stderr.txt")
+    processes.append(process)
+    return process
+
+
+async def _spawn(command: Sequence[str], errors: Path) -> asyncio.subprocess.Process:
+    """A child in a session of its own: Ctrl-C in the terminal reaches only this process, which then decides."""
+    with errors.open("wb") as stderr:
+        return await asyncio.create_subprocess_exec(
+            *command,
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=stderr,
+            start_new_session=True,
+        )
+
+
+async def _supervise(
+    run: _Run,
+    trigger: FaultTrigger,
+    world: asyncio.subprocess.Process,
+    roles: dict[Role, asyncio.subprocess.Process],
+) -> None:
+    """Until both role programs have ended: pass on their events, switch faults, stop them when told to."""
+    loop = asyncio.get_running_loop()
+
+    def stop() -> None:
+        run.interrupted = True
+        for process in roles.values():
+            if process.returncode is None:
+                process.send_signal(signal.SIGTERM)
+
+    async def listen(role: Role) -> None:
+        stream = roles[role].stdout
+        assert stream is not None
+        async for line in stream:
+            event = decode_event(line)
+            if isinstance(event, RoleResult):
+                run.results[role] = event
+            elif isinstance(event, Progress):
+                run.request.emit(event)
+                for fault in trigger.on_progress(event):
+                    await _inject(fault, world, roles)
+        await roles[role].wait()
+
+    async def watch_world() -> None:
+        assert world.stdout is not None
+        await world.stdout.readline()
+        raise HarnessFailure("the world's process ended during the flight: see world.stderr.txt")
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop)
+    watcher = asyncio.create_task(watch_world())
+    listeners = asyncio.gather(*(listen(role) for role in roles))
+    try:
+        done, _ = await asyncio.wait([watcher, listeners], timeout=RUN_LIMIT_S, return_when=asyncio.FIRST_COMPLETED)
+        if not done:
+            stop()
+            await asyncio.wait([listeners], timeout=ROLE_EXIT_S)
+            raise HarnessFailure(f"the run did not end within {RUN_LIMIT_S:.0f} s")
+        if watcher in done:
+            watcher.result()
+    finally:
+        for task in (watcher, listeners):
+            task.cancel()
+        await asyncio.gather(watcher, listeners, return_exceptions=True)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.remove_signal_handler(number)
+
+
+async def _inject(
+    fault: Fault, world: asyncio.subprocess.Process, roles: dict[Role, asyncio.subprocess.Process]
+) -> None:
+    if fault.kills is not None:
+        roles[fault.kills].kill()
+    await _tell(world, {"fault": fault.name, "value": fault.value})
+
+
+async def _tell(process: asyncio.subprocess.Process, command: dict[str, Any]) -> None:
+    assert process.stdin is not None
+    with contextlib.suppress(ConnectionError):
+        process.stdin.write(json.dumps(command).encode() + b"\n")
+        await process.stdin.drain()
+
+
+async def _finish_world(world: asyncio.subprocess.Process) -> dict[str, Any]:
+    """Let the world run until both vehicles are down, and take its findings."""
+    await _tell(world, {"finish": LANDING_LIMIT_S})
+    try:
+        async with asyncio.timeout(LANDING_LIMIT_S + 10.0):
+            while True:
+                event = await _read_json(world)
+                if event.get("event") == "finished":
+                    return event
+    except TimeoutError:
+        raise HarnessFailure("the world did not end") from None
+
+
+async def _kill(processes: list[asyncio.subprocess.Process]) -> None:
+    """Nothing is left behind, children of children included."""
+    for process in processes:
+        if process.stdin is not None:
+            process.stdin.close()
+    for process in processes:
+        try:
+            async with asyncio.timeout(5.0):
+                await process.wait()
+        except TimeoutError:
+            pass
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        await process.wait()
+
+
+def _report(run: _Run, failure: str, wall_s: float) -> FlightReport:
+    request, finished = run.request, run.finished or {}
+    monitors = Monitors(request.rig.method, min_separation_m=0.0)
+    records = []
+    for role in Role:
+        log = request.out / f"{role.value}.mcap"
+        if log.exists():
+            records += [(record.stamp_ns, role, record) for record in read_log(log)]
+    for stamp_ns, role, record in sorted(records, key=lambda entry: entry[0]):
+        monitors.on_record(role, record.topic, stamp_ns, record.record)
+    violations = dict(monitors.violations)
+    for name, count in finished.get("violations", {}).items():
+        violations[name] = violations.get(name, 0) + count
+    notes = [*monitors.details, *finished.get("details", [])]
+    if not failure and not finished:
+        failure = "the world gave no findings"
+    dead = [role for role in Role if role not in run.results]
+    return FlightReport(
+        results={role: run.results.get(role) for role in Role},
+        landed={role: bool(finished.get("landed", {}).get(role.value, False)) for role in Role},
+        violations=violations,
+        simulated_s=wall_s,
+        wall_s=wall_s,
+        interrupted=run.interrupted,
+        failure=failure,
+        notes=[*notes, *(f"the {role.value}'s program died" for role in dead)],
+    )

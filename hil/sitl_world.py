@@ -1,0 +1,255 @@
+"""The world of a ``sitl`` run, a process of its own: physics, both vehicles on the wire, both cameras, the link between.
+
+    python -m hil.sitl_world RIG_FILE RUN_FOLDER SEED
+
+Commands come as lines of JSON on stdin (``{"fault": NAME, "value": X}``, ``{"finish": SECONDS}``), events go out as
+lines of JSON on stdout (``ready``, then ``finished`` with the findings). A closed stdin ends it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import AsyncExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from drivers.interfaces import FlightMode
+from drivers.log import McapLog
+from drivers.mavsdk_geodesy import LocalTangent
+from drivers.rig import Rig
+from drivers.rig_file import load_rig
+from drivers.tables import decode_table
+from hil.faults import FAULTS
+from hil.faulty_link import LinkFaults, UdpFaultProxy
+from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
+from hil.monitors import Monitors
+from hil.render.renderer import Renderer, warm_up
+from hil.shared_camera import RUN_VARIABLE, SharedCameraWriter
+from hil.sim import down, min_separation_m
+from hil.truth_log import TruthLog
+from hil.world import World, WorldConfig
+from path.messages import Role
+
+STEP_S = 0.005
+TRUTH_STEPS = 4
+FINISH_POLL_S = 0.1
+
+
+@dataclass(slots=True)
+class LiveWorld:
+    """The world in real time. ``lock`` guards it: the cameras' threads look at it while physics steps it."""
+
+    world: World
+    start_s: float
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    frozen: set[Role] = field(default_factory=set[Role])
+    cut_off: set[Role] = field(default_factory=set[Role])
+
+    def now_s(self) -> float:
+        return time.monotonic() - self.start_s
+
+
+class CameraThread(threading.Thread):
+    """Renders one drone's camera at its rate and publishes the frames. A frame that is late is left out, and counted."""
+
+    def __init__(self, live: LiveWorld, rig: Rig, role: Role, writer: SharedCameraWriter, seed: int) -> None:
+        super().__init__(name=f"camera-{role.value}", daemon=True)
+        own = rig.role(role)
+        self._live, self._role, self._writer = live, role, writer
+        self._rate_hz = float(own.sight.options["camera"].get("rate_hz", 30.0))
+        self._renderer = Renderer(own.camera, own.mount.T_b_c, own.mount.T_b_v, rig.layout, seed=seed)
+        self.ending = threading.Event()
+        self.rendered = 0
+        self.left_out = 0
+
+    def run(self) -> None:
+        live, period_s = self._live, 1.0 / self._rate_hz
+        phase_s = 0.0 if self._role is Role.SENDER else 0.37 * period_s  # two cameras are never in step
+        frame = 0
+        while not self.ending.is_set():
+            due_s = phase_s + frame * period_s
+            wait_s = due_s - live.now_s()
+            if wait_s > 0.0:
+                time.sleep(wait_s)
+            elif wait_s < -period_s:
+                skipped = int(-wait_s / period_s)
+                self.left_out += skipped
+                frame += skipped
+                continue
+            if self._role not in live.frozen:
+                self._take(frame)
+            frame += 1
+
+    def _take(self, frame: int) -> None:
+        live = self._live
+        with live.lock:
+            live.world.advance(max(live.now_s(), live.world.time_s))
+            snapshot = live.world.snapshot()
+        stamp_ns = round((live.start_s + snapshot.time_s) * 1e9)
+        color, depth = self._renderer.render(snapshot, self._role, frame)
+        self._writer.write(stamp_ns, color, depth)
+        self.rendered += 1
+
+
+class SitlWorld:
+    """One run's world: open it, run it, ask it for its findings."""
+
+    def __init__(self, rig: Rig, out: Path, seed: int) -> None:
+        config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
+        self._rig, self._out, self._seed = rig, out, seed
+        self._live = LiveWorld(World(config, seed), 0.0)
+        self._monitors = Monitors(rig.method, min_separation_m(rig))
+        self._finish_within_s: float | None = None
+        self._vehicles: dict[Role, MavlinkVehicle] = {}
+        self._cameras: dict[Role, CameraThread] = {}
+
+    async def run(self) -> None:
+        rig, live = self._rig, self._live
+        say({"event": "warming"})
+        warm_up()
+        async with AsyncExitStack() as stack:
+            log = stack.enter_context(McapLog(self._out / "world.mcap"))
+            self._proxy = await stack.enter_async_context(UdpFaultProxy(*proxy_addresses(rig), seed=self._seed))
+            for role in Role:
+                self._vehicles[role] = self._vehicle(role)
+                stack.callback(self._vehicles[role].close)
+            live.start_s = time.monotonic()
+            truth = TruthLog(log, round(live.start_s * 1e9))
+            truth.scene(rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
+            self._start_cameras(stack)
+            asyncio.get_running_loop().add_reader(sys.stdin.fileno(), self._on_command)
+            say({"event": "ready"})
+            await self._step_until_finished(truth)
+            for role in Role:
+                truth.setpoint_gap(role, live.world)
+            say(self._findings(truth))
+
+    def _vehicle(self, role: Role) -> MavlinkVehicle:
+        rig = self._rig
+        options = rig.role(role).vehicle.options
+        url = urlsplit(str(options["url"]))
+        remote = (url.hostname or "127.0.0.1", url.port or 0)
+        tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
+        return MavlinkVehicle(
+            MavlinkVehicleConfig(sysid=int(options["sysid"]), remote=remote), self._live.world.drone(role), tangent
+        )
+
+    def _start_cameras(self, stack: AsyncExitStack) -> None:
+        for role in Role:
+            writer = SharedCameraWriter(os.environ[RUN_VARIABLE], role, self._rig.role(role).camera)
+            stack.enter_context(writer)
+            camera = CameraThread(self._live, self._rig, role, writer, self._seed)
+            self._cameras[role] = camera
+            stack.enter_context(_running(camera))
+
+    async def _step_until_finished(self, truth: TruthLog) -> None:
+        """Physics and both vehicles at 200 Hz, until told to finish and both are down, or that takes too long."""
+        live, steps, asked_s = self._live, 0, None
+        while True:
+            now_s = live.now_s()
+            with live.lock:
+                live.world.advance(max(now_s, live.world.time_s))
+                for vehicle in self._vehicles.values():
+                    vehicle.pump(live.world.time_s)
+                if steps % TRUTH_STEPS == 0:
+                    truth.truth(live.world)
+                    self._monitors.on_truth(now_s, live.world.separation_m, live.world.both_in_air)
+            if self._finish_within_s is not None:
+                asked_s = now_s if asked_s is None else asked_s
+                landed = all(down(live.world, role) for role in Role)
+                if landed or now_s - asked_s > self._finish_within_s:
+                    return
+            steps += 1
+            await asyncio.sleep(max(0.0, steps * STEP_S - live.now_s()))
+            if live.now_s() > (steps + 2) * STEP_S:
+                steps = int(
+                    live.now_s() / STEP_S
+                )  # what was missed is stepped at once, not caught up with tick by tick
+
+    def _on_command(self) -> None:
+        line = sys.stdin.readline()
+        if not line:
+            asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
+            self._finish_within_s = 0.0 if self._finish_within_s is None else self._finish_within_s
+            return
+        command = json.loads(line)
+        if "finish" in command:
+            self._finish_within_s = float(command["finish"])
+        else:
+            self._inject(command["fault"], float(command["value"]))
+
+    def _inject(self, name: str, value: float) -> None:
+        world, role = self._live.world, FAULTS[name].role
+        with self._live.lock:
+            match name:
+                case "lookalike":
+                    world.send_lookalike()
+                case "marker_hidden":
+                    world.hide_marker(True)
+                case "depth_holes":
+                    world.depth_holes(True)
+                case "link_loss":
+                    self._proxy.faults = LinkFaults(loss=value)
+                case "link_delay":
+                    self._proxy.faults = LinkFaults(delay_s=value, jitter_s=value)
+                case "camera_freeze" if role is not None:
+                    self._live.frozen.add(role)
+                case "fc_link_loss" if role is not None:
+                    self._vehicles[role].silent = True
+                case "pilot_takeover" if role is not None:
+                    world.drone(role).autopilot.request_mode(world.time_s, FlightMode.OTHER, by_pilot=True)
+                case "battery_sag" if role is not None:
+                    world.battery(role, 0.15)
+                case _:
+                    pass
+        if role is not None and (name.startswith("kill_") or name == "fc_link_loss"):
+            self._live.cut_off.add(role)
+
+    def _findings(self, truth: TruthLog) -> dict[str, Any]:
+        live, monitors = self._live, self._monitors
+        for role in Role:
+            sessions = live.world.drone(role).autopilot.offboard_sessions
+            monitors.on_offboard(role, sessions, role in live.cut_off)
+        for detail in monitors.details:
+            truth.violation(live.world.time_s, detail.partition(" ")[0], detail)
+        return {
+            "event": "finished",
+            "landed": {role.value: down(live.world, role) for role in Role},
+            "violations": dict(monitors.violations),
+            "details": monitors.details,
+            "frames": {r.value: {"rendered": c.rendered, "left_out": c.left_out} for r, c in self._cameras.items()},
+        }
+
+
+@contextmanager
+def _running(camera: CameraThread) -> Iterator[None]:
+    camera.start()
+    try:
+        yield
+    finally:
+        camera.ending.set()
+        camera.join()
+
+
+def say(event: dict[str, Any]) -> None:
+    """One event to the parent process."""
+    print(json.dumps(event), flush=True)
+
+
+def main() -> None:
+    rig_file, out, seed = sys.argv[1:]
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when this process ends
+    asyncio.run(SitlWorld(load_rig(rig_file), Path(out), int(seed)).run())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,267 @@
+"""The hand-over protocol on a role's link: the machines decide, this carries out what they want done."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+from drivers.interfaces import Received
+from flight.outcome import MissionEnd, Outcome, abort_reason
+from missions.session import Session
+from path.messages import AbortReason, Commit, Status
+from path.protocol.receiver import Holding, ReceiverMachine
+from path.protocol.sender import AwaitingAccept, HandedOver, SenderMachine
+from path.protocol.values import (
+    AbortRequested,
+    Actions,
+    AgreementComplete,
+    CommitHeard,
+    Ended,
+    Handoff,
+    Heard,
+    Offer,
+    PeerStatus,
+    PersistEpoch,
+    ProtocolConfig,
+    Refused,
+    Release,
+    Send,
+    Settled,
+    TakeResponsibility,
+    Tick,
+    VerifyAgain,
+)
+from path.protocol.values import Outcome as Decision
+
+Machine = TypeVar("Machine", SenderMachine, ReceiverMachine)
+
+_TICK_S = 0.02
+
+
+def protocol_config(session: Session) -> ProtocolConfig:
+    """The protocol's deadlines for this mission: it may not end a handoff before the mission itself does."""
+    deadlines = session.config.deadlines
+    return ProtocolConfig(
+        offer_s=deadlines.receiver_ready_s + deadlines.verify_s,
+        handoff_s=deadlines.receiver_ready_s + 2.0 * deadlines.verify_s,
+    )
+
+
+class _Carrier:
+    """Carries out actions of a machine, in their order, and remembers what was decided."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.ended: Ended | None = None
+        self.settled: Settled | None = None
+
+    def carry_out(self, actions: Actions) -> None:
+        session = self.session
+        for action in actions:
+            match action:
+                case Send(message):
+                    session.link.send(message)
+                    if isinstance(message, Commit):
+                        self._log("/commit", target_id=message.target_id, epoch=message.epoch, nonce=message.nonce,
+                                  lease_end_ns=message.lease_end_ns)  # fmt: skip
+                case PersistEpoch(epoch, released):
+                    self._log("/epoch", epoch=epoch, released=released)
+                case TakeResponsibility(provisional):
+                    session.set_responsible(True, provisional)
+                case Release():
+                    session.set_responsible(False)
+                case Ended():
+                    self.ended = action
+                    self._log("/decision", outcome=action.outcome.value, reason=_value(action.reason))
+                case Settled():
+                    self.settled = action
+                    self._log("/settled", outcome=action.outcome.value)
+                case Refused(why):
+                    self._log("/refused", why=why.value)
+
+    def _log(self, topic: str, **record: object) -> None:
+        self.session.log.write(topic, self.session.now_ns(), record)
+
+
+def _value(reason: AbortReason | None) -> str | None:
+    return None if reason is None else reason.value
+
+
+async def _until(condition: Callable[[], bool], end_s: float) -> bool:
+    """Poll a condition until a time of the loop; whether it came true."""
+    loop = asyncio.get_running_loop()
+    while not condition():
+        if loop.time() > end_s:
+            return False
+        await asyncio.sleep(_TICK_S)
+    return True
+
+
+class _Handover(Generic[Machine]):
+    """A machine on its role's link: messages, statuses and time in, actions carried out."""
+
+    def __init__(self, session: Session, machine: Machine) -> None:
+        self._session = session
+        self._machine = machine
+        self._carrier = _Carrier(session)
+
+    def on_status(self, status: Status) -> None:
+        alignment = self._session.alignment
+        if alignment.ready:
+            stamp_ns = alignment.to_own_ns(status.stamp_ns) - alignment.uncertainty_ns
+            self._step(PeerStatus(status.responsible, stamp_ns))
+
+    def _give_up(self, end: MissionEnd | None) -> None:
+        if end is not None and self._machine.live is not None:
+            self._step(AbortRequested(abort_reason(end.outcome)))
+
+    async def _tick(self) -> None:
+        """Let the machine know when time has brought something about, for ever."""
+        while True:
+            await asyncio.sleep(_TICK_S)
+            wake_ns, now_ns = self._machine.wake_ns, self._session.now_ns()
+            if wake_ns is not None and now_ns >= wake_ns:
+                self._carrier.carry_out(self._machine.step(Tick(), now_ns))
+
+    def _step(self, event: Any) -> None:
+        self._carrier.carry_out(self._machine.step(event, self._session.now_ns()))
+
+
+class SenderHandover(_Handover[SenderMachine]):
+    """D1's side."""
+
+    def __init__(self, session: Session) -> None:
+        super().__init__(session, SenderMachine(protocol_config(session)))
+        self._agreed = False
+
+    @property
+    def epoch(self) -> int:
+        """Of the attempt under way; 0 before the first."""
+        live = self._machine.live
+        return live.epoch if live else 0
+
+    @property
+    def released(self) -> bool:
+        """Given away, or about to be: this drone is not responsible."""
+        return isinstance(self._machine.state, AwaitingAccept | HandedOver)
+
+    @property
+    def handed_over(self) -> bool:
+        return isinstance(self._machine.state, HandedOver)
+
+    def offer(self) -> None:
+        """The target is tracked: this drone is responsible for it, and offers it."""
+        session = self._session
+        session.set_responsible(True)
+        self._step(Offer(session.config.handoff_id, session.config.target_id))
+        session.spawn(self._tick())
+
+    def agreed(self, target_id: int) -> None:
+        """The whole window agreed: release, then commit. Only the first call of an attempt does anything."""
+        if self._agreed:
+            return
+        self._agreed = True
+        session, alignment = self._session, self._session.alignment
+        lease_end_ns = session.now_ns() + round(self._machine.config.lease_s * 1e9)
+        uncertainty = alignment.uncertainty_at(lease_end_ns) if alignment.ready else None
+        self._step(AgreementComplete(self.epoch, target_id, session.entropy.getrandbits(32), uncertainty))
+
+    def on_message(self, received: Received) -> None:
+        self._step(Heard(received.message))
+
+    async def until_decided(self, timeout_s: float, verify_again: Callable[[], None]) -> None:
+        """Until the target is handed over and it is known what became of that.
+
+        An attempt that was committed and not accepted is taken back and verified again, as long as there is time.
+        Raises MissionEnd otherwise.
+        """
+        carrier = self._carrier
+        end_s = asyncio.get_running_loop().time() + timeout_s
+        while True:
+            if not await _until(lambda: carrier.ended is not None or self.released, end_s):
+                raise MissionEnd(Outcome.NO_AGREEMENT, f"no agreement within {timeout_s:.0f} s")
+            # a commit under way is decided by its lease, not by the deadline
+            await _until(lambda: carrier.ended is not None, math.inf)
+            assert carrier.ended is not None
+            decision = carrier.ended.outcome
+            if decision is Decision.HANDED_OVER:
+                break
+            if decision is not Decision.TAKEN_BACK:
+                raise MissionEnd(_ENDS.get(decision, Outcome.PEER_ABORTED), decision.value)
+            carrier.ended, self._agreed = None, False
+            self._step(VerifyAgain())
+            verify_again()
+        await _until(lambda: carrier.settled is not None, math.inf)
+        if carrier.settled is None or carrier.settled.outcome is not Decision.HANDED_OVER:
+            raise MissionEnd(Outcome.ORPHANED, "the receiver did not say that it holds the target")
+
+    def end(self, end: MissionEnd | None) -> None:
+        """The mission ends on this side: nothing is transferred any more, unless it already was."""
+        if not self.handed_over:
+            self._give_up(end)
+
+
+class ReceiverHandover(_Handover[ReceiverMachine]):
+    """D2's side. ``able``: whether this drone sees the target and could follow it now."""
+
+    def __init__(self, session: Session, able: Callable[[], bool]) -> None:
+        super().__init__(session, ReceiverMachine(protocol_config(session)))
+        self._able = able
+
+    @property
+    def live(self) -> Handoff | None:
+        """The attempt this drone takes part in."""
+        return self._machine.live
+
+    @property
+    def holds(self) -> bool:
+        """Responsible, provisionally or for good."""
+        return self._machine.responsible
+
+    @property
+    def holds_for_good(self) -> bool:
+        return isinstance(self._machine.state, Holding)
+
+    def start(self) -> None:
+        self._session.spawn(self._tick())
+
+    def on_message(self, received: Received) -> None:
+        message = received.message
+        if not isinstance(message, Commit):
+            self._step(Heard(message))
+            return
+        alignment = self._session.alignment
+        lease_end_ns = alignment.to_own_ns(message.lease_end_ns) if alignment.ready else None
+        uncertainty = alignment.uncertainty_at(lease_end_ns) if lease_end_ns is not None else 0
+        self._step(CommitHeard(message, lease_end_ns, uncertainty, self._able()))
+
+    async def until_held(self, timeout_s: float) -> None:
+        """Until this drone holds the target for good. Raises MissionEnd otherwise.
+
+        An attempt that the sender took back may be followed by another one, as long as there is time.
+        """
+        carrier, end_s = self._carrier, asyncio.get_running_loop().time() + timeout_s
+        while await _until(lambda: carrier.ended is not None, end_s):
+            assert carrier.ended is not None
+            decision, carrier.ended = carrier.ended.outcome, None
+            if decision is Decision.HANDED_OVER:
+                return
+            if decision is Decision.LET_GO:
+                await _until(lambda: carrier.settled is not None, math.inf)
+                assert carrier.settled is not None
+                settled, carrier.settled = carrier.settled.outcome, None
+                if settled is not Decision.TAKEN_BACK:
+                    raise MissionEnd(Outcome.ORPHANED, f"the lease ended without the sender's word: {settled.value}")
+            elif decision is not Decision.SUPERSEDED:
+                raise MissionEnd(_ENDS.get(decision, Outcome.PEER_ABORTED), decision.value)
+        raise MissionEnd(Outcome.NO_AGREEMENT, f"no hand-over within {timeout_s:.0f} s")
+
+    def end(self, end: MissionEnd | None) -> None:
+        """The mission ends on this side: a target held for good stays held; anything else is given up."""
+        if not self.holds_for_good:
+            self._give_up(end)
+
+
+_ENDS = {Decision.TIMEOUT: Outcome.NO_AGREEMENT}

@@ -1,0 +1,381 @@
+"""D2, the receiver: flies to the sender by its marker, finds the target where the sender says, takes it over."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from contextlib import AsyncExitStack
+from typing import Any
+
+import numpy as np
+
+from drivers.interfaces import Log, Received, VehicleState, VelocitySetpoint, View
+from drivers.rig import Rig
+from flight.config import MissionConfig
+from flight.eye import Eye
+from flight.guard import check_separation
+from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, scale, subtract
+from flight.harness import Emit, InProcess, RoleResult
+from flight.marker_view import MarkerFix, MarkerView
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from flight.tracking import Sighting, TargetTrack, follow, point_in_camera, to_local
+from flight.viewpoint import NoViewpoint, Scene, Viewpoint, plan_viewpoint
+from missions.handover import ReceiverHandover
+from missions.journal import box_record, candidate_record, marker_miss_record, marker_record
+from missions.rig_library import mission_of
+from missions.session import Session, fly_course, open_session
+from missions.steps import bring_down, preflight, take_off
+from path.geometry import Matrix, Pose
+from path.messages import Candidate, Role, Target
+from path.observations import Missed, MissReason
+from path.prior import Prior
+from path.protocol.values import Handoff
+from path.receiver import ReceiverCycle
+from path.rigid import inverse_as_quat, rigid
+from path.rotation import wrapped, yaw_of
+
+_FIXES_TO_APPROACH = 5
+_ARRIVED_S = 0.6
+_RETREAT_M = 1.8
+_ABLE_S = 0.5
+
+
+async def run_receiver(
+    rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None
+) -> RoleResult:
+    """The receiver's whole program (``flight.harness.RoleMain``)."""
+    config = mission_of(rig)
+    async with AsyncExitStack() as stack:
+        session = await open_session(stack, rig, role, config, log, emit, stop, harness)
+        receiver = Receiver(session)
+        return await fly_course(session, receiver.course, receiver.recover)
+
+
+class Receiver:
+    """The receiver's course and what it does with every frame and message."""
+
+    def __init__(self, session: Session) -> None:
+        rig, config = session.rig, session.config
+        self._session = session
+        self._config: MissionConfig = config
+        self._camera = rig.receiver.camera
+        self._mount = rig.receiver.mount
+        self._eye = Eye(session.vehicle, rig.receiver.mount)
+        self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.method, config)
+        self._handover = ReceiverHandover(session, self._able)
+        self._cycle: ReceiverCycle | None = None
+        self._viewpoint: Viewpoint | None = None
+        self._newest: Target | None = None
+        self._live: Handoff | None = None
+        self._search_began_ns = 0
+        self._following = False
+        self._track: TargetTrack | None = None
+        self._keep_n_m: Vec3 = (0.0, 0.0, 0.0)
+        session.on_message = self._on_message
+        session.on_status = self._handover.on_status
+
+    # --- course --------------------------------------------------------------------------------------------------
+
+    async def course(self) -> None:
+        session, config, deadlines = self._session, self._config, self._config.deadlines
+        await preflight(session)
+        session.spawn(self._watch_peer())
+        self._handover.start()
+
+        session.enter(Phase.WAITING, "for the sender to follow the target")
+        await session.until(
+            lambda: self._newest is not None, deadlines.receiver_ready_s, Outcome.PEER_ABORTED, "no target was sent"
+        )
+        self._viewpoint = self._plan()
+        await take_off(session, config.receiver_take_off_height_m)
+
+        session.enter(Phase.STAND_OFF)
+        session.pilot.guidance = self._to_stand_off
+        await session.until(self._at_stand_off, deadlines.stand_off_s, Outcome.APPROACH_FAILED, "stand-off not reached")
+
+        session.enter(Phase.SEARCH)
+        self._search_began_ns = session.now_ns()
+        session.pilot.guidance = self._search
+        session.spawn(self._watch())
+        await session.until(
+            lambda: self._marker.fixes(session.now_ns()) >= _FIXES_TO_APPROACH,
+            deadlines.search_s,
+            Outcome.MARKER_NOT_FOUND,
+            "the sender's marker was not seen",
+        )
+
+        session.enter(Phase.APPROACH)
+        session.pilot.guidance = self._to_viewpoint
+        await self._arrive(deadlines.approach_s)
+
+        session.enter(Phase.VERIFY)
+        session.observing = True
+        await self._handover.until_held(2.0 * deadlines.verify_s)
+
+        session.enter(Phase.FOLLOW, "responsible for the target")
+        await asyncio.sleep(config.follow_after_s)
+
+    async def recover(self, end: MissionEnd | None) -> bool:
+        self._handover.end(end)
+        back = from_heading((-_RETREAT_M, 0.0, 0.0), yaw_of(self._session.vehicle.state.q_n_b))
+        return await bring_down(self._session, end, back)
+
+    async def _arrive(self, timeout_s: float) -> None:
+        """Until the camera is at the viewpoint, slow, for a while. Raises MissionEnd(APPROACH_FAILED)."""
+        steady_since_ns = self._session.now_ns()
+
+        def arrived() -> bool:
+            nonlocal steady_since_ns
+            now_ns = self._session.now_ns()
+            if not self._at_viewpoint(now_ns):
+                steady_since_ns = now_ns
+            return (now_ns - steady_since_ns) * 1e-9 > _ARRIVED_S
+
+        await self._session.until(arrived, timeout_s, Outcome.APPROACH_FAILED, "the viewpoint was not reached")
+
+    def _plan(self) -> Viewpoint:
+        """The viewpoint for the geometry the sender reports. Raises MissionEnd(NO_VIEWPOINT)."""
+        target = self._newest
+        assert target is not None
+        R_h_v = _level(target.gravity_v, self._mount.T_b_v.R)
+        body_v = self._mount.T_b_v.inverse().t
+        scene = Scene(
+            target_h_m=R_h_v @ np.array(target.point_v_m),
+            marker_normal_h=R_h_v[:, 2],
+            marker_side_m=max(marker.side_m for marker in self._session.rig.layout.markers),
+            body_h_m=R_h_v @ body_v,
+        )
+        config = self._config
+        plan = plan_viewpoint(scene, self._camera, self._mount.T_b_c, config.rendezvous, config.separation)
+        if isinstance(plan, NoViewpoint):
+            raise MissionEnd(Outcome.NO_VIEWPOINT, str(plan))
+        place = ", ".join(f"{part:+.2f}" for part in plan.camera_h_m)
+        self._session.say(
+            f"viewpoint ({place}) m from the marker, {plan.marker_px:.0f} px, margin {plan.margin_px:.0f} px"
+        )
+        return plan
+
+    # --- guidance ------------------------------------------------------------------------------------------------
+
+    def _to_stand_off(self, state: VehicleState) -> VelocitySetpoint:
+        """Along the planned line of sight, farther out, by the positions both drones report."""
+        place, yaw = self._stand_off_place()
+        return self._velocity(subtract(place, state.position_n_m), self._peer_velocity(), yaw)
+
+    def _stand_off_place(self) -> tuple[Vec3, float]:
+        peer, viewpoint = self._session.peer, self._viewpoint
+        assert peer is not None and viewpoint is not None
+        outward = scale(viewpoint.camera_h_m, self._config.rendezvous.stand_off_m / norm(viewpoint.camera_h_m))
+        offset = from_heading(outward, peer.yaw_rad)
+        return add(peer.position_n_m, offset), bearing(scale(offset, -1.0))
+
+    def _at_stand_off(self) -> bool:
+        place, _ = self._stand_off_place()
+        off = norm(subtract(place, self._session.vehicle.state.position_n_m))
+        return off < self._config.rendezvous.stand_off_tolerance_m
+
+    def _search(self, state: VehicleState) -> VelocitySetpoint:
+        """Stay at the stand-off and slide to and fro across the line of sight, until the marker shows."""
+        place, yaw = self._stand_off_place()
+        searched_s = (self._session.now_ns() - self._search_began_ns) * 1e-9
+        slide = self._config.rendezvous.search_slide_m * math.sin(0.5 * max(0.0, searched_s - 2.0))
+        sideways = from_heading((0.0, slide, 0.5 * slide), yaw)
+        return self._velocity(subtract(add(place, sideways), state.position_n_m), self._peer_velocity(), yaw)
+
+    def _to_viewpoint(self, state: VehicleState) -> VelocitySetpoint:
+        """Close in on the planned place by the marker alone; without it, wait, then back off to see it again."""
+        session, rendezvous = self._session, self._config.rendezvous
+        now_ns = session.now_ns()
+        relative = self._marker.predict(now_ns)
+        if relative is None:
+            away = from_heading((-0.25, 0.0, 0.0), yaw_of(state.q_n_b))
+            return VelocitySetpoint(add(self._peer_velocity(), away), yaw_of(state.q_n_b))
+        error = subtract(self._wanted_place(), scale(relative.marker_n_m, -1.0))
+        speed = rendezvous.max_speed_mps
+        if relative.sigma_m > rendezvous.max_position_sigma_m:
+            speed *= 0.3
+        yaw = self._yaw_between(relative.marker_n_m)
+        velocity = close_in(error, self._peer_velocity(), rendezvous.gain_per_s, speed)
+        return VelocitySetpoint(velocity, yaw)
+
+    def _wanted_place(self) -> Vec3:
+        """D2's camera relative to the marker, in ``n``."""
+        peer, viewpoint = self._session.peer, self._viewpoint
+        assert peer is not None and viewpoint is not None
+        return from_heading(viewpoint.camera_h_m, peer.yaw_rad)
+
+    def _at_viewpoint(self, now_ns: int) -> bool:
+        relative = self._marker.predict(now_ns)
+        if relative is None:
+            return False
+        rendezvous = self._config.rendezvous
+        off = norm(subtract(self._wanted_place(), scale(relative.marker_n_m, -1.0)))
+        return off < rendezvous.arrived_m and norm(relative.velocity_n_mps) < rendezvous.arrived_speed_mps
+
+    def _yaw_between(self, marker_n_m: Vec3) -> float:
+        """So that marker and target share the image."""
+        to_marker = bearing(marker_n_m)
+        if self._marker.target_n_m is None:
+            peer, viewpoint = self._session.peer, self._viewpoint
+            assert peer is not None and viewpoint is not None
+            return peer.yaw_rad + viewpoint.yaw_h_rad
+        return to_marker + 0.5 * wrapped(bearing(self._marker.target_n_m) - to_marker)
+
+    def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
+        """Keep the place relative to the target that the hand-over found this drone in."""
+        assert self._track is not None
+        target, _ = self._track.predict(self._session.now_ns())
+        north, east, _ = self._track.velocity_n_mps
+        error = subtract(add(target, self._keep_n_m), state.position_n_m)
+        return self._velocity(error, (north, east, 0.0), bearing(subtract(target, state.position_n_m)))
+
+    def _velocity(self, error_n_m: Vec3, feed_forward: Vec3, yaw_rad: float) -> VelocitySetpoint:
+        rendezvous = self._config.rendezvous
+        return VelocitySetpoint(close_in(error_n_m, feed_forward, rendezvous.gain_per_s, 1.0), yaw_rad)
+
+    def _peer_velocity(self) -> Vec3:
+        peer = self._session.peer
+        assert peer is not None
+        return peer.velocity_n_mps
+
+    # --- what runs beside the course -----------------------------------------------------------------------------
+
+    async def _watch(self) -> None:
+        """Look at every frame, until the end. Raises CameraError when the camera stops, MissionEnd on a loss."""
+        session, guard = self._session, self._config.guard
+        while True:
+            view = await session.sight.view(guard.frame_age_s)
+            session.log.write("/frame", view.stamp_ns, {"frame_id": view.frame_id})
+            R_n_b = self._eye.R_n_b(view.stamp_ns)
+            if self._handover.holds:
+                self._follow_once(view, R_n_b)
+            else:
+                self._cycle_once(view, R_n_b)
+            session.log_image(view)
+
+    async def _watch_peer(self) -> None:
+        """The sender must be heard until this drone holds the target for good."""
+        limit_s = self._config.guard.peer_silence_s
+        while not self._handover.holds_for_good:
+            session = self._session
+            if session.peer_silence_s() > limit_s:
+                raise MissionEnd(Outcome.PEER_LOST, f"nothing heard from the sender for {limit_s:.0f} s")
+            if not self._handover.holds and session.peer is not None and session.peer.phase >= Phase.DEPART:
+                raise MissionEnd(Outcome.PEER_ABORTED, "the sender is on its way down")
+            await asyncio.sleep(0.1)
+
+    def _cycle_once(self, view: View, R_n_b: Matrix) -> None:
+        """One cycle of PATH: the marker gives the pose, the pose the prior, the detector looks there, D1 gets a box."""
+        session, cycle = self._session, self._cycle
+        if cycle is None:
+            return
+        stamp_ns = view.stamp_ns
+        gravity_v = cycle.gravity_v(stamp_ns)
+        T_n_c = self._eye.T_n_c(stamp_ns, R_n_b)
+        self._marker.set_velocities(self._peer_velocity(), session.vehicle.state.velocity_n_mps)
+        fix = self._marker.look(view, T_n_c.R, gravity_v, self._eye.gravity_c(R_n_b))
+        session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
+        self._judge_marker(stamp_ns)
+        prior = cycle.prior(fix.T_c_v, fix.covariance, stamp_ns) if isinstance(fix, MarkerFix) else fix
+        if isinstance(prior, Prior):
+            self._marker.note_target(prior, T_n_c.R)
+        if session.phase is not Phase.VERIFY:
+            return
+        found = view.targets(prior.region) if isinstance(prior, Prior) else ()
+        candidate = cycle.candidate(view.frame_id, stamp_ns, found, prior)
+        if isinstance(candidate, Missed):
+            return
+        session.link.send(candidate)
+        session.log.write("/candidate", stamp_ns, candidate_record(candidate, prior, self._camera))
+        if candidate.box is not None and isinstance(prior, Prior):
+            self._note_found(view, T_n_c, candidate, prior)
+
+    def _judge_marker(self, stamp_ns: int) -> None:
+        """Separation from the marker's own measurement, and how long it may stay unseen."""
+        session, deadlines = self._session, self._config.deadlines
+        relative = self._marker.predict(stamp_ns)
+        if relative is not None:
+            distance_m = norm(relative.marker_n_m)
+            session.shown.separation_m = distance_m
+            check_separation(distance_m, self._config.separation.minimum_m)
+        unseen_s = self._marker.unseen_s(stamp_ns)
+        if session.phase is not Phase.SEARCH and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
+            raise MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
+
+    def _note_found(self, view: View, T_n_c: Pose, candidate: Candidate, prior: Prior) -> None:
+        """Keep the target's own position ready, so that following can begin in the frame that hands it over."""
+        assert candidate.box is not None
+        depth = view.depth(candidate.box)
+        z_m = prior.depth_m if depth is None else depth.z_m
+        position = to_local(point_in_camera(candidate.box, z_m, self._camera), T_n_c)
+        if self._track is None:
+            self._track = TargetTrack(position, view.stamp_ns)
+        else:
+            self._track.update(position, view.stamp_ns)
+
+    def _follow_once(self, view: View, R_n_b: Matrix) -> None:
+        """After the hand-over: this drone's own track of the target."""
+        session, track = self._session, self._track
+        if track is None:
+            raise MissionEnd(Outcome.TARGET_LOST, "the target was handed over but never located")
+        if session.pilot.in_control and session.phase is Phase.FOLLOW and not self._following:
+            self._keep_n_m = subtract(session.vehicle.state.position_n_m, track.position_n_m)
+            session.pilot.guidance = self._follow_target
+            self._following = True
+        seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+        unseen_s = (view.stamp_ns - track.seen_ns) * 1e-9
+        record = {
+            "box": box_record(seen.box) if isinstance(seen, Sighting) else None,
+            "reason": seen.value if isinstance(seen, MissReason) else None,
+        }
+        session.log.write("/track", view.stamp_ns, record)
+        if unseen_s > self._config.deadlines.target_coast_s and session.phase is Phase.FOLLOW:
+            raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
+
+    # --- messages ------------------------------------------------------------------------------------------------
+
+    def _on_message(self, received: Received) -> None:
+        self._handover.on_message(received)
+        if isinstance(received.message, Target):
+            self._on_target(received.message)
+
+    def _on_target(self, target: Target) -> None:
+        """Where the target is. The protocol has seen the message first and says which attempt is live."""
+        session, live = self._session, self._handover.live
+        if live is None or not session.alignment.ready:
+            return
+        if live != self._live:
+            self._live = live
+            self._cycle = ReceiverCycle(
+                self._camera,
+                session.rig.method,
+                handoff_id=live.handoff_id,
+                epoch=live.epoch,
+                target_id=live.target_id,
+            )
+        assert self._cycle is not None
+        missed = self._cycle.on_target(target, session.alignment.to_own_ns(target.capture_ns), session.now_ns())
+        if missed is None:
+            self._newest = target
+
+    def _able(self) -> bool:
+        """Whether the target was seen lately, by this drone itself."""
+        track = self._track
+        return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 < _ABLE_S
+
+    def _marker_record(self, stamp_ns: int, fix: MarkerFix | Missed) -> dict[str, Any]:
+        if isinstance(fix, Missed):
+            return marker_miss_record(stamp_ns, fix)
+        rotation, position = inverse_as_quat(rigid(fix.T_c_v))
+        sigma_m = math.sqrt(float(np.trace(fix.covariance[:3, :3])) / 3.0)
+        return marker_record(stamp_ns, position, rotation, sigma_m, fix.side_px, fix.detections[0])
+
+
+def _level(gravity_v: Vec3, R_b_v: Matrix) -> Matrix:
+    """``R_h_v``: marker frame to the levelled heading frame (forward, right, down) of the drone that carries it."""
+    down_b = R_b_v @ np.asarray(gravity_v)
+    forward_b = np.array([1.0, 0.0, 0.0]) - down_b[0] * down_b
+    forward_b /= np.linalg.norm(forward_b)
+    R_h_b = np.stack([forward_b, np.cross(down_b, forward_b), down_b]).astype(np.float64)
+    return R_h_b @ R_b_v

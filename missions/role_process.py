@@ -1,0 +1,60 @@
+"""One role as a process of its own: in the field on its own companion, in ``sitl`` as a child of ``handoff``."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from pathlib import Path
+
+from drivers.interfaces import Log
+from drivers.log import McapLog
+from drivers.rig import Rig
+from flight.harness import Emit, InProcess, Progress, RoleMain, RoleResult, encode_event
+from missions.receiver import run_receiver
+from missions.sender import run_sender
+from path.messages import Role
+
+ROLE_MAINS: dict[Role, RoleMain] = {Role.SENDER: run_sender, Role.RECEIVER: run_receiver}
+
+
+async def fly_role(
+    rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None
+) -> RoleResult:
+    """The program of either role (``flight.harness.RoleMain``)."""
+    return await ROLE_MAINS[role](rig, role, log, emit, stop, harness)
+
+
+def run_role(rig: Rig, role: Role, out: Path, emit: Emit, parent: bool) -> RoleResult:
+    """Fly one role to its end; SIGINT and SIGTERM land the vehicle. Raises PartError when a part cannot be opened.
+
+    Args:
+        parent: events go to stdout as lines of JSON, and a closed stdin means that the parent is gone: stop.
+    """
+    with McapLog(out / f"{role.value}.mcap", frame="c1" if role is Role.SENDER else "c2") as log:
+        result = asyncio.run(_run(rig, role, log, _to_parent if parent else emit, parent))
+        if parent:
+            print(encode_event(result), flush=True)
+        if log.failed:
+            print(f"warning: {log.failed}", file=sys.stderr)
+        return result
+
+
+def _to_parent(progress: Progress) -> None:
+    print(encode_event(progress), flush=True)
+
+
+async def _run(rig: Rig, role: Role, log: McapLog, emit: Emit, parent: bool) -> RoleResult:
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop.set)
+    if parent:
+        loop.add_reader(sys.stdin.fileno(), _stop_at_end_of_input, loop, stop)
+    return await fly_role(rig, role, log, emit, stop, None)
+
+
+def _stop_at_end_of_input(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:
+    if not sys.stdin.buffer.read1(4096):
+        loop.remove_reader(sys.stdin.fileno())
+        stop.set()

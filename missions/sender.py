@@ -1,0 +1,229 @@
+"""D1, the sender: finds the target, follows it, runs its side of PATH, hands over, leaves and lands."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from contextlib import AsyncExitStack
+
+from drivers.interfaces import Log, Received, VehicleState, VelocitySetpoint, View
+from drivers.rig import Rig
+from flight.config import MissionConfig
+from flight.eye import Eye
+from flight.guidance import Anchor, Vec3, add, close_in, from_heading, subtract
+from flight.harness import Emit, InProcess, RoleResult
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from flight.tracking import Sighting, TargetTrack, acquire, follow
+from missions.handover import SenderHandover
+from missions.journal import agreement_record, target_record
+from missions.rig_library import mission_of
+from missions.session import Session, fly_course, open_session
+from missions.steps import bring_down, preflight, take_off
+from path.geometry import Matrix
+from path.messages import Candidate, Role, Target
+from path.observations import Missed, MissReason
+from path.sender import Pair, SenderCycle
+
+_STEADY_FRAMES = 5
+_STEADY_M = 0.25
+
+
+async def run_sender(
+    rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None
+) -> RoleResult:
+    """The sender's whole program (``flight.harness.RoleMain``)."""
+    config = mission_of(rig)
+    async with AsyncExitStack() as stack:
+        session = await open_session(stack, rig, role, config, log, emit, stop, harness)
+        sender = Sender(session)
+        return await fly_course(session, sender.course, sender.recover)
+
+
+class Sender:
+    """The sender's course and what it does with every frame and message."""
+
+    def __init__(self, session: Session) -> None:
+        rig, config = session.rig, session.config
+        self._session = session
+        self._config: MissionConfig = config
+        self._camera = rig.sender.camera
+        self._eye = Eye(session.vehicle, rig.sender.mount)
+        self._heading_rad = math.radians(config.heading_deg)
+        self._track: TargetTrack | None = None
+        self._steady: list[Vec3] = []
+        self._handover = SenderHandover(session)
+        self._cycle: SenderCycle | None = None
+        self._receiver_side = -1.0  # on which side of D1 the receiver stands: -1 left, 1 right
+        self._candidates = 0
+        session.on_message = self._on_message
+        session.on_status = self._handover.on_status
+
+    # --- course --------------------------------------------------------------------------------------------------
+
+    async def course(self) -> None:
+        session, config, deadlines = self._session, self._config, self._config.deadlines
+        await preflight(session)
+        await take_off(session, config.take_off_height_m)
+
+        session.enter(Phase.ACQUIRE)
+        session.pilot.guidance = Anchor(self._first_place(), self._heading_rad).hold
+        session.spawn(self._watch())
+        await session.until(
+            lambda: self._track is not None, deadlines.acquire_s, Outcome.TARGET_NOT_FOUND, "no target was seen"
+        )
+
+        session.enter(Phase.FOLLOW, "target acquired, waiting for the receiver")
+        session.observing = True
+        self._handover.offer()
+        self._begin_attempt()
+        session.pilot.guidance = self._follow_target
+        session.spawn(self._watch_peer())
+        await session.until(
+            lambda: self._candidates > 0,
+            deadlines.receiver_ready_s,
+            Outcome.NO_AGREEMENT,
+            "the receiver never sent a candidate",
+        )
+
+        session.enter(Phase.VERIFY)
+        await self._handover.until_decided(deadlines.verify_s, self._begin_attempt)
+        session.observing = False
+        session.say("handed over")
+
+    def _begin_attempt(self) -> None:
+        """A count of its own for every epoch."""
+        rig, config = self._session.rig, self._config
+        self._cycle = SenderCycle(
+            rig.sender.camera,
+            rig.receiver.camera,
+            rig.sender.mount.T_v_c,
+            rig.method,
+            handoff_id=config.handoff_id,
+            epoch=self._handover.epoch,
+            target_id=config.target_id,
+        )
+
+    async def recover(self, end: MissionEnd | None) -> bool:
+        self._handover.end(end)
+        if self._track is None:
+            way_out: Vec3 = (0.0, 0.0, 0.0)
+        else:
+            way_out = from_heading((0.0, -self._receiver_side * self._config.depart_m, 0.0), self._heading_rad)
+        return await bring_down(self._session, end, way_out)
+
+    def _first_place(self) -> Vec3:
+        """From where the designated place is in view."""
+        target, keep = self._config.target, self._config.follow
+        behind = from_heading((-keep.behind_m, 0.0, -keep.height_m), self._heading_rad)
+        return add((target.north_m, target.east_m, 0.0), behind)
+
+    def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
+        """Stay behind and above the target, in the heading it was approached with."""
+        assert self._track is not None
+        keep = self._config.follow
+        target, _ = self._track.predict(self._session.now_ns())
+        down = self._config.target.height_m - keep.height_m
+        place = add(target, from_heading((-keep.behind_m, 0.0, down), self._heading_rad))
+        north, east, _ = self._track.velocity_n_mps
+        velocity = close_in(
+            subtract(place, state.position_n_m), (north, east, 0.0), keep.gain_per_s, keep.max_speed_mps
+        )
+        return VelocitySetpoint(velocity, self._heading_rad)
+
+    # --- what runs beside the course -----------------------------------------------------------------------------
+
+    async def _watch(self) -> None:
+        """Look at every frame, until the end. Raises CameraError when the camera stops."""
+        while True:
+            view = await self._session.sight.view(self._config.guard.frame_age_s)
+            R_n_b = self._eye.R_n_b(view.stamp_ns)
+            if self._track is None:
+                self._try_to_acquire(view, R_n_b)
+            else:
+                self._cycle_once(view, R_n_b, self._track)
+
+    async def _watch_peer(self) -> None:
+        """The receiver must be heard for as long as the hand-over is undecided."""
+        limit_s = self._config.guard.peer_silence_s
+        while not self._handover.released:
+            if self._session.peer_silence_s() > limit_s:
+                raise MissionEnd(Outcome.PEER_LOST, f"nothing heard from the receiver for {limit_s:.0f} s")
+            await asyncio.sleep(0.1)
+
+    def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
+        """Take the object at the designated place for the target once it was seen there in several frames."""
+        target = self._config.target
+        place = (target.north_m, target.east_m, -target.height_m)
+        T_n_c = self._eye.T_n_c(view.stamp_ns, R_n_b)
+        found = acquire(view, T_n_c, self._camera, place, target.radius_m)
+        if isinstance(found, MissReason):
+            self._steady.clear()
+            return
+        position = found[1]
+        if self._steady and math.dist(position, self._steady[-1]) > _STEADY_M:
+            self._steady.clear()
+        self._steady.append(position)
+        if len(self._steady) >= _STEADY_FRAMES:
+            self._track = TargetTrack(position, view.stamp_ns)
+
+    def _cycle_once(self, view: View, R_n_b: Matrix, track: TargetTrack) -> None:
+        """One cycle of PATH: follow the box, say where the target is, judge the receiver's answers."""
+        session = self._session
+        seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+        unseen_s = (view.stamp_ns - track.seen_ns) * 1e-9
+        if unseen_s > self._config.deadlines.target_coast_s:
+            raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
+        cycle = self._cycle
+        if cycle is None:
+            return
+        box, depth = (seen.box, seen.depth) if isinstance(seen, Sighting) else (None, None)
+        message = cycle.observe(view.frame_id, view.stamp_ns, box, depth, self._eye.gravity_v(R_n_b))
+        if isinstance(message, Target):
+            session.link.send(message)
+        self._log_frame(view, seen, message)
+        for pair in cycle.evaluate_ready(session.now_ns()):
+            self._note_pair(pair, cycle.window.count)
+        if cycle.window.complete:
+            self._handover.agreed(self._config.target_id)
+
+    # --- messages and records ------------------------------------------------------------------------------------
+
+    def _on_message(self, received: Received) -> None:
+        message = received.message
+        if isinstance(message, Candidate):
+            self._on_candidate(message)
+        self._handover.on_message(received)
+
+    def _on_candidate(self, candidate: Candidate) -> None:
+        session, cycle = self._session, self._cycle
+        if cycle is None or not session.alignment.ready:
+            return
+        capture_ns = session.alignment.to_own_ns(candidate.capture_ns)
+        missed = cycle.offer(candidate, capture_ns, session.now_ns())
+        if missed is None:
+            self._candidates += 1
+            if candidate.box is not None:
+                x, y, z = candidate.position_v_m
+                self._receiver_side = 1.0 if x > 0.0 else -1.0
+                session.shown.separation_m = math.sqrt(x * x + y * y + z * z)
+
+    def _note_pair(self, pair: Pair, count: int) -> None:
+        """Log one verdict and show it."""
+        session, verdict = self._session, pair.verdict
+        session.shown.count, session.shown.iou = count, verdict.iou
+        session.log.write(
+            "/agreement",
+            session.now_ns(),
+            agreement_record(pair, count, session.rig.method.hold_frames, self._config.target_id),
+        )
+
+    def _log_frame(self, view: View, seen: Sighting | MissReason, message: Target | Missed) -> None:
+        session = self._session
+        box = seen.box if isinstance(seen, Sighting) else None
+        session.log.write("/frame", view.stamp_ns, {"frame_id": view.frame_id})
+        record = target_record(message, view.frame_id, view.stamp_ns, box)
+        if isinstance(seen, MissReason):
+            record["reason"] = seen.value
+        session.log.write("/target", view.stamp_ns, record)
+        session.log_image(view)

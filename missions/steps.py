@@ -1,0 +1,78 @@
+"""Steps that both roles fly alike: preflight, take-off, the way down."""
+
+from __future__ import annotations
+
+import asyncio
+
+from drivers.interfaces import VehicleError
+from flight.guidance import Anchor, Vec3, add, norm, subtract
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from missions.session import Session
+from path.rotation import yaw_of
+
+_FIRST_FRAME_S = 10.0
+_SETTLED_M = 0.35
+_SCRIPT_LET_GO = frozenset({Outcome.PILOT_OVERRIDE})
+_NO_MANOEUVRE = frozenset({Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcome.GUARD, Outcome.CRASHED})
+
+
+async def preflight(session: Session) -> None:
+    """Camera gives frames, vehicle is armable, the other drone is heard and its clock known. Nothing moves before."""
+    session.enter(Phase.PREFLIGHT)
+    deadlines = session.config.deadlines
+    await session.sight.view(_FIRST_FRAME_S)
+    await session.vehicle.wait_armable(deadlines.armable_s)
+    await session.until(
+        lambda: session.peer is not None, deadlines.peer_s, Outcome.PEER_LOST, "the other drone was not heard"
+    )
+    await session.until(
+        lambda: session.alignment.ready, deadlines.peer_s, Outcome.CLOCK_FAULT, "the clocks were not aligned"
+    )
+
+
+async def take_off(session: Session, height_m: float) -> None:
+    """Arm, climb, take control. Refusals end the mission: no motion command is sent twice."""
+    session.enter(Phase.TAKE_OFF)
+    await session.vehicle.arm()
+    await session.vehicle.take_off(height_m, session.config.deadlines.take_off_s)
+    await session.pilot.take_control()
+    session.spawn(session.pilot.run())
+
+
+async def bring_down(session: Session, end: MissionEnd | None, way_out_n_m: Vec3) -> bool:
+    """Leave the other drone's way, then land. Returns whether the script landed the vehicle.
+
+    A pilot who took over keeps the vehicle; a vehicle that is lost or refuses is not flown any farther.
+    """
+    pilot = session.pilot
+    if end is not None and end.outcome in _SCRIPT_LET_GO:
+        pilot.let_go()
+        return False
+    if not session.vehicle.state.armed:
+        pilot.let_go()
+        return True
+    if pilot.in_control and (end is None or end.outcome not in _NO_MANOEUVRE):
+        session.enter(Phase.DEPART)
+        await _depart(session, way_out_n_m)
+    pilot.let_go()
+    session.enter(Phase.LAND)
+    try:
+        await session.vehicle.land(session.config.deadlines.land_s)
+    except VehicleError as error:
+        session.say(f"landing not confirmed: {error}")
+        return False
+    return True
+
+
+async def _depart(session: Session, way_out_n_m: Vec3) -> None:
+    """Fly the way out under guard; when that fails, what follows (landing) is still right."""
+    state = session.vehicle.state
+    anchor = Anchor(add(state.position_n_m, way_out_n_m), yaw_of(state.q_n_b))
+    session.pilot.guidance = anchor.hold
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + session.config.deadlines.depart_s
+    while session.pilot.in_control and loop.time() < end_s:
+        if norm(subtract(anchor.position_n_m, session.vehicle.state.position_n_m)) < _SETTLED_M:
+            return
+        await asyncio.sleep(0.05)

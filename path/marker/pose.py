@@ -1,0 +1,300 @@
+"""From marker corners to the pose of ``v`` in a camera: both planar solutions, chosen and refined with gravity.
+
+A square marker seen from afar has two poses that explain its corners about equally well, and reprojection error cannot
+tell which is right. Both drones know which way is down: with that as a prior (Gauss-Newton on reprojection and gravity
+together, started from both solutions) the wrong one costs hundreds of standard deviations.
+
+Perturbations of a pose are ``t + dt``, ``R <- exp(dw) R``; covariances are (6, 6) in the order (dt, dw).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.marker.kernels import distort, lens_of
+from path.marker.layout import Marker, MarkerLayout
+from path.messages import Vec3
+from path.observations import MarkerDetection, Missed, MissReason
+
+Array = NDArray[np.float64]
+
+ITERATIONS = 12
+CONVERGED = 1e-9
+MIN_CORNER_SIGMA_PX = 0.01
+AMBIGUOUS_COST = 9.0  # without gravity, the second solution must fit this much worse (chi-square)
+WORST_RMS = 4.0  # whitened residual per coordinate above which the corners are no such marker
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSettings:
+    """What is known of the errors.
+
+    Attributes:
+        attitude_sigma_rad: of either drone's roll and pitch, biases included.
+        focal_sigma: relative error of the focal length.
+        max_incidence_rad: larger angles between the marker's normal and the line of sight are refused.
+        max_sigma_m: position standard deviation above which a pose is no use.
+    """
+
+    attitude_sigma_rad: float = math.radians(0.6)
+    focal_sigma: float = 0.002
+    max_incidence_rad: float = math.radians(70.0)
+    max_sigma_m: float = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerPose:
+    """The pose of ``v`` in the camera.
+
+    Attributes:
+        T_c_v: maps ``v`` to the camera.
+        covariance: (6, 6), see the module; printed size and focal length included.
+        incidence_rad: between the best marker's normal and the line of sight.
+        side_px: mean side of the best marker in the image.
+        rms: whitened residual per corner coordinate; about 1 when the corners' covariance is right.
+    """
+
+    T_c_v: Pose
+    covariance: Array
+    incidence_rad: float
+    side_px: float
+    rms: float
+
+
+def estimate_pose(
+    detections: Sequence[MarkerDetection],
+    layout: MarkerLayout,
+    camera: CameraModel,
+    gravity_v: Vec3 | None,
+    gravity_c: Vec3 | None,
+    settings: PoseSettings,
+) -> MarkerPose | Missed:
+    """The pose from all markers of the layout seen in one frame.
+
+    Args:
+        gravity_v: unit gravity in ``v``, from the attitude of the drone that carries the marker; None when unknown.
+        gravity_c: unit gravity in the camera, from the own attitude; None when unknown.
+
+    Returns:
+        Missed NO_MARKER, WRONG_MARKER, MARKER_TWICE, MARKER_OBLIQUE, or POSE_UNCERTAIN (the two solutions cannot be
+        told apart, the corners do not fit, or the covariance is too large).
+    """
+    seen = _known(detections, layout)
+    if isinstance(seen, Missed):
+        return seen
+    side_px, found, marker = max(((_side_px(found), found, marker) for found, marker in seen), key=lambda item: item[0])
+    points = np.concatenate([marker.corners_v for _, marker in seen])
+    pixels = np.concatenate([found.corners_px for found, _ in seen])
+    whitening = np.stack([_whitening(found.covariance_px2) for found, _ in seen])
+    gravity = gravity_v is not None and gravity_c is not None
+    down = np.array([*gravity_v, *gravity_c] if gravity_v is not None and gravity_c is not None else [0.0] * 6)
+    weight = 0.5 / settings.attitude_sigma_rad**2 if gravity else 0.0
+    solutions = sorted(
+        (
+            _refine(R, t, points, pixels, whitening, lens_of(camera), down, weight)
+            for R, t in _ippe(found, marker, camera)
+        ),
+        key=lambda solution: solution[0],
+    )
+    if not solutions:
+        return Missed(MissReason.POSE_UNCERTAIN)
+    cost, R, t, information, corner_cost = solutions[0]
+    rms = math.sqrt(corner_cost / (2 * len(points)))
+    apart = len(solutions) > 1 and _angle(R, solutions[1][1]) > 0.05
+    if (
+        not math.isfinite(cost)
+        or rms > WORST_RMS
+        or (apart and not gravity and solutions[1][0] - cost < AMBIGUOUS_COST)
+    ):
+        return Missed(MissReason.POSE_UNCERTAIN)
+    covariance = _covariance(information, R, t, marker, settings)
+    incidence = _incidence(R @ marker.T_v_m.R, R @ marker.T_v_m.t + t)
+    if incidence > settings.max_incidence_rad:
+        return Missed(MissReason.MARKER_OBLIQUE)
+    if covariance is None or math.sqrt(np.trace(covariance[:3, :3]) / 3.0) > settings.max_sigma_m:
+        return Missed(MissReason.POSE_UNCERTAIN)
+    return MarkerPose(Pose(R, t), covariance, incidence, side_px, rms)
+
+
+def _known(
+    detections: Sequence[MarkerDetection], layout: MarkerLayout
+) -> list[tuple[MarkerDetection, Marker]] | Missed:
+    """Every detection with its marker."""
+    if not detections:
+        return Missed(MissReason.NO_MARKER)
+    markers = {marker.id: marker for marker in layout.markers}
+    seen = [(found, markers[found.marker_id]) for found in detections if found.marker_id in markers]
+    if not seen:
+        return Missed(MissReason.WRONG_MARKER)
+    if len({marker.id for _, marker in seen}) < len(seen):
+        return Missed(MissReason.MARKER_TWICE)
+    return seen
+
+
+def _side_px(found: MarkerDetection) -> float:
+    corners = found.corners_px
+    return float(np.mean(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)))
+
+
+def _whitening(covariance_px2: Array) -> Array:
+    """Inverse Cholesky factor, so that whitened residuals have unit variance."""
+    floor = MIN_CORNER_SIGMA_PX**2 * np.eye(8)
+    return np.linalg.inv(np.linalg.cholesky(covariance_px2 + floor))
+
+
+def _ippe(found: MarkerDetection, marker: Marker, camera: CameraModel) -> list[tuple[Array, Array]]:
+    """Both planar solutions as poses of ``v`` in the camera."""
+    half = 0.5 * marker.side_m
+    corners = np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
+    rays = camera.rays(found.corners_px)
+    try:
+        _, turns, shifts, _ = cv2.solvePnPGeneric(corners, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+    except cv2.error:
+        return []
+    T_m_v = marker.T_v_m.inverse()
+    poses: list[tuple[Array, Array]] = []
+    for turn, shift in zip(turns, shifts, strict=True):
+        R_c_m, t_c_m = cv2.Rodrigues(turn)[0], shift.ravel()
+        if np.all(np.isfinite(R_c_m)) and t_c_m[2] > 0.0:
+            poses.append((np.ascontiguousarray(R_c_m @ T_m_v.R), R_c_m @ T_m_v.t + t_c_m))
+    return poses
+
+
+def _covariance(information: Array, R: Array, t: Array, marker: Marker, settings: PoseSettings) -> Array | None:
+    """Inverse information, with the two errors that scale the range; None when the problem was singular."""
+    try:
+        covariance = np.linalg.inv(information)
+    except np.linalg.LinAlgError:
+        return None
+    if not np.all(np.diag(covariance) > 0.0):
+        return None
+    center = R @ marker.T_v_m.t + t
+    size = marker.side_sigma_m / marker.side_m
+    along = np.array([0.0, 0.0, center[2]])
+    covariance[:3, :3] += size * size * np.outer(center, center) + settings.focal_sigma**2 * np.outer(along, along)
+    return covariance
+
+
+def _incidence(R_c_m: Array, t_c_m: Array) -> float:
+    cosine = -float(R_c_m[:, 2] @ t_c_m) / float(np.linalg.norm(t_c_m))
+    return math.acos(min(1.0, max(-1.0, cosine)))
+
+
+def _angle(R_a: Array, R_b: Array) -> float:
+    return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.sum(R_a * R_b)) - 1.0))))
+
+
+@njit(cache=True, nogil=True)
+def _exp_times(w: Array, R: Array) -> Array:
+    """``exp(w) R`` by Rodrigues' formula."""
+    angle = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    a = 1.0 - angle * angle / 6.0 if angle < 1e-6 else math.sin(angle) / angle
+    b = 0.5 if angle < 1e-6 else (1.0 - math.cos(angle)) / (angle * angle)
+    out = np.empty((3, 3))
+    for j in range(3):
+        x, y, z = R[0, j], R[1, j], R[2, j]
+        cx, cy, cz = w[1] * z - w[2] * y, w[2] * x - w[0] * z, w[0] * y - w[1] * x
+        out[0, j] = x + a * cx + b * (w[1] * cz - w[2] * cy)
+        out[1, j] = y + a * cy + b * (w[2] * cx - w[0] * cz)
+        out[2, j] = z + a * cz + b * (w[0] * cy - w[1] * cx)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _residuals(
+    R: Array, t: Array, points: Array, pixels: Array, whitening: Array, lens: Array, down: Array, weight: float,
+    residuals: Array, jacobian: Array,
+) -> float:  # fmt: skip
+    """Whitened residuals (8 a marker, then 3 of gravity) and their Jacobian by (dt, dw); returns the corners' cost."""
+    markers = whitening.shape[0]
+    raw, slope = np.empty(8), np.empty((8, 6))
+    cost = 0.0
+    for m in range(markers):
+        for c in range(4):
+            i = 4 * m + c
+            qx = R[0, 0] * points[i, 0] + R[0, 1] * points[i, 1] + R[0, 2] * points[i, 2]
+            qy = R[1, 0] * points[i, 0] + R[1, 1] * points[i, 1] + R[1, 2] * points[i, 2]
+            qz = R[2, 0] * points[i, 0] + R[2, 1] * points[i, 1] + R[2, 2] * points[i, 2]
+            z = qz + t[2]
+            if z < 1e-3:
+                return np.inf
+            x, y = (qx + t[0]) / z, (qy + t[1]) / z
+            u, v, ux, uy, vx, vy = distort(x, y, lens)
+            raw[2 * c], raw[2 * c + 1] = u - pixels[i, 0], v - pixels[i, 1]
+            for k in range(2):
+                gx, gy = (ux, uy) if k == 0 else (vx, vy)
+                a, b = gx / z, gy / z
+                d = -(gx * x + gy * y) / z
+                row = slope[2 * c + k]
+                row[0], row[1], row[2] = a, b, d
+                # dX = dw x q
+                row[3], row[4], row[5] = d * qy - b * qz, a * qz - d * qx, b * qx - a * qy
+        for r in range(8):
+            value = 0.0
+            for s in range(r + 1):
+                value += whitening[m, r, s] * raw[s]
+            residuals[8 * m + r] = value
+            cost += value * value
+            for k in range(6):
+                total = 0.0
+                for s in range(r + 1):
+                    total += whitening[m, r, s] * slope[s, k]
+                jacobian[8 * m + r, k] = total
+    root, base = math.sqrt(weight), 8 * markers
+    gx = R[0, 0] * down[0] + R[0, 1] * down[1] + R[0, 2] * down[2]
+    gy = R[1, 0] * down[0] + R[1, 1] * down[1] + R[1, 2] * down[2]
+    gz = R[2, 0] * down[0] + R[2, 1] * down[1] + R[2, 2] * down[2]
+    residuals[base], residuals[base + 1], residuals[base + 2] = (
+        root * (gx - down[3]), root * (gy - down[4]), root * (gz - down[5]),
+    )  # fmt: skip
+    jacobian[base : base + 3, :] = 0.0
+    jacobian[base, 4], jacobian[base, 5] = root * gz, -root * gy
+    jacobian[base + 1, 3], jacobian[base + 1, 5] = -root * gz, root * gx
+    jacobian[base + 2, 3], jacobian[base + 2, 4] = root * gy, -root * gx
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def _refine(
+    R: Array, t: Array, points: Array, pixels: Array, whitening: Array, lens: Array, down: Array, weight: float
+) -> tuple[float, Array, Array, Array, float]:
+    """Levenberg-Marquardt from one solution: cost, pose, information (6, 6) and the corners' share of the cost."""
+    rows = 8 * whitening.shape[0] + 3
+    residuals, jacobian = np.zeros(rows), np.zeros((rows, 6))
+    tried, tried_jacobian = np.zeros(rows), np.zeros((rows, 6))
+    corners = _residuals(R, t, points, pixels, whitening, lens, down, weight, residuals, jacobian)
+    cost = np.sum(residuals * residuals) if corners < np.inf else np.inf
+    information = jacobian.T @ jacobian
+    damping = 1e-6
+    for _ in range(ITERATIONS):
+        if not cost < np.inf:
+            break
+        normal = information.copy()
+        for k in range(6):
+            normal[k, k] += damping * information[k, k] + 1e-12
+        step = np.linalg.solve(normal, -(jacobian.T @ residuals))
+        R_new, t_new = _exp_times(step[3:], R), t + step[:3]
+        corners_new = _residuals(R_new, t_new, points, pixels, whitening, lens, down, weight, tried, tried_jacobian)
+        cost_new = np.sum(tried * tried) if corners_new < np.inf else np.inf
+        if cost_new <= cost:
+            done = cost - cost_new < CONVERGED * (1.0 + cost)
+            R, t, cost, corners = R_new, t_new, cost_new, corners_new
+            residuals[:], jacobian[:] = tried, tried_jacobian
+            information = jacobian.T @ jacobian
+            damping = max(1e-9, 0.1 * damping)
+            if done:
+                break
+        else:
+            damping = 1e-4 if damping < 1e-5 else 10.0 * damping
+            if damping > 1e8:
+                break
+    return cost, R, t, information, corners
