@@ -87,6 +87,7 @@ class SimVehicle:
         self._newest: Telemetry | None = None
         self._beat: Telemetry | None = None
         self._newest_ns = self._beat_ns = 0
+        self._beats = -1
         self._taken_s = -math.inf
         self._state: VehicleState | None = None
 
@@ -140,9 +141,9 @@ class SimVehicle:
             self._state = self._combined()
 
     def _take(self, telemetry: Telemetry, arrival_ns: int) -> None:
-        period_s = self._config.heartbeat_s
-        if self._beat is None or telemetry.time_s // period_s > self._taken_s // period_s:
-            self._beat, self._beat_ns = telemetry, arrival_ns
+        beats = math.floor(telemetry.time_s / self._config.heartbeat_s + 1e-6)
+        if beats > self._beats:
+            self._beat, self._beats, self._beat_ns = telemetry, beats, arrival_ns
         self._newest, self._newest_ns = telemetry, arrival_ns
         self._history.add(arrival_ns, telemetry.estimate.q_n_b)
         self._taken_s = telemetry.time_s
