@@ -19,7 +19,7 @@ from drivers.mavsdk_geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, LocalTang
 from drivers.mavsdk_modes import ARDUPILOT, PX4
 from drivers.mavsdk_port import PortLock
 from drivers.mavsdk_session import ARM_DISARM
-from drivers.mavsdk_telemetry import Telemetry
+from drivers.mavsdk_telemetry import Telemetry, ThreadClock
 from drivers.mavsdk_vehicle import MavsdkVehicle, MavsdkVehicleConfig
 from drivers.rig import Mount, Origin, PartContext
 from hil.autopilot import AutopilotConfig
@@ -552,3 +552,22 @@ def test_heartbeats_of_others_are_not_the_vehicles() -> None:
 
     telemetry._guarded(telemetry._on_heartbeat)(Message(), None)
     assert telemetry.heartbeat is None  # a companion computer on the vehicle's own system id
+
+
+def test_the_callback_threads_clock_follows_the_roles() -> None:
+    class Stepping:
+        ahead_ns = AHEAD_NS
+
+        def now_ns(self) -> int:
+            return time.monotonic_ns() + self.ahead_ns
+
+    role = Stepping()
+    clock = ThreadClock(role)
+
+    def together() -> bool:
+        clock.follow()
+        return abs(role.now_ns() - clock.now_ns()) < 1_000_000
+
+    asyncio.run(until(together))
+    role.ahead_ns += 50_000_000
+    asyncio.run(until(together))

@@ -135,8 +135,8 @@ def test_a_stalled_world_goes_on_without_a_burst(bench: Bench) -> None:
     bench.run(0.5)
     bench.heard.clear()
     bench.now_s += 3.0
-    bench.run(STEP_S)
-    assert len(bench.of("LOCAL_POSITION_NED")) == 1
+    bench.run(0.2)
+    assert len(bench.of("LOCAL_POSITION_NED")) <= 7  # 30 Hz, and the one that was due
 
 
 def test_a_changed_mode_is_told_at_once(bench: Bench) -> None:
