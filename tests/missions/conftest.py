@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -99,7 +100,7 @@ class Synthetic:
         return [u - size_px / 2, v - size_px / 3, size_px, size_px / 1.5]
 
     def _hit_w(self, time_s: float) -> np.ndarray[Any, Any]:
-        """Where D1's line of sight through its box centre meets the target: always the same place, as all move alike."""
+        """Where D1's line of sight through its box centre meets the target: always the same place."""
         eye_o = self.T_w_o(0.0).inverse().apply(self.T_w_c(Role.SENDER, 0.0).t)
         return self.T_w_o(time_s).apply(_hit_o(tuple(eye_o.tolist())))
 
@@ -157,7 +158,9 @@ class Synthetic:
             log.write("/agreement", self._stamp(role, time_s) + 1_000_000, record)
         if self.images:
             self._image(log, role, end_s - 0.3)
+        log.write("/responsibility", self._stamp(role, 10.0), {"responsible": True, "provisional": False})
         if self.committed:
+            log.write("/responsibility", self._stamp(role, end_s + 0.04), {"responsible": False, "provisional": False})
             log.write("/commit", self._stamp(role, end_s + 0.05), {"target_id": 1, "epoch": 1})
         outcome = {"outcome": "committed" if self.committed else "no_agreement", "detail": "", "landed": True}
         log.write("/outcome", self._stamp(role, 35.0), {**outcome, "responsible": not self.committed})
@@ -174,6 +177,8 @@ class Synthetic:
             if k < PAIRS + 2:
                 log.write("/marker", stamp_ns, self._marker(stamp_ns, time_s))
                 log.write("/candidate", stamp_ns, self._candidate(k, stamp_ns, time_s))
+        if self.committed:
+            log.write("/responsibility", self._stamp(role, end_s + 0.1), {"responsible": True, "provisional": True})
         if self.images:
             self._image(log, role, end_s - 0.4)
 
@@ -238,13 +243,21 @@ class Synthetic:
 MakeRun = Callable[..., Path]
 
 
+@pytest.fixture(scope="session")
+def written_runs() -> dict[Synthetic, Path]:
+    return {}
+
+
 @pytest.fixture
-def make_run(tmp_path: Path) -> MakeRun:
-    """Writes a run folder; takes the fields of ``Synthetic``."""
+def make_run(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, written_runs: dict[Synthetic, Path]) -> MakeRun:
+    """Gives a run folder of the test's own; takes the fields of ``Synthetic``."""
 
     def make(**changes: Any) -> Path:
-        folder = tmp_path / "run"
-        replace(Synthetic(), **changes).write(folder)
-        return folder
+        run = replace(Synthetic(), **changes)
+        if run not in written_runs:
+            folder = tmp_path_factory.mktemp("run")
+            run.write(folder)
+            written_runs[run] = folder
+        return shutil.copytree(written_runs[run], tmp_path / "run")
 
     return make

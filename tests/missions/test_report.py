@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from missions.records import RunFolderError, load_run
+from missions.report import make_report, series_table, show, summarize_many
 from missions.summary import summarize
 from missions.truth import first_hit, truth_of
 from path.messages import Role
@@ -123,3 +125,57 @@ def test_a_ray_meets_the_near_face_of_the_nearest_box() -> None:
 @pytest.mark.parametrize(("origin", "direction"), [((-10, 0.6, 0.5), (1, 0, 0)), ((-10, 0, 0.5), (-1, 0, 0))])
 def test_a_ray_that_misses_meets_nothing(origin: tuple[float, ...], direction: tuple[float, ...]) -> None:
     assert first_hit(np.array(origin, float), np.array(direction, float), BOX) is None
+
+
+# --- what is shown and written ---------------------------------------------------------------------------------
+
+
+def test_a_report_is_made_again_from_the_logs(make_run: MakeRun) -> None:
+    folder, shown = make_run(), io.StringIO()
+    summary = make_report(folder, picture=False, stream=shown)
+    assert json.loads((folder / "summary.json").read_text()) == summary
+    text = shown.getvalue()
+    for part in (
+        "committed",
+        "take-off",
+        "350 of 352, 49.9 Hz",
+        "low_iou 2",
+        "5.0 mm median",
+        "(limit 0.70 m)",
+        "8000 B/s",
+    ):
+        assert part in text
+    assert "\x1b" not in text
+
+
+def test_a_report_of_almost_nothing_has_dashes(make_run: MakeRun) -> None:
+    folder, shown = make_run(world=False, committed=False), io.StringIO()
+    (folder / "run.json").unlink()
+    (folder / "receiver.mcap").unlink()
+    make_report(folder, picture=False, stream=shown)
+    assert "unfinished" in shown.getvalue()
+    assert "error of D2                -" in shown.getvalue()
+
+
+def test_many_runs_are_summed_up(make_run: MakeRun) -> None:
+    good = summarize(load_run(make_run()))
+    bad = {
+        **good,
+        "seed": 8,
+        "outcome": "monitor_violated",
+        "monitors": {"S9": 2},
+        "wrong_handover": True,
+        "agreement_s": None,
+    }
+    series = summarize_many([good, bad])
+    assert series["outcomes"] == {"committed": 1, "monitor_violated": 1}
+    assert series["commit_rate"] == 0.5
+    assert series["wrong_handovers"] == 1
+    assert series["monitors"] == {"S9": 2}
+    assert series["misses"] == {"low_iou": 4}
+    assert series["failed_seeds"] == {"8": "monitor_violated"}
+    assert series["agreement_s"] == {"min": 7.05, "median": 7.05, "p95": 7.05, "max": 7.05}
+    shown = io.StringIO()
+    show(series_table(series), shown)
+    assert "8 monitor_violated" in shown.getvalue()
+    assert "50.0 %" in shown.getvalue()
