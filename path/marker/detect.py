@@ -1,0 +1,168 @@
+"""Find the markers of a layout in an image, with corners and their covariance.
+
+OpenCV's detector decodes; it needs cells of several pixels, so a small marker is looked for in an enlarged region. Its
+corners are good to about half a pixel: they only start the refinement.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from path.camera import CameraModel
+from path.marker.kernels import Array
+from path.marker.layout import MarkerLayout
+from path.marker.photometric import fit
+from path.marker.texture import cells, dictionary_of
+from path.observations import MarkerDetection, Region
+
+Refine = Literal["photometric", "subpix"]
+
+MAX_SCALE = 4.0
+DETECTION_PIXELS = 1.3e6  # an image is enlarged up to about this many pixels
+RETRY_SCALE, RETRY_PIXELS = 6.0, 6.0e4  # a small region that shows nothing is tried once more, larger
+LARGE_WINDOW_SCALE = 2.5  # from this scale on the threshold looks at a wider neighbourhood
+MIN_EXPLAINED = 0.85  # of the image's variance, for the fit to be trusted
+MIN_CONTRAST = 8.0  # grey levels
+MIN_LIKENESS = 0.5  # correlation with the printed pattern below which a decoded quadrilateral is no marker
+SUBPIX_SIGMA_PX, SUBPIX_RADIAL_PX = 0.35, 0.5  # per axis; common to all corners, towards the centre or away from it
+
+
+def detect_markers(
+    image: NDArray[np.uint8],
+    region: Region | None,
+    layout: MarkerLayout,
+    camera: CameraModel,
+    *,
+    refine: Refine = "photometric",
+    scale: float | None = None,
+    foreign: bool = False,
+) -> tuple[MarkerDetection, ...]:
+    """Markers of the layout in a region.
+
+    Args:
+        image: uint8, (height, width, 3) BGR or (height, width) grey, distorted as the lens gives it.
+        region: where to look; None for the whole image, which costs about ten times as much.
+        refine: how corners are refined. "photometric" falls back to "subpix", with its larger covariance, where the
+            image does not look like the print.
+        scale: enlargement for detection; by default up to 4, less for large regions.
+        foreign: also give markers of the dictionary that the layout does not have (unrefined).
+
+    Returns:
+        Detections by id. A marker that is seen in two places is there twice.
+    """
+    area = (region or Region(0.0, 0.0, math.inf, math.inf)).clipped(image.shape[1], image.shape[0])
+    if area is None:
+        return ()
+    u0, v0 = int(area.x0), int(area.y0)
+    cut = image[v0 : math.ceil(area.y1), u0 : math.ceil(area.x1)]
+    grey = np.ascontiguousarray(cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY) if cut.ndim == 3 else cut, dtype=np.uint8)
+    used = scale or _scale_for(grey.size)
+    quads = _decode(grey, layout.dictionary, used)
+    if not quads and scale is None and grey.size <= RETRY_PIXELS:
+        quads = _decode(grey, layout.dictionary, RETRY_SCALE)
+    found: list[MarkerDetection] = []
+    for marker_id, quad in quads:
+        if layout.marker(marker_id) is not None:
+            detection = _refined(grey, (u0, v0), marker_id, quad, layout.dictionary, camera, refine)
+            if detection is not None:
+                found.append(detection)
+        elif foreign:
+            found.append(MarkerDetection(marker_id, quad + np.array([u0, v0]), np.eye(8)))
+    return tuple(sorted(found, key=lambda detection: detection.marker_id))
+
+
+def _scale_for(pixels: int) -> float:
+    """Enlargement in half steps: the largest that keeps the work bounded, at most 4."""
+    wanted = math.sqrt(DETECTION_PIXELS / max(pixels, 1))
+    return max(1.0, min(MAX_SCALE, math.floor(2.0 * wanted) / 2.0))
+
+
+@lru_cache(maxsize=8)
+def _detector(dictionary: str, window: int) -> cv2.aruco.ArucoDetector:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = window
+    parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
+    parameters.perspectiveRemovePixelPerCell = 8
+    parameters.errorCorrectionRate = 1.0
+    return cv2.aruco.ArucoDetector(dictionary_of(dictionary), parameters)
+
+
+def _decode(grey: NDArray[np.uint8], dictionary: str, scale: float) -> list[tuple[int, Array]]:
+    """Ids and corners (4, 2) in pixels of ``grey``; one physical marker once."""
+    enlarged = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    corners, ids, _ = _detector(dictionary, 23 if scale >= LARGE_WINDOW_SCALE else 13).detectMarkers(enlarged)
+    quads: list[tuple[int, Array]] = []
+    for row, corner in enumerate(corners):
+        marker_id = int(np.ravel(ids)[row])  # shape (n, 1) in OpenCV 4, (n,) in 5
+        quad = (corner.reshape(4, 2).astype(np.float64) + 0.5) / scale - 0.5
+        centre, side = quad.mean(axis=0), _side(quad)
+        if not any(other == marker_id and np.hypot(*(q.mean(axis=0) - centre)) < 0.5 * side for other, q in quads):
+            quads.append((marker_id, quad))
+    return quads
+
+
+def _side(quad: Array) -> float:
+    return float(np.mean(np.hypot(*(np.roll(quad, -1, axis=0) - quad).T)))
+
+
+def _refined(
+    grey: NDArray[np.uint8],
+    offset: tuple[int, int],
+    marker_id: int,
+    quad: Array,
+    dictionary: str,
+    camera: CameraModel,
+    refine: Refine,
+) -> MarkerDetection | None:
+    """The detection with refined corners; None when the image there is nothing like the print."""
+    if _likeness(grey, quad, cells(dictionary, marker_id)) < MIN_LIKENESS:
+        return None
+    if refine == "photometric":
+        start = quad + offset
+        fitted = fit(grey, offset, start, camera, _quiet(dictionary, marker_id))
+        if (
+            fitted is not None
+            and fitted.explained >= MIN_EXPLAINED
+            and fitted.contrast >= MIN_CONTRAST
+            and float(np.abs(fitted.corners_px - start).max()) < max(2.0, 0.15 * _side(quad))
+        ):
+            return MarkerDetection(marker_id, fitted.corners_px, fitted.covariance_px2)
+    corners, covariance = _subpix(grey, quad, cells(dictionary, marker_id).shape[0])
+    return MarkerDetection(marker_id, corners + offset, covariance)
+
+
+@lru_cache(maxsize=64)
+def _quiet(dictionary: str, marker_id: int) -> Array:
+    """The pattern within a border of white cells."""
+    return np.pad(cells(dictionary, marker_id), 1, constant_values=1.0)
+
+
+def _likeness(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> float:
+    """Correlation of the image with the printed pattern, both sampled four times a cell and slightly blurred."""
+    n = pattern.shape[0]
+    side = 4 * n
+    target = np.array([[-0.5, -0.5], [side - 0.5, -0.5], [side - 0.5, side - 0.5], [-0.5, side - 0.5]], np.float32)
+    H = cv2.getPerspectiveTransform(target, quad.astype(np.float32))
+    seen = cv2.warpPerspective(grey, H, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    wanted = cv2.blur(np.kron(pattern, np.ones((4, 4))), (3, 3))
+    a, b = seen - seen.mean(), wanted - wanted.mean()
+    return float((a * b).sum() / (math.sqrt(float((a * a).sum()) * float((b * b).sum())) + 1e-9))
+
+
+def _subpix(grey: NDArray[np.uint8], quad: Array, cells_across: int) -> tuple[Array, Array]:
+    """Saddle-point refinement, with a covariance that admits its bias along the diagonals."""
+    half = max(1, min(5, round(0.6 * _side(quad) / cells_across)))
+    points = quad.astype(np.float32).reshape(4, 1, 2)
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.01)
+    corners = cv2.cornerSubPix(grey, points, (half, half), (-1, -1), criteria).reshape(4, 2).astype(np.float64)
+    if not np.all(np.isfinite(corners)) or float(np.abs(corners - quad).max()) > half + 1.0:
+        corners = quad
+    out = corners - corners.mean(axis=0)
+    radial = (out / np.hypot(out[:, 0], out[:, 1])[:, None]).ravel()
+    return corners, SUBPIX_SIGMA_PX**2 * np.eye(8) + SUBPIX_RADIAL_PX**2 * np.outer(radial, radial)

@@ -1,0 +1,151 @@
+"""The image of a printed marker: grey value and derivatives at one pixel, and the normal equations over all.
+
+    I = (b0 + b1 x + b2 y) + (a0 + a1 x + a2 y) (T + kappa T (1 - T)),    (x, y) = homography(undistorted ray)
+
+where T is the printed pattern blurred by an isotropic Gaussian *of the image*. Seen from the print that blur has
+deviations s_x, s_y and a correlation rho that change with the view; per axis a cell edge becomes a normal distribution
+function, and the correlation enters at the vertices of cells as Mehler's expansion of the bivariate normal (to second
+order). kappa stands for a camera that is not linear in light. The 16 unknowns ``theta`` are, in this order: homography
+8 (its last element is 1), b 3, a 3, blur in px, kappa.
+
+Print coordinates count cells, x right and y *down* from the top-left corner of the black frame; light is linear in
+coordinates that run from -1 to 1 over it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from path.marker.kernels import Array
+
+UNKNOWNS = 16
+BLUR, TONE = 14, 15  # places of blur and kappa in theta
+REACH = 4.0  # standard deviations after which an edge is not blurred any more
+
+_GRID = np.arange(-6.0, 6.0 + 1e-9, 1.0 / 64.0)
+_PDF = np.exp(-0.5 * _GRID**2) / math.sqrt(2.0 * math.pi)
+_CDF = np.array([0.5 * math.erfc(-z / math.sqrt(2.0)) for z in _GRID])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _edges(x: float, s: float, n: int, z: Array, pdf: Array, weight: Array) -> tuple[int, int]:
+    """Blurred cell edges along one axis at position ``x``.
+
+    Fills, for the active edges ``i = first..last``, ``z[i]`` = (x - i)/s and ``pdf[i]``, and for the cells
+    ``first - 1..last`` their share ``weight[cell + 1]`` of the blur. Edges run 0..n, cells -1 (quiet) .. n (quiet).
+    Phi and phi come from a table with a third-order Taylor step (error below 1e-9).
+    """
+    first = max(0, math.ceil(x - REACH * s))
+    last = min(n, math.floor(x + REACH * s))
+    before = 1.0
+    for i in range(first, last + 1):
+        zi = (x - i) / s
+        k = round((zi + 6.0) * 64.0)
+        node = k / 64.0 - 6.0
+        d = zi - node
+        p = _PDF[k]
+        h = node * node - 1.0
+        cdf = _CDF[k] + p * d * (1.0 + d * (-0.5 * node + d * h / 6.0))
+        z[i] = zi
+        pdf[i] = p * (1.0 + d * (-node + d * (0.5 * h - d * node * (node * node - 3.0) / 6.0)))
+        weight[i] = before - cdf
+        before = cdf
+    weight[last + 1] = before
+    return first, last
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _evaluate(  # noqa: PLR0915 - one formula, written out
+    pixel: Array, theta: Array, frame: Array, cells: Array, work: Array, row: Array
+) -> float:
+    """Model grey value at one pixel; fills ``row`` with its derivatives to the 16 unknowns.
+
+    ``pixel`` is (p, q, grey): the ray in the fit's own coordinates, see ``print_pixels.frame_of`` for ``frame``.
+    ``cells`` is the pattern with its quiet border, ``work`` scratch of shape (6, cells + 3).
+    """
+    n = cells.shape[0] - 2
+    p, q = pixel[0], pixel[1]
+    inv_w = 1.0 / (1.0 + theta[6] * p + theta[7] * q)
+    x = min(max((theta[0] * p + theta[1] * q + theta[2]) * inv_w, -1.0), n + 1.0)
+    y = min(max((theta[3] * p + theta[4] * q + theta[5]) * inv_w, -1.0), n + 1.0)
+    xp, xq = (theta[0] - x * theta[6]) * inv_w, (theta[1] - x * theta[7]) * inv_w
+    yp, yq = (theta[3] - y * theta[6]) * inv_w, (theta[4] - y * theta[7]) * inv_w
+    xu, xv = xp * frame[5] + xq * frame[7], xp * frame[6] + xq * frame[8]
+    yu, yv = yp * frame[5] + yq * frame[7], yp * frame[6] + yq * frame[8]
+    nx, ny = math.sqrt(xu * xu + xv * xv), math.sqrt(yu * yu + yv * yv)
+    rho = (xu * yu + xv * yv) / (nx * ny)
+    sx, sy = theta[BLUR] * nx, theta[BLUR] * ny
+    zx, fx, wx, zy, fy, wy = work[0], work[1], work[2], work[3], work[4], work[5]
+    x0, x1 = _edges(x, sx, n, zx, fx, wx)
+    y0, y1 = _edges(y, sy, n, zy, fy, wy)
+
+    t = t_x = t_y = curve_x = curve_y = s00 = s10 = s01 = s11 = 0.0
+    left = left_1 = left_z = 0.0
+    for column in range(x0, x1 + 2):  # cells[:, column] lies left of edge ``column``
+        value = d1 = dz = 0.0
+        for i in range(y0, y1 + 2):
+            value += wy[i] * cells[i, column]
+        for i in range(y0, y1 + 1):
+            step = fy[i] * (cells[i + 1, column] - cells[i, column])
+            d1 += step
+            dz += zy[i] * step
+        t += wx[column] * value
+        t_y += wx[column] * d1
+        curve_y -= wx[column] * dz
+        if column > x0:
+            f, fz = fx[column - 1], fx[column - 1] * zx[column - 1]
+            t_x += f * (value - left)
+            curve_x -= fz * (value - left)
+            s00 += f * (d1 - left_1)
+            s10 += fz * (d1 - left_1)
+            s01 += f * (dz - left_z)
+            s11 += fz * (dz - left_z)
+        left, left_1, left_z = value, d1, dz
+    t += rho * (s00 + 0.5 * rho * s11)
+    t_x = (t_x - rho * s10) / sx
+    t_y = (t_y - rho * s01) / sy
+    t_blur = (curve_x + curve_y + 2.0 * rho * s00) / theta[BLUR]
+
+    half = 0.5 * n
+    ex, ey = x / half - 1.0, y / half - 1.0
+    black = theta[8] + theta[9] * ex + theta[10] * ey
+    contrast = theta[11] + theta[12] * ex + theta[13] * ey
+    tone = t + theta[TONE] * t * (1.0 - t)
+    slope = contrast * (1.0 + theta[TONE] * (1.0 - 2.0 * t))
+    gx = (slope * t_x + (theta[9] + theta[12] * tone) / half) * inv_w
+    gy = (slope * t_y + (theta[10] + theta[13] * tone) / half) * inv_w
+    g = -(gx * x + gy * y)
+    row[0], row[1], row[2] = gx * p, gx * q, gx
+    row[3], row[4], row[5] = gy * p, gy * q, gy
+    row[6], row[7] = g * p, g * q
+    row[8], row[9], row[10] = 1.0, ex, ey
+    row[11], row[12], row[13] = tone, ex * tone, ey * tone
+    row[14] = slope * t_blur
+    row[15] = contrast * t * (1.0 - t)
+    return black + contrast * tone
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def accumulate(
+    pixels: Array, theta: Array, frame: Array, cells: Array, spread: float, normal: Array, residuals: Array
+) -> None:
+    """One pass over the pixels: weighted normal matrix with the gradient as its last column, and residuals.
+
+    ``normal`` has shape (16, 17). Weights fall off with the residual in units of ``spread``.
+    """
+    for i in range(UNKNOWNS):
+        for j in range(UNKNOWNS + 1):
+            normal[i, j] = 0.0
+    work, row = np.empty((6, cells.shape[0] + 1)), np.empty(UNKNOWNS + 1)
+    for k in range(pixels.shape[0]):
+        r = pixels[k, 2] - _evaluate(pixels[k], theta, frame, cells, work, row)
+        residuals[k] = r
+        row[UNKNOWNS] = r
+        w = 1.0 / (1.0 + (r / spread) ** 2) ** 2
+        for i in range(UNKNOWNS):
+            g = w * row[i]
+            for j in range(UNKNOWNS + 1):
+                normal[i, j] += g * row[j]

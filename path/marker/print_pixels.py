@@ -1,0 +1,134 @@
+"""Homography between a printed marker and the rays that see it, and which pixels of an image show the print."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from path.marker.kernels import Array, distort, undistort
+
+Gray = NDArray[np.uint8]
+
+MAX_PIXELS = 2500  # a larger marker is fitted on a regular selection of its pixels
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def frame_of(corners_px: Array, lens: Array, frame: Array, rays: Array) -> bool:
+    """Coordinates in which a fit works: rays about the marker's centre, scaled to be of size one.
+
+    Fills ``frame`` with (centre u, v in px; centre ray x, y; scale; d(p, q)/d(u, v) by rows), shape (9,), and ``rays``
+    with (p, q) of the corners, shape (4, 2). False when the corners are no quadrilateral in front of the camera.
+    """
+    u = 0.25 * (corners_px[0, 0] + corners_px[1, 0] + corners_px[2, 0] + corners_px[3, 0])
+    v = 0.25 * (corners_px[0, 1] + corners_px[1, 1] + corners_px[2, 1] + corners_px[3, 1])
+    cx, cy = undistort(u, v, lens, (u - lens[2]) / lens[0], (v - lens[3]) / lens[1])
+    reach = 0.0
+    for k in range(4):
+        rays[k, 0], rays[k, 1] = undistort(corners_px[k, 0], corners_px[k, 1], lens, cx, cy)
+        reach = max(reach, math.hypot(rays[k, 0] - cx, rays[k, 1] - cy))
+    if not 0.0 < reach < 10.0:
+        return False
+    for k in range(4):
+        rays[k, 0], rays[k, 1] = (rays[k, 0] - cx) / reach, (rays[k, 1] - cy) / reach
+    _, _, ux, uy, vx, vy = distort(cx, cy, lens)
+    gain = 1.0 / (reach * (ux * vy - uy * vx))
+    frame[0], frame[1], frame[2], frame[3], frame[4] = u, v, cx, cy, 1.0 / reach
+    frame[5], frame[6], frame[7], frame[8] = vy * gain, -uy * gain, -vx * gain, ux * gain
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def homography(corners: Array, n: int, theta: Array) -> bool:
+    """Homography from ``corners`` (4, 2) to the print's corners (0,0) (n,0) (n,n) (0,n), into ``theta[:8]``."""
+    x0, y0, x1, y1 = corners[0, 0], corners[0, 1], corners[1, 0], corners[1, 1]
+    x2, y2, x3, y3 = corners[2, 0], corners[2, 1], corners[3, 0], corners[3, 1]
+    ax, ay, bx, by = x1 - x2, y1 - y2, x3 - x2, y3 - y2
+    sx, sy = x0 - x1 + x2 - x3, y0 - y1 + y2 - y3
+    det = ax * by - bx * ay
+    if abs(det) < 1e-9:
+        return False
+    g, h = (sx * by - sy * bx) / det, (ax * sy - ay * sx) / det
+    a, b, c = x1 - x0 + g * x1, x3 - x0 + h * x3, x0
+    d, e, f = y1 - y0 + g * y1, y3 - y0 + h * y3, y0
+    last = a * e - b * d
+    if abs(last) < 1e-9:
+        return False
+    scale = n / last
+    theta[0], theta[1], theta[2] = (e - f * h) * scale, (c * h - b) * scale, (b * f - c * e) * scale
+    theta[3], theta[4], theta[5] = (f * g - d) * scale, (a - c * g) * scale, (c * d - a * f) * scale
+    theta[6], theta[7] = (d * h - e * g) / last, (b * g - a * h) / last
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def corner_rays(theta: Array, n: int, corners: Array, jacobian: Array) -> None:
+    """The print's corners back in the fit's ray coordinates (4, 2), and d(corners)/d(theta[:8]), shape (8, 8)."""
+    for k in range(4):
+        x, y = (0.0 if k in (0, 3) else float(n)), (0.0 if k < 2 else float(n))
+        a, b, c = theta[0] - x * theta[6], theta[1] - x * theta[7], x - theta[2]
+        d, e, f = theta[3] - y * theta[6], theta[4] - y * theta[7], y - theta[5]
+        det = a * e - b * d
+        p, q = (c * e - b * f) / det, (a * f - c * d) / det
+        corners[k, 0], corners[k, 1] = p, q
+        gains = (-p, -q, -1.0, x * p, x * q, y * p, y * q)
+        for j in range(3):
+            jacobian[2 * k, j], jacobian[2 * k + 1, j] = gains[j] * e / det, -gains[j] * d / det
+            jacobian[2 * k, 3 + j], jacobian[2 * k + 1, 3 + j] = -gains[j] * b / det, gains[j] * a / det
+        for j in range(2):
+            gx, gy = gains[3 + j], gains[5 + j]
+            jacobian[2 * k, 6 + j] = (e * gx - b * gy) / det
+            jacobian[2 * k + 1, 6 + j] = (a * gy - d * gx) / det
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def gather(
+    image: Gray, u_off: int, v_off: int, frame: Array, lens: Array, theta: Array, n: int, blur_px: float
+) -> Array:
+    """Pixels of the print and of the part of its quiet border that its outer edge does not reach.
+
+    Returns rows (p, q, grey, 1 when the row before is the pixel to the left).
+    """
+    height, width = image.shape
+    cx, cy, scale = frame[2], frame[3], frame[4]
+    xs = math.hypot(theta[0] * frame[5] + theta[1] * frame[7], theta[0] * frame[6] + theta[1] * frame[8])
+    ys = math.hypot(theta[3] * frame[5] + theta[4] * frame[7], theta[3] * frame[6] + theta[4] * frame[8])
+    x_out, y_out = max(0.1, 1.0 - 2.0 * blur_px * xs), max(0.1, 1.0 - 2.0 * blur_px * ys)
+    # the image box of the print, with its quiet border
+    low_u, high_u, low_v, high_v = 1e9, -1e9, 1e9, -1e9
+    for k in range(4):
+        x, y = (-1.0 if k in (0, 3) else n + 1.0), (-1.0 if k < 2 else n + 1.0)
+        a, b, c = theta[0] - x * theta[6], theta[1] - x * theta[7], x - theta[2]
+        d, e, f = theta[3] - y * theta[6], theta[4] - y * theta[7], y - theta[5]
+        det = a * e - b * d
+        u, v, _, _, _, _ = distort((c * e - b * f) / det / scale + cx, (a * f - c * d) / det / scale + cy, lens)
+        low_u, high_u = min(low_u, u - u_off), max(high_u, u - u_off)
+        low_v, high_v = min(low_v, v - v_off), max(high_v, v - v_off)
+    u0, u1 = max(0, int(low_u)), min(width, int(high_u) + 2)
+    v0, v1 = max(0, int(low_v)), min(height, int(high_v) + 2)
+    area = abs(frame[5] * frame[8] - frame[6] * frame[7]) * abs(theta[0] * theta[4] - theta[1] * theta[3])
+    every = max(1, math.ceil((n + x_out + x_out) * (n + y_out + y_out) / area / MAX_PIXELS))
+    pixels = np.empty((max(0, (u1 - u0) * (v1 - v0)), 4))
+    count = 0
+    for v in range(v0, v1):
+        du, dv = u0 + u_off - frame[0], v + v_off - frame[1]
+        x = cx + (frame[5] * du + frame[6] * dv) / scale
+        y = cy + (frame[7] * du + frame[8] * dv) / scale
+        previous = -2
+        for u in range(u0, u1):
+            x, y = undistort(u + u_off, v + v_off, lens, x + frame[5] / scale, y + frame[7] / scale)
+            if every > 1 and (u // 2 + v) % every != 0:
+                continue
+            p, q = (x - cx) * scale, (y - cy) * scale
+            w = 1.0 + theta[6] * p + theta[7] * q
+            mx = (theta[0] * p + theta[1] * q + theta[2]) / w
+            my = (theta[3] * p + theta[4] * q + theta[5]) / w
+            if -x_out < mx < n + x_out and -y_out < my < n + y_out:
+                pixels[count, 0], pixels[count, 1] = p, q
+                pixels[count, 2] = image[v, u]
+                pixels[count, 3] = 1.0 if previous == u - 1 else 0.0
+                previous = u
+                count += 1
+    return pixels[:count]

@@ -1,0 +1,40 @@
+"""Compile, or load from numba's cache, every kernel of this package before a flight needs it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from path import rotation
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.marker.detect import detect_markers
+from path.marker.layout import single_marker
+from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
+from path.marker.texture import cells
+
+
+def warm_up() -> None:
+    """Find a drawn marker and estimate its pose. Seconds after an update of the software, otherwise well below one.
+
+    Raises:
+        RuntimeError: when the drawn marker gives no pose: the installation is broken.
+    """
+    layout, camera = single_marker(), CameraModel(160, 160, 600.0, 600.0, 80.0, 80.0)
+    marker = layout.markers[0]
+    T_c_v = Pose(rotation.exp(np.array([2.6, 0.3, 0.2])), np.array([0.0, 0.0, 0.5]))
+    pattern = np.pad(cells(layout.dictionary, marker.id), 1, constant_values=1.0)
+    zoom = 12  # pixels of the drawing a cell
+    printed = np.kron(30.0 + 170.0 * pattern, np.ones((zoom, zoom)))
+    m = marker.side_m / (pattern.shape[0] - 2) / zoom
+    middle = 0.5 * (printed.shape[0] - 1)
+    to_marker = np.array([[m, 0.0, -m * middle], [0.0, -m, m * middle], [0.0, 0.0, 1.0]])
+    to_image = camera.K @ np.column_stack([T_c_v.R[:, 0], T_c_v.R[:, 1], T_c_v.t]) @ to_marker
+    drawn = cv2.warpPerspective(printed, to_image, (160, 160), flags=cv2.INTER_AREA, borderValue=(120.0,))
+    image = np.asarray(cv2.GaussianBlur(drawn, (0, 0), 0.8), dtype=np.uint8)
+    found = detect_markers(image, None, layout, camera)
+    down = np.array([0.0, -0.8, -0.6])
+    gx, gy, gz = (T_c_v.R @ down).tolist()
+    pose = estimate_pose(found, layout, camera, (0.0, -0.8, -0.6), (gx, gy, gz), PoseSettings())
+    if not isinstance(pose, MarkerPose):
+        raise RuntimeError(f"a drawn marker gave no pose ({pose.reason.value}): reinstall numba and OpenCV")
