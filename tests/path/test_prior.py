@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from path.camera import CameraModel
 from path.config import MethodConfig
@@ -27,7 +29,7 @@ NOMINAL = CameraModel(  # eq. nominal_intrinsics: 1920 x 1080, 69.4 by 42.5 degr
 NOMINAL_POSE = Pose(exp(np.array([0.0, math.radians(25.0), 0.0])), np.array([-1.0, 0.2, 1.0]))
 CAMERA = CameraModel(640, 480, 615.0, 616.0, 320.0, 240.0, (-0.1, 0.05, 0.001, -0.001, 0.0))
 POSE = Pose(exp(np.array([0.2, 0.4, -0.1])), np.array([-0.7, 0.1, 1.2]))
-POINT = (0.1, -0.05, 1.4)
+POINT = (0.3, -0.25, 1.4)
 
 
 def covariance(t_sigma_m: float = 0.004, r_sigma_rad: float = 0.003) -> Matrix:
@@ -65,24 +67,30 @@ def test_nominal_geometry_could_not_see_the_marker() -> None:
     assert u == pytest.approx(-426.4, abs=0.1)
 
 
-def test_covariance_is_that_of_sampled_poses() -> None:
-    """Left rotation perturbation in the camera frame, translation untouched by it."""
-    rng = np.random.default_rng(1)
-    n, point_sigma, pixel_sigma = 20_000, 0.005, 1.0
-    samples = rng.multivariate_normal(np.zeros(6), covariance(), n)
-    pixels, positions = np.empty((n, 2)), np.empty((n, 3))
-    for i, sample in enumerate(samples):
-        R, t = exp(sample[3:]) @ POSE.R, POSE.t + sample[:3]
-        point_c = R @ (np.array(POINT) + rng.normal(0.0, point_sigma, 3)) + t
-        pixels[i] = CAMERA.project_point((float(point_c[0]), float(point_c[1]), float(point_c[2])))
-        positions[i] = -R.T @ t
-    pixels += rng.normal(0.0, pixel_sigma, pixels.shape)
+def perturbed(direction: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pixel of the target and D2's position in ``v``: rotated from the left in the camera frame, t untouched by that."""
+    R, t = exp(step * direction[3:]) @ POSE.R, POSE.t + step * direction[:3]
+    x, y, z = (R @ np.array(POINT) + t).tolist()
+    return np.array(CAMERA.project_point((x, y, z))), -R.T @ t
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(np.array))
+def test_covariance_follows_the_pose_in_every_direction(direction: np.ndarray) -> None:
+    (u0v0, p0), (u1v1, p1) = perturbed(direction, -1e-6), perturbed(direction, 1e-6)
+    du, dv = (u1v1 - u0v0) / 2e-6
+    moved = np.linalg.norm((p1 - p0) / 2e-6)
     point_c = transform(rigid(POSE), POINT)
-    (uu, uv, vv), sigma_m = propagate(CAMERA, rigid(POSE), point_c, covariance(), point_sigma, pixel_sigma)
-    sampled = np.cov(pixels.T)
-    scale = math.sqrt(sampled[0, 0] * sampled[1, 1])
-    np.testing.assert_allclose([[uu, uv], [uv, vv]], sampled, atol=0.04 * scale)
-    assert sigma_m == pytest.approx(math.sqrt(np.trace(np.cov(positions.T)) / 3.0), rel=0.04)
+    (uu, uv, vv), sigma_m = propagate(CAMERA, rigid(POSE), point_c, np.outer(direction, direction), 0.0, 0.0)
+    assert (uu, uv, vv) == pytest.approx((du * du, du * dv, dv * dv), rel=1e-5, abs=1e-3)
+    assert sigma_m == pytest.approx(moved / math.sqrt(3.0), rel=1e-5, abs=1e-7)
+
+
+def test_covariance_of_point_and_detector_adds_up() -> None:
+    point_c = transform(rigid(POSE), POINT)
+    (uu, uv, vv), sigma_m = propagate(CAMERA, rigid(POSE), point_c, np.zeros((6, 6)), 0.01, 1.5)
+    J = CAMERA.jacobian(np.array([point_c]))[0]
+    np.testing.assert_allclose([[uu, uv], [uv, vv]], 1e-4 * J @ J.T + 2.25 * np.eye(2))
+    assert sigma_m == 0.0
 
 
 def test_region_reaches_the_ellipse_and_half_the_targets_box() -> None:
