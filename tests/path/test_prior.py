@@ -68,7 +68,7 @@ def test_nominal_geometry_could_not_see_the_marker() -> None:
 
 
 def perturbed(direction: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pixel of the target and D2's position in ``v``: rotated from the left in the camera frame, t untouched by that."""
+    """Pixel of the target and D2's position in ``v``: rotated from the left in the camera frame, t untouched."""
     R, t = exp(step * direction[3:]) @ POSE.R, POSE.t + step * direction[:3]
     x, y, z = (R @ np.array(POINT) + t).tolist()
     return np.array(CAMERA.project_point((x, y, z))), -R.T @ t
