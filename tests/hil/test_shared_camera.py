@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -69,6 +69,11 @@ def write(writer: SharedCameraWriter, value: int, stamp_ns: int | None = None, c
     writer.write(stamp_ns, np.full((*shape, 3), value % 251, np.uint8), np.full(shape, value % 251, np.uint16))
 
 
+def write_all(writer: SharedCameraWriter, values: Iterable[int]) -> None:
+    for value in values:
+        write(writer, value)
+
+
 def reader(run: str, offset_ns: int = 0, camera: CameraModel = SMALL, open_timeout_s: float = 5.0) -> SharedCamera:
     return SharedCamera(SharedCameraConfig(run=run, open_timeout_s=open_timeout_s), context(offset_ns, camera))
 
@@ -93,8 +98,7 @@ def test_the_newest_wins_none_is_given_twice_and_what_was_passed_over_is_counted
         with SharedCameraWriter(run, Role.RECEIVER, SMALL) as writer:
             write(writer, 1)  # before the reader came
             async with reader(run) as camera:
-                for value in range(2, 13):
-                    write(writer, value)
+                write_all(writer, range(2, 13))
                 frame = await camera.read(PATIENCE_S)
                 assert frame.color[0, 0, 0] == 12
                 assert camera.skipped == 10
@@ -134,15 +138,18 @@ class Overtaken:
         return torn
 
 
+def overtake(camera: SharedCamera, slot: int, meanwhile: Callable[[], None]) -> None:
+    assert camera._segment is not None
+    slots: list[Any] = camera._segment.colors
+    slots[slot] = Overtaken(slots[slot], meanwhile)
+
+
 def test_a_reader_that_was_overtaken_while_copying_takes_a_newer_frame(run: str) -> None:
     async def main() -> None:
         with SharedCameraWriter(run, Role.RECEIVER, SMALL) as writer:
             async with reader(run) as camera:
                 write(writer, 1)
-                segment = camera._segment
-                assert segment is not None
-                slots: list[Any] = segment.colors
-                slots[1] = Overtaken(segment.colors[1], lambda: [write(writer, v) for v in range(2, 7)] and None)
+                overtake(camera, 1, lambda: write_all(writer, range(2, 7)))
                 frame = await camera.read(PATIENCE_S)
                 assert frame.color.min() == frame.color.max() == 6
 
