@@ -55,6 +55,16 @@ def undistort(u: float, v: float, lens: Array, x: float, y: float) -> tuple[floa
 
 
 @njit(cache=True, nogil=True)
+def rays(pixels: Array, lens: Array) -> Array:
+    """Undistorted rays, shape (n, 2), of pixels (n, 2)."""
+    out = np.empty(pixels.shape)
+    for k in range(pixels.shape[0]):
+        u, v = pixels[k, 0], pixels[k, 1]
+        out[k, 0], out[k, 1] = undistort(u, v, lens, (u - lens[2]) / lens[0], (v - lens[3]) / lens[1])
+    return out
+
+
+@njit(cache=True, nogil=True)
 def cholesky(a: Array) -> bool:
     """Replace the lower triangle of a symmetric matrix by its Cholesky factor; False when not positive definite."""
     n = a.shape[0]

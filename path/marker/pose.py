@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from path.camera import CameraModel
 from path.geometry import Pose
-from path.marker.kernels import distort, lens_of
+from path.marker.kernels import distort, lens_of, rays
 from path.marker.layout import Marker, MarkerLayout
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason
@@ -29,9 +29,12 @@ Array = NDArray[np.float64]
 
 ITERATIONS = 12
 CONVERGED = 1e-9
-MIN_CORNER_SIGMA_PX = 0.01
-AMBIGUOUS_COST = 9.0  # without gravity, the second solution must fit this much worse (chi-square)
-WORST_RMS = 4.0  # whitened residual per coordinate above which the corners are no such marker
+MIN_CORNER_SIGMA_PX = 0.005
+FLOOR_PX2 = MIN_CORNER_SIGMA_PX**2 * np.eye(8)
+SAME_RAD = 0.05  # two solutions nearer than this are one
+MAX_AMBIGUITY = 0.01  # likelihood of the other solution relative to the best, from which on neither is believed
+MISFIT = 3.0  # chi-square per degree of freedom above which it enlarges the covariance
+WORST_PX, WORST_SHARE = 1.0, 0.06  # rms misfit of corners, px or share of the side, that no such marker has
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +63,8 @@ class MarkerPose:
         covariance: (6, 6), see the module; printed size and focal length included.
         incidence_rad: between the best marker's normal and the line of sight.
         side_px: mean side of the best marker in the image.
-        rms: whitened residual per corner coordinate; about 1 when the corners' covariance is right.
+        rms: whitened residual per corner coordinate; at most about 1 when the corners' covariance is right.
+        ambiguity: likelihood of the other planar solution relative to this one, 0..1.
     """
 
     T_c_v: Pose
@@ -68,6 +72,7 @@ class MarkerPose:
     incidence_rad: float
     side_px: float
     rms: float
+    ambiguity: float
 
 
 def estimate_pose(
@@ -91,38 +96,39 @@ def estimate_pose(
     seen = _known(detections, layout)
     if isinstance(seen, Missed):
         return seen
-    side_px, found, marker = max(((_side_px(found), found, marker) for found, marker in seen), key=lambda item: item[0])
+    seen.sort(key=lambda item: -_side_px(item[0]))
+    found, marker = seen[0]
+    side_px, lens = _side_px(found), lens_of(camera)
     points = np.concatenate([marker.corners_v for _, marker in seen])
     pixels = np.concatenate([found.corners_px for found, _ in seen])
     whitening = np.stack([_whitening(found.covariance_px2) for found, _ in seen])
     gravity = gravity_v is not None and gravity_c is not None
     down = np.array([*gravity_v, *gravity_c] if gravity_v is not None and gravity_c is not None else [0.0] * 6)
     weight = 0.5 / settings.attitude_sigma_rad**2 if gravity else 0.0
-    solutions = sorted(
-        (
-            _refine(R, t, points, pixels, whitening, lens_of(camera), down, weight)
-            for R, t in _ippe(found, marker, camera)
-        ),
-        key=lambda solution: solution[0],
-    )
+    starts = [start for found, marker in seen[:2] for start in _ippe(found, marker, lens)]
+    solutions = [_refine(R, t, points, pixels, whitening, lens, down, weight) for R, t in starts]
+    solutions = sorted((s for s in solutions if math.isfinite(s[0])), key=lambda solution: solution[0])
     if not solutions:
         return Missed(MissReason.POSE_UNCERTAIN)
     cost, R, t, information, corner_cost = solutions[0]
-    rms = math.sqrt(corner_cost / (2 * len(points)))
-    apart = len(solutions) > 1 and _angle(R, solutions[1][1]) > 0.05
-    if (
-        not math.isfinite(cost)
-        or rms > WORST_RMS
-        or (apart and not gravity and solutions[1][0] - cost < AMBIGUOUS_COST)
-    ):
-        return Missed(MissReason.POSE_UNCERTAIN)
-    covariance = _covariance(information, R, t, marker, settings)
     incidence = _incidence(R @ marker.T_v_m.R, R @ marker.T_v_m.t + t)
     if incidence > settings.max_incidence_rad:
         return Missed(MissReason.MARKER_OBLIQUE)
-    if covariance is None or math.sqrt(np.trace(covariance[:3, :3]) / 3.0) > settings.max_sigma_m:
+    misfit = cost / (2 * len(points) - (4 if gravity else 6))
+    misfit = misfit if misfit > MISFIT else 1.0
+    rivals = [other[0] - cost for other in solutions[1:] if _angle(R, other[1]) > SAME_RAD]
+    ambiguity = math.exp(-0.5 * rivals[0] / misfit) if rivals else 0.0
+    rms = math.sqrt(corner_cost / (2 * len(points)))
+    rms_px = rms * math.sqrt(float(np.trace(found.covariance_px2)) / 8.0)
+    covariance = _covariance(information, R, t, marker, misfit, settings)
+    if (
+        covariance is None
+        or ambiguity > MAX_AMBIGUITY
+        or rms_px > max(WORST_PX, WORST_SHARE * side_px)
+        or math.sqrt(np.trace(covariance[:3, :3]) / 3.0) > settings.max_sigma_m
+    ):
         return Missed(MissReason.POSE_UNCERTAIN)
-    return MarkerPose(Pose(R, t), covariance, incidence, side_px, rms)
+    return MarkerPose(Pose(R, t), covariance, incidence, side_px, rms, ambiguity)
 
 
 def _known(
@@ -141,23 +147,22 @@ def _known(
 
 
 def _side_px(found: MarkerDetection) -> float:
-    corners = found.corners_px
-    return float(np.mean(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)))
+    a, b, c, d = found.corners_px.tolist()
+    return 0.25 * (math.dist(a, b) + math.dist(b, c) + math.dist(c, d) + math.dist(d, a))
 
 
 def _whitening(covariance_px2: Array) -> Array:
     """Inverse Cholesky factor, so that whitened residuals have unit variance."""
-    floor = MIN_CORNER_SIGMA_PX**2 * np.eye(8)
-    return np.linalg.inv(np.linalg.cholesky(covariance_px2 + floor))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance_px2 + FLOOR_PX2)), dtype=np.float64)
 
 
-def _ippe(found: MarkerDetection, marker: Marker, camera: CameraModel) -> list[tuple[Array, Array]]:
+def _ippe(found: MarkerDetection, marker: Marker, lens: Array) -> list[tuple[Array, Array]]:
     """Both planar solutions as poses of ``v`` in the camera."""
     half = 0.5 * marker.side_m
     corners = np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
-    rays = camera.rays(found.corners_px)
+    seen = rays(np.ascontiguousarray(found.corners_px), lens)
     try:
-        _, turns, shifts, _ = cv2.solvePnPGeneric(corners, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+        _, turns, shifts, _ = cv2.solvePnPGeneric(corners, seen, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
     except cv2.error:
         return []
     T_m_v = marker.T_v_m.inverse()
@@ -169,18 +174,20 @@ def _ippe(found: MarkerDetection, marker: Marker, camera: CameraModel) -> list[t
     return poses
 
 
-def _covariance(information: Array, R: Array, t: Array, marker: Marker, settings: PoseSettings) -> Array | None:
-    """Inverse information, with the two errors that scale the range; None when the problem was singular."""
+def _covariance(
+    information: Array, R: Array, t: Array, marker: Marker, misfit: float, settings: PoseSettings
+) -> Array | None:
+    """Inverse information times the misfit, with the two errors that scale the range; None when it is singular."""
     try:
-        covariance = np.linalg.inv(information)
+        covariance = np.asarray(np.linalg.inv(information) * misfit, dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
-    if not np.all(np.diag(covariance) > 0.0):
+    if not covariance.diagonal().min() > 0.0:
         return None
-    center = R @ marker.T_v_m.t + t
+    centre = R @ marker.T_v_m.t + t
     size = marker.side_sigma_m / marker.side_m
-    along = np.array([0.0, 0.0, center[2]])
-    covariance[:3, :3] += size * size * np.outer(center, center) + settings.focal_sigma**2 * np.outer(along, along)
+    covariance[:3, :3] += size * size * np.outer(centre, centre)
+    covariance[2, 2] += (settings.focal_sigma * centre[2]) ** 2
     return covariance
 
 
@@ -265,13 +272,21 @@ def _residuals(
 
 @njit(cache=True, nogil=True)
 def _refine(
-    R: Array, t: Array, points: Array, pixels: Array, whitening: Array, lens: Array, down: Array, weight: float
+    start_R: Array,
+    start_t: Array,
+    points: Array,
+    pixels: Array,
+    whitening: Array,
+    lens: Array,
+    down: Array,
+    weight: float,
 ) -> tuple[float, Array, Array, Array, float]:
     """Levenberg-Marquardt from one solution: cost, pose, information (6, 6) and the corners' share of the cost."""
+    turn, shift = start_R, start_t
     rows = 8 * whitening.shape[0] + 3
     residuals, jacobian = np.zeros(rows), np.zeros((rows, 6))
     tried, tried_jacobian = np.zeros(rows), np.zeros((rows, 6))
-    corners = _residuals(R, t, points, pixels, whitening, lens, down, weight, residuals, jacobian)
+    corners = _residuals(turn, shift, points, pixels, whitening, lens, down, weight, residuals, jacobian)
     cost = np.sum(residuals * residuals) if corners < np.inf else np.inf
     information = jacobian.T @ jacobian
     damping = 1e-6
@@ -282,12 +297,12 @@ def _refine(
         for k in range(6):
             normal[k, k] += damping * information[k, k] + 1e-12
         step = np.linalg.solve(normal, -(jacobian.T @ residuals))
-        R_new, t_new = _exp_times(step[3:], R), t + step[:3]
-        corners_new = _residuals(R_new, t_new, points, pixels, whitening, lens, down, weight, tried, tried_jacobian)
+        turned, shifted = _exp_times(step[3:], turn), shift + step[:3]
+        corners_new = _residuals(turned, shifted, points, pixels, whitening, lens, down, weight, tried, tried_jacobian)
         cost_new = np.sum(tried * tried) if corners_new < np.inf else np.inf
         if cost_new <= cost:
             done = cost - cost_new < CONVERGED * (1.0 + cost)
-            R, t, cost, corners = R_new, t_new, cost_new, corners_new
+            turn, shift, cost, corners = turned, shifted, cost_new, corners_new
             residuals[:], jacobian[:] = tried, tried_jacobian
             information = jacobian.T @ jacobian
             damping = max(1e-9, 0.1 * damping)
@@ -297,4 +312,4 @@ def _refine(
             damping = 1e-4 if damping < 1e-5 else 10.0 * damping
             if damping > 1e8:
                 break
-    return cost, R, t, information, corners
+    return cost, turn, shift, information, corners
