@@ -1,0 +1,309 @@
+"""The sender's side of the hand-over: release, commit, and take back only when nobody accepted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Confirm
+from path.protocol.values import (
+    LAST_EPOCH,
+    AbortRequested,
+    Actions,
+    AgreementComplete,
+    Ended,
+    Handoff,
+    Heard,
+    Offer,
+    Outcome,
+    PeerStatus,
+    PersistEpoch,
+    ProtocolConfig,
+    Refusal,
+    Refused,
+    Release,
+    Send,
+    SenderEvent,
+    Settled,
+    TakeResponsibility,
+    Tick,
+    VerifyAgain,
+    is_abort_of,
+    mismatch,
+    to_ns,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Idle:
+    """No handoff. ``epoch`` is the last one used. Not responsible only after a restart that found it released."""
+
+    epoch: int = 0
+    responsible: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Offering:
+    """Responsible; nobody has answered yet."""
+
+    live: Handoff
+    offer_end_ns: int
+    end_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Verifying:
+    """Responsible; candidates come in."""
+
+    live: Handoff
+    end_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class AwaitingAccept:
+    """Released. COMMIT is repeated until the lease ends, unless the handoff was aborted since (``withdrawn``)."""
+
+    live: Handoff
+    commit: Commit
+    resend_ns: int
+    take_back_ns: int
+    withdrawn: AbortReason | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class HandedOver:
+    """Accepted. Never takes back by itself. ``settled`` once it is known, or too late to know, what became of it."""
+
+    live: Handoff
+    nonce: int
+    sure_ns: int  # from here on the receiver holds for good or not at all
+    settle_end_ns: int
+    settled: Outcome | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TakenBack:
+    """Responsible again, in a new epoch. Ends here unless told to verify again."""
+
+    live: Handoff
+
+
+SenderState = Idle | Offering | Verifying | AwaitingAccept | HandedOver | TakenBack
+Step = tuple[SenderState, Actions]
+
+
+def is_responsible(state: SenderState) -> bool:
+    match state:
+        case Idle():
+            return state.responsible
+        case Offering() | Verifying() | TakenBack():
+            return True
+        case AwaitingAccept() | HandedOver():
+            return False
+
+
+def wake_ns(state: SenderState) -> int | None:
+    """When the next Tick is due, own clock; None when time changes nothing."""
+    match state:
+        case Offering() | Verifying():
+            return _deadline_ns(state)
+        case AwaitingAccept():
+            return state.take_back_ns if _silent(state) else min(state.resend_ns, state.take_back_ns)
+        case HandedOver():
+            return state.settle_end_ns if state.settled is None else None
+        case Idle() | TakenBack():
+            return None
+
+
+def step(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_ns: int) -> Step:
+    """One event at one instant (own clock, never going back). What time alone has brought about comes first."""
+    state, due = _elapse(config, state, now_ns)
+    if isinstance(event, Tick):
+        return state, due
+    state, actions = _react(config, state, event, now_ns)
+    return state, due + actions
+
+
+def _deadline_ns(state: Offering | Verifying) -> int:
+    return min(state.offer_end_ns, state.end_ns) if isinstance(state, Offering) else state.end_ns
+
+
+def _silent(state: AwaitingAccept) -> bool:
+    """No COMMIT any more: withdrawn, or the next one would come after the lease's end."""
+    return state.withdrawn is not None or state.resend_ns >= state.commit.lease_end_ns
+
+
+def _elapse(config: ProtocolConfig, state: SenderState, now_ns: int) -> Step:
+    match state:
+        case Offering() | Verifying() if now_ns >= _deadline_ns(state):
+            abort = _abort(state.live, AbortReason.TIMEOUT, now_ns)
+            return Idle(state.live.epoch), (Send(abort), Ended(Outcome.TIMEOUT))
+        case AwaitingAccept() if now_ns >= state.take_back_ns:
+            return _take_back(state)
+        case AwaitingAccept() if not _silent(state) and state.resend_ns <= now_ns < state.commit.lease_end_ns:
+            again = replace(state.commit, stamp_ns=now_ns)
+            return replace(state, resend_ns=now_ns + to_ns(config.retry_s)), (Send(again),)
+        case HandedOver() if state.settled is None and now_ns >= state.settle_end_ns:
+            return _settle(state, Outcome.UNCONFIRMED)
+        case _:
+            return state, ()
+
+
+def _take_back(state: AwaitingAccept) -> Step:
+    live = replace(state.live, epoch=state.live.epoch + 1)
+    # A receiver that let go at the lease's end says so with TIMEOUT: that is no abort but the lease running out.
+    ran_out = state.withdrawn in (None, AbortReason.TIMEOUT)
+    outcome = Outcome.TAKEN_BACK if ran_out else Outcome.ABORTED
+    actions = (PersistEpoch(live.epoch), TakeResponsibility(provisional=False), Ended(outcome, state.withdrawn))
+    return TakenBack(live), actions
+
+
+def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_ns: int) -> Step:  # noqa: PLR0911
+    match state, event:
+        case Idle() | TakenBack(), Offer():
+            return _offer(config, state, event, now_ns)
+        case TakenBack(), VerifyAgain():
+            return Verifying(state.live, now_ns + to_ns(config.handoff_s)), ()
+        case Offering() | Verifying() | AwaitingAccept() | HandedOver(), Heard():
+            return _hear(config, state, event, now_ns)
+        case Offering() | Verifying(), AbortRequested():
+            return _give_up(state, event.reason, now_ns)
+        case AwaitingAccept(), AbortRequested():
+            withdrawn = replace(state, withdrawn=state.withdrawn or event.reason)
+            return withdrawn, (Send(_abort(state.live, event.reason, now_ns)),)
+        case Verifying(), AgreementComplete():
+            return _commit(config, state, event, now_ns)
+        case HandedOver(settled=None | Outcome.UNCONFIRMED), PeerStatus() if event.stamp_ns > state.sure_ns:
+            return _settle(state, Outcome.HANDED_OVER if event.responsible else Outcome.ORPHANED)
+        case _, PeerStatus():
+            return state, ()
+        case _:
+            return state, (Refused(Refusal.WRONG_STATE),)
+
+
+def _offer(config: ProtocolConfig, state: Idle | TakenBack, offer: Offer, now_ns: int) -> Step:
+    if not is_responsible(state):
+        return state, (Refused(Refusal.NOT_RESPONSIBLE),)
+    epoch = (state.epoch if isinstance(state, Idle) else state.live.epoch) + 1
+    if epoch >= LAST_EPOCH:  # one more is kept for taking back
+        return state, (Refused(Refusal.EPOCHS_EXHAUSTED),)
+    live = Handoff(offer.handoff_id, epoch, offer.target_id)
+    offering = Offering(live, now_ns + to_ns(config.offer_s), now_ns + to_ns(config.handoff_s))
+    return offering, (PersistEpoch(epoch),)
+
+
+def _commit(config: ProtocolConfig, state: Verifying, agreed: AgreementComplete, now_ns: int) -> Step:
+    """S4, S5: release first, then say so; only after the full agreement on the one target of the one epoch."""
+    why: Refusal | None = None
+    if agreed.epoch != state.live.epoch:
+        why = Refusal.LOWER_EPOCH if agreed.epoch < state.live.epoch else Refusal.UNKNOWN_EPOCH
+    elif agreed.target_id != state.live.target_id:
+        why = Refusal.WRONG_TARGET
+    elif agreed.uncertainty_ns is None or agreed.uncertainty_ns > to_ns(config.max_uncertainty_s):
+        why = Refusal.NO_CLOCK
+    elif state.live.epoch >= LAST_EPOCH:
+        why = Refusal.EPOCHS_EXHAUSTED
+    if why is not None or agreed.uncertainty_ns is None:
+        return state, (Refused(why or Refusal.NO_CLOCK),)
+    live, lease_end = state.live, now_ns + to_ns(config.lease_s)
+    commit = Commit(live.handoff_id, live.epoch, live.target_id, agreed.nonce, lease_end, now_ns)
+    awaiting = AwaitingAccept(live, commit, now_ns + to_ns(config.retry_s), lease_end + agreed.uncertainty_ns)
+    return awaiting, (PersistEpoch(live.epoch, released=True), Release(), Send(commit))
+
+
+def _give_up(state: Offering | Verifying, reason: AbortReason, now_ns: int) -> Step:
+    """Before the commit: over at once, and still responsible."""
+    return Idle(state.live.epoch), (Send(_abort(state.live, reason, now_ns)), Ended(Outcome.ABORTED, reason))
+
+
+def _hear(  # noqa: PLR0911
+    config: ProtocolConfig, state: Offering | Verifying | AwaitingAccept | HandedOver, event: Heard, now_ns: int
+) -> Step:
+    message = event.message
+    if isinstance(message, Abort):
+        return _hear_abort(state, message)
+    if not isinstance(message, Candidate | Accept):
+        return state, (Refused(Refusal.WRONG_STATE),)
+    why = mismatch(state.live, message)
+    if why is not None:
+        return state, (Refused(why),)
+    match state, message:
+        case Offering(), Candidate():
+            return Verifying(state.live, state.end_ns), ()
+        case _, Candidate():
+            return state, ()
+        case AwaitingAccept(), Accept():
+            return _hear_accept(config, state, message, now_ns)
+        case HandedOver(), Accept() if message.nonce == state.nonce:
+            return state, (Send(_confirm(state.live, state.nonce, now_ns)),)
+        case HandedOver(), Accept():
+            return state, (Refused(Refusal.WRONG_NONCE),)
+        case _:
+            return state, (Refused(Refusal.WRONG_STATE),)
+
+
+def _hear_abort(state: Offering | Verifying | AwaitingAccept | HandedOver, abort: Abort) -> Step:
+    if not is_abort_of(state.live, abort):
+        return state, (Refused(Refusal.WRONG_HANDOFF),)
+    match state:
+        case Offering() | Verifying():
+            return Idle(state.live.epoch), (Ended(Outcome.ABORTED, abort.reason),)
+        case AwaitingAccept():
+            # Not yet responsible again: S4 waits for the lease's end, whatever the receiver says.
+            return replace(state, withdrawn=state.withdrawn or abort.reason), ()
+        case HandedOver(settled=Outcome.ORPHANED):
+            return state, ()
+        case HandedOver():
+            return _settle(state, Outcome.ORPHANED)
+
+
+def _settle(state: HandedOver, outcome: Outcome) -> Step:
+    return replace(state, settled=outcome), (Settled(outcome),)
+
+
+def _hear_accept(config: ProtocolConfig, state: AwaitingAccept, accept: Accept, now_ns: int) -> Step:
+    if accept.nonce != state.commit.nonce:
+        return state, (Refused(Refusal.WRONG_NONCE),)
+    if state.withdrawn is not None:
+        # Nothing is transferred by an aborted handoff; say so again, the first word may be lost.
+        return state, (Send(_abort(state.live, state.withdrawn, now_ns)),)
+    settle_end = state.take_back_ns + to_ns(config.settle_s)
+    handed_over = HandedOver(state.live, accept.nonce, state.take_back_ns, settle_end)
+    return handed_over, (Send(_confirm(state.live, accept.nonce, now_ns)), Ended(Outcome.HANDED_OVER))
+
+
+def _abort(live: Handoff, reason: AbortReason, now_ns: int) -> Abort:
+    return Abort(live.handoff_id, live.epoch, reason, now_ns)
+
+
+def _confirm(live: Handoff, nonce: int, now_ns: int) -> Confirm:
+    return Confirm(live.handoff_id, live.epoch, live.target_id, nonce, now_ns)
+
+
+class SenderMachine:
+    """``step`` with its state kept.
+
+    Args:
+        epoch, released: the last ``PersistEpoch`` before a restart. Released, it is not responsible and offers nothing:
+            another may hold the target, and only a person can say that it is to be taken again.
+    """
+
+    def __init__(self, config: ProtocolConfig | None = None, epoch: int = 0, released: bool = False) -> None:
+        self.config = config or ProtocolConfig()
+        self.state: SenderState = Idle(epoch, responsible=not released)
+
+    def step(self, event: SenderEvent, now_ns: int) -> Actions:
+        self.state, actions = step(self.config, self.state, event, now_ns)
+        return actions
+
+    @property
+    def live(self) -> Handoff | None:
+        """What Targets are to carry; None when there is no handoff."""
+        return None if isinstance(self.state, Idle) else self.state.live
+
+    @property
+    def responsible(self) -> bool:
+        return is_responsible(self.state)
+
+    @property
+    def wake_ns(self) -> int | None:
+        return wake_ns(self.state)

@@ -1,0 +1,242 @@
+"""What the two protocol machines are told (events), what they want done (actions), and how a handoff ends."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from enum import Enum
+
+from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Confirm, Message, Target
+
+LAST_EPOCH = 65535
+
+
+@dataclass(frozen=True, slots=True)
+class ProtocolConfig:
+    """Deadlines of the hand-over.
+
+    Attributes:
+        offer_s: the sender's wait for the receiver's first candidate.
+        handoff_s: from the first word of a handoff to the agreement; then the outcome is TIMEOUT.
+        lease_s: from COMMIT to the end of its lease.
+        retry_s: between two COMMITs, and two ACCEPTs.
+        guard_s: the receiver's lease ends this much early, for its program may be late to notice.
+        settle_s: after the lease, how long to wait for word of what became of the other side.
+        max_uncertainty_s: clocks known no better than this cannot carry a lease.
+    """
+
+    offer_s: float = 30.0
+    handoff_s: float = 60.0
+    lease_s: float = 1.5
+    retry_s: float = 0.05
+    guard_s: float = 0.05
+    settle_s: float = 3.0
+    max_uncertainty_s: float = 0.1
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (math.isfinite(value) and (value > 0.0 or (value == 0.0 and field.name == "guard_s"))):
+                raise ValueError(f"{field.name}: {value!r} is not above 0")
+        if not self.max_uncertainty_s + self.guard_s < self.lease_s:
+            raise ValueError("lease_s must be longer than max_uncertainty_s + guard_s: nothing would be left of it")
+
+
+def to_ns(seconds: float) -> int:
+    return round(seconds * 1e9)
+
+
+class Outcome(Enum):
+    """How a handoff ended for one side."""
+
+    HANDED_OVER = "handed_over"
+    TIMEOUT = "timeout"
+    ABORTED = "aborted"
+    TAKEN_BACK = "taken_back"  # committed, not accepted: the sender is responsible again
+    LET_GO = "let_go"  # accepted, not confirmed within the lease: the receiver does not know what the sender knows
+    SUPERSEDED = "superseded"  # the sender went on to a higher epoch
+    ORPHANED = "orphaned"  # the sender handed over and the receiver let go: nobody is responsible
+    UNCONFIRMED = "unconfirmed"  # nothing was heard of the other side: perhaps orphaned
+
+    @property
+    def alarming(self) -> bool:
+        """Perhaps nobody is responsible: a person must be told."""
+        return self in (Outcome.LET_GO, Outcome.ORPHANED, Outcome.UNCONFIRMED)
+
+
+class Refusal(Enum):
+    """Why an event changed nothing."""
+
+    WRONG_STATE = "wrong_state"
+    WRONG_HANDOFF = "wrong_handoff"
+    LOWER_EPOCH = "lower_epoch"
+    UNKNOWN_EPOCH = "unknown_epoch"
+    WRONG_TARGET = "wrong_target"
+    WRONG_NONCE = "wrong_nonce"
+    LEASE_OVER = "lease_over"
+    NO_CLOCK = "no_clock"
+    NOT_ABLE = "not_able"
+    NOT_RESPONSIBLE = "not_responsible"
+    EPOCHS_EXHAUSTED = "epochs_exhausted"
+
+
+@dataclass(frozen=True, slots=True)
+class Handoff:
+    """What every message of one attempt is bound to."""
+
+    handoff_id: int
+    epoch: int
+    target_id: int
+
+
+Bound = Target | Candidate | Commit | Accept | Confirm
+
+
+def mismatch(live: Handoff, message: Bound) -> Refusal | None:
+    """Why a message does not belong to the live attempt; None when it does."""
+    if message.epoch != live.epoch:
+        return Refusal.LOWER_EPOCH if message.epoch < live.epoch else Refusal.UNKNOWN_EPOCH
+    if message.handoff_id != live.handoff_id:
+        return Refusal.WRONG_HANDOFF
+    if message.target_id != live.target_id:
+        return Refusal.WRONG_TARGET
+    return None
+
+
+def is_abort_of(live: Handoff, message: Message) -> bool:
+    return isinstance(message, Abort) and message.handoff_id == live.handoff_id and message.epoch == live.epoch
+
+
+# --- events ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Time has passed. Due at ``wake_ns`` of a machine at the latest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A message of the other drone, except Commit and Status (``CommitHeard``, ``PeerStatus``)."""
+
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class AbortRequested:
+    """A pilot, a guard or the mission on this side ends the handoff."""
+
+    reason: AbortReason
+
+
+@dataclass(frozen=True, slots=True)
+class PeerStatus:
+    """The other drone's Status. ``stamp_ns`` is the earliest its stamp can be in the own clock."""
+
+    responsible: bool
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """Sender: begin a handoff of the object it tracks."""
+
+    handoff_id: int
+    target_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class AgreementComplete:
+    """Sender: the whole window agreed, within this epoch and on this target.
+
+    Attributes:
+        nonce: u32, fresh, unpredictable; drawn by the caller.
+        uncertainty_ns: bound on the clocks' offset until the lease's end; None when they are not aligned.
+    """
+
+    epoch: int
+    target_id: int
+    nonce: int
+    uncertainty_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class VerifyAgain:
+    """Sender: after taking back, verify once more, in the new epoch."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommitHeard:
+    """Receiver: a Commit came in.
+
+    Attributes:
+        lease_end_ns: its lease's end in the receiver's own clock; None when the clocks are not aligned.
+        uncertainty_ns: bound on the error of that conversion.
+        able: whether the receiver sees the target and may follow it now.
+    """
+
+    commit: Commit
+    lease_end_ns: int | None
+    uncertainty_ns: int
+    able: bool = True
+
+
+SenderEvent = Tick | Heard | AbortRequested | PeerStatus | Offer | AgreementComplete | VerifyAgain
+ReceiverEvent = Tick | Heard | AbortRequested | PeerStatus | CommitHeard
+
+
+# --- actions: to be carried out in their order -----------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class PersistEpoch:
+    """Write this down, and only then go on: after a restart the machine begins with it.
+
+    Attributes:
+        epoch: sender: the last one used; receiver: the lowest one it still takes.
+        released: sender only: it gave the target away in this epoch and has not taken it back.
+    """
+
+    epoch: int
+    released: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class TakeResponsibility:
+    provisional: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """No longer responsible from now on; observing goes on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """This attempt is decided, as far as this side is concerned."""
+
+    outcome: Outcome
+    reason: AbortReason | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Settled:
+    """After ``Ended``: what became of the other side's half. Until then a sender that handed over keeps observing."""
+
+    outcome: Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """An event changed nothing; for counting and logging."""
+
+    why: Refusal
+
+
+Action = Send | PersistEpoch | TakeResponsibility | Release | Ended | Settled | Refused
+Actions = tuple[Action, ...]

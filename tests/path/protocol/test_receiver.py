@@ -1,0 +1,223 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Target
+from path.protocol.receiver import Holding, LetGo, Observing, Provisional, ReceiverMachine
+from path.protocol.values import (
+    AbortRequested,
+    CommitHeard,
+    Ended,
+    Handoff,
+    Heard,
+    Outcome,
+    PeerStatus,
+    PersistEpoch,
+    ProtocolConfig,
+    Refusal,
+    Refused,
+    Release,
+    Send,
+    Settled,
+    TakeResponsibility,
+    Tick,
+)
+
+S = 1_000_000_000
+MS = 1_000_000
+CONFIG = ProtocolConfig(handoff_s=20.0, lease_s=1.0, retry_s=0.1, guard_s=0.02, settle_s=2.0, max_uncertainty_s=0.1)
+TARGET = Target(7, 5, 3, 1, 1, (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), 0.01)
+T0 = 100 * S
+HEARD = CommitHeard(Commit(7, 5, 3, 99, 12345, 1), lease_end_ns=T0 + S, uncertainty_ns=5 * MS)
+LEASE_END = T0 + S - 5 * MS - 20 * MS
+SURE = T0 + S + 5 * MS + 100 * MS + 20 * MS
+CONFIRM = Confirm(7, 5, 3, 99, 5)
+PILOT = AbortRequested(AbortReason.PILOT)
+
+
+def joined() -> ReceiverMachine:
+    machine = ReceiverMachine(CONFIG)
+    assert machine.step(Heard(TARGET), T0) == (PersistEpoch(5),)
+    return machine
+
+
+def provisional() -> ReceiverMachine:
+    machine = joined()
+    machine.step(HEARD, T0)
+    return machine
+
+
+def holding() -> ReceiverMachine:
+    machine = provisional()
+    machine.step(Heard(CONFIRM), T0)
+    return machine
+
+
+def let_go() -> ReceiverMachine:
+    machine = provisional()
+    machine.step(Tick(), LEASE_END)
+    return machine
+
+
+def test_the_whole_way() -> None:
+    machine = joined()
+    assert machine.live == Handoff(7, 5, 3) and not machine.responsible
+    assert machine.step(Heard(TARGET), T0) == ()
+    assert machine.step(HEARD, T0) == (TakeResponsibility(True), Send(Accept(7, 5, 3, 99, T0)))
+    assert machine.responsible
+    again = T0 + 100 * MS
+    assert machine.wake_ns == again
+    assert machine.step(Tick(), again) == (Send(Accept(7, 5, 3, 99, again)),)
+    assert machine.step(HEARD, again) == ()  # the repeated Commit changes nothing
+    assert machine.step(Heard(CONFIRM), again) == (TakeResponsibility(False), Ended(Outcome.HANDED_OVER))
+    assert isinstance(machine.state, Holding) and machine.responsible
+    assert machine.step(Heard(CONFIRM), again) == () and machine.step(HEARD, again) == ()
+    assert machine.step(Tick(), T0 + 1000 * S) == () and machine.responsible
+
+
+def test_without_confirm_it_lets_go_before_the_lease_ends_on_any_clock() -> None:
+    machine = provisional()
+    machine.step(Tick(), LEASE_END - 1)
+    assert machine.responsible
+    actions = machine.step(Tick(), LEASE_END)
+    told = Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END))
+    assert actions == (Release(), PersistEpoch(6), told, Ended(Outcome.LET_GO))
+    assert not machine.responsible and Outcome.LET_GO.alarming
+
+
+def test_a_confirm_at_the_very_end_comes_too_late_and_is_proof_of_an_orphan() -> None:
+    machine = provisional()
+    actions = machine.step(Heard(CONFIRM), LEASE_END)
+    assert Release() in actions and actions[-1] == Settled(Outcome.ORPHANED)
+    assert Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END)) in actions
+    assert not machine.responsible
+    (tell,) = machine.step(Heard(CONFIRM), LEASE_END + S)
+    assert isinstance(tell, Send) and isinstance(tell.message, Abort)
+
+
+@pytest.mark.parametrize(
+    ("heard", "why"),
+    [
+        (replace(HEARD, commit=replace(HEARD.commit, epoch=4)), Refusal.LOWER_EPOCH),
+        (replace(HEARD, commit=replace(HEARD.commit, epoch=6)), Refusal.UNKNOWN_EPOCH),
+        (replace(HEARD, commit=replace(HEARD.commit, target_id=4)), Refusal.WRONG_TARGET),
+        (replace(HEARD, commit=replace(HEARD.commit, handoff_id=8)), Refusal.WRONG_HANDOFF),
+        (replace(HEARD, lease_end_ns=None), Refusal.NO_CLOCK),
+        (replace(HEARD, uncertainty_ns=101 * MS), Refusal.NO_CLOCK),
+        (replace(HEARD, lease_end_ns=T0 + 25 * MS), Refusal.LEASE_OVER),
+        (replace(HEARD, able=False), Refusal.NOT_ABLE),
+    ],
+)
+def test_it_takes_over_only_on_the_live_commit(heard: CommitHeard, why: Refusal) -> None:
+    machine = joined()
+    assert machine.step(heard, T0) == (Refused(why),)
+    assert not machine.responsible
+    assert machine.step(HEARD, T0)[0] == TakeResponsibility(True)
+
+
+def test_a_commit_without_any_target_heard_is_refused() -> None:
+    assert ReceiverMachine(CONFIG).step(HEARD, T0) == (Refused(Refusal.UNKNOWN_EPOCH),)
+    assert ReceiverMachine(CONFIG, epoch=6).step(HEARD, T0) == (Refused(Refusal.LOWER_EPOCH),)
+
+
+def test_one_nonce_an_epoch() -> None:
+    other = replace(HEARD, commit=replace(HEARD.commit, nonce=98))
+    for machine in (provisional(), holding()):
+        assert machine.step(other, T0) == (Refused(Refusal.WRONG_NONCE),)
+        assert machine.responsible
+    assert provisional().step(Heard(replace(CONFIRM, nonce=98)), T0) == (Refused(Refusal.WRONG_NONCE),)
+
+
+@pytest.mark.parametrize(
+    "confirm", [replace(CONFIRM, epoch=4), replace(CONFIRM, target_id=4), replace(CONFIRM, handoff_id=8)]
+)
+def test_only_the_live_confirm_counts(confirm: Confirm) -> None:
+    machine = provisional()
+    (refused,) = machine.step(Heard(confirm), T0)
+    assert isinstance(refused, Refused) and isinstance(machine.state, Provisional)
+
+
+def test_an_epoch_let_go_is_never_taken_again() -> None:
+    machine = let_go()
+    late = replace(HEARD, lease_end_ns=T0 + 10 * S)
+    assert machine.step(late, LEASE_END + 1) == (Refused(Refusal.LEASE_OVER),)
+    assert machine.step(Heard(TARGET), LEASE_END + 1) == (Refused(Refusal.LOWER_EPOCH),)
+    restarted = ReceiverMachine(CONFIG, epoch=6)  # what it wrote down
+    assert restarted.step(Heard(TARGET), LEASE_END + 1) == (Refused(Refusal.LOWER_EPOCH),)
+    assert machine.step(Heard(replace(TARGET, epoch=6)), LEASE_END + 1) == (
+        Settled(Outcome.TAKEN_BACK),
+        PersistEpoch(6),
+    )
+
+
+def test_lower_epochs_are_refused_and_higher_ones_beat_everything() -> None:
+    assert ReceiverMachine(CONFIG, epoch=6).step(Heard(TARGET), T0) == (Refused(Refusal.LOWER_EPOCH),)
+    for machine in (provisional(), holding()):
+        assert machine.step(Heard(replace(TARGET, epoch=4)), T0) == (Refused(Refusal.LOWER_EPOCH),)
+        actions = machine.step(Heard(replace(TARGET, epoch=6)), T0)
+        assert actions == (Release(), Ended(Outcome.SUPERSEDED), PersistEpoch(6))
+        assert machine.live == Handoff(7, 6, 3) and not machine.responsible
+
+
+def test_another_target_or_handoff_within_the_epoch_is_refused() -> None:
+    machine = joined()
+    assert machine.step(Heard(replace(TARGET, target_id=4)), T0) == (Refused(Refusal.WRONG_TARGET),)
+    assert machine.step(Heard(replace(TARGET, handoff_id=8)), T0) == (Refused(Refusal.WRONG_HANDOFF),)
+    assert machine.live == Handoff(7, 5, 3)
+
+
+def test_the_senders_abort_ends_it_and_spends_the_epoch() -> None:
+    abort = Heard(Abort(7, 5, AbortReason.TARGET_LOST, 5))
+    ended = Ended(Outcome.ABORTED, AbortReason.TARGET_LOST)
+    machine = joined()
+    assert machine.step(Heard(Abort(7, 4, AbortReason.PILOT, 5)), T0) == (Refused(Refusal.WRONG_HANDOFF),)
+    assert machine.step(abort, T0) == (PersistEpoch(6), ended)
+    assert machine.step(HEARD, T0) == (Refused(Refusal.LOWER_EPOCH),)
+    machine = provisional()
+    assert machine.step(abort, T0) == (Release(), PersistEpoch(6), ended)
+    assert not machine.responsible
+    machine = holding()
+    assert machine.step(abort, T0) == (Refused(Refusal.WRONG_STATE),)
+    assert machine.responsible
+
+
+def test_the_pilots_veto() -> None:
+    told = Send(Abort(7, 5, AbortReason.PILOT, T0))
+    ended = Ended(Outcome.ABORTED, AbortReason.PILOT)
+    machine = joined()
+    assert machine.step(PILOT, T0) == (PersistEpoch(6), told, ended)
+    assert machine.state == Observing(6)
+    machine = provisional()
+    assert machine.step(PILOT, T0) == (Release(), PersistEpoch(6), told, ended)
+    assert machine.step(Heard(CONFIRM), T0)[-1] == Settled(Outcome.ORPHANED)
+    assert not machine.responsible
+    machine = holding()
+    assert machine.step(PILOT, T0) == (Release(), PersistEpoch(6), told, ended, Settled(Outcome.ORPHANED))
+    assert ReceiverMachine(CONFIG).step(PILOT, T0) == (Refused(Refusal.WRONG_STATE),)
+
+
+def test_a_handoff_that_comes_to_nothing_ends_in_timeout() -> None:
+    machine = joined()
+    end = T0 + 21 * S
+    assert machine.wake_ns == end
+    assert machine.step(Tick(), end - 1) == ()
+    told = Send(Abort(7, 5, AbortReason.TIMEOUT, end))
+    assert machine.step(Tick(), end) == (PersistEpoch(6), told, Ended(Outcome.TIMEOUT))
+    assert machine.live is None and machine.wake_ns is None
+
+
+@pytest.mark.parametrize(
+    ("event", "at", "outcome"),
+    [
+        (PeerStatus(responsible=True, stamp_ns=SURE + 1), SURE + 2, Outcome.TAKEN_BACK),
+        (PeerStatus(responsible=False, stamp_ns=SURE + 1), SURE + 2, Outcome.ORPHANED),
+        (Tick(), SURE + 2 * S, Outcome.UNCONFIRMED),
+    ],
+)
+def test_after_letting_go_it_learns_who_is_responsible(event: PeerStatus | Tick, at: int, outcome: Outcome) -> None:
+    machine = let_go()
+    assert isinstance(machine.state, LetGo)
+    assert machine.step(PeerStatus(responsible=False, stamp_ns=SURE), LEASE_END + 1) == ()
+    assert machine.step(event, at) == (Settled(outcome),)

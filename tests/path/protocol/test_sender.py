@@ -1,0 +1,264 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Confirm
+from path.observations import MissReason
+from path.protocol.sender import AwaitingAccept, HandedOver, Idle, Offering, SenderMachine, TakenBack, Verifying
+from path.protocol.values import (
+    AbortRequested,
+    AgreementComplete,
+    Ended,
+    Handoff,
+    Heard,
+    Offer,
+    Outcome,
+    PeerStatus,
+    PersistEpoch,
+    ProtocolConfig,
+    Refusal,
+    Refused,
+    Release,
+    Send,
+    Settled,
+    TakeResponsibility,
+    Tick,
+    VerifyAgain,
+)
+
+S = 1_000_000_000
+MS = 1_000_000
+CONFIG = ProtocolConfig(offer_s=10.0, handoff_s=20.0, lease_s=1.0, retry_s=0.1, settle_s=2.0)
+LIVE = Handoff(handoff_id=7, epoch=1, target_id=3)
+CANDIDATE = Candidate(7, 1, 3, 1, 1, 5, None, MissReason.NO_MARKER, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 0.0)
+ACCEPT = Accept(7, 1, 3, 99, 5)
+CONFIRM = Confirm(7, 1, 3, 99, 0)
+AGREED = AgreementComplete(epoch=1, target_id=3, nonce=99, uncertainty_ns=5 * MS)
+T0 = 100 * S
+TAKE_BACK = T0 + 1 * S + 5 * MS
+
+
+def offering() -> SenderMachine:
+    machine = SenderMachine(CONFIG)
+    assert machine.step(Offer(7, 3), T0) == (PersistEpoch(1),)
+    return machine
+
+
+def verifying() -> SenderMachine:
+    machine = offering()
+    machine.step(Heard(CANDIDATE), T0)
+    return machine
+
+
+def awaiting() -> SenderMachine:
+    machine = verifying()
+    machine.step(AGREED, T0)
+    return machine
+
+
+def handed_over() -> SenderMachine:
+    machine = awaiting()
+    machine.step(Heard(ACCEPT), T0 + 200 * MS)
+    return machine
+
+
+def test_it_is_responsible_until_the_agreement_and_releases_before_it_commits() -> None:
+    machine = offering()
+    assert machine.responsible and machine.live == LIVE and isinstance(machine.state, Offering)
+    assert machine.step(Heard(CANDIDATE), T0) == ()
+    assert machine.responsible and isinstance(machine.state, Verifying)
+    actions = machine.step(AGREED, T0)
+    assert actions == (PersistEpoch(1, released=True), Release(), Send(Commit(7, 1, 3, 99, T0 + S, T0)))
+    assert not machine.responsible
+
+
+def test_commit_is_repeated_with_one_lease_until_it_ends() -> None:
+    machine = awaiting()
+    sent: list[Commit] = []
+    assert machine.wake_ns == T0 + 100 * MS
+    while isinstance(machine.state, AwaitingAccept):
+        assert machine.wake_ns is not None
+        now = machine.wake_ns
+        for action in machine.step(Tick(), now):
+            if isinstance(action, Send):
+                assert isinstance(action.message, Commit) and action.message.stamp_ns == now
+                sent.append(action.message)
+    assert [c.stamp_ns - T0 for c in sent] == [k * 100 * MS for k in range(1, 10)]
+    assert {c.lease_end_ns for c in sent} == {T0 + S} and {c.nonce for c in sent} == {99}
+
+
+def test_an_accept_is_final_and_every_accept_is_confirmed() -> None:
+    machine = awaiting()
+    confirm = replace(CONFIRM, stamp_ns=T0 + 1)
+    assert machine.step(Heard(ACCEPT), T0 + 1) == (Send(confirm), Ended(Outcome.HANDED_OVER))
+    assert not machine.responsible
+    for late in (T0 + 2, TAKE_BACK + 100 * S):
+        actions = machine.step(Heard(ACCEPT), late)
+        assert Send(replace(CONFIRM, stamp_ns=late)) in actions
+        assert isinstance(machine.state, HandedOver)
+    assert machine.step(AbortRequested(AbortReason.PILOT), TAKE_BACK + 101 * S) == (Refused(Refusal.WRONG_STATE),)
+    assert not machine.responsible
+
+
+def test_it_takes_back_only_after_lease_end_and_uncertainty() -> None:
+    machine = awaiting()
+    machine.step(Tick(), TAKE_BACK - 1)
+    assert not machine.responsible
+    actions = machine.step(Tick(), TAKE_BACK)
+    assert actions == (PersistEpoch(2), TakeResponsibility(False), Ended(Outcome.TAKEN_BACK))
+    assert machine.responsible and machine.live == replace(LIVE, epoch=2)
+
+
+def test_an_accept_at_the_very_end_comes_too_late() -> None:
+    machine = awaiting()
+    actions = machine.step(Heard(ACCEPT), TAKE_BACK)
+    assert TakeResponsibility(False) in actions and actions[-1] == Refused(Refusal.WRONG_STATE)
+    assert not any(isinstance(action, Send) for action in actions)
+    assert isinstance(machine.state, TakenBack)
+
+
+def test_after_taking_back_it_verifies_again_in_the_new_epoch_only() -> None:
+    machine = awaiting()
+    machine.step(Tick(), TAKE_BACK)
+    assert machine.step(VerifyAgain(), TAKE_BACK) == ()
+    assert machine.step(AGREED, TAKE_BACK) == (Refused(Refusal.LOWER_EPOCH),)
+    assert machine.step(Heard(CANDIDATE), TAKE_BACK) == (Refused(Refusal.LOWER_EPOCH),)
+    actions = machine.step(replace(AGREED, epoch=2, nonce=5), TAKE_BACK)
+    assert actions[0] == PersistEpoch(2, released=True)
+    assert machine.step(Heard(ACCEPT), TAKE_BACK + 1) == (Refused(Refusal.LOWER_EPOCH),)
+
+
+@pytest.mark.parametrize(
+    ("agreed", "why"),
+    [
+        (replace(AGREED, target_id=4), Refusal.WRONG_TARGET),
+        (replace(AGREED, epoch=0), Refusal.LOWER_EPOCH),
+        (replace(AGREED, epoch=2), Refusal.UNKNOWN_EPOCH),
+        (replace(AGREED, uncertainty_ns=None), Refusal.NO_CLOCK),
+        (replace(AGREED, uncertainty_ns=101 * MS), Refusal.NO_CLOCK),
+    ],
+)
+def test_no_commit_without_the_full_agreement_and_a_clock(agreed: AgreementComplete, why: Refusal) -> None:
+    machine = verifying()
+    assert machine.step(agreed, T0) == (Refused(why),)
+    assert machine.responsible and isinstance(machine.state, Verifying)
+
+
+def test_no_commit_before_anybody_answered() -> None:
+    assert offering().step(AGREED, T0) == (Refused(Refusal.WRONG_STATE),)
+
+
+@pytest.mark.parametrize(
+    ("accept", "why"),
+    [
+        (replace(ACCEPT, nonce=98), Refusal.WRONG_NONCE),
+        (replace(ACCEPT, target_id=4), Refusal.WRONG_TARGET),
+        (replace(ACCEPT, handoff_id=8), Refusal.WRONG_HANDOFF),
+        (replace(ACCEPT, epoch=0), Refusal.LOWER_EPOCH),
+        (replace(ACCEPT, epoch=2), Refusal.UNKNOWN_EPOCH),
+    ],
+)
+def test_only_the_live_accept_counts(accept: Accept, why: Refusal) -> None:
+    for machine in (awaiting(), handed_over()):
+        before = machine.state
+        assert machine.step(Heard(accept), T0 + 1) == (Refused(why),)
+        assert machine.state == before
+
+
+def test_deadlines_end_in_timeout_and_responsible() -> None:
+    machine = offering()
+    assert machine.wake_ns == T0 + 10 * S
+    abort = Abort(7, 1, AbortReason.TIMEOUT, T0 + 10 * S)
+    assert machine.step(Tick(), T0 + 10 * S) == (Send(abort), Ended(Outcome.TIMEOUT))
+    assert machine.responsible and machine.live is None
+    machine = verifying()
+    assert machine.wake_ns == T0 + 20 * S
+    actions = machine.step(AGREED, T0 + 20 * S)
+    assert actions[1:] == (Ended(Outcome.TIMEOUT), Refused(Refusal.WRONG_STATE))
+    assert machine.responsible
+    assert machine.step(Offer(8, 3), T0 + 21 * S) == (PersistEpoch(2),)
+
+
+def test_an_abort_before_the_commit_ends_it_at_once() -> None:
+    machine = verifying()
+    told = (Send(Abort(7, 1, AbortReason.PILOT, T0)), Ended(Outcome.ABORTED, AbortReason.PILOT))
+    assert machine.step(AbortRequested(AbortReason.PILOT), T0) == told
+    assert machine.state == Idle(1, responsible=True)
+    machine = verifying()
+    abort = Abort(7, 1, AbortReason.TARGET_LOST, 5)
+    assert machine.step(Heard(replace(abort, epoch=0)), T0) == (Refused(Refusal.WRONG_HANDOFF),)
+    assert machine.step(Heard(abort), T0) == (Ended(Outcome.ABORTED, AbortReason.TARGET_LOST),)
+    assert machine.responsible
+
+
+@pytest.mark.parametrize(
+    "event", [AbortRequested(AbortReason.PILOT), Heard(Abort(7, 1, AbortReason.PILOT, 5))], ids=["own", "peer"]
+)
+def test_an_abort_after_the_commit_still_waits_for_the_lease_and_confirms_nothing(
+    event: AbortRequested | Heard,
+) -> None:
+    machine = awaiting()
+    machine.step(event, T0 + 1)
+    assert not machine.responsible and machine.wake_ns == TAKE_BACK
+    (answer,) = machine.step(Heard(ACCEPT), T0 + 500 * MS)
+    assert isinstance(answer, Send) and isinstance(answer.message, Abort)
+    assert machine.step(Tick(), TAKE_BACK - 1) == ()
+    actions = machine.step(Tick(), TAKE_BACK)
+    assert TakeResponsibility(False) in actions and actions[-1] == Ended(Outcome.ABORTED, AbortReason.PILOT)
+
+
+@pytest.mark.parametrize(
+    ("event", "at", "outcome"),
+    [
+        (PeerStatus(responsible=True, stamp_ns=TAKE_BACK + 1), TAKE_BACK + 2, Outcome.HANDED_OVER),
+        (PeerStatus(responsible=False, stamp_ns=TAKE_BACK + 1), TAKE_BACK + 2, Outcome.ORPHANED),
+        (Heard(Abort(7, 1, AbortReason.TIMEOUT, 5)), T0 + 900 * MS, Outcome.ORPHANED),
+        (Tick(), TAKE_BACK + 2 * S, Outcome.UNCONFIRMED),
+    ],
+)
+def test_it_learns_what_became_of_the_receiver(event: PeerStatus | Heard | Tick, at: int, outcome: Outcome) -> None:
+    machine = handed_over()
+    provisional = PeerStatus(responsible=True, stamp_ns=TAKE_BACK)  # within the lease it says nothing
+    assert machine.step(provisional, T0 + 300 * MS) == ()
+    assert machine.step(event, at) == (Settled(outcome),)
+    assert not machine.responsible
+    assert outcome.alarming == (outcome is not Outcome.HANDED_OVER)
+    assert machine.wake_ns is None
+
+
+def test_a_link_that_comes_back_settles_what_was_unconfirmed() -> None:
+    machine = handed_over()
+    machine.step(Tick(), TAKE_BACK + 3 * S)
+    holds = PeerStatus(responsible=True, stamp_ns=TAKE_BACK + 4 * S)
+    assert machine.step(holds, TAKE_BACK + 5 * S) == (Settled(Outcome.HANDED_OVER),)
+
+
+def test_epochs_survive_restarts() -> None:
+    assert SenderMachine(CONFIG, epoch=41).step(Offer(7, 3), T0) == (PersistEpoch(42),)
+
+
+def test_after_a_restart_with_the_target_given_away_it_claims_nothing() -> None:
+    machine = SenderMachine(CONFIG, epoch=41, released=True)
+    assert not machine.responsible
+    assert machine.step(Offer(7, 3), T0) == (Refused(Refusal.NOT_RESPONSIBLE),)
+
+
+def test_epochs_do_not_wrap() -> None:
+    machine = SenderMachine(CONFIG, epoch=65534)
+    assert machine.step(Offer(7, 3), T0) == (Refused(Refusal.EPOCHS_EXHAUSTED),)
+    machine = SenderMachine(CONFIG, epoch=65533)
+    machine.step(Offer(7, 3), T0)
+    machine.step(Heard(replace(CANDIDATE, epoch=65534)), T0)
+    machine.step(replace(AGREED, epoch=65534), T0)
+    assert PersistEpoch(65535) in machine.step(Tick(), TAKE_BACK)
+    machine.step(VerifyAgain(), TAKE_BACK)
+    assert machine.step(replace(AGREED, epoch=65535), TAKE_BACK) == (Refused(Refusal.EPOCHS_EXHAUSTED),)
+    assert machine.responsible
+
+
+@pytest.mark.parametrize("changes", [{"lease_s": 0.1}, {"retry_s": 0.0}, {"handoff_s": float("nan")}])
+def test_a_config_that_cannot_work_is_refused(changes: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(changes))):
+        replace(CONFIG, **changes)
