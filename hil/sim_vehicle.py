@@ -88,7 +88,7 @@ class SimVehicle:
         self._beat: Telemetry | None = None
         self._newest_ns = self._beat_ns = 0
         self._beats = -1
-        self._taken_s = -math.inf
+        self._taken_s = self._pulled_s = -math.inf
         self._state: VehicleState | None = None
 
     async def __aenter__(self) -> Self:
@@ -124,7 +124,10 @@ class SimVehicle:
     def _pull(self) -> None:
         """Take what has arrived since the last time."""
         world = self._harness.world
-        now_s, arrived_s = world.time_s, world.time_s - self._config.latency_s + 1e-9
+        now_s = world.time_s
+        if now_s == self._pulled_s:
+            return
+        self._pulled_s, arrived_s = now_s, now_s - self._config.latency_s + 1e-9
         if self._silent:
             self._taken_s = now_s
             return
