@@ -139,17 +139,17 @@ def import_factory(factory: str, where: str) -> Any:
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
-        raise RigError([f"{where}.factory: cannot import {module_name}: {error}"]) from error
+        raise RigError([f"{where}: cannot import {module_name}: {error}"]) from error
     if not hasattr(module, class_name):
         classes = [name for name, value in vars(module).items() if hasattr(value, "Config")]
         hint = suggestion(class_name, classes)
-        raise RigError([f"{where}.factory: {module_name} has no {class_name}{hint}"])
+        raise RigError([f"{where}: {module_name} has no {class_name}{hint}"])
     return getattr(module, class_name)
 
 
 def decode_part(spec: PartSpec) -> tuple[Any, Any]:
     """The part's class and its decoded Config. Raises RigError."""
-    kind = import_factory(spec.factory, spec.where)
+    kind = import_factory(spec.factory, f"{spec.where}.factory")
     config = getattr(kind, "Config", None)
     if config is None or not dataclasses.is_dataclass(config):
         raise RigError([f"{spec.where}.factory: {spec.factory} is no part: it has no Config dataclass"])

@@ -21,16 +21,38 @@ def check_rig(rig: Rig) -> None:
     point at each other, and the harness (its ``check_rig(rig)``, when it has one) agrees.
     """
     problems = Problems()
-    configs: dict[str, Any] = {}
-    for role in Role:
-        for spec in rig.role(role).parts:
-            _check_part(spec, configs, problems)
+    configs = _decode_parts(rig, problems)
     _check_exclusive(configs, problems)
     if rig.harness is None:
         _check_mirrored(rig, configs, problems)
     else:
         _check_harness(rig, rig.harness, problems)
     problems.raise_any()
+
+
+def local_ports(rig: Rig) -> dict[int, str]:
+    """The UDP ports that the rig's parts listen on, each with the option that names it."""
+    ports: dict[int, str] = {}
+    for where, config in _decode_parts(rig, Problems()).items():
+        for name, value in _exclusive(config):
+            kind, resource = _resource(name, value)
+            if kind == "port" and resource.isdigit():
+                ports[int(resource)] = f"{where.partition(': ')[2]}.{name}"
+    return ports
+
+
+def _decode_parts(rig: Rig, problems: Problems) -> dict[str, Any]:
+    """Config of every part by where it is written, inner parts included."""
+    configs: dict[str, Any] = {}
+    for role in Role:
+        for spec in rig.role(role).parts:
+            _check_part(spec, configs, problems)
+    return configs
+
+
+def _exclusive(config: Any) -> list[tuple[str, Any]]:
+    named = [(f.name, getattr(config, f.name)) for f in dataclasses.fields(config) if f.name in EXCLUSIVE]
+    return [(name, value) for name, value in named if value not in (None, "")]
 
 
 def _check_part(spec: PartSpec, configs: dict[str, Any], problems: Problems) -> None:
@@ -48,10 +70,7 @@ def _check_part(spec: PartSpec, configs: dict[str, Any], problems: Problems) -> 
 def _check_exclusive(configs: Mapping[str, Any], problems: Problems) -> None:
     used: dict[tuple[str, str], str] = {}
     for where, config in configs.items():
-        for name in (f.name for f in dataclasses.fields(config) if f.name in EXCLUSIVE):
-            value = getattr(config, name)
-            if value in (None, ""):
-                continue
+        for name, value in _exclusive(config):
             key = _resource(name, value)
             if key in used:
                 problems.add(f"{where}.{name}", f"{value!r} is already used by {used[key]}; each needs its own")
@@ -80,7 +99,7 @@ def _check_mirrored(rig: Rig, configs: Mapping[str, Any], problems: Problems) ->
 
 def _check_harness(rig: Rig, harness: str, problems: Problems) -> None:
     try:
-        kind = import_factory(harness, rig.where("rig"))
+        kind = import_factory(harness, rig.where("harness"))
         if hasattr(kind, "check_rig"):
             kind.check_rig(rig)
     except RigError as error:

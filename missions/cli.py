@@ -16,7 +16,7 @@ MODULES: dict[type[object], str] = {
     SenderOptions: "role",
     ReceiverOptions: "role",
     DoctorOptions: "doctor",
-    RigsOptions: "rig_library",
+    RigsOptions: "rig_list",
     ReportOptions: "report",
 }
 """Each has ``run(options) -> exit code``."""
@@ -53,15 +53,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=DESCRIPTION,
         config=(tyro.conf.OmitSubcommandPrefixes,),
     )
-    from drivers.interfaces import PartError  # noqa: PLC0415 (numpy behind it is half the time of --help)
-
     try:
         code = run(command)
-    except PartError as error:
-        sys.stderr.write(error_text(str(error), error.remedy))
-        code = EXIT_REFUSED
     except KeyboardInterrupt:
         code = EXIT_CTRL_C
+    except Exception as error:
+        from drivers.interfaces import PartError  # noqa: PLC0415 (numpy behind it takes longer than all the rest)
+
+        if not isinstance(error, PartError):
+            raise
+        sys.stderr.write(error_text(str(error), error.remedy))
+        code = EXIT_REFUSED
     sys.exit(code)
 
 

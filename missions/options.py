@@ -49,8 +49,8 @@ class RoleOptions:
     out: OutFolder = None
     """Folder for the log; runs/<time> by default."""
 
-    console: Annotated[Literal["auto", "events"], tyro.conf.Suppress] = "auto"
-    """`events` writes progress to stdout as lines of JSON, for a parent process."""
+    console: Literal["auto", "events"] = "auto"
+    """auto: a live table in a terminal, plain lines elsewhere; events: lines of JSON, for another program."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from drivers.rig import PartContext, PartSpec, create, part_context
-from drivers.rig_check import check_rig
+from drivers.rig_check import check_rig, local_ports
 from drivers.rig_file import find_rig, load_rig
 from drivers.tables import RigError, decode_table
 from path.messages import Role
@@ -328,6 +328,15 @@ def test_the_harness_is_asked_too(write: Write, monkeypatch: pytest.MonkeyPatch)
     check_rig(load_rig(path))
     monkeypatch.setattr(PickyHarness, "refuses", "no such wind")
     assert problems_of(path) == ("bench.toml: world: no such wind",)
+
+
+def test_the_ports_a_rig_listens_on_are_known(write: Write) -> None:
+    assert local_ports(load_rig(write(RIG))) == {
+        14541: "sender.vehicle.url",
+        14542: "receiver.vehicle.url",
+        14601: "sender.link.bind",
+        14602: "receiver.link.bind",
+    }
 
 
 def test_all_problems_of_a_rig_come_together(write: Write) -> None:

@@ -1,0 +1,25 @@
+"""The clock of a real role: the computer's own, which never steps."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+from drivers.rig import PartContext
+
+
+@dataclass(frozen=True, slots=True)
+class SystemClockConfig:
+    """Nothing to set."""
+
+
+class SystemClock:
+    """CLOCK_MONOTONIC: the same for all processes of one computer, and unrelated to the other drone's."""
+
+    Config = SystemClockConfig
+
+    def __init__(self, config: SystemClockConfig, context: PartContext) -> None:
+        del config, context
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()

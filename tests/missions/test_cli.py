@@ -1,0 +1,135 @@
+"""The command line: what is said to whom, with which exit code, and that nothing heavy is loaded to say it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from drivers.interfaces import PartError
+from missions import cli
+from missions.options import (
+    DoctorOptions,
+    HandoffOptions,
+    ReceiverOptions,
+    ReportOptions,
+    RigsOptions,
+    SenderOptions,
+)
+from missions.rig_list import FOLDER
+
+HEAVY = ("numpy", "cv2", "numba", "mavsdk", "pymavlink", "matplotlib", "scipy")
+RIGS = sorted(FOLDER.glob("*.toml"))
+
+
+def parsed(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> object:
+    """What a command line asks for, without doing it."""
+    commands: list[object] = []
+
+    def keep(command: object) -> int:
+        commands.append(command)
+        return 0
+
+    monkeypatch.setattr(cli, "run", keep)
+    with pytest.raises(SystemExit) as ended:
+        cli.main(arguments)
+    assert ended.value.code == 0
+    return commands[0]
+
+
+def test_the_defaults_fly_the_sitl_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert parsed(monkeypatch, "handoff") == HandoffOptions(rig="sitl", seed=0, seeds=1, fault=(), out=None)
+
+
+def test_all_options_of_a_handoff(monkeypatch: pytest.MonkeyPatch) -> None:
+    faults = ("--fault", "lookalike", "--fault", "link_loss=0.3")
+    command = parsed(monkeypatch, "handoff", "--rig", "sim", "--seed", "7", "--seeds", "100", *faults, "--out", "a/b")
+    assert command == HandoffOptions("sim", 7, 100, 0, ("lookalike", "link_loss=0.3"), Path("a/b"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("sender", "--rig", "r.toml"), SenderOptions("r.toml")),
+        (
+            ("receiver", "--rig", "r.toml", "--out", "o", "--console", "events"),
+            ReceiverOptions("r.toml", Path("o"), "events"),
+        ),
+        (("doctor",), DoctorOptions("sitl")),
+        (("rigs",), RigsOptions()),
+        (("report", "runs/x", "--no-picture"), ReportOptions(Path("runs/x"), False)),
+    ],
+)
+def test_the_other_commands(monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], expected: object) -> None:
+    command = parsed(monkeypatch, *arguments)
+    assert command == expected
+    assert type(command) is type(expected)
+
+
+def test_every_command_has_a_module_that_runs_it() -> None:
+    for module in cli.MODULES.values():
+        assert (Path(cli.__file__).parent / f"{module}.py").is_file(), module
+
+
+def test_a_refusal_names_problem_and_fix_and_has_its_own_exit_code(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(command: object) -> int:
+        raise PartError("one thing\nanother thing", "do this")
+
+    monkeypatch.setattr(cli, "run", refuse)
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["rigs"])
+    assert ended.value.code == cli.EXIT_REFUSED
+    assert capsys.readouterr().err == "error: one thing\n       another thing\n  fix: do this\n"
+
+
+def test_an_unforeseen_error_is_not_dressed_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(command: object) -> int:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(cli, "run", fail)
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["rigs"])
+
+
+def test_an_unknown_rig_lists_the_rigs(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["sender", "--rig", "stil"])
+    assert ended.value.code == cli.EXIT_REFUSED
+    error = capsys.readouterr().err
+    assert "no rig named 'stil' (did you mean 'sitl'?)" in error
+    assert all(rig.stem in error for rig in RIGS)
+
+
+def test_the_rigs_are_listed_with_what_they_are_for(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["rigs"])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines][:3] == ["sim", "sim-rendered", "sitl"]
+    assert all(len(line.split(maxsplit=1)[1]) > 20 for line in lines)
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["handoff", "--help"], ["rigs"]])
+def test_what_does_not_fly_loads_nothing_heavy(arguments: list[str]) -> None:
+    program = (
+        "import sys\nfrom missions.cli import main\n"
+        f"try:\n    main({arguments})\n"
+        f"except SystemExit:\n    print('loaded:', [m for m in {HEAVY} if m in sys.modules])"
+    )
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ran.stdout.splitlines()[-1] == "loaded: []"
+
+
+def test_switching_level_changes_parts_and_nothing_else() -> None:
+    tables = [tomllib.loads(rig.read_text()) for rig in RIGS if rig.stem in ("sim", "sim-rendered", "sitl")]
+    assert len(tables) == 3
+    for table in tables[1:]:
+        for key in ("origin", "method", "mission", "world", "markers"):
+            assert table.get(key) == tables[0].get(key), key
+        for role in ("sender", "receiver"):
+            for key in ("camera", "mount"):
+                assert table[role][key] == tables[0][role][key], (role, key)
