@@ -1,0 +1,143 @@
+"""Compiled drawing of the ground and the sky: trilinear texture on a plane, row by row.
+
+Every step is a loop of its own over a long stretch of a row, so that all but the gather itself vectorise.
+"""
+
+# pyright: reportMissingParameterType=false
+# Kernels are typed by what they are first called with; their docstrings say what that is.
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.render.jit import kernel
+from hil.render.textures import GROUND_BITS, GROUND_LEVELS, GROUND_PERIOD_M, GROUND_SIZE
+from path.geometry import Pose
+
+F, INT = np.float32, np.int32
+ZERO, HALF, ONE = F(0.0), F(0.5), F(1.0)
+
+BLOCK = 16  # columns that share a level of detail
+COARSE = 8  # the ground is modulated by itself, so many times larger, to hide the tiling
+COARSE_FINER = 3  # log2(COARSE): levels by which the enlarged texture is finer
+LOWEST_M = 0.01  # a camera on or below the ground sees it from here
+FARTHEST_M = F(400.0)
+HAZE_M = F(60.0)  # from here on the ground fades into the sky
+SKY = (F(206.0), F(196.0), F(184.0))
+# colour of the ground: base + fine grey level + coarse grey level (grey to green)
+BASE = (F(24.0), F(34.0), F(38.0))
+FINE = (F(0.42), F(0.46), F(0.42))
+ROUGH = (F(0.12), F(0.20), F(0.08))
+SCRATCH_ROWS = 9
+
+
+def ground_plane(T_w_c: Pose) -> NDArray[np.float64]:
+    """Coefficients of u/z, v/z, 1/z of the ground, shape (3, 3); u to the east, v to the north, in tiles.
+
+    Counted from a multiple of the texture's whole period near the camera, to keep the numbers small.
+    """
+    whole = GROUND_PERIOD_M * COARSE
+    anchor = np.array([math.floor(T_w_c.t[0] / whole) * whole, math.floor(T_w_c.t[1] / whole) * whole, 0.0])
+    camera = np.array([T_w_c.t[0], T_w_c.t[1], max(float(T_w_c.t[2]), LOWEST_M)])
+    R_c_w = T_w_c.R.T
+    M = np.column_stack((R_c_w[:, 0] * GROUND_PERIOD_M, R_c_w[:, 1] * GROUND_PERIOD_M, R_c_w @ (anchor - camera)))
+    return np.asarray(np.linalg.inv(M), float)
+
+
+@kernel
+def _meet(plane, rx, ry, z_row, u_row, v_row, inverse_z):
+    """Where the rays of a row meet the ground, in tiles; 1/z is 0 above the horizon."""
+    u0, u1, u2 = F(plane[0, 0]), F(plane[0, 1]), F(plane[0, 2])
+    v0, v1, v2 = F(plane[1, 0]), F(plane[1, 1]), F(plane[1, 2])
+    w0, w1, w2 = F(plane[2, 0]), F(plane[2, 1]), F(plane[2, 2])
+    nearest = ONE / FARTHEST_M
+    for c in range(rx.size):
+        x, y = rx[c], ry[c]
+        w = w0 * x + w1 * y + w2
+        z = ONE / max(w, nearest)
+        inverse_z[c] = max(w, ZERO)
+        z_row[c] = z
+        u_row[c] = (u0 * x + u1 * y + u2) * z
+        v_row[c] = (v0 * x + v1 * y + v2) * z
+
+
+@kernel
+def _detail(plane, x, y, u, v, z, pixel):
+    """Level of detail (log2 texels per pixel) at one pixel, within the levels there are."""
+    a, b = plane[0, 0] - u * plane[2, 0], plane[0, 1] - u * plane[2, 1]
+    c, d = plane[1, 0] - v * plane[2, 0], plane[1, 1] - v * plane[2, 1]
+    texels = z * pixel * GROUND_SIZE
+    detail = 0.5 * np.log2(0.5 * (a * a + b * b + c * c + d * d) * texels * texels + 1e-12)
+    return min(max(detail, 0.0), GROUND_LEVELS - 1.001)
+
+
+@kernel
+def _lookup(texture, level, scale, u, v, words, fraction_u, fraction_v, out):
+    """Bilinear texture of one mip level at u, v (tiles) times ``scale``, into ``out``; all of one length."""
+    size = INT(GROUND_SIZE >> level)
+    first = INT((4 * (GROUND_SIZE * GROUND_SIZE - size * size)) // 3)
+    mask, shift, texels = INT(size - 1), INT(GROUND_BITS - level), F(size) * scale
+    for c in range(u.size):
+        tu, tv = u[c] * texels - HALF, v[c] * texels - HALF
+        iu, iv = np.floor(tu), np.floor(tv)
+        fraction_u[c] = tu - iu
+        fraction_v[c] = tv - iv
+        words[c] = INT(first + INT(INT(INT(INT(iv) & mask) << shift) + INT(INT(iu) & mask)))
+    for c in range(u.size):
+        words[c] = texture[words[c]]
+    for c in range(u.size):
+        word, a, b = words[c], fraction_u[c], fraction_v[c]
+        t00, t01 = F(INT(word & INT(255))), F(INT(INT(word >> INT(8)) & INT(255)))
+        t10, t11 = F(INT(INT(word >> INT(16)) & INT(255))), F(INT(INT(word >> INT(24)) & INT(255)))
+        top, bottom = t00 + a * (t01 - t00), t10 + a * (t11 - t10)
+        out[c] = top + b * (bottom - top)
+
+
+@kernel
+def _stretch(texture, level, rows, words, c0, c1):
+    """Grey levels of the columns c0..c1, which share a mip level."""
+    u, v, share, fu, fv = rows[1, c0:c1], rows[2, c0:c1], rows[3, c0:c1], rows[4, c0:c1], rows[5, c0:c1]
+    fine, next_fine, rough, words = rows[6, c0:c1], rows[7, c0:c1], rows[8, c0:c1], words[c0:c1]
+    _lookup(texture, level, ONE, u, v, words, fu, fv, fine)
+    _lookup(texture, level + 1, ONE, u, v, words, fu, fv, next_fine)
+    _lookup(texture, max(level + 1 - COARSE_FINER, 0), F(1.0 / COARSE), u, v, words, fu, fv, rough)
+    for c in range(fine.size):
+        fine[c] += share[c] * (next_fine[c] - fine[c])
+
+
+@kernel
+def draw_ground(plane, light, pixel, ray_x, ray_y, texture, rows, words, image, inverse_z):
+    """Ground and sky everywhere, and the ground's 1/z.
+
+    plane: of ``ground_plane``. light: shading factor. pixel: size of a pixel on z = 1. rows: float32 scratch
+    (SCRATCH_ROWS, >= w); words: int32 scratch (w,).
+    """
+    height, width = ray_x.shape
+    lit = F(light)
+    for r in range(height):
+        _meet(plane, ray_x[r], ray_y[r], rows[0, :width], rows[1, :width], rows[2, :width], inverse_z[r])
+        start, current = 0, -1
+        for c0 in range(0, width, BLOCK):
+            c1 = min(c0 + BLOCK, width)
+            m = (c0 + c1) // 2
+            detail = _detail(plane, ray_x[r, m], ray_y[r, m], rows[1, m], rows[2, m], rows[0, m], pixel)
+            level = int(detail)
+            rows[3, c0:c1] = F(detail - level)
+            if level != current:
+                if c0 > 0:
+                    _stretch(texture, current, rows, words, start, c0)
+                start, current = c0, level
+        _stretch(texture, current, rows, words, start, width)
+        for k in range(3):
+            _tint(BASE[k], FINE[k], ROUGH[k], SKY[k], lit, inverse_z[r], rows[6], rows[8], image[k, r])
+
+
+@kernel
+def _tint(base, fine_gain, rough_gain, sky, lit, inverse_z, fine, rough, out):
+    for c in range(out.size):
+        haze = min(inverse_z[c] * HAZE_M, ONE)
+        value = lit * (base + fine_gain * fine[c] + rough_gain * rough[c])
+        out[c] = np.uint8(INT(sky + haze * (value - sky) + HALF))

@@ -1,0 +1,155 @@
+"""Set-up of flat primitives for one image: from a body's rectangles to functions linear in the pixel's ray.
+
+With M = [E1 E2 P0] in the camera frame and A = M^-1, a ray (x, y, 1) meets the plane where A (x, y, 1) = (u, v, 1)/z.
+So u/z, v/z and 1/z are linear in the ray, and so is every edge: inside is u/z >= 0, (1-u)/z >= 0, and so on. Depth and
+texture coordinates are exact, nothing needs clipping, and the lens distortion is only in the rays.
+"""
+
+# pyright: reportMissingParameterType=false
+# Kernels are typed by what they are first called with; their docstrings say what that is.
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.render.jit import kernel
+from hil.render.scene import MARKER, ROTOR
+
+# Columns of a primitive. Edges are scaled so that a pixel whose centre has every edge >= 1 lies inside as a whole, and
+# one with an edge < -1 lies outside as a whole.
+EDGES = 0  # 4 x 3 coefficients
+INVERSE_Z = 12  # 3 coefficients of 1/z in 1/m
+OVER_U = 15  # 3 coefficients of u/z
+OVER_V = 18
+COLOR = 21  # BGR after shading, 0..255
+LIGHT = 24  # shading factor
+BLADE_COS = 25  # rotor: direction of its blades in the disc
+BLADE_SIN = 26
+SPIN = 27  # rotor: 1 turning (translucent disc), 0 at rest (two blades)
+CENTER_Z = 28  # of the middle of the rectangle, m
+SHARPNESS = 29  # rotor: z over the radius of a pixel's disc, so that a step becomes a ramp of one pixel
+COLUMNS = 30
+
+# Columns of the integers of a primitive.
+KIND = 0
+CELLS = 1  # MARKER: index of its cells
+ROW_0, ROW_1, COLUMN_0, COLUMN_1 = 2, 3, 4, 5  # half-open bounds in pixels
+VEHICLE = 6  # 1: part of a car
+TAGS = 7
+
+HALF_DIAGONAL_PX = 0.7072  # of a pixel, rounded up
+NEAR_M = 1e-3
+AMBIENT, DIFFUSE = 0.58, 0.42
+
+
+@kernel
+def first_at_least(values, threshold):
+    """First index of a rising array whose value is >= threshold; its length when there is none."""
+    low, high = 0, values.size
+    while low < high:
+        middle = (low + high) // 2
+        if values[middle] >= threshold:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
+@kernel
+def _turned(R, vector):
+    out = np.empty(3)
+    for k in range(3):
+        out[k] = R[k, 0] * vector[0] + R[k, 1] * vector[1] + R[k, 2] * vector[2]
+    return out
+
+
+@kernel
+def _bounds(p0, e1, e2, column_x, row_y, pixel, tag):
+    """Rows and columns the rectangle can touch; False when it is out of sight.
+
+    ``column_x`` (2, w) and ``row_y`` (2, h): smallest and largest ray coordinate of each column and row.
+    """
+    x_low, x_high, y_low, y_high = np.inf, -np.inf, np.inf, -np.inf
+    behind = 0
+    for corner in range(4):
+        a, b = corner & 1, corner >> 1
+        z = p0[2] + a * e1[2] + b * e2[2]
+        if z < NEAR_M:
+            behind += 1
+            continue
+        x = (p0[0] + a * e1[0] + b * e2[0]) / z
+        y = (p0[1] + a * e1[1] + b * e2[1]) / z
+        x_low, x_high = min(x_low, x), max(x_high, x)
+        y_low, y_high = min(y_low, y), max(y_high, y)
+    if behind == 4:
+        return False
+    if behind > 0:  # reaches past the camera: its projection is not bounded by its corners
+        tag[ROW_0], tag[ROW_1], tag[COLUMN_0], tag[COLUMN_1] = 0, row_y.shape[1], 0, column_x.shape[1]
+        return True
+    tag[ROW_0] = first_at_least(row_y[1], y_low - pixel)
+    tag[ROW_1] = first_at_least(row_y[0], y_high + pixel)
+    tag[COLUMN_0] = first_at_least(column_x[1], x_low - pixel)
+    tag[COLUMN_1] = first_at_least(column_x[0], x_high + pixel)
+    return tag[ROW_0] < tag[ROW_1] and tag[COLUMN_0] < tag[COLUMN_1]
+
+
+@kernel
+def _fill(p0, e1, e2, normal, determinant, pixel, primitive):
+    """Write the linear functions of one rectangle. ``normal`` = E1 x E2, ``determinant`` = P0 . (E1 x E2)."""
+    over_u = np.cross(e2, p0) / determinant
+    over_v = np.cross(p0, e1) / determinant
+    inverse_z = normal / determinant
+    primitive[OVER_U : OVER_U + 3] = over_u
+    primitive[OVER_V : OVER_V + 3] = over_v
+    primitive[INVERSE_Z : INVERSE_Z + 3] = inverse_z
+    for edge in range(4):
+        along = over_u if edge < 2 else over_v
+        first = EDGES + 3 * edge
+        for k in range(3):
+            primitive[first + k] = along[k] if edge % 2 == 0 else inverse_z[k] - along[k]
+        slope = np.hypot(primitive[first], primitive[first + 1])
+        scale = 1.0 / max(slope * pixel * HALF_DIAGONAL_PX, 1e-12)
+        for k in range(3):
+            primitive[first + k] *= scale
+
+
+@kernel
+def add_body(corners, colors, kinds, R, t, sun_c, motion, vehicle, view, primitives, tags, count):
+    """Append the rectangles of one body that may be seen; returns the new count.
+
+    corners (n, 9), colors (n, 3), kinds (n,): as in ``scene.Model``. R (3, 3), t (3,): T_c_body. sun_c (3,): towards
+    the sun. motion (3,): cosine and sine of the blades' angle, and 1 when they turn. vehicle: 1 for a car. view:
+    ``column_x`` (2, w), ``row_y`` (2, h), and the largest size of a pixel on the plane z = 1.
+    """
+    column_x, row_y, pixel = view
+    markers = 0
+    for i in range(kinds.size):
+        kind = kinds[i]
+        if kind == MARKER:
+            markers += 1
+        p0 = _turned(R, corners[i, 0:3]) + t
+        e1 = _turned(R, corners[i, 3:6])
+        e2 = _turned(R, corners[i, 6:9])
+        normal = np.cross(e1, e2)  # away from the viewer
+        determinant = p0[0] * normal[0] + p0[1] * normal[1] + p0[2] * normal[2]
+        length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+        if determinant <= 1e-9 * length and (kind != ROTOR or determinant >= -1e-9 * length):
+            continue
+        if not _bounds(p0, e1, e2, column_x, row_y, pixel, tags[count]):
+            continue
+        facing = -(normal[0] * sun_c[0] + normal[1] * sun_c[1] + normal[2] * sun_c[2]) / length
+        light = AMBIENT + DIFFUSE * max(0.0, facing) if kind != ROTOR else 1.0
+        primitive = primitives[count]
+        _fill(p0, e1, e2, normal, determinant, pixel, primitive)
+        for k in range(3):
+            primitive[COLOR + k] = min(255.0, colors[i, k] * light)
+        primitive[LIGHT] = light
+        slope = np.hypot(primitive[OVER_U], primitive[OVER_U + 1]) + np.hypot(primitive[OVER_V], primitive[OVER_V + 1])
+        primitive[SHARPNESS] = 1.0 / max(slope * pixel, 1e-9)
+        primitive[CENTER_Z] = p0[2] + 0.5 * (e1[2] + e2[2])
+        primitive[BLADE_COS], primitive[BLADE_SIN], primitive[SPIN] = motion[0], motion[1], motion[2]
+        tags[count, KIND] = kind
+        tags[count, CELLS] = markers - 1 if kind == MARKER else 0
+        tags[count, VEHICLE] = vehicle
+        count += 1
+    return count

@@ -1,0 +1,245 @@
+"""The synthetic colour-and-depth camera of one drone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.render import edges as edge_pass
+from hil.render import kernels, primitives, sensor
+from hil.render.ground import SCRATCH_ROWS, draw_ground, ground_plane
+from hil.render.scene import Model, car, drone, marked_drone
+from hil.render.sensor import SensorNoise
+from hil.render.textures import ground_pyramid
+from hil.snapshot import DroneTruth, ObjectTruth, Snapshot
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.marker.layout import MarkerLayout, single_marker
+from path.messages import Role
+
+Array = NDArray[np.float64]
+
+SUN_W = np.array([0.36, -0.30, 0.88]) / math.sqrt(0.36**2 + 0.30**2 + 0.88**2)
+SAMPLES = (edge_pass.hammersley(16), edge_pass.hammersley(64))
+STAGES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class _Lens:
+    """A camera's rays: per pixel centre, their derivatives by column and row, and bounds per column and row."""
+
+    rays: tuple[NDArray[np.float32], ...]  # x, y, dx/du, dx/dv, dy/du, dy/dv, each (h, w)
+    view: tuple[Array, Array, float]  # column_x (2, w), row_y (2, h), largest pixel on z = 1
+    pixel: float  # mean size of a pixel on z = 1
+
+
+@dataclass(frozen=True, slots=True)
+class _Instance:
+    model: Model
+    T_c_body: Pose
+    motion: Array  # (3,): cosine and sine of the blades' angle, 1 when they turn
+    vehicle: bool
+
+
+class Renderer:
+    """Draws what one drone's camera sees: colour with sensor noise, and depth registered to it.
+
+    The same arguments give the same bytes, in every process and in any number of threads. An instance keeps scratch
+    buffers: call it from one thread at a time. Different instances share nothing that changes.
+    """
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        T_b_c: Pose,
+        T_b_v: Pose,
+        layout: MarkerLayout,
+        noise: SensorNoise | None = None,
+        seed: int = 0,
+    ) -> None:
+        """``T_b_c``: mount of this camera on its drone; ``T_b_v``, ``layout``: the markers on the sender.
+
+        Raises:
+            ValueError: the camera has pixels without a ray.
+        """
+        noise = SensorNoise() if noise is None else noise
+        height, width = camera.height, camera.width
+        self._T_b_c = T_b_c
+        self._seed = seed
+        self._noise = noise
+        self._lens = _lens(camera)
+        self._car, self._plain = car(), drone()
+        self._marked = {hidden: marked_drone(T_b_v, layout, hidden=hidden) for hidden in (False, True)}
+        self._taps = sensor.blur_taps(noise.blur_sigma_px)
+        rng = np.random.default_rng(sensor.mixed(seed))
+        self._color_pool = sensor.noise_pool(rng, height, width, 0.0)
+        self._depth_pool = sensor.noise_pool(rng, height, width, noise.depth_correlation_px)
+        self._image = np.empty((3, height, width), np.uint8)
+        self._exposed = np.empty((3, height, width), np.uint8)
+        self._inverse_z = np.empty((height, width), np.float32)
+        self._owner = np.empty((height, width), np.int16)
+        self._edges = np.empty((height, width), np.uint8)
+        self._rows = np.empty((SCRATCH_ROWS, width + 2 * self._taps.size), np.float32)
+        self._words = np.empty(width, np.int32)
+
+    def render(self, snapshot: Snapshot, role: Role, frame_seed: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+        """The view of ``role``'s camera; that drone itself is not drawn.
+
+        ``frame_seed`` (any integer) selects the noise: give every frame its own.
+
+        Returns:
+            Colour, shape (h, w, 3), BGR, and depth, shape (h, w), z in millimetres, 0 where there is none.
+        """
+        depth = np.empty(self._inverse_z.shape, np.uint16)
+        for _ in self._stages(snapshot, role, frame_seed, depth):
+            pass
+        return cv2.merge(tuple(self._exposed)), depth  # pyright: ignore[reportReturnType]
+
+    def _stages(self, snapshot: Snapshot, role: Role, frame_seed: int, depth: NDArray[np.uint16]) -> Iterator[str]:
+        """Do the work of one image, naming every stage before it starts; leaves the colour in ``_exposed``."""
+        rays, view, pixel = self._lens.rays, self._lens.view, self._lens.pixel
+        x, y, inverse_z, owner, edges, image = *rays[:2], self._inverse_z, self._owner, self._edges, self._image
+        T_w_c = snapshot.drones[role].T_w_b @ self._T_b_c
+        sun_c = T_w_c.R.T @ SUN_W
+        owner.fill(-1)
+        edges.fill(kernels.INTERIOR)
+        yield "ground"
+        plane = ground_plane(T_w_c)
+        light = primitives.AMBIENT + primitives.DIFFUSE * SUN_W[2]
+        draw_ground(plane, light, pixel, x, y, ground_pyramid(), self._rows, self._words, image, inverse_z)
+        yield "primitives"
+        faces, tags, count, marked = self._set_up(snapshot, role, T_w_c, sun_c, view)
+        order = np.empty(count, np.int64)
+        rotors = kernels.order_rotors(faces, tags, count, order)
+        yield "visibility"
+        kernels.draw_faces(faces, tags, count, x, y, inverse_z, owner, edges)
+        yield "faces"
+        cells, sides = marked.cells, marked.cells_per_side
+        kernels.shade_faces(faces, tags, count, cells, sides, x, y, pixel, owner, edges, image)
+        yield "rotors"
+        kernels.draw_rotors(faces, order, rotors, tags, x, y, inverse_z, edges, image)
+        yield "edges"
+        edge_pass.draw_edges(faces, tags, count, order, rotors, cells, sides, plane[2], rays, SAMPLES, edges, image)
+        yield "depth"
+        noise, key = self._noise, sensor.mixed(self._seed, list(Role).index(role), frame_seed)
+        offsets = [(key >> shift) % sensor.POOL_MARGIN for shift in (0, 8, 16, 24)]
+        sensor.measure_depth(
+            inverse_z,
+            owner,
+            tags,
+            snapshot.depth_holes,
+            noise.depth_sigma_at_1m_m,
+            noise.min_depth_m,
+            noise.max_depth_m,
+            self._depth_pool,
+            offsets[0],
+            offsets[1],
+            depth,
+        )
+        sensor.punch_holes(inverse_z, edges, noise.depth_hole_rate, key >> 1, depth)
+        yield "exposure"
+        sensor.expose(
+            image,
+            self._taps,
+            noise.read_sigma,
+            noise.shot_gain,
+            self._color_pool,
+            offsets[2],
+            offsets[3],
+            self._rows,
+            self._exposed,
+        )
+
+    def _set_up(
+        self, snapshot: Snapshot, role: Role, T_w_c: Pose, sun_c: Array, view: tuple[Array, Array, float]
+    ) -> tuple[Array, NDArray[np.int64], int, Model]:
+        """Primitives of everything but the own drone, nearest body first, and the model whose markers they show."""
+        marked = self._marked[snapshot.marker_hidden]
+        bodies = self._instances(snapshot, role, T_w_c.inverse(), marked)
+        bodies.sort(key=lambda body: float(body.T_c_body.t @ body.T_c_body.t))
+        total = sum(len(body.model.kinds) for body in bodies)
+        faces = np.empty((total, primitives.COLUMNS))
+        tags = np.empty((total, primitives.TAGS), np.int64)
+        count = 0
+        for body in bodies:
+            model, pose = body.model, body.T_c_body
+            R, t = np.ascontiguousarray(pose.R), np.ascontiguousarray(pose.t)
+            count = primitives.add_body(
+                model.corners,
+                model.colors,
+                model.kinds,
+                R,
+                t,
+                sun_c,
+                body.motion,
+                body.vehicle,
+                view,
+                faces,
+                tags,
+                count,
+            )
+        return faces, tags, count, marked
+
+    def _instances(self, snapshot: Snapshot, role: Role, T_c_w: Pose, marked: Model) -> list[_Instance]:
+        bodies = [
+            _Instance(
+                marked if other is Role.SENDER else self._plain,
+                T_c_w @ truth.T_w_b,
+                np.array([math.cos(truth.rotor_phase_rad), math.sin(truth.rotor_phase_rad), float(truth.armed)]),
+                False,
+            )
+            for other, truth in snapshot.drones.items()
+            if other is not role
+        ]
+        still = np.array([1.0, 0.0, 0.0])
+        for thing in snapshot.objects:
+            c, s = math.cos(thing.yaw_rad), math.sin(thing.yaw_rad)
+            T_w_o = Pose(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array(thing.position_w_m))
+            bodies.append(_Instance(self._car, T_c_w @ T_w_o, still, True))
+        return bodies
+
+
+def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
+    """Compile every kernel or load it from numba's cache: some seconds the first time on a machine, then a fraction.
+
+    Call it once before processes or threads that render start together. ``progress(stage, number, of)`` is called
+    before each of the stages.
+    """
+    camera = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
+    down = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
+    level = Pose(np.eye(3), np.zeros(3))
+    renderer = Renderer(camera, level, level, single_marker())
+    drones = {role: DroneTruth(down, (0.0, 0.0, 0.0), 0.0, True) for role in Role}
+    snapshot = Snapshot(0.0, drones, (ObjectTruth(0, (0.0, 0.0, 0.0), 0.0, 0.0),))
+    depth = np.empty((camera.height, camera.width), np.uint16)
+    for number, stage in enumerate(renderer._stages(snapshot, Role.RECEIVER, 0, depth), 1):
+        if progress is not None:
+            progress(stage, number, STAGES)
+
+
+def _lens(camera: CameraModel) -> _Lens:
+    height, width = camera.height, camera.width
+    columns, rows = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
+    rays = camera.rays(np.stack((columns.ravel(), rows.ravel()), axis=1)).reshape(height, width, 2)
+    if not np.isfinite(rays).all():
+        raise ValueError(f"distortion: {camera.distortion!r} leaves pixels without a ray")
+    x, y = rays[..., 0], rays[..., 1]
+    x_column, x_row = np.gradient(x, axis=1), np.gradient(x, axis=0)
+    y_column, y_row = np.gradient(y, axis=1), np.gradient(y, axis=0)
+    jacobians = np.stack((x_column, x_row, y_column, y_row), axis=-1).reshape(-1, 2, 2)
+    largest = _largest_singular_value(jacobians)
+    column_x = np.stack((np.minimum.accumulate(x.min(axis=0)[::-1])[::-1], np.maximum.accumulate(x.max(axis=0))))
+    row_y = np.stack((np.minimum.accumulate(y.min(axis=1)[::-1])[::-1], np.maximum.accumulate(y.max(axis=1))))
+    planes = tuple(np.ascontiguousarray(p, np.float32) for p in (x, y, x_column, x_row, y_column, y_row))
+    return _Lens(planes, (column_x, row_y, largest), float(np.sqrt(np.mean(x_column * y_row))))
+
+
+def _largest_singular_value(matrices: Array) -> float:
+    """Over all matrices (n, 2, 2)."""
+    half = 0.5 * np.sum(matrices**2, axis=(1, 2))
+    return float(np.sqrt((half + np.sqrt(np.maximum(half**2 - np.linalg.det(matrices) ** 2, 0.0))).max()))
