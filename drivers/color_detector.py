@@ -48,7 +48,7 @@ class ColorDetectorConfig:
     min_side_px: float = 10.0
     max_side_px: float = 300.0
     merge_gap: float = 0.10
-    split_solidity: float = 0.86
+    split_solidity: float = 0.78
     max_aspect: float = 3.0
     odd_score: float = 0.3
     border_score: float = 0.2

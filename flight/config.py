@@ -31,6 +31,7 @@ class SeparationConfig:
 
     horizontal_m: float = 0.60
     vertical_m: float = 0.45
+    viewpoint_m: float = 1.05  # between the two bodies, at the planned viewpoint
     minimum_m: float = 0.70  # between the two bodies: the guard ends the mission below it
     downwash_half_angle_deg: float = 30.0
 
@@ -41,7 +42,7 @@ class RendezvousConfig:
 
     stand_off_m: float = 1.75  # from the marker, along the planned line of sight
     stand_off_tolerance_m: float = 0.25
-    search_slide_m: float = 0.35
+    search_slide_m: float = 0.6  # farthest from the stand-off
     gain_per_s: float = 0.9
     max_speed_mps: float = 0.5
     arrived_m: float = 0.12
@@ -49,7 +50,7 @@ class RendezvousConfig:
     max_position_sigma_m: float = 0.08  # of the marker pose, to close in on it
     min_marker_px: float = 20.0
     max_incidence_deg: float = 60.0
-    image_margin_px: float = 60.0
+    image_margin_px: float = 80.0
     max_range_m: float = 4.5  # target to D2, its depth camera's useful limit
 
 

@@ -13,7 +13,7 @@ from path.rotation import yaw_of
 
 Guidance = Callable[[VehicleState], VelocitySetpoint]
 
-MAX_ACCEL_MPS2 = 1.5
+MAX_ACCEL_MPS2 = 0.8  # a camera that is fixed to the body tilts with every acceleration: 0.8 is 5 degrees
 
 
 class Pilot:

@@ -60,8 +60,12 @@ def plan_viewpoint(
     T_b_c: Pose,
     rendezvous: RendezvousConfig,
     separation: SeparationConfig,
+    tilt_h: Floats | None = None,
 ) -> Viewpoint | NoViewpoint:
     """The best place for D2's camera among a grid around the marker.
+
+    ``tilt_h`` is D2's body z axis in ``h`` while it hovers (unit, (3,)): wind leans a drone, and with it a camera that
+    is fixed to it. None: level.
 
     Rules, in this order: separation ellipsoid, downwash cone of the upper drone, marker size in the image,
     incidence on the marker, range to the target, marker and target inside the image with margin, D1's body
@@ -82,7 +86,7 @@ def plan_viewpoint(
             "separation",
             (horizontal / separation.horizontal_m) ** 2 + (to_body[:, 2] / separation.vertical_m) ** 2 >= 1.0,
         ),
-        ("too close", np.linalg.norm(to_body, axis=1) >= 1.15 * separation.minimum_m),
+        ("too close", np.linalg.norm(to_body, axis=1) >= separation.viewpoint_m),
         (
             "downwash",
             horizontal >= np.abs(to_body[:, 2]) * math.tan(math.radians(separation.downwash_half_angle_deg)),
@@ -100,15 +104,16 @@ def plan_viewpoint(
     if not alive.any():
         return NoViewpoint(rejected)
 
+    lean = np.eye(3) if tilt_h is None else _lean(tilt_h)
     best: Viewpoint | None = None
     best_score = -math.inf
     for index in np.flatnonzero(alive):
         for share in _YAW_SHARES:
-            view = _look(candidates[index], share, scene, camera, T_b_c)
+            view = _look(candidates[index], share, scene, camera, T_b_c, lean)
             if view is None or view[1] < rendezvous.image_margin_px:
                 continue
             yaw, margin = view
-            score = min(margin, 110.0) + 3.0 * marker_px[index] - 20.0 * incidence[index]
+            score = min(margin, 150.0) + 2.0 * marker_px[index] - 20.0 * incidence[index]
             if score > best_score:
                 place = candidates[index]
                 best_score = score
@@ -141,7 +146,16 @@ def _clear_of_body(to_body: Floats, to_target: Floats, body_radius_m: float) -> 
     return apart >= np.arctan2(body_radius_m, body_range) + np.arctan2(_TARGET_RADIUS_M, target_range)
 
 
-def _look(place_h: Floats, share: float, scene: Scene, camera: CameraModel, T_b_c: Pose) -> tuple[float, float] | None:
+def _lean(down_h: Floats) -> Floats:
+    """The smallest rotation that takes the vertical, (0, 0, 1), to a drone's own z axis."""
+    x, y, z = down_h.tolist()
+    k = 1.0 / (1.0 + z)
+    return np.array([[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, z]])
+
+
+def _look(
+    place_h: Floats, share: float, scene: Scene, camera: CameraModel, T_b_c: Pose, lean: Floats
+) -> tuple[float, float] | None:
     """Yaw between the bearings of marker and target, and the smallest margin (px) of both; None when one is behind."""
     to_marker, to_target = -place_h, scene.target_h_m - place_h
     bearing_marker = math.atan2(to_marker[1], to_marker[0])
@@ -149,7 +163,7 @@ def _look(place_h: Floats, share: float, scene: Scene, camera: CameraModel, T_b_
     turn = math.atan2(math.sin(bearing_target - bearing_marker), math.cos(bearing_target - bearing_marker))
     yaw = bearing_marker + share * turn
     c, s = math.cos(yaw), math.sin(yaw)
-    R_h_b = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    R_h_b = lean @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     R_c_h = (R_h_b @ T_b_c.R).T
     points_c = np.stack([R_c_h @ to_marker, R_c_h @ to_target])
     if np.any(points_c[:, 2] <= 0.1):

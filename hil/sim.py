@@ -1,6 +1,6 @@
 """The ``sim`` and ``sim-rendered`` harness: both roles and the world in one process, in virtual time.
 
-One seed gives one history: every wake-up is ordered by the loop's own clock, and every noise has a generator of its own.
+One seed gives one history: wake-ups are ordered by the loop's own clock, and every noise has its own generator.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 from drivers.interfaces import FlightMode
@@ -34,32 +33,21 @@ RUN_LIMIT_S = 400.0
 LANDING_LIMIT_S = 45.0
 
 
-class WorldOnLoop:
-    """The world as parts see it: always advanced to the loop's present."""
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self._loop = asyncio.get_running_loop()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.now, name)
-
-    @property
-    def now(self) -> World:
-        self._world.advance(self._loop.time())
-        return self._world
-
-
-@dataclass(slots=True)
 class SimWorld:
     """``PartContext.harness`` of the sim levels: what the parts of both roles are connected to."""
 
-    world: Any
-    hub: MemoryHub
-    seed: int
-    pool: ThreadPoolExecutor
-    frozen_cameras: dict[Role, Freeze] = field(default_factory=dict[Role, Freeze])
-    silent_vehicles: set[Role] = field(default_factory=set[Role])
+    def __init__(self, world: World, hub: MemoryHub, seed: int) -> None:
+        self._world = world
+        self.hub = hub
+        self.seed = seed
+        self.frozen_cameras: dict[Role, Freeze] = {}
+        self.silent_vehicles: set[Role] = set()
+
+    @property
+    def world(self) -> World:
+        """The world, at the loop's present."""
+        self._world.advance(asyncio.get_running_loop().time())
+        return self._world
 
 
 class SimHarness:
@@ -68,22 +56,18 @@ class SimHarness:
     def fly(self, request: FlightRequest) -> FlightReport:
         faults = [parse_fault(text) for text in request.faults]
         start_s = time.perf_counter()
-        with ThreadPoolExecutor(max_workers=2, thread_name_prefix="render") as pool:
-            flight = _Flight(request, faults, pool)
-            report = run_virtual(flight.run())
-        wall_s = time.perf_counter() - start_s
-        return FlightReport(**{**report, "wall_s": wall_s})
+        findings = run_virtual(_Flight(request, faults).run())
+        return FlightReport(**findings, wall_s=time.perf_counter() - start_s)
 
 
 class _Flight:
     """One run in virtual time."""
 
-    def __init__(self, request: FlightRequest, faults: list[Fault], pool: ThreadPoolExecutor) -> None:
+    def __init__(self, request: FlightRequest, faults: list[Fault]) -> None:
         self._request = request
         self._rig = request.rig
         self._faults = faults
         self._trigger = FaultTrigger(faults)
-        self._pool = pool
         self._tasks: dict[Role, asyncio.Task[RoleResult]] = {}
         self._stop = {role: asyncio.Event() for role in Role}
         self._interrupted = False
@@ -94,8 +78,7 @@ class _Flight:
         request, rig = self._request, self._rig
         config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
         self._world = World(config, request.seed)
-        on_loop = WorldOnLoop(self._world)
-        self._parts = SimWorld(on_loop, MemoryHub(request.seed), request.seed, self._pool)
+        self._parts = SimWorld(self._world, MemoryHub(request.seed), request.seed)
         self._monitors = Monitors(rig.method, min_separation_m(rig))
         for fault in self._trigger.from_the_start():
             self._inject(fault)

@@ -2,20 +2,83 @@
 
 from __future__ import annotations
 
+import json
+import os
+import signal
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from datetime import datetime
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from drivers.interfaces import PartError
 from drivers.rig import Rig, import_factory
 from flight.harness import Emit, FlightReport, FlightRequest, Harness, RoleResult
 from flight.outcome import Outcome
-from missions.records import RunFacts, write_facts
+from missions import rig_library
+from missions.options import HandoffOptions
+from missions.progress import open_console, open_tally
+from missions.records import SUMMARY, RunFacts, load_run, write_facts
+from missions.report import make_report, series_table, show, summarize_many
 from missions.role_process import fly_role
+from missions.summary import summarize
 from path.messages import Role
 
 _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
+
+
+def run(options: HandoffOptions) -> int:
+    """``path-handoff handoff``; returns the run's exit code. Raises PartError for what was asked wrongly."""
+    rig = rig_library.load(options.rig)
+    harness_of(rig)
+    folder = new_folder(options.out)
+    if options.seeds > 1:
+        return fly_many(rig, options, folder)
+    with open_console(sys.stdout) as console:
+        facts = fly_once(rig, options.seed, options.fault, folder, console.show)
+    make_report(folder, options.picture, sys.stdout)
+    return facts.exit_code
+
+
+def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
+    """Runs with seeds from ``options.seed`` on, each in a folder of its own; 0 when nothing unsafe happened in any.
+
+    A run that ended in a named failure is counted, not an error; a wrong hand-over or a violated monitor is one.
+    """
+    jobs = 1 if rig.level not in ("sim", "sim-rendered") else options.jobs or os.cpu_count() or 1
+    seeds = range(options.seed, options.seed + options.seeds)
+    summaries: list[dict[str, Any]] = []
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_leave_signals_to_the_parent)
+    try:
+        with open_tally(sys.stdout, len(seeds)) as tally:
+            runs = [pool.submit(_fly_seed, str(rig.file), seed, options.fault, folder) for seed in seeds]
+            for done in as_completed(runs):
+                summary = done.result()
+                summaries.append(summary)
+                tally.add(summary["outcome"])
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    series = summarize_many(sorted(summaries, key=lambda summary: summary["seed"]))
+    (folder / SUMMARY).write_text(json.dumps(series, indent=2) + "\n", "utf-8")
+    show(series_table(series), sys.stdout)
+    sys.stdout.write(f"\n{folder}: {SUMMARY}, and a folder for each seed\n")
+    unsafe = series["wrong_handovers"] or series["monitors"]
+    return Outcome.MONITOR_VIOLATED.exit_code if unsafe else 0
+
+
+def _leave_signals_to_the_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _fly_seed(rig_file: str, seed: int, faults: Sequence[str], folder: Path) -> dict[str, Any]:
+    """One run of many, in a worker process."""
+    own = new_folder(folder / f"seed-{seed:04d}")
+    fly_once(rig_library.load(rig_file), seed, faults, own, lambda _: None)
+    summary = summarize(load_run(own))
+    (own / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+    return summary
 
 
 def new_folder(out: Path | None) -> Path:
@@ -33,7 +96,7 @@ def harness_of(rig: Rig) -> Harness:
     if rig.harness is None:
         raise PartError(
             f"rig {rig.name} is flown from its drones: it has no harness",
-            f"start `path-handoff sender --rig {rig.name}` on one and `path-handoff receiver --rig {rig.name}` on the other",
+            f"start `path-handoff sender --rig {rig.name}` on one, `path-handoff receiver --rig {rig.name}` on the other",
         )
     return import_factory(rig.harness, rig.where("harness"))()
 

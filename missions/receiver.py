@@ -39,6 +39,7 @@ _FIXES_TO_APPROACH = 5
 _ARRIVED_S = 0.6
 _RETREAT_M = 1.8
 _ABLE_S = 0.5
+_LEAN_SHARE = 0.05  # of each frame in the smoothed lean
 
 
 async def run_receiver(
@@ -67,6 +68,7 @@ class Receiver:
         self._cycle: ReceiverCycle | None = None
         self._viewpoint: Viewpoint | None = None
         self._newest: Target | None = None
+        self._lean_n: Vec3 = (0.0, 0.0, 1.0)  # own z axis in NED, smoothed: the wind leans a hovering drone
         self._live: Handoff | None = None
         self._search_began_ns = 0
         self._following = False
@@ -87,7 +89,7 @@ class Receiver:
         await session.until(
             lambda: self._newest is not None, deadlines.receiver_ready_s, Outcome.PEER_ABORTED, "no target was sent"
         )
-        self._viewpoint = self._plan()
+        self._viewpoint = self._plan()  # at all possible? the wind's part is known only in the air
         await take_off(session, config.receiver_take_off_height_m)
 
         session.enter(Phase.STAND_OFF)
@@ -105,6 +107,7 @@ class Receiver:
             "the sender's marker was not seen",
         )
 
+        self._viewpoint = self._plan()
         session.enter(Phase.APPROACH)
         session.pilot.guidance = self._to_viewpoint
         await self._arrive(deadlines.approach_s)
@@ -146,8 +149,18 @@ class Receiver:
             marker_side_m=max(marker.side_m for marker in self._session.rig.layout.markers),
             body_h_m=R_h_v @ body_v,
         )
-        config = self._config
-        plan = plan_viewpoint(scene, self._camera, self._mount.T_b_c, config.rendezvous, config.separation)
+        config, peer = self._config, self._session.peer
+        assert peer is not None
+        north, east, down = self._lean_n
+        tilt_h = np.array(from_heading((north, east, down), -peer.yaw_rad))
+        plan = plan_viewpoint(
+            scene,
+            self._camera,
+            self._mount.T_b_c,
+            config.rendezvous,
+            config.separation,
+            tilt_h / np.linalg.norm(tilt_h),
+        )
         if isinstance(plan, NoViewpoint):
             raise MissionEnd(Outcome.NO_VIEWPOINT, str(plan))
         place = ", ".join(f"{part:+.2f}" for part in plan.camera_h_m)
@@ -164,10 +177,15 @@ class Receiver:
         return self._velocity(subtract(place, state.position_n_m), self._peer_velocity(), yaw)
 
     def _stand_off_place(self) -> tuple[Vec3, float]:
+        """Where the marker is in the middle of the image if both positions are right, on the viewpoint's side."""
         peer, viewpoint = self._session.peer, self._viewpoint
         assert peer is not None and viewpoint is not None
-        outward = scale(viewpoint.camera_h_m, self._config.rendezvous.stand_off_m / norm(viewpoint.camera_h_m))
-        offset = from_heading(outward, peer.yaw_rad)
+        forward, right, _ = viewpoint.camera_h_m
+        side = math.atan2(right, -forward)
+        steepness = math.asin(float(self._mount.T_b_c.R[2, 2]))  # how far below the horizon the camera looks
+        level_m = self._config.rendezvous.stand_off_m * math.cos(steepness)
+        height_m = self._config.rendezvous.stand_off_m * math.sin(steepness)
+        offset = from_heading((-level_m * math.cos(side), level_m * math.sin(side), -height_m), peer.yaw_rad)
         return add(peer.position_n_m, offset), bearing(scale(offset, -1.0))
 
     def _at_stand_off(self) -> bool:
@@ -176,12 +194,13 @@ class Receiver:
         return off < self._config.rendezvous.stand_off_tolerance_m
 
     def _search(self, state: VehicleState) -> VelocitySetpoint:
-        """Stay at the stand-off and slide to and fro across the line of sight, until the marker shows."""
+        """Slide to and fro across the line of sight around the stand-off, wider as time goes, until the marker shows."""
         place, yaw = self._stand_off_place()
-        searched_s = (self._session.now_ns() - self._search_began_ns) * 1e-9
-        slide = self._config.rendezvous.search_slide_m * math.sin(0.5 * max(0.0, searched_s - 2.0))
-        sideways = from_heading((0.0, slide, 0.5 * slide), yaw)
-        return self._velocity(subtract(add(place, sideways), state.position_n_m), self._peer_velocity(), yaw)
+        searched_s = max(0.0, (self._session.now_ns() - self._search_began_ns) * 1e-9 - 1.5)
+        reach_m = min(1.0, 0.1 * searched_s) * self._config.rendezvous.search_slide_m
+        slide = (0.0, reach_m * math.sin(0.9 * searched_s), reach_m * math.cos(0.6 * searched_s))
+        error = subtract(add(place, from_heading(slide, yaw)), state.position_n_m)
+        return self._velocity(error, self._peer_velocity(), yaw)
 
     def _to_viewpoint(self, state: VehicleState) -> VelocitySetpoint:
         """Close in on the planned place by the marker alone; without it, wait, then back off to see it again."""
@@ -248,11 +267,16 @@ class Receiver:
             view = await session.sight.view(guard.frame_age_s)
             session.log.write("/frame", view.stamp_ns, {"frame_id": view.frame_id})
             R_n_b = self._eye.R_n_b(view.stamp_ns)
+            self._note_lean(R_n_b)
             if self._handover.holds:
                 self._follow_once(view, R_n_b)
             else:
                 self._cycle_once(view, R_n_b)
             session.log_image(view)
+
+    def _note_lean(self, R_n_b: Matrix) -> None:
+        north, east, down = R_n_b[:, 2].tolist()
+        self._lean_n = add(scale(self._lean_n, 1.0 - _LEAN_SHARE), scale((north, east, down), _LEAN_SHARE))
 
     async def _watch_peer(self) -> None:
         """The sender must be heard until this drone holds the target for good."""
