@@ -76,6 +76,7 @@ class Deadlines:
     take_off_s: float = 30.0
     acquire_s: float = 30.0
     receiver_ready_s: float = 120.0
+    viewpoint_s: float = 15.0
     stand_off_s: float = 40.0
     search_s: float = 25.0
     approach_s: float = 30.0

@@ -39,6 +39,7 @@ _FIXES_TO_APPROACH = 5
 _ARRIVED_S = 0.6
 _RETREAT_M = 1.8
 _ABLE_S = 0.5
+_REPLAN_S = 0.5
 _LEAN_SHARE = 0.05  # of each frame in the smoothed lean
 
 
@@ -89,7 +90,7 @@ class Receiver:
         await session.until(
             lambda: self._newest is not None, deadlines.receiver_ready_s, Outcome.PEER_ABORTED, "no target was sent"
         )
-        self._viewpoint = self._plan()  # at all possible? the wind's part is known only in the air
+        await self._until_planned(deadlines.viewpoint_s)  # the wind's part is known only in the air
         await take_off(session, config.receiver_take_off_height_m)
 
         session.enter(Phase.STAND_OFF)
@@ -107,7 +108,7 @@ class Receiver:
             "the sender's marker was not seen",
         )
 
-        self._viewpoint = self._plan()
+        await self._until_planned(deadlines.viewpoint_s)
         session.enter(Phase.APPROACH)
         session.pilot.guidance = self._to_viewpoint
         await self._arrive(deadlines.approach_s)
@@ -137,8 +138,21 @@ class Receiver:
 
         await self._session.until(arrived, timeout_s, Outcome.APPROACH_FAILED, "the viewpoint was not reached")
 
-    def _plan(self) -> Viewpoint:
-        """The viewpoint for the geometry the sender reports. Raises MissionEnd(NO_VIEWPOINT)."""
+    async def _until_planned(self, timeout_s: float) -> None:
+        """Plan until there is a viewpoint: the sender may still be on its way to its place behind the target."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + timeout_s
+        while isinstance(plan := self._plan(), NoViewpoint):
+            if loop.time() > end_s:
+                raise MissionEnd(Outcome.NO_VIEWPOINT, str(plan))
+            await asyncio.sleep(_REPLAN_S)
+        self._viewpoint = plan
+        place = ", ".join(f"{part:+.2f}" for part in plan.camera_h_m)
+        note = f"viewpoint ({place}) m from the marker, {plan.marker_px:.0f} px, margin {plan.margin_px:.0f} px"
+        self._session.say(note)
+
+    def _plan(self) -> Viewpoint | NoViewpoint:
+        """The viewpoint for the geometry the sender reports now."""
         target = self._newest
         assert target is not None
         R_h_v = _level(target.gravity_v, self._mount.T_b_v.R)
@@ -153,7 +167,7 @@ class Receiver:
         assert peer is not None
         north, east, down = self._lean_n
         tilt_h = np.array(from_heading((north, east, down), -peer.yaw_rad))
-        plan = plan_viewpoint(
+        return plan_viewpoint(
             scene,
             self._camera,
             self._mount.T_b_c,
@@ -161,13 +175,6 @@ class Receiver:
             config.separation,
             tilt_h / np.linalg.norm(tilt_h),
         )
-        if isinstance(plan, NoViewpoint):
-            raise MissionEnd(Outcome.NO_VIEWPOINT, str(plan))
-        place = ", ".join(f"{part:+.2f}" for part in plan.camera_h_m)
-        self._session.say(
-            f"viewpoint ({place}) m from the marker, {plan.marker_px:.0f} px, margin {plan.margin_px:.0f} px"
-        )
-        return plan
 
     # --- guidance ------------------------------------------------------------------------------------------------
 
@@ -194,7 +201,7 @@ class Receiver:
         return off < self._config.rendezvous.stand_off_tolerance_m
 
     def _search(self, state: VehicleState) -> VelocitySetpoint:
-        """Slide to and fro across the line of sight around the stand-off, wider as time goes, until the marker shows."""
+        """Slide to and fro around the stand-off, wider as time goes, until the marker shows."""
         place, yaw = self._stand_off_place()
         searched_s = max(0.0, (self._session.now_ns() - self._search_began_ns) * 1e-9 - 1.5)
         reach_m = min(1.0, 0.1 * searched_s) * self._config.rendezvous.search_slide_m
