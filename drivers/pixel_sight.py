@@ -1,0 +1,151 @@
+"""The perception of a role with a camera: its frames, and what a detector and the marker finder see in them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import Camera, CameraError, Detector, Frame
+from drivers.rig import PartContext, PartSpec, create
+from path.camera import CameraModel
+from path.config import MethodConfig
+from path.marker.detect import detect_markers
+from path.marker.layout import MarkerLayout
+from path.observations import Box, Depth, Detection, MarkerDetection, Region
+from path.target import registered_depth
+
+
+@dataclass(frozen=True, slots=True)
+class PixelSightConfig:
+    """
+    Attributes:
+        camera, detector: parts by name.
+        corners: how marker corners are refined.
+        method: of the method's settings, those about depth.
+        max_old_frames: this many frames in a row with an old or repeated stamp are a fault of the camera's clock.
+    """
+
+    camera: PartSpec
+    detector: PartSpec
+    corners: Literal["photometric", "subpix"] = "photometric"
+    method: MethodConfig = field(default_factory=MethodConfig)
+    max_old_frames: int = 30
+
+
+class PixelSight:
+    """Implements ``drivers.interfaces.Sight`` over a camera and a detector, and opens both.
+
+    ``dropped`` counts frames that came with an old or repeated stamp or id and were not given on.
+    """
+
+    Config = PixelSightConfig
+
+    def __init__(self, config: PixelSightConfig, context: PartContext) -> None:
+        self._config = config
+        self._camera: Camera = create(config.camera, context)
+        self._detector: Detector = create(config.detector, context)
+        self._layout = context.layout
+        self._last: tuple[int, int] | None = None  # stamp and id of the newest frame given
+        self.dropped = 0
+
+    @property
+    def model(self) -> CameraModel:
+        return self._camera.model
+
+    async def __aenter__(self) -> Self:
+        await self._camera.__aenter__()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self._camera.__aexit__(kind, error, trace)
+
+    async def view(self, timeout_s: float) -> PixelView:
+        """The newest view not yet given.
+
+        Raises:
+            CameraError: none came in time, its size is not that of the calibration, or the camera's clock went back.
+        """
+        loop = asyncio.get_running_loop()
+        deadline_s = loop.time() + timeout_s
+        old = 0
+        while True:
+            frame = await self._camera.read(max(deadline_s - loop.time(), 0.0))
+            _check_size(frame, self.model)
+            if self._last is None or (frame.stamp_ns > self._last[0] and frame.frame_id > self._last[1]):
+                self._last = (frame.stamp_ns, frame.frame_id)
+                return PixelView(frame, self.model, self._detector, self._layout, self._config)
+            old += 1
+            self.dropped += 1
+            if old >= self._config.max_old_frames:
+                raise CameraError(
+                    f"{old} frames in a row are no newer than the one before them (by {_behind(frame, self._last)})",
+                    "see whether the camera is stuck or its clock was set back",
+                )
+            if loop.time() >= deadline_s:
+                raise CameraError(
+                    f"no new frame for {timeout_s:g} s, only {old} repeated or old ones",
+                    "see whether the camera is stuck or its clock was set back",
+                )
+
+
+class PixelView:
+    """Implements ``drivers.interfaces.View`` on one frame. Every question is answered from the pixels when asked."""
+
+    __slots__ = ("_config", "_detector", "_frame", "_layout", "_model")
+
+    def __init__(
+        self,
+        frame: Frame,
+        model: CameraModel,
+        detector: Detector,
+        layout: MarkerLayout,
+        config: PixelSightConfig,
+    ) -> None:
+        self._frame, self._model = frame, model
+        self._detector, self._layout, self._config = detector, layout, config
+
+    @property
+    def stamp_ns(self) -> int:
+        return self._frame.stamp_ns
+
+    @property
+    def frame_id(self) -> int:
+        return self._frame.frame_id
+
+    def targets(self, region: Region | None) -> Sequence[Detection]:
+        """Target-like objects with their box centre in ``region``, best score first."""
+        return self._detector.detect(self._frame.color, region)
+
+    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
+        """Markers of the layout in ``region``."""
+        return detect_markers(self._frame.color, region, self._layout, self._model, refine=self._config.corners)
+
+    def depth(self, box: Box) -> Depth | None:
+        """Robust depth over a box (``path.target.registered_depth``); None without a depth stream."""
+        depth_mm = self._frame.depth_mm
+        return None if depth_mm is None else registered_depth(depth_mm, box, self._config.method)
+
+    def image(self) -> NDArray[np.uint8]:
+        return self._frame.color
+
+
+def _check_size(frame: Frame, model: CameraModel) -> None:
+    for kind, image in (("colour", frame.color), ("depth", frame.depth_mm)):
+        if image is not None and image.shape[:2] != (model.height, model.width):
+            raise CameraError(
+                f"the calibration is for {model.width}x{model.height} px but the {kind} frames are "
+                f"{image.shape[1]}x{image.shape[0]} px",
+                "use the calibration of this stream, or set the stream to the calibrated size",
+            )
+
+
+def _behind(frame: Frame, last: tuple[int, int]) -> str:
+    return f"{(frame.stamp_ns - last[0]) / 1e9:+.3f} s, {frame.frame_id - last[1]:+d} frames"

@@ -1,0 +1,209 @@
+"""The sight over a camera and a detector: which frames become views, and what a view answers."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from drivers.interfaces import CameraError, Frame
+from drivers.pixel_sight import PixelSight, PixelSightConfig, PixelView
+from drivers.rig import Mount, Origin, PartContext
+from drivers.tables import RigError, decode_table
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.marker.layout import single_marker
+from path.messages import Role
+from path.observations import Box, Detection, Region
+
+CAMERA = CameraModel(160, 120, 200.0, 200.0, 79.5, 59.5)
+LEVEL = Pose(np.eye(3), np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True)
+class StubConfig:
+    name: str = "stub"
+
+
+class StubCamera:
+    """Gives the frames it was handed, in order, then nothing."""
+
+    Config = StubConfig
+
+    def __init__(self, config: StubConfig, context: PartContext) -> None:
+        self.model = context.camera
+        self.frames: list[Frame] = []
+        self.open = False
+
+    async def __aenter__(self) -> StubCamera:
+        self.open = True
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.open = False
+
+    async def read(self, timeout_s: float) -> Frame:
+        if not self.frames:
+            await asyncio.sleep(timeout_s)
+            raise CameraError(f"no frame from the stub for {timeout_s:.3f} s")
+        return self.frames.pop(0)
+
+
+class StubDetector:
+    """Counts how often it is asked."""
+
+    Config = StubConfig
+
+    def __init__(self, config: StubConfig, context: PartContext) -> None:
+        self.asked: list[Region | None] = []
+
+    def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]:
+        self.asked.append(region)
+        return (Detection(Box(1.0, 2.0, 3.0, 4.0), 0.5),)
+
+
+class Clock:
+    def now_ns(self) -> int:
+        return 0
+
+
+CONTEXT = PartContext(Role.SENDER, Clock(), CAMERA, Mount(LEVEL, LEVEL), single_marker(), Origin(0.0, 0.0, 0.0))
+
+
+def table(**settings: Any) -> dict[str, Any]:
+    parts = {"camera": {"factory": f"{__name__}:StubCamera"}, "detector": {"factory": f"{__name__}:StubDetector"}}
+    return {**parts, **settings}
+
+
+def sight(**settings: Any) -> tuple[PixelSight, StubCamera, StubDetector]:
+    made = PixelSight(decode_table(table(**settings), PixelSightConfig, "rig.toml: sender.sight"), CONTEXT)
+    camera, detector = made._camera, made._detector
+    assert isinstance(camera, StubCamera)
+    assert isinstance(detector, StubDetector)
+    return made, camera, detector
+
+
+def frame(number: int, stamp_ns: int | None = None, depth: bool = True) -> Frame:
+    color = np.full((120, 160, 3), number, np.uint8)
+    depth_mm = np.full((120, 160), 2000, np.uint16) if depth else None
+    return Frame(number * 1000 if stamp_ns is None else stamp_ns, number, color, depth_mm)
+
+
+def view_of(made: PixelSight, timeout_s: float = 0.05) -> PixelView:
+    return asyncio.run(made.view(timeout_s))
+
+
+def test_it_opens_and_closes_its_camera() -> None:
+    made, camera, _ = sight()
+
+    async def main() -> None:
+        async with made:
+            assert camera.open
+        assert not camera.open
+
+    asyncio.run(main())
+    assert made.model is CAMERA
+
+
+def test_old_and_repeated_frames_are_never_given() -> None:
+    made, camera, _ = sight()
+    camera.frames = [frame(1), frame(1), frame(3), frame(2), frame(4, stamp_ns=3000), frame(5), frame(5, 6000)]
+    views = [view_of(made) for _ in range(3)]
+    assert [view.frame_id for view in views] == [1, 3, 5]
+    assert [view.stamp_ns for view in views] == [1000, 3000, 5000]
+    assert made.dropped == 3
+    with pytest.raises(CameraError, match="no frame from the stub"):
+        view_of(made)
+
+
+def test_a_camera_whose_clock_went_back_is_a_fault_after_a_limit() -> None:
+    made, camera, _ = sight(max_old_frames=5)
+    camera.frames = [frame(1, stamp_ns=10_000_000_000)]
+    view_of(made)
+    camera.frames = [frame(2 + k, stamp_ns=4_000_000_000 + k) for k in range(20)]
+    with pytest.raises(CameraError, match=r"5 frames in a row are no newer .*-6\.000 s"):
+        view_of(made)
+    assert len(camera.frames) == 15
+
+
+def test_the_wait_is_bounded_however_many_old_frames_come() -> None:
+    made, camera, _ = sight(max_old_frames=10**9)
+    camera.frames = [frame(7)]
+    view_of(made)
+    camera.frames = [frame(7)] * 200_000
+    with pytest.raises(CameraError):
+        view_of(made, 0.01)
+
+
+@pytest.mark.parametrize("color_only", [True, False])
+def test_frames_of_another_size_than_the_calibration_are_refused_with_both_sizes(color_only: bool) -> None:
+    made, camera, _ = sight()
+    small = np.zeros((90, 120), np.uint16)
+    good = frame(1)
+    camera.frames = [Frame(1, 1, np.zeros((90, 120, 3), np.uint8), None)]
+    if not color_only:
+        camera.frames = [Frame(1, 1, good.color, small)]
+    with pytest.raises(CameraError, match=r"160x120 px .* 120x90 px"):
+        view_of(made)
+
+
+def test_nothing_is_computed_before_it_is_asked() -> None:
+    made, camera, detector = sight()
+    camera.frames = [frame(9)]
+    view = view_of(made)
+    assert detector.asked == []
+    region = Region(0.0, 0.0, 50.0, 50.0)
+    assert view.targets(region)[0].box.w == 3.0
+    assert detector.asked == [region]
+    assert np.all(view.image() == 9)
+
+
+def test_depth_is_asked_of_the_registered_image() -> None:
+    made, camera, _ = sight()
+    holes = frame(2)
+    assert holes.depth_mm is not None
+    holes.depth_mm[:] = 0
+    camera.frames = [frame(1), holes, frame(3, depth=False)]
+    box = Box(40.0, 30.0, 60.0, 40.0)
+    depth = view_of(made).depth(box)
+    assert depth is not None
+    assert depth.z_m == pytest.approx(2.0)
+    assert depth.sigma_m > 0.0
+    assert view_of(made).depth(box) is None
+    assert view_of(made).depth(box) is None
+
+
+def test_depth_limits_are_those_of_the_settings() -> None:
+    made, camera, _ = sight(method={"max_depth_m": 1.5})
+    camera.frames = [frame(1)]
+    assert view_of(made).depth(Box(40.0, 30.0, 60.0, 40.0)) is None
+
+
+@pytest.mark.parametrize("corners", ["photometric", "subpix"])
+def test_markers_are_found_in_the_pixels(corners: str) -> None:
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    printed = cv2.cvtColor(cv2.aruco.generateImageMarker(dictionary, 0, 240), cv2.COLOR_GRAY2BGR)
+    large = np.full((480, 640, 3), 255, np.uint8)
+    large[100:340, 200:440] = printed
+    made, camera, _ = sight(corners=corners)
+    camera.frames = [
+        Frame(1, 1, np.asarray(cv2.resize(large, (160, 120), interpolation=cv2.INTER_AREA), np.uint8), None)
+    ]
+    view = view_of(made)
+    (found,) = view.markers(None)
+    assert found.marker_id == 0
+    expected = [[49.5, 24.5], [109.5, 24.5], [109.5, 84.5], [49.5, 84.5]]
+    assert np.abs(found.corners_px - expected).max() < 0.7
+    assert found.covariance_px2.shape == (8, 8)
+    assert not view.markers(Region(0.0, 0.0, 40.0, 40.0))
+
+
+def test_a_rig_that_names_no_detector_is_refused() -> None:
+    with pytest.raises(RigError, match="missing key 'detector'"):
+        decode_table({"camera": table()["camera"]}, PixelSightConfig, "rig.toml: sender.sight")
