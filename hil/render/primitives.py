@@ -56,11 +56,23 @@ def first_at_least(values, threshold):
 
 
 @kernel
-def _turned(R, vector):
-    out = np.empty(3)
-    for k in range(3):
-        out[k] = R[k, 0] * vector[0] + R[k, 1] * vector[1] + R[k, 2] * vector[2]
-    return out
+def _turned(R, vectors, i, first):
+    """R times the three columns from ``first`` of row i, as a tuple (compiles faster than an array)."""
+    x, y, z = vectors[i, first], vectors[i, first + 1], vectors[i, first + 2]
+    return (
+        R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
+        R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
+        R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
+    )
+
+
+@kernel
+def _cross(a, b, divisor):
+    return (
+        (a[1] * b[2] - a[2] * b[1]) / divisor,
+        (a[2] * b[0] - a[0] * b[2]) / divisor,
+        (a[0] * b[1] - a[1] * b[0]) / divisor,
+    )
 
 
 @kernel
@@ -94,14 +106,13 @@ def _bounds(p0, e1, e2, column_x, row_y, pixel, tag):
 
 
 @kernel
-def _fill(p0, e1, e2, normal, determinant, pixel, primitive):
-    """Write the linear functions of one rectangle. ``normal`` = E1 x E2, ``determinant`` = P0 . (E1 x E2)."""
-    over_u = np.cross(e2, p0) / determinant
-    over_v = np.cross(p0, e1) / determinant
-    inverse_z = normal / determinant
-    primitive[OVER_U : OVER_U + 3] = over_u
-    primitive[OVER_V : OVER_V + 3] = over_v
-    primitive[INVERSE_Z : INVERSE_Z + 3] = inverse_z
+def _fill(p0, e1, e2, determinant, pixel, primitive):
+    """Write the linear functions of one rectangle. ``determinant`` = P0 . (E1 x E2)."""
+    over_u = _cross(e2, p0, determinant)
+    over_v = _cross(p0, e1, determinant)
+    inverse_z = _cross(e1, e2, determinant)
+    for k in range(3):
+        primitive[OVER_U + k], primitive[OVER_V + k], primitive[INVERSE_Z + k] = over_u[k], over_v[k], inverse_z[k]
     for edge in range(4):
         along = over_u if edge < 2 else over_v
         first = EDGES + 3 * edge
@@ -127,10 +138,10 @@ def add_body(corners, colors, kinds, R, t, sun_c, motion, vehicle, view, primiti
         kind = kinds[i]
         if kind == MARKER:
             markers += 1
-        p0 = _turned(R, corners[i, 0:3]) + t
-        e1 = _turned(R, corners[i, 3:6])
-        e2 = _turned(R, corners[i, 6:9])
-        normal = np.cross(e1, e2)  # away from the viewer
+        p0 = _turned(R, corners, i, 0)
+        p0 = (p0[0] + t[0], p0[1] + t[1], p0[2] + t[2])
+        e1, e2 = _turned(R, corners, i, 3), _turned(R, corners, i, 6)
+        normal = _cross(e1, e2, 1.0)  # away from the viewer
         determinant = p0[0] * normal[0] + p0[1] * normal[1] + p0[2] * normal[2]
         length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
         if determinant <= 1e-9 * length and (kind != ROTOR or determinant >= -1e-9 * length):
@@ -140,7 +151,7 @@ def add_body(corners, colors, kinds, R, t, sun_c, motion, vehicle, view, primiti
         facing = -(normal[0] * sun_c[0] + normal[1] * sun_c[1] + normal[2] * sun_c[2]) / length
         light = AMBIENT + DIFFUSE * max(0.0, facing) if kind != ROTOR else 1.0
         primitive = primitives[count]
-        _fill(p0, e1, e2, normal, determinant, pixel, primitive)
+        _fill(p0, e1, e2, determinant, pixel, primitive)
         for k in range(3):
             primitive[COLOR + k] = min(255.0, colors[i, k] * light)
         primitive[LIGHT] = light
