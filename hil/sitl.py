@@ -17,10 +17,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.log import read_log
+from drivers.log import LogRecord, read_log
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, decode_event
 from hil.faults import Fault, FaultTrigger, parse_fault
 from hil.monitors import Monitors
+from hil.shared_camera import RUN_VARIABLE
 from path.messages import Role
 
 WORLD_READY_S = 180.0  # the first start compiles the renderer
@@ -106,11 +107,17 @@ async def _start_role(
     return process
 
 
+def run_name() -> str:
+    """Of this process's run: names what its children share."""
+    return f"run-{os.getpid()}"
+
+
 async def _spawn(command: Sequence[str], errors: Path) -> asyncio.subprocess.Process:
     """A child in a session of its own: Ctrl-C in the terminal reaches only this process, which then decides."""
     with errors.open("wb") as stderr:
         return await asyncio.create_subprocess_exec(
             *command,
+            env={**os.environ, RUN_VARIABLE: run_name(), "PYTHONUNBUFFERED": "1"},
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=stderr,
@@ -218,12 +225,13 @@ async def _kill(processes: list[asyncio.subprocess.Process]) -> None:
 def _report(run: _Run, failure: str, wall_s: float) -> FlightReport:
     request, finished = run.request, run.finished or {}
     monitors = Monitors(request.rig.method, min_separation_m=0.0)
-    records = []
+    records: list[tuple[int, Role, LogRecord]] = []
     for role in Role:
         log = request.out / f"{role.value}.mcap"
         if log.exists():
             records += [(record.stamp_ns, role, record) for record in read_log(log)]
-    for stamp_ns, role, record in sorted(records, key=lambda entry: entry[0]):
+    records.sort(key=lambda entry: entry[0])
+    for stamp_ns, role, record in records:
         monitors.on_record(role, record.topic, stamp_ns, record.record)
     violations = dict(monitors.violations)
     for name, count in finished.get("violations", {}).items():

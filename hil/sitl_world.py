@@ -1,4 +1,4 @@
-"""The world of a ``sitl`` run, a process of its own: physics, both vehicles on the wire, both cameras, the link between.
+"""The world of a ``sitl`` run, a process of its own: physics, vehicles on the wire, cameras, the link between.
 
     python -m hil.sitl_world RIG_FILE RUN_FOLDER SEED
 
@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import AsyncExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,8 +28,9 @@ from drivers.mavsdk_geodesy import LocalTangent
 from drivers.rig import Rig
 from drivers.rig_file import load_rig
 from drivers.tables import decode_table
+from drivers.udp_link import address_of
 from hil.faults import FAULTS
-from hil.faulty_link import LinkFaults, UdpFaultProxy
+from hil.faulty_link import LinkFaults, ProxySide, UdpFaultProxy
 from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.monitors import Monitors
 from hil.render.renderer import Renderer, warm_up
@@ -59,7 +60,7 @@ class LiveWorld:
 
 
 class CameraThread(threading.Thread):
-    """Renders one drone's camera at its rate and publishes the frames. A frame that is late is left out, and counted."""
+    """Renders one drone's camera at its rate and publishes the frames. A late frame is left out, and counted."""
 
     def __init__(self, live: LiveWorld, rig: Rig, role: Role, writer: SharedCameraWriter, seed: int) -> None:
         super().__init__(name=f"camera-{role.value}", daemon=True)
@@ -118,7 +119,7 @@ class SitlWorld:
         warm_up()
         async with AsyncExitStack() as stack:
             log = stack.enter_context(McapLog(self._out / "world.mcap"))
-            self._proxy = await stack.enter_async_context(UdpFaultProxy(*proxy_addresses(rig), seed=self._seed))
+            self._proxy = await stack.enter_async_context(UdpFaultProxy(*proxy_sides(rig), self._seed))
             for role in Role:
                 self._vehicles[role] = self._vehicle(role)
                 stack.callback(self._vehicles[role].close)
@@ -230,8 +231,15 @@ class SitlWorld:
         }
 
 
+def proxy_sides(rig: Rig) -> tuple[ProxySide, ProxySide]:
+    """The proxy listens where each role's link believes the other drone to be."""
+    ends = [rig.role(role).link.options for role in (Role.SENDER, Role.RECEIVER)]
+    sender, receiver = (ProxySide(address_of(end["peer"], "peer"), address_of(end["bind"], "bind")) for end in ends)
+    return sender, receiver
+
+
 @contextmanager
-def _running(camera: CameraThread) -> Iterator[None]:
+def _running(camera: CameraThread) -> Generator[None, None, None]:
     camera.start()
     try:
         yield
