@@ -1,0 +1,86 @@
+"""What is installed is what was meant: the right packages, pinned, one OpenCV, and a wheel with everything in it."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+import tomllib
+import zipfile
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+from hatchling.builders.wheel import WheelBuilder
+from packaging.requirements import Requirement
+from packaging.version import Version
+
+from missions import doctor
+
+ROOT = Path(__file__).parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+OURS = ("path", "drivers", "flight", "missions", "hil")
+REQUIREMENTS = [Requirement(line) for line in PROJECT["project"]["dependencies"]]
+EXTRAS = [Requirement(line) for line in PROJECT["project"]["optional-dependencies"]["dev"]]
+PINS = [Requirement(line) for line in (ROOT / "constraints.txt").read_text().splitlines() if not line.startswith("#")]
+
+
+def canonical(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_our_packages_are_the_ones_imported(name: str) -> None:
+    """PyPI has a package ``path`` too."""
+    module = importlib.import_module(name)
+    assert Path(str(module.__file__)).parent == ROOT / name
+
+
+@pytest.mark.parametrize("requirement", REQUIREMENTS + EXTRAS, ids=lambda r: r.name)
+def test_versions_are_bounded(requirement: Requirement) -> None:
+    operators = {specifier.operator for specifier in requirement.specifier}
+    assert operators & {"<", "=="}, "no upper bound"
+    assert operators & {">=", "=="}, "no lower bound"
+
+
+@pytest.mark.parametrize("requirement", REQUIREMENTS + EXTRAS, ids=lambda r: r.name)
+def test_constraints_pin_what_is_required(requirement: Requirement) -> None:
+    pins = [pin for pin in PINS if canonical(pin.name) == canonical(requirement.name)]
+    assert pins
+    for pin in pins:
+        (specifier,) = pin.specifier
+        assert specifier.operator == "=="
+        assert Version(specifier.version) in requirement.specifier
+
+
+def test_constraints_name_no_place_and_no_second_opencv() -> None:
+    text = (ROOT / "constraints.txt").read_text()
+    assert not re.search(r"://|@|--hash|--index|--find-links", text)
+    assert [pin.name for pin in PINS if "opencv" in pin.name] == ["opencv-contrib-python-headless"]
+
+
+def test_one_opencv_works_here() -> None:
+    assert doctor.check_opencv().state == "ok"
+
+
+def test_the_command_is_installed() -> None:
+    (command,) = entry_points(group="console_scripts", name="path-handoff")
+    assert callable(command.load())
+
+
+def test_a_wheel_has_all_packages_and_rigs_and_nothing_else(tmp_path: Path) -> None:
+    (wheel,) = WheelBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"])
+    names = [name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name]
+    assert {name.partition("/")[0] for name in names} == set(OURS)
+    for package in OURS:
+        wanted = {f.relative_to(ROOT).as_posix() for f in (ROOT / package).rglob("*.py")}
+        wanted |= {f.relative_to(ROOT).as_posix() for f in (ROOT / package).rglob("*.toml")}
+        assert wanted <= set(names)
+    assert not [name for name in names if name.endswith((".pyc", ".nbi", ".nbc"))]
+
+
+def test_this_python_is_one_of_those_promised() -> None:
+    assert (
+        Version(".".join(map(str, sys.version_info[:3])))
+        in Requirement(f"python{PROJECT['project']['requires-python']}").specifier
+    )
