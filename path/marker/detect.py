@@ -25,7 +25,8 @@ Refine = Literal["photometric", "subpix"]
 
 MAX_SCALE = 4.0
 DETECTION_PIXELS = 1.3e6  # an image is enlarged up to about this many pixels
-RETRY_SCALE, RETRY_PIXELS = 6.0, 6.0e4  # a small region that shows nothing is tried once more, larger
+RETRY_SCALE, RETRY_PIXELS = 6.0, 4.0e4  # a small region that shows nothing is tried once more, larger and fainter
+THRESHOLD, RETRY_THRESHOLD = 7.0, 3.0  # grey levels below the neighbourhood's mean that are black
 LARGE_WINDOW_SCALE = 2.5  # from this scale on the threshold looks at a wider neighbourhood
 MIN_EXPLAINED = 0.85  # of the image's variance, for the fit to be trusted
 MIN_CONTRAST = 8.0  # grey levels
@@ -63,9 +64,9 @@ def detect_markers(
     cut = image[v0 : math.ceil(area.y1), u0 : math.ceil(area.x1)]
     grey = np.ascontiguousarray(cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY) if cut.ndim == 3 else cut, dtype=np.uint8)
     used = scale or _scale_for(grey.size)
-    quads = _decode(grey, layout.dictionary, used)
+    quads = _decode(grey, layout.dictionary, used, THRESHOLD)
     if not quads and scale is None and grey.size <= RETRY_PIXELS:
-        quads = _decode(grey, layout.dictionary, RETRY_SCALE)
+        quads = _decode(grey, layout.dictionary, RETRY_SCALE, RETRY_THRESHOLD)
     found: list[MarkerDetection] = []
     for marker_id, quad in quads:
         if layout.marker(marker_id) is not None:
@@ -84,19 +85,20 @@ def _scale_for(pixels: int) -> float:
 
 
 @lru_cache(maxsize=8)
-def _detector(dictionary: str, window: int) -> cv2.aruco.ArucoDetector:
+def _detector(dictionary: str, window: int, offset: float) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = window
+    parameters.adaptiveThreshConstant = offset
     parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
     parameters.perspectiveRemovePixelPerCell = 8
     parameters.errorCorrectionRate = 1.0
     return cv2.aruco.ArucoDetector(dictionary_of(dictionary), parameters)
 
 
-def _decode(grey: NDArray[np.uint8], dictionary: str, scale: float) -> list[tuple[int, Array]]:
+def _decode(grey: NDArray[np.uint8], dictionary: str, scale: float, offset: float) -> list[tuple[int, Array]]:
     """Ids and corners (4, 2) in pixels of ``grey``; one physical marker once."""
     enlarged = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-    corners, ids, _ = _detector(dictionary, 23 if scale >= LARGE_WINDOW_SCALE else 13).detectMarkers(enlarged)
+    corners, ids, _ = _detector(dictionary, 23 if scale >= LARGE_WINDOW_SCALE else 13, offset).detectMarkers(enlarged)
     quads: list[tuple[int, Array]] = []
     for row, corner in enumerate(corners):
         marker_id = int(np.ravel(ids)[row])  # shape (n, 1) in OpenCV 4, (n,) in 5

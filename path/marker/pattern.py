@@ -23,6 +23,7 @@ from path.marker.kernels import Array
 
 UNKNOWNS = 16
 BLUR, TONE = 14, 15  # places of blur and kappa in theta
+SATURATED = 254.0  # grey level
 REACH = 4.0  # standard deviations after which an edge is not blurred any more
 
 _GRID = np.arange(-6.0, 6.0 + 1e-9, 1.0 / 64.0)
@@ -132,7 +133,7 @@ def _evaluate(  # noqa: PLR0915 - one formula, written out
 def accumulate(
     pixels: Array, theta: Array, frame: Array, cells: Array, spread: float, normal: Array, residuals: Array
 ) -> None:
-    """One pass over the pixels: weighted normal matrix with the gradient as its last column, and residuals.
+    """One pass over the pixels: weighted normal matrix, gradient in its last column, and residuals (0 where saturated).
 
     ``normal`` has shape (16, 17). Weights fall off with the residual in units of ``spread``.
     """
@@ -142,6 +143,9 @@ def accumulate(
     work, row = np.empty((6, cells.shape[0] + 1)), np.empty(UNKNOWNS + 1)
     for k in range(pixels.shape[0]):
         r = pixels[k, 2] - _evaluate(pixels[k], theta, frame, cells, work, row)
+        if r < 0.0 and pixels[k, 2] >= SATURATED:  # as bright as a pixel can be: any brighter light explains it
+            residuals[k] = 0.0
+            continue
         residuals[k] = r
         row[UNKNOWNS] = r
         w = 1.0 / (1.0 + (r / spread) ** 2) ** 2

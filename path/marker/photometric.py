@@ -23,6 +23,9 @@ MAX_PASSES = 8
 MAX_DRIFT_PX = 3.0  # a step longer than this is not a refinement
 REGATHER_PX = 0.2  # after a step longer than this the pixels of the print are chosen anew
 SETTLED_PX = 0.03  # a step shorter than this is followed by none that matters
+UNSETTLED_PX = 0.15  # longest last step of a fit that creeps towards its end
+MAX_CORRELATION = 0.5  # of neighbouring residuals; counted in both directions, it divides the pixels by up to 9
+MISFIT_PX = 2.5  # what a correlated residual as large as the contrast moves a corner; from a real, sharpened photograph
 CONSISTENCY = 1.6  # weights take 1.28 off the residual's variance; the rest is measured on exact images of markers
 
 
@@ -75,7 +78,7 @@ def fit(
     theta[8], theta[11] = low, high - low
     corners, jacobian = rays.copy(), np.empty((8, 8))
     normal, factor = np.empty((UNKNOWNS, UNKNOWNS + 1)), np.empty((UNKNOWNS, UNKNOWNS))
-    spread = 1e3
+    spread, moved, passes, residuals = 1e3, math.inf, 0, np.empty(0)
     for passes in range(1, MAX_PASSES + 1):
         residuals = np.empty(len(pixels))
         accumulate(pixels, theta, frame, cells, spread, normal, residuals)
@@ -90,10 +93,12 @@ def fit(
             pixels = gather(image, offset[0], offset[1], frame, lens, theta, n, theta[BLUR])
             if len(pixels) < 3 * UNKNOWNS:
                 return None
-    else:
+    if moved > UNSETTLED_PX:
         return None
     covariance = np.empty((8, 8))
-    residual, explained = finish(pixels, residuals, factor, lens, frame, spread, corners, jacobian, covariance)
+    residual, explained = finish(
+        pixels, residuals, factor, lens, frame, spread, theta[11], corners, jacobian, covariance
+    )
     return PhotometricFit(corners, covariance, residual, float(theta[11]), float(theta[BLUR]), explained, passes)
 
 
@@ -101,9 +106,12 @@ def fit(
 def robust_scale(residuals: Array) -> float:
     """Robust standard deviation of the residuals (from their median size), at least half a grey level."""
     bins = np.zeros(512, np.int64)
+    count = 0
     for k in range(residuals.shape[0]):
-        bins[min(511, int(abs(residuals[k]) * 4.0))] += 1
-    half, total = residuals.shape[0] // 2, 0
+        if residuals[k] != 0.0:
+            bins[min(511, int(abs(residuals[k]) * 4.0))] += 1
+            count += 1
+    half, total = count // 2, 0
     for k in range(512):
         total += bins[k]
         if total > half:
@@ -158,6 +166,7 @@ def finish(
     lens: Array,
     frame: Array,
     spread: float,
+    contrast: float,
     corners: Array,
     jacobian: Array,
     covariance: Array,
@@ -167,6 +176,9 @@ def finish(
     w_before = 0.0
     for k in range(pixels.shape[0]):
         r = residuals[k]
+        if r == 0.0:
+            w_before = 0.0
+            continue
         w = 1.0 / (1.0 + (r / spread) ** 2) ** 2
         total, squares = total + w, squares + w * r * r
         grey, grey2 = grey + w * pixels[k, 2], grey2 + w * pixels[k, 2] ** 2
@@ -177,7 +189,7 @@ def finish(
         w_before = w
     variance = squares / max(total - UNKNOWNS, 1.0)
     explained = 1.0 - squares / max(grey2 - grey * grey / total, 1e-9)
-    correlation = min(max(beside / near, 0.0), 0.8) if near > 0.0 else 0.0
+    correlation = min(max(beside / near, 0.0), MAX_CORRELATION) if near > 0.0 else 0.0
     variance_used = CONSISTENCY * variance * ((1.0 + correlation) / (1.0 - correlation)) ** 2
     for k in range(4):
         u, v, ux, uy, vx, vy = distort(corners[k, 0] / frame[4] + frame[2], corners[k, 1] / frame[4] + frame[3], lens)
@@ -195,4 +207,5 @@ def finish(
             for k in range(8):
                 s += jacobian[j, k] * column[k]
             covariance[i, j] = s * variance_used
+        covariance[i, i] += correlation * variance * (MISFIT_PX / contrast) ** 2
     return math.sqrt(variance), explained

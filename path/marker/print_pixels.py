@@ -12,7 +12,7 @@ from path.marker.kernels import Array, distort, undistort
 
 Gray = NDArray[np.uint8]
 
-MAX_PIXELS = 2500  # a larger marker is fitted on a regular selection of its pixels
+MAX_PIXELS = 1600  # a larger marker is fitted on a regular selection of its pixels
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
