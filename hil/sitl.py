@@ -84,8 +84,16 @@ async def _start_world(
                 event = await _read_json(world)
                 if event.get("event") == "ready":
                     return world
+                if event.get("event") == "warming":
+                    for role in Role:
+                        request.emit(starting(role, str(event["what"])))
     except TimeoutError:
         raise HarnessFailure(f"the world was not ready within {WORLD_READY_S:.0f} s") from None
+
+
+def starting(role: Role, what: str) -> Progress:
+    """What the console shows while there is no role yet."""
+    return Progress(role, 0, "starting", 0, 0, None, None, None, 0.0, False, what)
 
 
 async def _read_json(process: asyncio.subprocess.Process) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from missions.journal import agreement_record, target_record
 from missions.rig_library import mission_of
 from missions.session import Session, fly_course, open_session
 from missions.steps import bring_down, preflight, take_off
+from path.agreement import Agreed
 from path.geometry import Matrix
 from path.messages import Candidate, Role, Target
 from path.observations import Missed, MissReason
@@ -211,6 +212,8 @@ class Sender:
     def _note_pair(self, pair: Pair, count: int) -> None:
         """Log one verdict and show it."""
         session, verdict = self._session, pair.verdict
+        if isinstance(verdict, Agreed):
+            count = verdict.count  # of this pair: the window may already have seen the next
         session.shown.count, session.shown.iou = count, verdict.iou
         session.log.write(
             "/agreement",

@@ -31,6 +31,7 @@ from flight.harness import Emit, InProcess, Progress, RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
+from path.marker.warm_up import warm_up
 from path.messages import Ping, Pong, Role, Status
 from path.rotation import yaw_of
 
@@ -260,7 +261,8 @@ async def open_session(
     stop: asyncio.Event,
     harness: InProcess | None,
 ) -> Session:
-    """Make and open a role's parts, closed again by ``stack``. Raises PartError."""
+    """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after. Raises PartError."""
+    warm_up()
     context = part_context(rig, role, harness)
     own = rig.role(role)
     link: Link = await stack.enter_async_context(create(own.link, context))
