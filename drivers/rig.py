@@ -33,16 +33,17 @@ class PartSpec:
     factory: str
     options: Mapping[str, Any]
     where: str
+    base: Path | None = None  # relative paths in the options start here
 
     @classmethod
-    def from_table(cls, table: Any, where: str) -> PartSpec:
+    def from_table(cls, table: Any, where: str, base: Path | None) -> PartSpec:
         """Used by ``decode_table``. Raises RigError when ``factory`` is missing or no ``module:Class``."""
         if not isinstance(table, Mapping):
             raise RigError([f"{where}: expected a table with a factory"])
         factory = table.get("factory")
         if not isinstance(factory, str) or factory.count(":") != 1:
             raise RigError([f"{where}: missing key 'factory', such as \"drivers.mavsdk_vehicle:MavsdkVehicle\""])
-        return cls(factory, {key: value for key, value in table.items() if key != "factory"}, where)
+        return cls(factory, {key: value for key, value in table.items() if key != "factory"}, where, base)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +154,7 @@ def decode_part(spec: PartSpec) -> tuple[Any, Any]:
     config = getattr(kind, "Config", None)
     if config is None or not dataclasses.is_dataclass(config):
         raise RigError([f"{spec.where}.factory: {spec.factory} is no part: it has no Config dataclass"])
-    return kind, decode_table(spec.options, config, spec.where)  # type: ignore[arg-type]
+    return kind, decode_table(spec.options, config, spec.where, spec.base)  # type: ignore[arg-type]
 
 
 def create(spec: PartSpec, context: PartContext) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from drivers.rig import PartSpec, Rig, decode_part, import_factory
@@ -17,8 +18,8 @@ EXCLUSIVE = ("url", "bind", "sysid", "interface", "device", "serial")
 def check_rig(rig: Rig) -> None:
     """Check all that can be checked without touching hardware. Raises RigError with every problem found.
 
-    Factories import and take their options, no two parts share a port, system id, interface or device, the two links
-    point at each other, and the harness (its ``check_rig(rig)``, when it has one) agrees.
+    Factories import and take their options, files that are named exist, no two parts share a port, system id, interface
+    or device, the two links point at each other, and the harness (its ``check_rig(rig)``, when it has one) agrees.
     """
     problems = Problems()
     configs = _decode_parts(rig, problems)
@@ -63,8 +64,11 @@ def _check_part(spec: PartSpec, configs: dict[str, Any], problems: Problems) -> 
         return
     configs[spec.where] = config
     for name in (f.name for f in dataclasses.fields(config)):
-        if isinstance(inner := getattr(config, name), PartSpec):
-            _check_part(inner, configs, problems)
+        value = getattr(config, name)
+        if isinstance(value, PartSpec):
+            _check_part(value, configs, problems)
+        elif isinstance(value, Path) and not value.exists():
+            problems.add(f"{spec.where}.{name}", f"{value}: no such file")
 
 
 def _check_exclusive(configs: Mapping[str, Any], problems: Problems) -> None:

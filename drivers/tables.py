@@ -53,7 +53,7 @@ def decode_table(table: Mapping[str, Any], kind: type[T], where: str, base: Path
     """Decode a TOML table as the dataclass ``kind``.
 
     Understands nested dataclasses, tuples, dicts with string keys, enums (by value), Literals, unions, ``Path``, floats
-    written as integers, and any type with a class method ``from_table(table, where)``. Numbers must be finite.
+    written as integers, and any type with a class method ``from_table(table, where, base)``. Numbers must be finite.
 
     Args:
         table: as tomllib gives it.
@@ -137,7 +137,7 @@ def _value(value: Any, kind: Any, where: str, problems: Problems, base: Path | N
         return _mapping(value, kind, where, problems, base)
     if hasattr(kind, "from_table"):
         try:
-            return kind.from_table(value, where)
+            return kind.from_table(value, where, base)
         except RigError as error:
             problems.absorb(error)
             raise _Bad from error

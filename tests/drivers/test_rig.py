@@ -149,6 +149,7 @@ class Fake:
         sysid: int | None = None
         interface: str = ""
         inner: PartSpec | None = None
+        key_file: Path | None = None
 
     def __init__(self, config: Config, context: PartContext) -> None:
         self.config = config
@@ -337,6 +338,14 @@ def test_the_ports_a_rig_listens_on_are_known(write: Write) -> None:
         14601: "sender.link.bind",
         14602: "receiver.link.bind",
     }
+
+
+def test_files_are_looked_for_beside_the_rig(write: Write, tmp_path: Path) -> None:
+    path = write(RIG.replace("interface =", 'key_file = "keys/pair.key"\ninterface =', 1))
+    assert problems_of(path) == (f"bench.toml: sender.sight.inner.key_file: {tmp_path}/keys/pair.key: no such file",)
+    (tmp_path / "keys").mkdir()
+    (tmp_path / "keys/pair.key").touch()
+    check_rig(load_rig(path))
 
 
 def test_all_problems_of_a_rig_come_together(write: Write) -> None:
