@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from path.camera import CameraModel
 from path.geometry import Pose
-from path.marker.kernels import distort, lens_of, rays
+from path.marker.kernels import cholesky, cholesky_solve, distort, lens_of, rays
 from path.marker.layout import Marker, MarkerLayout
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason
@@ -263,7 +263,6 @@ def _residuals(
     residuals[base], residuals[base + 1], residuals[base + 2] = (
         root * (gx - down[3]), root * (gy - down[4]), root * (gz - down[5]),
     )  # fmt: skip
-    jacobian[base : base + 3, :] = 0.0
     jacobian[base, 4], jacobian[base, 5] = root * gz, -root * gy
     jacobian[base + 1, 3], jacobian[base + 1, 5] = -root * gz, root * gx
     jacobian[base + 2, 3], jacobian[base + 2, 4] = root * gy, -root * gx
@@ -271,40 +270,57 @@ def _residuals(
 
 
 @njit(cache=True, nogil=True)
+def _normal(jacobian: Array, residuals: Array, information: Array, gradient: Array) -> float:
+    """Information ``J^T J`` (6, 6) and ``-J^T r`` (6,) into their places; returns the cost ``r^T r``."""
+    cost = 0.0
+    for i in range(6):
+        gradient[i] = 0.0
+        for j in range(6):
+            information[i, j] = 0.0
+    for r in range(residuals.shape[0]):
+        cost += residuals[r] * residuals[r]
+        for i in range(6):
+            gradient[i] -= jacobian[r, i] * residuals[r]
+            for j in range(6):
+                information[i, j] += jacobian[r, i] * jacobian[r, j]
+    return cost
+
+
+@njit(cache=True, nogil=True)
 def _refine(
-    start_R: Array,
-    start_t: Array,
-    points: Array,
-    pixels: Array,
-    whitening: Array,
-    lens: Array,
-    down: Array,
+    start_R: Array, start_t: Array, points: Array, pixels: Array, whitening: Array, lens: Array, down: Array,
     weight: float,
-) -> tuple[float, Array, Array, Array, float]:
+) -> tuple[float, Array, Array, Array, float]:  # fmt: skip
     """Levenberg-Marquardt from one solution: cost, pose, information (6, 6) and the corners' share of the cost."""
     turn, shift = start_R, start_t
     rows = 8 * whitening.shape[0] + 3
     residuals, jacobian = np.zeros(rows), np.zeros((rows, 6))
-    tried, tried_jacobian = np.zeros(rows), np.zeros((rows, 6))
+    information, gradient = np.zeros((6, 6)), np.zeros(6)
+    tried_information, tried_gradient, factor = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
     corners = _residuals(turn, shift, points, pixels, whitening, lens, down, weight, residuals, jacobian)
-    cost = np.sum(residuals * residuals) if corners < np.inf else np.inf
-    information = jacobian.T @ jacobian
+    cost = _normal(jacobian, residuals, information, gradient) if corners < np.inf else np.inf
     damping = 1e-6
     for _ in range(ITERATIONS):
         if not cost < np.inf:
             break
-        normal = information.copy()
-        for k in range(6):
-            normal[k, k] += damping * information[k, k] + 1e-12
-        step = np.linalg.solve(normal, -(jacobian.T @ residuals))
-        turned, shifted = _exp_times(step[3:], turn), shift + step[:3]
-        corners_new = _residuals(turned, shifted, points, pixels, whitening, lens, down, weight, tried, tried_jacobian)
-        cost_new = np.sum(tried * tried) if corners_new < np.inf else np.inf
+        step, shifted = gradient.copy(), shift.copy()
+        for i in range(6):
+            for j in range(6):
+                factor[i, j] = information[i, j]
+            factor[i, i] += damping * information[i, i] + 1e-12
+        if not cholesky(factor):
+            break
+        cholesky_solve(factor, step)
+        for i in range(3):
+            shifted[i] += step[i]
+        turned = _exp_times(step[3:], turn)
+        corners_new = _residuals(turned, shifted, points, pixels, whitening, lens, down, weight, residuals, jacobian)
+        cost_new = _normal(jacobian, residuals, tried_information, tried_gradient) if corners_new < np.inf else np.inf
         if cost_new <= cost:
             done = cost - cost_new < CONVERGED * (1.0 + cost)
             turn, shift, cost, corners = turned, shifted, cost_new, corners_new
-            residuals[:], jacobian[:] = tried, tried_jacobian
-            information = jacobian.T @ jacobian
+            information, tried_information = tried_information, information
+            gradient, tried_gradient = tried_gradient, gradient
             damping = max(1e-9, 0.1 * damping)
             if done:
                 break
