@@ -104,29 +104,22 @@ def plan_viewpoint(
     if not alive.any():
         return NoViewpoint(rejected)
 
-    lean = np.eye(3) if tilt_h is None else _lean(tilt_h)
-    best: Viewpoint | None = None
-    best_score = -math.inf
-    for index in np.flatnonzero(alive):
-        for share in _YAW_SHARES:
-            view = _look(candidates[index], share, scene, camera, T_b_c, lean)
-            if view is None or view[1] < rendezvous.image_margin_px:
-                continue
-            yaw, margin = view
-            score = min(margin, 150.0) + 2.0 * marker_px[index] - 20.0 * incidence[index]
-            if score > best_score:
-                place = candidates[index]
-                best_score = score
-                best = Viewpoint(
-                    (float(place[0]), float(place[1]), float(place[2])),
-                    yaw,
-                    float(marker_px[index]),
-                    float(incidence[index]),
-                    margin,
-                )
-    if best is None:
-        return NoViewpoint({**rejected, "not both in view": int(np.count_nonzero(alive))})
-    return best
+    places = candidates[alive]
+    yaw, margin = _look(places, scene, camera, T_b_c, np.eye(3) if tilt_h is None else _lean(tilt_h))
+    # a wider margin is worth a smaller marker, up to what a drone swings in a gust
+    score = np.minimum(margin, 150.0) + (2.0 * marker_px[alive] - 20.0 * incidence[alive])[:, None]
+    score[margin < rendezvous.image_margin_px] = -np.inf
+    index, share = np.unravel_index(int(np.argmax(score)), score.shape)
+    if not np.isfinite(score[index, share]):
+        return NoViewpoint({**rejected, "not both in view": len(places)})
+    forward, right, down = places[index].tolist()
+    return Viewpoint(
+        (forward, right, down),
+        float(yaw[index, share]),
+        float(marker_px[alive][index]),
+        float(incidence[alive][index]),
+        float(margin[index, share]),
+    )
 
 
 def _candidates() -> Floats:
@@ -153,23 +146,24 @@ def _lean(down_h: Floats) -> Floats:
     return np.array([[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, z]])
 
 
-def _look(
-    place_h: Floats, share: float, scene: Scene, camera: CameraModel, T_b_c: Pose, lean: Floats
-) -> tuple[float, float] | None:
-    """Yaw between the bearings of marker and target, and the smallest margin (px) of both; None when one is behind."""
-    to_marker, to_target = -place_h, scene.target_h_m - place_h
-    bearing_marker = math.atan2(to_marker[1], to_marker[0])
-    bearing_target = math.atan2(to_target[1], to_target[0])
-    turn = math.atan2(math.sin(bearing_target - bearing_marker), math.cos(bearing_target - bearing_marker))
-    yaw = bearing_marker + share * turn
-    c, s = math.cos(yaw), math.sin(yaw)
-    R_h_b = lean @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    R_c_h = (R_h_b @ T_b_c.R).T
-    points_c = np.stack([R_c_h @ to_marker, R_c_h @ to_target])
-    if np.any(points_c[:, 2] <= 0.1):
-        return None
-    pixels = camera.project(points_c)
-    radius_px = camera.fx * np.array([scene.marker_side_m, _TARGET_RADIUS_M]) / points_c[:, 2]
-    left, top = pixels[:, 0] - radius_px, pixels[:, 1] - radius_px
-    right, bottom = camera.width - pixels[:, 0] - radius_px, camera.height - pixels[:, 1] - radius_px
-    return yaw, float(min(left.min(), top.min(), right.min(), bottom.min()))
+def _look(places_h: Floats, scene: Scene, camera: CameraModel, T_b_c: Pose, lean: Floats) -> tuple[Floats, Floats]:
+    """Yaws between the bearings of marker and target, and the smaller margin (px) of the two, of shape (n, shares).
+
+    The margin is minus infinity where one of them is behind the camera.
+    """
+    points_h = np.stack([np.zeros(3), scene.target_h_m])[None] - places_h[:, None]  # (n, 2, 3) from the camera
+    bearings = np.arctan2(points_h[:, :, 1], points_h[:, :, 0])
+    turn = bearings[:, 1] - bearings[:, 0]
+    turn = np.arctan2(np.sin(turn), np.cos(turn))
+    yaw = bearings[:, :1] + turn[:, None] * np.array(_YAW_SHARES)
+    c, s, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
+    R_level_b = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(*yaw.shape, 3, 3)
+    R_h_c = lean @ R_level_b @ T_b_c.R
+    points_c = np.einsum("nkji,nmj->nkmi", R_h_c, points_h)  # (n, shares, 2, 3)
+    pixels = camera.project(points_c.reshape(-1, 3)).reshape(*points_c.shape[:-1], 2)
+    radius = camera.fx * np.array([scene.marker_side_m, _TARGET_RADIUS_M]) / points_c[..., 2]
+    left_top = pixels.min(axis=-1) - radius
+    right_bottom = np.minimum(camera.width - pixels[..., 0], camera.height - pixels[..., 1]) - radius
+    margin = np.minimum(left_top, right_bottom).min(axis=-1)
+    in_front = np.all(points_c[..., 2] > 0.1, axis=-1)
+    return yaw, np.where(in_front & np.isfinite(margin), margin, -np.inf)
