@@ -122,7 +122,7 @@ def _draw_agreement(axes: Axes, run: Run, seconds: Clock) -> None:
     tau = np.array([r.record["tau"] if r.record["tau"] is not None else np.nan for r in pairs])
     axes.plot(stamps, tau, color=NEEDED, lw=1.4, label="needed (τ)")
     axes.plot(stamps[agreed], iou[agreed], ".", ms=3, color=ROLE[Role.SENDER], label="agreed")
-    axes.plot(stamps[known & ~agreed], iou[known & ~agreed], "x", ms=5, color=FAULT, label="too low")
+    axes.plot(stamps[known & ~agreed], iou[known & ~agreed], "x", ms=5, color=FAULT, label="does not count")
     missed = ~agreed & ~known
     axes.plot(stamps[missed], np.full(int(missed.sum()), 0.015), "|", ms=9, color=FAULT, label="missed")
     count = axes.twinx()

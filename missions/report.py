@@ -62,7 +62,7 @@ def summary_table(summary: Mapping[str, Any]) -> RenderableType:
     parts: list[RenderableType] = [Text(), head]
     if summary["detail"]:
         parts.append(Text(f"  {summary['detail']}", "yellow"))
-    parts += [Text(f"  {note}", "yellow") for note in summary["notes"]]
+    parts += [Text(f"  {note}", "yellow") for note in summary["notes"] if note != summary["detail"]]
     parts += [Text(), _phase_table(summary["phases"]), Text(), _figures(summary)]
     return Group(*parts)
 
@@ -93,9 +93,9 @@ def _figures(summary: Mapping[str, Any]) -> Table:
 
 def _figure_rows(s: Mapping[str, Any]) -> Rows:
     """(name, value) in reading order; values that are not known are a dash."""
-    frames = {
-        name: f"{_number(f['hz'], 'Hz', 1)}, {_number(f['missed'], 'missed', 0)}" for name, f in s["frames"].items()
-    }
+    frames = [
+        f"{name} {_number(f['hz'], 'Hz', 1)}, {_number(f['missed'], 'missed', 0)}" for name, f in s["frames"].items()
+    ]
     link = [f"{name} {_number(rate, '', 0)}" for name, rate in s["link_sent_bytes_per_s"].items()]
     wrong = {True: "YES", False: "no", None: "-"}[s["wrong_handover"]]
     return [
