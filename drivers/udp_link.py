@@ -5,34 +5,34 @@ from __future__ import annotations
 import asyncio
 import errno
 import ipaddress
+import os
 import stat
 import time
-from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Protocol, Self, cast
 
-from drivers.interfaces import LinkCounters, LinkError, Received
-from drivers.rig import PartContext
-from drivers.wire import KEY_LENGTH, Codec, Drop
-from path.messages import Candidate, Message, Status, Target
+from drivers.interfaces import Clock, LinkCounters, LinkError, Received
+from drivers.link_end import LinkEnd, count
+from drivers.wire import KEY_LENGTH, UDP_IP_OVERHEAD, Codec
+from path.messages import Message, Role
 
-UDP_IP_BYTES = 28
-MAX_WAITING = 256
 SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01, the zero of MAVLink signing time
+IPV6_EXTRA = 20  # an IPv6 header is that much longer than an IPv4 one
 
 Address = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True)
 class UdpLinkConfig:
-    """Addresses are ``host:port``.
+    """Addresses are ``host:port`` with a numeric host (``[host]:port`` for IPv6).
 
     Attributes:
         bind: own end.
         peer: the other end; datagrams from anywhere else are dropped.
-        key_file: 32 bytes, readable by the owner alone; the same file on both drones.
+        key_file: 32 bytes, mode 0600; the same on both drones. Without it packets are unsigned, which is refused
+            unless both ends are on this computer or ``allow_unsigned`` says so.
         allow_unsigned: fly without a key although the link leaves this computer.
     """
 
@@ -43,74 +43,57 @@ class UdpLinkConfig:
 
     def __post_init__(self) -> None:
         ends = [address_of(self.bind, "bind"), address_of(self.peer, "peer")]
+        if ends[0] == ends[1]:
+            raise ValueError(f"peer: {self.peer!r} is this end itself")
+        if len({":" in host for host, _ in ends}) > 1:
+            raise ValueError(f"peer: {self.peer!r} and bind {self.bind!r} must both be IPv4 or both be IPv6")
         local = all(ipaddress.ip_address(host).is_loopback for host, _ in ends)
         if self.key_file is None and not (local or self.allow_unsigned):
             raise ValueError("key_file: a link that leaves this computer needs a key (or allow_unsigned = true)")
+
+
+class LinkContext(Protocol):
+    """What a link needs of ``PartContext``."""
+
+    @property
+    def role(self) -> Role: ...
+
+    @property
+    def clock(self) -> Clock: ...
 
 
 def address_of(text: str, name: str) -> Address:
     """``host:port`` with a numeric host. Raises ValueError naming ``name``."""
     host, _, port = text.rpartition(":")
     try:
-        return str(ipaddress.ip_address(host)), _port(port)
+        address = str(ipaddress.ip_address(host.removeprefix("[").removesuffix("]")))
+        number = int(port)
     except ValueError:
-        raise ValueError(f'{name}: {text!r} is no address, such as "192.168.1.21:47001"') from None
-
-
-def _port(text: str) -> int:
-    port = int(text)
-    if not 0 < port < 65536:
-        raise ValueError
-    return port
+        number = 0
+        address = ""
+    if not 0 < number < 65536:
+        raise ValueError(f'{name}: {text!r} is no address, such as "192.168.1.21:47001"')
+    return address, number
 
 
 def read_key(path: Path) -> bytes:
-    """The pair's key. Raises LinkError for a file others can read, or of another length."""
+    """The pair's key. Raises LinkError for a file that is missing, open to others or of a wrong length."""
+    make = f"head -c {KEY_LENGTH} /dev/urandom > {path} && chmod 600 {path}, and copy it to the other drone"
     try:
-        mode = stat.S_IMODE(path.stat().st_mode)
-        key = path.read_bytes()
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with os.fdopen(descriptor, "rb") as file:
+            mode = os.fstat(descriptor).st_mode
+            key = file.read(KEY_LENGTH + 1) if stat.S_ISREG(mode) else b""
     except OSError as error:
-        raise LinkError(f"key file {path}: {error.strerror}", "copy the pair's key there, on both drones") from error
+        raise LinkError(f"key file {path}: {error.strerror}", make) from error
+    if not stat.S_ISREG(mode):
+        raise LinkError(f"key file {path} is not a file", make)
     if mode & 0o077:
-        raise LinkError(f"key file {path} has mode {mode:04o}: others can read it", f"chmod 600 {path}")
+        raise LinkError(f"key file {path} has mode {stat.S_IMODE(mode):04o}: others can read it", f"chmod 600 {path}")
     if len(key) != KEY_LENGTH:
-        make = f"head -c {KEY_LENGTH} /dev/urandom > {path}; copy it to the other drone"
-        raise LinkError(f"key file {path} has {len(key)} bytes instead of {KEY_LENGTH}", make)
+        found = f"more than {KEY_LENGTH}" if len(key) > KEY_LENGTH else str(len(key))
+        raise LinkError(f"key file {path} has {found} bytes, not {KEY_LENGTH}", make)
     return key
-
-
-class Inbox:
-    """Messages that wait for their reader: the newest one of each stream, every one of the hand-over.
-
-    A Target, Candidate or Status that waits is replaced by a newer one, so that a slow reader sees the present and
-    nothing piles up.
-    """
-
-    def __init__(self) -> None:
-        self._waiting: deque[Received] = deque()
-        self._reader: asyncio.Future[None] | None = None
-        self.replaced = 0
-
-    def put(self, received: Received) -> None:
-        kind = type(received.message)
-        if kind in (Target, Candidate, Status):
-            for i, other in enumerate(self._waiting):
-                if type(other.message) is kind:
-                    del self._waiting[i]
-                    self.replaced += 1
-                    break
-        if len(self._waiting) >= MAX_WAITING:
-            self._waiting.popleft()
-            self.replaced += 1
-        self._waiting.append(received)
-        if self._reader is not None and not self._reader.done():
-            self._reader.set_result(None)
-
-    async def get(self) -> Received:
-        while not self._waiting:
-            self._reader = asyncio.get_running_loop().create_future()
-            await self._reader
-        return self._waiting.popleft()
 
 
 class UdpLink:
@@ -118,81 +101,83 @@ class UdpLink:
 
     Config = UdpLinkConfig
 
-    def __init__(self, config: UdpLinkConfig, context: PartContext) -> None:
+    def __init__(self, config: UdpLinkConfig, context: LinkContext) -> None:
         self._bind, self._peer = address_of(config.bind, "bind"), address_of(config.peer, "peer")
         self._key_file = config.key_file
         self._clock = context.clock
         self._role = context.role
-        self._inbox = Inbox()
-        self._codec: Codec | None = None
         self._transport: asyncio.DatagramTransport | None = None
-        self.counters = LinkCounters()
+        self._end = self._new_end(None)
+
+    @property
+    def counters(self) -> LinkCounters:
+        return self._end.counters
 
     async def __aenter__(self) -> Self:
-        key = None if self._key_file is None else read_key(self._key_file)
-        self._codec = Codec(self._role, key, stamp=_signing_time)
+        """Raises LinkError for a key that cannot be used and for a port that cannot be had."""
+        self._end = self._new_end(None if self._key_file is None else read_key(self._key_file))
         loop = asyncio.get_running_loop()
         try:
-            self._transport, _ = await loop.create_datagram_endpoint(lambda: _Receiver(self), local_addr=self._bind)
+            self._transport, _ = await loop.create_datagram_endpoint(lambda: _Socket(self), local_addr=self._bind)
         except OSError as error:
-            host, port = self._bind
-            if error.errno == errno.EADDRINUSE:
-                raise LinkError(f"UDP port {port} is in use", "end the other run, or change bind in the rig") from error
-            raise LinkError(
-                f"cannot listen on {host}:{port}: {error.strerror}", "is this computer's address right?"
-            ) from error
+            raise open_error(self._bind, error) from error
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
+        self._end.inbox.close()
         if self._transport is not None:
-            self._transport.close()
+            self._transport.abort()
             self._transport = None
             await asyncio.sleep(0)  # the socket is closed in the loop's next turn
 
     def send(self, message: Message) -> None:
-        """One datagram. A network that cannot take it loses it, as it may lose any."""
-        if self._transport is None or self._codec is None:
+        """One datagram, now or never: what the network cannot take at once is dropped, not queued."""
+        if self._transport is None:
             raise LinkError("the link is not open", "enter it with `async with` first")
-        data = self._codec.encode(message)
-        self._transport.sendto(data, self._peer)
-        self.counters.packets_sent += 1
-        self.counters.bytes_sent += len(data) + UDP_IP_BYTES
+        if cast("asyncio.WriteTransport", self._transport).get_write_buffer_size():
+            count(self.counters, "network_busy")
+            return
+        data = self._end.pack(message)
+        if data is not None:
+            self._transport.sendto(data, self._peer)
 
     async def receive(self) -> Received:
-        return await self._inbox.get()
+        return await self._end.inbox.get()
 
-    def on_datagram(self, data: bytes, sender: Address) -> None:
+    def on_datagram(self, data: bytes, source: Address) -> None:
         """Called by the socket; never raises."""
-        arrival_ns = self._clock.now_ns()
-        self.counters.packets_received += 1
-        self.counters.bytes_received += len(data) + UDP_IP_BYTES
-        if sender[:2] != self._peer:
-            self._drop("stranger")
-            return
-        assert self._codec is not None
-        message = self._codec.decode(data)
-        if isinstance(message, Drop):
-            self._drop(message.value)
-            return
-        self._inbox.put(Received(message, arrival_ns))
+        self._end.arrived(data, self._clock.now_ns(), stranger=source != self._peer)
 
-    def _drop(self, reason: str) -> None:
-        self.counters.dropped[reason] = self.counters.dropped.get(reason, 0) + 1
+    def on_network_error(self) -> None:
+        """The peer's port is closed, or the network is gone: silence is what tells the mission."""
+        count(self.counters, "network_error")
+
+    def _new_end(self, key: bytes | None) -> LinkEnd:
+        overhead = UDP_IP_OVERHEAD + (IPV6_EXTRA if ":" in self._peer[0] else 0)
+        return LinkEnd(Codec(self._role, key, stamp=signing_time), overhead)
 
 
-class _Receiver(asyncio.DatagramProtocol):
+class _Socket(asyncio.DatagramProtocol):
     def __init__(self, link: UdpLink) -> None:
         self._link = link
 
-    def datagram_received(self, data: bytes, addr: tuple[str | object, int]) -> None:
-        self._link.on_datagram(data, (str(addr[0]), addr[1]))
+    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
+        self._link.on_datagram(data, (str(addr[0]), int(addr[1])))
 
     def error_received(self, exc: Exception) -> None:
-        """The peer's port is closed, or the network is gone: silence is what tells the mission."""
+        self._link.on_network_error()
 
 
-def _signing_time() -> int:
+def open_error(bind: Address, error: OSError) -> LinkError:
+    """What to tell a person about a UDP port that cannot be had."""
+    host, port = bind
+    if error.errno == errno.EADDRINUSE:
+        return LinkError(f"UDP port {port} is in use", "end the other run, or change the port in the rig")
+    return LinkError(f"cannot listen on {host}:{port}: {error.strerror}", "is this computer's address right?")
+
+
+def signing_time() -> int:
     """Units of 10 us of wall time, so that a restarted role never goes back."""
     return int((time.time() - SIGNING_EPOCH_S) * 1e5)

@@ -98,7 +98,6 @@ class Codec:
         self._mav.signing.secret_key = key
         self._mav.signing.sign_outgoing = self._signed
         self._mav.signing.link_id = link_id
-        self._mav.signing.timestamp = stamp()
 
     def encode(self, message: Message) -> bytes:
         """The packet of a message. Raises EncodeError when a number does not fit."""

@@ -1,4 +1,4 @@
-"""A link that loses, delays, duplicates and corrupts: in memory for the sim levels, between sockets for sitl."""
+"""A link that loses, delays, repeats, damages and reorders: in memory for the sim levels, between sockets for sitl."""
 
 from __future__ import annotations
 
@@ -7,84 +7,115 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self, cast
+from typing import Any, Protocol, Self, cast
 
 from drivers.interfaces import LinkCounters, LinkError, Received
-from drivers.rig import PartContext
-from drivers.udp_link import UDP_IP_BYTES, Address, Inbox
-from drivers.wire import Codec, Drop
+from drivers.link_end import LinkEnd
+from drivers.udp_link import Address, LinkContext, open_error
+from drivers.wire import KEY_LENGTH, Codec
 from path.messages import Message, Role
 
-CORRUPT_BITS = 3
+HELD_BACK_S = 0.03  # how late a reordered packet is beyond the others
+SPACING_S = 1e-6  # packets of one direction never arrive at the very same time: their order is kept
+SHARES = ("loss", "duplicate", "corrupt", "reorder")
 
 
 @dataclass(frozen=True, slots=True)
 class LinkFaults:
-    """What happens to a packet; shares are 0..1. Jitter alone already reorders.
+    """What happens to a packet; shares are 0..1 and independent of each other.
 
     Attributes:
         loss: share that never arrives.
-        delay_s, jitter_s: every packet is late by the delay and a uniform part of the jitter.
+        delay_s, jitter_s: every packet is late by the delay and a uniform part of the jitter, in the order of sending.
         duplicate: share that arrives twice.
-        corrupt: share that arrives with some bits turned over.
+        corrupt: share that arrives damaged, with bits turned over or cut short.
+        reorder: share that is held back, so that later ones overtake it.
     """
 
     loss: float = 0.0
-    delay_s: float = 0.002
-    jitter_s: float = 0.002
+    delay_s: float = 0.0
+    jitter_s: float = 0.0
     duplicate: float = 0.0
     corrupt: float = 0.0
+    reorder: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("loss", "duplicate", "corrupt"):
+        for name in SHARES:
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name}: {getattr(self, name)!r} is not a share, 0..1")
-        if not (self.delay_s >= 0.0 and self.jitter_s >= 0.0):
-            raise ValueError("delay_s and jitter_s must not be negative")
+        if not (0.0 <= self.delay_s < float("inf") and 0.0 <= self.jitter_s < float("inf")):
+            raise ValueError("delay_s and jitter_s must be finite and not negative")
 
 
-class Mangler:
-    """Applies faults to packets, by seed, on the running loop's time."""
+AIR = LinkFaults(delay_s=0.002, jitter_s=0.002)  # a good radio link, the in-memory link's normal state
 
-    def __init__(self, seed: object, faults: LinkFaults | None = None) -> None:
-        self.faults = faults or LinkFaults()
-        self._random = random.Random(str(seed))
+
+class FaultyChannel:
+    """One direction of a link: applies faults to packets, by seed. ``faults`` may change at any time.
+
+    The same packets at the same times with the same seed fare the same.
+    """
+
+    def __init__(self, seed: str, faults: LinkFaults) -> None:
+        self.faults = faults
+        self._random = random.Random(seed)
+        self._last_s = float("-inf")
+
+    def arrivals(self, data: bytes, now_s: float) -> list[tuple[float, bytes]]:
+        """When, on the clock of ``now_s``, and as what a packet arrives: never, once or twice."""
+        faults, chance = self.faults, self._random.random
+        arrivals: list[tuple[float, bytes]] = []
+        if chance() < faults.loss:
+            return arrivals
+        for _ in range(2 if chance() < faults.duplicate else 1):
+            at_s = now_s + faults.delay_s + faults.jitter_s * chance()
+            if chance() < faults.reorder:
+                at_s += HELD_BACK_S
+            else:
+                at_s = self._last_s = max(at_s, self._last_s + SPACING_S)
+            arrivals.append((at_s, self._damaged(data) if chance() < faults.corrupt else data))
+        return arrivals
 
     def carry(self, data: bytes, deliver: Callable[[bytes], None]) -> None:
-        """Deliver a packet, once, twice, late, damaged or never."""
-        faults, chance = self.faults, self._random
-        if chance.random() < faults.loss:
-            return
-        copies = 2 if chance.random() < faults.duplicate else 1
+        """Deliver a packet, as late and as often as it arrives, on the running loop's time."""
         loop = asyncio.get_running_loop()
-        for _ in range(copies):
-            packet = self._damaged(data) if chance.random() < faults.corrupt else data
-            loop.call_later(faults.delay_s + faults.jitter_s * chance.random(), deliver, packet)
+        for at_s, packet in self.arrivals(data, loop.time()):
+            loop.call_at(at_s, deliver, packet)
 
     def _damaged(self, data: bytes) -> bytes:
+        rng = self._random
+        if rng.random() < 0.2:
+            return data[: rng.randrange(len(data))]
         damaged = bytearray(data)
-        for _ in range(CORRUPT_BITS):
-            damaged[self._random.randrange(len(damaged))] ^= 1 << self._random.randrange(8)
+        for _ in range(rng.randint(1, 8)):
+            damaged[rng.randrange(len(damaged))] ^= 1 << rng.randrange(8)
         return bytes(damaged)
 
 
 class MemoryHub:
     """Both ends of the in-memory link, and the faults between them."""
 
-    def __init__(self, seed: int) -> None:
-        self._mangler = Mangler(("link", seed))
+    def __init__(self, seed: int, faults: LinkFaults = AIR) -> None:
+        self._channels = {role: FaultyChannel(f"link {role.value} {seed}", faults) for role in Role}
         self._ends: dict[Role, MemoryLink] = {}
         self._cut: set[Role] = set()
+        self._faults = faults
 
     @property
     def faults(self) -> LinkFaults:
-        return self._mangler.faults
+        """Of both directions."""
+        return self._faults
 
     @faults.setter
     def faults(self, faults: LinkFaults) -> None:
-        self._mangler.faults = faults
+        self._faults = faults
+        for channel in self._channels.values():
+            channel.faults = faults
 
     def join(self, role: Role, end: MemoryLink) -> None:
+        """Raises LinkError when the role is there already."""
+        if role in self._ends:
+            raise LinkError(f"the {role.value}'s end of the link is in use", "open one link for each role")
         self._ends[role] = end
 
     def leave(self, role: Role) -> None:
@@ -98,7 +129,7 @@ class MemoryHub:
         """Take a packet of one role to the other."""
         peer = Role.RECEIVER if role is Role.SENDER else Role.SENDER
         if role not in self._cut:
-            self._mangler.carry(data, lambda packet: self._deliver(peer, packet))
+            self._channels[role].carry(data, lambda packet: self._deliver(peer, packet))
 
     def _deliver(self, role: Role, data: bytes) -> None:
         end = self._ends.get(role)
@@ -113,18 +144,33 @@ class HubHarness(Protocol):
     def hub(self) -> MemoryHub: ...
 
 
+class HubContext(LinkContext, Protocol):
+    """What the link needs of ``PartContext``."""
+
+    @property
+    def harness(self) -> object | None: ...
+
+
 @dataclass(frozen=True, slots=True)
 class MemoryLinkConfig:
-    """Nothing to set: the faults are the harness's."""
+    """The faults are the harness's.
+
+    Attributes:
+        signed: sign and check packets with a key made up for the simulation, as on the air. Costs 30 us a message.
+    """
+
+    signed: bool = True
 
 
 class MemoryLink:
-    """Implements ``drivers.interfaces.Link`` in one process; packets are encoded and decoded as on the air."""
+    """Implements ``drivers.interfaces.Link`` in one process; packets are encoded and decoded as on the air.
+
+    Bytes are counted as if each packet were a UDP datagram, so that the figures compare with the real link's.
+    """
 
     Config = MemoryLinkConfig
 
-    def __init__(self, config: MemoryLinkConfig, context: PartContext) -> None:
-        del config
+    def __init__(self, config: MemoryLinkConfig, context: HubContext) -> None:
         if context.harness is None:
             raise LinkError(
                 "an in-memory link needs both roles in one process", "use it with a harness such as hil.sim"
@@ -132,9 +178,11 @@ class MemoryLink:
         self._hub = cast("HubHarness", context.harness).hub
         self._role = context.role
         self._clock = context.clock
-        self._codec = Codec(context.role, None)
-        self._inbox = Inbox()
-        self.counters = LinkCounters()
+        self._end = LinkEnd(Codec(context.role, bytes(KEY_LENGTH) if config.signed else None, stamp=_signing_time))
+
+    @property
+    def counters(self) -> LinkCounters:
+        return self._end.counters
 
     async def __aenter__(self) -> Self:
         self._hub.join(self._role, self)
@@ -144,24 +192,23 @@ class MemoryLink:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
         self._hub.leave(self._role)
+        self._end.inbox.close()
 
     def send(self, message: Message) -> None:
-        data = self._codec.encode(message)
-        self.counters.packets_sent += 1
-        self.counters.bytes_sent += len(data) + UDP_IP_BYTES
-        self._hub.carry(self._role, data)
+        data = self._end.pack(message)
+        if data is not None:
+            self._hub.carry(self._role, data)
 
     async def receive(self) -> Received:
-        return await self._inbox.get()
+        return await self._end.inbox.get()
 
     def on_packet(self, data: bytes) -> None:
-        self.counters.packets_received += 1
-        self.counters.bytes_received += len(data) + UDP_IP_BYTES
-        message = self._codec.decode(data)
-        if isinstance(message, Drop):
-            self.counters.dropped[message.value] = self.counters.dropped.get(message.value, 0) + 1
-            return
-        self._inbox.put(Received(message, self._clock.now_ns()))
+        self._end.arrived(data, self._clock.now_ns())
+
+
+def _signing_time() -> int:
+    """Units of 10 us of the loop's time: the same in every run."""
+    return round(asyncio.get_running_loop().time() * 1e5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,61 +222,63 @@ class ProxySide:
 class UdpFaultProxy:
     """Two UDP sockets back to back: what one side's end sends comes out of the other side, with faults."""
 
-    def __init__(self, sender: ProxySide, receiver: ProxySide, seed: int) -> None:
+    def __init__(self, sender: ProxySide, receiver: ProxySide, seed: int, faults: LinkFaults | None = None) -> None:
         self._sides = sender, receiver
-        self._mangler = Mangler(("proxy", seed), LinkFaults(delay_s=0.0, jitter_s=0.0))
+        self._faults = faults or LinkFaults()
+        self._channels = [FaultyChannel(f"proxy {side} {seed}", self._faults) for side in (0, 1)]
         self._transports: list[asyncio.DatagramTransport] = []
 
     @property
     def faults(self) -> LinkFaults:
-        return self._mangler.faults
+        """Of both directions; may be changed while it runs."""
+        return self._faults
 
     @faults.setter
     def faults(self, faults: LinkFaults) -> None:
-        self._mangler.faults = faults
+        self._faults = faults
+        for channel in self._channels:
+            channel.faults = faults
 
     async def __aenter__(self) -> Self:
         """Raises LinkError naming the port that is in use."""
         loop = asyncio.get_running_loop()
-        for side in self._sides:
-            forward = _Forward(self, len(self._transports))
+        for number, side in enumerate(self._sides):
+            forward = _Forward(self, number)
             try:
                 transport, _ = await loop.create_datagram_endpoint(lambda f=forward: f, local_addr=side.listen)
             except OSError as error:
-                self._close()
-                port = side.listen[1]
-                raise LinkError(f"UDP port {port}: {error.strerror}", "end the other run, or change the rig") from error
+                await self._close()
+                raise open_error(side.listen, error) from error
             self._transports.append(transport)
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
-        self._close()
-        await asyncio.sleep(0)
+        await self._close()
 
-    def forward(self, data: bytes, side: int) -> None:
-        """A datagram came in on a side: on to the end of the other."""
-        other = 1 - side
-        self._mangler.carry(data, lambda packet: self._out(other, packet))
+    def forward(self, data: bytes, side: int, source: Address) -> None:
+        """A datagram came in on a side: on to the end of the other. Strangers' are ignored."""
+        if source == self._sides[side].end:
+            self._channels[side].carry(data, lambda packet: self._out(1 - side, packet))
 
     def _out(self, side: int, data: bytes) -> None:
         if self._transports:
             self._transports[side].sendto(data, self._sides[side].end)
 
-    def _close(self) -> None:
+    async def _close(self) -> None:
         for transport in self._transports:
-            transport.close()
+            transport.abort()
         self._transports = []
+        await asyncio.sleep(0)  # the sockets are closed in the loop's next turn
 
 
 class _Forward(asyncio.DatagramProtocol):
     def __init__(self, proxy: UdpFaultProxy, side: int) -> None:
         self._proxy, self._side = proxy, side
 
-    def datagram_received(self, data: bytes, addr: tuple[str | object, int]) -> None:
-        del addr
-        self._proxy.forward(data, self._side)
+    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
+        self._proxy.forward(data, self._side, (str(addr[0]), int(addr[1])))
 
     def error_received(self, exc: Exception) -> None:
         """An end is not open (yet, or any more): its packets are lost."""

@@ -1,0 +1,100 @@
+"""What every link has on this side of its channel: codec, counters, and the messages that wait for their reader."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+
+from drivers.interfaces import LinkCounters, LinkError, Received
+from drivers.wire import UDP_IP_OVERHEAD, Codec, Drop, EncodeError
+from path.messages import Candidate, Message, Status, Target
+
+STREAMS = (Target, Candidate, Status)
+MAX_WAITING = 64
+
+
+class Inbox:
+    """Messages that wait for one reader: the newest of each stream, and every one of the rest.
+
+    A Target, Candidate or Status that waits is replaced by a newer one, so that a slow reader sees the present and no
+    latency builds up. What the hand-over and the clocks say comes first, in its order.
+    """
+
+    def __init__(self, counters: LinkCounters) -> None:
+        self._counters = counters
+        self._first: deque[Received] = deque()
+        self._newest: dict[type[Message], Received] = {}  # in the order of the oldest wait
+        self._arrival = asyncio.Event()
+        self._closed = False
+
+    def put(self, received: Received) -> None:
+        kind = type(received.message)
+        if kind in STREAMS:
+            if kind in self._newest:
+                count(self._counters, "superseded")
+            self._newest[kind] = received
+        else:
+            if len(self._first) >= MAX_WAITING:
+                self._first.popleft()
+                count(self._counters, "inbox_full")
+            self._first.append(received)
+        self._arrival.set()
+
+    async def get(self) -> Received:
+        """The next message. Raises LinkError once the link is closed."""
+        while True:
+            if self._closed:
+                raise LinkError("the link is closed")
+            if self._first:
+                return self._first.popleft()
+            if self._newest:
+                return self._newest.pop(next(iter(self._newest)))
+            self._arrival.clear()
+            await self._arrival.wait()
+
+    def close(self) -> None:
+        self._closed = True
+        self._arrival.set()
+
+
+class LinkEnd:
+    """Messages to counted packets and back. Whoever has the channel moves the packets.
+
+    Args:
+        codec: of this role.
+        overhead: bytes that the channel adds to a packet, for the counters.
+    """
+
+    def __init__(self, codec: Codec, overhead: int = UDP_IP_OVERHEAD) -> None:
+        self.counters = LinkCounters()
+        self.inbox = Inbox(self.counters)
+        self._codec = codec
+        self._overhead = overhead
+
+    def pack(self, message: Message) -> bytes | None:
+        """The packet to send; None, and counted as dropped, when a number in the message does not fit the wire."""
+        try:
+            data = self._codec.encode(message)
+        except EncodeError:
+            count(self.counters, "cannot_encode")
+            return None
+        self.counters.packets_sent += 1
+        self.counters.bytes_sent += len(data) + self._overhead
+        return data
+
+    def arrived(self, data: bytes, arrival_ns: int, stranger: bool = False) -> None:
+        """Take a packet as it came: counted, and put into the inbox or dropped by reason. Never raises."""
+        self.counters.packets_received += 1
+        self.counters.bytes_received += len(data) + self._overhead
+        if stranger:
+            count(self.counters, "stranger")
+            return
+        message = self._codec.decode(data)
+        if isinstance(message, Drop):
+            count(self.counters, message.value)
+        else:
+            self.inbox.put(Received(message, arrival_ns))
+
+
+def count(counters: LinkCounters, reason: str) -> None:
+    counters.dropped[reason] = counters.dropped.get(reason, 0) + 1
