@@ -1,7 +1,8 @@
 """The way from D2's camera to D1's marker between and beyond marker measurements.
 
-A Kalman filter on each axis of NED. Its motion input is the velocity both vehicles report; what is unknown is the error
-of that, which stays the same over seconds, so that the variance of a coast grows with the square of time.
+A Kalman filter on each axis of NED with two states: position, and the error of the velocity that both vehicles report.
+That error hardly changes over seconds, so marker measurements correct it, and a coast is flown on the corrected
+velocity. While no velocity is reported the second state is the velocity itself, which may change as fast as drones can.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from path.messages import Vec3
 
 GATE = 16.0  # squared Mahalanobis distance per axis a measurement may have
 REPLACE_AFTER = 10  # gated measurements in a row: the filter is wrong, not they
+FREE_SPEED_MPS, FREE_WALK_MPS = 0.7, 1.0  # of an unreported velocity: its deviation, and its change in a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,67 +26,112 @@ class Relative:
     sigma_m: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """Position and velocity error with their covariance."""
+
+    p: float
+    e: float
+    pp: float
+    pe: float
+    ee: float
+
+    def ahead(self, dt: float, velocity: float, walk: float) -> _Axis:
+        """After ``dt`` seconds; ``walk`` is the variance of the velocity's error that a second adds."""
+        return _Axis(
+            self.p + (velocity + self.e) * dt,
+            self.e,
+            self.pp + dt * (2.0 * self.pe + dt * (self.ee + walk * dt / 3.0)),
+            self.pe + dt * (self.ee + 0.5 * walk * dt),
+            self.ee + walk * dt,
+        )
+
+    def fused(self, measured: float, variance: float) -> _Axis:
+        """With a measurement of the position."""
+        gain_p, gain_e = self.pp / (self.pp + variance), self.pe / (self.pp + variance)
+        innovation = measured - self.p
+        return _Axis(
+            self.p + gain_p * innovation,
+            self.e + gain_e * innovation,
+            (1.0 - gain_p) * self.pp,
+            (1.0 - gain_p) * self.pe,
+            self.ee - gain_e * self.pe,
+        )
+
+
+_Axes = tuple[_Axis, _Axis, _Axis]
+
+
 class RelativeFilter:
-    """Position of the marker relative to the camera.
+    """Position of the marker relative to the camera. Stamps are of one clock.
 
     Args:
         velocity_sigma_mps: error of the relative velocity that the two vehicles report, per axis.
+        velocity_walk_mps: how much that error changes in a second.
         coast_s: without a measurement for longer, there is no prediction.
     """
 
-    def __init__(self, velocity_sigma_mps: float = 0.12, coast_s: float = 1.0) -> None:
-        self._velocity_variance = velocity_sigma_mps**2
+    def __init__(self, velocity_sigma_mps: float = 0.12, velocity_walk_mps: float = 0.1, coast_s: float = 1.0) -> None:
+        self._reported_variance = velocity_sigma_mps**2
+        self._reported_walk = velocity_walk_mps**2
         self._coast_ns = round(coast_s * 1e9)
-        self._position: Vec3 = (0.0, 0.0, 0.0)
-        self._variance: Vec3 = (0.0, 0.0, 0.0)
-        self._velocity: Vec3 = (0.0, 0.0, 0.0)
-        self._stamp_ns: int | None = None
+        self._velocity: Vec3 | None = None
+        self._axes: _Axes | None = None
+        self._stamp_ns = 0
         self._gated = 0
 
     def set_velocity(self, velocity_n_mps: Vec3) -> None:
-        """The reported velocity of the marker's drone minus the own one."""
+        """The reported velocity of the marker's drone minus the own one, from the newest measurement on."""
+        if self._velocity is None and self._axes is not None:
+            a, b, c = (
+                _Axis(axis.p, axis.e - reported, axis.pp, axis.pe, axis.ee)
+                for axis, reported in zip(self._axes, velocity_n_mps, strict=True)
+            )
+            self._axes = a, b, c
         self._velocity = velocity_n_mps
 
     def unseen_s(self, stamp_ns: int) -> float:
         """Time since the newest accepted measurement; infinite before the first."""
-        return math.inf if self._stamp_ns is None else (stamp_ns - self._stamp_ns) * 1e-9
+        return math.inf if self._axes is None else (stamp_ns - self._stamp_ns) * 1e-9
 
     def predict(self, stamp_ns: int) -> Relative | None:
         """The state at an instant; None before the first measurement and after too long a coast."""
-        if self._stamp_ns is None or stamp_ns - self._stamp_ns > self._coast_ns:
+        axes = self._ahead(stamp_ns)
+        if axes is None:
             return None
-        position, variance = self._ahead(stamp_ns, self._stamp_ns)
-        return Relative(position, self._velocity, math.sqrt(sum(variance) / 3.0))
+        a, b, c = axes
+        vx, vy, vz = self._velocity or (0.0, 0.0, 0.0)
+        return Relative((a.p, b.p, c.p), (vx + a.e, vy + b.e, vz + c.e), math.sqrt((a.pp + b.pp + c.pp) / 3.0))
 
     def update(self, stamp_ns: int, marker_n_m: Vec3, variance_m2: Vec3) -> bool:
-        """Fuse a measurement; False when it lies outside the gate and is not used (or is older than the newest)."""
-        if self.predict(stamp_ns) is None or self._stamp_ns is None:
+        """Fuse a measurement; False when it lies outside the gate and is not used (or is no newer than the newest)."""
+        axes = self._ahead(stamp_ns)
+        if axes is None:
             self._restart(stamp_ns, marker_n_m, variance_m2)
             return True
         if stamp_ns <= self._stamp_ns:
             return False
-        position, variance = self._ahead(stamp_ns, self._stamp_ns)
-        innovation = [m - p for m, p in zip(marker_n_m, position, strict=True)]
-        spread = [a + b for a, b in zip(variance, variance_m2, strict=True)]
-        if any(i * i > GATE * s for i, s in zip(innovation, spread, strict=True)):
+        if any((m - a.p) ** 2 > GATE * (a.pp + r) for a, m, r in zip(axes, marker_n_m, variance_m2, strict=True)):
             self._gated += 1
             if self._gated < REPLACE_AFTER:
                 return False
             self._restart(stamp_ns, marker_n_m, variance_m2)
             return True
-        gains = [v / s for v, s in zip(variance, spread, strict=True)]
-        px, py, pz = (p + g * i for p, g, i in zip(position, gains, innovation, strict=True))
-        vx, vy, vz = ((1.0 - g) * v for g, v in zip(gains, variance, strict=True))
-        self._position, self._variance, self._stamp_ns, self._gated = (px, py, pz), (vx, vy, vz), stamp_ns, 0
+        a, b, c = (axis.fused(m, r) for axis, m, r in zip(axes, marker_n_m, variance_m2, strict=True))
+        self._axes, self._stamp_ns, self._gated = (a, b, c), stamp_ns, 0
         return True
 
     def _restart(self, stamp_ns: int, marker_n_m: Vec3, variance_m2: Vec3) -> None:
-        self._position, self._variance, self._stamp_ns, self._gated = marker_n_m, variance_m2, stamp_ns, 0
+        spread = FREE_SPEED_MPS**2 if self._velocity is None else self._reported_variance
+        a, b, c = (_Axis(m, 0.0, r, 0.0, spread) for m, r in zip(marker_n_m, variance_m2, strict=True))
+        self._axes, self._stamp_ns, self._gated = (a, b, c), stamp_ns, 0
 
-    def _ahead(self, stamp_ns: int, since_ns: int) -> tuple[Vec3, Vec3]:
-        dt = max(0.0, (stamp_ns - since_ns) * 1e-9)
-        x, y, z = self._position
-        vx, vy, vz = self._velocity
-        grown = self._velocity_variance * dt * dt + (0.02 * dt) ** 2
-        a, b, c = self._variance
-        return (x + vx * dt, y + vy * dt, z + vz * dt), (a + grown, b + grown, c + grown)
+    def _ahead(self, stamp_ns: int) -> _Axes | None:
+        """The axes carried to an instant; None when there is nothing to carry, or too far."""
+        if self._axes is None or stamp_ns - self._stamp_ns > self._coast_ns:
+            return None
+        dt = max(0.0, (stamp_ns - self._stamp_ns) * 1e-9)
+        walk = FREE_WALK_MPS**2 if self._velocity is None else self._reported_walk
+        x, y, z = self._velocity or (0.0, 0.0, 0.0)
+        a, b, c = self._axes
+        return a.ahead(dt, x, walk), b.ahead(dt, y, walk), c.ahead(dt, z, walk)

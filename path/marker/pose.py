@@ -90,8 +90,8 @@ def estimate_pose(
         gravity_c: unit gravity in the camera, from the own attitude; None when unknown.
 
     Returns:
-        Missed NO_MARKER, WRONG_MARKER, MARKER_TWICE, MARKER_OBLIQUE, or POSE_UNCERTAIN (the two solutions cannot be
-        told apart, the corners do not fit, or the covariance is too large).
+        Missed NO_MARKER, WRONG_MARKER, MARKER_TWICE, NON_FINITE, MARKER_OBLIQUE, or POSE_UNCERTAIN (the two solutions
+        cannot be told apart, the corners do not fit, or the covariance is too large).
     """
     seen = _known(detections, layout)
     if isinstance(seen, Missed):
@@ -143,6 +143,8 @@ def _known(
         return Missed(MissReason.WRONG_MARKER)
     if len({marker.id for _, marker in seen}) < len(seen):
         return Missed(MissReason.MARKER_TWICE)
+    if not all(np.isfinite(found.corners_px).all() and np.isfinite(found.covariance_px2).all() for found, _ in seen):
+        return Missed(MissReason.NON_FINITE)
     return seen
 
 

@@ -1,0 +1,141 @@
+"""Finding markers in exact images."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from path import rotation
+from path.geometry import Pose
+from path.marker import detect
+from path.marker.detect import detect_markers
+from path.marker.layout import Marker, MarkerLayout, single_marker
+from path.marker.pose import PoseSettings, estimate_pose
+from path.observations import Missed, MissReason, Region
+from tests.path.marker.scene import VGA, Optics, background, random_view, region_around, render, true_corners
+
+LAYOUT = single_marker()
+GROUND = background(VGA, np.random.default_rng(0))
+
+
+def facing(distance_m: float, x_m: float = 0.0, y_m: float = 0.0, tilt_rad: float = 0.4) -> Pose:
+    """The marker turned to the camera, tilted a little."""
+    return Pose(rotation.exp(np.array([math.pi - tilt_rad, 0.0, 0.3])), np.array([x_m, y_m, distance_m]))
+
+
+def image_of(
+    pose: Pose, layout: MarkerLayout = LAYOUT, ground: NDArray[np.float64] = GROUND, optics: Optics | None = None
+) -> NDArray[np.uint8]:
+    return render(VGA, pose, layout, np.random.default_rng(4), optics or Optics(), ground)
+
+
+@pytest.mark.parametrize(("near_m", "far_m", "needed"), [(0.4, 0.8, 1.0), (0.8, 1.3, 1.0), (1.3, 1.8, 0.9)])
+def test_small_markers_are_found_in_a_region(near_m: float, far_m: float, needed: float):
+    """The farthest are 12 to 18 px on their side before they are foreshortened."""
+    rng = np.random.default_rng(11)
+    found = 0
+    for _ in range(20):
+        view = random_view(rng, VGA, near_m, far_m, 45.0)
+        truth = true_corners(VGA, view.T_c_v, LAYOUT)
+        region = region_around(truth + rng.uniform(-10.0, 10.0, 2), 70.0)
+        detections = detect_markers(render(VGA, view.T_c_v, LAYOUT, rng, ground=GROUND), region, LAYOUT, VGA)
+        assert len(detections) <= 1
+        found += len(detections)
+        for detection in detections:
+            assert detection.corners_px == pytest.approx(truth, abs=0.15)
+    assert found >= needed * 20
+
+
+def test_a_marker_of_12_px_is_found_in_the_whole_image():
+    pose = facing(2.0, 0.3, -0.2, 0.2)
+    image = cv2.cvtColor(image_of(pose), cv2.COLOR_GRAY2BGR)
+    before = image.copy()
+    (found,) = detect_markers(np.asarray(image, dtype=np.uint8), None, LAYOUT, VGA)
+    assert found.corners_px == pytest.approx(true_corners(VGA, pose, LAYOUT), abs=0.1)
+    assert (image == before).all()
+
+
+def test_a_large_marker_is_found_too():
+    pose = facing(0.2)  # 120 px
+    region = region_around(true_corners(VGA, pose, LAYOUT), 130.0)
+    (found,) = detect_markers(image_of(pose, optics=Optics(samples=4)), region, LAYOUT, VGA)
+    assert found.corners_px == pytest.approx(true_corners(VGA, pose, LAYOUT), abs=0.05)
+
+
+def test_subpixel_corners_claim_what_they_are_good_for():
+    rng, surprises = np.random.default_rng(3), list[float]()
+    for _ in range(25):
+        view = random_view(rng, VGA, 0.7, 1.3, 50.0)
+        truth = true_corners(VGA, view.T_c_v, LAYOUT)
+        image = render(VGA, view.T_c_v, LAYOUT, rng, ground=GROUND)
+        (found,) = detect_markers(image, region_around(truth, 60.0), LAYOUT, VGA, refine="subpix")
+        error = (found.corners_px - truth).ravel()
+        surprises.append(float(error @ np.linalg.solve(found.covariance_px2, error)) / 8.0)
+    assert 0.3 < np.mean(surprises) < 2.0
+
+
+def test_where_the_fit_fails_corners_are_subpixel_ones(monkeypatch: pytest.MonkeyPatch):
+    pose = facing(1.0)
+    region = region_around(true_corners(VGA, pose, LAYOUT), 60.0)
+    (plain,) = detect_markers(image_of(pose), region, LAYOUT, VGA, refine="subpix")
+
+    def fails(*_: object) -> None:
+        return None
+
+    monkeypatch.setattr(detect, "fit", fails)
+    (found,) = detect_markers(image_of(pose), region, LAYOUT, VGA)
+    assert (found.corners_px == plain.corners_px).all()
+    assert math.sqrt(found.covariance_px2[0, 0]) > 0.3
+
+
+def test_an_id_that_the_layout_does_not_have_is_told_only_when_asked():
+    image = image_of(facing(0.8), single_marker(marker_id=7))
+    region = Region(200.0, 120.0, 440.0, 360.0)
+    assert detect_markers(image, region, LAYOUT, VGA) == ()
+    (found,) = detect_markers(image, region, LAYOUT, VGA, foreign=True)
+    assert found.marker_id == 7
+    missed = estimate_pose((found,), LAYOUT, VGA, None, None, PoseSettings())
+    assert missed == Missed(MissReason.WRONG_MARKER)
+
+
+def test_the_same_marker_in_two_places_is_seen_twice():
+    first = image_of(facing(0.8, -0.1)).astype(np.float64)
+    image = image_of(facing(0.9, 0.12, 0.05), ground=first)
+    found = detect_markers(image, None, LAYOUT, VGA)
+    assert [detection.marker_id for detection in found] == [0, 0]
+    missed = estimate_pose(found, LAYOUT, VGA, None, None, PoseSettings())
+    assert missed == Missed(MissReason.MARKER_TWICE)
+
+
+def test_all_markers_of_a_layout_are_found():
+    side_by_side = MarkerLayout(
+        (
+            Marker(0, 0.04, 0.0, Pose(np.eye(3), np.zeros(3))),
+            Marker(5, 0.08, 0.0, Pose(np.eye(3), np.array([0.12, 0.0, 0.0]))),
+        )
+    )
+    pose = facing(1.0, -0.06)
+    found = detect_markers(image_of(pose, side_by_side), None, side_by_side, VGA)
+    assert [detection.marker_id for detection in found] == [0, 5]
+    for detection in found:
+        truth = true_corners(VGA, pose, side_by_side, detection.marker_id)
+        assert detection.corners_px == pytest.approx(truth, abs=0.05)
+
+
+def test_the_region_bounds_the_search():
+    image = image_of(facing(0.8))
+    assert detect_markers(image, Region(0.0, 0.0, 150.0, 150.0), LAYOUT, VGA) == ()
+    assert detect_markers(image, Region(-50.0, -50.0, -1.0, -1.0), LAYOUT, VGA) == ()
+    (found,) = detect_markers(image, Region(-1e3, -1e3, 1e4, 1e4), LAYOUT, VGA)
+    assert found.corners_px == pytest.approx(true_corners(VGA, facing(0.8), LAYOUT), abs=0.1)
+
+
+def test_ground_without_a_marker_shows_none():
+    rng = np.random.default_rng(8)
+    for _ in range(3):
+        image = np.clip(background(VGA, rng) + rng.normal(0.0, 4.0, (480, 640)), 0.0, 255.0).astype(np.uint8)
+        assert detect_markers(image, None, LAYOUT, VGA) == ()
