@@ -39,22 +39,33 @@ def open_console(stream: TextIO) -> Generator[Console, None, None]:
         live.refresh()
 
 
+class Elapsed:
+    """Seconds since each role's clock was first heard of; before it has one its stamps are 0."""
+
+    def __init__(self) -> None:
+        self._started_ns: dict[Role, int] = {}
+
+    def seconds(self, progress: Progress) -> float:
+        if not progress.stamp_ns:
+            return 0.0
+        return (progress.stamp_ns - self._started_ns.setdefault(progress.role, progress.stamp_ns)) * 1e-9
+
+
 class LineConsole:
     """One line whenever a role's phase or note changes, and every few seconds of its clock."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
-        self._started_ns: dict[Role, int] = {}
+        self._elapsed = Elapsed()
         self._last: dict[Role, Progress] = {}
 
     def show(self, progress: Progress) -> None:
-        started_ns = self._started_ns.setdefault(progress.role, progress.stamp_ns)
+        elapsed_s = self._elapsed.seconds(progress)
         last = self._last.get(progress.role)
         news = last is None or (progress.phase, progress.note) != (last.phase, last.note)
         if last is not None and not news and progress.stamp_ns - last.stamp_ns < LINE_PERIOD_S * 1e9:
             return
         self._last[progress.role] = progress
-        elapsed_s = (progress.stamp_ns - started_ns) * 1e-9
         parts = [f"{elapsed_s:7.1f} s  {progress.role.value:<8}  {progress.phase:<10}", *_figures(progress)]
         if news and progress.note:
             parts.append(progress.note)
@@ -88,10 +99,10 @@ class LiveTable:
 
     def __init__(self) -> None:
         self._last: dict[Role, Progress] = {}
-        self._started_ns: dict[Role, int] = {}
+        self._elapsed = Elapsed()
 
     def show(self, progress: Progress) -> None:
-        self._started_ns.setdefault(progress.role, progress.stamp_ns)
+        self._elapsed.seconds(progress)
         self._last[progress.role] = progress
 
     def render(self) -> Table:
@@ -100,15 +111,15 @@ class LiveTable:
             table.add_column(title, no_wrap=True, header_style="dim")
         for role in Role:
             if role in self._last:
-                table.add_row(*self._row(self._last[role], self._started_ns[role]))
+                table.add_row(*self._row(self._last[role]))
         return table
 
-    def _row(self, progress: Progress, started_ns: int) -> list[Text | ProgressBar | str]:
+    def _row(self, progress: Progress) -> list[Text | ProgressBar | str]:
         separation = "" if progress.separation_m is None else f"{progress.separation_m:.2f} m"
         agreeing = progress.count > 0 or progress.iou is not None
         return [
             Text(progress.role.value, style="bold green" if progress.responsible else "bold"),
-            f"{(progress.stamp_ns - started_ns) * 1e-9:.0f} s",
+            f"{self._elapsed.seconds(progress):.0f} s",
             Text(progress.phase, style="cyan"),
             ProgressBar(total=progress.needed, completed=progress.count, width=BAR_WIDTH) if agreeing else "",
             f"{progress.count}/{progress.needed}" if agreeing else "",

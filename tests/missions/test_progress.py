@@ -49,6 +49,11 @@ def test_lines_come_on_news_and_every_few_seconds() -> None:
     assert [line.split()[0] for line in written] == ["0.0", "0.4", "5.5"]
 
 
+def test_time_begins_with_the_roles_clock() -> None:
+    written = lines(replace(START, stamp_ns=0, note="compiling"), START, at(6.0))
+    assert [line.split()[0] for line in written] == ["0.0", "0.0", "6.0"]
+
+
 def test_a_note_is_written_once() -> None:
     written = lines(START, at(1, note="the peer is late"), at(9, note="the peer is late"))
     assert [line.endswith("the peer is late") for line in written] == [False, True, False]
