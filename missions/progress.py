@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import Protocol, TextIO
 
 from rich.console import Console as Terminal
+from rich.console import Group
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
@@ -17,7 +18,7 @@ from flight.harness import Progress
 from path.messages import Role
 
 LINE_PERIOD_S = 5.0
-BAR_WIDTH = 22
+BAR_WIDTH = 14
 REFRESH_HZ = 8
 
 
@@ -95,7 +96,7 @@ def _iou(progress: Progress) -> str:
 
 
 class LiveTable:
-    """One row per role."""
+    """One row per role, and its note below; as wide as a terminal of 80 columns."""
 
     def __init__(self) -> None:
         self._last: dict[Role, Progress] = {}
@@ -105,14 +106,15 @@ class LiveTable:
         self._elapsed.seconds(progress)
         self._last[progress.role] = progress
 
-    def render(self) -> Table:
+    def render(self) -> Group:
         table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), expand=False)
-        for title in ("", "time", "phase", "agreement", "", "IoU", "apart", "link", ""):
+        for title in ("", "time", "phase", "agreement", "", "IoU", "apart", "link"):
             table.add_column(title, no_wrap=True, header_style="dim")
-        for role in Role:
-            if role in self._last:
-                table.add_row(*self._row(self._last[role]))
-        return table
+        shown = [self._last[role] for role in Role if role in self._last]
+        for progress in shown:
+            table.add_row(*self._row(progress))
+        notes = [f"{progress.role.value}: {progress.note}" for progress in shown if progress.note]
+        return Group(table, *(Text(note, style="dim", no_wrap=True, overflow="ellipsis") for note in notes))
 
     def _row(self, progress: Progress) -> list[Text | ProgressBar | str]:
         separation = "" if progress.separation_m is None else f"{progress.separation_m:.2f} m"
@@ -126,7 +128,6 @@ class LiveTable:
             "" if progress.iou is None else f"{progress.iou:.2f}",
             separation,
             f"{progress.link_bytes_per_s / 1000:.1f} kB/s",
-            Text(progress.note, style="dim"),
         ]
 
 
@@ -173,7 +174,7 @@ class LiveTally:
     def render(self) -> Table:
         done = self._outcomes.total()
         table = Table.grid(padding=(0, 2))
-        bar = ProgressBar(total=self._total, completed=done, width=2 * BAR_WIDTH)
+        bar = ProgressBar(total=self._total, completed=done, width=3 * BAR_WIDTH)
         table.add_row(bar, f"{done}/{self._total} runs", _counts(self._outcomes))
         return table
 
