@@ -79,10 +79,11 @@ def test_the_live_table_has_a_row_for_each_role_that_spoke() -> None:
     table.show(replace(START, role=Role.RECEIVER, phase="search", note="looking for the marker"))
     text = text_of(table)
     sender, receiver = (next(line for line in text.splitlines() if name in line) for name in ("sender", "receiver"))
+    assert max(len(line) for line in text.splitlines()) <= 80
     assert all(word in sender for word in ("12 s", "verify", "100/350", "0.66"))
     assert "take-off" not in text
     assert "/350" not in receiver
-    assert "looking for the marker" in receiver
+    assert "receiver: looking for the marker" in text
 
 
 def test_what_is_no_terminal_gets_lines() -> None:
