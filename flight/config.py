@@ -99,7 +99,7 @@ class MissionConfig:
     receiver_take_off_height_m: float = 2.2
     control_hz: float = 25.0
     status_hz: float = 10.0
-    ping_hz: float = 4.0
+    ping_hz: float = 1.0  # once the clocks are aligned; with every Status before
     image_hz: float = 1.0  # camera images in the log
     follow_after_s: float = 6.0  # how long D2 follows before it lands
     depart_m: float = 2.5

@@ -19,6 +19,7 @@ _MEASUREMENT_SIGMA_M = 0.05
 _ACCELERATION_SIGMA_MPS2 = 0.6
 _GATE_FLOOR_M = 0.20
 _AMBIGUITY = 0.6
+_MIN_DESCENT = 0.2  # per metre along the optical axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +104,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     """Find the tracked object in a view and update the track.
 
     The object must be where the track predicts it, and clearly nearer to there than anything that looks alike.
-    Without depth the track's own range is used, so that the drone keeps following while the frame is a miss.
+    Without depth it is taken to be as high as it was, so that the drone keeps following while the frame is a miss.
     """
     predicted_n, sigma_m = track.predict(view.stamp_ns)
     x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
@@ -116,8 +117,23 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     if isinstance(chosen, MissReason):
         return chosen
     depth = view.depth(chosen.box)
-    track.update(to_local(point_in_camera(chosen.box, z if depth is None else depth.z_m, camera), T_n_c), view.stamp_ns)
+    if depth is None:
+        measured = _at_height(chosen.box, camera, T_n_c, track.position_n_m[2])
+    else:
+        measured = to_local(point_in_camera(chosen.box, depth.z_m, camera), T_n_c)
+    if measured is not None:
+        track.update(measured, view.stamp_ns)
     return Sighting(chosen.box, depth)
+
+
+def _at_height(box: Box, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3 | None:
+    """Where the ray of a box's centre comes down to a height; None for a ray that hardly does."""
+    x, y = camera.ray(*box.center)
+    ray = T_n_c.R @ (x, y, 1.0)
+    if ray[2] < _MIN_DESCENT:
+        return None
+    north, east, down = (T_n_c.t + (down_m - T_n_c.t[2]) / ray[2] * ray).tolist()
+    return north, east, down
 
 
 def _nearest(found: Sequence[Detection], pixel: tuple[float, float], gate_px: float) -> Detection | MissReason:

@@ -96,7 +96,7 @@ def harness_of(rig: Rig) -> Harness:
     if rig.harness is None:
         raise PartError(
             f"rig {rig.name} is flown from its drones: it has no harness",
-            f"start `path-handoff sender --rig {rig.name}` on one, `path-handoff receiver --rig {rig.name}` on the other",
+            f"start `path-handoff sender --rig {rig.name}` on D1 and `path-handoff receiver --rig {rig.name}` on D2",
         )
     return import_factory(rig.harness, rig.where("harness"))()
 

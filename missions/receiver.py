@@ -73,6 +73,7 @@ class Receiver:
         self._live: Handoff | None = None
         self._search_began_ns = 0
         self._following = False
+        self._seen: View | None = None
         self._track: TargetTrack | None = None
         self._keep_n_m: Vec3 = (0.0, 0.0, 0.0)
         session.on_message = self._on_message
@@ -280,6 +281,7 @@ class Receiver:
             else:
                 self._cycle_once(view, R_n_b)
             session.log_image(view)
+            self._seen = view
 
     def _note_lean(self, R_n_b: Matrix) -> None:
         north, east, down = R_n_b[:, 2].tolist()
@@ -367,7 +369,10 @@ class Receiver:
     # --- messages ------------------------------------------------------------------------------------------------
 
     def _on_message(self, received: Received) -> None:
+        held = self._handover.holds
         self._handover.on_message(received)
+        if self._handover.holds and not held and self._seen is not None:
+            self._session.log_image(self._seen, wanted=True)
         if isinstance(received.message, Target):
             self._on_target(received.message)
 

@@ -185,7 +185,8 @@ class Sender:
         self._log_frame(view, seen, message)
         for pair in cycle.evaluate_ready(session.now_ns()):
             self._note_pair(pair, cycle.window.count)
-        if cycle.window.complete:
+        if cycle.window.complete and not self._handover.released:
+            session.log_image(view, wanted=True)
             self._handover.agreed(self._config.target_id)
 
     # --- messages and records ------------------------------------------------------------------------------------

@@ -11,6 +11,8 @@ from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
+
 from drivers.interfaces import (
     CameraError,
     Clock,
@@ -154,10 +156,10 @@ class Session:
         first_s, first = self._traffic[0]
         return (total - first) / (now_s - first_s) if now_s > first_s else 0.0
 
-    def log_image(self, view: View) -> None:
-        """Log the camera's image, ``image_hz`` times a second at the most."""
+    def log_image(self, view: View, wanted: bool = False) -> None:
+        """Log the camera's image, ``image_hz`` times a second at the most, unless this one is ``wanted``."""
         period_ns = round(1e9 / self.config.image_hz)
-        if view.stamp_ns - self._image_ns < period_ns:
+        if view.stamp_ns - self._image_ns < (1 if wanted else period_ns):
             return
         image = view.image()
         if image is not None:
@@ -183,14 +185,16 @@ class Session:
                 self.on_message(received)
 
     async def report(self) -> None:
-        """Send Status and Ping, and tell the console, for ever."""
+        """Send Status and Ping, and tell the console, for ever. Raises MissionEnd when a clock was stepped."""
         period_s = 1.0 / self.config.status_hz
         pings_every = max(1, round(self.config.status_hz / self.config.ping_hz))
         shows_every = max(1, round(_PROGRESS_PERIOD_S / period_s))
         tick = 0
         while True:
             self.link.send(self._status())
-            if tick % pings_every == 0:
+            if self.alignment.fault:
+                raise MissionEnd(Outcome.CLOCK_FAULT, "the other drone's clock was stepped, or this one's")
+            if tick % (pings_every if self.alignment.ready else 1) == 0:
                 self._pings += 1
                 self.link.send(Ping(self._pings, self.now_ns()))
             if tick % shows_every == 0:
@@ -262,6 +266,7 @@ async def open_session(
     harness: InProcess | None,
 ) -> Session:
     """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after. Raises PartError."""
+    cv2.setNumThreads(1)  # frames are small: more threads cost more than they gain, and take the other processes' cores
     warm_up()
     context = part_context(rig, role, harness)
     own = rig.role(role)

@@ -51,9 +51,8 @@ class Truth:
         self._t = {role: np.array([r.record[role.value]["t"] for r in records], float) for role in Role}
         self._q = {role: _continuous([r.record[role.value]["q"] for r in records]) for role in Role}
         self._in_air = {role: np.array([r.record[role.value]["in_air"] for r in records], bool) for role in Role}
-        self._objects = np.array([r.record["objects"] for r in records], float)  # (n, objects, id x y z yaw)
-        self._objects[:, :, 4] = np.unwrap(self._objects[:, :, 4], axis=0)
-        self.object_ids = [int(i) for i in self._objects[0, :, 0]]
+        self._objects = _objects([r.record["objects"] for r in records])
+        self.object_ids = sorted(self._objects)
 
     @property
     def separation_m(self) -> Array:
@@ -75,7 +74,7 @@ class Truth:
 
     def T_w_o(self, object_id: int, role: Role, stamp_ns: int) -> Pose:
         """An object in the world."""
-        x, y, z, yaw = self._at(self._objects[:, self.object_ids.index(object_id), 1:], role, stamp_ns)
+        x, y, z, yaw = self._at(self._objects[object_id], role, stamp_ns)
         c, s = math.cos(yaw), math.sin(yaw)
         return Pose(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array([x, y, z]))
 
@@ -86,12 +85,12 @@ class Truth:
         return first_hit(T_o_c.t, T_o_c.R @ np.array([x, y, 1.0]), self.scene.boxes)
 
     def object_at(self, role: Role, stamp_ns: int, pixel: Sequence[float]) -> int:
-        """The object whose middle is seen nearest to a pixel."""
+        """The object whose middle is seen nearest to a pixel, of those that are there at that instant."""
         T_c_w = self.T_w_c(role, stamp_ns).inverse()
 
         def distance_px(object_id: int) -> float:
             middle_c = T_c_w.apply(self.T_w_o(object_id, role, stamp_ns).apply(self.scene.middle_o))
-            if middle_c[2] <= 0.0:
+            if not middle_c[2] > 0.0:
                 return math.inf
             u, v = self.scene.cameras[role].project_point((middle_c[0], middle_c[1], middle_c[2]))
             return math.dist((u, v), (pixel[0], pixel[1]))
@@ -111,6 +110,18 @@ class Truth:
         before, after = int(self._since_ns[k - 1]), int(self._since_ns[k])
         share = (instant - before) / (after - before)
         return (values[k - 1] + share * (values[k] - values[k - 1])).tolist()
+
+
+def _objects(records: Sequence[Sequence[Sequence[float]]]) -> dict[int, Array]:
+    """(x, y, z, yaw) of every object by id, shape (n, 4), NaN while it is not there: look-alikes come and go."""
+    found: dict[int, Array] = {}
+    for k, objects in enumerate(records):
+        for object_id, *pose in objects:
+            found.setdefault(int(object_id), np.full((len(records), 4), np.nan))[k] = pose
+    for poses in found.values():
+        there = np.isfinite(poses[:, 3])
+        poses[there, 3] = np.unwrap(poses[there, 3])
+    return found
 
 
 def truth_of(world: Records) -> Truth | None:
