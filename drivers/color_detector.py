@@ -42,14 +42,14 @@ class ColorDetectorConfig:
     hue_halfwidth_deg: float = 18.0
     min_saturation: float = 0.5
     min_value: float = 0.2
-    dark_value: float = 0.22
+    dark_value: float = 0.2
     dark_reach: float = 0.4
     coarse_step: int = 4
     min_side_px: float = 10.0
     max_side_px: float = 300.0
     merge_gap: float = 0.10
-    split_solidity: float = 0.78
-    max_aspect: float = 3.0
+    split_solidity: float = 0.82
+    max_aspect: float = 2.2
     odd_score: float = 0.3
     border_score: float = 0.2
 
@@ -130,7 +130,7 @@ class ColorDetector:
         ground = cv2.mean(around, cv2.bitwise_not(whole.mask))
         saturation = cv2.mean(inside, piece.mask)[1]
         by_color = _ramp(min(ground[1], 0.8 * saturation), saturation)
-        return by_color, _ramp(max(ground[2], 1.6 * self._dark), 0.6 * self._dark)
+        return by_color, _ramp(max(min(ground[2], 1.75 * self._dark), self._dark), 0.6 * self._dark)
 
     def _measure(self, image: Image, whole: Patch, tables: tuple[Image, Image], left: int, top: int) -> Box | None:
         """Refine a coarse patch, found in a window at ``left, top`` of the image, to a box with interpolated edges."""

@@ -135,13 +135,14 @@ def _outlines(mask: Image) -> list[Image]:
 
 
 def shape_of(mask: Image) -> Shape:
-    """Holes count as filled. Outlines run through pixel centres: half their length makes up for the half pixel."""
+    """Holes count as filled."""
     outlines = _outlines(mask)
     hull = cv2.convexHull(np.concatenate(outlines) if len(outlines) > 1 else outlines[0])
-    area = sum(cv2.contourArea(o) + 0.5 * cv2.arcLength(o, True) for o in outlines)
-    whole = cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True)
+    filled, whole = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.uint8)
+    cv2.drawContours(filled, outlines, -1, (1,), cv2.FILLED)
+    cv2.fillConvexPoly(whole, hull, (1,))
     a, b = cv2.minAreaRect(hull)[1]
-    return Shape(min(1.0, area / max(whole, 1.0)), (max(a, b) + 1.0) / (min(a, b) + 1.0))
+    return Shape(cv2.countNonZero(filled) / cv2.countNonZero(whole), (max(a, b) + 1.0) / (min(a, b) + 1.0))
 
 
 def split(patch: Patch) -> list[Patch]:
