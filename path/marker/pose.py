@@ -105,8 +105,7 @@ def estimate_pose(
     gravity = gravity_v is not None and gravity_c is not None
     down = np.array([*gravity_v, *gravity_c] if gravity_v is not None and gravity_c is not None else [0.0] * 6)
     weight = 0.5 / settings.attitude_sigma_rad**2 if gravity else 0.0
-    starts = [start for found, marker in seen[:2] for start in _ippe(found, marker, lens)]
-    solutions = [_refine(R, t, points, pixels, whitening, lens, down, weight) for R, t in starts]
+    solutions = [_refine(R, t, points, pixels, whitening, lens, down, weight) for R, t in _ippe(found, marker, lens)]
     solutions = sorted((s for s in solutions if math.isfinite(s[0])), key=lambda solution: solution[0])
     if not solutions:
         return Missed(MissReason.POSE_UNCERTAIN)

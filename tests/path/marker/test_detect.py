@@ -50,6 +50,20 @@ def test_small_markers_are_found_in_a_region(near_m: float, far_m: float, needed
     assert found >= needed * 20
 
 
+def test_what_a_first_look_misses_a_second_may_find(monkeypatch: pytest.MonkeyPatch):
+    def found() -> int:
+        rng, count = np.random.default_rng(11), 0
+        for _ in range(30):
+            view = random_view(rng, VGA, 1.8, 2.2, 55.0)
+            region = region_around(true_corners(VGA, view.T_c_v, LAYOUT), 50.0)
+            count += len(detect_markers(render(VGA, view.T_c_v, LAYOUT, rng, ground=GROUND), region, LAYOUT, VGA))
+        return count
+
+    twice = found()
+    monkeypatch.setattr(detect, "RETRY_PIXELS", 0.0)
+    assert twice >= found() + 2
+
+
 def test_a_marker_of_12_px_is_found_in_the_whole_image():
     pose = facing(2.0, 0.3, -0.2, 0.2)
     image = cv2.cvtColor(image_of(pose), cv2.COLOR_GRAY2BGR)
@@ -98,6 +112,8 @@ def test_an_id_that_the_layout_does_not_have_is_told_only_when_asked():
     assert detect_markers(image, region, LAYOUT, VGA) == ()
     (found,) = detect_markers(image, region, LAYOUT, VGA, foreign=True)
     assert found.marker_id == 7
+    truth = true_corners(VGA, facing(0.8), single_marker(marker_id=7), 7)
+    assert found.corners_px.mean(axis=0) == pytest.approx(truth.mean(axis=0), abs=0.2)
     missed = estimate_pose((found,), LAYOUT, VGA, None, None, PoseSettings())
     assert missed == Missed(MissReason.WRONG_MARKER)
 
