@@ -128,7 +128,7 @@ def judged_pairs(run: Run) -> list[LogRecord]:
 def _agreement(run: Run, span: Verification | None) -> dict[str, Any]:
     pairs = judged_pairs(run)
     agreed = [r.record for r in pairs if r.record["agreed"]]
-    misses = Counter(r.record["reason"] for r in pairs if not r.record["agreed"])
+    misses = Counter(r.record["reason"] for r in pairs if not r.record["agreed"]) + _own_misses(run, span)
     return {
         "iou_median": _median(record["iou"] for record in agreed),
         "tau_median": _median(record["tau"] for record in agreed),
@@ -138,6 +138,16 @@ def _agreement(run: Run, span: Verification | None) -> dict[str, Any]:
         "pairs_hz": _rounded(len(pairs) / span.seconds) if span and span.seconds > 0.0 else None,
         "misses": dict(sorted(misses.items())),
     }
+
+
+def _own_misses(run: Run, span: Verification | None) -> Counter[str]:
+    """The sender's own frames that could not be half of a pair, while it verified: no target, no depth."""
+    if span is None:
+        return Counter()
+    frames = run.sender.get("/target", ())
+    return Counter(
+        r.record["reason"] for r in frames if r.record["reason"] and span.start_ns <= r.stamp_ns <= span.end_ns
+    )
 
 
 def _separation(run: Run, truth: Truth | None) -> dict[str, Any]:
