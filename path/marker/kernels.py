@@ -46,11 +46,11 @@ def undistort(u: float, v: float, lens: Array, x: float, y: float) -> tuple[floa
         gu, gv, ux, uy, vx, vy = distort(x, y, lens)
         gu -= u
         gv -= v
-        if abs(gu) + abs(gv) < 1e-8:
-            break
         det = ux * vy - uy * vx
         x -= (vy * gu - uy * gv) / det
         y -= (ux * gv - vx * gu) / det
+        if abs(gu) + abs(gv) < 1e-4:  # px before this step; it squares the error
+            break
     return x, y
 
 

@@ -84,6 +84,13 @@ def corner_rays(theta: Array, n: int, corners: Array, jacobian: Array) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _on_print(p: float, q: float, theta: Array) -> tuple[float, float]:
+    """Print coordinates of a ray."""
+    w = 1.0 + theta[6] * p + theta[7] * q
+    return (theta[0] * p + theta[1] * q + theta[2]) / w, (theta[3] * p + theta[4] * q + theta[5]) / w
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def gather(
     image: Gray, u_off: int, v_off: int, frame: Array, lens: Array, theta: Array, n: int, blur_px: float
 ) -> Array:
@@ -113,18 +120,18 @@ def gather(
     pixels = np.empty((max(0, (u1 - u0) * (v1 - v0)), 4))
     count = 0
     for v in range(v0, v1):
-        du, dv = u0 + u_off - frame[0], v + v_off - frame[1]
-        x = cx + (frame[5] * du + frame[6] * dv) / scale
-        y = cy + (frame[7] * du + frame[8] * dv) / scale
         previous = -2
         for u in range(u0, u1):
-            x, y = undistort(u + u_off, v + v_off, lens, x + frame[5] / scale, y + frame[7] / scale)
             if every > 1 and (u // 2 + v) % every != 0:
                 continue
+            du, dv = u + u_off - frame[0], v + v_off - frame[1]
+            p, q = frame[5] * du + frame[6] * dv, frame[7] * du + frame[8] * dv
+            mx, my = _on_print(p, q, theta)  # as if the lens were affine over the marker
+            if not (-x_out - 0.5 < mx < n + x_out + 0.5 and -y_out - 0.5 < my < n + y_out + 0.5):
+                continue
+            x, y = undistort(u + u_off, v + v_off, lens, cx + p / scale, cy + q / scale)
             p, q = (x - cx) * scale, (y - cy) * scale
-            w = 1.0 + theta[6] * p + theta[7] * q
-            mx = (theta[0] * p + theta[1] * q + theta[2]) / w
-            my = (theta[3] * p + theta[4] * q + theta[5]) / w
+            mx, my = _on_print(p, q, theta)
             if -x_out < mx < n + x_out and -y_out < my < n + y_out:
                 pixels[count, 0], pixels[count, 1] = p, q
                 pixels[count, 2] = image[v, u]
