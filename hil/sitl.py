@@ -230,6 +230,12 @@ async def _kill(processes: list[asyncio.subprocess.Process]) -> None:
         await process.wait()
 
 
+def _last_words(out: Path, role: Role) -> str:
+    """What a program that died wrote last."""
+    written = (out / f"{role.value}.stderr.txt").read_text("utf-8", "replace").split("\n")
+    return " ".join(line.strip() for line in written if line.strip())[-300:]
+
+
 def _report(run: _Run, failure: str, wall_s: float) -> FlightReport:
     request, finished = run.request, run.finished or {}
     monitors = Monitors(request.rig.method, min_separation_m=0.0)
@@ -256,5 +262,5 @@ def _report(run: _Run, failure: str, wall_s: float) -> FlightReport:
         wall_s=wall_s,
         interrupted=run.interrupted,
         failure=failure,
-        notes=[*notes, *(f"the {role.value}'s program died" for role in dead)],
+        notes=[*notes, *(f"the {role.value}'s program died. {_last_words(request.out, role)}" for role in dead)],
     )

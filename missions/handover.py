@@ -37,7 +37,7 @@ from path.protocol.values import Outcome as Decision
 
 Machine = TypeVar("Machine", SenderMachine, ReceiverMachine)
 
-_TICK_S = 0.02
+_TICK_S = 0.05  # as fine as the protocol repeats itself
 
 
 def protocol_config(session: Session) -> ProtocolConfig:

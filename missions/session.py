@@ -37,7 +37,7 @@ from path.marker.warm_up import warm_up
 from path.messages import Ping, Pong, Role, Status
 from path.rotation import yaw_of
 
-_POLL_S = 0.02
+_POLL_S = 0.05
 _PROGRESS_PERIOD_S = 0.2
 
 
