@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -11,6 +10,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.freshness import Freshness
 from drivers.interfaces import Camera, CameraError, Detector, Frame
 from drivers.rig import PartContext, PartSpec, create
 from path.camera import CameraModel
@@ -39,10 +39,7 @@ class PixelSightConfig:
 
 
 class PixelSight:
-    """Implements ``drivers.interfaces.Sight`` over a camera and a detector, and opens both.
-
-    ``dropped`` counts frames that came with an old or repeated stamp or id and were not given on.
-    """
+    """Implements ``drivers.interfaces.Sight`` over a camera, which it opens, and a detector."""
 
     Config = PixelSightConfig
 
@@ -51,8 +48,12 @@ class PixelSight:
         self._camera: Camera = create(config.camera, context)
         self._detector: Detector = create(config.detector, context)
         self._layout = context.layout
-        self._last: tuple[int, int] | None = None  # stamp and id of the newest frame given
-        self.dropped = 0
+        self._freshness = Freshness(config.max_old_frames)
+
+    @property
+    def dropped(self) -> int:
+        """Frames that came with an old or repeated stamp or id and were not given on."""
+        return self._freshness.dropped
 
     @property
     def model(self) -> CameraModel:
@@ -73,27 +74,9 @@ class PixelSight:
         Raises:
             CameraError: none came in time, its size is not that of the calibration, or the camera's clock went back.
         """
-        loop = asyncio.get_running_loop()
-        deadline_s = loop.time() + timeout_s
-        old = 0
-        while True:
-            frame = await self._camera.read(max(deadline_s - loop.time(), 0.0))
-            _check_size(frame, self.model)
-            if self._last is None or (frame.stamp_ns > self._last[0] and frame.frame_id > self._last[1]):
-                self._last = (frame.stamp_ns, frame.frame_id)
-                return PixelView(frame, self.model, self._detector, self._layout, self._config)
-            old += 1
-            self.dropped += 1
-            if old >= self._config.max_old_frames:
-                raise CameraError(
-                    f"{old} frames in a row are no newer than the one before them (by {_behind(frame, self._last)})",
-                    "see whether the camera is stuck or its clock was set back",
-                )
-            if loop.time() >= deadline_s:
-                raise CameraError(
-                    f"no new frame for {timeout_s:g} s, only {old} repeated or old ones",
-                    "see whether the camera is stuck or its clock was set back",
-                )
+        frame = await self._freshness.next(self._camera.read, timeout_s)
+        _check_size(frame, self.model)
+        return PixelView(frame, self.model, self._detector, self._layout, self._config)
 
 
 class PixelView:
@@ -145,7 +128,3 @@ def _check_size(frame: Frame, model: CameraModel) -> None:
                 f"{image.shape[1]}x{image.shape[0]} px",
                 "use the calibration of this stream, or set the stream to the calibrated size",
             )
-
-
-def _behind(frame: Frame, last: tuple[int, int]) -> str:
-    return f"{(frame.stamp_ns - last[0]) / 1e9:+.3f} s, {frame.frame_id - last[1]:+d} frames"

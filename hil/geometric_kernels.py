@@ -1,0 +1,225 @@
+"""The arithmetic of the geometric sight: bodies made of boxes, projected and hit by rays. Compiled.
+
+A body is a car or the other drone. Camera coordinates throughout (x right, y down, z forward, metres), pixels
+distorted.
+"""
+
+# pyright: reportMissingParameterType=false
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+kernel = njit(cache=True, nogil=True, error_model="numpy")
+
+# Columns of a placed box: rotation camera -> box (3 x 3), the camera's centre in box coordinates, half sides.
+TURN, CENTRE, HALF = 0, 9, 12
+BOX_COLUMNS = 15
+# Columns of a body's extent in the image: corners of its bounding box, nearest depth, whether it can be drawn.
+X0, Y0, X1, Y1, NEAR, DRAWN = 0, 1, 2, 3, 4, 5
+EXTENT_COLUMNS = 6
+# The camera in the world: rotation world -> camera by rows, then its centre.
+EYE = 9
+FRAME_COLUMNS = 12
+# The lens: fx fy cx cy k1 k2 p1 p2 k3 width height, largest radius at which the distortion is one-to-one.
+LENS_COLUMNS = 12
+NEAREST_M = 0.05
+UNDISTORT_STEPS = 8
+
+
+@kernel
+def distorted(lens, x, y):
+    """Pixel of normalised coordinates."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
+    u = x * radial + 2.0 * lens[6] * x * y + lens[7] * (r2 + 2.0 * x * x)
+    v = y * radial + lens[6] * (r2 + 2.0 * y * y) + 2.0 * lens[7] * x * y
+    return lens[0] * u + lens[2], lens[1] * v + lens[3]
+
+
+@kernel
+def ray(lens, u, v):
+    """Normalised coordinates of a pixel, by Newton's method with the derivative of the radial part only."""
+    xd, yd = (u - lens[2]) / lens[0], (v - lens[3]) / lens[1]
+    x, y = xd, yd
+    for _ in range(UNDISTORT_STEPS):
+        pu, pv = distorted(lens, x, y)
+        r2 = x * x + y * y
+        slope = 1.0 + r2 * (3.0 * lens[4] + r2 * (5.0 * lens[5] + r2 * 7.0 * lens[8]))
+        x -= ((pu - lens[2]) / lens[0] - xd) / slope
+        y -= ((pv - lens[3]) / lens[1] - yd) / slope
+    return x, y
+
+
+@kernel
+def _place_box(R, t, centre, half, axes, lens, box, extent):
+    """One box of a body with pose R, t (body to camera): fills its row and widens the body's extent."""
+    for i in range(3):  # box coordinates = axes^T R^T (p_c - t) - axes^T centre
+        for j in range(3):
+            box[TURN + 3 * i + j] = R[j, 0] * axes[0, i] + R[j, 1] * axes[1, i] + R[j, 2] * axes[2, i]
+        along = axes[0, i] * centre[0] + axes[1, i] * centre[1] + axes[2, i] * centre[2]
+        turned = box[TURN + 3 * i] * t[0] + box[TURN + 3 * i + 1] * t[1] + box[TURN + 3 * i + 2] * t[2]
+        box[CENTRE + i] = -turned - along
+        box[HALF + i] = half[i]
+    for corner in range(8):
+        a = half[0] if corner & 1 else -half[0]
+        b = half[1] if corner & 2 else -half[1]
+        c = half[2] if corner & 4 else -half[2]
+        p, q, r = a - box[CENTRE], b - box[CENTRE + 1], c - box[CENTRE + 2]
+        z = box[TURN + 2] * p + box[TURN + 5] * q + box[TURN + 8] * r
+        if z < NEAREST_M:
+            extent[DRAWN] = 0.0
+            return
+        x = (box[TURN] * p + box[TURN + 3] * q + box[TURN + 6] * r) / z
+        y = (box[TURN + 1] * p + box[TURN + 4] * q + box[TURN + 7] * r) / z
+        if x * x + y * y > lens[11] * lens[11]:
+            extent[DRAWN] = 0.0
+            return
+        u, v = distorted(lens, x, y)
+        extent[X0], extent[X1] = min(extent[X0], u), max(extent[X1], u)
+        extent[Y0], extent[Y1] = min(extent[Y0], v), max(extent[Y1], v)
+        extent[NEAR] = min(extent[NEAR], z)
+
+
+@kernel
+def _place_body(R_c_w, eye, R_w, at, parts, lens, boxes, extent):
+    """The boxes of one body with orientation R_w and position ``at`` in the world."""
+    extent[X0] = extent[Y0] = extent[NEAR] = np.inf
+    extent[X1] = extent[Y1] = -np.inf
+    extent[DRAWN] = 1.0 if parts.shape[0] > 0 else 0.0
+    R, t = np.empty((3, 3)), np.empty(3)
+    for i in range(3):
+        t[i] = 0.0
+        for j in range(3):
+            R[i, j] = R_c_w[i, 0] * R_w[0, j] + R_c_w[i, 1] * R_w[1, j] + R_c_w[i, 2] * R_w[2, j]
+            t[i] += R_c_w[i, j] * (at[j] - eye[j])
+    for k in range(parts.shape[0]):
+        part = parts[k]
+        _place_box(R, t, part[0:3], part[3:6], part[6:15].reshape(3, 3), lens, boxes[k], extent)
+
+
+@kernel
+def place(R_w_b, t_w_b, R_b_c, t_b_c, lens, things, car, other_R, other_t, drone, boxes, extents, frame):
+    """Put every body before the camera.
+
+    Args:
+        R_w_b, t_w_b, R_b_c, t_b_c: the camera's drone in the world, the camera on it.
+        things: (n, 4) position (m, world) and yaw of each car; car: (b, 15) centre, half sides, axes of its boxes.
+        other_R, other_t: the other drone in the world; drone: (d, 15) its boxes, none when there is no other drone.
+        boxes: (n b + d, BOX_COLUMNS), extents: (n + 1, EXTENT_COLUMNS): filled, car by car, the other drone last.
+        frame: (12,) filled: rotation world to camera by rows, the camera's centre in the world.
+    """
+    R_c_w, eye = np.empty((3, 3)), np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            R_c_w[i, j] = R_w_b[j, 0] * R_b_c[0, i] + R_w_b[j, 1] * R_b_c[1, i] + R_w_b[j, 2] * R_b_c[2, i]
+            frame[3 * i + j] = R_c_w[i, j]
+        eye[i] = R_w_b[i, 0] * t_b_c[0] + R_w_b[i, 1] * t_b_c[1] + R_w_b[i, 2] * t_b_c[2] + t_w_b[i]
+        frame[EYE + i] = eye[i]
+    turn = np.zeros((3, 3))
+    turn[2, 2] = 1.0
+    cars, per_car = things.shape[0], car.shape[0]
+    for body in range(cars):
+        turn[0, 0] = turn[1, 1] = math.cos(things[body, 3])
+        turn[1, 0] = math.sin(things[body, 3])
+        turn[0, 1] = -turn[1, 0]
+        rows = boxes[body * per_car : (body + 1) * per_car]
+        _place_body(R_c_w, eye, turn, things[body], car, lens, rows, extents[body])
+    _place_body(R_c_w, eye, other_R, other_t, drone, lens, boxes[cars * per_car :], extents[cars])
+
+
+@kernel
+def _hit(box, x, y):
+    """Depth at which the ray (x, y, 1) enters a box; inf when it misses."""
+    enter, leave = 0.0, np.inf
+    for i in range(3):
+        speed = box[TURN + 3 * i] * x + box[TURN + 3 * i + 1] * y + box[TURN + 3 * i + 2]
+        start, half = box[CENTRE + i], box[HALF + i]
+        if abs(speed) < 1e-12:
+            if abs(start) > half:
+                return np.inf
+            continue
+        a, b = (-half - start) / speed, (half - start) / speed
+        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+    return enter if 0.0 < enter <= leave else np.inf
+
+
+@kernel
+def nearest(boxes, extents, per_car, x, y, u, v, only):
+    """Depth and body of the first box that the ray of pixel (u, v) meets; inf and -1 for none.
+
+    ``per_car``: boxes of a car; those of the other drone come after all cars'. ``only``: look at this body alone; -1
+    for all.
+    """
+    best, who = np.inf, -1
+    cars = extents.shape[0] - 1
+    for body in range(cars + 1):
+        extent = extents[body]
+        if (only >= 0 and body != only) or extent[DRAWN] == 0.0:
+            continue
+        if u < extent[X0] or u > extent[X1] or v < extent[Y0] or v > extent[Y1]:
+            continue
+        for k in range(body * per_car, (body + 1) * per_car if body < cars else boxes.shape[0]):
+            z = _hit(boxes[k], x, y)
+            if z < best:
+                best, who = z, body
+    return best, who
+
+
+@kernel
+def sample_rays(lens, x0, y0, x1, y1, n, pixels, rays):
+    """Centres of n x n cells of a rectangle: pixels and rays (n * n, 2), rays interpolated between its corners."""
+    corners = np.empty((4, 2))
+    corners[0, 0], corners[0, 1] = ray(lens, x0, y0)
+    corners[1, 0], corners[1, 1] = ray(lens, x1, y0)
+    corners[2, 0], corners[2, 1] = ray(lens, x0, y1)
+    corners[3, 0], corners[3, 1] = ray(lens, x1, y1)
+    for i in range(n):
+        b = (i + 0.5) / n
+        for j in range(n):
+            a = (j + 0.5) / n
+            k = i * n + j
+            pixels[k, 0], pixels[k, 1] = x0 + a * (x1 - x0), y0 + b * (y1 - y0)
+            for m in range(2):
+                top = (1.0 - a) * corners[0, m] + a * corners[1, m]
+                rays[k, m] = (1.0 - b) * top + b * ((1.0 - a) * corners[2, m] + a * corners[3, m])
+
+
+# --- random numbers ---
+# A hash of seed, frame and question: no question changes the answer to another, and the same question has the same
+# answer however often it is asked.
+
+
+@kernel
+def mix(state, value):
+    """Fold an integer into a 64-bit state (the finaliser of splitmix64)."""
+    z = (np.uint64(state) ^ np.uint64(value)) + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@kernel
+def fold(key, value):
+    """As ``mix``, but in 63 bits: a key that can go through Python."""
+    return np.int64(mix(key, value) >> np.uint64(1))
+
+
+@kernel
+def uniform(state):
+    """In (0, 1) from a mixed state."""
+    return (float(state >> np.uint64(11)) + 0.5) / 9007199254740992.0
+
+
+@kernel
+def gauss(key, out):
+    """Fill with standard normal numbers (Box-Muller)."""
+    for i in range(0, out.size, 2):
+        radius = math.sqrt(-2.0 * math.log(uniform(mix(key, 2 * i))))
+        angle = 2.0 * math.pi * uniform(mix(key, 2 * i + 1))
+        out[i] = radius * math.cos(angle)
+        if i + 1 < out.size:
+            out[i + 1] = radius * math.sin(angle)
