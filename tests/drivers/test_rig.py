@@ -18,7 +18,7 @@ import pytest
 from drivers.rig import PartContext, PartSpec, create, part_context
 from drivers.rig_check import check_rig, local_ports
 from drivers.rig_file import find_rig, load_rig
-from drivers.tables import RigError, decode_table
+from drivers.tables import RigError, decode_table, suggestion
 from path.messages import Role
 
 # --- tables ----------------------------------------------------------------------------------------------------
@@ -91,6 +91,10 @@ def test_an_unknown_key_names_file_table_key_allowed_and_the_likely_one(key: str
     assert problem.startswith(
         f"r.toml: mission: unknown key '{key}' (did you mean 'height_m'?); allowed: height_m, count"
     )
+
+
+def test_the_same_word_in_another_unit_beats_the_spelling() -> None:
+    assert suggestion("w", ["width_m", "w_radps"]) == " (did you mean 'w_radps'?)"
 
 
 def test_an_unlikely_key_gets_no_suggestion() -> None:
