@@ -27,13 +27,14 @@ def check_vehicle(state: VehicleState, now_ns: int, config: GuardConfig, command
     if state.mode is not commanded:
         raise MissionEnd(Outcome.PILOT_OVERRIDE, f"mode is {state.mode.value}, the script flew {commanded.value}")
     north, east, down = state.position_n_m
-    if math.hypot(north, east) > config.fence_radius_m or -down > config.fence_height_m:
+    # written so that a NaN breaks a limit
+    if not (math.hypot(north, east) <= config.fence_radius_m and -down <= config.fence_height_m):
         raise MissionEnd(Outcome.GUARD, f"outside the fence at ({north:.1f}, {east:.1f}) m, height {-down:.1f} m")
-    if state.battery < config.min_battery:
+    if not state.battery >= config.min_battery:
         raise MissionEnd(Outcome.GUARD, f"battery at {100 * state.battery:.0f} %")
 
 
 def check_separation(distance_m: float, minimum_m: float) -> None:
     """Raise MissionEnd when the measured distance between the drones is below the minimum (S9)."""
-    if distance_m < minimum_m:
+    if not distance_m >= minimum_m:
         raise MissionEnd(Outcome.GUARD, f"separation {distance_m:.2f} m is below {minimum_m:.2f} m")

@@ -64,9 +64,11 @@ def decode_event(line: str | bytes) -> Progress | RoleResult | None:
         kind, role = record.pop("event"), Role(record.pop("role"))
         if kind == "progress":
             return Progress(role=role, **record)
-        return RoleResult(role=role, outcome=Outcome.from_label(record.pop("outcome")), **record)
-    except (ValueError, TypeError, KeyError, AttributeError):
-        return None
+        if kind == "result":
+            return RoleResult(role=role, outcome=Outcome.from_label(record.pop("outcome")), **record)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        pass
+    return None
 
 
 class InProcess(Protocol):
