@@ -149,7 +149,7 @@ def _lean(down_h: Floats) -> Floats:
 def _look(places_h: Floats, scene: Scene, camera: CameraModel, T_b_c: Pose, lean: Floats) -> tuple[Floats, Floats]:
     """Yaws between the bearings of marker and target, and the smaller margin (px) of the two, of shape (n, shares).
 
-    The margin is minus infinity where one of them is behind the camera.
+    The margin is minus infinity where the camera sees one of them not at all: it is behind it, or beyond the lens's rim.
     """
     points_h = np.stack([np.zeros(3), scene.target_h_m])[None] - places_h[:, None]  # (n, 2, 3) from the camera
     bearings = np.arctan2(points_h[:, :, 1], points_h[:, :, 0])
@@ -165,5 +165,7 @@ def _look(places_h: Floats, scene: Scene, camera: CameraModel, T_b_c: Pose, lean
     left_top = pixels.min(axis=-1) - radius
     right_bottom = np.minimum(camera.width - pixels[..., 0], camera.height - pixels[..., 1]) - radius
     margin = np.minimum(left_top, right_bottom).min(axis=-1)
-    in_front = np.all(points_c[..., 2] > 0.1, axis=-1)
-    return yaw, np.where(in_front & np.isfinite(margin), margin, -np.inf)
+    # beyond its largest radius a lens folds what is outside back into the image
+    off_axis = np.hypot(points_c[..., 0], points_c[..., 1])
+    seen = np.all((points_c[..., 2] > 0.1) & (off_axis <= camera.max_radius * points_c[..., 2]), axis=-1)
+    return yaw, np.where(seen & np.isfinite(margin), margin, -np.inf)
