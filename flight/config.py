@@ -98,7 +98,9 @@ class MissionConfig:
     take_off_height_m: float = 1.5
     receiver_take_off_height_m: float = 2.2
     control_hz: float = 25.0
-    status_hz: float = 10.0
+    follow_hz: float = 25.0  # looks at the target while only the own following depends on them
+    status_hz: float = 10.0  # of the sender: the receiver flies by its velocity
+    receiver_status_hz: float = 4.0
     ping_hz: float = 1.0  # once the clocks are aligned; with every Status before
     image_hz: float = 1.0  # camera images in the log
     follow_after_s: float = 6.0  # how long D2 follows before it lands

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -47,6 +47,15 @@ class RoleResult:
     detail: str
     responsible: bool
     landed: bool
+    log_failure: str = ""  # why the log is not whole; the flight went on
+
+
+def with_log(result: RoleResult, failure: str | None) -> RoleResult:
+    """The result, with what went wrong with the role's log: a commit whose log is not whole has its own outcome."""
+    if not failure:
+        return result
+    outcome = Outcome.LOG_FAILED if result.outcome is Outcome.COMMITTED else result.outcome
+    return replace(result, outcome=outcome, detail=result.detail or failure, log_failure=failure)
 
 
 def encode_event(event: Progress | RoleResult) -> str:

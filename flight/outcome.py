@@ -29,6 +29,7 @@ class Outcome(Enum):
     APPROACH_FAILED = ("approach_failed", 25, "the planned viewpoint was not reached in time")
     INTERRUPTED = ("interrupted", 30, "stopped by Ctrl-C or SIGTERM")
     CRASHED = ("crashed", 31, "the role's program died")
+    LOG_FAILED = ("log_failed", 35, "committed, but a log could not be written: disk full?")
     MONITOR_VIOLATED = ("monitor_violated", 40, "a safety monitor of the harness was violated")
     HARNESS_FAILED = ("harness_failed", 41, "the simulation itself failed: not the mission's fault")
 

@@ -112,9 +112,8 @@ class Monitors:
         held_s = (count.last_ns - count.first_ns) * 1e-9
         full = count.pairs >= self.method.hold_frames and held_s >= self.method.hold_s - 1e-9
         if not full or record["target_id"] != count.target_id:
-            self._violated(
-                "S5", stamp_w_ns * 1e-9, f"commit to target {record['target_id']} after {count.pairs} pairs, {held_s:.2f} s"
-            )
+            what = f"commit to target {record['target_id']} after {count.pairs} pairs, {held_s:.2f} s"
+            self._violated("S5", stamp_w_ns * 1e-9, what)
 
 
 class WatchedLog:

@@ -19,7 +19,7 @@ from drivers.log import McapLog
 from drivers.rig import Rig
 from drivers.tables import decode_table
 from flight.config import MissionConfig
-from flight.harness import FlightReport, FlightRequest, Progress, RoleResult
+from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, with_log
 from hil.capture import Freeze
 from hil.faults import Fault, FaultTrigger, parse_fault
 from hil.faulty_link import MemoryHub
@@ -30,6 +30,7 @@ from hil.world import World, WorldConfig
 from path.messages import Role
 
 TRUTH_PERIOD_S = 0.02
+GROUND_PERIOD_S = 0.05  # while not both are in the air
 RUN_LIMIT_S = 400.0
 LANDING_LIMIT_S = 45.0
 
@@ -59,7 +60,6 @@ class SimHarness:
     def fly(self, request: FlightRequest) -> FlightReport:
         faults = [parse_fault(text) for text in request.faults]
         start_s = time.perf_counter()
-        gc.collect()
         gc.disable()  # nothing here lives in cycles, and collecting takes a tenth of the time
         try:
             findings = run_virtual(_Flight(request, faults).run())
@@ -113,7 +113,10 @@ class _Flight:
             if late:
                 self._interrupt()
                 await asyncio.wait(late)
-            return {role: None if role in self._killed else task.result() for role, task in self._tasks.items()}
+            return {
+                role: None if role in self._killed else with_log(task.result(), logs[role].failed)
+                for role, task in self._tasks.items()
+            }
         finally:
             for log in logs.values():
                 log.close()
@@ -142,18 +145,18 @@ class _Flight:
 
     async def _watch_truth(self, truth: TruthLog) -> None:
         loop, world = asyncio.get_running_loop(), self._world
-        ticks = 0
         while True:
             world.advance(loop.time())
             truth.truth(world)
             self._monitors.on_truth(world.time_s, world.separation_m, world.both_in_air)
-            ticks += 1
-            await asyncio.sleep(ticks * TRUTH_PERIOD_S - loop.time())
+            await asyncio.sleep(TRUTH_PERIOD_S if world.both_in_air else GROUND_PERIOD_S)
 
     async def _until_landed(self) -> None:
         loop = asyncio.get_running_loop()
         end_s = loop.time() + LANDING_LIMIT_S
-        while not all(down(self._world, role) for role in Role) and loop.time() < end_s:
+        while loop.time() < end_s:
+            if all(down(self._world, role) for role in Role):
+                return
             await asyncio.sleep(0.1)
 
     def _findings(self, truth: TruthLog, results: dict[Role, RoleResult | None]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ class DroneTruth:
 
 @dataclass(frozen=True, slots=True)
 class ObjectTruth:
-    """A ground vehicle: the target (``object_id`` 0) or a look-alike. Its frame: x forward, z up, origin on the ground."""
+    """A ground vehicle: the target (``object_id`` 0) or a look-alike. Its frame: x forward, z up, on the ground."""
 
     object_id: int
     position_w_m: tuple[float, float, float]

@@ -73,6 +73,7 @@ class Receiver:
         self._live: Handoff | None = None
         self._search_began_ns = 0
         self._following = False
+        self._watching = True
         self._seen: View | None = None
         self._track: TargetTrack | None = None
         self._keep_n_m: Vec3 = (0.0, 0.0, 0.0)
@@ -122,6 +123,7 @@ class Receiver:
         await asyncio.sleep(config.follow_after_s)
 
     async def recover(self, end: MissionEnd | None) -> bool:
+        self._watching = False
         self._handover.end(end)
         back = from_heading((-_RETREAT_M, 0.0, 0.0), yaw_of(self._session.vehicle.state.q_n_b))
         return await bring_down(self._session, end, back)
@@ -269,9 +271,9 @@ class Receiver:
     # --- what runs beside the course -----------------------------------------------------------------------------
 
     async def _watch(self) -> None:
-        """Look at every frame, until the end. Raises CameraError when the camera stops, MissionEnd on a loss."""
+        """Look at every frame, at some once the target is held. Raises CameraError when the camera stops."""
         session, guard = self._session, self._config.guard
-        while True:
+        while self._watching:
             view = await session.sight.view(guard.frame_age_s)
             session.log.write("/frame", view.stamp_ns, {"frame_id": view.frame_id})
             R_n_b = self._eye.R_n_b(view.stamp_ns)
@@ -282,6 +284,8 @@ class Receiver:
                 self._cycle_once(view, R_n_b)
             session.log_image(view)
             self._seen = view
+            if session.phase is Phase.FOLLOW:
+                await session.skip_frames()
 
     def _note_lean(self, R_n_b: Matrix) -> None:
         north, east, down = R_n_b[:, 2].tolist()

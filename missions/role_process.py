@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 from drivers.interfaces import Log
 from drivers.log import McapLog
 from drivers.rig import Rig
-from flight.harness import Emit, InProcess, Progress, RoleMain, RoleResult, encode_event
+from flight.harness import Emit, InProcess, Progress, RoleMain, RoleResult, encode_event, with_log
 from missions.receiver import run_receiver
 from missions.sender import run_sender
 from path.messages import Role
@@ -33,10 +34,9 @@ def run_role(rig: Rig, role: Role, out: Path, emit: Emit, parent: bool) -> RoleR
     """
     with McapLog(out / f"{role.value}.mcap", frame="c1" if role is Role.SENDER else "c2") as log:
         result = asyncio.run(_run(rig, role, log, _to_parent if parent else emit, parent))
+        result = with_log(result, log.failed)
         if parent:
             print(encode_event(result), flush=True)
-        if log.failed:
-            print(f"warning: {log.failed}", file=sys.stderr)
         return result
 
 
@@ -55,6 +55,6 @@ async def _run(rig: Rig, role: Role, log: McapLog, emit: Emit, parent: bool) -> 
 
 
 def _stop_at_end_of_input(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:
-    if not sys.stdin.buffer.read1(4096):
+    if not os.read(sys.stdin.fileno(), 4096):
         loop.remove_reader(sys.stdin.fileno())
         stop.set()

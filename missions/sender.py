@@ -53,6 +53,7 @@ class Sender:
         self._heading_rad = math.radians(config.heading_deg)
         self._track: TargetTrack | None = None
         self._steady: list[Vec3] = []
+        self._watching = True
         self._handover = SenderHandover(session)
         self._cycle: SenderCycle | None = None
         self._receiver_side = -1.0  # on which side of D1 the receiver stands: -1 left, 1 right
@@ -106,6 +107,7 @@ class Sender:
         )
 
     async def recover(self, end: MissionEnd | None) -> bool:
+        self._watching = False
         self._handover.end(end)
         if self._track is None:
             way_out: Vec3 = (0.0, 0.0, 0.0)
@@ -135,14 +137,17 @@ class Sender:
     # --- what runs beside the course -----------------------------------------------------------------------------
 
     async def _watch(self) -> None:
-        """Look at every frame, until the end. Raises CameraError when the camera stops."""
-        while True:
-            view = await self._session.sight.view(self._config.guard.frame_age_s)
+        """Look at every frame while the receiver is near, else at some. Raises CameraError when the camera stops."""
+        session = self._session
+        while self._watching:
+            view = await session.sight.view(self._config.guard.frame_age_s)
             R_n_b = self._eye.R_n_b(view.stamp_ns)
             if self._track is None:
                 self._try_to_acquire(view, R_n_b)
             else:
                 self._cycle_once(view, R_n_b, self._track)
+            if session.peer is None or session.peer.phase < Phase.SEARCH:
+                await session.skip_frames()
 
     async def _watch_peer(self) -> None:
         """The receiver must be heard for as long as the hand-over is undecided."""

@@ -112,6 +112,10 @@ class Session:
                 raise MissionEnd(outcome, f"{detail} within {timeout_s:.0f} s")
             await asyncio.sleep(_POLL_S)
 
+    async def skip_frames(self) -> None:
+        """Let frames pass: following alone needs only ``follow_hz`` of them a second."""
+        await asyncio.sleep(0.8 / self.config.follow_hz)
+
     # --- what the others see -------------------------------------------------------------------------------------
 
     def enter(self, phase: Phase, note: str = "") -> None:
@@ -186,8 +190,9 @@ class Session:
 
     async def report(self) -> None:
         """Send Status and Ping, and tell the console, for ever. Raises MissionEnd when a clock was stepped."""
-        period_s = 1.0 / self.config.status_hz
-        pings_every = max(1, round(self.config.status_hz / self.config.ping_hz))
+        rate_hz = self.config.status_hz if self.role is Role.SENDER else self.config.receiver_status_hz
+        period_s = 1.0 / rate_hz
+        pings_every = max(1, round(rate_hz / self.config.ping_hz))
         shows_every = max(1, round(_PROGRESS_PERIOD_S / period_s))
         tick = 0
         while True:
@@ -199,7 +204,7 @@ class Session:
                 self.link.send(Ping(self._pings, self.now_ns()))
             if tick % shows_every == 0:
                 self.show()
-            if tick % round(self.config.status_hz) == 0:
+            if tick % round(rate_hz) == 0:
                 self._log_link()
             tick += 1
             await asyncio.sleep(period_s)

@@ -69,7 +69,7 @@ class MethodConfig:
     track_length: int = 64
     min_depth_m: float = 0.3
     max_depth_m: float = 6.0
-    depth_center_fraction: float = 0.5
+    depth_center_fraction: float = 0.2
     min_depth_valid: float = 0.5
     min_depth_pixels: int = 12
     max_depth_spread_m: float = 0.3
