@@ -97,7 +97,7 @@ class MissionConfig:
     heading_deg: float = 0.0  # of the sender's approach to the target
     take_off_height_m: float = 1.5
     receiver_take_off_height_m: float = 2.2
-    control_hz: float = 25.0
+    control_hz: float = 20.0
     follow_hz: float = 25.0  # looks at the target while only the own following depends on them
     status_hz: float = 10.0  # of the sender: the receiver flies by its velocity
     receiver_status_hz: float = 4.0

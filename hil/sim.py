@@ -24,12 +24,13 @@ from hil.capture import Freeze
 from hil.faults import Fault, FaultTrigger, parse_fault
 from hil.faulty_link import MemoryHub
 from hil.monitors import Monitors, WatchedLog
+from hil.preparation import prepare, starting
 from hil.truth_log import TruthLog
 from hil.virtual_time import run_virtual
 from hil.world import World, WorldConfig
 from path.messages import Role
 
-TRUTH_PERIOD_S = 0.02
+TRUTH_PERIOD_S = 0.04
 GROUND_PERIOD_S = 0.05  # while not both are in the air
 RUN_LIMIT_S = 400.0
 LANDING_LIMIT_S = 45.0
@@ -59,6 +60,7 @@ class SimHarness:
 
     def fly(self, request: FlightRequest) -> FlightReport:
         faults = [parse_fault(text) for text in request.faults]
+        prepare(request.rig, lambda what: show_start(request, what))
         start_s = time.perf_counter()
         gc.disable()  # nothing here lives in cycles, and collecting takes a tenth of the time
         try:
@@ -66,6 +68,11 @@ class SimHarness:
         finally:
             gc.enable()
         return FlightReport(**findings, wall_s=time.perf_counter() - start_s)
+
+
+def show_start(request: FlightRequest, what: str) -> None:
+    for role in Role:
+        request.emit(starting(role, what))
 
 
 class _Flight:

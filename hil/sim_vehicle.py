@@ -20,7 +20,7 @@ from hil.autopilot import Ack, Autopilot
 from hil.world import Telemetry, World
 from path.messages import Quat, Role
 
-POLL_S = 0.02
+POLL_S = 0.05
 SETTLED_MPS = 0.3
 SETPOINT_PERIOD_S = 0.05  # while the vehicle has not shown OFFBOARD yet
 

@@ -21,6 +21,7 @@ from drivers.log import LogRecord, read_log
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, decode_event
 from hil.faults import Fault, FaultTrigger, parse_fault
 from hil.monitors import Monitors
+from hil.preparation import starting
 from hil.shared_camera import RUN_VARIABLE
 from path.messages import Role
 
@@ -89,11 +90,6 @@ async def _start_world(
                         request.emit(starting(role, str(event["what"])))
     except TimeoutError:
         raise HarnessFailure(f"the world was not ready within {WORLD_READY_S:.0f} s") from None
-
-
-def starting(role: Role, what: str) -> Progress:
-    """What the console shows while there is no role yet."""
-    return Progress(role, 0, "starting", 0, 0, None, None, None, 0.0, False, what)
 
 
 async def _read_json(process: asyncio.subprocess.Process) -> dict[str, Any]:

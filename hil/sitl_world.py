@@ -33,13 +33,12 @@ from hil.faults import FAULTS
 from hil.faulty_link import LinkFaults, ProxySide, UdpFaultProxy
 from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.monitors import Monitors
+from hil.preparation import prepare
 from hil.render.renderer import Renderer
-from hil.render.renderer import warm_up as warm_up_renderer
 from hil.shared_camera import RUN_VARIABLE, SharedCameraWriter
 from hil.sim import down, min_separation_m
 from hil.truth_log import TruthLog
 from hil.world import World, WorldConfig
-from path.marker.warm_up import warm_up as warm_up_marker
 from path.messages import Role
 
 STEP_S = 0.005
@@ -117,7 +116,7 @@ class SitlWorld:
 
     async def run(self) -> None:
         rig, live = self._rig, self._live
-        prepare()
+        prepare(rig, lambda what: say({"event": "warming", "what": what}))
         async with AsyncExitStack() as stack:
             log = stack.enter_context(McapLog(self._out / "world.mcap"))
             self._proxy = await stack.enter_async_context(UdpFaultProxy(*proxy_sides(rig), self._seed))
@@ -247,18 +246,6 @@ def _running(camera: CameraThread) -> Generator[None, None, None]:
     finally:
         camera.ending.set()
         camera.join()
-
-
-def prepare() -> None:
-    """Compile every kernel that this process and the roles use, or find it compiled: roles then start at once."""
-
-    def show(what: str) -> None:
-        say({"event": "warming", "what": what})
-
-    show("preparing: kernels are compiled at the first start, for about half a minute")
-    warm_up_renderer(lambda stage, number, of: show(f"preparing the renderer: {stage}, {number} of {of}"))
-    show("preparing the marker finder")
-    warm_up_marker()
 
 
 def say(event: dict[str, Any]) -> None:

@@ -37,7 +37,7 @@ from path.protocol.values import Outcome as Decision
 
 Machine = TypeVar("Machine", SenderMachine, ReceiverMachine)
 
-_TICK_S = 0.05  # as fine as the protocol repeats itself
+_TICK_S = 0.1  # at the longest: an answer may have set a machine an earlier deadline
 
 
 def protocol_config(session: Session) -> ProtocolConfig:
@@ -120,10 +120,12 @@ class _Handover(Generic[Machine]):
     async def _tick(self) -> None:
         """Let the machine know when time has brought something about, for ever."""
         while True:
-            await asyncio.sleep(_TICK_S)
             wake_ns, now_ns = self._machine.wake_ns, self._session.now_ns()
             if wake_ns is not None and now_ns >= wake_ns:
                 self._carrier.carry_out(self._machine.step(Tick(), now_ns))
+                wake_ns = self._machine.wake_ns
+            ahead_s = _TICK_S if wake_ns is None else (wake_ns - now_ns) * 1e-9
+            await asyncio.sleep(min(max(ahead_s, 0.005), _TICK_S))
 
     def _step(self, event: Any) -> None:
         self._carrier.carry_out(self._machine.step(event, self._session.now_ns()))

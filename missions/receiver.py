@@ -40,6 +40,7 @@ _ARRIVED_S = 0.6
 _RETREAT_M = 1.8
 _ABLE_S = 0.5
 _REPLAN_S = 0.5
+_PEER_POLL_S = 0.25
 _LEAN_SHARE = 0.05  # of each frame in the smoothed lean
 
 
@@ -300,7 +301,7 @@ class Receiver:
                 raise MissionEnd(Outcome.PEER_LOST, f"nothing heard from the sender for {limit_s:.0f} s")
             if not self._handover.holds and session.peer is not None and session.peer.phase >= Phase.DEPART:
                 raise MissionEnd(Outcome.PEER_ABORTED, "the sender is on its way down")
-            await asyncio.sleep(0.1)
+            await asyncio.sleep(_PEER_POLL_S)
 
     def _cycle_once(self, view: View, R_n_b: Matrix) -> None:
         """One cycle of PATH: the marker gives the pose, the pose the prior, the detector looks there, D1 gets a box."""

@@ -27,6 +27,7 @@ from path.observations import Missed, MissReason
 from path.sender import Pair, SenderCycle
 
 _STEADY_FRAMES = 5
+_PEER_POLL_S = 0.25
 _STEADY_M = 0.25
 
 
@@ -155,7 +156,7 @@ class Sender:
         while not self._handover.released:
             if self._session.peer_silence_s() > limit_s:
                 raise MissionEnd(Outcome.PEER_LOST, f"nothing heard from the receiver for {limit_s:.0f} s")
-            await asyncio.sleep(0.1)
+            await asyncio.sleep(_PEER_POLL_S)
 
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
         """Take the object at the designated place for the target once it was seen there in several frames."""
