@@ -64,7 +64,7 @@ class Pilot:
             self._log.write(
                 "/setpoint", now_ns, {"velocity_n_mps": self._last.velocity_n_mps, "yaw_rad": self._last.yaw_rad}
             )
-            # A late tick is not made up for: the next one comes a full period after a stall.
+            # Late ticks are not made up for: after a stall one comes at once, and then again one each period.
             due_s = max(due_s + period_s, loop.time())
             await asyncio.sleep(due_s - loop.time())
 

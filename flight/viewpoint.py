@@ -149,7 +149,7 @@ def _lean(down_h: Floats) -> Floats:
 def _look(places_h: Floats, scene: Scene, camera: CameraModel, T_b_c: Pose, lean: Floats) -> tuple[Floats, Floats]:
     """Yaws between the bearings of marker and target, and the smaller margin (px) of the two, of shape (n, shares).
 
-    The margin is minus infinity where the camera sees one of them not at all: it is behind it, or beyond the lens's rim.
+    The margin is minus infinity where one of them is behind the camera, or beyond the rim of the lens.
     """
     points_h = np.stack([np.zeros(3), scene.target_h_m])[None] - places_h[:, None]  # (n, 2, 3) from the camera
     bearings = np.arctan2(points_h[:, :, 1], points_h[:, :, 0])
