@@ -1,0 +1,252 @@
+"""Following one object: it must be where it is expected, be told apart from what looks alike, and survive gaps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from flight.guidance import Vec3, norm, subtract
+from flight.tracking import MIN_SCORE, Sighting, TargetTrack, acquire, follow, point_in_camera, to_local
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.observations import Box, Depth, Detection, MarkerDetection, MissReason, Region
+
+CAMERA = CameraModel(640, 480, 615.0, 615.0, 320.0, 240.0, (0.1, -0.2, 0.0005, -0.0005, 0.05))
+C = math.sqrt(0.5)
+# two metres up, looking north and 45 degrees down
+T_N_C = Pose(np.array([[0.0, -C, C], [1.0, 0.0, 0.0], [0.0, C, C]]), np.array([0.0, 0.0, -2.0]))
+PLACE: Vec3 = (2.0, 0.0, -0.1)
+SECOND = 1_000_000_000
+
+
+@dataclass
+class FakeView:
+    """Objects at places in NED, each with a box of 60 x 40 px around its pixel."""
+
+    places: Sequence[Vec3]
+    stamp_ns: int = 0
+    frame_id: int = 0
+    has_depth: bool = True
+    scores: Sequence[float] = ()
+
+    def boxes(self) -> list[Box]:
+        pixels = [self._seen(place)[0] for place in self.places]
+        return [Box(u - 30.0, v - 20.0, 60.0, 40.0) for u, v in pixels]
+
+    def targets(self, region: Region | None) -> Sequence[Detection]:
+        scores = self.scores or [0.9] * len(self.places)
+        found = [Detection(box, score) for box, score in zip(self.boxes(), scores, strict=True)]
+        return [d for d in found if region is None or region.contains(*d.box.center)]
+
+    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
+        return []
+
+    def depth(self, box: Box) -> Depth | None:
+        at = self.boxes().index(box)
+        return Depth(self._seen(self.places[at])[1], 0.01) if self.has_depth else None
+
+    def image(self) -> NDArray[np.uint8] | None:
+        return None
+
+    @staticmethod
+    def _seen(place: Vec3) -> tuple[tuple[float, float], float]:
+        x, y, z = T_N_C.inverse().apply(np.array(place)).tolist()
+        return CAMERA.project_point((x, y, z)), z
+
+
+def tracked(view: FakeView, track: TargetTrack) -> Sighting:
+    seen = follow(view, T_N_C, CAMERA, track)
+    assert isinstance(seen, Sighting), seen
+    return seen
+
+
+def beside(place: Vec3, east_m: float) -> Vec3:
+    return place[0], place[1] + east_m, place[2]
+
+
+# --- geometry --------------------------------------------------------------------------------------------------
+
+
+@given(st.floats(1.0, 3.5), st.floats(-0.8, 0.8), st.floats(-0.5, 0.0))
+def test_a_box_and_its_depth_give_back_the_place(north: float, east: float, down: float) -> None:
+    view = FakeView([(north, east, down)])
+    box = view.boxes()[0]
+    depth = view.depth(box)
+    assert depth is not None
+    assert to_local(point_in_camera(box, depth.z_m, CAMERA), T_N_C) == pytest.approx((north, east, down), abs=1e-6)
+
+
+# --- the designated object ---------------------------------------------------------------------------------------
+
+
+def test_the_object_nearest_to_the_place_is_acquired() -> None:
+    view = FakeView([beside(PLACE, 0.6), beside(PLACE, -0.2), beside(PLACE, 0.4)])
+    found = acquire(view, T_N_C, CAMERA, PLACE, 0.9)
+    assert not isinstance(found, MissReason)
+    sighting, position = found
+    assert sighting.box == view.boxes()[1]
+    assert position == pytest.approx(beside(PLACE, -0.2), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        FakeView([]),
+        FakeView([beside(PLACE, 0.95)]),
+        FakeView([PLACE], has_depth=False),
+        FakeView([PLACE], scores=[MIN_SCORE - 0.01]),
+    ],
+    ids=["nothing", "too far from the place", "no depth", "hardly an object"],
+)
+def test_nothing_is_acquired_that_may_not_be_the_one_meant(view: FakeView) -> None:
+    assert acquire(view, T_N_C, CAMERA, PLACE, 0.9) is MissReason.NO_TARGET
+
+
+# --- following ---------------------------------------------------------------------------------------------------
+
+
+def test_a_moving_object_is_followed_and_its_velocity_learnt() -> None:
+    track = TargetTrack(PLACE, 0)
+    for k in range(1, 151):
+        place = beside(PLACE, 0.4 * k / 50)
+        assert tracked(FakeView([place], k * SECOND // 50), track).box == FakeView([place]).boxes()[0]
+    assert norm(subtract(track.position_n_m, beside(PLACE, 1.2))) < 0.03
+    assert track.velocity_n_mps == pytest.approx((0.0, 0.4, 0.0), abs=0.03)
+    assert track.seen_ns == 3 * SECOND
+
+
+def test_an_object_far_from_the_prediction_is_not_the_target() -> None:
+    track = settled(PLACE)
+    view = FakeView([beside(PLACE, 0.9)], track.stamp_ns + SECOND // 50)
+    before = (track.position_n_m, track.seen_ns)
+    assert follow(view, T_N_C, CAMERA, track) is MissReason.NO_TARGET
+    assert (track.position_n_m, track.seen_ns) == before
+
+
+def settled(place: Vec3) -> TargetTrack:
+    track = TargetTrack(place, 0)
+    for k in range(1, 51):
+        tracked(FakeView([place], k * SECOND // 50), track)
+    return track
+
+
+@pytest.mark.parametrize(
+    ("target_m", "other_m", "told_apart"),
+    [(0.0, 0.25, True), (0.05, 0.2, True), (0.1, -0.12, False), (0.1, 0.15, False), (0.02, 0.6, True)],
+)
+def test_a_look_alike_nearly_as_near_is_not_told_apart(target_m: float, other_m: float, told_apart: bool) -> None:
+    track = settled(PLACE)
+    for order in (1, -1):
+        view = FakeView([beside(PLACE, target_m), beside(PLACE, other_m)][::order], track.stamp_ns + SECOND // 50)
+        seen = follow(view, T_N_C, CAMERA, track)
+        if told_apart:
+            assert isinstance(seen, Sighting)
+            assert seen.box == FakeView([beside(PLACE, target_m)]).boxes()[0]
+        else:
+            assert seen is MissReason.AMBIGUOUS_TARGET
+
+
+def test_what_is_hardly_an_object_makes_nothing_ambiguous() -> None:
+    track = settled(PLACE)
+    view = FakeView([beside(PLACE, 0.05), beside(PLACE, 0.06)], track.stamp_ns + SECOND // 50, scores=[0.9, 0.2])
+    assert tracked(view, track).box == view.boxes()[0]
+
+
+def test_an_ambiguous_frame_leaves_the_track_as_it_was() -> None:
+    track = settled(PLACE)
+    before = (track.position_n_m, track.velocity_n_mps, track.seen_ns)
+    follow(FakeView([beside(PLACE, 0.1), beside(PLACE, -0.1)], track.stamp_ns + SECOND // 50), T_N_C, CAMERA, track)
+    assert (track.position_n_m, track.velocity_n_mps, track.seen_ns) == before
+
+
+def test_the_target_is_found_again_where_it_must_be_after_a_gap() -> None:
+    """It moved 0.4 m unseen, a look-alike stands where it was."""
+    track = TargetTrack(PLACE, 0)
+    for k in range(1, 101):
+        tracked(FakeView([beside(PLACE, 0.4 * k / 50)], k * SECOND // 50), track)
+    gone = beside(PLACE, 0.8)
+    view = FakeView([gone, beside(gone, 0.4)], track.stamp_ns + SECOND)
+    assert tracked(view, track).box == view.boxes()[1]
+
+
+def test_without_depth_the_target_is_followed_at_the_height_it_had() -> None:
+    track = settled(PLACE)
+    for k in range(1, 101):
+        place = beside(PLACE, 0.3 * k / 50)
+        seen = tracked(FakeView([place], track.stamp_ns + SECOND // 50, has_depth=False), track)
+        assert seen.depth is None
+    assert track.position_n_m == pytest.approx(beside(PLACE, 0.6), abs=0.03)
+    assert track.position_n_m[2] == pytest.approx(PLACE[2], abs=1e-6)
+    assert track.velocity_n_mps == pytest.approx((0.0, 0.3, 0.0), abs=0.05)
+
+
+def test_a_ray_that_hardly_comes_down_places_nothing() -> None:
+    """Looking level, a pixel near the horizon says nothing about the distance: seen, but not measured."""
+    level = Pose(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([0.0, 0.0, -0.4]))
+    track = TargetTrack(PLACE, 0)
+
+    class LevelView(FakeView):
+        def boxes(self) -> list[Box]:
+            x, y, z = level.inverse().apply(np.array(PLACE)).tolist()
+            u, v = CAMERA.project_point((x, y, z))
+            return [Box(u - 30.0, v - 20.0, 60.0, 40.0)]
+
+    seen = follow(LevelView([PLACE], SECOND // 50, has_depth=False), level, CAMERA, track)
+    assert isinstance(seen, Sighting)
+    assert (track.position_n_m, track.seen_ns) == (PLACE, 0)
+
+
+@pytest.mark.parametrize("place", [(-2.0, 0.0, -0.1), (2.0, 5.0, -0.1), (0.0, 0.0, -3.0)])
+def test_a_target_outside_the_image_is_not_looked_for(place: Vec3) -> None:
+    class Blind(FakeView):
+        def targets(self, region: Region | None) -> Sequence[Detection]:
+            raise AssertionError("nothing to be seen there")
+
+    assert follow(Blind([]), T_N_C, CAMERA, TargetTrack(place, 0)) is MissReason.NO_TARGET
+
+
+# --- the filter --------------------------------------------------------------------------------------------------
+
+
+def test_a_coast_grows_less_sure_and_leaves_the_filter_as_it_is() -> None:
+    track = settled(PLACE)
+    sigmas = [track.predict(track.stamp_ns + k * SECOND // 2)[1] for k in range(5)]
+    assert sigmas == sorted(sigmas)
+    assert sigmas[-1] > 4.0 * sigmas[0]
+    assert track.predict(track.stamp_ns + 2 * SECOND)[1] == sigmas[4]
+
+
+def test_an_older_measurement_is_ignored() -> None:
+    track = settled(PLACE)
+    before = (track.position_n_m, track.velocity_n_mps, track.stamp_ns, track.seen_ns)
+    track.update((9.0, 9.0, 9.0), track.stamp_ns - 1)
+    assert (track.position_n_m, track.velocity_n_mps, track.stamp_ns, track.seen_ns) == before
+
+
+def test_the_past_is_not_predicted_by_going_back() -> None:
+    track = settled(PLACE)
+    track.velocity_n_mps = (1.0, 0.0, 0.0)
+    assert track.predict(track.stamp_ns - SECOND)[0] == track.position_n_m
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_filter_is_as_sure_as_it_may_be(seed: int) -> None:
+    """Noise of 0.05 m on a steady course: the error stays within a few of its own standard deviations."""
+    rng = np.random.default_rng(seed)
+    velocity = rng.uniform(-0.4, 0.4, 3)
+    track = TargetTrack((0.0, 0.0, 0.0), 0)
+    for k in range(1, 101):
+        place = velocity * k / 50
+        north, east, down = (place + rng.normal(0.0, 0.05, 3)).tolist()
+        track.update((north, east, down), k * SECOND // 50)
+    at, sigma_m = track.predict(2 * SECOND)
+    assert 0.005 < sigma_m < 0.05
+    north, east, down = (velocity * 2.0).tolist()
+    assert norm(subtract(at, (north, east, down))) < 6.0 * sigma_m
