@@ -1,0 +1,116 @@
+"""Whole handoffs in virtual time: how they end with and without faults, and that a seed gives one run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from missions import rig_library
+from missions.handoff import fly_once
+from missions.records import RunFacts, load_run
+from missions.summary import summarize
+from path.messages import Role
+
+LOGS = ("sender.mcap", "receiver.mcap", "world.mcap")
+
+
+def fly(rig: str, out: Path, seed: int = 1, *faults: str) -> tuple[RunFacts, dict[str, Any]]:
+    out.mkdir(exist_ok=True)
+    facts = fly_once(rig_library.load(rig), seed, faults, out, lambda _: None)
+    return facts, summarize(load_run(out))
+
+
+def last_outcome(out: Path, role: Role) -> dict[str, Any]:
+    return load_run(out).role(role)["/outcome"][-1].record
+
+
+def responsible_at_the_end(out: Path, role: Role) -> bool:
+    records = load_run(out).role(role).get("/responsibility", ())
+    return bool(records and records[-1].record["responsible"])
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_handoff_commits_and_breaks_no_rule(tmp_path: Path, seed: int) -> None:
+    facts, summary = fly("sim", tmp_path, seed)
+    assert (facts.outcome, facts.exit_code) == ("committed", 0), facts.detail
+    assert facts.violations == {}
+    assert summary["wrong_handover"] is False
+    assert summary["count_max"] >= 350
+    assert summary["agreement_s"] > 6.9
+    assert summary["min_separation_m"] > 0.7
+    assert summary["d2_error_m"] < 0.05
+    assert summary["target_error_m"] < 0.05
+    assert not responsible_at_the_end(tmp_path, Role.SENDER)
+    assert responsible_at_the_end(tmp_path, Role.RECEIVER)
+
+
+def test_rendered_frames_through_the_whole_perception_commit(tmp_path: Path) -> None:
+    facts, summary = fly("sim-rendered", tmp_path, 7)
+    assert facts.outcome == "committed", facts.detail
+    assert facts.violations == {}
+    assert summary["wrong_handover"] is False
+    assert summary["d2_error_m"] < 0.008
+    assert len(load_run(tmp_path).receiver["/image"]) > 0
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
+    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
+        fly("sim", tmp_path / name, seed)
+    for log in LOGS:
+        first, again, other = ((tmp_path / name / log).read_bytes() for name in "abc")
+        assert first == again, log
+        assert first != other, log
+
+
+@pytest.mark.parametrize(
+    ("fault", "outcome"),
+    [
+        ("marker_hidden", "marker_lost"),
+        ("depth_holes", "no_agreement"),
+        ("camera_freeze", "camera_lost"),
+        ("kill_receiver", "crashed"),
+        ("kill_sender", "crashed"),
+        ("fc_link_loss", "vehicle_lost"),
+        ("pilot_takeover", "pilot_override"),
+        ("battery_sag", "guard"),
+    ],
+)
+def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(tmp_path: Path, fault: str, outcome: str) -> None:
+    facts, _ = fly("sim", tmp_path, 1, fault)
+    assert facts.outcome == outcome, facts.detail
+    assert facts.exit_code != 0
+    assert facts.violations == {}
+    assert not load_run(tmp_path).sender.get("/commit")
+    assert not responsible_at_the_end(tmp_path, Role.RECEIVER)
+    if fault != "kill_sender":
+        assert responsible_at_the_end(tmp_path, Role.SENDER)
+    last = load_run(tmp_path).world["/truth"][-1].record
+    if fault != "pilot_takeover":  # a pilot who took over keeps the vehicle
+        assert not last["sender"]["in_air"]
+        assert not last["receiver"]["in_air"]
+
+
+def test_the_other_drone_lands_by_itself_when_one_program_dies(tmp_path: Path) -> None:
+    fly("sim", tmp_path, 1, "kill_receiver")
+    assert last_outcome(tmp_path, Role.SENDER) | {"detail": ""} == {
+        "outcome": "peer_lost",
+        "detail": "",
+        "responsible": True,
+        "landed": True,
+    }
+
+
+@pytest.mark.parametrize("faults", [("link_loss=0.3",), ("lookalike",), ("link_loss=0.2", "lookalike")])
+def test_loss_and_look_alikes_delay_a_handoff_but_never_mislead_it(tmp_path: Path, faults: tuple[str, ...]) -> None:
+    facts, summary = fly("sim", tmp_path, 2, *faults)
+    assert facts.outcome in ("committed", "no_agreement"), facts.detail
+    assert facts.violations == {}
+    assert summary["wrong_handover"] is not True
+
+
+def test_nothing_is_agreed_on_a_link_that_loses_nearly_everything(tmp_path: Path) -> None:
+    facts, _ = fly("sim", tmp_path, 1, "link_loss=0.97")
+    assert facts.outcome not in ("committed", "monitor_violated", "harness_failed")
+    assert facts.violations == {}
