@@ -20,6 +20,8 @@ from path.marker.layout import MarkerLayout
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 from path.target import registered_depth
 
+Corners = Literal["photometric", "subpix"]
+
 
 @dataclass(frozen=True, slots=True)
 class PixelSightConfig:
@@ -33,7 +35,7 @@ class PixelSightConfig:
 
     camera: PartSpec
     detector: PartSpec
-    corners: Literal["photometric", "subpix"] = "photometric"
+    corners: Corners = "photometric"
     method: MethodConfig = field(default_factory=MethodConfig)
     max_old_frames: int = 30
 
@@ -76,24 +78,27 @@ class PixelSight:
         """
         frame = await self._freshness.next(self._camera.read, timeout_s)
         _check_size(frame, self.model)
-        return PixelView(frame, self.model, self._detector, self._layout, self._config)
+        config = self._config
+        return PixelView(frame, self.model, self._layout, self._detector, config.method, config.corners)
 
 
 class PixelView:
     """Implements ``drivers.interfaces.View`` on one frame. Every question is answered from the pixels when asked."""
 
-    __slots__ = ("_config", "_detector", "_frame", "_layout", "_model")
+    __slots__ = ("_corners", "_detector", "_frame", "_layout", "_method", "_model")
 
     def __init__(
         self,
         frame: Frame,
         model: CameraModel,
-        detector: Detector,
         layout: MarkerLayout,
-        config: PixelSightConfig,
+        detector: Detector,
+        method: MethodConfig,
+        corners: Corners = "photometric",
     ) -> None:
-        self._frame, self._model = frame, model
-        self._detector, self._layout, self._config = detector, layout, config
+        self._frame, self._model, self._layout = frame, model, layout
+        self._detector, self._method = detector, method
+        self._corners: Corners = corners
 
     @property
     def stamp_ns(self) -> int:
@@ -109,12 +114,12 @@ class PixelView:
 
     def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
         """Markers of the layout in ``region``."""
-        return detect_markers(self._frame.color, region, self._layout, self._model, refine=self._config.corners)
+        return detect_markers(self._frame.color, region, self._layout, self._model, refine=self._corners)
 
     def depth(self, box: Box) -> Depth | None:
         """Robust depth over a box (``path.target.registered_depth``); None without a depth stream."""
         depth_mm = self._frame.depth_mm
-        return None if depth_mm is None else registered_depth(depth_mm, box, self._config.method)
+        return None if depth_mm is None else registered_depth(depth_mm, box, self._method)
 
     def image(self) -> NDArray[np.uint8]:
         return self._frame.color

@@ -18,8 +18,10 @@ class MarkerNoise(NamedTuple):
     half_side_px: float
     half_side_per_scale_px: float
     side_slope_per_px: float
+    lapse_rate: float
     corner_sigma_px2: float
     corner_floor_px: float
+    corner_spread: float
     claimed_factor: float
     coarse_rate: float
     coarse_sigma_px: float
@@ -51,18 +53,20 @@ def marker(boxes, extents, per_car, frame, lens, R, t, corners, region, scale, n
         a, b = pixels[k], pixels[(k + 1) % 4]
         side = min(side, math.hypot(b[0] - a[0], b[1] - a[1]))
     half = noise.half_side_px + noise.half_side_per_scale_px * (LARGEST_SCALE - scale)
-    chance = 1.0 / (1.0 + math.exp(-noise.side_slope_per_px * (side - half)))
+    chance = (1.0 - noise.lapse_rate) / (1.0 + math.exp(-noise.side_slope_per_px * (side - half)))
     if not _inside(pixels, region, lens, side / 12.0) or uniform(mix(key, 200)) > chance:
         return False
     if _covered(boxes, extents, per_car, lens, at):
         return False
+    draws = np.empty(9)
+    gauss(key, draws)
     sigma = math.hypot(noise.corner_sigma_px2 / side, noise.corner_floor_px)
     found[8] = noise.claimed_factor * sigma
+    sigma *= math.exp(noise.corner_spread * draws[8])
     if uniform(mix(key, 201)) < noise.coarse_rate:
         sigma = found[8] = noise.coarse_sigma_px
-    gauss(key, found[:8])
     for k in range(8):
-        found[k] = pixels[k // 2, k % 2] + sigma * found[k]
+        found[k] = pixels[k // 2, k % 2] + sigma * draws[k]
     return True
 
 

@@ -121,6 +121,7 @@ class Sensor:
             method.max_depth_spread_m,
             method.depth_sigma_at_1m_m,
         )
+        self.depth_noise = (noise.depth_sigma_at_1m_m, noise.depth_common_sigma_at_1m_m)
         self.markers = [(m.id, setup.T_b_v.apply(m.corners_v)) for m in setup.layout.markers]
         if setup.role is Role.SENDER:
             self.markers = []  # it carries them
@@ -198,7 +199,7 @@ class GeometricView:
             self._snapshot.depth_holes,
             (box.x, box.y, box.w, box.h),
             sensor.depth,
-            sensor.noise.depth_sigma_at_1m_m,
+            sensor.depth_noise,
             key,
         )
         return Depth(z_m, sigma_m) if z_m > 0.0 else None

@@ -256,7 +256,7 @@ def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, nois
         hidden: nothing is measured on cars.
         box: x y w h.
         settings: the method's, as ``DepthSettings``.
-        noise: of one pixel at 1 m, in m; it grows with the square of the depth.
+        noise: of one pixel, and of all together, at 1 m, in m; it grows with the square of the depth.
 
     Returns:
         Depth and its standard deviation in m; negative when there is none.
@@ -269,7 +269,7 @@ def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, nois
     asked = (x1 - x0) * (y1 - y0)
     if x1 <= x0 or y1 <= y0:
         return -1.0, -1.0
-    pixels, rays, draws, found = np.empty((n * n, 2)), np.empty((n * n, 2)), np.empty(n * n), np.empty(n * n)
+    pixels, rays, draws, found = np.empty((n * n, 2)), np.empty((n * n, 2)), np.empty(n * n + 1), np.empty(n * n)
     sample_rays(lens, x0, y0, x1, y1, n, pixels, rays)
     gauss(key, draws)
     count = 0
@@ -280,7 +280,7 @@ def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, nois
         floor = -frame[EYE + 2] / sinking if sinking < -1e-9 else np.inf
         if floor < z:
             z, who = floor, -1
-        z += noise * z * z * draws[k]
+        z += noise[0] * z * z * draws[k]
         if settings.min_m <= z <= settings.max_m and not (hidden and 0 <= who < extents.shape[0] - 1):
             found[count] = z
             count += 1
@@ -299,4 +299,4 @@ def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, nois
     z = np.median(found[:kept])
     independent = max(1.0, valid / CORRELATED_PIXELS)
     sigma = math.hypot(sigma_1m * z * z, MEDIAN_TO_MEAN * spread / math.sqrt(independent))
-    return z, sigma
+    return z + noise[1] * z * z * draws[n * n], sigma

@@ -15,37 +15,39 @@ from hil.geometric_markers import MarkerNoise
 from hil.geometric_targets import TargetNoise
 
 TARGET_NOISE = TargetNoise(
-    bias_left_px=0.12,
-    bias_top_px=-0.02,
-    bias_right_px=-0.11,
+    bias_left_px=0.14,
+    bias_top_px=0.0,
+    bias_right_px=-0.14,
     bias_bottom_px=-0.44,
-    edge_sigma_px=0.20,
-    outlier_rate=0.01,
-    outlier_sigma_px=3.0,
+    edge_sigma_px=0.22,
+    outlier_rate=0.016,
+    outlier_sigma_px=5.6,
     miss_rate=0.0,
-    score=0.88,
-    score_sigma=0.025,
+    score=0.887,
+    score_sigma=0.023,
     odd_rate=0.003,
     odd_score=0.3,
-    merge_contact=0.6,
+    merge_contact=0.55,
     merge_slope=12.0,
     touching_odd_rate=0.05,
     hidden_share=0.15,
     occluded_sigma_px=3.0,
-    occluded_odd_rate=0.4,
+    occluded_odd_rate=0.25,
     border_score=0.2,
     min_side_px=10.0,
     max_side_px=300.0,
 )
 
 MARKER_NOISE = MarkerNoise(
-    half_side_px=7.6,
-    half_side_per_scale_px=0.8,
-    side_slope_per_px=1.3,
-    corner_sigma_px2=0.30,
-    corner_floor_px=0.005,
-    claimed_factor=1.46,
-    coarse_rate=0.005,
+    half_side_px=8.0,
+    half_side_per_scale_px=0.66,
+    side_slope_per_px=3.0,
+    lapse_rate=0.0014,
+    corner_sigma_px2=0.26,
+    corner_floor_px=0.0,
+    corner_spread=0.31,
+    claimed_factor=1.53,
+    coarse_rate=0.001,
     coarse_sigma_px=0.5,
     max_incidence_cos=0.17,
 )
@@ -65,15 +67,19 @@ class ObservationNoise:
             and is odd at ``occluded_odd_rate``. ``border_score``: factor when the image cuts it.
         marker: A marker is found with a probability that is 1/2 where its shortest side has ``half_side_px`` px when
             it is searched at four times the size, ``half_side_per_scale_px`` more for each time less, and whose logit
-            grows by ``side_slope_per_px``. Its corners are off by ``corner_sigma_px2`` / side, independently, at least
-            ``corner_floor_px``, and claim ``claimed_factor`` times that; at ``coarse_rate`` the photometric fit fails
-            and they are off by ``coarse_sigma_px``.
+            grows by ``side_slope_per_px``; a share ``lapse_rate`` is missed at any size. Its corners are off by
+            ``corner_sigma_px2`` / side and ``corner_floor_px`` (root of the sum of squares), independently, in one
+            frame more than in another (log-normal, standard deviation ``corner_spread`` of the logarithm), and claim
+            ``claimed_factor`` times that; at ``coarse_rate`` the photometric fit fails and they are off by
+            ``coarse_sigma_px``.
         depth_sigma_at_1m_m: noise of one pixel of the depth camera at 1 m; it grows with the square of the depth.
+        depth_common_sigma_at_1m_m: the part that is left of it over a box, as neighbours err together.
     """
 
     targets: TargetNoise = TARGET_NOISE
     marker: MarkerNoise = MARKER_NOISE
     depth_sigma_at_1m_m: float = 0.005
+    depth_common_sigma_at_1m_m: float = 0.0012
 
 
 EXACT = ObservationNoise(
@@ -90,7 +96,15 @@ EXACT = ObservationNoise(
         occluded_sigma_px=0.0,
         occluded_odd_rate=0.0,
     ),
-    MARKER_NOISE._replace(half_side_px=-1e9, corner_sigma_px2=0.0, corner_floor_px=0.0, coarse_rate=0.0),
+    MARKER_NOISE._replace(
+        half_side_px=-1e9,
+        lapse_rate=0.0,
+        corner_sigma_px2=0.0,
+        corner_floor_px=0.0,
+        corner_spread=0.0,
+        coarse_rate=0.0,
+    ),
+    0.0,
     0.0,
 )
 """Geometry as it is: for tests, and what the noise is measured against."""
