@@ -14,26 +14,27 @@ from drivers.rig import Rig
 from flight.config import MissionConfig
 from flight.eye import Eye
 from flight.guard import check_separation
-from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, scale, subtract
+from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, subtract
 from flight.harness import Emit, InProcess, RoleResult
 from flight.marker_view import MarkerFix, MarkerView
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
+from flight.rendezvous import Rendezvous
 from flight.tracking import Sighting, TargetTrack, follow, point_in_camera, to_local
-from flight.viewpoint import NoViewpoint, Scene, Viewpoint, plan_viewpoint
+from flight.viewpoint import NoViewpoint
 from missions.handover import ReceiverHandover
 from missions.journal import box_record, candidate_record, marker_miss_record, marker_record
 from missions.rig_library import mission_of
 from missions.session import Session, fly_course, open_session
 from missions.steps import bring_down, preflight, take_off
 from path.geometry import Matrix, Pose
-from path.messages import Candidate, Role, Target
+from path.messages import Candidate, Role, Status, Target
 from path.observations import Missed, MissReason
 from path.prior import Prior
 from path.protocol.values import Handoff
 from path.receiver import ReceiverCycle
 from path.rigid import inverse_as_quat, rigid
-from path.rotation import wrapped, yaw_of
+from path.rotation import yaw_of
 
 _FIXES_TO_APPROACH = 5
 _ARRIVED_S = 0.6
@@ -41,7 +42,6 @@ _RETREAT_M = 1.8
 _ABLE_S = 0.5
 _REPLAN_S = 0.5
 _PEER_POLL_S = 0.25
-_LEAN_SHARE = 0.05  # of each frame in the smoothed lean
 
 
 async def run_receiver(
@@ -63,16 +63,15 @@ class Receiver:
         self._session = session
         self._config: MissionConfig = config
         self._camera = rig.receiver.camera
-        self._mount = rig.receiver.mount
         self._eye = Eye(session.vehicle, rig.receiver.mount)
         self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.method, config)
         self._handover = ReceiverHandover(session, self._able)
         self._cycle: ReceiverCycle | None = None
-        self._viewpoint: Viewpoint | None = None
+        self._rendezvous = Rendezvous(
+            config, self._camera, rig.receiver.mount, self._marker, self._peer, session.now_ns
+        )
         self._newest: Target | None = None
-        self._lean_n: Vec3 = (0.0, 0.0, 1.0)  # own z axis in NED, smoothed: the wind leans a hovering drone
         self._live: Handoff | None = None
-        self._search_began_ns = 0
         self._following = False
         self._watching = True
         self._seen: View | None = None
@@ -97,12 +96,17 @@ class Receiver:
         await take_off(session, config.receiver_take_off_height_m)
 
         session.enter(Phase.STAND_OFF)
-        session.pilot.guidance = self._to_stand_off
-        await session.until(self._at_stand_off, deadlines.stand_off_s, Outcome.APPROACH_FAILED, "stand-off not reached")
+        session.pilot.guidance = self._rendezvous.to_stand_off
+        await session.until(
+            lambda: self._rendezvous.at_stand_off(session.vehicle.state),
+            deadlines.stand_off_s,
+            Outcome.APPROACH_FAILED,
+            "the stand-off was not reached",
+        )
 
         session.enter(Phase.SEARCH)
-        self._search_began_ns = session.now_ns()
-        session.pilot.guidance = self._search
+        self._rendezvous.begin_search()
+        session.pilot.guidance = self._rendezvous.search
         session.spawn(self._watch())
         await session.until(
             lambda: self._marker.fixes(session.now_ns()) >= _FIXES_TO_APPROACH,
@@ -113,7 +117,7 @@ class Receiver:
 
         await self._until_planned(deadlines.viewpoint_s)
         session.enter(Phase.APPROACH)
-        session.pilot.guidance = self._to_viewpoint
+        session.pilot.guidance = self._rendezvous.to_viewpoint
         await self._arrive(deadlines.approach_s)
 
         session.enter(Phase.VERIFY)
@@ -129,6 +133,11 @@ class Receiver:
         back = from_heading((-_RETREAT_M, 0.0, 0.0), yaw_of(self._session.vehicle.state.q_n_b))
         return await bring_down(self._session, end, back)
 
+    def _peer(self) -> Status:
+        peer = self._session.peer
+        assert peer is not None, "preflight waits for the sender's first Status"
+        return peer
+
     async def _arrive(self, timeout_s: float) -> None:
         """Until the camera is at the viewpoint, slow, for a while. Raises MissionEnd(APPROACH_FAILED)."""
         steady_since_ns = self._session.now_ns()
@@ -136,7 +145,7 @@ class Receiver:
         def arrived() -> bool:
             nonlocal steady_since_ns
             now_ns = self._session.now_ns()
-            if not self._at_viewpoint(now_ns):
+            if not self._rendezvous.at_viewpoint():
                 steady_since_ns = now_ns
             return (now_ns - steady_since_ns) * 1e-9 > _ARRIVED_S
 
@@ -146,111 +155,16 @@ class Receiver:
         """Plan until there is a viewpoint: the sender may still be on its way to its place behind the target."""
         loop = asyncio.get_running_loop()
         end_s = loop.time() + timeout_s
-        while isinstance(plan := self._plan(), NoViewpoint):
+        assert self._newest is not None
+        while isinstance(plan := self._rendezvous.plan(self._newest, self._session.rig.layout), NoViewpoint):
             if loop.time() > end_s:
                 raise MissionEnd(Outcome.NO_VIEWPOINT, str(plan))
             await asyncio.sleep(_REPLAN_S)
-        self._viewpoint = plan
         place = ", ".join(f"{part:+.2f}" for part in plan.camera_h_m)
         note = f"viewpoint ({place}) m from the marker, {plan.marker_px:.0f} px, margin {plan.margin_px:.0f} px"
         self._session.say(note)
 
-    def _plan(self) -> Viewpoint | NoViewpoint:
-        """The viewpoint for the geometry the sender reports now."""
-        target = self._newest
-        assert target is not None
-        R_h_v = _level(target.gravity_v, self._mount.T_b_v.R)
-        body_v = self._mount.T_b_v.inverse().t
-        scene = Scene(
-            target_h_m=R_h_v @ np.array(target.point_v_m),
-            marker_normal_h=R_h_v[:, 2],
-            marker_side_m=max(marker.side_m for marker in self._session.rig.layout.markers),
-            body_h_m=R_h_v @ body_v,
-        )
-        config, peer = self._config, self._session.peer
-        assert peer is not None
-        north, east, down = self._lean_n
-        tilt_h = np.array(from_heading((north, east, down), -peer.yaw_rad))
-        return plan_viewpoint(
-            scene,
-            self._camera,
-            self._mount.T_b_c,
-            config.rendezvous,
-            config.separation,
-            tilt_h / np.linalg.norm(tilt_h),
-        )
-
     # --- guidance ------------------------------------------------------------------------------------------------
-
-    def _to_stand_off(self, state: VehicleState) -> VelocitySetpoint:
-        """Along the planned line of sight, farther out, by the positions both drones report."""
-        place, yaw = self._stand_off_place()
-        return self._velocity(subtract(place, state.position_n_m), self._peer_velocity(), yaw)
-
-    def _stand_off_place(self) -> tuple[Vec3, float]:
-        """Where the marker is in the middle of the image if both positions are right, on the viewpoint's side."""
-        peer, viewpoint = self._session.peer, self._viewpoint
-        assert peer is not None and viewpoint is not None
-        forward, right, _ = viewpoint.camera_h_m
-        side = math.atan2(right, -forward)
-        steepness = math.asin(float(self._mount.T_b_c.R[2, 2]))  # how far below the horizon the camera looks
-        level_m = self._config.rendezvous.stand_off_m * math.cos(steepness)
-        height_m = self._config.rendezvous.stand_off_m * math.sin(steepness)
-        offset = from_heading((-level_m * math.cos(side), level_m * math.sin(side), -height_m), peer.yaw_rad)
-        return add(peer.position_n_m, offset), bearing(scale(offset, -1.0))
-
-    def _at_stand_off(self) -> bool:
-        place, _ = self._stand_off_place()
-        off = norm(subtract(place, self._session.vehicle.state.position_n_m))
-        return off < self._config.rendezvous.stand_off_tolerance_m
-
-    def _search(self, state: VehicleState) -> VelocitySetpoint:
-        """Slide to and fro around the stand-off, wider as time goes, until the marker shows."""
-        place, yaw = self._stand_off_place()
-        searched_s = max(0.0, (self._session.now_ns() - self._search_began_ns) * 1e-9 - 1.5)
-        reach_m = min(1.0, 0.1 * searched_s) * self._config.rendezvous.search_slide_m
-        slide = (0.0, reach_m * math.sin(0.9 * searched_s), reach_m * math.cos(0.6 * searched_s))
-        error = subtract(add(place, from_heading(slide, yaw)), state.position_n_m)
-        return self._velocity(error, self._peer_velocity(), yaw)
-
-    def _to_viewpoint(self, state: VehicleState) -> VelocitySetpoint:
-        """Close in on the planned place by the marker alone; without it, wait, then back off to see it again."""
-        session, rendezvous = self._session, self._config.rendezvous
-        now_ns = session.now_ns()
-        relative = self._marker.predict(now_ns)
-        if relative is None:
-            away = from_heading((-0.25, 0.0, 0.0), yaw_of(state.q_n_b))
-            return VelocitySetpoint(add(self._peer_velocity(), away), yaw_of(state.q_n_b))
-        error = subtract(self._wanted_place(), scale(relative.marker_n_m, -1.0))
-        speed = rendezvous.max_speed_mps
-        if relative.sigma_m > rendezvous.max_position_sigma_m:
-            speed *= 0.3
-        yaw = self._yaw_between(relative.marker_n_m)
-        velocity = close_in(error, self._peer_velocity(), rendezvous.gain_per_s, speed)
-        return VelocitySetpoint(velocity, yaw)
-
-    def _wanted_place(self) -> Vec3:
-        """D2's camera relative to the marker, in ``n``."""
-        peer, viewpoint = self._session.peer, self._viewpoint
-        assert peer is not None and viewpoint is not None
-        return from_heading(viewpoint.camera_h_m, peer.yaw_rad)
-
-    def _at_viewpoint(self, now_ns: int) -> bool:
-        relative = self._marker.predict(now_ns)
-        if relative is None:
-            return False
-        rendezvous = self._config.rendezvous
-        off = norm(subtract(self._wanted_place(), scale(relative.marker_n_m, -1.0)))
-        return off < rendezvous.arrived_m and norm(relative.velocity_n_mps) < rendezvous.arrived_speed_mps
-
-    def _yaw_between(self, marker_n_m: Vec3) -> float:
-        """So that marker and target share the image."""
-        to_marker = bearing(marker_n_m)
-        if self._marker.target_n_m is None:
-            peer, viewpoint = self._session.peer, self._viewpoint
-            assert peer is not None and viewpoint is not None
-            return peer.yaw_rad + viewpoint.yaw_h_rad
-        return to_marker + 0.5 * wrapped(bearing(self._marker.target_n_m) - to_marker)
 
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the place relative to the target that the hand-over found this drone in."""
@@ -258,16 +172,10 @@ class Receiver:
         target, _ = self._track.predict(self._session.now_ns())
         north, east, _ = self._track.velocity_n_mps
         error = subtract(add(target, self._keep_n_m), state.position_n_m)
-        return self._velocity(error, (north, east, 0.0), bearing(subtract(target, state.position_n_m)))
-
-    def _velocity(self, error_n_m: Vec3, feed_forward: Vec3, yaw_rad: float) -> VelocitySetpoint:
-        rendezvous = self._config.rendezvous
-        return VelocitySetpoint(close_in(error_n_m, feed_forward, rendezvous.gain_per_s, 1.0), yaw_rad)
-
-    def _peer_velocity(self) -> Vec3:
-        peer = self._session.peer
-        assert peer is not None
-        return peer.velocity_n_mps
+        velocity = close_in(
+            error, (north, east, 0.0), self._config.follow.gain_per_s, self._config.follow.max_speed_mps
+        )
+        return VelocitySetpoint(velocity, bearing(subtract(target, state.position_n_m)))
 
     # --- what runs beside the course -----------------------------------------------------------------------------
 
@@ -278,7 +186,7 @@ class Receiver:
             view = await session.sight.view(guard.frame_age_s)
             session.log.write("/frame", view.stamp_ns, {"frame_id": view.frame_id})
             R_n_b = self._eye.R_n_b(view.stamp_ns)
-            self._note_lean(R_n_b)
+            self._rendezvous.note_lean(R_n_b)
             if self._handover.holds:
                 self._follow_once(view, R_n_b)
             else:
@@ -287,10 +195,6 @@ class Receiver:
             self._seen = view
             if session.phase is Phase.FOLLOW:
                 await session.skip_frames()
-
-    def _note_lean(self, R_n_b: Matrix) -> None:
-        north, east, down = R_n_b[:, 2].tolist()
-        self._lean_n = add(scale(self._lean_n, 1.0 - _LEAN_SHARE), scale((north, east, down), _LEAN_SHARE))
 
     async def _watch_peer(self) -> None:
         """The sender must be heard until this drone holds the target for good."""
@@ -311,7 +215,7 @@ class Receiver:
         stamp_ns = view.stamp_ns
         gravity_v = cycle.gravity_v(stamp_ns)
         T_n_c = self._eye.T_n_c(stamp_ns, R_n_b)
-        self._marker.set_velocities(self._peer_velocity(), session.vehicle.state.velocity_n_mps)
+        self._marker.set_velocities(self._peer().velocity_n_mps, session.vehicle.state.velocity_n_mps)
         fix = self._marker.look(view, T_n_c.R, gravity_v, self._eye.gravity_c(R_n_b))
         session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
         self._judge_marker(stamp_ns)
@@ -411,12 +315,3 @@ class Receiver:
         rotation, position = inverse_as_quat(rigid(fix.T_c_v))
         sigma_m = math.sqrt(float(np.trace(fix.covariance[:3, :3])) / 3.0)
         return marker_record(stamp_ns, position, rotation, sigma_m, fix.side_px, fix.detections[0])
-
-
-def _level(gravity_v: Vec3, R_b_v: Matrix) -> Matrix:
-    """``R_h_v``: marker frame to the levelled heading frame (forward, right, down) of the drone that carries it."""
-    down_b = R_b_v @ np.asarray(gravity_v)
-    forward_b = np.array([1.0, 0.0, 0.0]) - down_b[0] * down_b
-    forward_b /= np.linalg.norm(forward_b)
-    R_h_b = np.stack([forward_b, np.cross(down_b, forward_b), down_b]).astype(np.float64)
-    return R_h_b @ R_b_v
