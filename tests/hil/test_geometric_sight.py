@@ -1,0 +1,406 @@
+"""The geometric sight against the camera model and the renderer, and beside the pixel sight as one contract."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from drivers.interfaces import CameraError, Sight, View
+from drivers.pixel_sight import PixelSight, PixelSightConfig
+from drivers.rig import Mount, Origin, PartContext
+from drivers.tables import decode_table
+from hil.capture import Capture, Freeze
+from hil.geometric_scene import Array, CameraSetup
+from hil.geometric_sight import GeometricSight, GeometricSightConfig, GeometricView, Sensor
+from hil.observation_noise import EXACT, ObservationNoise
+from hil.render.renderer import Renderer
+from hil.render.scene import car
+from hil.render.sensor import NOISE_FREE
+from hil.snapshot import DroneTruth, ObjectTruth, Snapshot
+from hil.virtual_time import run_virtual
+from path.camera import CameraModel
+from path.config import MethodConfig
+from path.geometry import Pose
+from path.marker.layout import single_marker
+from path.messages import Role
+from path.observations import Box, Region
+from path.rotation import R_from_rpy
+from path.target import registered_depth
+
+CAMERA = CameraModel(640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095))
+NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+SLANT = math.sqrt(0.5)
+T_B_C = Pose(np.array([[0.0, -SLANT, SLANT], [1.0, 0.0, 0.0], [0.0, SLANT, SLANT]]), np.array([0.10, 0.0, 0.02]))
+T_B_V = Pose(np.array([[0.0, SLANT, -SLANT], [1.0, 0.0, 0.0], [0.0, -SLANT, -SLANT]]), np.array([-0.18, 0.0, -0.06]))
+LAYOUT = single_marker()
+
+
+def drone(east: float, north: float, up: float, heading_deg: float = 0.0, roll_deg: float = 0.0) -> DroneTruth:
+    R_n_b = R_from_rpy(math.radians(roll_deg), 0.02, math.radians(heading_deg))
+    return DroneTruth(Pose(NED_TO_ENU @ R_n_b, np.array([east, north, up])), (0.0, 0.0, 0.0), 0.3, True)
+
+
+SENDER = drone(0.0, -1.55, 1.5, 3.0, 2.0)
+RECEIVER = drone(0.35, -2.7, 2.3, -5.0, -1.5)
+
+
+def thing(number: int, east: float, north: float, yaw_deg: float = 30.0) -> ObjectTruth:
+    return ObjectTruth(number, (east, north, 0.0), math.radians(yaw_deg), 0.0)
+
+
+def moment(*things: ObjectTruth, sender: DroneTruth = SENDER, receiver: DroneTruth = RECEIVER) -> Snapshot:
+    return Snapshot(0.0, {Role.SENDER: sender, Role.RECEIVER: receiver}, things)
+
+
+def alone(snapshot: Snapshot, role: Role) -> Snapshot:
+    return replace(snapshot, drones={role: snapshot.drones[role]})
+
+
+def look(
+    snapshot: Snapshot, role: Role = Role.SENDER, noise: ObservationNoise = EXACT, frame_id: int = 1, seed: int = 0
+) -> GeometricView:
+    setup = CameraSetup(role, CAMERA, T_B_C, T_B_V, LAYOUT)
+    return GeometricView(Capture(frame_id, frame_id, snapshot), Sensor(setup, noise, MethodConfig(), seed))
+
+
+def T_c_w(snapshot: Snapshot, role: Role) -> Pose:
+    return (snapshot.drones[role].T_w_b @ T_B_C).inverse()
+
+
+def bounds(snapshot: Snapshot, role: Role, thing: ObjectTruth) -> tuple[float, float, float, float]:
+    """Box around the car's drawn corners, by the camera model."""
+    rows = car().corners
+    corners = np.concatenate([rows[:, :3] + a * rows[:, 3:6] + b * rows[:, 6:] for a in (0, 1) for b in (0, 1)])
+    c, s = math.cos(thing.yaw_rad), math.sin(thing.yaw_rad)
+    world = corners @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + np.array(thing.position_w_m)
+    pixels = CAMERA.project(T_c_w(snapshot, role).apply(world))
+    (x0, y0), (x1, y1) = pixels.min(axis=0), pixels.max(axis=0)
+    return float(x0), float(y0), float(x1 - x0), float(y1 - y0)
+
+
+def marker_pixels(snapshot: Snapshot) -> Array:
+    world = (snapshot.drones[Role.SENDER].T_w_b @ T_B_V).apply(LAYOUT.markers[0].corners_v)
+    return CAMERA.project(T_c_w(snapshot, Role.RECEIVER).apply(world))
+
+
+def values(box: Box) -> tuple[float, float, float, float]:
+    return box.x, box.y, box.w, box.h
+
+
+# --- cars ---
+
+
+@pytest.mark.parametrize("role", list(Role))
+def test_boxes_are_those_of_the_camera_model(role: Role) -> None:
+    things = thing(0, 0.1, 0.0), thing(1, -0.6, 0.4, 110.0), thing(2, 0.7, 0.5, -60.0)
+    snapshot = alone(moment(*things), role)
+    found = [values(d.box) for d in look(snapshot, role).targets(None)]
+    assert sorted(found) == [pytest.approx(box, abs=1e-9) for box in sorted(bounds(snapshot, role, t) for t in things)]
+
+
+def test_only_cars_centred_in_the_region_are_given_best_first() -> None:
+    snapshot = moment(thing(0, 0.0, 0.0), thing(1, 0.6, 0.1))
+    everything = look(snapshot, noise=ObservationNoise()).targets(None)
+    assert [d.score for d in everything] == sorted((d.score for d in everything), reverse=True)
+    for detection in everything:
+        u, v = detection.box.center
+        assert look(snapshot, noise=ObservationNoise()).targets(Region(u - 1, v - 1, u + 1, v + 1)) == [detection]
+
+
+def test_what_the_border_cuts_ends_there_with_a_low_score() -> None:
+    edge = -(0.5 * 640 / 615 * 2.1) + 0.05
+    (cut,) = look(moment(thing(0, edge, 0.0))).targets(None)
+    assert cut.box.x == -0.5
+    assert cut.score < 0.3
+    assert not look(moment(thing(0, 0.0, -4.0))).targets(None)  # behind
+
+
+def test_a_car_in_front_hides_part_of_the_one_behind() -> None:
+    front, behind = thing(0, 0.0, 0.0, 0.0), thing(1, 0.02, 0.235, 0.0)
+    both = moment(front, behind)
+    boxes = {round(d.box.y): d.box for d in look(both).targets(None)}
+    near, far = bounds(both, Role.SENDER, front), bounds(both, Role.SENDER, behind)
+    assert values(boxes[round(near[1])]) == pytest.approx(near, abs=1e-9)
+    rear = boxes[round(far[1])]
+    assert rear.y == pytest.approx(far[1])
+    renderer = Renderer(CAMERA, T_B_C, T_B_V, LAYOUT, NOISE_FREE)
+    with_rear, without = (renderer.render(m, Role.SENDER, 0)[1].astype(int) for m in (both, moment(front)))
+    lowest_row = np.flatnonzero((np.abs(with_rear - without) > 2).any(axis=1))[-1]
+    assert lowest_row < far[1] + far[3] - 6.0
+    assert rear.y + rear.h == pytest.approx(lowest_row, abs=7.0)
+
+
+def test_two_that_touch_in_the_image_may_be_taken_for_one() -> None:
+    touching = moment(thing(0, 0.0, 0.0, 0.0), thing(1, 0.16, 0.235, 0.0))
+    apart = moment(thing(0, 0.0, 0.0, 0.0), thing(1, 0.6, 0.3, 0.0))
+    counts = [len(look(touching, noise=ObservationNoise(), frame_id=k).targets(None)) for k in range(200)]
+    assert {1, 2} == set(counts)
+    assert all(len(look(apart, noise=ObservationNoise(), frame_id=k).targets(None)) == 2 for k in range(200))
+
+
+def test_a_car_behind_the_sender_is_not_seen_by_the_receiver() -> None:
+    eye = (RECEIVER.T_w_b @ T_B_C).t
+    on = eye + (SENDER.T_w_b.t - eye) * eye[2] / (eye[2] - SENDER.T_w_b.t[2])
+    hidden = moment(thing(0, float(on[0]), float(on[1])))
+    (free,) = look(alone(hidden, Role.RECEIVER), Role.RECEIVER).targets(None)
+    found = look(hidden, Role.RECEIVER).targets(None)
+    assert not found or values(found[0].box) != pytest.approx(values(free.box), abs=1.0)
+
+
+# --- depth ---
+
+
+@pytest.mark.parametrize("role", list(Role))
+def test_depth_is_that_of_the_drawn_surface(role: Role) -> None:
+    snapshot = moment(thing(0, 0.1, 0.0), thing(1, -0.6, 0.4, 110.0))
+    drawn = Renderer(CAMERA, T_B_C, T_B_V, LAYOUT, NOISE_FREE).render(snapshot, role, 0)[1]
+    view = look(snapshot, role)
+    boxes = [d.box for d in view.targets(None)] + [Box(300.0, 380.0, 60.0, 60.0)]
+    for box in boxes:
+        ours, theirs = view.depth(box), registered_depth(drawn, box, MethodConfig())
+        assert ours is not None
+        assert theirs is not None
+        assert ours.z_m == pytest.approx(theirs.z_m, abs=0.012)
+        assert ours.sigma_m == pytest.approx(theirs.sigma_m, rel=0.1)
+
+
+def test_without_measurements_on_cars_there_is_no_depth_of_them() -> None:
+    snapshot = replace(moment(thing(0, 0.1, 0.0)), depth_holes=True)
+    box = look(snapshot).targets(None)[0].box
+    assert look(snapshot).depth(box) is None
+    assert look(snapshot).depth(Box(300.0, 400.0, 60.0, 60.0)) is not None
+
+
+def test_there_is_no_depth_outside_the_limits_the_image_or_on_too_few_pixels() -> None:
+    view = look(moment(sender=drone(0.0, -9.0, 7.5)))
+    assert view.depth(Box(300.0, 200.0, 60.0, 60.0)) is None
+    near = look(moment())
+    assert near.depth(Box(-200.0, 100.0, 60.0, 60.0)) is None
+    assert near.depth(Box(300.0, 300.0, 4.0, 4.0)) is None
+
+
+# --- markers ---
+
+
+def test_marker_corners_are_those_of_the_camera_model() -> None:
+    (found,) = look(moment(), Role.RECEIVER).markers(None)
+    assert found.marker_id == 0
+    assert np.abs(found.corners_px - marker_pixels(moment())).max() < 1e-9
+
+
+def test_corner_noise_is_what_its_covariance_is_about() -> None:
+    truth = marker_pixels(moment())
+    errors: list[float] = []
+    for k in range(300):
+        for found in look(moment(), Role.RECEIVER, ObservationNoise(), frame_id=k).markers(None):
+            errors.append(
+                float(
+                    (found.corners_px - truth).ravel()
+                    @ np.linalg.inv(found.covariance_px2)
+                    @ (found.corners_px - truth).ravel()
+                )
+            )
+    assert len(errors) > 290
+    assert 1.0 < np.median(errors) < 8.0
+
+
+@pytest.mark.parametrize(
+    "snapshot",
+    [
+        replace(moment(), marker_hidden=True),
+        moment(sender=drone(0.0, -1.55, 1.5, 180.0)),  # its face, not its tail
+        moment(receiver=drone(0.35, -2.7, 2.3, 60.0)),  # out of the image
+        moment(receiver=drone(0.0, -40.0, 30.0)),  # too small
+        moment(sender=drone(0.3, -3.3, 1.5)),  # behind the camera
+    ],
+    ids=["covered", "turned away", "out of view", "far", "behind"],
+)
+def test_a_marker_that_cannot_be_seen_is_not_found(snapshot: Snapshot) -> None:
+    noise = EXACT if snapshot.drones[Role.RECEIVER].T_w_b.t[1] > -10 else ObservationNoise()
+    assert not look(snapshot, Role.RECEIVER, noise).markers(None)
+
+
+def test_the_sender_does_not_see_its_own_marker() -> None:
+    assert not look(moment(), Role.SENDER).markers(None)
+
+
+def test_a_marker_is_found_only_whole_in_the_region() -> None:
+    (u0, v0), (u1, v1) = marker_pixels(moment()).min(axis=0), marker_pixels(moment()).max(axis=0)
+    assert look(moment(), Role.RECEIVER).markers(Region(u0 - 6, v0 - 6, u1 + 6, v1 + 6))
+    assert not look(moment(), Role.RECEIVER).markers(Region(u0 - 6, v0 - 6, u1 - 2, v1 + 6))
+
+
+def test_small_markers_are_found_less_often_and_better_in_a_region() -> None:
+    def rate(distance_m: float, whole: bool) -> float:
+        eye = drone(0.0, -1.75 - distance_m * SLANT, 1.6 + distance_m * SLANT)
+        pixels = marker_pixels(moment(receiver=eye))
+        (u0, v0), (u1, v1) = pixels.min(axis=0) - 12, pixels.max(axis=0) + 12
+        region = None if whole else Region(u0, v0, u1, v1)
+        views = [look(moment(receiver=eye), Role.RECEIVER, ObservationNoise(), k) for k in range(100)]
+        return sum(bool(view.markers(region)) for view in views) / 100
+
+    rates = [rate(d, False) for d in (1.0, 2.9, 4.0)]
+    assert rates[0] > 0.95
+    assert rates[0] >= rates[1] >= rates[2]
+    assert rates[2] < 0.2
+    assert rate(2.7, True) < rate(2.7, False)
+
+
+# --- random numbers ---
+
+
+def everything(view: View) -> list[object]:
+    found = list(view.targets(None))
+    markers = [(m.marker_id, m.corners_px.tolist()) for m in view.markers(None)]
+    return [found, markers, [view.depth(d.box) for d in found]]
+
+
+def test_the_same_seed_sees_the_same_and_another_seed_or_frame_does_not() -> None:
+    snapshot = moment(thing(0, 0.1, 0.0), thing(1, -0.6, 0.4))
+    noise = ObservationNoise()
+    first = everything(look(snapshot, Role.RECEIVER, noise, 5, seed=1))
+    assert everything(look(snapshot, Role.RECEIVER, noise, 5, seed=1)) == first
+    assert everything(look(snapshot, Role.RECEIVER, noise, 6, seed=1)) != first
+    assert everything(look(snapshot, Role.RECEIVER, noise, 5, seed=2)) != first
+
+
+def test_a_question_does_not_change_the_answer_to_another() -> None:
+    snapshot = moment(thing(0, 0.1, 0.0), thing(1, -0.6, 0.4))
+    asked = look(snapshot, Role.RECEIVER, ObservationNoise())
+    for _ in range(3):
+        everything(asked)
+    fresh = look(snapshot, Role.RECEIVER, ObservationNoise())
+    box = asked.targets(None)[0].box
+    assert fresh.depth(box) == asked.depth(box)
+    assert fresh.targets(None) == asked.targets(None)
+
+
+# --- both sights, one contract ---
+
+
+@dataclass
+class StillWorld:
+    def snapshot(self) -> Snapshot:
+        return moment(thing(0, 0.1, 0.0))
+
+
+@dataclass
+class StubHarness:
+    world: StillWorld = field(default_factory=StillWorld)
+    seed: int = 3
+    frozen_cameras: dict[Role, Freeze] = field(default_factory=dict[Role, Freeze])
+
+
+class LoopClock:
+    def now_ns(self) -> int:
+        return round(asyncio.get_running_loop().time() * 1e9)
+
+
+def context(harness: object | None) -> PartContext:
+    mount = Mount(T_B_C, T_B_V)
+    return PartContext(Role.SENDER, LoopClock(), CAMERA, mount, LAYOUT, Origin(0.0, 0.0, 0.0), harness)
+
+
+def geometric_sight(harness: StubHarness) -> Sight:
+    return GeometricSight(GeometricSightConfig(rate_hz=50.0), context(harness))
+
+
+def pixel_sight(harness: StubHarness) -> Sight:
+    table = {
+        "camera": {"factory": "hil.rendered_camera:RenderedCamera", "rate_hz": 50.0, "latency_s": 0.0},
+        "detector": {"factory": "drivers.color_detector:ColorDetector"},
+    }
+    return PixelSight(decode_table(table, PixelSightConfig, "rig.toml: sender.sight"), context(harness))
+
+
+Make = Callable[[StubHarness], Sight]
+both_sights = pytest.mark.parametrize("make", [geometric_sight, pixel_sight])
+
+
+def with_sight(make: Make, program: Callable[[Sight, StubHarness], Awaitable[None]]) -> None:
+    harness = StubHarness()
+
+    async def main() -> None:
+        async with make(harness) as sight:
+            await program(sight, harness)
+
+    run_virtual(main())
+
+
+@both_sights
+def test_views_come_at_the_rate_with_increasing_stamps(make: Make) -> None:
+    async def program(sight: Sight, _: StubHarness) -> None:
+        views = [await sight.view(0.5) for _k in range(10)]
+        stamps = [view.stamp_ns for view in views]
+        assert np.diff(stamps).tolist() == pytest.approx([20_000_000] * 9, abs=2)
+        assert np.diff([view.frame_id for view in views]).tolist() == [1] * 9
+        assert sight.model is CAMERA
+
+    with_sight(make, program)
+
+
+@both_sights
+def test_a_slow_reader_gets_a_view_no_older_than_a_frame(make: Make) -> None:
+    async def program(sight: Sight, _: StubHarness) -> None:
+        await sight.view(0.5)
+        await asyncio.sleep(0.333)
+        view = await sight.view(0.5)
+        assert LoopClock().now_ns() - view.stamp_ns <= 20_000_000
+
+    with_sight(make, program)
+
+
+@both_sights
+def test_a_silent_camera_is_an_error_in_the_time_given(make: Make) -> None:
+    async def program(sight: Sight, harness: StubHarness) -> None:
+        await sight.view(0.5)
+        harness.frozen_cameras[Role.SENDER] = Freeze.SILENT
+        start_ns = LoopClock().now_ns()
+        with pytest.raises(CameraError, match=r"no frame from .* for 0\.5 s"):
+            await sight.view(0.5)
+        assert LoopClock().now_ns() - start_ns == pytest.approx(500_000_000, abs=1_000_000)
+        harness.frozen_cameras.clear()
+        await sight.view(0.5)
+
+    with_sight(make, program)
+
+
+@both_sights
+def test_a_repeated_frame_is_never_given_twice(make: Make) -> None:
+    async def program(sight: Sight, harness: StubHarness) -> None:
+        await sight.view(0.5)
+        harness.frozen_cameras[Role.SENDER] = Freeze.REPEAT
+        with pytest.raises(CameraError):
+            await sight.view(0.3)
+        with pytest.raises(CameraError, match="no newer than the one before"):
+            await sight.view(2.0)
+
+    with_sight(make, program)
+
+
+@both_sights
+def test_a_view_answers_in_the_same_terms(make: Make) -> None:
+    async def program(sight: Sight, _: StubHarness) -> None:
+        view = await sight.view(0.5)
+        (target,) = view.targets(None)
+        assert values(target.box) == pytest.approx(bounds(moment(), Role.SENDER, thing(0, 0.1, 0.0)), abs=3.0)
+        assert target.score > 0.6
+        depth = view.depth(target.box)
+        assert depth is not None
+        assert depth.z_m == pytest.approx(2.0, abs=0.2)
+        assert not view.markers(None)
+        assert not view.targets(Region(0.0, 0.0, 20.0, 20.0))
+        image = view.image()
+        assert image is None or image.shape == (480, 640, 3)
+
+    with_sight(make, program)
+
+
+def test_a_geometric_sight_needs_a_world() -> None:
+    with pytest.raises(CameraError, match="simulated world"):
+        GeometricSight(GeometricSightConfig(), context(None))
