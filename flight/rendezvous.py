@@ -95,12 +95,17 @@ class Rendezvous:
         self._search_began_ns = self._now_ns()
 
     def search(self, state: VehicleState) -> VelocitySetpoint:
-        """Slide to and fro around the stand-off, wider as time goes, until the marker shows."""
+        """Look to and fro, wider as time goes, and slide outward and up, until the marker shows.
+
+        Never inward or down: the positions that the stand-off rests on may be wrong by more than is left.
+        """
         place, yaw = self._stand_off()
+        rendezvous = self._config.rendezvous
         searched_s = max(0.0, (self._now_ns() - self._search_began_ns) * 1e-9 - _SETTLE_S)
-        reach_m = min(1.0, 0.1 * searched_s) * self._config.rendezvous.search_slide_m
-        slide = (0.0, reach_m * math.sin(0.9 * searched_s), reach_m * math.cos(0.6 * searched_s))
-        return self._by_position(add(place, from_heading(slide, yaw)), state, yaw)
+        turn = math.radians(rendezvous.search_turn_deg) * min(1.0, 0.2 * searched_s) * math.sin(0.9 * searched_s)
+        back_m = 0.5 * rendezvous.search_slide_m * (1.0 - math.cos(0.5 * searched_s))
+        up_m = 0.25 * rendezvous.search_slide_m * (1.0 - math.cos(0.35 * searched_s))
+        return self._by_position(add(place, from_heading((-back_m, 0.0, -up_m), yaw)), state, yaw + turn)
 
     def _stand_off(self) -> tuple[Vec3, float]:
         peer, stand_off_m = self._peer(), self._config.rendezvous.stand_off_m
