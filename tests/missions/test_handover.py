@@ -18,6 +18,7 @@ from missions import rig_library
 from missions.handover import ReceiverHandover, SenderHandover, protocol_config
 from missions.session import Session
 from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Confirm, Message, Role, Status, Target
+from path.observations import MissReason
 
 CONFIG = MissionConfig(deadlines=Deadlines(verify_s=12.0, receiver_ready_s=20.0))
 STATE = VehicleState(
@@ -69,6 +70,11 @@ class FakeVehicle:
     state: VehicleState = STATE
 
 
+async def until(condition: Callable[[], bool]) -> None:
+    while not condition():  # noqa: ASYNC110
+        await asyncio.sleep(0.01)
+
+
 Entry = tuple[float, str, dict[str, Any]]
 
 
@@ -116,21 +122,20 @@ class Pair:
         self.receiver.on_message(received)
         message, live = received.message, self.receiver.live
         if isinstance(message, Target) and live is not None:
-            self.link[Role.RECEIVER].send(
-                Candidate(
-                    live.handoff_id,
-                    live.epoch,
-                    live.target_id,
-                    message.sequence,
-                    message.sequence,
-                    received.arrival_ns,
-                    None,
-                    None,
-                    (0.0, 0.0, 1.0),
-                    (1.0, 0.0, 0.0, 0.0),
-                    0.01,
-                )  # fmt: skip
+            answer = Candidate(
+                handoff_id=live.handoff_id,
+                epoch=live.epoch,
+                target_id=live.target_id,
+                sequence=message.sequence,
+                target_sequence=message.sequence,
+                capture_ns=received.arrival_ns,
+                box=None,
+                reason=MissReason.NO_CANDIDATE,
+                position_v_m=(0.0, 0.0, 1.0),
+                rotation_v_c2=(1.0, 0.0, 0.0, 0.0),
+                sigma_m=0.01,
             )
+            self.link[Role.RECEIVER].send(answer)
 
     async def offer_targets(self) -> None:
         sequence = 0
@@ -149,8 +154,7 @@ class Pair:
         for session in self.session.values():
             session.spawn(session.pump())
             session.spawn(session.report())
-        while not all(session.alignment.ready for session in self.session.values()):
-            await asyncio.sleep(0.01)
+        await until(lambda: all(session.alignment.ready for session in self.session.values()))
         self.sender.offer()
         self.receiver.start()
         self.session[Role.SENDER].spawn(self.offer_targets())
@@ -312,8 +316,7 @@ def test_a_lost_accept_is_taken_back_and_verified_again(rig: Any) -> None:
 
 
 async def agree_again(pair: Pair) -> None:
-    while not pair.verified_again:
-        await asyncio.sleep(0.05)
+    await until(lambda: bool(pair.verified_again))
     await asyncio.sleep(0.5)
     pair.sender.agreed(1)
 
