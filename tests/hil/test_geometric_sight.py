@@ -62,9 +62,14 @@ def alone(snapshot: Snapshot, role: Role) -> Snapshot:
 
 
 def look(
-    snapshot: Snapshot, role: Role = Role.SENDER, noise: ObservationNoise = EXACT, frame_id: int = 1, seed: int = 0
+    snapshot: Snapshot,
+    role: Role = Role.SENDER,
+    noise: ObservationNoise = EXACT,
+    frame_id: int = 1,
+    seed: int = 0,
+    T_b_v: Pose = T_B_V,
 ) -> GeometricView:
-    setup = CameraSetup(role, CAMERA, T_B_C, T_B_V, LAYOUT)
+    setup = CameraSetup(role, CAMERA, T_B_C, T_b_v, LAYOUT)
     return GeometricView(Capture(frame_id, frame_id, snapshot), Sensor(setup, noise, MethodConfig(), seed))
 
 
@@ -223,6 +228,28 @@ def test_corner_noise_is_what_its_covariance_is_about() -> None:
 def test_a_marker_that_cannot_be_seen_is_not_found(snapshot: Snapshot) -> None:
     noise = EXACT if snapshot.drones[Role.RECEIVER].T_w_b.t[1] > -10 else ObservationNoise()
     assert not look(snapshot, Role.RECEIVER, noise).markers(None)
+
+
+def test_a_marker_is_found_up_to_the_incidence_where_the_finder_gives_up() -> None:
+    plate = SENDER.T_w_b @ T_B_V
+
+    def found(incidence_deg: float) -> bool:
+        angle = math.radians(incidence_deg)
+        direction = plate.R @ np.array([math.sin(angle), 0.0, math.cos(angle)])
+        right = np.cross(-direction, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        T_w_c = Pose(np.column_stack((right, np.cross(-direction, right), -direction)), plate.t + 0.8 * direction)
+        receiver = DroneTruth(T_w_c @ T_B_C.inverse(), (0.0, 0.0, 0.0), 0.0, True)
+        return bool(look(moment(receiver=receiver), Role.RECEIVER).markers(None))
+
+    assert [found(angle) for angle in (0.0, 40.0, 75.0, 84.0, 89.0)] == [True, True, True, False, False]
+
+
+def test_a_marker_behind_a_part_of_the_sender_is_not_found() -> None:
+    inside = Pose(T_B_V.R, np.array([-0.05, 0.0, 0.0]))
+    beside = Pose(T_B_V.R, np.array([-0.05, 0.0, -0.25]))
+    assert not look(moment(), Role.RECEIVER, T_b_v=inside).markers(None)
+    assert look(moment(), Role.RECEIVER, T_b_v=beside).markers(None)
 
 
 def test_the_sender_does_not_see_its_own_marker() -> None:
