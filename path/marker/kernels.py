@@ -96,3 +96,66 @@ def cholesky_solve(factor: Array, b: Array) -> None:
         for k in range(i + 1, n):
             s -= factor[k, i] * b[k]
         b[i] = s / factor[i, i]
+
+
+@njit(cache=True, nogil=True)
+def finite(a: Array) -> bool:
+    """Whether every number of a matrix is finite."""
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            if not math.isfinite(a[i, j]):
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def whitening(covariance: Array, floor: float, out: Array) -> bool:
+    """Inverse Cholesky factor of a covariance plus ``floor`` on its diagonal: residuals times it have unit variance.
+
+    Only the lower triangle of ``out`` is written. False when the covariance is not positive definite.
+    """
+    n = covariance.shape[0]
+    factor = covariance.copy()
+    for i in range(n):
+        factor[i, i] += floor
+    if not cholesky(factor):
+        return False
+    for j in range(n):
+        out[j, j] = 1.0 / factor[j, j]
+        for i in range(j + 1, n):
+            s = 0.0
+            for k in range(j, i):
+                s -= factor[i, k] * out[k, j]
+            out[i, j] = s / factor[i, i]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def inverse(a: Array, out: Array) -> bool:
+    """Inverse of a symmetric matrix into ``out``; False when it is not positive definite."""
+    n = a.shape[0]
+    factor = a.copy()
+    if not cholesky(factor):
+        return False
+    for i in range(n):
+        column = out[i]  # by symmetry
+        column[:] = 0.0
+        column[i] = 1.0
+        cholesky_solve(factor, column)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def exp_times(w: Array, R: Array) -> Array:
+    """``exp(w) R`` by Rodrigues' formula."""
+    angle = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    a = 1.0 - angle * angle / 6.0 if angle < 1e-6 else math.sin(angle) / angle
+    b = 0.5 if angle < 1e-6 else (1.0 - math.cos(angle)) / (angle * angle)
+    out = np.empty((3, 3))
+    for j in range(3):
+        x, y, z = R[0, j], R[1, j], R[2, j]
+        cx, cy, cz = w[1] * z - w[2] * y, w[2] * x - w[0] * z, w[0] * y - w[1] * x
+        out[0, j] = x + a * cx + b * (w[1] * cz - w[2] * cy)
+        out[1, j] = y + a * cy + b * (w[2] * cx - w[0] * cz)
+        out[2, j] = z + a * cz + b * (w[0] * cy - w[1] * cx)
+    return out

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from path.camera import CameraModel
 from path.geometry import Pose
-from path.marker.kernels import cholesky, cholesky_solve, distort, lens_of, rays
+from path.marker.kernels import cholesky, cholesky_solve, distort, exp_times, finite, inverse, lens_of, rays, whitening
 from path.marker.layout import Marker, MarkerLayout
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason
@@ -30,7 +31,7 @@ Array = NDArray[np.float64]
 ITERATIONS = 12
 CONVERGED = 1e-9
 MIN_CORNER_SIGMA_PX = 0.005
-FLOOR_PX2 = MIN_CORNER_SIGMA_PX**2 * np.eye(8)
+EYE = np.eye(3)
 SAME_RAD = 0.05  # two solutions nearer than this are one
 MAX_AMBIGUITY = 0.01  # likelihood of the other solution relative to the best, from which on neither is believed
 MISFIT = 3.0  # chi-square per degree of freedom above which it enlarges the covariance
@@ -96,21 +97,26 @@ def estimate_pose(
     seen = _known(detections, layout)
     if isinstance(seen, Missed):
         return seen
-    seen.sort(key=lambda item: -_side_px(item[0]))
+    if len(seen) > 1:
+        seen.sort(key=lambda item: -_side_px(item[0]))
     found, marker = seen[0]
     side_px, lens = _side_px(found), lens_of(camera)
     points = np.concatenate([marker.corners_v for _, marker in seen])
     pixels = np.concatenate([found.corners_px for found, _ in seen])
-    whitening = np.stack([_whitening(found.covariance_px2) for found, _ in seen])
+    whiteners = np.zeros((len(seen), 8, 8))
+    for (each, _), whitener in zip(seen, whiteners, strict=True):
+        if not whitening(np.ascontiguousarray(each.covariance_px2), MIN_CORNER_SIGMA_PX**2, whitener):
+            raise np.linalg.LinAlgError(f"marker {each.marker_id}: its covariance is not positive definite")
     gravity = gravity_v is not None and gravity_c is not None
     down = np.array([*gravity_v, *gravity_c] if gravity_v is not None and gravity_c is not None else [0.0] * 6)
     weight = 0.5 / settings.attitude_sigma_rad**2 if gravity else 0.0
-    solutions = [_refine(R, t, points, pixels, whitening, lens, down, weight) for R, t in _ippe(found, marker, lens)]
+    solutions = [_refine(R, t, points, pixels, whiteners, lens, down, weight) for R, t in _ippe(found, marker, lens)]
     solutions = sorted((s for s in solutions if math.isfinite(s[0])), key=lambda solution: solution[0])
     if not solutions:
         return Missed(MissReason.POSE_UNCERTAIN)
     cost, R, t, information, corner_cost = solutions[0]
-    incidence = _incidence(R @ marker.T_v_m.R, R @ marker.T_v_m.t + t)
+    T_v_m = marker.T_v_m
+    incidence, centre = _facing(R, t, np.ascontiguousarray(T_v_m.R), T_v_m.t)
     if incidence > settings.max_incidence_rad:
         return Missed(MissReason.MARKER_OBLIQUE)
     misfit = cost / (2 * len(points) - (4 if gravity else 6))
@@ -118,13 +124,14 @@ def estimate_pose(
     rivals = [other[0] - cost for other in solutions[1:] if _angle(R, other[1]) > SAME_RAD]
     ambiguity = math.exp(-0.5 * rivals[0] / misfit) if rivals else 0.0
     rms = math.sqrt(corner_cost / (2 * len(points)))
-    rms_px = rms * math.sqrt(float(np.trace(found.covariance_px2)) / 8.0)
-    covariance = _covariance(information, R, t, marker, misfit, settings)
+    rms_px = rms * math.sqrt(float(found.covariance_px2.trace()) / 8.0)
+    covariance = np.empty((6, 6))
+    size = marker.side_sigma_m / marker.side_m
+    sigma_m = _covariance(information, misfit, centre, size, settings.focal_sigma, covariance)
     if (
-        covariance is None
+        not sigma_m <= settings.max_sigma_m
         or ambiguity > MAX_AMBIGUITY
         or rms_px > max(WORST_PX, WORST_SHARE * side_px)
-        or math.sqrt(np.trace(covariance[:3, :3]) / 3.0) > settings.max_sigma_m
     ):
         return Missed(MissReason.POSE_UNCERTAIN)
     return MarkerPose(Pose(R, t), covariance, incidence, side_px, rms, ambiguity)
@@ -136,14 +143,14 @@ def _known(
     """Every detection with its marker."""
     if not detections:
         return Missed(MissReason.NO_MARKER)
-    markers = {marker.id: marker for marker in layout.markers}
-    seen = [(found, markers[found.marker_id]) for found in detections if found.marker_id in markers]
+    seen = [(found, marker) for found in detections if (marker := layout.marker(found.marker_id)) is not None]
     if not seen:
         return Missed(MissReason.WRONG_MARKER)
-    if len({marker.id for _, marker in seen}) < len(seen):
+    if len(seen) > 1 and len({marker.id for _, marker in seen}) < len(seen):
         return Missed(MissReason.MARKER_TWICE)
-    if not all(np.isfinite(found.corners_px).all() and np.isfinite(found.covariance_px2).all() for found, _ in seen):
-        return Missed(MissReason.NON_FINITE)
+    for found, _ in seen:
+        if not (finite(np.ascontiguousarray(found.corners_px)) and finite(np.ascontiguousarray(found.covariance_px2))):
+            return Missed(MissReason.NON_FINITE)
     return seen
 
 
@@ -152,69 +159,84 @@ def _side_px(found: MarkerDetection) -> float:
     return 0.25 * (math.dist(a, b) + math.dist(b, c) + math.dist(c, d) + math.dist(d, a))
 
 
-def _whitening(covariance_px2: Array) -> Array:
-    """Inverse Cholesky factor, so that whitened residuals have unit variance."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance_px2 + FLOOR_PX2)), dtype=np.float64)
-
-
 def _ippe(found: MarkerDetection, marker: Marker, lens: Array) -> list[tuple[Array, Array]]:
     """Both planar solutions as poses of ``v`` in the camera."""
     half = 0.5 * marker.side_m
     corners = np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
     seen = rays(np.ascontiguousarray(found.corners_px), lens)
     try:
-        _, turns, shifts, _ = cv2.solvePnPGeneric(corners, seen, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+        _, turns, shifts, _ = cv2.solvePnPGeneric(corners, seen, EYE, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
     except cv2.error:
         return []
-    T_m_v = marker.T_v_m.inverse()
+    R_v_m, t_v_m = np.ascontiguousarray(marker.T_v_m.R), marker.T_v_m.t
     poses: list[tuple[Array, Array]] = []
     for turn, shift in zip(turns, shifts, strict=True):
-        R_c_m, t_c_m = cv2.Rodrigues(turn)[0], shift.ravel()
-        if np.all(np.isfinite(R_c_m)) and t_c_m[2] > 0.0:
-            poses.append((np.ascontiguousarray(R_c_m @ T_m_v.R), R_c_m @ T_m_v.t + t_c_m))
+        R_c_v, t_c_v = _of_layout(_vector(turn), _vector(shift), R_v_m, t_v_m)
+        if shift[2, 0] > 0.0 and finite(R_c_v):
+            poses.append((R_c_v, t_c_v))
     return poses
 
 
-def _covariance(
-    information: Array, R: Array, t: Array, marker: Marker, misfit: float, settings: PoseSettings
-) -> Array | None:
-    """Inverse information times the misfit, with the two errors that scale the range; None when it is singular."""
-    try:
-        covariance = np.asarray(np.linalg.inv(information) * misfit, dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return None
-    if not covariance.diagonal().min() > 0.0:
-        return None
-    centre = R @ marker.T_v_m.t + t
-    size = marker.side_sigma_m / marker.side_m
-    covariance[:3, :3] += size * size * np.outer(centre, centre)
-    covariance[2, 2] += (settings.focal_sigma * centre[2]) ** 2
-    return covariance
-
-
-def _incidence(R_c_m: Array, t_c_m: Array) -> float:
-    cosine = -float(R_c_m[:, 2] @ t_c_m) / float(np.linalg.norm(t_c_m))
-    return math.acos(min(1.0, max(-1.0, cosine)))
-
-
-def _angle(R_a: Array, R_b: Array) -> float:
-    return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.sum(R_a * R_b)) - 1.0))))
+def _vector(column: Any) -> Array:
+    """OpenCV's (3, 1) as (3,)."""
+    return np.asarray(column, dtype=np.float64).ravel()
 
 
 @njit(cache=True, nogil=True)
-def _exp_times(w: Array, R: Array) -> Array:
-    """``exp(w) R`` by Rodrigues' formula."""
-    angle = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    a = 1.0 - angle * angle / 6.0 if angle < 1e-6 else math.sin(angle) / angle
-    b = 0.5 if angle < 1e-6 else (1.0 - math.cos(angle)) / (angle * angle)
-    out = np.empty((3, 3))
-    for j in range(3):
-        x, y, z = R[0, j], R[1, j], R[2, j]
-        cx, cy, cz = w[1] * z - w[2] * y, w[2] * x - w[0] * z, w[0] * y - w[1] * x
-        out[0, j] = x + a * cx + b * (w[1] * cz - w[2] * cy)
-        out[1, j] = y + a * cy + b * (w[2] * cx - w[0] * cz)
-        out[2, j] = z + a * cz + b * (w[0] * cy - w[1] * cx)
-    return out
+def _of_layout(turn: Array, shift: Array, R_v_m: Array, t_v_m: Array) -> tuple[Array, Array]:
+    """The pose of ``v`` in the camera from a marker's, given as rotation vector and translation."""
+    R_c_m = exp_times(turn, np.eye(3))
+    R, t = np.empty((3, 3)), np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = R_c_m[i, 0] * R_v_m[j, 0] + R_c_m[i, 1] * R_v_m[j, 1] + R_c_m[i, 2] * R_v_m[j, 2]
+    for i in range(3):
+        t[i] = shift[i] - (R[i, 0] * t_v_m[0] + R[i, 1] * t_v_m[1] + R[i, 2] * t_v_m[2])
+    return R, t
+
+
+@njit(cache=True, nogil=True)
+def _covariance(information: Array, misfit: float, centre: Array, size: float, focal: float, out: Array) -> float:
+    """Inverse information times the misfit, with the two errors that scale the range, into ``out``.
+
+    Returns the standard deviation of the position, mean over the axes; NaN when the information is singular.
+
+    Args:
+        centre: (3,) of the marker in the camera.
+        size, focal: relative errors of the printed side and of the focal length.
+    """
+    if not inverse(information, out):
+        return math.nan
+    for i in range(6):
+        for j in range(6):
+            out[i, j] *= misfit
+    for i in range(3):
+        for j in range(3):
+            out[i, j] += size * size * centre[i] * centre[j]
+    out[2, 2] += (focal * centre[2]) ** 2
+    return math.sqrt((out[0, 0] + out[1, 1] + out[2, 2]) / 3.0)
+
+
+@njit(cache=True, nogil=True)
+def _facing(R: Array, t: Array, R_v_m: Array, t_v_m: Array) -> tuple[float, Array]:
+    """Angle between a marker's normal and the line of sight, and the marker's centre (3,) in the camera."""
+    centre = np.empty(3)
+    along = 0.0
+    for i in range(3):
+        centre[i] = R[i, 0] * t_v_m[0] + R[i, 1] * t_v_m[1] + R[i, 2] * t_v_m[2] + t[i]
+        along -= centre[i] * (R[i, 0] * R_v_m[0, 2] + R[i, 1] * R_v_m[1, 2] + R[i, 2] * R_v_m[2, 2])
+    cosine = along / math.sqrt(centre[0] * centre[0] + centre[1] * centre[1] + centre[2] * centre[2])
+    return math.acos(min(1.0, max(-1.0, cosine))), centre
+
+
+@njit(cache=True, nogil=True)
+def _angle(R_a: Array, R_b: Array) -> float:
+    """Of the rotation from one to the other."""
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            total += R_a[i, j] * R_b[i, j]
+    return math.acos(min(1.0, max(-1.0, 0.5 * (total - 1.0))))
 
 
 @njit(cache=True, nogil=True)
@@ -314,7 +336,7 @@ def _refine(
         cholesky_solve(factor, step)
         for i in range(3):
             shifted[i] += step[i]
-        turned = _exp_times(step[3:], turn)
+        turned = exp_times(step[3:], turn)
         corners_new = _residuals(turned, shifted, points, pixels, whitening, lens, down, weight, residuals, jacobian)
         cost_new = _normal(jacobian, residuals, tried_information, tried_gradient) if corners_new < np.inf else np.inf
         if cost_new <= cost:
