@@ -1,7 +1,8 @@
 """The log of a role: one MCAP file, JSON records, readable to the last record whatever ended the process.
 
 Records are written unchunked and unbuffered, each with one system call, so that a killed process loses nothing it has
-logged. Nothing in the file depends on the wall clock or the machine: the same records give the same bytes.
+logged; only a run in virtual time, which cannot lose a drone, buffers them. Nothing in the file depends on the wall
+clock or the machine: the same records give the same bytes.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from numpy.typing import NDArray
 
 JPEG_QUALITY = 90
+BUFFER_BYTES = 1 << 16
 IMAGE_SCHEMA = "foxglove.CompressedImage"
 
 
@@ -33,18 +35,21 @@ class McapLog:
     Numbers that are not finite become null. NumPy scalars and arrays, enums (by value) and dataclasses may be in one.
     """
 
-    def __init__(self, path: Path, frame: str = "") -> None:
-        """``frame`` names the camera frame of logged images, such as ``c1``."""
+    def __init__(self, path: Path, frame: str = "", *, buffered: bool = False) -> None:
+        """``frame`` names the camera frame of logged images, such as ``c1``.
+
+        ``buffered``: what was logged last is lost when the process is killed; for runs in virtual time.
+        """
         self.failed: str | None = None
         self._frame = frame
         self._channels: dict[str, int] = {}
         self._counts: dict[str, int] = {}
         self._encoder = msgspec.json.Encoder(enc_hook=_encode_other)
-        self._file: _Unbuffered | None = None
+        self._file: _File | None = None
         self._writer: Writer | None = None
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = _Unbuffered(path)
+            self._file = _File(path, BUFFER_BYTES if buffered else 0)
             output = cast("IO[bytes]", self._file)  # the writer needs no more of it than write and tell
             writer = Writer(output, use_chunking=False, compression=CompressionType.NONE, index_types=IndexType.NONE)
             writer.start(profile="", library="path")
@@ -91,7 +96,10 @@ class McapLog:
                 self._fail(error)
             self._writer = None
         if self._file is not None:
-            self._file.close()
+            try:
+                self._file.close()
+            except OSError as error:
+                self._fail(error)
             self._file = None
 
     def _write(self, topic: str, schema: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
@@ -121,26 +129,37 @@ class McapLog:
         self._writer = None
 
 
-class _Unbuffered:
-    """The two methods of a file that the MCAP writer uses; a write is whole or raises."""
+class _File:
+    """The two methods of a file that the MCAP writer uses; a write is whole or raises. ``buffer`` bytes may wait."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, buffer: int) -> None:
         self._raw = FileIO(path, "wb")
+        self._buffer = buffer
+        self._waiting = bytearray()
         self._position = 0
 
     def write(self, data: bytes) -> int:
-        left = memoryview(data)
+        self._position += len(data)
+        self._waiting += data
+        if len(self._waiting) > self._buffer:
+            self._flush()
+        return len(data)
+
+    def _flush(self) -> None:
+        waiting, self._waiting = self._waiting, bytearray()
+        left = memoryview(waiting)
         while left:
             written = self._raw.write(left)
             left = left[written:]
-        self._position += len(data)
-        return len(data)
 
     def tell(self) -> int:
         return self._position
 
     def close(self) -> None:
-        self._raw.close()
+        try:
+            self._flush()
+        finally:
+            self._raw.close()
 
 
 def _encode_other(value: Any) -> Any:

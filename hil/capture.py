@@ -113,6 +113,8 @@ class CaptureTicker(Generic[T]):
         self._arrived_s = -math.inf
         self._last: Capture[T] | None = None
         self._waiting: asyncio.Future[None] | None = None
+        self._patience: asyncio.TimerHandle | None = None
+        self._give_up_s = math.inf
         self._last_index = -(1 << 62)
         self.skipped = 0
 
@@ -125,11 +127,11 @@ class CaptureTicker(Generic[T]):
             if self._timer is None:
                 self._schedule(loop)
             self._waiting = loop.create_future()
-            give_up = loop.call_later(timeout_s, self._give_up)
+            self._give_up_s = loop.time() + timeout_s
+            self._wait_until(loop, self._give_up_s)
             try:
                 await self._waiting
             finally:
-                give_up.cancel()
                 self._waiting = None
         capture, self._arrived = self._arrived, None
         if capture is None:
@@ -137,9 +139,10 @@ class CaptureTicker(Generic[T]):
         return capture
 
     def close(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        for timer in (self._timer, self._patience):
+            if timer is not None:
+                timer.cancel()
+        self._timer = self._patience = None
         while self._under_way:
             self._under_way.popleft()[0].cancel()
         self._arrived = self._last = None
@@ -175,6 +178,19 @@ class CaptureTicker(Generic[T]):
         if self._waiting is not None and not self._waiting.done():
             self._waiting.set_result(None)
 
-    def _give_up(self) -> None:
-        if self._waiting is not None and not self._waiting.done():
+    def _wait_until(self, loop: asyncio.AbstractEventLoop, end_s: float) -> None:
+        """One timer for many waits: it looks when it is due whether it still is."""
+        if self._patience is not None:
+            if self._patience.when() <= end_s:
+                return
+            self._patience.cancel()
+        self._patience = loop.call_at(end_s, self._give_up, loop)
+
+    def _give_up(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._patience = None
+        if self._waiting is None or self._waiting.done():
+            return
+        if loop.time() < self._give_up_s:
+            self._wait_until(loop, self._give_up_s)
+        else:
             self._waiting.set_result(None)

@@ -98,7 +98,7 @@ class _Flight:
         for fault in self._trigger.from_the_start():
             self._inject(fault)
         _stop_on_signals(self._interrupt)
-        with McapLog(request.out / "world.mcap") as log:
+        with McapLog(request.out / "world.mcap", buffered=True) as log:
             truth = TruthLog(log)
             truth.scene(rig, self._monitors.min_separation_m, clock_offsets(rig))
             watch = asyncio.create_task(self._watch_truth(truth))
@@ -110,7 +110,7 @@ class _Flight:
 
     async def _fly_roles(self) -> dict[Role, RoleResult | None]:
         request, offsets = self._request, clock_offsets(self._rig)
-        logs = {role: McapLog(request.out / f"{role.value}.mcap", frame=role.value) for role in Role}
+        logs = {role: McapLog(request.out / f"{role.value}.mcap", role.value, buffered=True) for role in Role}
         for role, log in logs.items():
             watched = WatchedLog(log, role, self._monitors, offsets[role])
             program = request.role_main(self._rig, role, watched, self._emit, self._stop[role], self._parts)
@@ -120,6 +120,8 @@ class _Flight:
             if late:
                 self._interrupt()
                 await asyncio.wait(late)
+            for log in logs.values():
+                log.close()  # what waits in its buffer may still fail
             return {
                 role: None if role in self._killed else with_log(task.result(), logs[role].failed)
                 for role, task in self._tasks.items()
