@@ -16,7 +16,8 @@ AT_COUNT = 50
 class FaultKind:
     """One kind of fault by name; ``needs_value`` when it is a quantity (``link_loss=0.3``).
 
-    A fault of the ``whole_run`` is there from the start; any other begins while the views agree.
+    A fault of the ``whole_run`` is there from the start; any other begins while the views agree. A value is from 0 to
+    ``most``.
     """
 
     name: str
@@ -24,6 +25,7 @@ class FaultKind:
     needs_value: bool
     meaning: str
     whole_run: bool = False
+    most: float = 1.0
 
 
 FAULTS: dict[str, FaultKind] = {
@@ -34,7 +36,7 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("depth_holes", Role.SENDER, False, "the depth cameras measure nothing on objects"),
         FaultKind("link_loss", None, True, "this share of the packets is lost, both ways", True),
         FaultKind(
-            "link_delay", None, True, "packets come this many seconds late, both ways, with as much jitter", True
+            "link_delay", None, True, "packets come this many seconds late, both ways, with as much jitter", True, 60.0
         ),
         FaultKind("camera_freeze", Role.RECEIVER, False, "the receiver's camera gives no new frames"),
         FaultKind("kill_receiver", Role.RECEIVER, False, "the receiver's program dies without a word"),
@@ -93,14 +95,21 @@ class FaultTrigger:
 
 def parse_fault(text: str) -> Fault:
     """``NAME`` or ``NAME=VALUE``. Raises FaultError."""
-    name, _, value = text.partition("=")
+    name, equals, written = text.partition("=")
     kind = FAULTS.get(name)
     if kind is None:
         raise FaultError(f"there is no fault {name!r}", f"one of: {', '.join(sorted(FAULTS))}")
-    if kind.needs_value != bool(value):
-        needs = "needs a value" if kind.needs_value else "takes no value"
-        raise FaultError(f"fault {name} {needs}", f"for example --fault {name}{'=0.3' if kind.needs_value else ''}")
+    if not kind.needs_value:
+        if equals:
+            raise FaultError(f"fault {name} takes no value", f"write --fault {name}")
+        return Fault(kind)
+    remedy = f"write it with a number from 0 to {kind.most:g}, for example --fault {name}=0.3"
+    if not written:
+        raise FaultError(f"fault {name} needs a value", remedy)
     try:
-        return Fault(kind, float(value) if value else 0.0)
+        value = float(written)
     except ValueError:
-        raise FaultError(f"fault {name}: {value!r} is not a number", f"for example --fault {name}=0.3") from None
+        raise FaultError(f"fault {name}: {written!r} is not a number", remedy) from None
+    if not 0.0 <= value <= kind.most:
+        raise FaultError(f"fault {name}: {written} is not from 0 to {kind.most:g}", remedy)
+    return Fault(kind, value)
