@@ -66,6 +66,7 @@ class GuardConfig:
     heartbeat_age_s: float = 2.5
     frame_age_s: float = 0.8
     peer_silence_s: float = 3.0
+    near_silence_s: float = 0.8  # while both verify: a drone whose program died is about to land, a metre away
 
 
 @dataclass(frozen=True, slots=True)

@@ -197,14 +197,13 @@ class Receiver:
                 await session.skip_frames()
 
     async def _watch_peer(self) -> None:
-        """The sender must be heard until this drone holds the target for good."""
-        limit_s = self._config.guard.peer_silence_s
+        """The sender must be heard until this drone holds the target; within a lease, the lease decides."""
+        session = self._session
         while not self._handover.holds_for_good:
-            session = self._session
-            if session.peer_silence_s() > limit_s:
-                raise MissionEnd(Outcome.PEER_LOST, f"nothing heard from the sender for {limit_s:.0f} s")
-            if not self._handover.holds and session.peer is not None and session.peer.phase >= Phase.DEPART:
-                raise MissionEnd(Outcome.PEER_ABORTED, "the sender is on its way down")
+            if not self._handover.holds:
+                session.require_peer()
+                if session.peer is not None and session.peer.phase >= Phase.DEPART:
+                    raise MissionEnd(Outcome.PEER_ABORTED, "the sender is on its way down")
             await asyncio.sleep(_PEER_POLL_S)
 
     def _cycle_once(self, view: View, R_n_b: Matrix) -> None:

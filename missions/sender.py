@@ -152,10 +152,9 @@ class Sender:
 
     async def _watch_peer(self) -> None:
         """The receiver must be heard for as long as the hand-over is undecided."""
-        limit_s = self._config.guard.peer_silence_s
-        while not self._handover.released:
-            if self._session.peer_silence_s() > limit_s:
-                raise MissionEnd(Outcome.PEER_LOST, f"nothing heard from the receiver for {limit_s:.0f} s")
+        while not self._handover.handed_over:
+            if not self._handover.released:
+                self._session.require_peer()
             await asyncio.sleep(_PEER_POLL_S)
 
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:

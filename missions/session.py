@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import random
 import sys
 import traceback
@@ -102,6 +103,14 @@ class Session:
 
     def peer_silence_s(self) -> float:
         return (self.now_ns() - self.peer_heard_ns) * 1e-9
+
+    def require_peer(self) -> None:
+        """Raise MissionEnd(PEER_LOST) when the other drone was not heard for too long; near it that is sooner."""
+        guard = self.config.guard
+        limit_s = guard.near_silence_s if self.phase is Phase.VERIFY else guard.peer_silence_s
+        silence_s = self.peer_silence_s()
+        if silence_s > limit_s:
+            raise MissionEnd(Outcome.PEER_LOST, f"nothing heard from the other drone for {silence_s:.1f} s")
 
     async def until(self, condition: Callable[[], bool], timeout_s: float, outcome: Outcome, detail: str) -> None:
         """Wait for a condition; raises MissionEnd(outcome) when it did not come true in time."""
@@ -273,6 +282,7 @@ async def open_session(
     """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after. Raises PartError."""
     cv2.setNumThreads(1)  # frames are small: more threads cost more than they gain, and take the other processes' cores
     warm_up()
+    gc.freeze()  # what is loaded by now stays: collections in flight need not walk it, for 0.1 s each
     context = part_context(rig, role, harness)
     own = rig.role(role)
     link: Link = await stack.enter_async_context(create(own.link, context))
