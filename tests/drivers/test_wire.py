@@ -283,7 +283,7 @@ def test_a_forged_stamp_does_not_lock_out_the_true_sender() -> None:
     for _ in range(3):
         assert receiver.decode(forged) is Drop.BAD_SIGNATURE
     assert isinstance(receiver.decode(sender.encode(TARGET)), Target)
-    assert len(receiver._mav.signing.stream_timestamps) == 1
+    assert len(receiver._streams) == 1
 
 
 def test_our_own_packets_reflected_are_not_the_peers() -> None:
