@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from drivers.color_patches import CROSS, Image, Patch, Shape, components, join, shape_of, split, with_dark
 from path.observations import Box, Detection, Region
 
+RAGGED = 0.25  # solidity that an outline may lose to coarse pixels, times the patch's size in them
+
 
 @dataclass(frozen=True, slots=True)
 class ColorDetectorConfig:
@@ -31,10 +33,11 @@ class ColorDetectorConfig:
         min_side_px, max_side_px: limits of the longer side of a box, in the image as given. ``max_side_px`` also says
             how far outside a search region an object with its centre inside can reach.
         merge_gap: coloured parts of one vehicle may be this fraction of its size apart.
-        split_solidity: a patch that fills less of its convex hull than this is taken for vehicles that touch, and cut
-            at its waist when it has one.
+        split_solidity: a patch that fills less of its convex hull than this is cut at its waist, when it has one, into
+            two vehicles that touch.
+        odd_solidity: one that fills even less and has no waist is not taken for a whole vehicle, or for only one.
         max_aspect: a patch longer than this many times its width is taken for vehicles in line.
-        odd_score: factor on the score of what is taken for several vehicles and could not be cut.
+        odd_score: factor on the score of what is odd in shape.
         border_score: factor on the score of a box that the image border cuts: it is not the object's box.
     """
 
@@ -49,6 +52,7 @@ class ColorDetectorConfig:
     max_side_px: float = 300.0
     merge_gap: float = 0.10
     split_solidity: float = 0.82
+    odd_solidity: float = 0.80
     max_aspect: float = 2.2
     odd_score: float = 0.3
     border_score: float = 0.2
@@ -158,7 +162,8 @@ class ColorDetector:
         config = self._config
         colored = cv2.countNonZero(piece.mask) * config.coarse_step**2
         score = shape.solidity * min(1.0, colored / (0.2 * box.area))
-        if shape.aspect > config.max_aspect or shape.solidity < config.split_solidity:
+        # A small patch has a ragged outline: its shape is not known so well.
+        if shape.aspect > config.max_aspect or shape.solidity < config.odd_solidity - RAGGED / piece.size:
             score *= config.odd_score
         if box.x < 0.0 or box.y < 0.0 or box.x + box.w > width - 1.0 or box.y + box.h > height - 1.0:
             score *= config.border_score
