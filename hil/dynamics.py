@@ -209,3 +209,27 @@ def fly(
     for i in range(states.shape[0]):
         for _ in range(steps):
             _substep(states[i], commands[i], winds[i], velocity_errors[i], attitude_errors[i], parameters, dt)
+
+
+@njit(cache=True, nogil=True)
+def poses_w(states: Array, late_s: float, out: Array) -> None:
+    """Poses of all drones in ENU (rows of ``R_w_b``, then ``t_w``), ``late_s`` after their state (less than a step).
+
+    Args:
+        out: (n, 12), written.
+    """
+    for i in range(states.shape[0]):
+        s, row = states[i], out[i]
+        half = 0.5 * max(late_s, 0.0)
+        p, q, r = half * s[10], half * s[11], half * s[12]
+        w = s[6] - s[7] * p - s[8] * q - s[9] * r
+        x = s[7] + s[6] * p + s[8] * r - s[9] * q
+        y = s[8] + s[6] * q - s[7] * r + s[9] * p
+        z = s[9] + s[6] * r + s[7] * q - s[8] * p
+        scale = 2.0 / (w * w + x * x + y * y + z * z)
+        row[0], row[1], row[2] = scale * (x * y + w * z), 1.0 - scale * (x * x + z * z), scale * (y * z - w * x)
+        row[3], row[4], row[5] = 1.0 - scale * (y * y + z * z), scale * (x * y - w * z), scale * (x * z + w * y)
+        row[6], row[7], row[8] = scale * (w * y - x * z), -scale * (y * z + w * x), scale * (x * x + y * y) - 1.0
+        row[9] = s[1] + 2.0 * half * s[4]
+        row[10] = s[0] + 2.0 * half * s[3]
+        row[11] = -(s[2] + 2.0 * half * s[5])

@@ -92,7 +92,7 @@ class SimVehicle:
         self._state: VehicleState | None = None
 
     async def __aenter__(self) -> Self:
-        if not await self._poll(lambda: self._state is not None, self._config.connect_timeout_s):
+        if not await self._poll(lambda: self._beat is not None, self._config.connect_timeout_s):
             raise VehicleError(
                 f"no heartbeat from the {self._role.value}'s vehicle in {self._config.connect_timeout_s:g} s",
                 "is its link cut by a fault?",
@@ -110,7 +110,7 @@ class SimVehicle:
     def state(self) -> VehicleState:
         self._pull()
         if self._state is None:
-            raise VehicleError("the vehicle is not connected", "enter it with `async with` first")
+            self._state = self._combined()
         return self._state
 
     def attitude_at(self, stamp_ns: int) -> Quat:
@@ -141,7 +141,7 @@ class SimVehicle:
         for telemetry in reversed(waiting):
             self._take(telemetry, now_ns - round((arrived_s - telemetry.time_s) * 1e9))
         if waiting:
-            self._state = self._combined()
+            self._state = None
 
     def _take(self, telemetry: Telemetry, arrival_ns: int) -> None:
         beats = math.floor(telemetry.time_s / self._config.heartbeat_s + 1e-6)
@@ -151,10 +151,10 @@ class SimVehicle:
         self._history.add(arrival_ns, telemetry.estimate.q_n_b)
         self._taken_s = telemetry.time_s
 
-    def _combined(self) -> VehicleState | None:
+    def _combined(self) -> VehicleState:
         newest, beat = self._newest, self._beat
         if newest is None or beat is None:
-            return None
+            raise VehicleError("the vehicle is not connected", "enter it with `async with` first")
         estimate = newest.estimate
         return VehicleState(
             stamp_ns=self._newest_ns,

@@ -26,6 +26,7 @@ from hil.dynamics import (
     AirframeConfig,
     Array,
     fly,
+    poses_w,
     standing,
 )
 from hil.estimator import EstimatorConfig, Sensors, WindConfig
@@ -33,7 +34,6 @@ from hil.snapshot import DroneTruth, Snapshot
 from hil.targets import LookAlikeConfig, Point, TargetConfig, Traffic
 from path.geometry import Pose
 from path.messages import Quat, Role, Vec3
-from path.rotation import multiply
 
 STEP_HZ = 200
 STEPS_PER_TICK = 4
@@ -211,10 +211,15 @@ class World:
         """The truth at ``time_s``; between two physics steps the drones are carried on by their velocities."""
         if self._snapshot is None:
             late_s = self.time_s - self._step / STEP_HZ
+            poses = np.empty((len(ROLES), 12))
+            poses_w(self._states, late_s, poses)
             drones = {
-                role: _truth(row, late_s, drone.autopilot.armed)
-                for (role, drone), row in zip(self._drones.items(), self._states.tolist(), strict=True)
-            }
+                role: DroneTruth(
+                    Pose(pose[:9].reshape(3, 3), pose[9:]), (row[4], row[3], -row[5]), row[ROTOR_PHASE],
+                    drone.autopilot.armed,
+                )
+                for (role, drone), row, pose in zip(self._drones.items(), self._states.tolist(), poses, strict=True)
+            }  # fmt: skip
             objects = self._traffic.at(self.time_s)
             self._snapshot = Snapshot(self.time_s, drones, objects, self._marker_hidden, self._depth_holes)
         return self._snapshot
@@ -246,20 +251,3 @@ class World:
 def _at_home(home: HomeConfig, leg_m: float) -> Array:
     east, north = home.position_m
     return standing(north, east, math.radians(home.heading_deg), leg_m)
-
-
-def _truth(row: list[float], late_s: float, armed: bool) -> DroneTruth:
-    """A state row in NED as truth in ENU, ``late_s`` after it (less than a physics step)."""
-    n, e, d, vn, ve, vd, w, x, y, z, p, q, r = row[:13]
-    if late_s > 0.0:
-        w, x, y, z = multiply((w, x, y, z), (1.0, 0.5 * late_s * p, 0.5 * late_s * q, 0.5 * late_s * r))
-        n, e, d = n + late_s * vn, e + late_s * ve, d + late_s * vd
-    scale = 2.0 / (w * w + x * x + y * y + z * z)
-    R_w_b = np.array(
-        (
-            (scale * (x * y + w * z), 1.0 - scale * (x * x + z * z), scale * (y * z - w * x)),
-            (1.0 - scale * (y * y + z * z), scale * (x * y - w * z), scale * (x * z + w * y)),
-            (scale * (w * y - x * z), -scale * (y * z + w * x), scale * (x * x + y * y) - 1.0),
-        )
-    )
-    return DroneTruth(Pose(R_w_b, np.array((e, n, -d))), (ve, vn, -vd), row[ROTOR_PHASE], armed)
