@@ -42,8 +42,8 @@ class RendezvousConfig:
 
     stand_off_m: float = 1.75  # from the marker, along the planned line of sight
     stand_off_tolerance_m: float = 0.25
-    search_slide_m: float = 0.6  # farthest outward from the stand-off
-    search_turn_deg: float = 40.0  # farthest to either side
+    search_slide_m: float = 0.25  # farthest outward from the stand-off
+    search_turn_deg: float = 50.0  # farthest to either side
     gain_per_s: float = 0.9
     max_speed_mps: float = 0.5
     arrived_m: float = 0.12

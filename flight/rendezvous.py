@@ -102,7 +102,7 @@ class Rendezvous:
         place, yaw = self._stand_off()
         rendezvous = self._config.rendezvous
         searched_s = max(0.0, (self._now_ns() - self._search_began_ns) * 1e-9 - _SETTLE_S)
-        turn = math.radians(rendezvous.search_turn_deg) * min(1.0, 0.2 * searched_s) * math.sin(0.9 * searched_s)
+        turn = math.radians(rendezvous.search_turn_deg) * min(1.0, 0.3 * searched_s) * math.sin(1.1 * searched_s)
         back_m = 0.5 * rendezvous.search_slide_m * (1.0 - math.cos(0.5 * searched_s))
         up_m = 0.25 * rendezvous.search_slide_m * (1.0 - math.cos(0.35 * searched_s))
         return self._by_position(add(place, from_heading((-back_m, 0.0, -up_m), yaw)), state, yaw + turn)
