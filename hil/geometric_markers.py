@@ -33,12 +33,13 @@ PLATE_GAP_M = 0.004  # what is so little in front of a marker is its own plate
 
 
 @kernel
-def marker(boxes, extents, per_car, frame, lens, R, t, corners, region, scale, noise, key, found):
+def marker(boxes, extents, per_car, frame, lens, R, t, corners, region, scale, noise, key, slow_key, found):
     """The corners of one marker as the finder gives them.
 
     Args:
         R, t: the sender in the world; corners: (4, 3) of the marker in the sender's body frame, in the order of the
             print.
+        slow_key: changes only now and then: for what goes wrong for a while.
         region: x0 y0 x1 y1, what is searched; scale: how much the finder enlarges it.
         found: (9,) filled: u v of each corner, then the standard deviation that is claimed for each coordinate (px).
 
@@ -53,8 +54,9 @@ def marker(boxes, extents, per_car, frame, lens, R, t, corners, region, scale, n
         a, b = pixels[k], pixels[(k + 1) % 4]
         side = min(side, math.hypot(b[0] - a[0], b[1] - a[1]))
     half = noise.half_side_px + noise.half_side_per_scale_px * (LARGEST_SCALE - scale)
-    chance = (1.0 - noise.lapse_rate) / (1.0 + math.exp(-noise.side_slope_per_px * (side - half)))
-    if not _inside(pixels, region, lens, side / 12.0) or uniform(mix(key, 200)) > chance:
+    chance = 1.0 / (1.0 + math.exp(-noise.side_slope_per_px * (side - half)))
+    lapse = uniform(mix(slow_key, 202)) < noise.lapse_rate
+    if lapse or not _inside(pixels, region, lens, side / 12.0) or uniform(mix(key, 200)) > chance:
         return False
     if _covered(boxes, extents, per_car, lens, at):
         return False

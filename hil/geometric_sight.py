@@ -33,7 +33,8 @@ from path.messages import Role
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 
 EVERYWHERE = Region(-math.inf, -math.inf, math.inf, math.inf)
-TARGETS, MARKERS, DEPTH = 1, 2, 3  # questions, for the random numbers
+TARGETS, MARKERS, DEPTH, SLOW_TARGETS, SLOW_MARKERS = 1, 2, 3, 4, 5  # questions, for the random numbers
+SLOW_FRAMES = 10  # for so many frames lasts what goes wrong for a while
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,14 +145,16 @@ class GeometricView:
     def _outlines(self) -> Array:
         return outlines(self._sensor.setup, self._placed)
 
-    def _key(self, question: int) -> int:
-        return int(fold(fold(self._sensor.seed, self.frame_id), question))
+    def _key(self, question: int, frames: int = 1) -> int:
+        """A key for random numbers that stay the same for so many frames."""
+        return int(fold(fold(self._sensor.seed, self.frame_id // frames), question))
 
     def targets(self, region: Region | None) -> Sequence[Detection]:
         """The cars a detector would find, with box centre in ``region``, best score first."""
         sensor, seen = self._sensor, self._outlines
         found = np.empty((len(seen), DETECTION_COLUMNS))
-        count = detections(seen, sensor.setup.lens, _row(region), sensor.noise.targets, self._key(TARGETS), found)
+        keys = self._key(TARGETS), self._key(SLOW_TARGETS, SLOW_FRAMES)
+        count = detections(seen, sensor.setup.lens, _row(region), sensor.noise.targets, *keys, found)
         rows = sorted(found[:count].tolist(), key=_minus_score)
         return [Detection(Box(x, y, w, h), score) for x, y, w, h, score in rows]
 
@@ -163,7 +166,7 @@ class GeometricView:
             return ()
         setup, placed = sensor.setup, self._placed
         area, scale = _row(region), _search_scale(region, setup.camera)
-        key, truth = self._key(MARKERS), sender.T_w_b
+        key, slow_key, truth = self._key(MARKERS), self._key(SLOW_MARKERS, SLOW_FRAMES), sender.T_w_b
         detected: list[MarkerDetection] = []
         for marker_id, corners_b in sensor.markers:
             found = np.empty(9)
@@ -180,6 +183,7 @@ class GeometricView:
                 scale,
                 sensor.noise.marker,
                 fold(key, marker_id),
+                fold(slow_key, marker_id),
                 found,
             ):
                 detected.append(MarkerDetection(marker_id, found[:8].reshape(4, 2), found[8] ** 2 * np.eye(8)))

@@ -177,30 +177,32 @@ TARGETS, TOUCHING = 1, 2  # questions, for the random numbers
 
 
 @kernel
-def detections(seen, lens, region, noise, key, found):
+def detections(seen, lens, region, noise, key, slow_key, found):
     """The detector's boxes from what is visible of each car (``outlines``).
 
     Args:
         region: x0 y0 x1 y1; only boxes centred in it.
+        slow_key: changes only now and then: for what goes wrong for a while.
         found: (cars, DETECTION_COLUMNS): filled; the number of rows that are used is returned.
     """
     cars, count = seen.shape[0], 0
-    taken, draws, edges = np.zeros(cars, np.bool_), np.empty(6), np.empty(4)
+    taken, draws, off, edges = np.zeros(cars, np.bool_), np.empty(6), np.empty(2), np.empty(4)
     for car in range(cars):
         if taken[car] or seen[car, SHARE] <= noise.hidden_share:
             continue
         edges[:] = seen[car, :4]
-        own = mix(mix(key, TARGETS), car)
+        own, slow = mix(mix(key, TARGETS), car), mix(mix(slow_key, TARGETS), car)
         gauss(own, draws)
-        odd = _join(seen, car, taken, noise, key, edges) or uniform(mix(own, 100)) < noise.odd_rate
+        odd = _join(seen, car, taken, noise, slow_key, edges) or uniform(mix(slow, 100)) < noise.odd_rate
         spread = noise.edge_sigma_px
         if seen[car, SHARE] < 1.0:
             spread = noise.occluded_sigma_px
-            odd = odd or uniform(mix(own, 101)) < noise.occluded_odd_rate
+            odd = odd or uniform(mix(slow, 101)) < noise.occluded_odd_rate
         if uniform(mix(own, 102)) < noise.miss_rate:
             continue
-        if uniform(mix(own, 103)) < noise.outlier_rate:
-            draws[int(4.0 * uniform(mix(own, 104)))] *= noise.outlier_sigma_px / max(spread, 1e-9)
+        if uniform(mix(slow, 103)) < noise.outlier_rate:
+            gauss(slow, off)
+            draws[int(4.0 * uniform(mix(slow, 104)))] = off[0] * noise.outlier_sigma_px / max(spread, 1e-9)
         whole = _shift(edges, lens, noise, spread, draws)
         w, h = edges[2] - edges[0], edges[3] - edges[1]
         u, v = edges[0] + 0.5 * w, edges[1] + 0.5 * h

@@ -307,6 +307,17 @@ def test_a_question_does_not_change_the_answer_to_another() -> None:
     assert fresh.targets(None) == asked.targets(None)
 
 
+def test_what_goes_wrong_for_a_while_lasts_some_frames_at_its_rate() -> None:
+    noise = replace(EXACT, marker=EXACT.marker._replace(lapse_rate=0.3), targets=EXACT.targets._replace(odd_rate=0.3))
+    views = [look(moment(thing(0, 0.1, 0.0)), Role.RECEIVER, noise, frame_id=k) for k in range(3000)]
+    missed = np.array([not view.markers(None) for view in views])
+    odd = np.array([view.targets(None)[0].score < 0.5 for view in views])
+    for event in (missed, odd):
+        assert event.mean() == pytest.approx(0.3, abs=0.1)
+        assert (event[1:] != event[:-1]).mean() < 0.1
+    assert not np.array_equal(missed, odd)
+
+
 # --- both sights, one contract ---
 
 
