@@ -112,7 +112,10 @@ class Bench:
         return self.landed
 
     async def fly(self, course: Callable[[], Awaitable[None]]) -> RoleResult:
+        complaints: list[dict[str, Any]] = []
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
         result = await fly_course(self.session, course, self.recover)
+        assert complaints == []
         assert len(asyncio.all_tasks()) == 1  # nothing goes on after the end
         return result
 
