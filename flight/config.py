@@ -42,7 +42,7 @@ class RendezvousConfig:
 
     stand_off_m: float = 1.75  # from the marker, along the planned line of sight
     stand_off_tolerance_m: float = 0.25
-    search_slide_m: float = 0.25  # farthest outward from the stand-off
+    search_slide_m: float = 0.8  # farthest outward from the stand-off
     search_turn_deg: float = 50.0  # farthest to either side
     gain_per_s: float = 0.9
     max_speed_mps: float = 0.5
@@ -80,7 +80,7 @@ class Deadlines:
     receiver_ready_s: float = 120.0
     viewpoint_s: float = 15.0
     stand_off_s: float = 40.0
-    search_s: float = 25.0
+    search_s: float = 45.0
     approach_s: float = 30.0
     verify_s: float = 60.0
     target_coast_s: float = 2.0

@@ -83,7 +83,10 @@ class Rendezvous:
     # --- stand-off and search: by the positions both drones report -------------------------------------------------
 
     def to_stand_off(self, state: VehicleState) -> VelocitySetpoint:
-        """To where the marker is in the middle of the image if both positions are right, on the viewpoint's side."""
+        """To where the marker faces D2, in the middle of the image, if both positions are right.
+
+        That is not on the viewpoint's side: with positions off by a metre the marker would be seen edge-on there.
+        """
         place, yaw = self._stand_off()
         return self._by_position(place, state, yaw)
 
@@ -95,25 +98,26 @@ class Rendezvous:
         self._search_began_ns = self._now_ns()
 
     def search(self, state: VehicleState) -> VelocitySetpoint:
-        """Look to and fro, wider as time goes, and slide outward and up, until the marker shows.
+        """Look to and fro, wider as time goes, and slide outward and back, until the marker shows.
 
-        Never inward or down: the positions that the stand-off rests on may be wrong by more than is left.
+        Never inward: the positions that the stand-off rests on may be wrong by more than is left. A drone that is
+        nearly above the other sees it only from farther out.
         """
         place, yaw = self._stand_off()
         rendezvous = self._config.rendezvous
         searched_s = max(0.0, (self._now_ns() - self._search_began_ns) * 1e-9 - _SETTLE_S)
         turn = math.radians(rendezvous.search_turn_deg) * min(1.0, 0.3 * searched_s) * math.sin(1.1 * searched_s)
-        back_m = 0.5 * rendezvous.search_slide_m * (1.0 - math.cos(0.5 * searched_s))
-        up_m = 0.25 * rendezvous.search_slide_m * (1.0 - math.cos(0.35 * searched_s))
-        return self._by_position(add(place, from_heading((-back_m, 0.0, -up_m), yaw)), state, yaw + turn)
+        back_m = 0.5 * rendezvous.search_slide_m * (1.0 - math.cos(0.3 * searched_s))
+        return self._by_position(add(place, from_heading((-back_m, 0.0, 0.0), yaw)), state, yaw + turn)
 
     def _stand_off(self) -> tuple[Vec3, float]:
         peer, stand_off_m = self._peer(), self._config.rendezvous.stand_off_m
-        forward, right, _ = self.viewpoint.camera_h_m
-        side = math.atan2(right, -forward)
         steepness = math.asin(float(self._mount.T_b_c.R[2, 2]))  # how far below the horizon the camera looks
         level_m, height_m = stand_off_m * math.cos(steepness), stand_off_m * math.sin(steepness)
-        offset = from_heading((-level_m * math.cos(side), level_m * math.sin(side), -height_m), peer.yaw_rad)
+        normal_b = self._mount.T_b_v.R[:, 2]  # of the plate, in D1's body
+        facing = math.hypot(float(normal_b[0]), float(normal_b[1]))
+        ahead, right = (float(normal_b[0]) / facing, float(normal_b[1]) / facing) if facing > 0.1 else (-1.0, 0.0)
+        offset = from_heading((level_m * ahead, level_m * right, -height_m), peer.yaw_rad)
         return add(peer.position_n_m, offset), bearing(scale(offset, -1.0))
 
     def _by_position(self, place_n_m: Vec3, state: VehicleState, yaw_rad: float) -> VelocitySetpoint:
