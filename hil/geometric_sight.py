@@ -25,10 +25,12 @@ from hil.geometric_markers import LARGEST_SCALE, marker
 from hil.geometric_scene import Array, CameraSetup, Placed, outlines, place
 from hil.geometric_targets import DETECTION_COLUMNS, DepthSettings, depth_over, detections
 from hil.observation_noise import ObservationNoise
-from hil.snapshot import Snapshot
+from hil.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.camera import CameraModel
 from path.config import MethodConfig
+from path.geometry import Pose
 from path.marker.detect import DETECTION_PIXELS
+from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 
@@ -201,7 +203,7 @@ class GeometricView:
             placed.frame,
             setup.lens,
             self._snapshot.depth_holes,
-            (box.x, box.y, box.w, box.h),
+            (float(box.x), float(box.y), float(box.w), float(box.h)),  # one compiled version for all numbers
             sensor.depth,
             sensor.depth_noise,
             key,
@@ -211,6 +213,22 @@ class GeometricView:
     def image(self) -> None:
         """There are no pixels."""
         return None
+
+
+def warm_up() -> None:
+    """Compile the kernels or load them from numba's cache: some seconds the first time, so once before processes fly.
+
+    Asks every question of a view of one car and one marker.
+    """
+    camera = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
+    level, down = Pose(np.eye(3), np.zeros(3)), Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.5]))
+    setup = CameraSetup(Role.RECEIVER, camera, level, level, single_marker())
+    drones = {role: DroneTruth(down, (0.0, 0.0, 0.0), 0.0, True) for role in Role}
+    snapshot = Snapshot(0.0, drones, (ObjectTruth(0, (0.0, 0.0, 0.0), 0.0, 0.0),))
+    view = GeometricView(Capture(0, 0, snapshot), Sensor(setup, ObservationNoise(), MethodConfig(), 0))
+    view.targets(None)
+    view.markers(None)
+    view.depth(Box(20.0, 12.0, 24.0, 24.0))
 
 
 def _minus_score(row: list[float]) -> float:

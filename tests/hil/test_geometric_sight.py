@@ -6,6 +6,7 @@ import asyncio
 import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from drivers.interfaces import CameraError, Sight, View
 from drivers.pixel_sight import PixelSight, PixelSightConfig
 from drivers.rig import Mount, Origin, PartContext
 from drivers.tables import decode_table
+from hil import geometric_targets
 from hil.capture import Capture, Freeze
 from hil.geometric_scene import Array, CameraSetup
-from hil.geometric_sight import GeometricSight, GeometricSightConfig, GeometricView, Sensor
+from hil.geometric_sight import GeometricSight, GeometricSightConfig, GeometricView, Sensor, warm_up
 from hil.observation_noise import EXACT, ObservationNoise
 from hil.render.renderer import Renderer
 from hil.render.scene import car
@@ -61,16 +63,25 @@ def alone(snapshot: Snapshot, role: Role) -> Snapshot:
     return replace(snapshot, drones={role: snapshot.drones[role]})
 
 
+def made(role: Role, noise: ObservationNoise, seed: int, T_b_v: Pose) -> Sensor:
+    return Sensor(CameraSetup(role, CAMERA, T_B_C, T_b_v, LAYOUT), noise, MethodConfig(), seed)
+
+
+@cache
+def usual(role: Role, noise: ObservationNoise, seed: int) -> Sensor:
+    return made(role, noise, seed, T_B_V)
+
+
 def look(
     snapshot: Snapshot,
     role: Role = Role.SENDER,
     noise: ObservationNoise = EXACT,
     frame_id: int = 1,
     seed: int = 0,
-    T_b_v: Pose = T_B_V,
+    T_b_v: Pose | None = None,
 ) -> GeometricView:
-    setup = CameraSetup(role, CAMERA, T_B_C, T_b_v, LAYOUT)
-    return GeometricView(Capture(frame_id, frame_id, snapshot), Sensor(setup, noise, MethodConfig(), seed))
+    sensor = usual(role, noise, seed) if T_b_v is None else made(role, noise, seed, T_b_v)
+    return GeometricView(Capture(frame_id, frame_id, snapshot), sensor)
 
 
 def T_c_w(snapshot: Snapshot, role: Role) -> Pose:
@@ -437,6 +448,15 @@ def test_a_view_answers_in_the_same_terms(make: Make) -> None:
         assert image is None or image.shape == (480, 640, 3)
 
     with_sight(make, program)
+
+
+def test_after_warming_up_nothing_is_left_to_compile() -> None:
+    warm_up()
+    compiled = len(geometric_targets.depth_over.signatures)
+    view = look(moment(thing(0, 0.1, 0.0)), Role.RECEIVER, ObservationNoise())
+    everything(view)
+    view.depth(Box(300, 300, 40, 40))
+    assert len(geometric_targets.depth_over.signatures) == compiled
 
 
 def test_a_geometric_sight_needs_a_world() -> None:
