@@ -9,6 +9,7 @@ from drivers.interfaces import Clock, FlightMode, Log, Vehicle, VehicleState, Ve
 from flight.config import MissionConfig
 from flight.guard import check_vehicle
 from flight.guidance import Anchor, slew
+from flight.outcome import MissionEnd, Outcome
 from path.rotation import yaw_of
 
 Guidance = Callable[[VehicleState], VelocitySetpoint]
@@ -27,6 +28,7 @@ class Pilot:
         self._last = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
         self.guidance: Guidance = self._stay
         self.in_control = False
+        self.overridden = False  # somebody else changed the mode: nothing may be commanded any more
 
     def _stay(self, state: VehicleState) -> VelocitySetpoint:
         return VelocitySetpoint((0.0, 0.0, 0.0), yaw_of(state.q_n_b))
@@ -48,6 +50,9 @@ class Pilot:
         """Send setpoints until cancelled or let go. Raises MissionEnd when the guard trips."""
         try:
             await self._run()
+        except MissionEnd as end:
+            self.overridden = end.outcome is Outcome.PILOT_OVERRIDE
+            raise
         finally:
             self.in_control = False
 

@@ -19,6 +19,7 @@ _MEASUREMENT_SIGMA_M = 0.05
 _ACCELERATION_SIGMA_MPS2 = 0.6
 _GATE_FLOOR_M = 0.20
 _AMBIGUITY = 0.6
+_CLEARLY_NEARER = 1.5
 _MIN_DESCENT = 0.2  # per metre along the optical axis
 
 
@@ -82,11 +83,12 @@ def to_local(point_c: Vec3, T_n_c: Pose) -> Vec3:
 def acquire(
     view: View, T_n_c: Pose, camera: CameraModel, place_n_m: Vec3, radius_m: float
 ) -> tuple[Sighting, Vec3] | MissReason:
-    """The object nearest to a designated place, no farther from it than ``radius_m``.
+    """The object at a designated place: no farther from it than ``radius_m``, and clearly nearer than any other.
 
-    Returns the sighting and its position in ``n``, or why there is none.
+    Returns the sighting and its position in ``n``, or why there is none. A position estimate that is off by half the
+    distance between two objects would make the wrong one the nearest: then neither is taken.
     """
-    best: tuple[float, Sighting, Vec3] | None = None
+    seen: list[tuple[float, Sighting, Vec3]] = []
     for detection in view.targets(None):
         if detection.score < MIN_SCORE:
             continue
@@ -94,10 +96,13 @@ def acquire(
         if depth is None:
             continue
         position = to_local(point_in_camera(detection.box, depth.z_m, camera), T_n_c)
-        off = norm(subtract(position, place_n_m))
-        if off <= radius_m and (best is None or off < best[0]):
-            best = off, Sighting(detection.box, depth), position
-    return MissReason.NO_TARGET if best is None else (best[1], best[2])
+        seen.append((norm(subtract(position, place_n_m)), Sighting(detection.box, depth), position))
+    seen.sort(key=lambda item: item[0])
+    if not seen or seen[0][0] > radius_m:
+        return MissReason.NO_TARGET
+    if len(seen) > 1 and seen[1][0] < _CLEARLY_NEARER * seen[0][0]:
+        return MissReason.AMBIGUOUS_TARGET
+    return seen[0][1], seen[0][2]
 
 
 def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> Sighting | MissReason:

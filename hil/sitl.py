@@ -228,7 +228,10 @@ async def _kill(processes: list[asyncio.subprocess.Process]) -> None:
 
 def _last_words(out: Path, role: Role) -> str:
     """What a program that died wrote last."""
-    written = (out / f"{role.value}.stderr.txt").read_text("utf-8", "replace").split("\n")
+    errors = out / f"{role.value}.stderr.txt"
+    if not errors.exists():
+        return "It was never started."
+    written = errors.read_text("utf-8", "replace").split("\n")
     return " ".join(line.strip() for line in written if line.strip())[-300:]
 
 

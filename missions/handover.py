@@ -136,7 +136,6 @@ class SenderHandover(_Handover[SenderMachine]):
 
     def __init__(self, session: Session) -> None:
         super().__init__(session, SenderMachine(protocol_config(session)))
-        self._agreed = False
 
     @property
     def epoch(self) -> int:
@@ -161,10 +160,9 @@ class SenderHandover(_Handover[SenderMachine]):
         session.spawn(self._tick())
 
     def agreed(self, target_id: int) -> None:
-        """The whole window agreed: release, then commit. Only the first call of an attempt does anything."""
-        if self._agreed:
+        """The whole window agreed: release, then commit. Refused while the clocks are not known; may be said again."""
+        if self.released:
             return
-        self._agreed = True
         session, alignment = self._session, self._session.alignment
         lease_end_ns = session.now_ns() + round(self._machine.config.lease_s * 1e9)
         uncertainty = alignment.uncertainty_at(lease_end_ns) if alignment.ready else None
@@ -192,7 +190,7 @@ class SenderHandover(_Handover[SenderMachine]):
                 break
             if decision is not Decision.TAKEN_BACK:
                 raise MissionEnd(_ENDS.get(decision, Outcome.PEER_ABORTED), decision.value)
-            carrier.ended, self._agreed = None, False
+            carrier.ended = None
             self._step(VerifyAgain())
             verify_again()
         await _until(lambda: carrier.settled is not None, math.inf)
@@ -245,7 +243,9 @@ class ReceiverHandover(_Handover[ReceiverMachine]):
         An attempt that the sender took back may be followed by another one, as long as there is time.
         """
         carrier, end_s = self._carrier, asyncio.get_running_loop().time() + timeout_s
-        while await _until(lambda: carrier.ended is not None, end_s):
+        while await _until(lambda: carrier.ended is not None, end_s) or self.holds:
+            # within a lease, the lease decides and not the deadline
+            await _until(lambda: carrier.ended is not None, math.inf)
             assert carrier.ended is not None
             decision, carrier.ended = carrier.ended.outcome, None
             if decision is Decision.HANDED_OVER:

@@ -20,7 +20,6 @@ from drivers.interfaces import (
     Link,
     LinkError,
     Log,
-    PartError,
     Received,
     Sight,
     Vehicle,
@@ -317,7 +316,8 @@ async def fly_course(session: Session, course: Course, recover: Recovery) -> Rol
             session.say(str(end))
         try:
             landed = await recover(end)
-        except (PartError, MissionEnd) as error:
+        except Exception as error:
+            as_end(error)  # prints what nobody foresaw
             session.say(f"not landed by the script: {error}")
     finally:
         await session.cancel_spawned()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from drivers.interfaces import VehicleError
+from drivers.interfaces import FlightMode, VehicleError
 from flight.guidance import Anchor, Vec3, add, norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
@@ -56,6 +56,9 @@ async def bring_down(session: Session, end: MissionEnd | None, way_out_n_m: Vec3
         session.enter(Phase.DEPART)
         await _depart(session, way_out_n_m)
     pilot.let_go()
+    if pilot.overridden or session.vehicle.state.mode is FlightMode.OTHER:
+        session.say("the pilot flies: the script does not land")
+        return False
     session.enter(Phase.LAND)
     try:
         await session.vehicle.land(session.config.deadlines.land_s)
