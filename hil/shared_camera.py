@@ -10,17 +10,14 @@ what a killed writer left behind is told from what is in use.
 from __future__ import annotations
 
 import asyncio
-import errno
 import fcntl
 import mmap
 import os
 import socket
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -29,117 +26,26 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError, Clock, Frame
 from drivers.rig import PartContext
+from hil.shared_segment import (
+    MAGIC,
+    Layout,
+    Segment,
+    bind,
+    folder,
+    map_segment,
+    remove_abandoned,
+    segment_path,
+    socket_path,
+    writer_lives,
+)
 from path.camera import CameraModel
 from path.messages import Role
 
+__all__ = ["RUN_VARIABLE", "SharedCamera", "SharedCameraConfig", "SharedCameraWriter", "folder"]
+
+_OPEN_POLL_S = 0.02
 RUN_VARIABLE = "PATH_HANDOFF_RUN"
 """Environment variable with the name of the run, set by whoever starts the world and the roles."""
-
-_MAGIC = 0x5041_5448_4652_0001  # "PATHFR", version 1
-_PREFIX = "path-camera-"
-_HEADER_BYTES = 4096
-_SLOT_HEADER_BYTES = 64
-_OPEN_POLL_S = 0.02
-
-
-def folder() -> Path:
-    """Where segments live: memory where the system has a file system for it."""
-    memory = Path("/dev/shm")
-    return memory if memory.is_dir() and os.access(memory, os.W_OK) else Path(tempfile.gettempdir())
-
-
-def segment_path(run: str, role: Role) -> Path:
-    return folder() / f"{_PREFIX}{run}-{role.value}"
-
-
-def remove_abandoned() -> list[Path]:
-    """Remove segments and sockets whose writer is dead (it was killed before it could); returns what was removed."""
-    removed: list[Path] = []
-    for path in folder().glob(f"{_PREFIX}*"):
-        if path.suffix in (".sock", ".new") or _writer_lives(path):
-            continue
-        for leftover in (path, _socket_path(path)):
-            with suppress(FileNotFoundError):
-                leftover.unlink()
-                removed.append(leftover)
-    return removed
-
-
-def _socket_path(segment: Path) -> Path:
-    return segment.with_name(segment.name + ".sock")
-
-
-def _writer_lives(segment: Path) -> bool:
-    try:
-        handle = os.open(segment, os.O_RDONLY)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return True
-    else:
-        return False
-    finally:
-        os.close(handle)
-
-
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """Where things are in a segment of ``slots`` frames."""
-
-    width: int
-    height: int
-    depth: bool
-    slots: int
-
-    @property
-    def color_bytes(self) -> int:
-        return self.width * self.height * 3
-
-    @property
-    def slot_bytes(self) -> int:
-        used = _SLOT_HEADER_BYTES + self.color_bytes + (self.width * self.height * 2 if self.depth else 0)
-        return -(-used // 4096) * 4096
-
-    @property
-    def total_bytes(self) -> int:
-        return _HEADER_BYTES + self.slots * self.slot_bytes
-
-
-class _Segment:
-    """NumPy views into a mapped segment.
-
-    ``header``: magic, width, height, has depth, slots, newest sequence number (0: none yet).
-    ``slot_headers[i]``: 2 n - 1 while frame n is being written and 2 n once it is whole, stamp in ns of
-    CLOCK_MONOTONIC.
-    """
-
-    NEWEST = 5
-
-    def __init__(self, memory: mmap.mmap, layout: _Layout) -> None:
-        self.layout = layout
-        self._memory = memory
-        self.header = np.frombuffer(memory, np.int64, 8)
-        self.slot_headers: list[NDArray[np.int64]] = []
-        self.colors: list[NDArray[np.uint8]] = []
-        self.depths: list[NDArray[np.uint16] | None] = []
-        shape = (layout.height, layout.width)
-        for i in range(layout.slots):
-            start = _HEADER_BYTES + i * layout.slot_bytes
-            self.slot_headers.append(np.frombuffer(memory, np.int64, 2, start))
-            pixels = start + _SLOT_HEADER_BYTES
-            self.colors.append(np.frombuffer(memory, np.uint8, layout.color_bytes, pixels).reshape(*shape, 3))
-            depth_at = pixels + layout.color_bytes
-            self.depths.append(
-                np.frombuffer(memory, np.uint16, shape[0] * shape[1], depth_at).reshape(shape) if layout.depth else None
-            )
-
-    def close(self) -> None:
-        """Drop the views, then the mapping (which would refuse to close under them)."""
-        self.header = np.zeros(0, np.int64)
-        self.slot_headers, self.colors, self.depths = [], [], []
-        self._memory.close()
 
 
 class SharedCameraWriter:
@@ -149,15 +55,15 @@ class SharedCameraWriter:
         if slots < 4:
             raise ValueError(f"slots: {slots} is below 4, so that a slow reader would be overtaken at once")
         self._path = segment_path(run, role)
-        self._layout = _Layout(model.width, model.height, depth, slots)
+        self._layout = Layout(model.width, model.height, depth, slots)
         self._sequence = 0
-        self._segment: _Segment | None = None
+        self._segment: Segment | None = None
         self._handle = -1
         self._socket: socket.socket | None = None
 
     def __enter__(self) -> Self:
         remove_abandoned()
-        if _writer_lives(self._path):
+        if writer_lives(self._path):
             raise CameraError(f"{self._path} is already being written", "use another run name, or end the other run")
         # Made and locked under another name: nobody can take the finished one for abandoned.
         new = self._path.with_name(f"{self._path.name}.{os.getpid()}.new")
@@ -165,9 +71,9 @@ class SharedCameraWriter:
         fcntl.flock(self._handle, fcntl.LOCK_EX)
         os.ftruncate(self._handle, self._layout.total_bytes)
         memory = mmap.mmap(self._handle, self._layout.total_bytes)
-        self._segment = _Segment(memory, self._layout)
+        self._segment = Segment(memory, self._layout)
         layout = self._layout
-        self._segment.header[:6] = (_MAGIC, layout.width, layout.height, int(layout.depth), layout.slots, 0)
+        self._segment.header[:6] = (MAGIC, layout.width, layout.height, int(layout.depth), layout.slots, 0)
         new.replace(self._path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -177,7 +83,7 @@ class SharedCameraWriter:
         if self._segment is None:
             return
         assert self._socket is not None
-        for path in (self._path, _socket_path(self._path)):
+        for path in (self._path, socket_path(self._path)):
             with suppress(FileNotFoundError):
                 path.unlink()
         self._socket.close()
@@ -203,11 +109,11 @@ class SharedCameraWriter:
         if depth is not None and depth_mm is not None:
             np.copyto(depth, depth_mm, casting="no")
         header[0] = 2 * self._sequence
-        segment.header[_Segment.NEWEST] = self._sequence
+        segment.header[Segment.NEWEST] = self._sequence
         assert self._socket is not None
         # No reader yet, or one whose queue is full and that will wake anyway: either is no concern of the world's.
         with suppress(OSError):
-            self._socket.sendto(b"\0", str(_socket_path(self._path)))
+            self._socket.sendto(b"\0", str(socket_path(self._path)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +149,7 @@ class SharedCamera:
         self._model = context.camera
         self._clock: Clock = context.clock
         self._open_timeout_s = config.open_timeout_s
-        self._segment: _Segment | None = None
+        self._segment: Segment | None = None
         self._socket: socket.socket | None = None
         self._wake = asyncio.Event()
         self._given = 0
@@ -257,14 +163,14 @@ class SharedCamera:
         self._segment = await self._attach()
         try:
             self._check_size(self._segment.layout)
-            self._socket = _bind(_socket_path(self._path))
+            self._socket = bind(socket_path(self._path))
         except CameraError:
             self._segment.close()
             self._segment = None
             raise
         asyncio.get_running_loop().add_reader(self._socket, self._on_wake)
         # What was written before this reader came is old: start with the next frame.
-        self._given = int(self._segment.header[_Segment.NEWEST])
+        self._given = int(self._segment.header[Segment.NEWEST])
         return self
 
     async def __aexit__(
@@ -275,7 +181,7 @@ class SharedCamera:
             self._socket.close()
             self._socket = None
             with suppress(FileNotFoundError):
-                _socket_path(self._path).unlink()
+                socket_path(self._path).unlink()
         if self._segment is not None:
             self._segment.close()
             self._segment = None
@@ -299,10 +205,10 @@ class SharedCamera:
 
     # --- inside ---
 
-    async def _attach(self) -> _Segment:
+    async def _attach(self) -> Segment:
         loop = asyncio.get_running_loop()
         deadline = loop.time() + self._open_timeout_s
-        while (segment := _map(self._path)) is None:
+        while (segment := map_segment(self._path)) is None:
             if loop.time() > deadline:
                 raise CameraError(
                     f"no camera frames are published as {self._path} after {self._open_timeout_s:g} s",
@@ -311,7 +217,7 @@ class SharedCamera:
             await asyncio.sleep(_OPEN_POLL_S)
         return segment
 
-    def _check_size(self, layout: _Layout) -> None:
+    def _check_size(self, layout: Layout) -> None:
         if (layout.width, layout.height) != (self._model.width, self._model.height):
             raise CameraError(
                 f"the calibration is for {self._model.width}x{self._model.height} px but {self._path.name} gives "
@@ -334,7 +240,7 @@ class SharedCamera:
         """
         segment = self._segment
         assert segment is not None, "read before entering the context"
-        while (newest := int(segment.header[_Segment.NEWEST])) > self._given:
+        while (newest := int(segment.header[Segment.NEWEST])) > self._given:
             slot = newest % segment.layout.slots
             header, depth = segment.slot_headers[slot], segment.depths[slot]
             stamp_ns = int(header[1])
@@ -348,52 +254,9 @@ class SharedCamera:
 
     def _silent(self, timeout_s: float) -> CameraError:
         message = f"no frame from {self._path.name} for {timeout_s:g} s"
-        if not _writer_lives(self._path):
+        if not writer_lives(self._path):
             return CameraError(f"{message}: the world process that writes it is gone", "see why it ended in its log")
         return CameraError(message, "see whether the world keeps real time, or the camera is frozen on purpose")
-
-
-def _map(path: Path) -> _Segment | None:
-    """Map a segment that a living writer publishes; None when there is none."""
-    if not _writer_lives(path):
-        return None
-    try:
-        handle = os.open(path, os.O_RDONLY)
-    except FileNotFoundError:
-        return None
-    try:
-        memory = mmap.mmap(handle, 0, prot=mmap.PROT_READ)
-    finally:
-        os.close(handle)
-    magic, width, height, depth, slots = np.frombuffer(memory, np.int64, 5).tolist()
-    if magic != _MAGIC:
-        memory.close()
-        raise CameraError(f"{path} holds no camera frames of this version", "remove it and start again")
-    return _Segment(memory, _Layout(width, height, bool(depth), slots))
-
-
-def _bind(path: Path) -> socket.socket:
-    """A datagram socket at ``path``; one left behind by a killed reader is replaced, a live one refused."""
-    waker = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    waker.setblocking(False)
-    try:
-        waker.bind(str(path))
-    except OSError as error:
-        if error.errno != errno.EADDRINUSE or _answers(path):
-            waker.close()
-            raise CameraError(f"{path.name} already has a reader", "end the other process of this role") from error
-        path.unlink(missing_ok=True)
-        waker.bind(str(path))
-    return waker
-
-
-def _answers(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(str(path))
-        except OSError:
-            return False
-        return True
 
 
 def _to_clock(clock: Clock, monotonic_ns: int, now_ns: Callable[[], int] = time.monotonic_ns) -> int:

@@ -23,10 +23,8 @@ from hil.shared_camera import (
     SharedCamera,
     SharedCameraConfig,
     SharedCameraWriter,
-    folder,
-    remove_abandoned,
-    segment_path,
 )
+from hil.shared_segment import folder, remove_abandoned, segment_path
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.marker.layout import single_marker
