@@ -73,7 +73,10 @@ class Sender:
         session.pilot.guidance = Anchor(self._first_place(), self._heading_rad).hold
         session.spawn(self._watch())
         await session.until(
-            lambda: self._track is not None, deadlines.acquire_s, Outcome.TARGET_NOT_FOUND, "no object was clearly the designated one"
+            lambda: self._track is not None,
+            deadlines.acquire_s,
+            Outcome.TARGET_NOT_FOUND,
+            "no object was clearly the designated one",
         )
 
         session.enter(Phase.FOLLOW, "target acquired, waiting for the receiver")
