@@ -150,7 +150,7 @@ class Sender:
                 self._try_to_acquire(view, R_n_b)
             else:
                 self._cycle_once(view, R_n_b, self._track)
-            if session.peer is None or session.peer.phase < Phase.SEARCH:
+            if session.phase is not Phase.VERIFY and (session.peer is None or session.peer.phase < Phase.SEARCH):
                 await session.skip_frames()
 
     async def _watch_peer(self) -> None:
