@@ -76,7 +76,7 @@ class Deadlines:
     armable_s: float = 45.0
     peer_s: float = 60.0
     take_off_s: float = 30.0
-    acquire_s: float = 30.0
+    acquire_s: float = 10.0  # what was pointed at does not wait for ever
     receiver_ready_s: float = 120.0
     viewpoint_s: float = 15.0
     stand_off_s: float = 40.0
