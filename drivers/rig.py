@@ -111,7 +111,10 @@ class RoleRig:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A whole rig. ``mission`` and ``world`` stay tables: who uses them decodes them with ``decode_table``."""
+    """A whole rig. ``mission`` and ``world`` stay tables: who uses them decodes them with ``decode_table``.
+
+    ``trials`` names what trials measure against, ``module:name`` by purpose.
+    """
 
     name: str
     description: str
@@ -121,6 +124,7 @@ class Rig:
     method: MethodConfig
     mission: Mapping[str, Any]
     world: Mapping[str, Any]
+    trials: Mapping[str, str]
     layout: MarkerLayout
     sender: RoleRig
     receiver: RoleRig

@@ -7,6 +7,7 @@ harness = "hil.sitl:Sitl"            # left out in the field
 [method]                             # path.config.MethodConfig
 [mission]                            # decoded by the missions
 [world]                              # decoded by the harness
+[trials]                             # what trials measure against: studio = "hil.studio:Studio", ...
 [[markers]]                          # the marker layout on the sender, in frame v
 [sender.vehicle]                     # a part: its factory, and the options of its Config
 factory = "drivers.mavsdk_vehicle:MavsdkVehicle"
@@ -154,6 +155,7 @@ class _RigTable:
     method: MethodConfig = field(default_factory=MethodConfig)
     mission: dict[str, Any] = field(default_factory=dict[str, Any])
     world: dict[str, Any] = field(default_factory=dict[str, Any])
+    trials: dict[str, str] = field(default_factory=dict[str, str])
 
     def __post_init__(self) -> None:
         self.layout()
@@ -211,6 +213,7 @@ def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
         method=written.method,
         mission=written.mission,
         world=written.world,
+        trials=written.trials,
         layout=written.layout(),
         sender=_role_rig(written.sender, T_b_v),
         receiver=_role_rig(written.receiver, T_b_v),

@@ -1,0 +1,145 @@
+"""Pictures of known truth, for measuring perception: the stage, the camera that looks at it, and who draws it.
+
+A trial arranges a stage and shoots it; the rig names the studio (``[trials] studio``). World frame ``w`` is ENU, the
+ground at z = 0. All values are the truth: what a trial lets the method believe (calibration, printed size, attitude) is
+the trial's own choice of errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.marker.layout import MarkerLayout
+from path.messages import Role, Vec3
+
+Kind = Literal["car", "person"]
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """An object on the ground. Its frame: x forward, z up, origin on the ground below its middle.
+
+    Attributes:
+        yaw_rad: counter-clockwise from east.
+        variant: objects of one kind differ a little by it, as similar people do.
+    """
+
+    kind: Kind
+    position_w_m: Vec3
+    yaw_rad: float = 0.0
+    variant: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What there is at one instant.
+
+    Attributes:
+        T_w_b: body FRD of each drone to the world; a drone that is not named is not there.
+        rotor_phase_rad: turns the drawn blades.
+        marker_hidden: the plates are blank.
+    """
+
+    T_w_b: Mapping[Role, Pose]
+    things: tuple[Thing, ...] = ()
+    rotor_phase_rad: float = 0.0
+    marker_hidden: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Imaging:
+    """How a camera makes an image of the light it gets. The default is a sensor that is linear and uncompressed.
+
+    Attributes:
+        blur_sigma_px: Gaussian blur of the optics.
+        read_sigma, shot_gain: noise, grey levels; and variance in grey levels squared per grey level.
+        exposure: factor on the light; above 1 white paper saturates.
+        motion_px: length and direction of the motion during the exposure, (u, v) px.
+        mosaic: the light is sampled through a Bayer pattern and interpolated again.
+        gamma: the image is light to the power of 1 / gamma.
+        sharpen, sharpen_sigma_px: unsharp mask: share of the difference to the blurred image that is added.
+        jpeg_quality: 1..100, None for no JPEG.
+        h264_crf: 0..51 constant rate factor, None for no H.264.
+    """
+
+    blur_sigma_px: float = 0.6
+    read_sigma: float = 1.2
+    shot_gain: float = 0.015
+    exposure: float = 1.0
+    motion_px: tuple[float, float] = (0.0, 0.0)
+    mosaic: bool = False
+    gamma: float = 1.0
+    sharpen: float = 0.0
+    sharpen_sigma_px: float = 1.0
+    jpeg_quality: int | None = None
+    h264_crf: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Printing:
+    """What is not ideal about the printed marker.
+
+    Attributes:
+        ink_spread_m: how far black reaches beyond its edges.
+        black_spread: standard deviation of black over the cells, grey levels.
+        shadow: "none", "soft" (a gradient of light across the plate) or "hard" (an edge of shadow across it).
+        blade: a rotor blade lies across the plate.
+    """
+
+    ink_spread_m: float = 0.0
+    black_spread: float = 0.0
+    shadow: Literal["none", "soft", "hard"] = "none"
+    blade: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class DepthNoise:
+    """Noise of the depth camera; ``sigma_at_1m_m`` grows with the square of the depth."""
+
+    sigma_at_1m_m: float = 0.005
+    correlation_px: float = 1.0
+    hole_rate: float = 0.25
+    min_m: float = 0.3
+    max_m: float = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class StudioSetup:
+    """One drone's camera, as it truly is, and the markers on the sender, as they truly are."""
+
+    camera: CameraModel
+    T_b_c: Pose
+    T_b_v: Pose
+    layout: MarkerLayout
+    imaging: Imaging = field(default_factory=Imaging)
+    printing: Printing = field(default_factory=Printing)
+    depth: DepthNoise = field(default_factory=DepthNoise)
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """``color``: uint8 (h, w, 3) BGR. ``depth_mm``: uint16 (h, w), registered to it, 0 where there is none."""
+
+    color: NDArray[np.uint8]
+    depth_mm: NDArray[np.uint16]
+
+
+class Studio(Protocol):
+    """Shoots stages with one camera. The same setup, stage and seeds give the same bytes."""
+
+    def __init__(self, setup: StudioSetup, seed: int) -> None: ...
+
+    def shoot(self, stage: Stage, role: Role, shot_seed: int) -> Shot:
+        """What the role's camera delivers."""
+        ...
+
+    def true_depth_m(self, stage: Stage, role: Role, u: float, v: float) -> float | None:
+        """Exact depth along the optical axis of the surface seen at a pixel; None when there is none in reach."""
+        ...

@@ -1,0 +1,145 @@
+"""Long work on all cores, with a bar that shows how far it is."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import TextIO, TypeVar
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+AHEAD = 3  # pieces submitted for each process, so that none waits and an interrupt has little to cancel
+
+
+class Work:
+    """Runs pieces of a trial. One pool of processes serves all of them, so that kernels are loaded once.
+
+    Pieces are functions at module level with picklable arguments and results. Each must take its randomness from its
+    arguments alone: results do not depend on the number of processes.
+    """
+
+    def __init__(self, jobs: int, bars: Bars) -> None:
+        self._jobs = jobs
+        self._bars = bars
+        self._pool: ProcessPoolExecutor | None = None
+
+    @property
+    def jobs(self) -> int:
+        """Processes at a time."""
+        return self._jobs
+
+    def map(self, what: str, piece: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+        """The results in the order of the items; ``what`` names the work on its bar.
+
+        Raises what a piece raised; the pieces that have not begun are given up then.
+        """
+        with self._bars.bar(what, len(items)) as advance:
+            if self._jobs == 1 or len(items) <= 1:
+                return list(_stepped(map(piece, items), advance))
+            return self._on_all_cores(piece, items, advance)
+
+    def steps(self, what: str, items: Sequence[Item]) -> Iterator[Item]:
+        """The items one by one, with a bar: work that must stay in this process, such as timings."""
+        with self._bars.bar(what, len(items)) as advance:
+            yield from _stepped(items, advance)
+
+    def _on_all_cores(
+        self, piece: Callable[[Item], Result], items: Sequence[Item], advance: Callable[[], None]
+    ) -> list[Result]:
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(self._jobs, mp_context=get_context("spawn"), initializer=_quiet_worker)
+        results: dict[int, Result] = {}
+        running: dict[Future[Result], int] = {}
+        waiting = iter(enumerate(items))
+        try:
+            while len(results) < len(items):
+                while len(running) < AHEAD * self._jobs and (following := next(waiting, None)) is not None:
+                    index, item = following
+                    running[self._pool.submit(piece, item)] = index
+                for done in wait(running, return_when=FIRST_COMPLETED).done:
+                    results[running.pop(done)] = done.result()
+                    advance()
+        finally:
+            for left in running:
+                left.cancel()
+        return [results[index] for index in range(len(items))]
+
+    def close(self) -> None:
+        """Ends the processes; those that still work finish their piece."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+
+class Bars:
+    """Bars on a stream: live when it is a terminal, a line at each tenth when it is not."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    @contextmanager
+    def bar(self, what: str, total: int) -> Generator[Callable[[], None], None, None]:
+        """A bar of ``total`` steps; call what it gives after each."""
+        if self._stream.isatty():
+            columns = (
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeElapsedColumn(),
+                TimeRemainingColumn(),
+            )
+            with Progress(*columns, console=Console(file=self._stream)) as progress:
+                task = progress.add_task(what, total=total)
+                yield lambda: progress.advance(TaskID(task))
+            return
+        done = 0
+
+        def advance() -> None:
+            nonlocal done
+            done += 1
+            if done == total or done * 10 // total > (done - 1) * 10 // total:
+                self._stream.write(f"{what}: {done}/{total}\n")
+                self._stream.flush()
+
+        yield advance
+
+
+@contextmanager
+def open_work(jobs: int, stream: TextIO | None = None) -> Generator[Work, None, None]:
+    """Work with ``jobs`` processes (0: one a core), ended at the end of the block."""
+    work = Work(jobs or os.cpu_count() or 1, Bars(stream or sys.stdout))
+    try:
+        yield work
+    finally:
+        work.close()
+
+
+def _quiet_worker() -> None:
+    """Ctrl-C is the parent's to handle; libraries shall not start threads on top of one process a core."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    import cv2  # noqa: PLC0415 (only workers need it here)
+
+    cv2.setNumThreads(1)
+
+
+def _stepped(items: Iterable[Item], advance: Callable[[], None]) -> Iterator[Item]:
+    for item in items:
+        yield item
+        advance()
