@@ -1,0 +1,102 @@
+"""Intervals: what a figure from a limited number of samples says, and no more."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Interval = tuple[float, float]
+
+Z95 = 1.959963984540054
+RESAMPLES = 2000
+
+
+def wilson(successes: int, trials: int) -> Interval:
+    """95 % interval of a proportion by Wilson's score, 0..1; (0, 1) without trials.
+
+    Raises:
+        ValueError: counts that cannot be.
+    """
+    _check(successes, trials)
+    if trials == 0:
+        return 0.0, 1.0
+    p, zz = successes / trials, Z95 * Z95 / trials
+    middle = (p + 0.5 * zz) / (1.0 + zz)
+    reach = math.sqrt(zz * (p * (1.0 - p) + 0.25 * zz)) / (1.0 + zz)
+    low = 0.0 if successes == 0 else middle - reach
+    high = 1.0 if successes == trials else middle + reach
+    return max(0.0, low), min(1.0, high)
+
+
+def upper_bound(events: int, trials: int, confidence: float = 0.95) -> float:
+    """One-sided upper bound of a rate (Clopper and Pearson): events this rare are seen more often with ``confidence``.
+
+    No event in n trials gives about 3 / n at 95 %.
+
+    Raises:
+        ValueError: counts that cannot be.
+    """
+    _check(events, trials)
+    if trials == 0 or events == trials:
+        return 1.0
+    low, high = events / trials, 1.0
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        if _binomial_tail(events, trials, middle) > 1.0 - confidence:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def bootstrap(
+    values: Array,
+    statistic: Callable[[Array], float],
+    rng: np.random.Generator,
+    groups: NDArray[np.int64] | None = None,
+) -> Interval:
+    """95 % percentile bootstrap of a statistic of ``values``, shape (n, ...).
+
+    Args:
+        groups: (n,) numbers of what was drawn together: samples that share an error are resampled together, otherwise
+            the interval claims what repeating the same error cannot show.
+    """
+    if groups is None:
+        picks = (rng.integers(0, len(values), len(values)) for _ in range(RESAMPLES))
+    else:
+        members = [np.flatnonzero(groups == group) for group in np.unique(groups)]
+        draws = (rng.integers(0, len(members), len(members)) for _ in range(RESAMPLES))
+        picks = (np.concatenate([members[i] for i in draw]) for draw in draws)
+    low, high = np.percentile([statistic(values[pick]) for pick in picks], (2.5, 97.5))
+    return float(low), float(high)
+
+
+def mean(values: Array) -> float:
+    return float(np.mean(values))
+
+
+def p95(values: Array) -> float:
+    return float(np.percentile(values, 95.0))
+
+
+def _check(events: int, trials: int) -> None:
+    if not 0 <= events <= trials:
+        raise ValueError(f"{events} of {trials} cannot be")
+
+
+def _binomial_tail(events: int, trials: int, rate: float) -> float:
+    """Probability of at most ``events``."""
+    if rate <= 0.0:
+        return 1.0
+    if rate >= 1.0:
+        return 0.0
+    log_p, log_q = math.log(rate), math.log1p(-rate)
+    total = 0.0
+    for k in range(events + 1):
+        ways = math.lgamma(trials + 1) - math.lgamma(k + 1) - math.lgamma(trials - k + 1)
+        total += math.exp(ways + k * log_p + (trials - k) * log_q)
+    return total
