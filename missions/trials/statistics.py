@@ -41,7 +41,7 @@ def upper_bound(events: int, trials: int, confidence: float = 0.95) -> float:
         ValueError: counts that cannot be.
     """
     _check(events, trials)
-    if trials == 0 or events == trials:
+    if events == trials:  # also without any trial
         return 1.0
     low, high = events / trials, 1.0
     for _ in range(200):
