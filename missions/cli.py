@@ -9,7 +9,15 @@ from typing import Annotated
 
 import tyro
 
-from missions.options import DoctorOptions, HandoffOptions, ReceiverOptions, ReportOptions, RigsOptions, SenderOptions
+from missions.options import (
+    DoctorOptions,
+    HandoffOptions,
+    ReceiverOptions,
+    ReportOptions,
+    RigsOptions,
+    SenderOptions,
+    TrialOptions,
+)
 
 MODULES: dict[type[object], str] = {
     HandoffOptions: "handoff",
@@ -18,6 +26,7 @@ MODULES: dict[type[object], str] = {
     DoctorOptions: "doctor",
     RigsOptions: "rig_list",
     ReportOptions: "report",
+    TrialOptions: "trials.run",
 }
 """Each has ``run(options) -> exit code``."""
 
@@ -32,6 +41,7 @@ examples:
   path-handoff handoff --fault link_loss=0.3  what happens when things go wrong
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field
+  path-handoff trial sensitivity              an experiment of the paper, run again
 """
 
 Command = (
@@ -41,6 +51,7 @@ Command = (
     | Annotated[DoctorOptions, tyro.conf.subcommand("doctor")]
     | Annotated[RigsOptions, tyro.conf.subcommand("rigs")]
     | Annotated[ReportOptions, tyro.conf.subcommand("report")]
+    | Annotated[TrialOptions, tyro.conf.subcommand("trial")]
 )
 
 

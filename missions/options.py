@@ -10,6 +10,10 @@ import tyro
 
 RigName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
 OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
+FileName = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+TrialName = Literal[
+    "all", "sensitivity", "static", "corners", "dynamic", "ambiguity", "handshake", "thresholds", "link", "compute"
+]
 Faults = Annotated[tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE]"), tyro.conf.UseAppendAction]
 
 
@@ -85,3 +89,32 @@ class ReportOptions:
 
     picture: bool = True
     """Draw run.png too."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrialOptions:
+    """Run one of the paper's experiments, or all of them, and hold what comes out against the paper."""
+
+    name: Annotated[TrialName, tyro.conf.Positional]
+    """Which trial; `all` runs every one and makes one page, in about twenty minutes on two cores."""
+
+    out: OutFolder = None
+    """Folder for the page, summary.json and the pictures; trials/<time>-<name> by default."""
+
+    seed: int = 0
+    """Seed of every random number: the same seed gives the same figures (timings apart)."""
+
+    quick: bool = False
+    """The same code on few samples: does it run, not what comes out."""
+
+    jobs: int = 0
+    """Processes at a time; 0: one per core."""
+
+    rig: RigName = "sim-rendered"
+    """The rig whose harness knows the truth."""
+
+    xfeat: FileName = None
+    """Weights of XFeat (ONNX), for the trials that compare with it; without them XFeat is left out."""
+
+    board: FileName = None
+    """TOML file that describes a photograph of a marker board, for `corners`; without it no photograph is measured."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import subprocess
 import sys
 import tomllib
@@ -18,6 +19,7 @@ from missions.options import (
     ReportOptions,
     RigsOptions,
     SenderOptions,
+    TrialOptions,
 )
 from missions.rig_list import FOLDER
 
@@ -61,6 +63,7 @@ def test_all_options_of_a_handoff(monkeypatch: pytest.MonkeyPatch) -> None:
         (("doctor",), DoctorOptions("sitl")),
         (("rigs",), RigsOptions()),
         (("report", "runs/x", "--no-picture"), ReportOptions(Path("runs/x"), False)),
+        (("trial", "all", "--quick", "--xfeat", "x.onnx"), TrialOptions("all", quick=True, xfeat=Path("x.onnx"))),
     ],
 )
 def test_the_other_commands(monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], expected: object) -> None:
@@ -71,7 +74,7 @@ def test_the_other_commands(monkeypatch: pytest.MonkeyPatch, arguments: tuple[st
 
 def test_every_command_has_a_module_that_runs_it() -> None:
     for module in cli.MODULES.values():
-        assert (Path(cli.__file__).parent / f"{module}.py").is_file(), module
+        assert importlib.util.find_spec(f"missions.{module}") is not None, module
 
 
 def test_a_refusal_names_problem_and_fix_and_has_its_own_exit_code(

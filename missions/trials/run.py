@@ -1,0 +1,144 @@
+"""``path-handoff trial``: one of the paper's experiments, or all of them, and the page that shows what came out."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import shlex
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from drivers.interfaces import PartError
+from missions import rig_library
+from missions.handoff import new_folder
+from missions.options import TrialName, TrialOptions
+from missions.records import SUMMARY
+from missions.report import show
+from missions.trials.page import PAGE, Chapter, render_page
+from missions.trials.trial import Finding, TrialRequest, TrialResult, Verdict
+from missions.trials.work import open_work
+
+NAMES: tuple[str, ...] = tuple(name for name in get_args(TrialName) if name != "all")
+EXIT_FAILED = 1
+STYLE: dict[Verdict, str] = {"met": "green", "short": "red", "measured": ""}
+
+
+def run(options: TrialOptions) -> int:
+    """``path-handoff trial``; 0 when every trial came to its end, whatever it found.
+
+    Raises:
+        PartError: for what was asked wrongly. With ``all``, a trial that fails is shown on the page, and the rest run.
+    """
+    rig = rig_library.load(options.rig)
+    for option, file in (("--xfeat", options.xfeat), ("--board", options.board)):
+        if file is not None and not file.is_file():
+            raise PartError(f"{option} {file}: no such file", f"name a file that exists, or leave {option} out")
+    whole = options.name == "all"
+    names = NAMES if whole else (options.name,)
+    folder = new_folder(options.out or Path("trials") / f"{datetime.now():%Y%m%d-%H%M%S}-{options.name}")
+    chapters: list[Chapter] = []
+    with open_work(options.jobs, sys.stdout) as work:
+        for number, name in enumerate(names, 1):
+            own = new_folder(folder / name) if whole else folder
+            trial = importlib.import_module(f"missions.trials.{name}")
+            sys.stdout.write(f"\n{f'[{number}/{len(names)}] ' if whole else ''}{trial.TITLE}\n")
+            sys.stdout.flush()
+            request = TrialRequest(rig, own, options.seed, options.quick, work, options.xfeat, options.board)
+            begun, result, error = datetime.now(), None, ""
+            try:
+                result = trial.run(request)
+            except Exception as failure:
+                if not whole:
+                    raise
+                error = str(failure) if isinstance(failure, PartError) else traceback.format_exc()
+                sys.stderr.write(f"trial {name} failed: {error}\n")
+            wall_s = (datetime.now() - begun).total_seconds()
+            chapters.append(Chapter(name, trial.TITLE, trial.PAPER, command(options, name), own, wall_s, result, error))
+            if result is not None:
+                _write_json(own / SUMMARY, _summary(options, name, wall_s, result))
+                show(findings_table(result.findings), sys.stdout)
+            # after each trial: whoever stops a long run keeps the page of what was done
+            (folder / PAGE).write_text(render_page(chapters, len(names)), "utf-8")
+    if whole:
+        _write_json(folder / SUMMARY, _overview(options, chapters))
+    sys.stdout.write(f"\n{folder}: {PAGE}, {SUMMARY}{', and a folder for each trial' if whole else ''}\n")
+    return EXIT_FAILED if any(chapter.result is None for chapter in chapters) else 0
+
+
+def command(options: TrialOptions, name: str) -> str:
+    """The command line that runs one trial again as it was run here."""
+    words = ["path-handoff", "trial", name, "--seed", str(options.seed)]
+    if options.rig != "sim-rendered":
+        words += ["--rig", options.rig]
+    if options.quick:
+        words.append("--quick")
+    if options.xfeat is not None and name in ("ambiguity", "compute"):
+        words += ["--xfeat", str(options.xfeat)]
+    if options.board is not None and name == "corners":
+        words += ["--board", str(options.board)]
+    return shlex.join(words)
+
+
+def findings_table(findings: Sequence[Finding]) -> Table:
+    """What came out, beside the paper's figures and the goals."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    for title in ("", "ours", "95 % interval", "paper", "goal", ""):
+        table.add_column(title, overflow="fold")
+    for finding in findings:
+        said = "" if finding.verdict == "measured" else finding.verdict
+        table.add_row(
+            finding.quantity, finding.ours, finding.interval, finding.paper, finding.goal,
+            Text(said, STYLE[finding.verdict]),
+        )  # fmt: skip
+    return table
+
+
+def _summary(options: TrialOptions, name: str, wall_s: float, result: TrialResult) -> dict[str, Any]:
+    return {
+        "trial": name,
+        "seed": options.seed,
+        "quick": options.quick,
+        "wall_s": round(wall_s, 2),
+        **result.summary,
+        "findings": [asdict(finding) for finding in result.findings],
+    }
+
+
+def _overview(options: TrialOptions, chapters: Sequence[Chapter]) -> dict[str, Any]:
+    results = {chapter.name: chapter.result for chapter in chapters}
+    findings = [finding for result in results.values() if result is not None for finding in result.findings]
+    return {
+        "seed": options.seed,
+        "quick": options.quick,
+        "wall_s": round(sum(chapter.wall_s for chapter in chapters), 1),
+        "failed": [name for name, result in results.items() if result is None],
+        "met": sum(finding.verdict == "met" for finding in findings),
+        "short": [finding.quantity for finding in findings if finding.verdict == "short"],
+        "trials": {name: result.summary for name, result in results.items() if result is not None},
+    }
+
+
+def _write_json(file: Path, content: object) -> None:
+    file.write_text(json.dumps(plain(content), indent=2, allow_nan=False) + "\n", "utf-8")
+
+
+def plain(value: Any) -> Any:
+    """The same in what JSON knows: numpy's numbers and arrays as numbers and lists, what is not finite as null."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
