@@ -175,11 +175,11 @@ def _noise_table() -> Table:
 
 
 def _depth_table(depths: list[AtDepth]) -> Table:
-    rows = [
-        (f"{depth.depth_m:.2f}", f"{depth.translation:.2f}", f"{depth.rotation:.2f}")
-        + tuple(f"{depth.terms(law).depth:.2f} / {depth.terms(law).combined:.2f}" for law in LAWS)
-        for depth in depths
-    ]
+    rows: list[tuple[str, ...]] = []
+    for depth in depths:
+        by_law = [depth.terms(law) for law in LAWS]
+        texts = [f"{terms.depth:.2f} / {terms.combined:.2f}" for terms in by_law]
+        rows.append((f"{depth.depth_m:.2f}", f"{depth.translation:.2f}", f"{depth.rotation:.2f}", *texts))
     laws = tuple(f"depth {LAW_TITLES[law]} / combined" for law in LAWS)
     return Table("Over the target's depth, px RMS", ("Z, m", "translation", "rotation", *laws), tuple(rows))
 
@@ -220,8 +220,8 @@ def _notes(marker: np.ndarray, count: int) -> tuple[str, ...]:
         "no rendezvous. The planner of the missions refuses such a viewpoint.",
         f"Translation directions and rotation axes: {count} each, the same at every depth. Intervals are of this "
         "sampling alone (normal approximation of the mean square).",
-        "The literature's errors are those of a 58 mm tag by its corners; what this project's pose does is in the trial "
-        "static.",
+        "The literature's errors are those of a 58 mm tag by its corners; what this project's pose does is measured by "
+        "the trial static.",
     )
 
 
