@@ -1,0 +1,123 @@
+"""One cycle of a baseline: D1's target is the box of D2 that shares the most verified features with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from path.baselines.features import Features, Image, Keypoints, Look, look
+from path.baselines.matching import MatchConfig, Pairs, match, verify
+from path.observations import Box
+
+Scope = Literal["each", "all"]
+
+
+@dataclass(frozen=True, slots=True)
+class BaselineConfig:
+    """How a baseline works.
+
+    Attributes:
+        scope: match D1's features against "each" of D2's boxes by itself, or against the features of "all" together:
+            then the ratio test asks that no other person looks the same there.
+        min_inliers: verified matches a box needs.
+        min_lead: how many more than any other box.
+    """
+
+    look: Look = field(default_factory=Look)
+    match: MatchConfig = field(default_factory=MatchConfig)
+    scope: Scope = "each"
+    min_inliers: int = 6
+    min_lead: int = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Votes:
+    """What speaks for each of D2's boxes.
+
+    Attributes:
+        inliers: verified matches, one number a box.
+        lines: for each box the matched points, (n, 4): u, v in D1's image, u, v in D2's.
+    """
+
+    inliers: tuple[int, ...]
+    lines: tuple[np.ndarray[tuple[int, int], np.dtype[np.float32]], ...]
+
+
+def choose(inliers: Sequence[int], min_inliers: int, min_lead: int) -> int | None:
+    """Index of the box with the most verified matches; None when they are too few, or nearly as many elsewhere."""
+    if not inliers:
+        return None
+    order = sorted(range(len(inliers)), key=lambda i: -inliers[i])
+    best = inliers[order[0]]
+    second = inliers[order[1]] if len(order) > 1 else 0
+    return order[0] if best >= max(min_inliers, 1) and best - second >= min_lead else None
+
+
+def vote(
+    features: Features, own: Keypoints, theirs: Sequence[Keypoints], config: BaselineConfig, seed: int = 0
+) -> Votes:
+    """Verified matches of D1's target with each of D2's boxes.
+
+    Args:
+        own: features of D1's target.
+        theirs: features of each of D2's boxes; both as ``path.baselines.features.look`` finds them.
+    """
+    if config.scope == "each":
+        sets = [(each, _verified(features, own, each, config.match, seed)) for each in theirs]
+        lines = tuple(_lines(own, each, pairs) for each, pairs in sets)
+        return Votes(tuple(len(line) for line in lines), lines)
+    together = _joined(theirs)
+    if together is None:
+        return Votes((0,) * len(theirs), (np.zeros((0, 4), np.float32),) * len(theirs))
+    everything, owner = together
+    pairs = _verified(features, own, everything, config.match, seed)
+    whose = owner[pairs[:, 1]]
+    lines = tuple(_lines(own, everything, pairs[whose == i]) for i in range(len(theirs)))
+    return Votes(tuple(len(line) for line in lines), lines)
+
+
+def associate(
+    features: Features,
+    image1: Image,
+    box1: Box,
+    image2: Image,
+    boxes2: Sequence[Box],
+    config: BaselineConfig,
+    seed: int = 0,
+) -> tuple[int | None, Votes]:
+    """One whole cycle: features around D1's target and around D2's boxes, matched, verified, associated.
+
+    Returns:
+        The index of D2's box that is taken for the target, None when there is none, and what spoke for each box.
+    """
+    (own,) = look(features, image1, [box1], config.look)
+    votes = vote(features, own, look(features, image2, boxes2, config.look), config, seed)
+    return choose(votes.inliers, config.min_inliers, config.min_lead), votes
+
+
+def _verified(features: Features, own: Keypoints, other: Keypoints, config: MatchConfig, seed: int) -> Pairs:
+    pairs = match(own, other, features.distance, config)
+    return pairs[verify(own, other, pairs, config, seed)]
+
+
+def _joined(theirs: Sequence[Keypoints]) -> tuple[Keypoints, np.ndarray[tuple[int], np.dtype[np.int64]]] | None:
+    """All boxes' features in one, each place once, and whose they are."""
+    if not any(len(each) for each in theirs):
+        return None
+    points = np.concatenate([each.points_px for each in theirs])
+    owner = np.repeat(np.arange(len(theirs)), [len(each) for each in theirs])
+    everything = Keypoints(
+        points,
+        np.concatenate([each.descriptors for each in theirs]),
+        np.concatenate([each.scores for each in theirs]),
+    )
+    _, first = np.unique(np.round(points, 2), axis=0, return_index=True)
+    first.sort()
+    return everything.pick(first), owner[first]
+
+
+def _lines(own: Keypoints, other: Keypoints, pairs: Pairs) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
+    return np.hstack((own.points_px[pairs[:, 0]], other.points_px[pairs[:, 1]]))

@@ -1,0 +1,90 @@
+"""Features of two images matched, and matches verified: do they move together as one surface does?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from path.baselines.features import Distance, Keypoints
+
+Model = Literal["similarity", "affine", "homography", "epipolar"]
+Pairs = NDArray[np.int64]
+
+MIN_PAIRS: dict[Model, int] = {"similarity": 2, "affine": 3, "homography": 4, "epipolar": 8}
+CONFIDENCE, ITERATIONS = 0.995, 1000
+
+
+@dataclass(frozen=True, slots=True)
+class MatchConfig:
+    """
+    Attributes:
+        ratio: the best match's distance must be below this share of the second best's (Lowe); 1 takes every one.
+        min_cosine: of descriptors compared by their cosine; below it is no match.
+        max_hamming: of descriptors of bits; above it is no match.
+        model: what the matches of one surface have in common.
+        reach_px: how far from the model a match may be, in pixels of the second image.
+    """
+
+    ratio: float = 0.85
+    min_cosine: float = -1.0
+    max_hamming: int = 80
+    model: Model = "affine"
+    reach_px: float = 4.0
+
+
+def match(a: Keypoints, b: Keypoints, distance: Distance, config: MatchConfig) -> Pairs:
+    """Pairs (m, 2) of indices into ``a`` and ``b``: each the other's best match, and much better than the second best.
+
+    The ratio is that of bits that differ, or of the angles' chords for descriptors of unit length.
+    """
+    if len(a) == 0 or len(b) == 0:
+        return np.zeros((0, 2), np.int64)
+    if distance == "cosine":
+        cosine = a.descriptors @ b.descriptors.T
+        apart = np.sqrt(np.maximum(0.0, 2.0 - 2.0 * cosine))
+        limit = float(np.sqrt(2.0 - 2.0 * config.min_cosine))
+    else:
+        apart = hamming(a.descriptors, b.descriptors).astype(np.float32)
+        limit = float(config.max_hamming)
+    rows = np.arange(len(a))
+    best = apart.argmin(axis=1)
+    nearest = apart[rows, best]
+    good = (apart.argmin(axis=0)[best] == rows) & (nearest <= limit)  # mutual, and alike
+    if config.ratio < 1.0 and len(b) > 1:
+        apart[rows, best] = np.inf
+        good &= nearest < config.ratio * apart.min(axis=1)
+    return np.column_stack((rows[good], best[good]))
+
+
+def hamming(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Number of bits that differ, (n, m), of (n, bytes) and (m, bytes)."""
+    words_a, words_b = a.view(np.uint64), b.view(np.uint64)
+    total = np.zeros((len(a), len(b)), np.uint16)
+    for word in range(words_a.shape[1]):
+        total += np.bitwise_count(words_a[:, word, None] ^ words_b[None, :, word])
+    return total
+
+
+def verify(a: Keypoints, b: Keypoints, pairs: Pairs, config: MatchConfig, seed: int = 0) -> NDArray[np.bool_]:
+    """Which pairs (m,) agree with the one model that most of them agree with; none when there are too few."""
+    nothing = np.zeros(len(pairs), np.bool_)
+    if len(pairs) < MIN_PAIRS[config.model]:
+        return nothing
+    cv2.setRNGSeed(seed & 0x7FFFFFFF)
+    mask = _inliers(a.points_px[pairs[:, 0]], b.points_px[pairs[:, 1]], config)
+    return nothing if mask is None or len(mask) != len(pairs) else mask.ravel() != 0
+
+
+def _inliers(a: NDArray[np.float32], b: NDArray[np.float32], config: MatchConfig) -> NDArray[Any] | None:
+    reach = config.reach_px
+    if config.model == "similarity":
+        return cv2.estimateAffinePartial2D(a, b, None, cv2.RANSAC, reach, ITERATIONS, CONFIDENCE)[1]
+    if config.model == "affine":
+        return cv2.estimateAffine2D(a, b, None, cv2.RANSAC, reach, ITERATIONS, CONFIDENCE)[1]
+    if config.model == "homography":
+        return cv2.findHomography(a, b, cv2.USAC_MAGSAC, reach, None, ITERATIONS, CONFIDENCE)[1]
+    return cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, reach, CONFIDENCE, ITERATIONS)[1]
