@@ -19,7 +19,8 @@ from enum import Enum
 from typing import Any
 
 from drivers.dialect import path_dialect as dialect
-from drivers.wire_fields import FROM_WIRE, TO_WIRE, OutOfRange
+from drivers.wire_fields import FROM_WIRE, TO_WIRE
+from drivers.wire_units import OutOfRange
 from path.messages import Message, Role
 
 KEY_LENGTH = 32
@@ -54,7 +55,6 @@ class Drop(Enum):
     UNEXPECTED_SIGNATURE = "unexpected_signature"  # signed, and this side has no key
     BAD_SIGNATURE = "bad_signature"
     REPLAYED = "replayed"
-    NON_FINITE = "non_finite"
     OUT_OF_RANGE = "out_of_range"
 
 
@@ -120,8 +120,8 @@ class Codec:
         packet: Any = kind(*[values[place] for place in kind.orders])
         try:
             return FROM_WIRE[kind](packet)
-        except OutOfRange as error:
-            return Drop.OUT_OF_RANGE if error.finite else Drop.NON_FINITE
+        except OutOfRange:
+            return Drop.OUT_OF_RANGE
 
     def _hash(self, data: bytes) -> bytes:
         digest = self._keyed.copy()

@@ -964,41 +964,44 @@ class MAVLink_path_target_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_PATH_TARGET
     msgname = "PATH_TARGET"
-    fieldnames = ["capture_ns", "point_x", "point_y", "point_z", "handoff_id", "epoch", "sequence", "gravity_x", "gravity_y", "gravity_z", "sigma", "target_id"]
-    ordered_fieldnames = ["capture_ns", "point_x", "point_y", "point_z", "handoff_id", "epoch", "sequence", "gravity_x", "gravity_y", "gravity_z", "sigma", "target_id"]
-    fieldtypes = ["uint64_t", "float", "float", "float", "uint16_t", "uint16_t", "uint16_t", "int16_t", "int16_t", "int16_t", "uint16_t", "uint8_t"]
+    fieldnames = ["capture_low", "point_x", "point_y", "point_z", "handoff_id", "epoch", "sequence", "gravity_a", "gravity_b", "sigma", "capture_high", "point_x_part", "point_y_part", "point_z_part", "target_id"]
+    ordered_fieldnames = ["capture_low", "point_x", "point_y", "point_z", "handoff_id", "epoch", "sequence", "gravity_a", "gravity_b", "sigma", "capture_high", "point_x_part", "point_y_part", "point_z_part", "target_id"]
+    fieldtypes = ["uint32_t", "int16_t", "int16_t", "int16_t", "uint16_t", "uint16_t", "uint16_t", "int16_t", "int16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"capture_ns": "ns", "point_x": "m", "point_y": "m", "point_z": "m", "sigma": "dmm"}
-    native_format = bytearray(b"<QfffHHHhhhHB")
-    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 248
-    unpacker = struct.Struct("<QfffHHHhhhHB")
+    fieldunits_by_name: Dict[str, str] = {"point_x": "mm", "point_y": "mm", "point_z": "mm", "sigma": "dmm"}
+    native_format = bytearray(b"<IhhhHHHhhHHBBBB")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 183
+    unpacker = struct.Struct("<IhhhHHHhhHHBBBB")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, capture_ns: int, point_x: float, point_y: float, point_z: float, handoff_id: int, epoch: int, sequence: int, gravity_x: int, gravity_y: int, gravity_z: int, sigma: int, target_id: int):
+    def __init__(self, capture_low: int, point_x: int, point_y: int, point_z: int, handoff_id: int, epoch: int, sequence: int, gravity_a: int, gravity_b: int, sigma: int, capture_high: int, point_x_part: int, point_y_part: int, point_z_part: int, target_id: int):
         MAVLink_message.__init__(self, MAVLink_path_target_message.id, MAVLink_path_target_message.msgname)
         self._fieldnames = MAVLink_path_target_message.fieldnames
         self._instance_field = MAVLink_path_target_message.instance_field
         self._instance_offset = MAVLink_path_target_message.instance_offset
-        self.capture_ns = capture_ns
+        self.capture_low = capture_low
         self.point_x = point_x
         self.point_y = point_y
         self.point_z = point_z
         self.handoff_id = handoff_id
         self.epoch = epoch
         self.sequence = sequence
-        self.gravity_x = gravity_x
-        self.gravity_y = gravity_y
-        self.gravity_z = gravity_z
+        self.gravity_a = gravity_a
+        self.gravity_b = gravity_b
         self.sigma = sigma
+        self.capture_high = capture_high
+        self.point_x_part = point_x_part
+        self.point_y_part = point_y_part
+        self.point_z_part = point_z_part
         self.target_id = target_id
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.capture_ns, self.point_x, self.point_y, self.point_z, self.handoff_id, self.epoch, self.sequence, self.gravity_x, self.gravity_y, self.gravity_z, self.sigma, self.target_id), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.capture_low, self.point_x, self.point_y, self.point_z, self.handoff_id, self.epoch, self.sequence, self.gravity_a, self.gravity_b, self.sigma, self.capture_high, self.point_x_part, self.point_y_part, self.point_z_part, self.target_id), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -1014,34 +1017,33 @@ class MAVLink_path_candidate_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_PATH_CANDIDATE
     msgname = "PATH_CANDIDATE"
-    fieldnames = ["capture_ns", "position_x", "position_y", "position_z", "q_w", "q_x", "q_y", "q_z", "handoff_id", "epoch", "sequence", "target_sequence", "box_x", "box_y", "box_w", "box_h", "sigma", "target_id", "miss"]
-    ordered_fieldnames = ["capture_ns", "position_x", "position_y", "position_z", "q_w", "q_x", "q_y", "q_z", "handoff_id", "epoch", "sequence", "target_sequence", "box_x", "box_y", "box_w", "box_h", "sigma", "target_id", "miss"]
-    fieldtypes = ["uint64_t", "float", "float", "float", "float", "float", "float", "float", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "int16_t", "int16_t", "uint16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t"]
+    fieldnames = ["capture_low", "position_x", "position_y", "position_z", "rotation_x", "rotation_y", "rotation_z", "handoff_id", "epoch", "sequence", "target_sequence", "box_x", "box_y", "box_w", "box_h", "sigma", "capture_high", "position_x_part", "position_y_part", "position_z_part", "target_id", "miss"]
+    ordered_fieldnames = ["capture_low", "position_x", "position_y", "position_z", "rotation_x", "rotation_y", "rotation_z", "handoff_id", "epoch", "sequence", "target_sequence", "box_x", "box_y", "box_w", "box_h", "sigma", "capture_high", "position_x_part", "position_y_part", "position_z_part", "target_id", "miss"]
+    fieldtypes = ["uint32_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "int16_t", "int16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {"miss": "PATH_MISS"}
-    fieldunits_by_name: Dict[str, str] = {"capture_ns": "ns", "position_x": "m", "position_y": "m", "position_z": "m", "sigma": "dmm"}
-    native_format = bytearray(b"<QfffffffHHHHhhHHHBB")
-    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 156
-    unpacker = struct.Struct("<QfffffffHHHHhhHHHBB")
+    fieldunits_by_name: Dict[str, str] = {"position_x": "mm", "position_y": "mm", "position_z": "mm", "sigma": "dmm"}
+    native_format = bytearray(b"<IhhhhhhHHHHhhHHHHBBBBB")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 180
+    unpacker = struct.Struct("<IhhhhhhHHHHhhHHHHBBBBB")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, capture_ns: int, position_x: float, position_y: float, position_z: float, q_w: float, q_x: float, q_y: float, q_z: float, handoff_id: int, epoch: int, sequence: int, target_sequence: int, box_x: int, box_y: int, box_w: int, box_h: int, sigma: int, target_id: int, miss: int):
+    def __init__(self, capture_low: int, position_x: int, position_y: int, position_z: int, rotation_x: int, rotation_y: int, rotation_z: int, handoff_id: int, epoch: int, sequence: int, target_sequence: int, box_x: int, box_y: int, box_w: int, box_h: int, sigma: int, capture_high: int, position_x_part: int, position_y_part: int, position_z_part: int, target_id: int, miss: int):
         MAVLink_message.__init__(self, MAVLink_path_candidate_message.id, MAVLink_path_candidate_message.msgname)
         self._fieldnames = MAVLink_path_candidate_message.fieldnames
         self._instance_field = MAVLink_path_candidate_message.instance_field
         self._instance_offset = MAVLink_path_candidate_message.instance_offset
-        self.capture_ns = capture_ns
+        self.capture_low = capture_low
         self.position_x = position_x
         self.position_y = position_y
         self.position_z = position_z
-        self.q_w = q_w
-        self.q_x = q_x
-        self.q_y = q_y
-        self.q_z = q_z
+        self.rotation_x = rotation_x
+        self.rotation_y = rotation_y
+        self.rotation_z = rotation_z
         self.handoff_id = handoff_id
         self.epoch = epoch
         self.sequence = sequence
@@ -1051,11 +1053,15 @@ class MAVLink_path_candidate_message(MAVLink_message):
         self.box_w = box_w
         self.box_h = box_h
         self.sigma = sigma
+        self.capture_high = capture_high
+        self.position_x_part = position_x_part
+        self.position_y_part = position_y_part
+        self.position_z_part = position_z_part
         self.target_id = target_id
         self.miss = miss
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.capture_ns, self.position_x, self.position_y, self.position_z, self.q_w, self.q_x, self.q_y, self.q_z, self.handoff_id, self.epoch, self.sequence, self.target_sequence, self.box_x, self.box_y, self.box_w, self.box_h, self.sigma, self.target_id, self.miss), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.capture_low, self.position_x, self.position_y, self.position_z, self.rotation_x, self.rotation_y, self.rotation_z, self.handoff_id, self.epoch, self.sequence, self.target_sequence, self.box_x, self.box_y, self.box_w, self.box_h, self.sigma, self.capture_high, self.position_x_part, self.position_y_part, self.position_z_part, self.target_id, self.miss), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -1070,27 +1076,27 @@ class MAVLink_path_status_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_PATH_STATUS
     msgname = "PATH_STATUS"
-    fieldnames = ["stamp_ns", "north", "east", "down", "v_north", "v_east", "v_down", "yaw", "role", "phase", "flags", "battery"]
-    ordered_fieldnames = ["stamp_ns", "north", "east", "down", "v_north", "v_east", "v_down", "yaw", "role", "phase", "flags", "battery"]
-    fieldtypes = ["uint64_t", "int32_t", "int32_t", "int32_t", "int16_t", "int16_t", "int16_t", "int16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fieldnames = ["stamp_low", "north", "east", "down", "v_north", "v_east", "v_down", "yaw", "stamp_high", "role", "phase", "flags", "battery"]
+    ordered_fieldnames = ["stamp_low", "north", "east", "down", "v_north", "v_east", "v_down", "yaw", "stamp_high", "role", "phase", "flags", "battery"]
+    fieldtypes = ["uint32_t", "int32_t", "int32_t", "int32_t", "int16_t", "int16_t", "int16_t", "int16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {"flags": "bitmask"}
     fieldenums_by_name: Dict[str, str] = {"role": "PATH_ROLE", "flags": "PATH_FLAG"}
-    fieldunits_by_name: Dict[str, str] = {"stamp_ns": "ns", "north": "mm", "east": "mm", "down": "mm", "v_north": "cm/s", "v_east": "cm/s", "v_down": "cm/s"}
-    native_format = bytearray(b"<QiiihhhhBBBB")
-    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 249
-    unpacker = struct.Struct("<QiiihhhhBBBB")
+    fieldunits_by_name: Dict[str, str] = {"north": "mm", "east": "mm", "down": "mm", "v_north": "cm/s", "v_east": "cm/s", "v_down": "cm/s"}
+    native_format = bytearray(b"<IiiihhhhHBBBB")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 170
+    unpacker = struct.Struct("<IiiihhhhHBBBB")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, stamp_ns: int, north: int, east: int, down: int, v_north: int, v_east: int, v_down: int, yaw: int, role: int, phase: int, flags: int, battery: int):
+    def __init__(self, stamp_low: int, north: int, east: int, down: int, v_north: int, v_east: int, v_down: int, yaw: int, stamp_high: int, role: int, phase: int, flags: int, battery: int):
         MAVLink_message.__init__(self, MAVLink_path_status_message.id, MAVLink_path_status_message.msgname)
         self._fieldnames = MAVLink_path_status_message.fieldnames
         self._instance_field = MAVLink_path_status_message.instance_field
         self._instance_offset = MAVLink_path_status_message.instance_offset
-        self.stamp_ns = stamp_ns
+        self.stamp_low = stamp_low
         self.north = north
         self.east = east
         self.down = down
@@ -1098,13 +1104,14 @@ class MAVLink_path_status_message(MAVLink_message):
         self.v_east = v_east
         self.v_down = v_down
         self.yaw = yaw
+        self.stamp_high = stamp_high
         self.role = role
         self.phase = phase
         self.flags = flags
         self.battery = battery
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.stamp_ns, self.north, self.east, self.down, self.v_north, self.v_east, self.v_down, self.yaw, self.role, self.phase, self.flags, self.battery), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.stamp_low, self.north, self.east, self.down, self.v_north, self.v_east, self.v_down, self.yaw, self.stamp_high, self.role, self.phase, self.flags, self.battery), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -1816,59 +1823,64 @@ class MAVLink(object):
         m._header = MAVLink_header(msgId, incompat_flags, compat_flags, mlen, seq, srcSystem, srcComponent)
         return m
 
-    def path_target_encode(self, capture_ns: int, point_x: float, point_y: float, point_z: float, handoff_id: int, epoch: int, sequence: int, gravity_x: int, gravity_y: int, gravity_z: int, sigma: int, target_id: int) -> MAVLink_path_target_message:
+    def path_target_encode(self, capture_low: int, point_x: int, point_y: int, point_z: int, handoff_id: int, epoch: int, sequence: int, gravity_a: int, gravity_b: int, sigma: int, capture_high: int, point_x_part: int, point_y_part: int, point_z_part: int, target_id: int) -> MAVLink_path_target_message:
         """
         Sender to receiver: where the target is, in the marker frame.
 
-        capture_ns                : When the frame was taken. [ns] (type:uint64_t)
-        point_x                   : Target in v. [m] (type:float)
-        point_y                   : Target in v. [m] (type:float)
-        point_z                   : Target in v. [m] (type:float)
+        capture_low               : When the frame was taken, 10 us. (type:uint32_t)
+        point_x                   : Target in v, whole millimetres. [mm] (type:int16_t)
+        point_y                   : Target in v, whole millimetres. [mm] (type:int16_t)
+        point_z                   : Target in v, whole millimetres. [mm] (type:int16_t)
         handoff_id                : Handoff. (type:uint16_t)
         epoch                     : Epoch. (type:uint16_t)
         sequence                  : One per distinct frame. (type:uint16_t)
-        gravity_x                 : Unit gravity in v, 1/32767. (type:int16_t)
-        gravity_y                 : Unit gravity in v, 1/32767. (type:int16_t)
-        gravity_z                 : Unit gravity in v, 1/32767. (type:int16_t)
+        gravity_a                 : Direction of gravity in v. (type:int16_t)
+        gravity_b                 : Direction of gravity in v. (type:int16_t)
         sigma                     : Standard deviation of the point, 0.1 mm. [dmm] (type:uint16_t)
+        capture_high              : When the frame was taken, 2^32 times 10 us. (type:uint16_t)
+        point_x_part              : Target in v, 1/256 mm. (type:uint8_t)
+        point_y_part              : Target in v, 1/256 mm. (type:uint8_t)
+        point_z_part              : Target in v, 1/256 mm. (type:uint8_t)
         target_id                 : The object the sender says it tracks. (type:uint8_t)
 
         """
-        return MAVLink_path_target_message(capture_ns, point_x, point_y, point_z, handoff_id, epoch, sequence, gravity_x, gravity_y, gravity_z, sigma, target_id)
+        return MAVLink_path_target_message(capture_low, point_x, point_y, point_z, handoff_id, epoch, sequence, gravity_a, gravity_b, sigma, capture_high, point_x_part, point_y_part, point_z_part, target_id)
 
-    def path_target_send(self, capture_ns: int, point_x: float, point_y: float, point_z: float, handoff_id: int, epoch: int, sequence: int, gravity_x: int, gravity_y: int, gravity_z: int, sigma: int, target_id: int, force_mavlink1: bool = False) -> None:
+    def path_target_send(self, capture_low: int, point_x: int, point_y: int, point_z: int, handoff_id: int, epoch: int, sequence: int, gravity_a: int, gravity_b: int, sigma: int, capture_high: int, point_x_part: int, point_y_part: int, point_z_part: int, target_id: int, force_mavlink1: bool = False) -> None:
         """
         Sender to receiver: where the target is, in the marker frame.
 
-        capture_ns                : When the frame was taken. [ns] (type:uint64_t)
-        point_x                   : Target in v. [m] (type:float)
-        point_y                   : Target in v. [m] (type:float)
-        point_z                   : Target in v. [m] (type:float)
+        capture_low               : When the frame was taken, 10 us. (type:uint32_t)
+        point_x                   : Target in v, whole millimetres. [mm] (type:int16_t)
+        point_y                   : Target in v, whole millimetres. [mm] (type:int16_t)
+        point_z                   : Target in v, whole millimetres. [mm] (type:int16_t)
         handoff_id                : Handoff. (type:uint16_t)
         epoch                     : Epoch. (type:uint16_t)
         sequence                  : One per distinct frame. (type:uint16_t)
-        gravity_x                 : Unit gravity in v, 1/32767. (type:int16_t)
-        gravity_y                 : Unit gravity in v, 1/32767. (type:int16_t)
-        gravity_z                 : Unit gravity in v, 1/32767. (type:int16_t)
+        gravity_a                 : Direction of gravity in v. (type:int16_t)
+        gravity_b                 : Direction of gravity in v. (type:int16_t)
         sigma                     : Standard deviation of the point, 0.1 mm. [dmm] (type:uint16_t)
+        capture_high              : When the frame was taken, 2^32 times 10 us. (type:uint16_t)
+        point_x_part              : Target in v, 1/256 mm. (type:uint8_t)
+        point_y_part              : Target in v, 1/256 mm. (type:uint8_t)
+        point_z_part              : Target in v, 1/256 mm. (type:uint8_t)
         target_id                 : The object the sender says it tracks. (type:uint8_t)
 
         """
-        self.send(self.path_target_encode(capture_ns, point_x, point_y, point_z, handoff_id, epoch, sequence, gravity_x, gravity_y, gravity_z, sigma, target_id), force_mavlink1=force_mavlink1)
+        self.send(self.path_target_encode(capture_low, point_x, point_y, point_z, handoff_id, epoch, sequence, gravity_a, gravity_b, sigma, capture_high, point_x_part, point_y_part, point_z_part, target_id), force_mavlink1=force_mavlink1)
 
-    def path_candidate_encode(self, capture_ns: int, position_x: float, position_y: float, position_z: float, q_w: float, q_x: float, q_y: float, q_z: float, handoff_id: int, epoch: int, sequence: int, target_sequence: int, box_x: int, box_y: int, box_w: int, box_h: int, sigma: int, target_id: int, miss: int) -> MAVLink_path_candidate_message:
+    def path_candidate_encode(self, capture_low: int, position_x: int, position_y: int, position_z: int, rotation_x: int, rotation_y: int, rotation_z: int, handoff_id: int, epoch: int, sequence: int, target_sequence: int, box_x: int, box_y: int, box_w: int, box_h: int, sigma: int, capture_high: int, position_x_part: int, position_y_part: int, position_z_part: int, target_id: int, miss: int) -> MAVLink_path_candidate_message:
         """
         Receiver to sender: the box its own detector found and the pose it
         used, or why there is none.
 
-        capture_ns                : When the frame was taken. [ns] (type:uint64_t)
-        position_x                : T_v_c2 position. [m] (type:float)
-        position_y                : T_v_c2 position. [m] (type:float)
-        position_z                : T_v_c2 position. [m] (type:float)
-        q_w                       : T_v_c2 rotation. (type:float)
-        q_x                       : T_v_c2 rotation. (type:float)
-        q_y                       : T_v_c2 rotation. (type:float)
-        q_z                       : T_v_c2 rotation. (type:float)
+        capture_low               : When the frame was taken, 10 us. (type:uint32_t)
+        position_x                : T_v_c2 position, whole millimetres. [mm] (type:int16_t)
+        position_y                : T_v_c2 position, whole millimetres. [mm] (type:int16_t)
+        position_z                : T_v_c2 position, whole millimetres. [mm] (type:int16_t)
+        rotation_x                : T_v_c2 rotation vector, pi/32767 rad. (type:int16_t)
+        rotation_y                : T_v_c2 rotation vector, pi/32767 rad. (type:int16_t)
+        rotation_z                : T_v_c2 rotation vector, pi/32767 rad. (type:int16_t)
         handoff_id                : Handoff. (type:uint16_t)
         epoch                     : Epoch. (type:uint16_t)
         sequence                  : One per distinct frame. (type:uint16_t)
@@ -1878,25 +1890,28 @@ class MAVLink(object):
         box_w                     : Width, 1/16 px. (type:uint16_t)
         box_h                     : Height, 1/16 px. (type:uint16_t)
         sigma                     : Position standard deviation, 0.1 mm. [dmm] (type:uint16_t)
+        capture_high              : When the frame was taken, 2^32 times 10 us. (type:uint16_t)
+        position_x_part           : T_v_c2 position, 1/256 mm. (type:uint8_t)
+        position_y_part           : T_v_c2 position, 1/256 mm. (type:uint8_t)
+        position_z_part           : T_v_c2 position, 1/256 mm. (type:uint8_t)
         target_id                 : The object the sender says it tracks. (type:uint8_t)
         miss                      : Why there is no box; 0 when there is one. (type:uint8_t, values:PATH_MISS)
 
         """
-        return MAVLink_path_candidate_message(capture_ns, position_x, position_y, position_z, q_w, q_x, q_y, q_z, handoff_id, epoch, sequence, target_sequence, box_x, box_y, box_w, box_h, sigma, target_id, miss)
+        return MAVLink_path_candidate_message(capture_low, position_x, position_y, position_z, rotation_x, rotation_y, rotation_z, handoff_id, epoch, sequence, target_sequence, box_x, box_y, box_w, box_h, sigma, capture_high, position_x_part, position_y_part, position_z_part, target_id, miss)
 
-    def path_candidate_send(self, capture_ns: int, position_x: float, position_y: float, position_z: float, q_w: float, q_x: float, q_y: float, q_z: float, handoff_id: int, epoch: int, sequence: int, target_sequence: int, box_x: int, box_y: int, box_w: int, box_h: int, sigma: int, target_id: int, miss: int, force_mavlink1: bool = False) -> None:
+    def path_candidate_send(self, capture_low: int, position_x: int, position_y: int, position_z: int, rotation_x: int, rotation_y: int, rotation_z: int, handoff_id: int, epoch: int, sequence: int, target_sequence: int, box_x: int, box_y: int, box_w: int, box_h: int, sigma: int, capture_high: int, position_x_part: int, position_y_part: int, position_z_part: int, target_id: int, miss: int, force_mavlink1: bool = False) -> None:
         """
         Receiver to sender: the box its own detector found and the pose it
         used, or why there is none.
 
-        capture_ns                : When the frame was taken. [ns] (type:uint64_t)
-        position_x                : T_v_c2 position. [m] (type:float)
-        position_y                : T_v_c2 position. [m] (type:float)
-        position_z                : T_v_c2 position. [m] (type:float)
-        q_w                       : T_v_c2 rotation. (type:float)
-        q_x                       : T_v_c2 rotation. (type:float)
-        q_y                       : T_v_c2 rotation. (type:float)
-        q_z                       : T_v_c2 rotation. (type:float)
+        capture_low               : When the frame was taken, 10 us. (type:uint32_t)
+        position_x                : T_v_c2 position, whole millimetres. [mm] (type:int16_t)
+        position_y                : T_v_c2 position, whole millimetres. [mm] (type:int16_t)
+        position_z                : T_v_c2 position, whole millimetres. [mm] (type:int16_t)
+        rotation_x                : T_v_c2 rotation vector, pi/32767 rad. (type:int16_t)
+        rotation_y                : T_v_c2 rotation vector, pi/32767 rad. (type:int16_t)
+        rotation_z                : T_v_c2 rotation vector, pi/32767 rad. (type:int16_t)
         handoff_id                : Handoff. (type:uint16_t)
         epoch                     : Epoch. (type:uint16_t)
         sequence                  : One per distinct frame. (type:uint16_t)
@@ -1906,17 +1921,21 @@ class MAVLink(object):
         box_w                     : Width, 1/16 px. (type:uint16_t)
         box_h                     : Height, 1/16 px. (type:uint16_t)
         sigma                     : Position standard deviation, 0.1 mm. [dmm] (type:uint16_t)
+        capture_high              : When the frame was taken, 2^32 times 10 us. (type:uint16_t)
+        position_x_part           : T_v_c2 position, 1/256 mm. (type:uint8_t)
+        position_y_part           : T_v_c2 position, 1/256 mm. (type:uint8_t)
+        position_z_part           : T_v_c2 position, 1/256 mm. (type:uint8_t)
         target_id                 : The object the sender says it tracks. (type:uint8_t)
         miss                      : Why there is no box; 0 when there is one. (type:uint8_t, values:PATH_MISS)
 
         """
-        self.send(self.path_candidate_encode(capture_ns, position_x, position_y, position_z, q_w, q_x, q_y, q_z, handoff_id, epoch, sequence, target_sequence, box_x, box_y, box_w, box_h, sigma, target_id, miss), force_mavlink1=force_mavlink1)
+        self.send(self.path_candidate_encode(capture_low, position_x, position_y, position_z, rotation_x, rotation_y, rotation_z, handoff_id, epoch, sequence, target_sequence, box_x, box_y, box_w, box_h, sigma, capture_high, position_x_part, position_y_part, position_z_part, target_id, miss), force_mavlink1=force_mavlink1)
 
-    def path_status_encode(self, stamp_ns: int, north: int, east: int, down: int, v_north: int, v_east: int, v_down: int, yaw: int, role: int, phase: int, flags: int, battery: int) -> MAVLink_path_status_message:
+    def path_status_encode(self, stamp_low: int, north: int, east: int, down: int, v_north: int, v_east: int, v_down: int, yaw: int, stamp_high: int, role: int, phase: int, flags: int, battery: int) -> MAVLink_path_status_message:
         """
         Both ways: own position estimate and state, a few times a second.
 
-        stamp_ns                  : When it was so. [ns] (type:uint64_t)
+        stamp_low                 : When it was so, 10 us. (type:uint32_t)
         north                     : Position in n. [mm] (type:int32_t)
         east                      : Position in n. [mm] (type:int32_t)
         down                      : Position in n. [mm] (type:int32_t)
@@ -1924,19 +1943,20 @@ class MAVLink(object):
         v_east                    : Velocity in n. [cm/s] (type:int16_t)
         v_down                    : Velocity in n. [cm/s] (type:int16_t)
         yaw                       : Clockwise from north, 0.0001 rad. (type:int16_t)
+        stamp_high                : When it was so, 2^32 times 10 us. (type:uint16_t)
         role                      : Who. (type:uint8_t, values:PATH_ROLE)
         phase                     : Index into the flight phases. (type:uint8_t)
         flags                     : Responsible, observing. (type:uint8_t, values:PATH_FLAG)
         battery                   : 0.5 percent. (type:uint8_t)
 
         """
-        return MAVLink_path_status_message(stamp_ns, north, east, down, v_north, v_east, v_down, yaw, role, phase, flags, battery)
+        return MAVLink_path_status_message(stamp_low, north, east, down, v_north, v_east, v_down, yaw, stamp_high, role, phase, flags, battery)
 
-    def path_status_send(self, stamp_ns: int, north: int, east: int, down: int, v_north: int, v_east: int, v_down: int, yaw: int, role: int, phase: int, flags: int, battery: int, force_mavlink1: bool = False) -> None:
+    def path_status_send(self, stamp_low: int, north: int, east: int, down: int, v_north: int, v_east: int, v_down: int, yaw: int, stamp_high: int, role: int, phase: int, flags: int, battery: int, force_mavlink1: bool = False) -> None:
         """
         Both ways: own position estimate and state, a few times a second.
 
-        stamp_ns                  : When it was so. [ns] (type:uint64_t)
+        stamp_low                 : When it was so, 10 us. (type:uint32_t)
         north                     : Position in n. [mm] (type:int32_t)
         east                      : Position in n. [mm] (type:int32_t)
         down                      : Position in n. [mm] (type:int32_t)
@@ -1944,13 +1964,14 @@ class MAVLink(object):
         v_east                    : Velocity in n. [cm/s] (type:int16_t)
         v_down                    : Velocity in n. [cm/s] (type:int16_t)
         yaw                       : Clockwise from north, 0.0001 rad. (type:int16_t)
+        stamp_high                : When it was so, 2^32 times 10 us. (type:uint16_t)
         role                      : Who. (type:uint8_t, values:PATH_ROLE)
         phase                     : Index into the flight phases. (type:uint8_t)
         flags                     : Responsible, observing. (type:uint8_t, values:PATH_FLAG)
         battery                   : 0.5 percent. (type:uint8_t)
 
         """
-        self.send(self.path_status_encode(stamp_ns, north, east, down, v_north, v_east, v_down, yaw, role, phase, flags, battery), force_mavlink1=force_mavlink1)
+        self.send(self.path_status_encode(stamp_low, north, east, down, v_north, v_east, v_down, yaw, stamp_high, role, phase, flags, battery), force_mavlink1=force_mavlink1)
 
     def path_ping_encode(self, sent_ns: int, nonce: int) -> MAVLink_path_ping_message:
         """
