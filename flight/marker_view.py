@@ -40,7 +40,8 @@ class MarkerView:
         self._camera = camera
         self._reach_m = 0.75 * max(float(abs(marker.corners_v).max()) for marker in layout.markers) + 0.02
         self._settings = PoseSettings(
-            attitude_sigma_rad=math.radians(mission.attitude_sigma_deg),
+            attitude_v_sigma_rad=math.radians(mission.attitude_sigma_deg),
+            attitude_c_sigma_rad=math.radians(mission.attitude_sigma_deg),
             max_incidence_rad=math.radians(method.max_incidence_deg),
             max_sigma_m=method.max_pose_sigma_m,
         )
