@@ -11,6 +11,7 @@ from path.observations import Box, MarkerDetection, Missed
 from path.prior import Prior
 from path.rigid import transform_back
 from path.sender import Pair
+from path.window import Evidence
 
 
 def box_record(box: Box | None) -> list[float] | None:
@@ -31,7 +32,7 @@ def target_record(message: Target | Missed, frame_id: int, capture_ns: int, box:
     }
 
 
-def agreement_record(pair: Pair, count: int, needed: int, target_id: int) -> dict[str, Any]:
+def agreement_record(pair: Pair, count: int, needed: int, evidence: Evidence | None, target_id: int) -> dict[str, Any]:
     """``/agreement``: what one answer of D2 was worth."""
     verdict, candidate = pair.verdict, pair.candidate
     agreed = isinstance(verdict, Agreed)
@@ -43,10 +44,13 @@ def agreement_record(pair: Pair, count: int, needed: int, target_id: int) -> dic
         "tau": verdict.tau if agreed else None,
         "count": count,
         "needed": needed,
+        "evidence": evidence.reached if evidence else None,
+        "evidence_needed": evidence.needed if evidence else None,
         "capture_ns": pair.capture_ns,
         "sequence": candidate.sequence if candidate else None,
         "target_sequence": candidate.target_sequence if candidate else None,
         "target_id": target_id,
+        "epoch": candidate.epoch if candidate else None,
         "own_box": box_record(pair.own_box),
         "mapped_box": box_record(pair.mapped_box),
     }

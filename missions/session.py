@@ -36,6 +36,7 @@ from flight.pilot import Pilot
 from path.marker.warm_up import warm_up
 from path.messages import Ping, Pong, Role, Status
 from path.rotation import yaw_of
+from path.window import Evidence
 
 _POLL_S = 0.05
 _PROGRESS_PERIOD_S = 0.2
@@ -50,6 +51,7 @@ class Shown:
     """What the console shows of the handshake; the role keeps it current."""
 
     count: int = 0
+    evidence: Evidence | None = None
     iou: float | None = None
     tau: float | None = None
     separation_m: float | None = None
@@ -143,20 +145,21 @@ class Session:
         self.log.write("/responsibility", self.now_ns(), {"responsible": responsible, "provisional": provisional})
 
     def show(self) -> None:
-        counters = self.link.counters
+        counters, evidence = self.link.counters, self.shown.evidence
         self._emit(
             Progress(
                 role=self.role,
                 stamp_ns=self.now_ns(),
                 phase=self.phase.title,
                 count=self.shown.count,
-                needed=self.rig.method.hold_frames,
+                needed=self.rig.method.needed_pairs,
                 iou=self.shown.iou,
                 tau=self.shown.tau,
                 separation_m=self.shown.separation_m,
                 link_bytes_per_s=self._bytes_per_s(counters.bytes_sent + counters.bytes_received),
                 responsible=self.responsible,
                 note=self.shown.note,
+                evidence=(evidence.reached, evidence.needed) if evidence else None,
             )
         )
 
