@@ -8,17 +8,21 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.studio import DepthNoise, Imaging, Shot, Stage, StudioSetup, Thing
+from drivers.studio import DepthNoise, Imaging, Printing, Shot, Stage, StudioSetup, Thing
+from hil.camera_pipeline import develop, is_plain
 from hil.render.bodies import Body, flying, standing
 from hil.render.people import person
+from hil.render.prints import marker_print
 from hil.render.renderer import Renderer
 from hil.render.scene import ROTOR, Model, car, drone, marked_drone
-from hil.render.sensor import SensorNoise
+from hil.render.sensor import SensorNoise, mixed
 from path.geometry import Pose
+from path.marker.texture import cells
 from path.messages import Role
 
 FARTHEST_M = 400.0  # as far as the ground is drawn
 CAR, PLAIN_DRONE = car(), drone()
+LIGHTS = 8  # different shadows and blades; every shot has one of them
 
 
 class Studio:
@@ -30,15 +34,19 @@ class Studio:
 
     def __init__(self, setup: StudioSetup, seed: int) -> None:
         self._setup = setup
+        self._seed = seed
         noise = _sensor_noise(setup.imaging, setup.depth)
         self._renderer = Renderer(setup.camera, setup.T_b_c, setup.T_b_v, setup.layout, noise, seed)
-        self._marked = {hidden: marked_drone(setup.T_b_v, setup.layout, hidden=hidden) for hidden in (False, True)}
+        self._blank = marked_drone(setup.T_b_v, setup.layout, hidden=True)
+        self._marked: dict[int, Model] = {}
 
     def shoot(self, stage: Stage, role: Role, shot_seed: int) -> Shot:
         """What the role's camera delivers. The drone of the role must be on the stage."""
         key = self._renderer.key(role, shot_seed)
-        light, depth = self._renderer.draw(stage.T_w_b[role], self._bodies(stage, role), key)
-        return Shot(self._renderer.expose(light, key), depth)
+        light, depth = self._renderer.draw(stage.T_w_b[role], self._bodies(stage, role, key % LIGHTS), key)
+        if is_plain(self._setup.imaging):
+            return Shot(self._renderer.expose(light, key), depth)
+        return Shot(develop(light, self._setup.imaging, np.random.default_rng(key)), depth)
 
     def true_depth_m(self, stage: Stage, role: Role, u: float, v: float) -> float | None:
         """Exact depth along the optical axis of what is seen at a pixel, rotors excepted; None for the sky."""
@@ -54,11 +62,32 @@ class Studio:
             nearest = min(nearest, _depth_of(body.model, T_c_w @ body.T_w_body, ray))
         return nearest if 0.0 < nearest <= FARTHEST_M else None
 
-    def _bodies(self, stage: Stage, role: Role) -> list[Body]:
+    def _sender(self, hidden: bool, light: int) -> Model:
+        """The drone that carries the markers. ``light`` selects where shadow and blade lie."""
+        setup = self._setup
+        if hidden:
+            return self._blank
+        if light not in self._marked:
+            prints: tuple[NDArray[np.uint8], ...] = ()
+            if setup.printing != Printing():
+                prints = tuple(
+                    marker_print(
+                        cells(setup.layout.dictionary, marker.id),
+                        marker.side_m,
+                        setup.printing,
+                        np.random.default_rng(mixed(self._seed, number)),
+                        np.random.default_rng(mixed(self._seed, number, light)),
+                    )
+                    for number, marker in enumerate(setup.layout.markers)
+                )
+            self._marked[light] = marked_drone(setup.T_b_v, setup.layout, hidden=False, prints=prints)
+        return self._marked[light]
+
+    def _bodies(self, stage: Stage, role: Role, light: int = 0) -> list[Body]:
         """Everything on the stage but the drone of the role."""
         drones = [
             flying(
-                self._marked[stage.marker_hidden] if other is Role.SENDER else PLAIN_DRONE,
+                self._sender(stage.marker_hidden, light) if other is Role.SENDER else PLAIN_DRONE,
                 T_w_b,
                 stage.rotor_phase_rad,
                 turning=True,
