@@ -27,6 +27,9 @@ Topics of the sender:
 Topics of the receiver:
 
     /marker          capture_ns, position_v_m, rotation_v_c2 (wxyz), sigma_m, side_px, corners_px [[u, v] * 4], reason
+    /motion          with each /marker, what the relative-pose filter was given: own_stamp_ns, own_n_mps, peer_stamp_ns
+                     (receiver's clock), peer_n_mps, q_n_c, q_n_v (wxyz, as both vehicles report them; null when D1's
+                     gravity is not known), covariance (the pose T_c_v's, lower triangle by rows; null without a pose)
     /candidate       sequence, target_sequence, capture_ns, box, reason, position_v_m, rotation_v_c2, sigma_m,
                      point_v_m (the target's point as carried to the capture instant), prior_px [u, v],
                      region [x0, y0, x1, y1]
