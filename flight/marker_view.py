@@ -20,7 +20,6 @@ from path.marker.pose import PoseSettings, estimate_pose
 from path.observations import MarkerDetection, Missed, MissReason, Region
 from path.prior import Prior
 from path.relative import Relative, RelativeFilter, RelativeSettings
-from path.rotation import R_from_rpy
 
 _FIXED_NS = 500_000_000  # fixes older than this do not count towards "seen"
 
@@ -72,6 +71,7 @@ class MarkerView:
         self._searched_ns = 0
         self._search_period_ns = round(1e9 / mission.search_hz)
         self.target_n_m: Vec3 | None = None
+        self.R_n_v: Matrix | None = None  # the marker's attitude at the newest look, as its drone reports it
 
     def fixes(self, now_ns: int) -> int:
         """Poses found in the last half second."""
@@ -88,18 +88,15 @@ class MarkerView:
         """The marker at an instant; None when it was not seen for too long."""
         return self._filter.predict(stamp_ns)
 
-    def attitude(self, gravity_v: Vec3 | None) -> Matrix | None:
-        """``R_n_v`` as the marker's drone reports it: gravity by the frame, its heading by its newest status."""
-        if gravity_v is None or self._motion is None:
-            return None
-        return R_from_rpy(0.0, 0.0, self._motion.peer_yaw_rad) @ levelled(gravity_v, self._R_b_v)
-
     def unseen_s(self, stamp_ns: int) -> float:
         return self._filter.unseen_s(stamp_ns)
 
     def look(self, view: View, R_n_c: Matrix, gravity_v: Vec3 | None, gravity_c: Vec3) -> MarkerFix | Missed:
         """The pose of the marker in one view, or why there is none."""
-        R_n_v = self.attitude(gravity_v)
+        R_n_v = None
+        if gravity_v is not None and self._motion is not None:
+            R_n_v = levelled(gravity_v, self._R_b_v, self._motion.peer_yaw_rad)
+        self.R_n_v = R_n_v
         region = self._region(view.stamp_ns, R_n_c, R_n_v)
         if region is None:
             # a search of the whole image costs ten times a look at the right place
@@ -135,10 +132,14 @@ class MarkerView:
         return Region(u - half_px, v - half_px, u + half_px, v + half_px)
 
 
-def levelled(gravity_v: Vec3, R_b_v: Matrix) -> Matrix:
-    """``R_h_v``: marker frame to the levelled heading frame (forward, right, down) of the drone that carries it."""
-    down_b = R_b_v @ np.asarray(gravity_v)
-    forward_b = np.array([1.0, 0.0, 0.0]) - down_b[0] * down_b
-    forward_b /= np.linalg.norm(forward_b)
-    R_h_b = np.stack([forward_b, np.cross(down_b, forward_b), down_b]).astype(np.float64)
-    return R_h_b @ R_b_v
+def levelled(gravity_v: Vec3, R_b_v: Matrix, yaw_rad: float = 0.0) -> Matrix:
+    """Marker frame to the levelled heading frame (forward, right, down) of the drone that carries it, ``R_h_v``.
+
+    With that drone's heading it is ``R_n_v``.
+    """
+    x, y, z = (R_b_v @ gravity_v).tolist()
+    across = math.hypot(y, z)
+    forward = np.array([across, -x * y / across, -x * z / across])
+    right = np.array([0.0, z / across, -y / across])
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.stack([c * forward - s * right, s * forward + c * right, (x, y, z)]) @ R_b_v

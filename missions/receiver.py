@@ -219,9 +219,7 @@ class Receiver:
         fix = self._marker.look(view, T_n_c.R, gravity_v, self._eye.gravity_c(R_n_b))
         session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
         covariance = fix.covariance if isinstance(fix, MarkerFix) else None
-        session.log.write(
-            "/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.attitude(gravity_v), covariance)
-        )
+        session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, covariance))
         self._judge_marker(stamp_ns)
         prior = cycle.prior(fix.T_c_v, fix.covariance, stamp_ns) if isinstance(fix, MarkerFix) else fix
         if isinstance(prior, Prior):

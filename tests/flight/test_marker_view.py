@@ -192,14 +192,21 @@ def test_a_jump_is_no_fix() -> None:
 def test_the_markers_attitude_is_that_of_the_drone_that_carries_it() -> None:
     """Roll and pitch by its gravity, heading by its status, for a marker that is mounted askew."""
     R_b_v = R_from_rpy(0.3, -0.8, 1.9)
-    view = MarkerView(LAYOUT, CAMERA, Mount(MOUNT.T_b_c, Pose(R_b_v, np.zeros(3))), MethodConfig(), MissionConfig())
     R_n_b = R_from_rpy(0.1, -0.2, 2.5)
     x, y, z = ((R_n_b @ R_b_v).T @ (0.0, 0.0, 1.0)).tolist()
-    assert view.attitude((x, y, z)) is None
-    view.note_motion(motion(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), peer_yaw_rad=2.5))
-    assert view.attitude(None) is None
-    assert view.attitude((x, y, z)) == pytest.approx(R_n_b @ R_b_v)
     assert levelled((x, y, z), R_b_v) == pytest.approx(R_from_rpy(0.1, -0.2, 0.0) @ R_b_v)
+    assert levelled((x, y, z), R_b_v, 2.5) == pytest.approx(R_n_b @ R_b_v)
+
+
+def test_a_prediction_turns_with_the_drone_that_carries_the_marker() -> None:
+    """Its heading comes with its status; without that nothing is known of its attitude."""
+    watch = Watch()
+    watch.see(NEAR)
+    assert watch.view.R_n_v is None
+    watch.view.note_motion(motion(watch.stamp_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), peer_yaw_rad=0.7))
+    fix = watch.see(NEAR)
+    assert watch.view.R_n_v is not None
+    assert watch.view.R_n_v[2] == pytest.approx(R_N_C[2] @ fix.T_c_v.R, abs=1e-3)  # down
 
 
 def test_a_marker_seen_from_the_side_is_too_oblique() -> None:
