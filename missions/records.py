@@ -9,7 +9,7 @@ Topics of a role (fields in the order of interest; a field that does not apply i
 
     /frame           frame_id; the stamp is the capture instant. Every distinct camera frame.
     /phase           phase, note.  /note  note.
-    /state           position_n_m, velocity_n_mps, q_n_b, mode, armed, battery
+    /state           position_n_m, velocity_n_mps, q_n_b, mode, armed, battery; ten times a second
     /setpoint        velocity_n_mps, yaw_rad
     /responsibility  responsible, provisional
     /link            packets_sent, packets_received, bytes_sent, bytes_received, dropped, clock_offset_ns

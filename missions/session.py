@@ -40,6 +40,7 @@ from path.window import Evidence
 
 _POLL_S = 0.05
 _PROGRESS_PERIOD_S = 0.2
+_STATE_PERIOD_S = 0.1
 
 
 def _ignore(_: object) -> None:
@@ -220,6 +221,24 @@ class Session:
             tick += 1
             await asyncio.sleep(period_s)
 
+    async def log_state(self) -> None:
+        """Log where the vehicle believes to be, for ever."""
+        logged_ns = 0  # what no position was known at
+        while True:
+            state = self.vehicle.state
+            if state.stamp_ns > logged_ns:
+                logged_ns = state.stamp_ns
+                record = {
+                    "position_n_m": state.position_n_m,
+                    "velocity_n_mps": state.velocity_n_mps,
+                    "q_n_b": state.q_n_b,
+                    "mode": state.mode.value,
+                    "armed": state.armed,
+                    "battery": state.battery,
+                }
+                self.log.write("/state", logged_ns, record)
+            await asyncio.sleep(_STATE_PERIOD_S)
+
     def _status(self) -> Status:
         state = self.vehicle.state
         return Status(
@@ -301,7 +320,7 @@ async def fly_course(session: Session, course: Course, recover: Recovery) -> Rol
     decides the outcome. What was spawned goes on until the vehicle is down: the pilot keeps flying, and the other
     drone keeps hearing from this one.
     """
-    for task in (session.pump(), session.report(), session.stopped()):
+    for task in (session.pump(), session.report(), session.log_state(), session.stopped()):
         session.spawn(task)
     flown = asyncio.ensure_future(course())
     end: MissionEnd | None = None
