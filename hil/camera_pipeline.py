@@ -106,14 +106,15 @@ def _interpolated(raw: Light) -> Light:
 
 
 def process(measured: Light, imaging: Imaging) -> Image:
-    """Gamma, sharpening and 8 bit."""
+    """Gamma, sharpening and 8 bit, of 0..255."""
     image = measured
     if imaging.gamma != 1.0:
         image = np.float32(255.0) * cv2.pow(image / np.float32(255.0), 1.0 / imaging.gamma)
-    if imaging.sharpen > 0.0:
-        blurred = cv2.GaussianBlur(image, (0, 0), imaging.sharpen_sigma_px, borderType=cv2.BORDER_REPLICATE)
-        image = image + np.float32(imaging.sharpen) * (image - blurred)
-    return np.clip(image + np.float32(0.5), 0.0, 255.0).astype(np.uint8)
+    if imaging.sharpen == 0.0:
+        return (image + np.float32(0.5)).astype(np.uint8)
+    blurred = cv2.GaussianBlur(image, (0, 0), imaging.sharpen_sigma_px, borderType=cv2.BORDER_REPLICATE)
+    sharp = cv2.addWeighted(image, 1.0 + imaging.sharpen, blurred, -imaging.sharpen, 0.0, dtype=cv2.CV_8U)
+    return np.asarray(sharp, np.uint8)
 
 
 def jpeg(image: Image, quality: int) -> Image:
