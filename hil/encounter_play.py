@@ -1,0 +1,439 @@
+"""One encounter in one kernel: frames, messages and arrivals in the order of time, through both compiled cycles.
+
+Stamps are ns of D1's clock; ``clock_ns`` is how much later D2's stamps read there than they were taken.
+"""
+
+# pyright: reportMissingParameterType=false
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from flight.encounter import MISS, OWN_MISS, PAIR
+from hil.encounter_method import (
+    FLIPPED,
+    NO_MARKER,
+    NO_TRACK,
+    NONE,
+    OBLIQUE,
+    POINT,
+    POSE_SIGMA,
+    POSE_UNCERTAIN,
+    PRIOR_SIZE,
+    SAMPLE,
+    SILENT,
+    SPREAD,
+    STALE,
+    Rules,
+    ahead,
+    at,
+    choose,
+    compare,
+    gravity,
+    observe,
+    predict,
+)
+from hil.encounter_method import OUTSIDE as PRIOR_OUTSIDE
+from hil.encounter_method import S as SECONDS
+from hil.encounter_pose import POSE, UNCERTAIN, Limits, Print, estimate
+from hil.encounter_relative import (
+    ACCEPTED,
+    FUSED,
+    HAS,
+    STAMP,
+    TURNED,
+    Believes,
+    Filter,
+    Reports,
+    expected,
+    fresh_filter,
+    levelled,
+    update,
+)
+from hil.encounter_sight import CLAIMED, FOUND, SIGMA, WHOSE
+from hil.geometric_kernels import kernel
+
+SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD = 0, 1, 2, 3
+TARGET = 7  # values of a target as D2 keeps it: point, gravity, standard deviation
+# Columns of a candidate: box, standard deviation of the pose, whose box.
+POSE_SIGMA_2, WHOSE_2 = 4, 5
+CANDIDATE = 6
+MAX_PENDING = 64
+# Counters of a play.
+NEXT, FRAMES, TARGETS, PENDING, ENTRIES, DONE = 0, 1, 2, 3, 4, 5
+COUNTERS = 6
+# The window: pairs, first pair (D2's and D1's stamp), last pair, newest frame of D2 and D1, floor.
+COUNT, FIRST, LAST, PEER, OWN, FLOOR = 0, 1, 3, 5, 6, 7
+WINDOW_SIZE = 8
+NEVER = -(1 << 62)
+# Columns of an entry, whole numbers and others.
+KIND, REASON, NOW, SEQUENCE, CAPTURE, OWN_FRAMES, RIGHT = 0, 1, 2, 3, 4, 5, 9
+ENTRY_INTS = 10
+IOU, Z_M, SIGMA_M = 0, 2, 3
+ENTRY_FLOATS = 4
+
+
+class Setup(NamedTuple):
+    """What does not change between attempts, as both drones believe it."""
+
+    rules: Rules
+    limits: Limits
+    printed: Print
+    lens_1: np.ndarray
+    lens_2: np.ndarray
+    mount: np.ndarray  # (3, 4) T_v_c1
+    R_b_v: np.ndarray
+    reach_m: float  # of the marker, where it is looked for
+    believes: Believes
+
+
+class Hold(NamedTuple):
+    """The paper's gate: thresholds and how long; ``mapping`` 0 for the box's centre, 1 for its corner."""
+
+    tau_min: float
+    tau_max: float
+    z0_m: float
+    frames: int
+    hold_ns: int
+    max_gap_ns: int
+    mapping: int
+
+
+class Seen(NamedTuple):
+    """What both cameras gave: see ``hil.encounter_sight``; numbers and stamps of the frames.
+
+    ``gravity_v``, ``gravity_c``: (n, 3) as each drone believes; ``R_n_c``: of D2's camera, (n, 3, 3).
+    ``own_moves``, ``peer_moves``: what both vehicles report; ``heard``: (n,) how many of D1's reports D2 has by a frame
+    (of its own, one for each frame); ``peer_yaw``: of D1 in each of its reports.
+    """
+
+    number_1: np.ndarray
+    stamp_1: np.ndarray
+    own: np.ndarray
+    gravity_v: np.ndarray
+    number_2: np.ndarray
+    stamp_2: np.ndarray
+    markers: np.ndarray
+    found: np.ndarray
+    many: np.ndarray
+    gravity_c: np.ndarray
+    R_n_c: np.ndarray
+    shift_c: np.ndarray
+    turn: np.ndarray  # (3, 3), of D2's pose
+    own_moves: Reports
+    peer_moves: Reports
+    peer_yaw: np.ndarray
+    heard: np.ndarray
+
+
+class State(NamedTuple):
+    """Everything that a play carries on: made by ``fresh``."""
+
+    counters: np.ndarray
+    window: np.ndarray
+    valid_1: np.ndarray
+    samples: np.ndarray
+    target_number: np.ndarray
+    target_stamp: np.ndarray
+    target_valid: np.ndarray
+    target_values: np.ndarray
+    pending: np.ndarray
+    candidate: np.ndarray
+    candidate_reason: np.ndarray
+    answered: np.ndarray
+    pose_R: np.ndarray
+    pose_t: np.ndarray
+    size_1m: np.ndarray
+    searched: np.ndarray
+    filter: Filter
+    ints: np.ndarray
+    floats: np.ndarray
+
+
+def fresh(frames_1: int, frames_2: int) -> State:
+    window = np.zeros(WINDOW_SIZE, np.int64)
+    window[PEER] = window[OWN] = window[FLOOR] = NEVER
+    entries = frames_1 + frames_2
+    return State(
+        np.zeros(COUNTERS, np.int64), window, np.zeros(frames_1, np.bool_), np.zeros((frames_1, SAMPLE)),
+        np.zeros(frames_1, np.int64), np.zeros(frames_1, np.int64), np.ones(frames_1, np.bool_),
+        np.zeros((frames_1, TARGET)), np.zeros(MAX_PENDING, np.int64), np.zeros((frames_2, CANDIDATE)),
+        np.zeros(frames_2, np.int64), np.zeros(frames_2, np.int64), np.zeros((frames_2, 3, 3)),
+        np.zeros((frames_2, 3)), np.zeros(2), np.zeros(1, np.int64), fresh_filter(),
+        np.zeros((entries, ENTRY_INTS), np.int64), np.zeros((entries, ENTRY_FLOATS)),
+    )  # fmt: skip
+
+
+@kernel
+def play(kinds, which, now, until_ns, clock_ns, setup, hold, whole, seen, state):
+    """Everything that happens before ``until_ns``; ``counters[DONE]`` is set when the window is complete.
+
+    Args:
+        kinds, which, now: (e,) what happens, to which frame, and when: in the order of time.
+    """
+    counters = state.counters
+    while counters[NEXT] < kinds.size and now[counters[NEXT]] < until_ns:
+        event = counters[NEXT]
+        counters[NEXT] += 1
+        k, now_ns = which[event], now[event]
+        if kinds[event] == SENDER_FRAME:
+            _sender_frame(k, now_ns, setup, hold, seen, state)
+            if complete(state.window, hold) and not counters[DONE]:
+                counters[DONE] = 1
+                if not whole:
+                    return
+        elif kinds[event] == TARGET_HEARD:
+            _on_target(k, now_ns + clock_ns, setup.rules, seen, state)
+        elif kinds[event] == RECEIVER_FRAME:
+            _receiver_frame(k, setup, seen, state)
+        else:
+            _offer(k, now_ns, setup.rules, seen, state)
+
+
+# --- D2 -----------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def _on_target(k, now_ns, rules, seen, state):
+    if not state.valid_1[k]:
+        return
+    count, stamp = state.counters[TARGETS], seen.stamp_1[k]
+    if count and (seen.number_1[k] <= state.target_number[count - 1] or stamp <= state.target_stamp[count - 1]):
+        return
+    if stamp - now_ns > rules.max_future_ns or now_ns - stamp > rules.max_age_ns:
+        return
+    state.target_number[count], state.target_stamp[count] = seen.number_1[k], stamp
+    values = state.target_values[count]
+    values[:3] = state.samples[k, POINT : POINT + 3]
+    values[3:6] = seen.gravity_v[k]
+    values[6] = state.samples[k, SPREAD]
+    state.counters[TARGETS] = count + 1
+
+
+@kernel
+def _receiver_frame(k, setup, seen, state):
+    """D2's cycle: marker, pose, prior, box."""
+    rules, stamp, count = setup.rules, seen.stamp_2[k], state.counters[TARGETS]
+    stamps, values = state.target_stamp, state.target_values
+    carried, down, spread = np.empty(TARGET), np.zeros(6), np.empty((6, 6))
+    R, t, prior = state.pose_R[k], state.pose_t[k], np.empty(PRIOR_SIZE)
+    level = gravity(stamps, state.target_valid, values, count, stamp, rules, carried, down)
+    if level:
+        down[3:] = seen.gravity_c[k]
+    reason = _look(k, down, level, setup, seen, state, spread)
+    if reason == NONE:
+        _biased(R, t, seen)
+        reason = _prior(stamp, count, spread, setup, state, R, t, carried, prior)
+    out = state.candidate[k]
+    if reason == NONE:
+        row = choose(seen.found[k], seen.many[k], prior, rules)
+        out[POSE_SIGMA_2] = prior[POSE_SIGMA]
+        state.answered[k] = count - 1
+        if row < 0:
+            reason = -1 - row
+        else:
+            out[:4], out[WHOSE_2] = seen.found[k, row, :4], seen.found[k, row, WHOSE]
+            state.size_1m[0], state.size_1m[1] = out[2] * prior[2], out[3] * prior[2]
+    state.candidate_reason[k] = reason
+
+
+@kernel
+def _look(k, down, level, setup, seen, state, spread):
+    """``MarkerView.look``: D2's pose, or why there is none."""
+    stamp, f, row, heard = seen.stamp_2[k], state.filter, seen.markers[k], seen.heard[k]
+    R_n_v = np.empty((3, 3))
+    if level:
+        levelled(down[:3], setup.R_b_v, seen.peer_yaw[heard - 1], R_n_v)
+    known = f.ints[ACCEPTED, HAS] == 1 and stamp - f.ints[ACCEPTED, STAMP] <= setup.believes.coast_ns
+    if known:
+        known, u, v, half = expected(
+            f, stamp, seen.R_n_c[k], R_n_v, level, seen.own_moves, k + 1, seen.peer_moves, heard, setup.lens_2,
+            setup.reach_m, setup.believes,
+        )  # fmt: skip
+        if known:
+            for i in range(4):
+                if not (-half <= row[2 * i] - u < half and -half <= row[2 * i + 1] - v < half):
+                    return NO_MARKER
+    if not known:
+        if stamp - state.searched[0] < setup.rules.search_period_ns:
+            return NO_MARKER
+        state.searched[0] = stamp
+    if row[FOUND] == 0.0:
+        return NO_MARKER
+    R, t = state.pose_R[k], state.pose_t[k]
+    corners = row[:8].reshape(4, 2)
+    status = estimate(corners, row[CLAIMED], setup.printed, setup.lens_2, down, setup.limits, R, t, spread)
+    if status != POSE:
+        return POSE_UNCERTAIN if status == UNCERTAIN else OBLIQUE
+    status = update(
+        f, stamp, R, t, spread, seen.R_n_c[k], R_n_v, level, seen.own_moves, k + 1, seen.peer_moves, heard,
+        setup.believes,
+    )  # fmt: skip
+    if status != FUSED:
+        return FLIPPED if status == TURNED else POSE_UNCERTAIN
+    return NONE
+
+
+@kernel
+def _biased(R, t, seen):
+    turned = np.zeros((3, 3))
+    for i in range(3):
+        t[i] += seen.shift_c[i]
+        for j in range(3):
+            for m in range(3):
+                turned[i, j] += seen.turn[i, m] * R[m, j]
+    R[:] = turned
+
+
+@kernel
+def _prior(stamp, count, spread, setup, state, R, t, carried, prior):
+    """``ReceiverCycle.prior``."""
+    rules, stamps = setup.rules, state.target_stamp
+    if count == 0:
+        return SILENT
+    if stamp <= stamps[count - 1]:
+        if at(stamps, state.target_valid, state.target_values, count, stamp, rules.max_bracket_ns, carried)[0] < 0:
+            return NO_TRACK
+        sigma, beyond_s = carried[6], 0.0
+    else:
+        if not ahead(stamps, state.target_values, count, stamp, rules, carried):
+            return SILENT
+        sigma, beyond_s = state.target_values[count - 1, 6], (stamp - stamps[count - 1]) * SECONDS
+    drift = 0.5 * rules.relative_accel_mps2 * beyond_s * beyond_s
+    sigma = math.sqrt(sigma * sigma + rules.skew_m**2 + drift * drift)
+    return predict(setup.lens_2, R, t, spread, carried[:3], sigma, rules, state.size_1m, prior)
+
+
+# --- D1 -----------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def _sender_frame(k, now_ns, setup, hold, seen, state):
+    """D1's cycle: its own sample, then every candidate whose instant it has passed."""
+    counters, pending = state.counters, state.pending
+    counters[FRAMES] = k + 1
+    depth_sigma = seen.own[k, SIGMA]
+    reason = observe(seen.own[k], depth_sigma, setup.mount, setup.lens_1, setup.rules, state.samples[k])
+    state.valid_1[k] = reason == NONE
+    if reason != NONE:
+        _restart(state.window, seen.stamp_1[k])
+        ints, _ = _entry(OWN_MISS, reason, now_ns, 0, seen.stamp_1[k], state)
+        ints[OWN_FRAMES], ints[OWN_FRAMES + 1] = seen.number_1[k], seen.stamp_1[k]
+    newest = max(seen.stamp_1[k], now_ns - setup.rules.max_age_ns)
+    while counters[PENDING] and seen.stamp_2[pending[0]] <= newest:
+        first = pending[0]
+        counters[PENDING] -= 1
+        pending[: counters[PENDING]] = pending[1 : counters[PENDING] + 1].copy()
+        _judge(first, now_ns, setup, hold, seen, state)
+    if not counters[PENDING]:
+        _expire(state.window, now_ns - setup.rules.max_age_ns, hold.max_gap_ns)
+
+
+@kernel
+def _offer(k, now_ns, rules, seen, state):
+    counters, pending, capture = state.counters, state.pending, seen.stamp_2[k]
+    if capture - now_ns > rules.max_future_ns or now_ns - capture > rules.max_age_ns:
+        return
+    if counters[PENDING] >= MAX_PENDING or seen.number_2[k] <= state.window[PEER]:
+        return
+    place = counters[PENDING]
+    while place > 0 and seen.number_2[pending[place - 1]] > seen.number_2[k]:
+        pending[place] = pending[place - 1]
+        place -= 1
+    pending[place] = k
+    counters[PENDING] += 1
+
+
+@kernel
+def _judge(k, now_ns, setup, hold, seen, state):
+    capture, candidate = seen.stamp_2[k], state.candidate[k]
+    _expire(state.window, capture, hold.max_gap_ns)
+    sample, iou = np.empty(SAMPLE), np.zeros(2)
+    before, after = at(
+        seen.stamp_1, state.valid_1, state.samples, state.counters[FRAMES], capture, setup.rules.max_bracket_ns, sample
+    )
+    reason = state.candidate_reason[k]
+    if reason == NONE and candidate[POSE_SIGMA_2] > setup.rules.max_pose_sigma_m:
+        reason = POSE_UNCERTAIN
+    if reason == NONE and abs(capture - state.target_stamp[state.answered[k]]) > setup.rules.max_age_ns:
+        reason = STALE
+    if reason == NONE and before < 0:
+        reason = NO_TRACK
+    if reason == NONE and not compare(
+        sample, candidate, state.pose_R[k], state.pose_t[k], setup.mount, setup.lens_1, setup.lens_2, iou
+    ):
+        reason = PRIOR_OUTSIDE
+    ints, floats = _entry(PAIR if reason == NONE else MISS, reason, now_ns, seen.number_2[k], capture, state)
+    agrees = False
+    if reason == NONE:
+        z = sample[7]
+        floats[IOU], floats[IOU + 1], floats[Z_M], floats[SIGMA_M] = iou[0], iou[1], z, candidate[POSE_SIGMA_2]
+        ints[OWN_FRAMES], ints[OWN_FRAMES + 1] = seen.number_1[before], seen.stamp_1[before]
+        ints[OWN_FRAMES + 2], ints[OWN_FRAMES + 3] = seen.number_1[after], seen.stamp_1[after]
+        ints[RIGHT] = candidate[WHOSE_2] == 0.0
+        agrees = iou[hold.mapping] >= threshold(z, hold.tau_min, hold.tau_max, hold.z0_m)
+    count(state.window, hold, agrees, seen.number_2[k], capture, ints[OWN_FRAMES : OWN_FRAMES + 4])
+
+
+@kernel
+def _entry(kind, reason, now_ns, number, capture, state):
+    row = state.counters[ENTRIES]
+    state.counters[ENTRIES] += 1
+    ints = state.ints[row]
+    ints[KIND], ints[REASON], ints[NOW], ints[SEQUENCE], ints[CAPTURE] = kind, reason, now_ns, number, capture
+    return ints, state.floats[row]
+
+
+# --- the window ---------------------------------------------------------------------------------------------------
+
+
+@kernel
+def threshold(z, tau_min, tau_max, z0):
+    scale = z0 / z
+    return tau_min + (tau_max - tau_min) * min(1.0, scale * scale)
+
+
+@kernel
+def count(window, hold, agrees, number, capture, own):
+    """``AgreementWindow.agree`` or ``disagree`` for a new frame of D2."""
+    if number <= window[PEER]:
+        return
+    window[PEER] = number
+    if not agrees:
+        _restart(window, capture)
+        return
+    if capture <= window[FLOOR]:
+        return
+    frame, stamp = own[0], own[1]
+    if window[OWN] >= frame:
+        frame, stamp = own[2], own[3]
+        if frame <= window[OWN]:
+            return
+    _expire(window, capture, hold.max_gap_ns)
+    window[OWN] = frame
+    window[FLOOR] = window[LAST] = capture
+    window[LAST + 1] = stamp
+    if window[COUNT] == 0:
+        window[FIRST], window[FIRST + 1] = capture, stamp
+    window[COUNT] += 1
+
+
+@kernel
+def complete(window, hold):
+    span = min(window[LAST] - window[FIRST], window[LAST + 1] - window[FIRST + 1])
+    return window[COUNT] >= hold.frames and span >= hold.hold_ns
+
+
+@kernel
+def _restart(window, stamp):
+    window[COUNT] = 0
+    window[FLOOR] = max(window[FLOOR], stamp)
+
+
+@kernel
+def _expire(window, instant, max_gap):
+    if window[COUNT] and instant - window[LAST] > max_gap:
+        window[COUNT] = 0
