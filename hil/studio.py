@@ -67,6 +67,8 @@ class Studio:
         setup = self._setup
         if hidden:
             return self._blank
+        if setup.printing.shadow == "none" and not setup.printing.blade:
+            light = 0
         if light not in self._marked:
             prints: tuple[NDArray[np.uint8], ...] = ()
             if setup.printing != Printing():
