@@ -219,6 +219,16 @@ def test_h264_gives_each_frame_of_a_stream_in_its_place() -> None:
     assert losses[0] < losses[1] < losses[2]
 
 
+def test_what_comes_out_of_a_stream_is_its_last_frame_in_its_place() -> None:
+    light = np.ascontiguousarray(np.moveaxis(scenery(), -1, 0))
+    plain = seen(light, QUIET)[..., 1]
+    slopes = np.stack([slope.ravel() for slope in np.gradient(plain)])
+    for seed in range(4):  # the view moves differently in each
+        streamed = seen(light, replace(QUIET, h264_crf=16), seed)[..., 1]
+        shift = np.linalg.lstsq(slopes.T, (streamed - plain).ravel())[0]
+        assert np.abs(shift).max() < 0.05
+
+
 def test_h264_gives_the_same_bytes_again_and_refuses_odd_sides() -> None:
     light = np.ascontiguousarray(np.moveaxis(scenery(), -1, 0))
     first, again = (seen(light, REALISTIC_VIDEO, 3) for _ in range(2))
