@@ -145,7 +145,9 @@ def _ratio_findings(ratios: Mapping[str, Mapping[str, Mapping[str, float]]]) -> 
             if counted == "geometry" or method.endswith("_features"):
                 continue  # between the others, and no whole cycle: they are in the table
             goal = RATIO_GOALS[method.split("_")[0]]
-            short = "The marker is nearly all of it: see the stages." if ratio["ratio"] < goal else ""
+            note = "The marker is nearly all of it: see the stages." if ratio["ratio"] < goal else ""
+            if method == "xfeat_whole":
+                note = f"{note} Mostly matching of 4096 features in numpy: see XFeat's features alone.".strip()
             findings.append(
                 Finding(
                     f"{TITLES[method]} / {COUNTED[counted]}, {size}, ratio",
@@ -154,7 +156,7 @@ def _ratio_findings(ratios: Mapping[str, Mapping[str, Mapping[str, float]]]) -> 
                     "",
                     f"≥ {goal:g}",
                     verdict(ratio["ratio"] >= goal),
-                    short,
+                    note,
                 )
             )
     return tuple(findings)

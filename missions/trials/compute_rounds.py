@@ -33,8 +33,8 @@ class Plan:
     """How often: blocks, and cycles of each method in a block; ``path`` is at least the number of frames."""
 
     frames: int = 16
-    blocks: int = 16
-    path: int = 30
+    blocks: int = 12
+    path: int = 40
     orb: int = 2
     xfeat: int = 1
 
