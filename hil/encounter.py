@@ -18,7 +18,12 @@ from drivers.rig import Rig
 from flight.encounter import PAIR, Attempt, Encounter, Series, agreeing, tell
 from hil.encounter_by_method import play_cycles
 from hil.encounter_method import REASONS, Rules
-from hil.encounter_play import (
+from hil.encounter_play import play
+from hil.encounter_pose import Limits
+from hil.encounter_relative import Believes
+from hil.encounter_scene import Believed, Calibrated
+from hil.encounter_stage import BLOCK_S, EPOCH_S, Parts, Stage, lever, mounting, printed_marker
+from hil.encounter_state import (
     CAPTURE,
     DONE,
     ENTRIES,
@@ -32,16 +37,11 @@ from hil.encounter_play import (
     SEQUENCE,
     SIGMA_M,
     Z_M,
-    Hold,
     Setup,
     State,
     fresh,
-    play,
 )
-from hil.encounter_pose import Limits
-from hil.encounter_relative import Believes
-from hil.encounter_scene import Believed, Calibrated
-from hil.encounter_stage import BLOCK_S, EPOCH_S, Stage, lever, mounting, printed_marker
+from hil.encounter_window import Hold
 from hil.geometric_scene import CameraSetup, lens_row
 from hil.geometric_sight import Sensor
 from path.config import MethodConfig
@@ -66,6 +66,7 @@ class Encounters:
             )
         self._method = method or rig.method
         self._believed = Believed.of(rig)
+        self._parts = Parts(self._believed)
         mount = rig.sender.mount
         setup = CameraSetup(Role.SENDER, rig.sender.camera, mount.T_b_c, mount.T_b_v, rig.layout)
         self._sensor = Sensor(setup, self._believed.noise, self._method, 0)
@@ -75,7 +76,7 @@ class Encounters:
         return self
 
     def play(self, attempt: Attempt) -> Encounter:
-        stage = Stage(attempt, self._believed, self._sensor)
+        stage = Stage(attempt, self._believed, self._sensor, self._parts)
         sender, receiver = stage.frames
         state = fresh(len(sender.number), len(receiver.number))
         kinds, which, now = stage.events
@@ -91,7 +92,7 @@ class Encounters:
         return _encounter(attempt, stage, _series(state), until_s, self._method)
 
     def play_by_method(self, attempt: Attempt) -> Encounter:
-        stage = Stage(attempt, self._believed, self._sensor)
+        stage = Stage(attempt, self._believed, self._sensor, self._parts)
         series, until_s = play_cycles(attempt, stage, self._believed, self._method)
         return _encounter(attempt, stage, series, until_s, self._method)
 

@@ -13,10 +13,10 @@ from drivers.rig import Mount
 from flight.encounter import MISS, OWN_MISS, PAIR, Attempt, Series
 from flight.marker_view import MarkerFix, MarkerView, Motion
 from hil.encounter_method import REASONS
-from hil.encounter_play import CANDIDATE_HEARD, RECEIVER_FRAME, SENDER_FRAME
 from hil.encounter_scene import Believed
 from hil.encounter_sight import CLAIMED, FOUND, SEEN, SIGMA, STATUS, UNCLEAR, Z
 from hil.encounter_stage import BLOCK_S, EPOCH_S, Stage
+from hil.encounter_state import CANDIDATE_HEARD, RECEIVER_FRAME, SENDER_FRAME
 from path.agreement import BoxMapping, TwoViews, depth_in, iou, map_box
 from path.config import MethodConfig
 from path.geometry import Pose

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.encounter_scene import Drawn
+from hil.geometric_kernels import kernel
 
 Array = NDArray[np.float64]
 
-WAVES = 5
+WAVES = 4
 # Standard deviations and frequencies of what wavers; the trial prints them.
 WANDER_M, WANDER_HZ = (0.05, 0.05, 0.03), (0.05, 0.5)
 TILT_RAD, TILT_HZ = math.radians(1.0), (0.2, 1.5)
@@ -23,68 +24,67 @@ SPEED_NOISE_MPS, SPEED_NOISE_HZ = 0.03, (0.03, 0.3)  # of what either vehicle re
 P_W_N = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """Sums of sines of random phase for several axes: smooth, with a standard deviation and a band of frequencies."""
-
-    amplitude: Array  # (axes, WAVES)
-    rate: Array
-    phase: Array
-
-    @classmethod
-    def of(cls, sigmas: tuple[float, ...], band_hz: tuple[float, float], rng: np.random.Generator) -> Channel:
-        shape = len(sigmas), WAVES
-        weight = rng.uniform(0.5, 1.5, shape)
-        weight *= math.sqrt(2.0) / np.linalg.norm(weight, axis=1)[:, None]
-        rate = 2.0 * math.pi * np.exp(rng.uniform(math.log(band_hz[0]), math.log(band_hz[1]), shape))
-        return cls(weight * np.array(sigmas)[:, None], rate, rng.uniform(0.0, 2.0 * math.pi, shape))
-
-    def rate_at(self, times_s: Array) -> Array:
-        """Derivative, (n, axes)."""
-        wave = np.cos(self.rate * times_s[:, None, None] + self.phase)
-        return np.sum(self.amplitude * self.rate * wave, axis=2)
-
-    def at(self, times_s: Array) -> Array:
-        """(n, axes)."""
-        return np.sum(self.amplitude * np.sin(self.rate * times_s[:, None, None] + self.phase), axis=2)
+# What wavers, and its columns.
+CHANNELS: tuple[tuple[tuple[float, ...], tuple[float, float]], ...] = (
+    (WANDER_M, WANDER_HZ),  # the sender, then the receiver
+    (WANDER_M, WANDER_HZ),
+    ((TILT_RAD, TILT_RAD), TILT_HZ),
+    ((YAW_RAD,), YAW_HZ),
+    ((TILT_RAD, TILT_RAD), TILT_HZ),
+    ((YAW_RAD,), YAW_HZ),
+    ((TILT_NOISE_RAD, TILT_NOISE_RAD), NOISE_HZ),
+    ((YAW_NOISE_RAD,), NOISE_HZ),
+    ((TILT_NOISE_RAD, TILT_NOISE_RAD), NOISE_HZ),
+    ((YAW_NOISE_RAD,), NOISE_HZ),
+    ((DRIFT_M,) * 3, DRIFT_HZ),
+    ((SPEED_NOISE_MPS,) * 3, SPEED_NOISE_HZ),
+    ((SPEED_NOISE_MPS,) * 3, SPEED_NOISE_HZ),
+)
+WANDER = (slice(0, 3), slice(3, 6))
+ATTITUDE = (slice(6, 9), slice(9, 12))
+ATTITUDE_NOISE = (slice(12, 15), slice(15, 18))
+DRIFT = slice(18, 21)
+SPEED_NOISE = (slice(21, 24), slice(24, 27))
+SENDER, RECEIVER = 0, 1
 
 
-@dataclass(frozen=True, slots=True)
-class Drone:
-    wander: Channel
-    tilt: Channel
-    yaw: Channel
-    tilt_noise: Channel
-    yaw_noise: Channel
+@kernel
+def _waves(waves: Array, times: Array, out: Array) -> None:
+    """Sums of sines: ``waves`` (channels, WAVES, 3) with amplitude, rate and phase, ``out`` (n, channels) filled."""
+    for k in range(times.size):
+        for c in range(waves.shape[0]):
+            total = 0.0
+            for w in range(waves.shape[1]):
+                total += waves[c, w, 0] * math.sin(waves[c, w, 1] * times[k] + waves[c, w, 2])
+            out[k, c] = total
 
-    @classmethod
-    def of(cls, rng: np.random.Generator) -> Drone:
-        return cls(
-            Channel.of(WANDER_M, WANDER_HZ, rng),
-            Channel.of((TILT_RAD, TILT_RAD), TILT_HZ, rng),
-            Channel.of((YAW_RAD,), YAW_HZ, rng),
-            Channel.of((TILT_NOISE_RAD, TILT_NOISE_RAD), NOISE_HZ, rng),
-            Channel.of((YAW_NOISE_RAD,), NOISE_HZ, rng),
-        )
 
-    def attitude(self, times_s: Array, lean: Array, yaw_rad: float) -> Array:
-        """R_n_b, (n, 3, 3)."""
-        tilt = self.tilt.at(times_s) + lean[:2]
-        yaw = self.yaw.at(times_s)[:, 0] + (lean[2] + yaw_rad)
-        return _turned_about_down(yaw) @ exp_all(np.concatenate((tilt, np.zeros((len(tilt), 1))), axis=1))
-
-    def attitude_error(self, times_s: Array, bias: Array) -> Array:
-        """Rotation vector in the body, (n, 3)."""
-        return np.concatenate((self.tilt_noise.at(times_s), self.yaw_noise.at(times_s)), axis=1) + bias
+def _drawn(rng: np.random.Generator) -> Array:
+    """Sines of random weight, rate and phase for all channels, with their standard deviations."""
+    sigma = np.concatenate([np.array(sigmas) for sigmas, _ in CHANNELS])
+    low, high = (np.concatenate([np.full(len(s), band[k]) for s, band in CHANNELS]) for k in (0, 1))
+    shape = len(sigma), WAVES
+    weight = rng.uniform(0.5, 1.5, shape)
+    weight *= (math.sqrt(2.0) * sigma / np.linalg.norm(weight, axis=1))[:, None]
+    rate = 2.0 * math.pi * np.exp(rng.uniform(np.log(low)[:, None], np.log(high)[:, None], shape))
+    return np.stack((weight, rate, rng.uniform(0.0, 2.0 * math.pi, shape)), axis=2)
 
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """At the frames of one camera: bodies in NED ``n`` and the drone's own estimate of its attitude."""
+    """Both drones at some instants, by drone: bodies in NED ``n``; and how far off the attitude estimates are.
 
-    R_n_b: Array
-    t_n: Array
-    R_estimated: Array
+    ``attitude_error``: rotation vectors in the body. ``drift``: of the sender's position estimate.
+    """
+
+    R_n_b: tuple[Array, Array]
+    t_n: tuple[Array, Array]
+    attitude_error: tuple[Array, Array]
+    drift: Array
+
+    def estimated(self, drone: int) -> Array:
+        """R_n_b as the drone believes."""
+        return self.R_n_b[drone] @ exp_all(self.attitude_error[drone])
 
 
 class Motion:
@@ -92,41 +92,51 @@ class Motion:
 
     def __init__(self, drawn: Drawn, rng: np.random.Generator) -> None:
         self._drawn = drawn
-        self._sender, self._receiver = Drone.of(rng), Drone.of(rng)
-        self._drift = Channel.of((DRIFT_M,) * 3, DRIFT_HZ, rng)
-        self._speed_errors = [Channel.of((SPEED_NOISE_MPS,) * 3, SPEED_NOISE_HZ, rng) for _ in range(2)]
+        self._waves = _drawn(rng)
 
-    def drift(self, times_s: Array) -> Array:
-        """Error of D1's position estimate, (n, 3); a constant one would change nothing."""
-        return self._drift.at(times_s)
-
-    def sender(self, times_s: Array) -> Poses:
+    def poses(self, times_s: Array, target: Array) -> Poses:
+        """At instants; ``target``: (n, 2) north and east of it then."""
         drawn, errors = self._drawn, self._drawn.errors
-        R = self._sender.attitude(times_s, errors.lean[0], 0.0)
-        error = self._sender.attitude_error(times_s, errors.tilt_bias[0]) + self._jump(times_s, 0)
-        target = drawn.things.at(times_s)[0][:, 0]
-        t = drawn.place.sender_n_m + self._sender.wander.at(times_s)
-        t[:, :2] += target
-        return Poses(R, t, R @ exp_all(error))
+        values = self._at(times_s)
+        yaws = 0.0, drawn.place.receiver_yaw_rad
+        sender_t = drawn.place.sender_n_m + values[:, WANDER[SENDER]]
+        sender_t[:, :2] += target
+        receiver_t = sender_t + drawn.place.receiver_n_m + values[:, WANDER[RECEIVER]]
+        R = [_attitude(values[:, ATTITUDE[i]] + errors.lean[i], yaws[i]) for i in (SENDER, RECEIVER)]
+        off = [values[:, ATTITUDE_NOISE[i]] + errors.tilt_bias[i] + self._jump(times_s, i) for i in (SENDER, RECEIVER)]
+        return Poses((R[0], R[1]), (sender_t, receiver_t), (off[0], off[1]), values[:, DRIFT])
 
-    def receiver(self, times_s: Array) -> Poses:
-        drawn, errors = self._drawn, self._drawn.errors
-        R = self._receiver.attitude(times_s, errors.lean[1], drawn.place.receiver_yaw_rad)
-        error = self._receiver.attitude_error(times_s, errors.tilt_bias[1]) + self._jump(times_s, 1)
-        t = self.sender(times_s).t_n + drawn.place.receiver_n_m + self._receiver.wander.at(times_s)
-        return Poses(R, t, R @ exp_all(error))
+    def reported(self, times_s: Array, drone: int) -> Array:
+        """Velocities that a vehicle reports, NED (n, 3)."""
+        step, count = 1e-3, len(times_s)
+        around_s = np.concatenate((times_s - step, times_s + step, times_s))
+        values = self._at(around_s)
+        places = values[:, WANDER[SENDER]] + (values[:, WANDER[RECEIVER]] if drone else 0.0)
+        places[:, :2] += self._drawn.things.at(around_s)[0][:, 0]
+        return (places[count : 2 * count] - places[:count]) / (2.0 * step) + values[2 * count :, SPEED_NOISE[drone]]
 
-    def speeds(self, times_s: Array, drone: int) -> Array:
-        """What a vehicle reports of its own velocity, NED (n, 3)."""
-        step = 1e-3
-        around = self._drawn.things.at(np.concatenate((times_s - step, times_s + step)))[0][:, 0]
-        out = self._sender.wander.rate_at(times_s) + self._speed_errors[drone].at(times_s)
-        out[:, :2] += (around[len(times_s) :] - around[: len(times_s)]) / (2.0 * step)
-        return out + self._receiver.wander.rate_at(times_s) if drone else out
+    def yaw(self, times_s: Array) -> Array:
+        """The sender's, as it reports it."""
+        values = self._at(times_s)
+        errors = self._drawn.errors
+        own = values[:, ATTITUDE[SENDER]][:, 2] + errors.lean[SENDER, 2]
+        return own + values[:, ATTITUDE_NOISE[SENDER]][:, 2] + errors.tilt_bias[SENDER, 2]
+
+    def _at(self, times_s: Array) -> Array:
+        out = np.empty((len(times_s), len(self._waves)))
+        _waves(self._waves, times_s, out)
+        return out
 
     def _jump(self, times_s: Array, drone: int) -> Array:
         faults = self._drawn.faults
         return within(times_s, faults.jump[drone])[:, None] * faults.jump_vector
+
+
+def _attitude(angles: Array, yaw_rad: float) -> Array:
+    """R_n_b, (n, 3, 3), of tilts in the body and a yaw, (n, 3)."""
+    tilt = angles.copy()
+    tilt[:, 2] = 0.0
+    return _turned_about_down(angles[:, 2] + yaw_rad) @ exp_all(tilt)
 
 
 def within(times_s: Array, spells: Array) -> NDArray[np.bool_]:

@@ -8,7 +8,6 @@ Stamps are ns of D1's clock; ``clock_ns`` is how much later D2's stamps read the
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +26,6 @@ from hil.encounter_method import (
     SILENT,
     SPREAD,
     STALE,
-    Rules,
     ahead,
     at,
     choose,
@@ -38,133 +36,45 @@ from hil.encounter_method import (
 )
 from hil.encounter_method import OUTSIDE as PRIOR_OUTSIDE
 from hil.encounter_method import S as SECONDS
-from hil.encounter_pose import POSE, UNCERTAIN, Limits, Print, estimate
+from hil.encounter_pose import POSE, UNCERTAIN, estimate
 from hil.encounter_relative import (
     ACCEPTED,
     FUSED,
     HAS,
     STAMP,
     TURNED,
-    Believes,
-    Filter,
-    Reports,
     expected,
-    fresh_filter,
     levelled,
     update,
 )
 from hil.encounter_sight import CLAIMED, FOUND, SIGMA, WHOSE
+from hil.encounter_state import (
+    CAPTURE,
+    DONE,
+    ENTRIES,
+    FRAMES,
+    IOU,
+    KIND,
+    MAX_PENDING,
+    NEXT,
+    NOW,
+    OWN_FRAMES,
+    PENDING,
+    POSE_SIGMA_2,
+    REASON,
+    RECEIVER_FRAME,
+    RIGHT,
+    SENDER_FRAME,
+    SEQUENCE,
+    SIGMA_M,
+    TARGET,
+    TARGET_HEARD,
+    TARGETS,
+    WHOSE_2,
+    Z_M,
+)
+from hil.encounter_window import PEER, complete, count, expire, restart, threshold
 from hil.geometric_kernels import kernel
-
-SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD = 0, 1, 2, 3
-TARGET = 7  # values of a target as D2 keeps it: point, gravity, standard deviation
-# Columns of a candidate: box, standard deviation of the pose, whose box.
-POSE_SIGMA_2, WHOSE_2 = 4, 5
-CANDIDATE = 6
-MAX_PENDING = 64
-# Counters of a play.
-NEXT, FRAMES, TARGETS, PENDING, ENTRIES, DONE = 0, 1, 2, 3, 4, 5
-COUNTERS = 6
-# The window: pairs, first pair (D2's and D1's stamp), last pair, newest frame of D2 and D1, floor.
-COUNT, FIRST, LAST, PEER, OWN, FLOOR = 0, 1, 3, 5, 6, 7
-WINDOW_SIZE = 8
-NEVER = -(1 << 62)
-# Columns of an entry, whole numbers and others.
-KIND, REASON, NOW, SEQUENCE, CAPTURE, OWN_FRAMES, RIGHT = 0, 1, 2, 3, 4, 5, 9
-ENTRY_INTS = 10
-IOU, Z_M, SIGMA_M = 0, 2, 3
-ENTRY_FLOATS = 4
-
-
-class Setup(NamedTuple):
-    """What does not change between attempts, as both drones believe it."""
-
-    rules: Rules
-    limits: Limits
-    printed: Print
-    lens_1: np.ndarray
-    lens_2: np.ndarray
-    mount: np.ndarray  # (3, 4) T_v_c1
-    R_b_v: np.ndarray
-    reach_m: float  # of the marker, where it is looked for
-    believes: Believes
-
-
-class Hold(NamedTuple):
-    """The paper's gate: thresholds and how long; ``mapping`` 0 for the box's centre, 1 for its corner."""
-
-    tau_min: float
-    tau_max: float
-    z0_m: float
-    frames: int
-    hold_ns: int
-    max_gap_ns: int
-    mapping: int
-
-
-class Seen(NamedTuple):
-    """What both cameras gave: see ``hil.encounter_sight``; numbers and stamps of the frames.
-
-    ``gravity_v``, ``gravity_c``: (n, 3) as each drone believes; ``R_n_c``: of D2's camera, (n, 3, 3).
-    ``own_moves``, ``peer_moves``: what both vehicles report; ``heard``: (n,) how many of D1's reports D2 has by a frame
-    (of its own, one for each frame); ``peer_yaw``: of D1 in each of its reports.
-    """
-
-    number_1: np.ndarray
-    stamp_1: np.ndarray
-    own: np.ndarray
-    gravity_v: np.ndarray
-    number_2: np.ndarray
-    stamp_2: np.ndarray
-    markers: np.ndarray
-    found: np.ndarray
-    many: np.ndarray
-    gravity_c: np.ndarray
-    R_n_c: np.ndarray
-    shift_c: np.ndarray
-    turn: np.ndarray  # (3, 3), of D2's pose
-    own_moves: Reports
-    peer_moves: Reports
-    peer_yaw: np.ndarray
-    heard: np.ndarray
-
-
-class State(NamedTuple):
-    """Everything that a play carries on: made by ``fresh``."""
-
-    counters: np.ndarray
-    window: np.ndarray
-    valid_1: np.ndarray
-    samples: np.ndarray
-    target_number: np.ndarray
-    target_stamp: np.ndarray
-    target_valid: np.ndarray
-    target_values: np.ndarray
-    pending: np.ndarray
-    candidate: np.ndarray
-    candidate_reason: np.ndarray
-    answered: np.ndarray
-    pose_R: np.ndarray
-    pose_t: np.ndarray
-    size_1m: np.ndarray
-    searched: np.ndarray
-    filter: Filter
-    ints: np.ndarray
-    floats: np.ndarray
-
-
-def fresh(frames_1: int, frames_2: int) -> State:
-    window = np.zeros(WINDOW_SIZE, np.int64)
-    window[PEER] = window[OWN] = window[FLOOR] = NEVER
-    entries = frames_1 + frames_2
-    return State(
-        np.zeros(COUNTERS, np.int64), window, np.zeros(frames_1, np.bool_), np.zeros((frames_1, SAMPLE)),
-        np.zeros(frames_1, np.int64), np.zeros(frames_1, np.int64), np.ones(frames_1, np.bool_),
-        np.zeros((frames_1, TARGET)), np.zeros(MAX_PENDING, np.int64), np.zeros((frames_2, CANDIDATE)),
-        np.zeros(frames_2, np.int64), np.zeros(frames_2, np.int64), np.zeros((frames_2, 3, 3)),
-        np.zeros((frames_2, 3)), np.zeros(2), np.zeros(1, np.int64), fresh_filter(),
-        np.zeros((entries, ENTRY_INTS), np.int64), np.zeros((entries, ENTRY_FLOATS)),
-    )  # fmt: skip
 
 
 @kernel
@@ -319,7 +229,7 @@ def _sender_frame(k, now_ns, setup, hold, seen, state):
     reason = observe(seen.own[k], depth_sigma, setup.mount, setup.lens_1, setup.rules, state.samples[k])
     state.valid_1[k] = reason == NONE
     if reason != NONE:
-        _restart(state.window, seen.stamp_1[k])
+        restart(state.window, seen.stamp_1[k])
         ints, _ = _entry(OWN_MISS, reason, now_ns, 0, seen.stamp_1[k], state)
         ints[OWN_FRAMES], ints[OWN_FRAMES + 1] = seen.number_1[k], seen.stamp_1[k]
     newest = max(seen.stamp_1[k], now_ns - setup.rules.max_age_ns)
@@ -329,7 +239,7 @@ def _sender_frame(k, now_ns, setup, hold, seen, state):
         pending[: counters[PENDING]] = pending[1 : counters[PENDING] + 1].copy()
         _judge(first, now_ns, setup, hold, seen, state)
     if not counters[PENDING]:
-        _expire(state.window, now_ns - setup.rules.max_age_ns, hold.max_gap_ns)
+        expire(state.window, now_ns - setup.rules.max_age_ns, hold.max_gap_ns)
 
 
 @kernel
@@ -350,7 +260,7 @@ def _offer(k, now_ns, rules, seen, state):
 @kernel
 def _judge(k, now_ns, setup, hold, seen, state):
     capture, candidate = seen.stamp_2[k], state.candidate[k]
-    _expire(state.window, capture, hold.max_gap_ns)
+    expire(state.window, capture, hold.max_gap_ns)
     sample, iou = np.empty(SAMPLE), np.zeros(2)
     before, after = at(
         seen.stamp_1, state.valid_1, state.samples, state.counters[FRAMES], capture, setup.rules.max_bracket_ns, sample
@@ -385,55 +295,3 @@ def _entry(kind, reason, now_ns, number, capture, state):
     ints = state.ints[row]
     ints[KIND], ints[REASON], ints[NOW], ints[SEQUENCE], ints[CAPTURE] = kind, reason, now_ns, number, capture
     return ints, state.floats[row]
-
-
-# --- the window ---------------------------------------------------------------------------------------------------
-
-
-@kernel
-def threshold(z, tau_min, tau_max, z0):
-    scale = z0 / z
-    return tau_min + (tau_max - tau_min) * min(1.0, scale * scale)
-
-
-@kernel
-def count(window, hold, agrees, number, capture, own):
-    """``AgreementWindow.agree`` or ``disagree`` for a new frame of D2."""
-    if number <= window[PEER]:
-        return
-    window[PEER] = number
-    if not agrees:
-        _restart(window, capture)
-        return
-    if capture <= window[FLOOR]:
-        return
-    frame, stamp = own[0], own[1]
-    if window[OWN] >= frame:
-        frame, stamp = own[2], own[3]
-        if frame <= window[OWN]:
-            return
-    _expire(window, capture, hold.max_gap_ns)
-    window[OWN] = frame
-    window[FLOOR] = window[LAST] = capture
-    window[LAST + 1] = stamp
-    if window[COUNT] == 0:
-        window[FIRST], window[FIRST + 1] = capture, stamp
-    window[COUNT] += 1
-
-
-@kernel
-def complete(window, hold):
-    span = min(window[LAST] - window[FIRST], window[LAST + 1] - window[FIRST + 1])
-    return window[COUNT] >= hold.frames and span >= hold.hold_ns
-
-
-@kernel
-def _restart(window, stamp):
-    window[COUNT] = 0
-    window[FLOOR] = max(window[FLOOR], stamp)
-
-
-@kernel
-def _expire(window, instant, max_gap):
-    if window[COUNT] and instant - window[LAST] > max_gap:
-        window[COUNT] = 0

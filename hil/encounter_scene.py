@@ -16,6 +16,7 @@ from drivers.tables import decode_table
 from flight.config import MissionConfig
 from flight.encounter import Attempt, FaultName
 from flight.viewpoint import Scene, Viewpoint, plan_viewpoint
+from hil.encounter_faults import Faults, direction, draw_faults
 from hil.geometric_targets import TargetNoise
 from hil.observation_noise import ObservationNoise
 from path.camera import CameraModel
@@ -38,11 +39,6 @@ CLOCK_SIGMA_S = 0.002
 MOVING_SHARE, SPEED_MPS, TURN_RAD_S = 0.75, (0.05, 0.4), 0.15
 LOOK_ALIKES_M, PARKED_GAP_M = (1.2, 2.0), 1.0
 CROSSING_PAST_M, CROSSING_MPS, CROSSING_HALF_S = (0.36, 0.40), 1.0, 3.5
-LINK_DELAY_S, LINK_JITTER_S, LINK_LOSS = 0.004, 0.002, 0.01
-MIXABLE: tuple[FaultName, ...] = (
-    "marker_occlusion", "marker_dropouts", "flip", "depth_holes", "link_loss", "link_delay", "clock_error",
-    "camera_freeze", "attitude_jump", "look_alike_near", "look_alike_crossing", "detector_swap",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,31 +133,6 @@ class Errors:
 
 
 @dataclass(frozen=True, slots=True)
-class Faults:
-    """When something goes wrong: rows (from, to) in s, and how much."""
-
-    hidden: Array
-    flipped: Array
-    holes: Array
-    swapped: Array
-    frozen: tuple[Array, Array]
-    jump: tuple[Array, Array]  # attitude of each drone
-    jump_vector: Array  # (3,) rad
-    lapse_rate: float
-    loss: float
-    delay_s: float
-    jitter_s: float
-    clock_s: float
-
-
-NEVER = np.empty((0, 2))
-NO_FAULTS = Faults(
-    NEVER, NEVER, NEVER, NEVER, (NEVER, NEVER), (NEVER, NEVER), np.zeros(3), 0.0, LINK_LOSS, LINK_DELAY_S,
-    LINK_JITTER_S, 0.0,
-)  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
 class Drawn:
     """One attempt's circumstances. ``shift_c``, ``turn_c``: of D2's pose, m and rad in its camera's axes."""
 
@@ -178,10 +149,7 @@ def draw(attempt: Attempt, believed: Believed, streams: list[Generator]) -> Draw
     calibrated = believed.calibrated(attempt.roll_deg)
     place = _place(believed, streams[0])
     errors = _errors(believed, calibrated, streams[2])
-    names = _faults_of(attempt, streams[3])
-    faults = NO_FAULTS
-    for name in names:
-        faults = _with_fault(faults, name, streams[3])
+    names, faults = draw_faults(attempt.fault, streams[3])
     things = _things(attempt, names, streams[1])
     shift, turn = np.zeros(3), np.zeros(3)
     if attempt.wrong is not None:
@@ -235,7 +203,7 @@ def _things(attempt: Attempt, names: tuple[FaultName, ...], rng: Generator) -> T
     path = alone.at(times)[0][:, 0]
     for k in range(3):
         for _ in range(20):
-            start = rng.uniform(*LOOK_ALIKES_M) * _direction(rng)
+            start = rng.uniform(*LOOK_ALIKES_M) * direction(rng)
             apart = start[None] if k == 0 else start - path
             if np.hypot(apart[:, 0], apart[:, 1]).min() >= PARKED_GAP_M:
                 rows.append((start, np.zeros(2), k == 0, always, rng.uniform(-math.pi, math.pi)))
@@ -257,14 +225,9 @@ def _things(attempt: Attempt, names: tuple[FaultName, ...], rng: Generator) -> T
     )  # fmt: skip
 
 
-def _direction(rng: Generator) -> Array:
-    angle = rng.uniform(-math.pi, math.pi)
-    return np.array([math.cos(angle), math.sin(angle)])
-
-
 def _beside(distance_m: float, crossing: bool, rng: Generator) -> tuple[Array, Array, bool, tuple[float, float], float]:
     """A look-alike at a distance from the target, along with it or past it."""
-    aside = _direction(rng)
+    aside = direction(rng)
     middle_s, yaw = rng.uniform(1.0, 6.0), rng.uniform(-math.pi, math.pi)
     if not crossing:
         return distance_m * aside, np.zeros(2), True, (-math.inf, math.inf), yaw
@@ -307,56 +270,6 @@ def _other_lens(camera: CameraModel, rng: Generator) -> CameraModel:
 
 def _other_mount(T: Pose, rng: Generator) -> Pose:
     return Pose(T.R @ exp(MOUNT_SIGMA_RAD * rng.standard_normal(3)), T.t + MOUNT_SIGMA_M * rng.standard_normal(3))
-
-
-def _faults_of(attempt: Attempt, rng: Generator) -> tuple[FaultName, ...]:
-    if attempt.fault == "mixed":
-        first, second = rng.choice(len(MIXABLE), 2, replace=False).tolist()
-        return MIXABLE[first], MIXABLE[second]
-    return (attempt.fault,)
-
-
-def _spells(rng: Generator, most: int, low_s: float, high_s: float) -> Array:
-    """One to ``most`` spells within the first eight seconds, lengths spread evenly over their logarithm."""
-    count = int(rng.integers(1, most + 1))
-    start = rng.uniform(0.0, 8.0, count)
-    length = np.exp(rng.uniform(math.log(low_s), math.log(high_s), count))
-    return np.stack((start, start + length), axis=1)
-
-
-def _with_fault(faults: Faults, name: FaultName, rng: Generator) -> Faults:
-    match name:
-        case "marker_occlusion":
-            faults = replace(faults, hidden=_spells(rng, 2, 0.1, 3.0))
-        case "marker_dropouts":
-            faults = replace(faults, lapse_rate=rng.uniform(0.005, 0.10))
-        case "flip":
-            faults = replace(faults, flipped=_spells(rng, 3, 0.02, 1.5))
-        case "depth_holes":
-            faults = replace(faults, holes=_spells(rng, 3, 0.1, 1.5))
-        case "link_loss":
-            faults = replace(faults, loss=rng.uniform(0.02, 0.5))
-        case "link_delay":
-            delay_s = rng.uniform(0.01, 0.12)
-            faults = replace(faults, delay_s=delay_s, jitter_s=delay_s)
-        case "clock_error":
-            faults = replace(faults, clock_s=float(rng.choice((-1.0, 1.0))) * rng.uniform(0.005, 0.06))
-        case "camera_freeze":
-            faults = replace(faults, frozen=_of_one(_spells(rng, 3, 0.1, 1.5), rng))
-        case "attitude_jump":
-            spells, angle = _spells(rng, 2, 0.3, 4.0), math.radians(rng.uniform(2.0, 12.0))
-            vector = angle * np.array([*_direction(rng), 0.0])
-            faults = replace(faults, jump=_of_one(spells, rng), jump_vector=vector)
-        case "detector_swap":
-            faults = replace(faults, swapped=_spells(rng, 1, 0.3, 8.0))
-        case _:
-            pass
-    return faults
-
-
-def _of_one(spells: Array, rng: Generator) -> tuple[Array, Array]:
-    """Of one drone or the other."""
-    return (spells, NEVER) if rng.random() < 0.5 else (NEVER, spells)
 
 
 def _bias(

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flight.encounter import Attempt, Circumstances
-from hil.encounter_motion import P_W_N, Motion, Poses, exp_all, within
-from hil.encounter_play import CANDIDATE_HEARD, RECEIVER_FRAME, SENDER_FRAME, TARGET_HEARD, Seen
+from hil.encounter_motion import P_W_N, RECEIVER, SENDER, Motion, Poses, exp_all, within
 from hil.encounter_pose import Print, mirrored
 from hil.encounter_relative import Reports, reports
 from hil.encounter_scene import TARGET_HEIGHT_M, Believed, Calibrated, Drawn, draw
@@ -31,6 +30,7 @@ from hil.encounter_sight import (
     sender_sees,
     with_lapses,
 )
+from hil.encounter_state import CANDIDATE_HEARD, RECEIVER_FRAME, SENDER_FRAME, TARGET_HEARD, Seen
 from hil.geometric_scene import car_parts, drone_parts, lens_row
 from hil.geometric_sight import Sensor
 from path.camera import CameraModel
@@ -46,6 +46,7 @@ LATENCY_JITTER_S = 0.002
 FOLLOWER_SIGMA_M, FOLLOWER_SIGMA_MPS = 0.02, 0.05
 STREAMS = 7
 BLOCK_S = 1.0
+HORIZON_S = 8.2  # how far an attempt is made ready at first
 EPOCH_S = 10.0  # of the clocks, when an attempt begins
 
 
@@ -64,6 +65,11 @@ class Timed:
     done_s: Array
     heard_s: Array
 
+    def until(self, time_s: float) -> Timed:
+        """Those taken before."""
+        count = int(np.searchsorted(self.taken_s, time_s))
+        return Timed(self.number[:count], self.taken_s[:count], self.done_s[:count], self.heard_s[:count])
+
 
 def printed_marker(believed: Believed) -> Print:
     marker = believed.rig.layout.markers[0]
@@ -71,10 +77,28 @@ def printed_marker(believed: Believed) -> Print:
     return Print(marker.corners_v, np.ascontiguousarray(T.R), T.t, marker.side_m, marker.side_sigma_m / marker.side_m)
 
 
+class Parts:
+    """Boxes of what is drawn: they are the same for every attempt, but for the plates of the marker."""
+
+    def __init__(self, believed: Believed) -> None:
+        T_b_v, layout = believed.rig.sender.mount.T_b_v, believed.rig.layout
+        self.car = car_parts()
+        self.plain, self._marked = (drone_parts(T_b_v, layout, marked=on) for on in (False, True))
+        self._v_b = T_b_v.inverse()
+
+    def marked(self, T_b_v: Pose) -> Array:
+        """The sender, its plates where the marker truly is."""
+        parts, plates = self._marked.copy(), len(self.plain)
+        moved = T_b_v @ self._v_b
+        parts[plates:, :3] = moved.apply(parts[plates:, :3])
+        parts[plates:, 6:] = (moved.R @ parts[plates:, 6:].reshape(-1, 3, 3)).reshape(-1, 9)
+        return parts
+
+
 class Stage:
     """One attempt before it is played. ``fill`` lets the cameras see."""
 
-    def __init__(self, attempt: Attempt, believed: Believed, sensor: Sensor) -> None:
+    def __init__(self, attempt: Attempt, believed: Believed, sensor: Sensor, parts: Parts) -> None:
         seeds = np.random.SeedSequence([attempt.seed, attempt.index]).spawn(STREAMS)
         streams = [np.random.default_rng(seed) for seed in seeds]
         self.drawn: Drawn = draw(attempt, believed, streams[:4])
@@ -86,9 +110,21 @@ class Stage:
             self._timed(attempt.limit_s, latency, frozen, streams[5])
             for latency, frozen in zip((SENDER_LATENCY_S, RECEIVER_LATENCY_S), faults.frozen, strict=True)
         )
-        self._look_seeds = streams[6].integers(1 << 62, size=2).tolist()
+        look_seeds = streams[6].integers(1 << 62, size=2).tolist()
+        true = self.drawn.errors.true
+        boxes = self.drawn.errors.boxes
+        self._eyes_1 = _eyes(true.camera_1, true.T_b_c1, parts.car, parts.plain, boxes[0], look_seeds[0])
+        marked = parts.marked(true.T_b_v)
+        self._eyes_2 = _eyes(true.camera_2, true.T_b_c2, parts.car, marked, boxes[1], look_seeds[1])
+        self._depths = Depths(sensor.depth, *sensor.depth_noise, self.drawn.errors.depth_scale)
+        self._corners_b = true.T_b_v.apply(true.corners_v)
+        self._print = with_lapses(believed.noise.marker, faults.lapse_rate)
+        self._printed = printed_marker(believed)
+        self._lens_1 = lens_row(self.believed.camera_1)
         self._filled = [0, 0]
-        self._prepare(believed, sensor)
+        self._follower: Array | None = None
+        self._limit_s = attempt.limit_s
+        self._prepare(min(HORIZON_S, attempt.limit_s))
 
     def _timed(self, limit_s: float, latency: tuple[float, float], frozen: Array, rng: np.random.Generator) -> Timed:
         faults, count = self.drawn.faults, math.ceil(limit_s * RATE_HZ)
@@ -101,71 +137,92 @@ class Stage:
         there = ~within(taken, frozen)
         return Timed(first + np.flatnonzero(there), taken[there], done[there], heard[there])
 
-    def _prepare(self, believed: Believed, sensor: Sensor) -> None:
-        sender, receiver = self.frames
-        drawn, motion, calibrated = self.drawn, self._motion, self.believed
-        at_1, at_2 = motion.sender(sender.taken_s), motion.receiver(receiver.taken_s)
-        self.at_1, self.at_2 = at_1, at_2
-        self.flown_1 = _flown(sender, at_1, motion.receiver(sender.taken_s), drawn)
-        self.flown_2 = _flown(receiver, at_2, motion.sender(receiver.taken_s), drawn)
-        true, layout = drawn.errors.true, believed.rig.layout
-        car = car_parts()
-        plain, marked = (drone_parts(true.T_b_v, layout, marked=on) for on in (False, True))
-        self._eyes_1 = _eyes(true.camera_1, true.T_b_c1, car, plain, drawn.errors.boxes[0], self._look_seeds[0])
-        self._eyes_2 = _eyes(true.camera_2, true.T_b_c2, car, marked, drawn.errors.boxes[1], self._look_seeds[1])
-        self._depths = Depths(sensor.depth, *sensor.depth_noise, drawn.errors.depth_scale)
-        self._corners_b = true.T_b_v.apply(true.corners_v)
-        self._print = with_lapses(believed.noise.marker, drawn.faults.lapse_rate)
-        self._holes = within(sender.taken_s, drawn.faults.holes)
-        self._hidden = within(receiver.taken_s, drawn.faults.hidden)
-        self._swapped = within(receiver.taken_s, drawn.faults.swapped)
-        self.R_n_c1 = at_1.R_estimated @ calibrated.T_b_c1.R
-        self.t_n_c1 = at_1.t_n + motion.drift(sender.taken_s) + at_1.R_estimated @ calibrated.T_b_c1.t
-        self.lens_1 = lens_row(calibrated.camera_1)
-        self.follower = self._follower(sender.taken_s)
-        n, m, most = len(sender.number), len(receiver.number), self.flown_2.things.shape[1]
-        R_n_c2 = at_2.R_estimated @ calibrated.T_b_c2.R
+    def _prepare(self, horizon_s: float) -> None:
+        """Poses of all frames up to a time."""
+        self._horizon_s, drawn, calibrated = horizon_s, self.drawn, self.believed
+        faults = drawn.faults
+        sender, receiver = (frames.until(horizon_s) for frames in self.frames)
+        (things_1, target_1), (things_2, target_2) = _things(sender, drawn), _things(receiver, drawn)
+        at_1, at_2 = self._motion.poses(sender.taken_s, target_1), self._motion.poses(receiver.taken_s, target_2)
+        self.flown_1 = _flown(sender, at_1, SENDER, things_1)
+        self.flown_2 = _flown(receiver, at_2, RECEIVER, things_2)
+        self._times_1 = sender.taken_s
+        self._holes = within(sender.taken_s, faults.holes)
+        self._hidden = within(receiver.taken_s, faults.hidden)
+        self._swapped = within(receiver.taken_s, faults.swapped)
+        R_n_b1 = at_1.estimated(SENDER)
+        self._R_n_c1 = R_n_b1 @ calibrated.T_b_c1.R
+        self._t_n_c1 = at_1.t_n[SENDER] + at_1.drift + R_n_b1 @ calibrated.T_b_c1.t
+        R_n_c2 = at_2.estimated(RECEIVER) @ calibrated.T_b_c2.R
+        if self._follower is None:
+            self._follower = self._following(sender.taken_s, target_1, at_1.drift)
+        own, markers, found, many = self._room(len(sender.number), len(receiver.number), things_2.shape[1])
         self.seen = Seen(
-            sender.number, _ns(sender.taken_s), np.zeros((n, OWN_COLUMNS)),
-            np.ascontiguousarray((at_1.R_estimated @ calibrated.T_b_v.R)[:, 2]), receiver.number,
-            _ns(receiver.taken_s) + self.clock_ns, np.zeros((m, MARKER_COLUMNS)), np.zeros((m, most, FOUND_COLUMNS)),
-            np.zeros(m, np.int64), self._gravity_c(R_n_c2, believed), R_n_c2,
-            drawn.shift_c, exp_all(drawn.turn_c[None])[0], *self._reports(),
+            sender.number, _ns(sender.taken_s), own,
+            np.ascontiguousarray((R_n_b1 @ calibrated.T_b_v.R)[:, 2]), receiver.number,
+            _ns(receiver.taken_s) + self.clock_ns, markers, found, many, self._gravity_c(R_n_c2, receiver), R_n_c2,
+            drawn.shift_c, exp_all(drawn.turn_c[None])[0], *self._reports(receiver),
         )  # fmt: skip
 
-    def _reports(self) -> tuple[Reports, Reports, Array, Whole]:
-        """What both vehicles say of their motion, D1's yaw in it, and how much of it D2 has by each of its frames."""
-        receiver, faults, motion = self.frames[1], self.drawn.faults, self._motion
-        own = reports(_ns(receiver.taken_s) + self.clock_ns, motion.speeds(receiver.taken_s, 1))
-        said_s = np.arange(-2.0, receiver.taken_s[-1] * STATUS_HZ) / STATUS_HZ
-        peer = reports(_ns(said_s), motion.speeds(said_s, 0))
-        R = motion.sender(said_s).R_estimated
-        heard = np.searchsorted(said_s + faults.delay_s + faults.jitter_s, receiver.done_s)
-        return own, peer, np.arctan2(R[:, 1, 0], R[:, 0, 0]), np.maximum(heard, 1)
+    def _room(self, frames_1: int, frames_2: int, most: int) -> tuple[Array, Array, Array, Whole]:
+        """For what will be seen, with what was seen already."""
+        own, markers = np.zeros((frames_1, OWN_COLUMNS)), np.zeros((frames_2, MARKER_COLUMNS))
+        found, many = np.zeros((frames_2, most, FOUND_COLUMNS)), np.zeros(frames_2, np.int64)
+        first, second = self._filled
+        if first or second:
+            own[:first] = self.seen.own[:first]
+            markers[:second], found[:second] = self.seen.markers[:second], self.seen.found[:second]
+            many[:second] = self.seen.many[:second]
+        return own, markers, found, many
 
-    def _gravity_c(self, R_n_c2: Array, believed: Believed) -> Array:
+    def _reports(self, receiver: Timed) -> tuple[Reports, Reports, Array, Whole]:
+        """What both vehicles say of their motion, D1's yaw in it, and how much of it D2 has by each of its frames."""
+        faults, motion = self.drawn.faults, self._motion
+        own = reports(_ns(receiver.taken_s) + self.clock_ns, motion.reported(receiver.taken_s, RECEIVER))
+        said_s = np.arange(-2.0, self._horizon_s * STATUS_HZ) / STATUS_HZ
+        peer = reports(_ns(said_s), motion.reported(said_s, SENDER))
+        heard = np.searchsorted(said_s + faults.delay_s + faults.jitter_s, receiver.done_s)
+        return own, peer, motion.yaw(said_s), np.maximum(heard, 1)
+
+    def _gravity_c(self, R_n_c2: Array, receiver: Timed) -> Array:
         """Gravity in D2's camera as D2 believes; while flipped, what makes the other planar solution the likely one."""
         gravity_c = np.ascontiguousarray(R_n_c2[:, 2])
-        printed, true = printed_marker(believed), self.drawn.errors.true
-        for k in np.flatnonzero(within(self.frames[1].taken_s, self.drawn.faults.flipped)).tolist():
-            flown = self.flown_2
+        true, flown = self.drawn.errors.true, self.flown_2
+        for k in np.flatnonzero(within(receiver.taken_s, self.drawn.faults.flipped)).tolist():
             T_c_w = (Pose(flown.R[k], flown.t[k]) @ true.T_b_c2).inverse()
             T_w_v = Pose(flown.other_R[k], flown.other_t[k]) @ true.T_b_v
             T_c_v, R, t = T_c_w @ T_w_v, np.empty((3, 3)), np.empty(3)
-            mirrored(np.ascontiguousarray(T_c_v.R), T_c_v.t, printed, R, t)
+            mirrored(np.ascontiguousarray(T_c_v.R), T_c_v.t, self._printed, R, t)
             gravity_c[k] = R @ -T_w_v.R[2]
         return gravity_c
 
-    def _follower(self, times_s: Array) -> Array:
+    def _following(self, times_s: Array, target: Array, drift: Array) -> Array:
         """D1 has followed the target for a while: where it is, and how it moves."""
-        around, _ = self.drawn.things.at(times_s[0] + np.array([0.0, 0.1]))
         row = np.zeros(FOLLOWER_SIZE)
-        row[POSITION : POSITION + 2] = around[0, 0] + self._motion.drift(times_s[:1])[0, :2]
+        row[POSITION : POSITION + 2] = target[0] + drift[0, :2]
         row[POSITION + 2] = -TARGET_HEIGHT_M
-        row[VELOCITY : VELOCITY + 2] = (around[1, 0] - around[0, 0]) / 0.1
+        row[VELOCITY : VELOCITY + 2] = (target[5] - target[0]) / (times_s[5] - times_s[0])
         row[PP], row[VV] = FOLLOWER_SIGMA_M**2, FOLLOWER_SIGMA_MPS**2
         row[-1] = times_s[0]
         return row
+
+    def fill(self, until_s: float) -> None:
+        """What the cameras see of frames taken before ``until_s``."""
+        if until_s > self._horizon_s:
+            self._prepare(self._limit_s)
+        seen, (sender, receiver) = self.seen, self.frames
+        first, last = self._filled[0], int(np.searchsorted(sender.taken_s, until_s))
+        sender_sees(
+            first, last, self._eyes_1, self.flown_1, self._depths, self._holes, self._times_1, self._R_n_c1,
+            self._t_n_c1, self._lens_1, self._follower, seen.own,
+        )  # fmt: skip
+        self._filled[0] = max(first, last)
+        first, last = self._filled[1], int(np.searchsorted(receiver.taken_s, until_s))
+        receiver_sees(
+            first, last, self._eyes_2, self.flown_2, self._corners_b, self._print, self._hidden, self._swapped,
+            seen.markers, seen.found, seen.many,
+        )  # fmt: skip
+        self._filled[1] = max(first, last)
 
     @property
     def events(self) -> tuple[Whole, Whole, Whole]:
@@ -179,22 +236,6 @@ class Stage:
         order = np.argsort(times, kind="stable")
         order = order[np.isfinite(times[order])]
         return kind[order].astype(np.int64), which[order].astype(np.int64), _ns(times[order])
-
-    def fill(self, until_s: float) -> None:
-        """What the cameras see of frames taken before ``until_s``."""
-        sender, receiver = self.frames
-        first, last = self._filled[0], int(np.searchsorted(sender.taken_s, until_s))
-        sender_sees(
-            first, last, self._eyes_1, self.flown_1, self._depths, self._holes, sender.taken_s, self.R_n_c1,
-            self.t_n_c1, self.lens_1, self.follower, self.seen.own,
-        )  # fmt: skip
-        self._filled[0] = max(first, last)
-        first, last = self._filled[1], int(np.searchsorted(receiver.taken_s, until_s))
-        receiver_sees(
-            first, last, self._eyes_2, self.flown_2, self._corners_b, self._print, self._hidden, self._swapped,
-            self.seen.markers, self.seen.found, self.seen.many,
-        )  # fmt: skip
-        self._filled[1] = max(first, last)
 
     @property
     def circumstances(self) -> Circumstances:
@@ -231,12 +272,18 @@ def _eyes(camera: CameraModel, T_b_c: Pose, car: Array, drone: Array, boxes: obj
     return Eyes(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_row(camera), car, drone, boxes, seed)  # type: ignore[arg-type]
 
 
-def _flown(frames: Timed, own: Poses, other: Poses, drawn: Drawn) -> Flown:
-    """Both bodies and everything on the ground in the world, ENU."""
+def _things(frames: Timed, drawn: Drawn) -> tuple[Array, Array]:
+    """Everything on the ground in the world, ENU and yaw (n, m, 4), and the target's north and east, (n, 2)."""
     places, yaw = drawn.things.at(frames.taken_s)
     things = np.zeros((*yaw.shape, 4))
     things[..., 0], things[..., 1], things[..., 3] = places[..., 1], places[..., 0], 0.5 * math.pi - yaw
-    return Flown(frames.number, P_W_N @ own.R_n_b, own.t_n @ P_W_N.T, P_W_N @ other.R_n_b, other.t_n @ P_W_N.T, things)
+    return things, places[:, 0]
+
+
+def _flown(frames: Timed, poses: Poses, own: int, things: Array) -> Flown:
+    """Both bodies in the world, ENU."""
+    R, t = ([P_W_N @ each for each in poses.R_n_b], [each @ P_W_N.T for each in poses.t_n])
+    return Flown(frames.number, R[own], t[own], R[1 - own], t[1 - own], things)
 
 
 def mounting(calibrated: Calibrated) -> Array:
