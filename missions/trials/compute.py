@@ -210,7 +210,7 @@ def _stage_table(timings: Mapping[str, Timings]) -> Table:
         "Time of each stage, ms",
         ("", *columns),
         rows,
-        "Photometric corners and pose are measured again by themselves; decoding and filter are what is left.",
+        "Decoding and pose are measured again by themselves; photometric corners and filter are what is left.",
     )
 
 

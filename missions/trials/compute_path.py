@@ -20,9 +20,8 @@ from flight.marker_view import MarkerFix, MarkerView, Motion
 from missions.trials.compute_film import BETWEEN_NS, HEADINGS_RAD, PERIOD_NS, Film, Moment, SceneError
 from path.agreement import Agreed
 from path.geometry import Matrix
-from path.marker.photometric import fit
+from path.marker.detect import detect_markers
 from path.marker.pose import PoseSettings, estimate_pose
-from path.marker.texture import cells
 from path.messages import Candidate, Role, Target, Vec3
 from path.observations import Box, Depth, Detection, MarkerDetection, Missed, Region
 from path.prior import Prior
@@ -37,7 +36,6 @@ SUMS = {
     "path_without_messages": ("d1_depth", *GEOMETRY, "d2_marker"),
     "path": ("d1_depth", *GEOMETRY, "d2_marker", *MESSAGES),
 }
-ALONE = ("d2_marker_fit", "d2_marker_pose")  # parts of d2_marker, measured again by themselves
 DETECTORS = ("d1_detector", "d2_detector")
 FIRST_FRAME = 1000  # clocks do not begin at zero
 
@@ -234,17 +232,10 @@ class PathPair:
         gravity_c: Vec3,
         watch: Stopwatch,
     ) -> None:
-        """Two parts of the marker's pose by themselves: the photometric fit, and the pose from corners and gravity."""
+        """Two parts of the marker's pose by themselves: all before the fit, and the pose from corners and gravity."""
         camera, layout = self._film.cameras[Role.RECEIVER], self._rig.layout
-        found = fix.detections[0]
         color = moment.color[Role.RECEIVER]
-        area = None if region is None else region.clipped(color.shape[1], color.shape[0])
-        u0, v0 = (0, 0) if area is None else (int(area.x0), int(area.y0))
-        cut = color[v0:, u0:] if area is None else color[v0 : int(area.y1) + 1, u0 : int(area.x1) + 1]
-        grey = np.ascontiguousarray(cut[:, :, 1])
-        pattern = np.pad(cells(layout.dictionary, found.marker_id), 1, constant_values=1.0)
-        start = np.ascontiguousarray(found.corners_px + 0.3)  # as far off as OpenCV's corners are
-        watch("d2_marker_fit", fit, grey, (u0, v0), start, camera, pattern)
+        watch("d2_marker_detect", detect_markers, color, region, layout, camera, refine="subpix")
         watch("d2_marker_pose", estimate_pose, fix.detections, layout, camera, gravity_v, gravity_c, PoseSettings())
 
 
@@ -252,7 +243,7 @@ def _with_sums(us: dict[str, float]) -> dict[str, float]:
     """With what the stages add up to, and the parts of the marker's time that are what is left of it."""
     for name, stages in SUMS.items():
         us[name] = sum(us[stage] for stage in stages)
-    us["d2_marker_detect"] = us["d2_marker_corners"] - us["d2_marker_fit"]
+    us["d2_marker_fit"] = us["d2_marker_corners"] - us["d2_marker_detect"]
     us["d2_marker_filter"] = us["d2_marker"] - us["d2_marker_corners"] - us["d2_marker_pose"]
     return us
 
