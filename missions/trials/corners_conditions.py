@@ -12,6 +12,7 @@ from drivers.studio import (
     PRINTED,
     REALISTIC,
     REALISTIC_VIDEO,
+    WEBCAM,
     Imaging,
     Printing,
     Stage,
@@ -74,6 +75,7 @@ CONDITIONS = {
     "uneven_black": Condition("uneven black", printing=Printing(black_spread=PRINTED.black_spread)),
     "realistic": Condition("realistic", REALISTIC, PRINTED),
     "realistic_video": Condition("realistic video", REALISTIC_VIDEO, PRINTED),
+    "webcam": Condition("sharp webcam", WEBCAM, PRINTED),
 }
 
 
