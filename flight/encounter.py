@@ -66,6 +66,7 @@ class Attempt:
 
     Attributes:
         fault: what goes wrong now and then; errors that last (calibration, print, attitude, boxes) always do.
+        reach: how much farther from the target D1 stays than it usually does.
         roll_deg: by which D2's camera is turned about its optical axis on its mount, as both drones know.
         limit_s: after so long without a commit it is a timeout.
         whole: go on until the limit, whatever D1's window says.
@@ -75,6 +76,7 @@ class Attempt:
     index: int
     fault: FaultName = "none"
     wrong: Wrong | None = None
+    reach: float = 1.0
     roll_deg: float = 0.0
     limit_s: float = 20.0
     whole: bool = False
@@ -210,4 +212,12 @@ class EncounterPlayer(Protocol):
 
     def warmed(self) -> Self:
         """Itself, with everything compiled or loaded."""
+        ...
+
+    def conditions(self) -> tuple[tuple[str, str], ...]:
+        """What is drawn and how much of it: (what, how), for the reader."""
+        ...
+
+    def meanings(self) -> Mapping[FaultName, str]:
+        """What each fault is."""
         ...

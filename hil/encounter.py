@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from typing import Self
 
 import numpy as np
 
 from drivers.interfaces import PartError
 from drivers.rig import Rig
-from flight.encounter import PAIR, Attempt, Encounter, Series, agreeing, tell
+from flight.encounter import PAIR, Attempt, Encounter, FaultName, Series, agreeing, tell
 from hil.encounter_by_method import play_cycles
+from hil.encounter_conditions import MEANINGS, conditions
 from hil.encounter_method import REASONS, Rules
 from hil.encounter_play import play
 from hil.encounter_pose import Limits
@@ -95,6 +97,12 @@ class Encounters:
         stage = Stage(attempt, self._believed, self._sensor, self._parts)
         series, until_s = play_cycles(attempt, stage, self._believed, self._method)
         return _encounter(attempt, stage, series, until_s, self._method)
+
+    def conditions(self) -> tuple[tuple[str, str], ...]:
+        return conditions()
+
+    def meanings(self) -> Mapping[FaultName, str]:
+        return MEANINGS
 
     def _setup(self, calibrated: Calibrated) -> Setup:
         method, mission = self._method, self._believed.mission

@@ -110,6 +110,18 @@ def test_an_own_miss_restarts_and_a_higher_threshold_agrees_less() -> None:
     assert agreeing(series, strict).sum() < agreeing(series, SHORT).sum()
 
 
+def test_from_farther_away_the_target_is_farther_and_nothing_else_is_drawn_anew() -> None:
+    near, far = (player().play(Attempt(0, 3, reach=reach, limit_s=0.5)).circumstances for reach in (1.0, 1.4))
+    assert far.range_1_m == pytest.approx(1.4 * near.range_1_m, rel=0.02)
+    assert (far.look_alike_m, far.target_mps) == (near.look_alike_m, near.target_mps)
+
+
+def test_conditions_and_every_fault_are_put_into_words() -> None:
+    assert set(player().meanings()) == set(get_args(FaultName))
+    assert len(player().conditions()) > 10
+    assert all(what and how for what, how in player().conditions())
+
+
 def test_one_marker_is_needed() -> None:
     one = rig()
     still = Pose(np.eye(3), np.zeros(3))
