@@ -43,6 +43,9 @@ class Keypoints:
         return Keypoints(self.points_px[which], self.descriptors[which], self.scores[which])
 
 
+NOTHING = Keypoints(np.zeros((0, 2), np.float32), np.zeros((0, 0), np.uint8), np.zeros(0, np.float32))
+
+
 class Features(Protocol):
     """Finds and describes local features.
 
@@ -83,7 +86,7 @@ def look(features: Features, image: Image, boxes: Sequence[Box], settings: Look)
     else:
         windows = cover(known, min(features.side_px / settings.zoom, float(max(width, height))), width, height)
     seen = [_in_window(features, image, window, settings.zoom) for window in windows]
-    nothing = features.extract(np.zeros((64, 64, 3), np.uint8)).pick(np.zeros(0, np.int64))
+    nothing = seen[0].pick(np.zeros(0, np.int64)) if seen else NOTHING
     found: list[Keypoints] = []
     for area in areas:
         home = None if area is None else _home(area, windows)
