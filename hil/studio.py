@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,8 +121,28 @@ def _sensor_noise(imaging: Imaging, depth: DepthNoise) -> SensorNoise:
     )
 
 
+@lru_cache(maxsize=64)
+def _ball(model: Model) -> tuple[NDArray[np.float64], float]:
+    """Centre (3,) and squared radius of a ball around a model, in its frame."""
+    p0, e1, e2 = model.corners[:, :3], model.corners[:, 3:6], model.corners[:, 6:9]
+    points = np.concatenate((p0, p0 + e1, p0 + e2, p0 + e1 + e2))
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return center, float(((points - center) ** 2).sum(axis=1).max())
+
+
+def _may_meet(model: Model, T_c_body: Pose, ray: NDArray[np.float64]) -> bool:
+    """Whether a ray's line comes near a model at all: most bodies of a stage are ruled out so."""
+    center, radius2 = _ball(model)
+    x, y, z = (T_c_body.R @ center + T_c_body.t).tolist()
+    a, b, c = ray.tolist()
+    along = a * x + b * y + c * z
+    return x * x + y * y + z * z - along * along / (a * a + b * b + c * c) <= radius2 * (1.0 + 1e-9)
+
+
 def _depth_of(model: Model, T_c_body: Pose, ray: NDArray[np.float64]) -> float:
     """Depth of the nearest face that a ray (x, y, 1) meets from its front; inf when it meets none."""
+    if not _may_meet(model, T_c_body, ray):
+        return math.inf
     solid = model.kinds != ROTOR
     corners = model.corners[solid]
     p0 = T_c_body.apply(corners[:, :3])
