@@ -6,6 +6,8 @@ as the MAVLink guide says, because of what its parser leaves out, and in two thi
 * Its signing check stores a packet's time stamp *before* it compares the hash, so that one forged packet with a huge
   stamp locks the true sender out. Here the hash comes first, in constant time, and only then the stamp.
 * Ids it does not know come back with neither CRC nor signature checked; here they are dropped.
+* A process that was just started knows no stamps, and would believe a recording of the last minute. Here a stream is
+  believed only once it has answered a ping of this process, which no recording can; until then it may ask, not tell.
 * Lengths, source, numbers and ranges are checked, so that whatever bytes come in, what comes out is a valid message
   of the other drone or a ``Drop`` with its reason. ``decode`` never raises.
 """
@@ -14,6 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+from collections import deque
 from collections.abc import Callable
 from enum import Enum
 from typing import Any
@@ -21,7 +24,7 @@ from typing import Any
 from drivers.dialect import path_dialect as dialect
 from drivers.wire_fields import FROM_WIRE, TO_WIRE
 from drivers.wire_units import OutOfRange
-from path.messages import Message, Role
+from path.messages import Message, Ping, Pong, Role
 
 KEY_LENGTH = 32
 UDP_IP_OVERHEAD = 28  # IPv4 header 20 B, UDP header 8 B
@@ -35,7 +38,7 @@ _SIGNATURE = dialect.MAVLINK_SIGNATURE_BLOCK_LEN
 _HASH = 6
 _STAMP = 6
 _SIGNED = dialect.MAVLINK_IFLAG_SIGNED
-_NEW_STREAM_AGE = 60 * 100_000  # 10 us: a stream that begins may be a minute behind
+_ASKED = 16  # pings that an answer may be awaited to: a second of them
 
 
 class EncodeError(ValueError):
@@ -55,18 +58,23 @@ class Drop(Enum):
     UNEXPECTED_SIGNATURE = "unexpected_signature"  # signed, and this side has no key
     BAD_SIGNATURE = "bad_signature"
     REPLAYED = "replayed"
+    UNPROVEN = "unproven"  # rightly signed, but perhaps a recording: the peer has not answered this process yet
     OUT_OF_RANGE = "out_of_range"
 
 
 class Codec:
     """One end of a link: encodes this role's messages, decodes the other role's.
 
+    With a key, a stream of the peer's (one for each of its signing link ids) is proven by a Pong that answers a Ping
+    which this codec encoded. Before that its Pings come through, so that both ends can prove themselves, and all else
+    is dropped: what was recorded before this process began cannot know when its pings are sent.
+
     Args:
         role: whose end this is; packets of any other system than the peer's are dropped.
         key: 32 bytes shared by the pair, or None for unsigned packets.
         link_id: MAVLink signing link id, names the channel.
-        stamp: signing clock in units of 10 us. Must not start lower after a restart, so in the field it is wall time
-            since 2015; it need not agree with the peer's, which pulls a slow one forward as the MAVLink rules say.
+        stamp: signing clock in units of 10 us, in the field wall time since 2015. It need not agree with the peer's:
+            every packet of the peer's pulls a slow one forward, also that of a process which began with a wrong time.
     """
 
     def __init__(self, role: Role, key: bytes | None, link_id: int = 0, stamp: Callable[[], int] = lambda: 0) -> None:
@@ -81,7 +89,8 @@ class Codec:
         self._link_id = link_id
         self._sequence = 0
         self._newest = 0  # stamp, of those sent and received
-        self._streams: dict[int, int] = {}  # link id of the peer: its newest stamp
+        self._streams: dict[int, int] = {}  # link id of the peer: newest stamp of a proven stream
+        self._asked: deque[tuple[int, int]] = deque(maxlen=_ASKED)  # pings sent: nonce, instant
 
     def encode(self, message: Message) -> bytes:
         """The packet of a message. Raises EncodeError when a number does not fit."""
@@ -96,6 +105,8 @@ class Codec:
         data = header + packet.id.to_bytes(3, "little") + payload
         data += _crc(data[1:], packet.crc_extra).to_bytes(_CRC, "little")
         self._sequence = (self._sequence + 1) % 256
+        if isinstance(message, Ping):
+            self._asked.append((message.nonce, message.sent_ns))
         if not self._signed:
             return data
         stamp = max(self._newest, self._stamp())
@@ -119,9 +130,12 @@ class Codec:
         values = kind.unpacker.unpack(data[_HEADER:end].ljust(kind.unpacker.size, b"\0"))
         packet: Any = kind(*[values[place] for place in kind.orders])
         try:
-            return FROM_WIRE[kind](packet)
+            message = FROM_WIRE[kind](packet)
         except OutOfRange:
             return Drop.OUT_OF_RANGE
+        if self._signed and data[-_SIGNATURE] not in self._streams:
+            return self._introduced(data, message)
+        return message
 
     def _hash(self, data: bytes) -> bytes:
         digest = self._keyed.copy()
@@ -132,15 +146,21 @@ class Codec:
         """The hash first, in constant time; only then is the stamp believed, and kept."""
         if not hmac.compare_digest(self._hash(data[:-_HASH]), data[-_HASH:]):
             return Drop.BAD_SIGNATURE
-        link_id, stamp = data[-_SIGNATURE], int.from_bytes(data[1 - _SIGNATURE : -_HASH], "little")
-        # A new stream is compared with our own stamp, so keep that at the present.
-        self._newest = max(self._newest, self._stamp())
-        newest = self._streams.get(link_id)
-        if stamp <= newest if newest is not None else stamp + _NEW_STREAM_AGE < self._newest:
-            return Drop.REPLAYED
-        self._streams[link_id] = stamp
+        stamp = _stamp_of(data)
         self._newest = max(self._newest, stamp)
+        newest = self._streams.get(data[-_SIGNATURE])
+        if newest is not None:
+            if stamp <= newest:
+                return Drop.REPLAYED
+            self._streams[data[-_SIGNATURE]] = stamp
         return None
+
+    def _introduced(self, data: bytes, message: Message) -> Message | Drop:
+        """What is taken of a stream that is not proven; its answer proves it."""
+        if isinstance(message, Pong) and (message.nonce, message.ping_sent_ns) in self._asked:
+            self._streams[data[-_SIGNATURE]] = _stamp_of(data)
+            return message
+        return message if isinstance(message, Ping) else Drop.UNPROVEN
 
     def _origin(self, data: bytes) -> Drop | None:
         """Whether a well-formed packet is one of ours, from the other role, and signed exactly when it should be."""
@@ -154,6 +174,18 @@ class Codec:
         if bool(data[2]) != self._signed:
             return Drop.UNSIGNED if self._signed else Drop.UNEXPECTED_SIGNATURE
         return None
+
+
+def introduce(one: Codec, other: Codec) -> None:
+    """Let two ends in one process prove themselves to each other, as the first pings of a link do."""
+    for asking, answering in ((one, other), (other, one)):
+        ping = Ping(0, 0)
+        answering.decode(asking.encode(ping))
+        asking.decode(answering.encode(Pong(ping.nonce, ping.sent_ns, 0, 0)))
+
+
+def _stamp_of(data: bytes) -> int:
+    return int.from_bytes(data[1 - _SIGNATURE : -_HASH], "little")
 
 
 def _crc(data: bytes, extra: int) -> int:

@@ -14,7 +14,7 @@ from drivers.color_detector import ColorDetector, ColorDetectorConfig
 from drivers.interfaces import Frame
 from drivers.pixel_sight import PixelView
 from drivers.rig import Rig
-from drivers.wire import KEY_LENGTH, Codec
+from drivers.wire import KEY_LENGTH, Codec, introduce
 from flight.config import MissionConfig
 from flight.marker_view import MarkerFix, MarkerView, Motion
 from missions.trials.compute_film import BETWEEN_NS, HEADINGS_RAD, PERIOD_NS, Film, Moment, SceneError
@@ -116,6 +116,7 @@ class PathPair:
         self._detector = ColorDetector(ColorDetectorConfig())
         key = np.random.default_rng([seed, 3]).bytes(KEY_LENGTH)
         self._codecs = {role: Codec(role, key) for role in Role}
+        introduce(*self._codecs.values())
         self._frame = FIRST_FRAME
         self._overhead_ns = overhead_ns()
         self._seen: dict[int, _Seen] = {}  # by the moment's number: what the pixels gave

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.clock import stopwatch_ns
-from drivers.wire import KEY_LENGTH, Codec
+from drivers.wire import KEY_LENGTH, Codec, introduce
 from missions.trials.link_traffic import a_candidate, a_target
 from missions.trials.trial import TrialRequest
 from path.messages import Candidate, Role, Target
@@ -37,7 +37,9 @@ def measure_costs(request: TrialRequest) -> dict[str, Times]:
 
 
 def _pair(key: bytes | None) -> Pair:
-    return Codec(Role.SENDER, key), Codec(Role.RECEIVER, key)
+    pair = Codec(Role.SENDER, key), Codec(Role.RECEIVER, key)
+    introduce(*pair)
+    return pair
 
 
 def _time(pair: Pair, messages: list[tuple[Target, Candidate]]) -> tuple[float, float]:

@@ -1,7 +1,9 @@
 """Forged, altered and repeated packets by the million, and what a link's end makes of them.
 
 Between the forger's packets the true peer goes on sending: each of its packets must still be taken, whatever came in
-between. The forger hears every packet and has everything but the key.
+between. The forger hears every packet and has everything but the key. Now and then the victim's process is started
+anew, and knows nothing of what it took before; until the peer has proven itself a recorded ping may be answered, as
+that moves nothing, and nothing else may come through.
 """
 
 from __future__ import annotations
@@ -22,12 +24,14 @@ from drivers.wire_fields import FROM_WIRE
 from drivers.wire_units import OutOfRange
 from missions.trials.work import Work
 from missions.verify.forger import Forger
-from path.messages import Candidate, Message, Role, Status, Target
+from path.messages import Candidate, Message, Ping, Pong, Role, Status, Target
 
 CHUNK = 20_000  # packets forged in one piece of work
 BURST = 40  # of them between two packets of the true peer
 STEP = 2_000  # units of 10 us from one of those to the next
 BEGIN = 10**12  # of the signing clocks
+RESTARTS = 0.2  # of the bursts come upon a victim that was just started
+ANSWERED = "ping, answered by a side just started"
 SHOWN = 5  # failures told in full
 PAGE_KIB = os.sysconf("SC_PAGE_SIZE") / 1024.0
 
@@ -100,6 +104,9 @@ def play(piece: Piece) -> Fuzzed:
             if isinstance(result, Drop):
                 dropped[result.value] += 1
                 continue
+            if isinstance(result, Ping) and not exchange.proven:
+                dropped[ANSWERED] += 1
+                continue
             failed += 1
             if len(failures) < SHOWN:
                 failures.append(f"seed {piece.seed}, piece {piece.number}, {way}: {data.hex()} -> {result!r}")
@@ -114,15 +121,16 @@ class _Exchange:
     """A peer, its victim, and a forger that hears both."""
 
     def __init__(self, rng: Random, victim: Role, make: MakeCodec) -> None:
-        key = rng.randbytes(KEY_LENGTH)
+        self._key = rng.randbytes(KEY_LENGTH)
         self._rng = rng
         self._now = BEGIN
         self._role = victim
-        peer = Role.RECEIVER if victim is Role.SENDER else Role.SENDER
-        self.victim = make(victim, key, lambda: self._now)
-        self._peer = Codec(peer, key, stamp=lambda: self._now)
+        self._peer_role = Role.RECEIVER if victim is Role.SENDER else Role.SENDER
+        self._make = make
+        self.victim = make(victim, self._key, lambda: self._now)
+        self._peer = Codec(self._peer_role, self._key, stamp=lambda: self._now)
         self._bare = {role: Codec(role, None) for role in Role}
-        self._peer_role = peer
+        self.proven = False
         self.forger = Forger(Random(rng.random()))
         self.genuine = self.lost = 0
 
@@ -134,7 +142,24 @@ class _Exchange:
     def go_on(self) -> None:
         """The peer sends one packet and the victim one, 20 ms after the last ones."""
         self._now += STEP
-        message = _message(self._peer_role, self._rng)
+        if not self.proven:
+            self._introduce()
+        self._peer_sends(_message(self._peer_role, self._rng))
+        self.forger.back.append(self.victim.encode(_message(self._role, self._rng)))
+        if self._rng.random() < RESTARTS:
+            self.victim = self._make(self._role, self._key, lambda: self._now)
+            self.proven = False
+
+    def _introduce(self) -> None:
+        ping = Ping(self._rng.randrange(2**32), self._rng.randrange(2**63))
+        asked = self.victim.encode(ping)
+        self._peer.decode(asked)
+        self.forger.back.append(asked)
+        self._peer_sends(Pong(ping.nonce, ping.sent_ns, 0, 0))
+        self.proven = True
+
+    def _peer_sends(self, message: Message) -> None:
+        """One packet of the true peer's, which must come through."""
         data = self._peer.encode(message)
         self.genuine += 1
         try:
@@ -144,7 +169,6 @@ class _Exchange:
         # what the wire makes of the numbers, told by ends that know no key
         self.lost += taken != self._bare[self._role].decode(self._bare[self._peer_role].encode(message))
         self.forger.toward.append(data)
-        self.forger.back.append(self.victim.encode(_message(self._role, self._rng)))
 
 
 def _message(role: Role, rng: Random) -> Message:

@@ -15,7 +15,7 @@ from drivers.interfaces import Link, LinkError, Received
 from drivers.link_end import MAX_WAITING
 from drivers.udp_link import UdpLink, address_of, read_key, signing_time
 from drivers.wire import Codec
-from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Message, Ping, Role, Status, Target
+from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Message, Ping, Pong, Role, Status, Target
 
 TARGET = Target(1, 2, 3, 4, 50_000, (1.0, 2.0, 3.0), (0.0, 0.0, 1.0), 0.01)
 STATUS = Status(Role.SENDER, 50_000, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), 0.0, 3, True, True, 0.5)
@@ -82,11 +82,23 @@ async def until(condition: Any) -> None:
         await asyncio.sleep(0.001)
 
 
+async def introduce(one: UdpLink, other: UdpLink) -> None:
+    """Each end proves itself by answering the other's ping."""
+    for asking, answering in ((one, other), (other, one)):
+        asking.send(Ping(1, 5))
+        assert (await answering.receive()).message == Ping(1, 5)
+        answering.send(Pong(1, 5, 6, 7))
+        assert (await asking.receive()).message == Pong(1, 5, 6, 7)
+
+
 @pytest.mark.parametrize("signed", [True, False])
 def test_messages_cross_both_ways_and_are_counted_with_their_headers(signed: bool, key_file: Path) -> None:
     async def test() -> None:
         sender, receiver = pair(key_file if signed else None)
         async with sender, receiver:
+            if signed:
+                await introduce(sender, receiver)
+            before = sender.counters.bytes_sent
             start_ns = time.monotonic_ns()
             sender.send(TARGET)
             received = await receiver.receive()
@@ -94,8 +106,10 @@ def test_messages_cross_both_ways_and_are_counted_with_their_headers(signed: boo
             assert start_ns <= received.arrival_ns <= time.monotonic_ns()
             receiver.send(Accept(1, 2, 3, 4, 5))
             assert (await sender.receive()).message == Accept(1, 2, 3, 4, 5)
-            assert sender.counters.packets_sent == sender.counters.packets_received == 1
-            assert sender.counters.bytes_sent == receiver.counters.bytes_received == 28 + 12 + 28 + 13 * signed
+            pings = 2 * signed  # each end's, and their answers
+            assert sender.counters.packets_sent == sender.counters.packets_received == 1 + pings
+            assert sender.counters.bytes_sent == receiver.counters.bytes_received
+            assert sender.counters.bytes_sent - before == 28 + 12 + 28 + 13 * signed
             assert sender.counters.dropped == receiver.counters.dropped == {}
 
     run(test())
@@ -164,12 +178,16 @@ def test_strangers_forgers_and_noise_are_dropped_by_reason(key_file: Path) -> No
             unsigned, forger = Codec(Role.SENDER, None), Codec(Role.SENDER, bytes(32), stamp=lambda: 2**48 - 9)
             for data in (b"noise", unsigned.encode(TARGET), forger.encode(TARGET)):
                 sent_by_hand(data, to=b, port=port)
-            good = true.encode(TARGET)
-            for data in (good[:-1], good, good):
+            sent_by_hand(true.encode(TARGET), to=b, port=port)  # perhaps a recording
+            receiver.send(Ping(1, 5))
+            answer, good = true.encode(Pong(1, 5, 6, 7)), true.encode(TARGET)
+            for data in (answer, good[:-1], good, good):
                 sent_by_hand(data, to=b, port=port)
+            assert (await receiver.receive()).message == Pong(1, 5, 6, 7)
             assert (await receiver.receive()).message == TARGET
-            await until(lambda: receiver.counters.packets_received == 7)
-            reasons = ("stranger", "not_mavlink", "unsigned", "bad_signature", "truncated", "replayed")
+            await until(lambda: receiver.counters.packets_received == 9)
+            reasons = ("stranger", "not_mavlink", "unsigned", "bad_signature", "truncated", "replayed", "unproven")
+            receiver.counters.dropped.pop("network_error", None)  # the ping, to a port that nobody has
             assert receiver.counters.dropped == dict.fromkeys(reasons, 1)
 
     run(test())

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.dialect import path_dialect as dialect
-from drivers.wire import UDP_IP_OVERHEAD, Codec, Drop, EncodeError
+from drivers.wire import UDP_IP_OVERHEAD, Codec, Drop, EncodeError, introduce
 from flight.config import MissionConfig
 from path.messages import (
     Abort,
@@ -56,7 +56,9 @@ FROM_RECEIVER: tuple[Message, ...] = (
 
 
 def pair(key: bytes | None = KEY) -> tuple[Codec, Codec]:
-    return Codec(Role.SENDER, key), Codec(Role.RECEIVER, key)
+    sender, receiver = Codec(Role.SENDER, key), Codec(Role.RECEIVER, key)
+    introduce(sender, receiver)
+    return sender, receiver
 
 
 def raw(packet: Any, key: bytes | None = KEY, stamp: int = 1, system: int = 1, component: int = 191) -> bytes:
@@ -226,8 +228,8 @@ def test_signed_nonsense_is_dropped_by_reason(packet: Any, drop: Drop | None) ->
 
 
 def test_lengths() -> None:
-    receiver = Codec(Role.RECEIVER, KEY)
-    good = raw(raw_target())
+    _, receiver = pair()
+    good = raw(raw_target(), stamp=100)
     for size in range(1, len(good)):
         assert receiver.decode(good[:size]) is Drop.TRUNCATED
     assert receiver.decode(b"") is Drop.NOT_MAVLINK
@@ -242,8 +244,8 @@ def test_lengths() -> None:
 
 
 def test_a_wrong_crc_is_told_from_a_wrong_signature() -> None:
-    receiver = Codec(Role.RECEIVER, KEY)
-    good = bytearray(raw(raw_target()))
+    _, receiver = pair()
+    good = bytearray(raw(raw_target(), stamp=100))
     flipped = good.copy()
     flipped[12] ^= 1
     assert receiver.decode(bytes(flipped)) is Drop.BAD_CRC
@@ -295,18 +297,54 @@ def test_our_own_packets_reflected_are_not_the_peers() -> None:
     assert Codec(Role.RECEIVER, KEY).decode(raw(raw_target(), component=1)) is Drop.WRONG_SYSTEM
 
 
-def test_an_old_recording_is_refused_after_a_restart() -> None:
-    minute = 60 * 100_000
-    recording = Codec(Role.SENDER, KEY, stamp=lambda: 10 * minute).encode(TARGET)
-    assert Codec(Role.RECEIVER, KEY, stamp=lambda: 12 * minute).decode(recording) is Drop.REPLAYED
+def test_a_recording_tells_a_restarted_side_nothing() -> None:
+    sender, receiver = pair()
+    recorded = [sender.encode(message) for message in (TARGET, Ping(7, 70), Pong(0, 0, 1, 2), *FROM_SENDER[4:])]
+    assert isinstance(receiver.decode(recorded[0]), Target)
+    again = Codec(Role.RECEIVER, KEY)
+    again.encode(Ping(0, 1))  # other pings than those that were answered before
+    told = [again.decode(data) for data in recorded]
+    assert told == [Drop.UNPROVEN, Ping(7, 70), Drop.UNPROVEN, Drop.UNPROVEN, Drop.UNPROVEN, Drop.UNPROVEN]
+    again.decode(sender.encode(Pong(0, 1, 2, 3)))
+    assert isinstance(again.decode(sender.encode(TARGET)), Target)
+    assert {again.decode(data) for data in recorded} == {Drop.REPLAYED}
 
 
-def test_a_side_without_a_clock_catches_up_with_the_other() -> None:
-    """A companion computer without a battery clock starts in 1970; the first packet it hears sets it right."""
-    slow, right = Codec(Role.SENDER, KEY), Codec(Role.RECEIVER, KEY, stamp=lambda: 10**12)
-    assert right.decode(slow.encode(TARGET)) is Drop.REPLAYED
-    assert isinstance(slow.decode(right.encode(CANDIDATE)), Candidate)
-    assert isinstance(right.decode(slow.encode(TARGET)), Target)
+def test_two_sides_that_restart_at_once_find_each_other() -> None:
+    sender, receiver = Codec(Role.SENDER, KEY), Codec(Role.RECEIVER, KEY)
+    for first, second in ((sender, receiver), (receiver, sender)):
+        assert second.decode(first.encode(Ping(1, 5))) == Ping(1, 5)
+        assert first.decode(second.encode(TARGET if second is sender else CANDIDATE)) is Drop.UNPROVEN
+        assert first.decode(second.encode(Pong(1, 5, 6, 7))) == Pong(1, 5, 6, 7)
+    assert isinstance(receiver.decode(sender.encode(TARGET)), Target)
+    assert isinstance(sender.decode(receiver.encode(CANDIDATE)), Candidate)
+
+
+def test_another_stream_of_the_peer_has_to_prove_itself_too() -> None:
+    sender, receiver = pair()
+    radio = Codec(Role.SENDER, KEY, link_id=1, stamp=lambda: 10**9)
+    assert receiver.decode(radio.encode(TARGET)) is Drop.UNPROVEN
+    receiver.encode(Ping(3, 30))
+    assert isinstance(receiver.decode(radio.encode(Pong(3, 30, 31, 32))), Pong)
+    assert isinstance(receiver.decode(radio.encode(TARGET)), Target)
+    assert isinstance(receiver.decode(sender.encode(TARGET)), Target)
+
+
+def test_without_a_key_nobody_can_prove_anything_and_nobody_is_asked() -> None:
+    assert isinstance(Codec(Role.RECEIVER, None).decode(Codec(Role.SENDER, None).encode(TARGET)), Target)
+
+
+def test_a_side_that_restarts_in_1970_catches_up_with_the_other() -> None:
+    """A companion computer without a battery clock: what it hears sets it right, proven or not."""
+    early, right = Codec(Role.SENDER, KEY, stamp=lambda: 10**12), Codec(Role.RECEIVER, KEY)
+    introduce(early, right)
+    early = Codec(Role.SENDER, KEY)
+    assert right.decode(early.encode(Ping(1, 5))) is Drop.REPLAYED
+    assert early.decode(right.encode(CANDIDATE)) is Drop.UNPROVEN
+    early.encode(Ping(2, 6))  # its stamp may be one that the other has heard; the next is not
+    assert right.decode(early.encode(Ping(3, 7))) == Ping(3, 7)
+    assert isinstance(early.decode(right.encode(Pong(3, 7, 8, 9))), Pong)
+    assert isinstance(right.decode(early.encode(TARGET)), Target)
 
 
 @given(data=st.binary(max_size=300))

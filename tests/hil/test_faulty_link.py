@@ -14,7 +14,7 @@ from drivers.interfaces import Link, LinkError, Received
 from drivers.udp_link import UdpLink
 from hil.faulty_link import FaultyChannel, LinkFaults, MemoryHub, MemoryLink, ProxySide, UdpFaultProxy
 from hil.virtual_time import run_virtual
-from path.messages import Accept, Ping, Role, Target
+from path.messages import Accept, Ping, Pong, Role, Target
 
 TARGET = Target(1, 2, 3, 4, 50_000, (1.0, 2.0, 3.0), (0.0, 0.0, 1.0), 0.01)
 CLEAN = LinkFaults()
@@ -52,11 +52,23 @@ async def collect(link: Link, into: list[Received]) -> None:
         into.append(await link.receive())
 
 
+async def introduce(one: MemoryLink, other: MemoryLink) -> None:
+    """Each end proves itself by answering the other's ping."""
+    for asking, answering in ((one, other), (other, one)):
+        asking.send(Ping(0, 0))
+        assert isinstance((await answering.receive()).message, Ping)
+        answering.send(Pong(0, 0, 0, 0))
+        assert isinstance((await asking.receive()).message, Pong)
+
+
 async def talk(faults: LinkFaults, seed: int = 1, messages: int = 400) -> tuple[list[Received], dict[str, int]]:
     """Pings at 100 Hz through the in-memory link: what came out, and what was dropped."""
-    sender, receiver = memory_pair(MemoryHub(seed, faults))
+    hub = MemoryHub(seed, CLEAN)
+    sender, receiver = memory_pair(hub)
     got: list[Received] = []
     async with sender, receiver:
+        await introduce(sender, receiver)
+        hub.faults = faults
         reader = asyncio.create_task(collect(receiver, got))
         for k in range(messages):
             sender.send(Ping(k, 0))
@@ -73,15 +85,20 @@ def nonces(got: list[Received]) -> list[int]:
 @pytest.mark.parametrize("signed", [True, False])
 def test_messages_cross_both_ways_late_and_on_the_readers_clock(signed: bool) -> None:
     async def test() -> None:
-        sender, receiver = memory_pair(MemoryHub(1, LinkFaults(delay_s=0.25)), signed)
+        hub = MemoryHub(1, CLEAN)
+        sender, receiver = memory_pair(hub, signed)
         async with sender, receiver:
+            await introduce(sender, receiver)
+            hub.faults = LinkFaults(delay_s=0.25)
+            before, begin_s = sender.counters.bytes_sent, asyncio.get_running_loop().time()
             sender.send(TARGET)
             received = await receiver.receive()
             assert received.message == TARGET
-            assert received.arrival_ns == pytest.approx(5.25e9, abs=1e4)
+            assert received.arrival_ns == pytest.approx(5.25e9 + begin_s * 1e9, abs=1e4)
             receiver.send(Accept(1, 2, 3, 4, 5))
             assert (await sender.receive()).message == Accept(1, 2, 3, 4, 5)
-            assert sender.counters.bytes_sent == receiver.counters.bytes_received == 28 + 12 + 28 + 13 * signed
+            assert sender.counters.bytes_sent == receiver.counters.bytes_received
+            assert sender.counters.bytes_sent - before == 28 + 12 + 28 + 13 * signed
 
     run_virtual(test())
 
@@ -133,11 +150,13 @@ def test_faults_may_change_and_a_role_may_fall_silent() -> None:
         hub = MemoryHub(1, CLEAN)
         sender, receiver = memory_pair(hub)
         async with sender, receiver:
+            await introduce(sender, receiver)
+            sent = sender.counters.packets_sent
             hub.faults = replace(hub.faults, loss=1.0)
             sender.send(TARGET)
             receiver.send(Accept(1, 2, 3, 4, 5))
             await asyncio.sleep(1.0)
-            assert receiver.counters.packets_received == sender.counters.packets_received == 0
+            assert receiver.counters.packets_received == sender.counters.packets_received == sent
             hub.faults = CLEAN
             sender.send(TARGET)
             assert (await receiver.receive()).message == TARGET
@@ -146,7 +165,7 @@ def test_faults_may_change_and_a_role_may_fall_silent() -> None:
             sender.send(TARGET)
             receiver.send(Accept(1, 2, 3, 4, 6))
             await asyncio.sleep(1.0)
-            assert receiver.counters.packets_received == 1 and sender.counters.packets_received == 1
+            assert receiver.counters.packets_received == sender.counters.packets_received == sent + 1
 
     run_virtual(test())
 
@@ -155,6 +174,7 @@ def test_a_slow_reader_sees_the_newest() -> None:
     async def test() -> None:
         sender, receiver = memory_pair(MemoryHub(1, CLEAN))
         async with sender, receiver:
+            await introduce(sender, receiver)
             for k in range(5):
                 sender.send(replace(TARGET, sequence=k))
             await asyncio.sleep(0.1)
