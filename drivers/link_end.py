@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from typing import Protocol
 
-from drivers.interfaces import LinkCounters, LinkError, Received
+from drivers.interfaces import Clock, LinkCounters, LinkError, Received
 from drivers.wire import UDP_IP_OVERHEAD, Codec, Drop, EncodeError
-from path.messages import Candidate, Message, Status, Target
+from path.messages import Candidate, Message, Role, Status, Target
 
 STREAMS = (Target, Candidate, Status)
 MAX_WAITING = 64
+
+
+class LinkContext(Protocol):
+    """What a link needs of ``PartContext``."""
+
+    @property
+    def role(self) -> Role: ...
+
+    @property
+    def clock(self) -> Clock: ...
 
 
 class Inbox:

@@ -5,20 +5,17 @@ from __future__ import annotations
 import asyncio
 import errno
 import ipaddress
-import os
-import stat
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self, cast
+from typing import Any, Self, cast
 
-from drivers.interfaces import Clock, LinkCounters, LinkError, Received
-from drivers.link_end import LinkEnd, count
-from drivers.wire import KEY_LENGTH, UDP_IP_OVERHEAD, Codec
-from path.messages import Message, Role
+from drivers.interfaces import LinkCounters, LinkError, Received
+from drivers.link_end import LinkContext, LinkEnd, count
+from drivers.link_key import read_key, signing_time
+from drivers.wire import UDP_IP_OVERHEAD, Codec
+from path.messages import Message
 
-SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01, the zero of MAVLink signing time
 IPV6_EXTRA = 20  # an IPv6 header is that much longer than an IPv4 one
 
 Address = tuple[str, int]
@@ -52,16 +49,6 @@ class UdpLinkConfig:
             raise ValueError("key_file: a link that leaves this computer needs a key (or allow_unsigned = true)")
 
 
-class LinkContext(Protocol):
-    """What a link needs of ``PartContext``."""
-
-    @property
-    def role(self) -> Role: ...
-
-    @property
-    def clock(self) -> Clock: ...
-
-
 def address_of(text: str, name: str) -> Address:
     """``host:port`` with a numeric host. Raises ValueError naming ``name``."""
     host, _, port = text.rpartition(":")
@@ -74,26 +61,6 @@ def address_of(text: str, name: str) -> Address:
     if not 0 < number < 65536:
         raise ValueError(f'{name}: {text!r} is no address, such as "192.168.1.21:47001"')
     return address, number
-
-
-def read_key(path: Path) -> bytes:
-    """The pair's key. Raises LinkError for a file that is missing, open to others or of a wrong length."""
-    make = f"head -c {KEY_LENGTH} /dev/urandom > {path} && chmod 600 {path}, and copy it to the other drone"
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with os.fdopen(descriptor, "rb") as file:
-            mode = os.fstat(descriptor).st_mode
-            key = file.read(KEY_LENGTH + 1) if stat.S_ISREG(mode) else b""
-    except OSError as error:
-        raise LinkError(f"key file {path}: {error.strerror}", make) from error
-    if not stat.S_ISREG(mode):
-        raise LinkError(f"key file {path} is not a file", make)
-    if mode & 0o077:
-        raise LinkError(f"key file {path} has mode {stat.S_IMODE(mode):04o}: others can read it", f"chmod 600 {path}")
-    if len(key) != KEY_LENGTH:
-        found = f"more than {KEY_LENGTH}" if len(key) > KEY_LENGTH else str(len(key))
-        raise LinkError(f"key file {path} has {found} bytes, not {KEY_LENGTH}", make)
-    return key
 
 
 class UdpLink:
@@ -176,8 +143,3 @@ def open_error(bind: Address, error: OSError) -> LinkError:
     if error.errno == errno.EADDRINUSE:
         return LinkError(f"UDP port {port} is in use", "end the other run, or change the port in the rig")
     return LinkError(f"cannot listen on {host}:{port}: {error.strerror}", "is this computer's address right?")
-
-
-def signing_time() -> int:
-    """Units of 10 us of wall time, so that a restarted role never goes back."""
-    return int((time.time() - SIGNING_EPOCH_S) * 1e5)

@@ -10,8 +10,8 @@ from types import TracebackType
 from typing import Any, Protocol, Self, cast
 
 from drivers.interfaces import LinkCounters, LinkError, Received
-from drivers.link_end import LinkEnd
-from drivers.udp_link import Address, LinkContext, open_error
+from drivers.link_end import LinkContext, LinkEnd
+from drivers.udp_link import Address, open_error
 from drivers.wire import KEY_LENGTH, Codec
 from path.messages import Message, Role
 

@@ -13,7 +13,8 @@ import pytest
 
 from drivers.interfaces import Link, LinkError, Received
 from drivers.link_end import MAX_WAITING
-from drivers.udp_link import UdpLink, address_of, read_key, signing_time
+from drivers.link_key import read_key, signing_time
+from drivers.udp_link import UdpLink, address_of
 from drivers.wire import Codec
 from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Message, Ping, Pong, Role, Status, Target
 
