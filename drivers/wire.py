@@ -32,7 +32,7 @@ SYSTEM_ID = {Role.SENDER: dialect.PATH_ROLE_SENDER, Role.RECEIVER: dialect.PATH_
 COMPONENT_ID = dialect.MAV_COMP_ID_ONBOARD_COMPUTER
 
 _MARKER = bytes([dialect.PROTOCOL_MARKER_V2])
-_HEADER = dialect.HEADER_LEN_V2
+HEADER_LENGTH = _HEADER = dialect.HEADER_LEN_V2
 _CRC = 2
 _SIGNATURE = dialect.MAVLINK_SIGNATURE_BLOCK_LEN
 _HASH = 6
@@ -119,15 +119,14 @@ class Codec:
         fault = _shape(data) or self._origin(data)
         if fault is not None:
             return fault
-        kind = dialect.mavlink_map[int.from_bytes(data[7:_HEADER], "little")]
-        end = _HEADER + data[1]
-        if _crc(data[1:end], kind.crc_extra) != int.from_bytes(data[end : end + _CRC], "little"):
+        if not checksum_holds(data):
             return Drop.BAD_CRC
         if self._signed:
             fault = self._forged_or_old(data)
             if fault is not None:
                 return fault
-        values = kind.unpacker.unpack(data[_HEADER:end].ljust(kind.unpacker.size, b"\0"))
+        kind = dialect.mavlink_map[int.from_bytes(data[7:_HEADER], "little")]
+        values = kind.unpacker.unpack(data[_HEADER : _HEADER + data[1]].ljust(kind.unpacker.size, b"\0"))
         packet: Any = kind(*[values[place] for place in kind.orders])
         try:
             message = FROM_WIRE[kind](packet)
@@ -174,6 +173,21 @@ class Codec:
         if bool(data[2]) != self._signed:
             return Drop.UNSIGNED if self._signed else Drop.UNEXPECTED_SIGNATURE
         return None
+
+
+def expected_length(header: bytes) -> int | None:
+    """Length of the packet that begins with these bytes, at least ``HEADER_LENGTH``; None when it is none of ours."""
+    kind = dialect.mavlink_map.get(int.from_bytes(header[7:_HEADER], "little"))
+    if header[:1] != _MARKER or header[2] & ~_SIGNED or kind not in FROM_WIRE or header[1] > kind.unpacker.size:
+        return None
+    return _HEADER + header[1] + _CRC + (_SIGNATURE if header[2] else 0)
+
+
+def checksum_holds(packet: bytes) -> bool:
+    """Whether a packet of its ``expected_length`` is undamaged, as far as its checksum tells."""
+    kind = dialect.mavlink_map[int.from_bytes(packet[7:_HEADER], "little")]
+    end = _HEADER + packet[1]
+    return _crc(packet[1:end], kind.crc_extra) == int.from_bytes(packet[end : end + _CRC], "little")
 
 
 def introduce(one: Codec, other: Codec) -> None:
