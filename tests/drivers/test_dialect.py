@@ -47,3 +47,11 @@ def test_our_ids_are_in_no_public_dialect() -> None:
     for xml in folder.glob("*.xml"):
         public = {int(number) for number in re.findall(r'<message id="(\d+)"', xml.read_text(encoding="utf-8"))}
         assert not ours & public, xml.name
+
+
+def test_the_dissector_for_wireshark_knows_every_message(tmp_path: Path) -> None:
+    output = tmp_path / "path.lua"
+    generate.generate(output, "WLua")
+    dissector = output.read_text("utf-8")
+    for number, kind in path_dialect.mavlink_map.items():
+        assert f"[{number}] = '{kind.msgname}'" in dissector
