@@ -29,7 +29,7 @@ _HIGH = 1 << 32
 _NEWEST_NS = (1 << 48) * INSTANT_NS - 1
 _PARTS = 256  # of a millimetre
 _PER_METRE = 1000.0 * _PARTS
-_FARTHEST = _PARTS * I16
+_LEAST, _MOST = -_PARTS * (I16 + 1), _PARTS * (I16 + 1) - 1  # of a coordinate, 24 bit
 _UNIT = float(I16)
 _TURN = I16 / math.pi
 _LONGEST_TURN = I16 + 1.0  # rounding may lengthen a half turn a little
@@ -74,7 +74,7 @@ def instant_from(low: int, high: int) -> int:
 def point_to(name: str, point: Vec3) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
     """Whole millimetres, rounded down, and what is left in 1/256 mm, of each coordinate in m."""
     x, y, z = point
-    a, b, c = (scaled(name, value, _PER_METRE, -_FARTHEST, _FARTHEST) for value in (x, y, z))
+    a, b, c = (scaled(name, value, _PER_METRE, _LEAST, _MOST) for value in (x, y, z))
     return (a // _PARTS, b // _PARTS, c // _PARTS), (a % _PARTS, b % _PARTS, c % _PARTS)
 
 

@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.wire_units import direction_from, direction_to, point_from, point_to, rotation_from, rotation_to
+from drivers.wire_units import (
+    OutOfRange,
+    direction_from,
+    direction_to,
+    point_from,
+    point_to,
+    rotation_from,
+    rotation_to,
+)
 from path.messages import Quat, Vec3
 
 HALF_PART_M = 0.5 / 256 / 1000.0
@@ -93,3 +101,11 @@ def test_directions_along_the_axes_are_exact(axis: int, sign: float) -> None:
 @given(first=st.integers(-32768, 32767), second=st.integers(-32768, 32767))
 def test_every_pair_of_numbers_is_a_direction(first: int, second: int) -> None:
     assert math.hypot(*direction_from(first, second)) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_every_coordinate_that_the_wire_can_say_can_be_said_again() -> None:
+    for mm, part in ((-32768, 0), (-32768, 152), (32767, 255), (0, 0), (-1, 255)):
+        point = point_from((mm, 0, 0), (part, 0, 0))
+        assert point_to("point", point) == ((mm, 0, 0), (part, 0, 0))
+    with pytest.raises(OutOfRange, match="point"):
+        point_to("point", (-32.769, 0.0, 0.0))
