@@ -69,7 +69,8 @@ class Attempt:
         reach: how much farther from the target D1 stays than it usually does.
         roll_deg: by which D2's camera is turned about its optical axis on its mount, as both drones know.
         limit_s: after so long without a commit it is a timeout.
-        whole: go on until the limit, whatever D1's window says.
+        whole: go on until the limit, whatever D1's window says. Otherwise the compiled form ends with the commit, or
+            as soon as there can be none any more.
     """
 
     seed: int
@@ -118,14 +119,15 @@ class Series:
 class Circumstances:
     """Of an encounter, at its beginning, in truth.
 
-    ``look_alike_m``: the nearest look-alike's distance from the target. ``relative_roll_deg``: of D2's camera against
-    D1's, about the line of sight to the target.
+    ``look_alike_m``: the nearest look-alike's distance from the target; ``closest_m``: the smallest that there is until
+    the attempt's limit. ``relative_roll_deg``: of D2's camera against D1's, about the line of sight to the target.
     """
 
     range_1_m: float
     range_2_m: float
     marker_m: float
     look_alike_m: float
+    closest_m: float
     relative_roll_deg: float
     target_mps: float
 

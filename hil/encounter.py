@@ -43,7 +43,7 @@ from hil.encounter_state import (
     State,
     fresh,
 )
-from hil.encounter_window import Hold
+from hil.encounter_window import Hold, hopeless
 from hil.geometric_scene import CameraSetup, lens_row
 from hil.geometric_sight import Sensor
 from path.config import MethodConfig
@@ -83,13 +83,13 @@ class Encounters:
         state = fresh(len(sender.number), len(receiver.number))
         kinds, which, now = stage.events
         setup, hold = self._setup(stage.believed), self._hold()
-        until_s = 0.0
+        until_s, limit_ns = 0.0, round((attempt.limit_s + EPOCH_S) * 1e9)
         while state.counters[NEXT] < len(kinds) and until_s < attempt.limit_s:
             until_s = min(until_s + BLOCK_S, attempt.limit_s)
             stage.fill(until_s)
             until_ns = round((until_s + EPOCH_S) * 1e9)
             play(kinds, which, now, until_ns, stage.clock_ns, setup, hold, attempt.whole, stage.seen, state)
-            if state.counters[DONE] and not attempt.whole:
+            if not attempt.whole and (state.counters[DONE] or hopeless(state.window, hold, until_ns, limit_ns)):
                 break
         return _encounter(attempt, stage, _series(state), until_s, self._method)
 
