@@ -62,9 +62,11 @@ class StubDetector:
 
     def __init__(self, config: StubConfig, context: PartContext) -> None:
         self.asked: list[Region | None] = []
+        self.shown: list[NDArray[np.uint8]] = []
 
     def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]:
         self.asked.append(region)
+        self.shown.append(image)
         return (Detection(Box(1.0, 2.0, 3.0, 4.0), 0.5),)
 
 
@@ -162,6 +164,27 @@ def test_nothing_is_computed_before_it_is_asked() -> None:
     assert view.targets(region)[0].box.w == 3.0
     assert detector.asked == [region]
     assert np.all(view.image() == 9)
+
+
+def test_the_detector_is_shown_only_what_is_as_far_away_as_the_region_says() -> None:
+    made, camera, detector = sight()
+    half = frame(9)
+    assert half.depth_mm is not None
+    half.depth_mm[:] = 1000
+    half.depth_mm[:, 80:] = 2000
+    camera.frames = [half, frame(10, depth=False)]
+    anywhere, near = Region(0.0, 0.0, 50.0, 50.0), Region(0.0, 0.0, 50.0, 50.0, 0.8, 1.2)
+    view = view_of(made)
+    view.targets(None)
+    view.targets(anywhere)
+    assert all(shown is half.color for shown in detector.shown)
+    view.targets(near)
+    assert (detector.shown[-1][:, :78] == 9).all()
+    assert (detector.shown[-1][:, 82:] != 9).all()
+    assert (half.color == 9).all()
+    flat = view_of(made)
+    flat.targets(near)
+    assert (detector.shown[-1] == 10).all()
 
 
 def test_depth_is_asked_of_the_registered_image() -> None:
