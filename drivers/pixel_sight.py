@@ -24,7 +24,7 @@ from path.target import depth_sigma, registered_depth
 
 Corners = Literal["photometric", "subpix"]
 DEPTH_SIGMAS = 2.0  # of the depth camera's own noise
-UNCUT_IOU, CUT_SCORE = 0.7, 0.5  # of a box with the same before depth cut something off; of a piece that looks whole
+UNCUT_IOU, CUT_SCORE = 0.85, 0.5  # of a box with the same before depth cut something off; of a piece that looks whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +124,15 @@ class PixelView:
             return found
         near_m = region.near_m - DEPTH_SIGMAS * depth_sigma(region.near_m, self._method)
         far_m = region.far_m + DEPTH_SIGMAS * depth_sigma(region.far_m, self._method)
-        cut = detector.detect(without_elsewhere(frame.color, frame.depth_mm, near_m, far_m), region)
+        noise_m = self._method.depth_sigma_at_1m_m
+        cut = detector.detect(without_elsewhere(frame.color, frame.depth_mm, (near_m, far_m), noise_m, region), region)
         kept = [whole if (whole := _whole_of(each, found)) is not None else each for each in cut]
-        return [each for each in kept if each in found or each.score >= CUT_SCORE]
+        sure = [each for each in kept if each in found or each.score >= CUT_SCORE]
+        return sure or [each for each in kept if self._is_between(each.box, near_m, far_m)]
+
+    def _is_between(self, box: Box, near_m: float, far_m: float) -> bool:
+        depth = self.depth(box)
+        return depth is not None and near_m <= depth.z_m <= far_m
 
     def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
         """Markers of the layout in ``region``."""
