@@ -98,6 +98,7 @@ class Series:
         z_m: (n,) the target's distance along D1's optical axis.
         pose_sigma_m: (n,) standard deviation of D2's position that came with its box.
         right: (n,) whether D2's box is of the object that D1 was told to hand over.
+        same: (n,) whether both boxes are of one object: D1 may have gone over to another one itself.
     """
 
     kind: NDArray[np.int64]
@@ -110,6 +111,7 @@ class Series:
     z_m: NDArray[np.float64]
     pose_sigma_m: NDArray[np.float64]
     right: NDArray[np.bool_]
+    same: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -140,6 +142,7 @@ class Encounter:
         start_s: D2's first frame whose boxes overlapped as much as the threshold asks; None when none did.
         commit_s: when D1's window was complete; None when it never was.
         right: whether the box that completed the window is of the right object; None without a commit.
+        same: whether it is of the object that D1's box was of.
         misses: number of entries by reason.
         simulated_s: how much time was played.
         series: what D1's window was told.
@@ -150,6 +153,7 @@ class Encounter:
     start_s: float | None
     commit_s: float | None
     right: bool | None
+    same: bool | None
     misses: Mapping[str, int]
     simulated_s: float
     circumstances: Circumstances

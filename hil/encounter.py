@@ -36,6 +36,7 @@ from hil.encounter_state import (
     OWN_FRAMES,
     REASON,
     RIGHT,
+    SAME,
     SEQUENCE,
     SIGMA_M,
     Z_M,
@@ -150,6 +151,7 @@ def _series(state: State) -> Series:
         z_m=floats[:, Z_M].copy(),
         pose_sigma_m=floats[:, SIGMA_M].copy(),
         right=ints[:, RIGHT] != 0,
+        same=ints[:, SAME] != 0,
     )
 
 
@@ -168,6 +170,7 @@ def _encounter(attempt: Attempt, stage: Stage, series: Series, played_s: float, 
         start_s=None if first is None else int(series.capture_ns[first]) * 1e-9 - EPOCH_S,
         commit_s=None if done is None else int(series.now_ns[done]) * 1e-9 - EPOCH_S,
         right=None if done is None else bool(series.right[done]),
+        same=None if done is None else bool(series.same[done]),
         misses=dict(misses),
         simulated_s=played_s,
         circumstances=stage.circumstances,

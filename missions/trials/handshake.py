@@ -125,6 +125,8 @@ def _gate_summary(judged: Sequence[Judged]) -> dict[str, Any]:
         "commit_rate": len(seconds) / len(judged),
         "wrong": wrong,
         "wrong_upper_95": upper_bound(wrong, len(judged)),
+        "fooled": _fooled(judged),
+        "fooled_upper_95": upper_bound(_fooled(judged), len(judged)),
     }
 
 
@@ -144,6 +146,11 @@ def _of(tried: Tried, gate: GateKind) -> Judged:
 
 def _wrong(judged: Sequence[Judged]) -> int:
     return sum(each.committed and not each.right for each in judged)
+
+
+def _fooled(judged: Sequence[Judged]) -> int:
+    """Both boxes agreed although they were of different objects."""
+    return sum(each.committed and not each.same for each in judged)
 
 
 def _by_gate(flown: Sequence[Flown]) -> dict[GateKind, list[Flown]]:
@@ -224,13 +231,23 @@ def _encounter_findings(
     def wrong(gate: GateKind, figures: dict[str, Any]) -> Finding:
         where = ", ".join(f"{name} {count}" for name, count in faults[gate].items())
         return Finding(
-            f"encounters, wrong hand-overs, {gate} gate", f"{figures['wrong']} of {len(tried)}",
-            f"≤ {figures['wrong_upper_95']:.3%} of attempts", "0 of 45", "0", verdict(figures["wrong"] == 0), where,
+            f"encounters, wrong hand-overs of any cause, {gate} gate", f"{figures['wrong']} of {len(tried)}",
+            f"≤ {figures['wrong_upper_95']:.3%} of attempts", "0 of 45", "0", verdict(figures["wrong"] == 0),
+            f"{where}; the others D1 had lost to the look-alike itself, before both agreed on it" if where else "",
+        )  # fmt: skip
+
+    def fooled(gate: GateKind, figures: dict[str, Any]) -> Finding:
+        return Finding(
+            f"of them agreed although D1 and D2 saw different objects, {gate} gate",
+            f"{figures['fooled']} of {len(tried)}", f"≤ {figures['fooled_upper_95']:.3%} of attempts", "", "0",
+            verdict(figures["fooled"] == 0),
         )  # fmt: skip
 
     return (
         wrong("consecutive", consecutive),
+        fooled("consecutive", consecutive),
         wrong("evidence", evidence),
+        fooled("evidence", evidence),
         Finding(f"encounters in which a look-alike came within {NEAR_M:g} m of the target", f"{near} of {len(tried)}",
                 f"{low:.1%}-{high:.1%}", note=f"within {BESIDE_M:g} m: {beside}; all have three farther away"),
         Finding("encounters, time to commit, consecutive gate, s, median", median_paper, interval_paper,

@@ -26,14 +26,21 @@ IOU_TOLERANCE = 1e-4  # compiled descents end within 1e-7 m of the method's
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """What one gate made of an attempt. ``seconds``: from the first agreeing pair to the commit."""
+    """What one gate made of an attempt.
+
+    Attributes:
+        seconds: from the first agreeing pair to the commit.
+        right: whether D2's box was of the target.
+        same: whether it was of the object that D1's box was of: D1 may have lost the target to a look-alike itself.
+    """
 
     committed: bool
     seconds: float
     right: bool
+    same: bool
 
 
-NOT_COMMITTED = Judged(committed=False, seconds=0.0, right=False)
+NOT_COMMITTED = Judged(committed=False, seconds=0.0, right=False, same=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +121,8 @@ def by_consecutive(found: Encounter) -> Judged:
     """The paper's gate has judged it already."""
     if found.start_s is None or found.commit_s is None:
         return NOT_COMMITTED
-    return Judged(committed=True, seconds=found.commit_s - found.start_s, right=found.right is True)
+    seconds = found.commit_s - found.start_s
+    return Judged(committed=True, seconds=seconds, right=found.right is True, same=found.same is True)
 
 
 def by_evidence(series: Series, method: MethodConfig) -> Judged:
@@ -125,7 +133,7 @@ def by_evidence(series: Series, method: MethodConfig) -> Judged:
         return NOT_COMMITTED
     start = int(np.argmax(agreeing(series, own)))
     seconds = (int(series.now_ns[done]) - int(series.capture_ns[start])) * 1e-9
-    return Judged(committed=True, seconds=seconds, right=bool(series.right[done]))
+    return Judged(committed=True, seconds=seconds, right=bool(series.right[done]), same=bool(series.same[done]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -145,3 +145,12 @@ def test_one_marker_is_needed() -> None:
     two = MarkerLayout((Marker(0, 0.04, 0.0, still), Marker(1, 0.04, 0.0, Pose(np.eye(3), np.array([0.1, 0.0, 0.0])))))
     with pytest.raises(PartError, match="one marker"):
         Encounters(replace(one, layout=two))
+
+
+def test_what_d1_followed_itself_is_told_apart_from_what_both_did_not_agree_on() -> None:
+    """Right boxes are of what D1 follows as long as it follows the target; a look-alike for D2 alone is neither."""
+    good = player().play(Attempt(0, 0, limit_s=2.0)).series
+    assert good.same[good.right].all()
+    misled = player().play(Attempt(0, 0, wrong=Wrong("shift", 0.8, 0.0), limit_s=2.0, whole=True)).series
+    assert (misled.kind == PAIR).sum() > 50
+    assert not misled.same.any() and not misled.right.any()

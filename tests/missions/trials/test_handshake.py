@@ -17,6 +17,7 @@ from missions.trials.handshake_encounters import (
     CHUNK,
     FAULT_NAMES,
     GATES,
+    NOT_COMMITTED,
     Asked,
     Judged,
     Tried,
@@ -119,8 +120,9 @@ def test_a_wrong_hand_over_is_seen_and_counted() -> None:
     both = by_consecutive(misled()), by_evidence(misled().series, METHOD)
     assert [(judged.committed, judged.right) for judged in both] == [(True, False)] * 2
     tried = Tried(0, "flip", "", both, 0.8)
-    good = Tried(1, "flip", "", (Judged(True, 7.0, True), Judged(False, 0.0, False)), 2.0)
-    lost = replace(good, index=2, reason="no_marker", judged=(Judged(False, 0.0, False),) * 2)
+    assert not any(judged.same for judged in both)
+    good = Tried(1, "flip", "", (Judged(True, 7.0, True, True), NOT_COMMITTED), 2.0)
+    lost = replace(good, index=2, reason="no_marker", judged=(NOT_COMMITTED,) * 2)
     counted = wrong_by_fault([tried, good, lost])
     assert counted == {"consecutive": {"flip": 1}, "evidence": {"flip": 1}}
     assert reasons([tried, good, lost, lost]) == {"no_marker": 2}
