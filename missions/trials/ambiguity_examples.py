@@ -9,7 +9,6 @@ from missions.trials.ambiguity_pictures import Example, draw_examples
 from missions.trials.ambiguity_report import TITLES, chosen_box, of_path
 from missions.trials.ambiguity_score import Outcome, Rule
 from missions.trials.ambiguity_truth import shirt_box
-from missions.trials.ambiguity_variants import ORB_VARIANTS, XFEAT_VARIANTS
 from missions.trials.trial import TrialRequest
 from path.baselines.association import associate
 from path.baselines.orb import Orb
@@ -31,7 +30,7 @@ def draw_view(request: TrialRequest, tasks: Sequence[Task], judged: Sequence[Jud
     }
     if "xfeat" in rules:
         outcomes["xfeat"] = [e.xfeat.outcome(rules["xfeat"]) if e.xfeat else "tn" for e in judged]
-    wanted: list[tuple[str, int]] = [("path", _first(outcomes["path"], ("tp", "tn")) or 0)]
+    wanted: list[tuple[str, int]] = [("path", _first(outcomes["path"], ("tp",)) or 0)]
     for method, found in outcomes.items():
         number = _first(found, ("fp",))
         number = _first(found, ("fn",)) if number is None else number
@@ -64,7 +63,7 @@ def _example(method: str, task: Task, judged: Judged, kind: Outcome, rules: Mapp
 
 
 def _matched(method: str, title: str, task: Task, pair: Pair, judged: Judged, rule: Rule, kind: Outcome) -> Example:
-    variants = ORB_VARIANTS if method == "orb" else XFEAT_VARIANTS
+    variants = task.orb_variants if method == "orb" else task.xfeat_variants
     features = Orb() if method == "orb" or task.xfeat is None else xfeat_for(task.xfeat)
     images = pair.shots[Role.SENDER].color, pair.shots[Role.RECEIVER].color
     _, votes = associate(features, images[0], pair.box1, images[1], pair.boxes2, variants[rule.variant])

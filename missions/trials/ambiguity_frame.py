@@ -13,7 +13,7 @@ import numpy as np
 from drivers.color_detector import ColorDetector, ColorDetectorConfig
 from drivers.depth_mask import without_elsewhere
 from drivers.interfaces import Detector
-from drivers.studio import Shot, Studio
+from drivers.studio import DepthNoise, Shot, Studio
 from missions.trials.ambiguity_path import Errors, PathAnswer, beliefs, run_path
 from missions.trials.ambiguity_score import Ballot
 from missions.trials.ambiguity_stage import MARKER_SIDE_M, Scene, Wanted, draw, setup
@@ -28,8 +28,10 @@ from path.observations import Box
 
 PRESENT_SHARE = 0.5  # of its shirt is in D2's view: the target is present; of stages with less, others are drawn
 HIDDEN_SHARE = 0.6  # of it is behind other people, and nothing of it to be seen: the target is hidden
-TRACKED_SHARE, TRACKED_IOU = 0.75, 0.4  # D1 sees the target's shirt well, and its detector gives it a box of its own
+TRACKED_SHARE, TRACKED_IOU = 0.75, 0.4  # D1 sees the target's shirt well, and its detector gives it a box ...
+OWN_SHARE = 0.75  # ... of its own: of the people's pixels in it so many are the target's
 CHEST_M, TRACKED_DEPTH_M = 0.15, 0.45  # from the middle of a person to its surface; what a tracker keeps of depth
+NOISE_M = DepthNoise().sigma_at_1m_m
 REDRAWS = 200
 
 
@@ -139,7 +141,7 @@ def _shoot(task: Task, rng: np.random.Generator, redraws: int) -> Pair | None:
     seeds = rng.integers(0, 2**31, 2).tolist()
     shots = {role: studios[role].shoot(scene.stage, role, seed) for role, seed in zip(Role, seeds, strict=True)}
     box1 = _tracked(scene, shots[Role.SENDER])
-    if box1 is None or sights[Role.SENDER].owner(box1) != 0:
+    if box1 is None or sights[Role.SENDER].share(box1, 0) < OWN_SHARE:
         return None
     boxes2 = tuple(each.box for each in people_detector().detect(shots[Role.RECEIVER].color, None))
     owners = tuple(sights[Role.RECEIVER].owner(box) for box in boxes2)
@@ -155,7 +157,8 @@ def _tracked(scene: Scene, shot: Shot) -> Box | None:
     """
     expected = shirt_box(scene, Role.SENDER, 0)
     depth_m = float(scene.T_w_c(Role.SENDER).inverse().apply(scene.middle_w)[2]) - CHEST_M
-    shown = without_elsewhere(shot.color, shot.depth_mm, depth_m - TRACKED_DEPTH_M, depth_m + TRACKED_DEPTH_M)
+    limits_m = depth_m - TRACKED_DEPTH_M, depth_m + TRACKED_DEPTH_M
+    shown = without_elsewhere(shot.color, shot.depth_mm, limits_m, NOISE_M)
     found = [each.box for each in people_detector().detect(shown, None)]
     nearest = min(found, key=lambda box: math.dist(box.center, expected.center), default=None)
     return nearest if nearest is not None and iou(nearest, expected) >= TRACKED_IOU else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal
 
@@ -82,6 +82,10 @@ class Ballot:
     present: bool
     owners: tuple[int | None, ...]
     votes: tuple[tuple[int, ...], ...]
+
+    def only(self, variants: Sequence[int]) -> Ballot:
+        """The same with some of the variants, by number."""
+        return replace(self, votes=tuple(self.votes[i] for i in variants))
 
     def outcome(self, rule: Rule) -> Outcome:
         box = choose(self.votes[rule.variant], rule.min_inliers, rule.min_lead)

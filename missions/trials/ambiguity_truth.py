@@ -15,7 +15,7 @@ from path.observations import Box
 
 BODY_M = 0.45  # a surface this near to a person's axis, and nearest to it, is that person
 GROUND_M = 0.04
-BOX_COLUMNS, BOX_ROWS = 5, 7
+BOX_COLUMNS, BOX_ROWS = 5, 5
 SHIRT_HALF_M, SHIRT_ENDS_M = (0.17, 0.33), (0.91, 1.45)  # forward and to the side, arms included; heights
 
 
@@ -54,6 +54,12 @@ class Sight:
         seen = self.in_box(box)
         del seen[None]
         return seen.most_common(1)[0][0] if seen else None
+
+    def share(self, box: Box, person: int) -> float:
+        """Share of a person, 0..1, among the people's pixels in a box."""
+        seen = self.in_box(box)
+        del seen[None]
+        return seen[person] / max(1, seen.total())
 
     def shirt(self, person: int) -> tuple[float, float]:
         """Share of a person's shirt, 0..1, that the image shows, and share that other people hide.

@@ -6,20 +6,26 @@ from dataclasses import replace
 from itertools import product
 
 from missions.trials.ambiguity_score import Rule
-from path.baselines.association import BaselineConfig
+from path.baselines.association import BaselineConfig, Scope
 from path.baselines.features import Look
-from path.baselines.matching import MatchConfig
+from path.baselines.matching import MatchConfig, Model
+
+MODELS: tuple[Model, ...] = ("affine", "homography")
+REACHES_PX = (2.0, 8.0)
+SCOPES: tuple[Scope, ...] = ("each", "all")
 
 
 def _variants(looks: tuple[Look, ...], ratios: tuple[float, ...], plain: MatchConfig) -> tuple[BaselineConfig, ...]:
-    """All looks with all ratios; with the first look also other models, reaches and scopes."""
-    first = BaselineConfig(looks[0], plain)
-    found = [BaselineConfig(look, replace(plain, ratio=ratio)) for look, ratio in product(looks, ratios)]
-    found += [
-        replace(first, match=replace(plain, ratio=ratio, model=model, reach_px=reach), scope=scope)
-        for ratio, model, reach, scope in product(ratios, ("affine", "homography"), (2.0, 8.0), ("each", "all"))
-    ]
-    return tuple(dict.fromkeys(found))
+    """All looks with all ratios, models, reaches and scopes."""
+    return tuple(
+        BaselineConfig(look, replace(plain, ratio=ratio, model=model, reach_px=reach), scope)
+        for look, ratio, model, reach, scope in product(looks, ratios, MODELS, REACHES_PX, SCOPES)
+    )
+
+
+def same_look(variants: tuple[BaselineConfig, ...], chosen: int) -> tuple[int, ...]:
+    """Numbers of the variants that look for features as a chosen one does."""
+    return tuple(i for i, each in enumerate(variants) if each.look == variants[chosen].look)
 
 
 ORB_VARIANTS = _variants(

@@ -7,6 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from missions.trials.ambiguity_score import Ballot, Outcome, Rule, Tally, best_rule, outcome, tally
+from missions.trials.ambiguity_variants import ORB_VARIANTS, XFEAT_VARIANTS, same_look
+from path.baselines.features import Look
 
 
 @pytest.mark.parametrize(
@@ -61,6 +63,13 @@ def test_of_rules_as_good_the_one_with_fewer_false_positives_is_taken() -> None:
     # 3 votes for the target, 3 for somebody else: right and wrong come together, so rather take neither
     ballots = [Ballot(True, (0,), ((3,),)), Ballot(False, (1,), ((3,),))]
     assert tally(ballots, best_rule(ballots, 1)) == Tally(tn=1, fn=1)
+
+
+def test_fewer_variants_keep_their_votes() -> None:
+    ballot = Ballot(True, (0,), ((1,), (2,), (3,)))
+    assert ballot.only((0, 2)).votes == ((1,), (3,))
+    assert same_look(ORB_VARIANTS, 0) == tuple(i for i, each in enumerate(ORB_VARIANTS) if each.look == Look(1.0))
+    assert 0 < len(same_look(XFEAT_VARIANTS, 1)) < len(XFEAT_VARIANTS)
 
 
 BALLOT = st.integers(0, 4).flatmap(
