@@ -233,12 +233,13 @@ def _encounter_findings(
         return Finding(
             f"encounters, wrong hand-overs of any cause, {gate} gate", f"{figures['wrong']} of {len(tried)}",
             f"≤ {figures['wrong_upper_95']:.3%} of attempts", "0 of 45", "0", verdict(figures["wrong"] == 0),
-            f"{where}; the others D1 had lost to the look-alike itself, before both agreed on it" if where else "",
+            f"by fault: {where}. Where both boxes were of one object, D1 had lost the target to it by itself"
+            if where else "",
         )  # fmt: skip
 
     def fooled(gate: GateKind, figures: dict[str, Any]) -> Finding:
         return Finding(
-            f"of them agreed although D1 and D2 saw different objects, {gate} gate",
+            f"encounters handed over with boxes of different objects at the end, {gate} gate",
             f"{figures['fooled']} of {len(tried)}", f"≤ {figures['fooled_upper_95']:.3%} of attempts", "", "0",
             verdict(figures["fooled"] == 0),
         )  # fmt: skip
