@@ -64,6 +64,7 @@ def test_they_do_on_streams_that_no_link_makes(number: int) -> None:
     own = np.stack((np.arange(count), capture - 5_000_000, np.arange(count) + 1, capture + 15_000_000), axis=1)
     own[rng.random(count) < 0.02] -= [1, PERIOD_NS, 1, PERIOD_NS]
     kind = rng.choice([PAIR, MISS, OWN_MISS], count, p=[0.99, 0.006, 0.004])
+    capture[kind == OWN_MISS] += 3 * PERIOD_NS  # of a frame newer than those of D2 that come in after it
     iou = np.clip(rng.normal(0.75, 0.08, (count, 2)), 0.0, 1.0)
     series = Series(
         kind, np.full(count, -1), np.arange(count) // 2 * 2 * PERIOD_NS, sequence & 0xFFFF, capture, own, iou,
