@@ -18,7 +18,7 @@ from path.config import GateKind
 from path.messages import Role
 
 COLOURS: Mapping[GateKind, str] = {"consecutive": ROLE[Role.SENDER], "evidence": COUNT}
-NAMES: Mapping[GateKind, str] = {"consecutive": "350 pairs in a row", "evidence": "evidence"}
+NAMES: Mapping[GateKind, str] = {"consecutive": "350 pairs", "evidence": "evidence"}
 PAPER_S = (7.20, 7.95)
 
 
@@ -37,7 +37,7 @@ def draw_times(
     right.set(xlabel="time from the first agreeing pair, s", ylabel="share of all attempts", xlim=(0.0, LIMIT_S))
     right.set_ylim(0.0, 1.02)
     right.grid(alpha=0.3)
-    right.legend(fontsize=8, frameon=False, loc="lower right")
+    right.legend(fontsize=7, frameon=False, handlelength=1.4, loc="lower left", bbox_to_anchor=(0.14, 0.0))
     figure.savefig(path, format="png", metadata={"Software": None})
 
 
@@ -79,5 +79,5 @@ def draw_faults(tried: Sequence[Tried], path: Path) -> None:
     axes.set_yticks(rows.tolist(), [name.replace("_", " ") for name in FAULT_NAMES])
     axes.invert_yaxis()
     axes.set(xlabel="share of attempts that committed", xlim=(0.0, 1.0))
-    axes.legend(fontsize=8, loc="lower left")
+    axes.legend(fontsize=8, frameon=False, ncol=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     figure.savefig(path, format="png", metadata={"Software": None})
