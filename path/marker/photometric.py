@@ -37,13 +37,14 @@ from path.marker.shadow import cell_light, find_shadow
 
 MAX_PASSES = 8
 MAX_MORE_PASSES, MAX_FEW_PASSES = 6, 2  # with what may be wrong: a shadow or much, or little
-STRONG_MISFIT = 0.055  # residual over contrast that is worth all pixels and passes
+STRONG_MISFIT, STRONG_CORRELATED_MISFIT = 0.055, 0.02  # residual over contrast that is worth all pixels and passes
+LARGE_PX = 42.0  # side from which on less than that is not worth it: a pose is as good as print and lens are known
 MISFIT, CORRELATED_MISFIT = 0.025, 0.011  # residual over contrast above which it is asked what is wrong
 SHADOW_MISFIT, SHADOW_LEFT = 0.022, 0.45  # correlated misfit above which a shadow is looked for; share it may leave
 COARSE_MISFIT, COARSE_LEFT = 0.025, 0.93  # the same for inner edges that are off; the share with outliers
 LEAST_DEPTH = 0.1  # of a shadow
 LEAST_BLUR_PX, MOST_BLUR_PX = 0.5, 0.8  # of a lens and pixel; what is beyond it is left to the filter
-MAX_FILTERED, FILTERED_BLOCK = 1200, 2  # pixels, and in squares of so many doublings: they share their surroundings
+MAX_FILTERED, FILTERED_BLOCK = 1000, 2  # pixels, and in squares of so many doublings: they share their surroundings
 FILTER_REACH_PX = 0.75  # in deviations of blur that keep twice their size away from the plate's edge
 SHARE_USED = 0.84  # mean weight below which something lies across the print, or much more is wrong
 NEAR_PX = 0.1  # a step shorter than this leads near enough to ask what is wrong
@@ -119,6 +120,12 @@ class _State:
     @property
     def statistics(self) -> Statistics:
         return statistics(self.pixels, self.residuals, self.spread, len(self.factor))
+
+    @property
+    def area_px2(self) -> float:
+        x, y = self.corners.T
+        scale = abs(self.frame[5] * self.frame[8] - self.frame[6] * self.frame[7])
+        return 0.5 * abs(float((x[0] - x[2]) * (y[1] - y[3]) - (x[1] - x[3]) * (y[0] - y[2]))) / float(scale)
 
     @property
     def share_used(self) -> float:
@@ -216,8 +223,10 @@ def _fit_ideal(state: _State, ideal: bool) -> bool:
 
 def _misfits(state: _State) -> bool:
     """Whether an ideal print and camera do not explain the image: to be asked near the end of their fit."""
-    sure = state.misfit < MISFIT and state.correlated_misfit < CORRELATED_MISFIT
-    return not sure or state.share_used < SHARE_USED
+    misfit, correlated, share = state.misfit, state.correlated_misfit, state.share_used
+    if misfit > STRONG_MISFIT or correlated > STRONG_CORRELATED_MISFIT or share < SHARE_USED:
+        return True
+    return (misfit > MISFIT or correlated > CORRELATED_MISFIT) and state.area_px2 < LARGE_PX**2
 
 
 def _fit_misfit(state: _State) -> _State:
