@@ -37,7 +37,7 @@ from path.marker.shadow import cell_light, find_shadow
 
 MAX_PASSES = 8
 MAX_MORE_PASSES, MAX_FEW_PASSES = 6, 2  # with what may be wrong: a shadow or much, or little
-STRONG_MISFIT, STRONG_CORRELATED_MISFIT = 0.055, 0.02  # residual over contrast that is worth all pixels and passes
+STRONG_MISFIT, STRONG_CORRELATED_MISFIT = 0.055, 0.035  # residual over contrast that is worth all pixels and passes
 LARGE_PX = 42.0  # side from which on less than that is not worth it: a pose is as good as print and lens are known
 MISFIT, CORRELATED_MISFIT = 0.025, 0.011  # residual over contrast above which it is asked what is wrong
 SHADOW_MISFIT, SHADOW_LEFT = 0.022, 0.45  # correlated misfit above which a shadow is looked for; share it may leave
@@ -223,10 +223,14 @@ def _fit_ideal(state: _State, ideal: bool) -> bool:
 
 def _misfits(state: _State) -> bool:
     """Whether an ideal print and camera do not explain the image: to be asked near the end of their fit."""
-    misfit, correlated, share = state.misfit, state.correlated_misfit, state.share_used
-    if misfit > STRONG_MISFIT or correlated > STRONG_CORRELATED_MISFIT or share < SHARE_USED:
-        return True
-    return (misfit > MISFIT or correlated > CORRELATED_MISFIT) and state.area_px2 < LARGE_PX**2
+    sure = state.misfit < MISFIT and state.correlated_misfit < CORRELATED_MISFIT
+    return not sure or state.share_used < SHARE_USED
+
+
+def _filter_pays(state: _State) -> bool:
+    """Whether a filter betters a pose: of a large marker only where much is wrong."""
+    much = state.misfit > STRONG_MISFIT or state.correlated_misfit > STRONG_CORRELATED_MISFIT
+    return much or state.area_px2 < LARGE_PX**2
 
 
 def _fit_misfit(state: _State) -> _State:
@@ -235,7 +239,7 @@ def _fit_misfit(state: _State) -> _State:
     if state.correlated_misfit > SHADOW_MISFIT:
         better = _tried(state, SHADOWED)
     if better is None or better.misfit > SHADOW_LEFT * state.misfit:
-        better = _tried(state, FILTERED)
+        better = _tried(state, FILTERED) if _filter_pays(state) else None
     if better is None or better.noise > state.noise:
         _fit_ideal(state, True)
         better = state
