@@ -15,12 +15,15 @@ from hil.encounter_pose import Print, mirrored
 from hil.encounter_relative import Reports, reports
 from hil.encounter_scene import TARGET_HEIGHT_M, Believed, Calibrated, Drawn, draw
 from hil.encounter_sight import (
+    AT,
     FOLLOWER_SIZE,
     FOUND_COLUMNS,
     MARKER_COLUMNS,
     OWN_COLUMNS,
     POSITION,
     PP,
+    RIVAL,
+    RIVAL_AT,
     VELOCITY,
     VV,
     Depths,
@@ -204,7 +207,8 @@ class Stage:
         row[POSITION + 2] = -TARGET_HEIGHT_M
         row[VELOCITY : VELOCITY + 2] = (target[5] - target[0]) / (times_s[5] - times_s[0])
         row[PP], row[VV] = FOLLOWER_SIGMA_M**2, FOLLOWER_SIGMA_MPS**2
-        row[-1] = times_s[0]
+        row[AT] = row[RIVAL_AT] = times_s[0]
+        row[RIVAL] = math.inf
         return row
 
     def fill(self, until_s: float) -> None:
