@@ -14,10 +14,19 @@ from path.camera import CameraModel
 from path.geometry import Pose
 from path.observations import Box, Depth, Detection, MissReason, Region
 
+Pixel = tuple[float, float]
+
 MIN_SCORE = 0.3
 _MEASUREMENT_SIGMA_M = 0.05
 _ACCELERATION_SIGMA_MPS2 = 0.6
-_GATE_FLOOR_M = 0.20
+_GATE_FLOOR_M = 0.10  # a box's noise, and an attitude a degree off
+_GATE_MOST_M = 0.45  # a track that knows no better does not know which object it would find
+_GATE_LEAST_M = 0.05
+_RIVAL_SHARE = 0.4  # of the way to the nearest other object: where that is known to be, the gate ends before it
+_RIVAL_REACH_M = 0.6
+_RIVAL_S = 3.0  # for so long an object that was seen beside the target is taken to be there still
+_UNSEEN_S = 0.5  # after so long anything else in reach might as well be the object
+_UNSEEN_REACH_M = 2.0
 _AMBIGUITY = 0.6
 _CLEARLY_NEARER = 1.5
 _MIN_DESCENT = 0.2  # per metre along the optical axis
@@ -39,6 +48,8 @@ class TargetTrack:
         self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
         self.stamp_ns = stamp_ns
         self.seen_ns = stamp_ns
+        self.rival_m = math.inf  # from the target to the nearest other object
+        self.rival_ns = stamp_ns
         self._pp = 0.3**2
         self._pv = 0.0
         self._vv = 0.5**2
@@ -48,6 +59,19 @@ class TargetTrack:
         dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
         variance = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + (_ACCELERATION_SIGMA_MPS2 * dt * dt / 2) ** 2
         return add(self.position_n_m, scale(self.velocity_n_mps, dt)), math.sqrt(variance)
+
+    def gate_m(self, sigma_m: float, stamp_ns: int) -> float:
+        """How far from its prediction, with this standard deviation, the object may be found at a stamp."""
+        most_m = min(_GATE_MOST_M, _RIVAL_SHARE * self.rival_m) if self._rival_known(stamp_ns) else _GATE_MOST_M
+        return max(_GATE_LEAST_M, min(3.0 * sigma_m + _GATE_FLOOR_M, most_m))
+
+    def note_rival(self, distance_m: float, stamp_ns: int) -> None:
+        """Another object was seen that far from this one; a nearer one is remembered for a while."""
+        if distance_m <= self.rival_m or not self._rival_known(stamp_ns):
+            self.rival_m, self.rival_ns = distance_m, stamp_ns
+
+    def _rival_known(self, stamp_ns: int) -> bool:
+        return stamp_ns - self.rival_ns <= _RIVAL_S * 1e9
 
     def update(self, measured_n_m: Vec3, stamp_ns: int) -> None:
         """Fuse one measured position; older stamps than the newest are ignored."""
@@ -108,7 +132,9 @@ def acquire(
 def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> Sighting | MissReason:
     """Find the tracked object in a view and update the track.
 
-    The object must be where the track predicts it, and clearly nearer to there than anything that looks alike.
+    The object must be where the track predicts it, and clearly nearer to there than anything that looks alike. Where
+    such a thing was seen beside it, the gate does not reach it, however long the object is missed; and an object that
+    was out of sight for a while is taken again only when nothing else is about.
     Without depth it is taken to be as high as it was, so that the drone keeps following while the frame is a miss.
     """
     predicted_n, sigma_m = track.predict(view.stamp_ns)
@@ -116,11 +142,19 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     if z <= 0.1 or not camera.sees((x, y, z)):
         return MissReason.NO_TARGET
     u, v = camera.project_point((x, y, z))
-    gate_px = camera.fx * (3.0 * sigma_m + _GATE_FLOOR_M) / z
-    region = Region(u - gate_px, v - gate_px, u + gate_px, v + gate_px)
-    chosen = _nearest(view.targets(region), (u, v), gate_px)
-    if isinstance(chosen, MissReason):
-        return chosen
+    gate_m = track.gate_m(sigma_m, view.stamp_ns)
+    px_per_m = camera.fx / z
+    unseen = view.stamp_ns - track.stamp_ns > _UNSEEN_S * 1e9
+    reach_px = px_per_m * (_UNSEEN_REACH_M if unseen else max(gate_m / _AMBIGUITY, _RIVAL_REACH_M))
+    found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
+    ranked = _by_distance(found, (u, v))
+    if not ranked or math.dist(ranked[0].box.center, (u, v)) > px_per_m * gate_m:
+        return MissReason.NO_TARGET
+    chosen = ranked[0]
+    if len(ranked) > 1:
+        track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
+        if unseen or _nearly_as_near(ranked, (u, v)):
+            return MissReason.AMBIGUOUS_TARGET
     depth = view.depth(chosen.box)
     if depth is None:
         measured = _at_height(chosen.box, camera, T_n_c, track.position_n_m[2])
@@ -141,11 +175,17 @@ def _at_height(box: Box, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec
     return north, east, down
 
 
-def _nearest(found: Sequence[Detection], pixel: tuple[float, float], gate_px: float) -> Detection | MissReason:
-    detections = [d for d in found if d.score >= MIN_SCORE]
-    ranked = sorted((math.dist(d.box.center, pixel), i) for i, d in enumerate(detections))
-    if not ranked or ranked[0][0] > gate_px:
-        return MissReason.NO_TARGET
-    if len(ranked) > 1 and ranked[0][0] > _AMBIGUITY * ranked[1][0]:
-        return MissReason.AMBIGUOUS_TARGET
-    return detections[ranked[0][1]]
+def _by_distance(found: Sequence[Detection], pixel: Pixel) -> list[Detection]:
+    return sorted((d for d in found if d.score >= MIN_SCORE), key=lambda d: math.dist(d.box.center, pixel))
+
+
+def _nearest_m(ranked: Sequence[Detection], px_per_m: float) -> float:
+    """From the first detection to the nearest other one."""
+    first, *others = (d.box.center for d in ranked)
+    return min(math.dist(first, other) for other in others) / px_per_m
+
+
+def _nearly_as_near(ranked: Sequence[Detection], pixel: Pixel) -> bool:
+    """Whether the second detection might be the one expected at a pixel as well as the first."""
+    first, second = (math.dist(d.box.center, pixel) for d in ranked[:2])
+    return first > _AMBIGUITY * second

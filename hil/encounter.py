@@ -36,6 +36,7 @@ from hil.encounter_state import (
     OWN_FRAMES,
     REASON,
     RIGHT,
+    SAME,
     SEQUENCE,
     SIGMA_M,
     Z_M,
@@ -43,7 +44,7 @@ from hil.encounter_state import (
     State,
     fresh,
 )
-from hil.encounter_window import Hold
+from hil.encounter_window import Hold, hopeless
 from hil.geometric_scene import CameraSetup, lens_row
 from hil.geometric_sight import Sensor
 from path.config import MethodConfig
@@ -83,13 +84,13 @@ class Encounters:
         state = fresh(len(sender.number), len(receiver.number))
         kinds, which, now = stage.events
         setup, hold = self._setup(stage.believed), self._hold()
-        until_s = 0.0
+        until_s, limit_ns = 0.0, round((attempt.limit_s + EPOCH_S) * 1e9)
         while state.counters[NEXT] < len(kinds) and until_s < attempt.limit_s:
             until_s = min(until_s + BLOCK_S, attempt.limit_s)
             stage.fill(until_s)
             until_ns = round((until_s + EPOCH_S) * 1e9)
             play(kinds, which, now, until_ns, stage.clock_ns, setup, hold, attempt.whole, stage.seen, state)
-            if state.counters[DONE] and not attempt.whole:
+            if not attempt.whole and (state.counters[DONE] or hopeless(state.window, hold, until_ns, limit_ns)):
                 break
         return _encounter(attempt, stage, _series(state), until_s, self._method)
 
@@ -150,6 +151,7 @@ def _series(state: State) -> Series:
         z_m=floats[:, Z_M].copy(),
         pose_sigma_m=floats[:, SIGMA_M].copy(),
         right=ints[:, RIGHT] != 0,
+        same=ints[:, SAME] != 0,
     )
 
 
@@ -168,6 +170,7 @@ def _encounter(attempt: Attempt, stage: Stage, series: Series, played_s: float, 
         start_s=None if first is None else int(series.capture_ns[first]) * 1e-9 - EPOCH_S,
         commit_s=None if done is None else int(series.now_ns[done]) * 1e-9 - EPOCH_S,
         right=None if done is None else bool(series.right[done]),
+        same=None if done is None else bool(series.same[done]),
         misses=dict(misses),
         simulated_s=played_s,
         circumstances=stage.circumstances,

@@ -16,8 +16,15 @@ from flight.tracking import (
     _ACCELERATION_SIGMA_MPS2,
     _AMBIGUITY,
     _GATE_FLOOR_M,
+    _GATE_LEAST_M,
+    _GATE_MOST_M,
     _MEASUREMENT_SIGMA_M,
     _MIN_DESCENT,
+    _RIVAL_REACH_M,
+    _RIVAL_S,
+    _RIVAL_SHARE,
+    _UNSEEN_REACH_M,
+    _UNSEEN_S,
     MIN_SCORE,
 )
 from hil.geometric_kernels import BOX_COLUMNS, EXTENT_COLUMNS, FRAME_COLUMNS, distorted, fold, kernel, place
@@ -45,10 +52,12 @@ MARKER_COLUMNS = 10
 # Columns of a detection: x, y, w, h, score, whose box it is.
 SCORE, WHOSE = 4, 5
 FOUND_COLUMNS = 6
-# The follower: position 3, velocity 3, variances pp, pv, vv, stamp in s.
-POSITION, VELOCITY, PP, PV, VV, AT = 0, 3, 6, 7, 8, 9
-FOLLOWER_SIZE = 10
+# The follower: position 3, velocity 3, variances pp, pv, vv, stamp in s; the nearest other object, m, and when, s;
+# whether it has begun: D1 is given the right object, and has followed it for a while.
+POSITION, VELOCITY, PP, PV, VV, AT, RIVAL, RIVAL_AT, BEGUN = 0, 3, 6, 7, 8, 9, 10, 11, 12
+FOLLOWER_SIZE = 13
 NOBODY = -1.0
+NOTHING, UNSURE = -1, -2  # instead of a row
 
 
 class Eyes(NamedTuple):
@@ -156,8 +165,54 @@ def _updated(follower, measured, at_s):
 
 
 @kernel
-def _chosen(found, many, u, v, gate):
-    """Row of the detection nearest to a pixel; -1 when there is none in the gate, -2 when two are as near."""
+def _gate(follower, sigma, at_s):
+    most = _GATE_MOST_M
+    if at_s - follower[RIVAL_AT] <= _RIVAL_S:
+        most = min(most, _RIVAL_SHARE * follower[RIVAL])
+    return max(_GATE_LEAST_M, min(3.0 * sigma + _GATE_FLOOR_M, most))
+
+
+@kernel
+def _rival(found, many, row):
+    """Distance of the nearest other detection from the chosen one."""
+    nearest = np.inf
+    for i in range(many):
+        if i != row and found[i, SCORE] >= MIN_SCORE:
+            off = math.hypot(
+                found[i, 0] + 0.5 * found[i, 2] - found[row, 0] - 0.5 * found[row, 2],
+                found[i, 1] + 0.5 * found[i, 3] - found[row, 1] - 0.5 * found[row, 3],
+            )
+            nearest = min(nearest, off)
+    return nearest
+
+
+@kernel
+def _designated(found, many):
+    """Row of the target's own detection."""
+    for i in range(many):
+        if found[i, WHOSE] == 0.0 and found[i, SCORE] >= MIN_SCORE:
+            return i
+    return NOTHING
+
+
+@kernel
+def _apart(found, many, u, v):
+    """How far the two detections nearest to a pixel are from each other."""
+    row = -1
+    first = np.inf
+    for i in range(many):
+        off = math.hypot(found[i, 0] + 0.5 * found[i, 2] - u, found[i, 1] + 0.5 * found[i, 3] - v)
+        if found[i, SCORE] >= MIN_SCORE and off < first:
+            first, row = off, i
+    return _rival(found, many, row)
+
+
+@kernel
+def _chosen(found, many, u, v, gate, alone):
+    """Row of the detection nearest to a pixel; ``NOTHING`` when none is in the gate, ``UNSURE`` when two are as near.
+
+    ``alone``: there must be no other at all.
+    """
     first, second, row = np.inf, np.inf, -1
     for i in range(many):
         if found[i, SCORE] < MIN_SCORE:
@@ -168,8 +223,8 @@ def _chosen(found, many, u, v, gate):
         elif off < second:
             second = off
     if row < 0 or first > gate:
-        return -1
-    return -2 if first > _AMBIGUITY * second else row
+        return NOTHING
+    return UNSURE if (alone and second < np.inf) or first > _AMBIGUITY * second else row
 
 
 @kernel
@@ -205,13 +260,20 @@ def sender_sees(first, last, eyes, flown, depths, holes, times, R_n_c, t_n_c, le
         visible, u, v = sees(lens, x, y, z)
         if not visible:
             continue
-        gate = lens[0] * (3.0 * sigma + _GATE_FLOOR_M) / z
-        region[0], region[1], region[2], region[3] = u - gate, v - gate, u + gate, v + gate
+        gate_m, scale = _gate(follower, sigma, times[k]), lens[0] / z
+        unseen = times[k] - follower[AT] > _UNSEEN_S
+        gate = scale * gate_m
+        reach = scale * (_UNSEEN_REACH_M if unseen else max(gate_m / _AMBIGUITY, _RIVAL_REACH_M))
+        region[0], region[1], region[2], region[3] = u - reach, v - reach, u + reach, v + reach
         count = _before(eyes, flown, k, things, ids, boxes, extents, frame)
         many = _boxes_of(eyes, flown.frame[k], count, ids, boxes, extents, region, seen, rows, found)
-        row = _chosen(found, many, u, v, gate)
+        row = _chosen(found, many, u, v, gate, unseen) if follower[BEGUN] else _designated(found, many)
+        if row != NOTHING:
+            rival = _apart(found, many, u, v) if row == UNSURE else _rival(found, many, row)
+            if rival < np.inf and (rival / scale <= follower[RIVAL] or times[k] - follower[RIVAL_AT] > _RIVAL_S):
+                follower[RIVAL], follower[RIVAL_AT] = rival / scale, times[k]
         if row < 0:
-            out[STATUS] = LOST if row == -1 else UNCLEAR
+            out[STATUS] = LOST if row == NOTHING else UNCLEAR
             continue
         out[STATUS], out[WHO] = SEEN, found[row, WHOSE]
         box = (found[row, 0], found[row, 1], found[row, 2], found[row, 3])
@@ -242,6 +304,8 @@ def sender_sees(first, last, eyes, flown, depths, holes, times, R_n_c, t_n_c, le
         for i in range(3):
             along = R_n_c[k, i, 0] * ray_x + R_n_c[k, i, 1] * ray_y + R_n_c[k, i, 2]
             measured[i] = t_n_c[k, i] + depth * along
+        if follower[BEGUN] == 0.0:  # its own errors are in what it has followed
+            follower[BEGUN], follower[POSITION : POSITION + 3] = 1.0, measured
         _updated(follower, measured, times[k])
 
 

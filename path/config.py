@@ -54,8 +54,8 @@ class EvidenceConfig:
 class MethodConfig:
     """Everything the method can be told; the same on both drones.
 
-    ``tau_min``, ``tau_max`` and ``z0_m`` are not published: these defaults are plausible values, and are to be
-    replaced by those of a ROC sweep (false accepts against rejected true pairs).
+    ``tau_min``, ``tau_max`` and ``z0_m`` are not published: these defaults are ours, held against a sweep of false
+    accepts and rejected true pairs (docs/decisions/0012-thresholds.md).
 
     Attributes:
         box_mapping: map the centre of D2's box, then rescale ("center"), or its corner as the paper does ("corner",

@@ -142,8 +142,8 @@ def settled(place: Vec3) -> TargetTrack:
     [(0.0, 0.25, True), (0.05, 0.2, True), (0.1, -0.12, False), (0.1, 0.15, False), (0.02, 0.6, True)],
 )
 def test_a_look_alike_nearly_as_near_is_not_told_apart(target_m: float, other_m: float, told_apart: bool) -> None:
-    track = settled(PLACE)
     for order in (1, -1):
+        track = settled(PLACE)
         view = FakeView([beside(PLACE, target_m), beside(PLACE, other_m)][::order], track.stamp_ns + SECOND // 50)
         seen = follow(view, T_N_C, CAMERA, track)
         if told_apart:
@@ -166,14 +166,39 @@ def test_an_ambiguous_frame_leaves_the_track_as_it_was() -> None:
     assert (track.position_n_m, track.velocity_n_mps, track.seen_ns) == before
 
 
-def test_the_target_is_found_again_where_it_must_be_after_a_gap() -> None:
-    """It moved 0.4 m unseen, a look-alike stands where it was."""
+@pytest.mark.parametrize(("gap_s", "beside_it", "found"), [(0.3, True, True), (1.0, True, False), (1.0, False, True)])
+def test_the_target_is_found_again_where_it_must_be_after_a_gap(gap_s: float, beside_it: bool, found: bool) -> None:
+    """It moved on unseen; a look-alike may stand where it was. After a while only what is alone is taken for it."""
     track = TargetTrack(PLACE, 0)
     for k in range(1, 101):
         tracked(FakeView([beside(PLACE, 0.4 * k / 50)], k * SECOND // 50), track)
     gone = beside(PLACE, 0.8)
-    view = FakeView([gone, beside(gone, 0.4)], track.stamp_ns + SECOND)
-    assert tracked(view, track).box == view.boxes()[1]
+    places = [*([gone] if beside_it else []), beside(gone, 0.4 * gap_s)]
+    view = FakeView(places, track.stamp_ns + round(gap_s * SECOND))
+    seen = follow(view, T_N_C, CAMERA, track)
+    if found:
+        assert isinstance(seen, Sighting)
+        assert seen.box == view.boxes()[-1]
+    else:
+        assert seen is MissReason.AMBIGUOUS_TARGET
+
+
+def test_what_was_seen_beside_the_target_is_never_taken_for_it() -> None:
+    """The target is not detected for a while; the look-alike 0.3 m beside it is, alone, all the time."""
+    track, other = settled(PLACE), beside(PLACE, 0.3)
+    tracked(FakeView([PLACE, other], track.stamp_ns + SECOND // 50), track)
+    begin_ns = track.stamp_ns
+    for k in range(1, 140):
+        assert isinstance(follow(FakeView([other], begin_ns + k * SECOND // 50), T_N_C, CAMERA, track), MissReason)
+    assert tracked(FakeView([PLACE], begin_ns + 140 * SECOND // 50), track).box == FakeView([PLACE]).boxes()[0]
+
+
+def test_an_object_farther_off_does_not_make_a_nearer_one_forgotten() -> None:
+    track, other = settled(PLACE), beside(PLACE, 0.3)
+    tracked(FakeView([PLACE, other], track.stamp_ns + SECOND // 50), track)
+    tracked(FakeView([PLACE, beside(PLACE, -0.5)], track.stamp_ns + SECOND // 50), track)
+    view = FakeView([other], track.stamp_ns + SECOND // 5)
+    assert follow(view, T_N_C, CAMERA, track) is MissReason.NO_TARGET
 
 
 def test_without_depth_the_target_is_followed_at_the_height_it_had() -> None:
