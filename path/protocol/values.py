@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from enum import Enum
+from typing import Literal
 
 from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Confirm, Message, Target
 
 LAST_EPOCH = 65535
+
+SenderDuty = Literal["mine", "released", "handed_over"]
+ReceiverDuty = Literal["observing", "provisional", "holding", "let_go"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +80,6 @@ class Refusal(Enum):
     LEASE_OVER = "lease_over"
     NO_CLOCK = "no_clock"
     NOT_ABLE = "not_able"
-    NOT_RESPONSIBLE = "not_responsible"
     EPOCHS_EXHAUSTED = "epochs_exhausted"
 
 
@@ -194,16 +197,50 @@ class Send:
 
 
 @dataclass(frozen=True, slots=True)
-class PersistEpoch:
-    """Write this down, and only then go on: after a restart the machine begins with it.
+class SenderRecord:
+    """What a restarted sender has to know. Instants are of its own clock.
 
     Attributes:
-        epoch: sender: the last one used; receiver: the lowest one it still takes.
-        released: sender only: it gave the target away in this epoch and has not taken it back.
+        epoch: the last one used.
+        duty: "mine" (responsible), "released" (committed, nothing confirmed) or "handed_over" (accepted).
+        live: the attempt it is released or handed over in; None when it is neither.
+        nonce, lease_end_ns, take_back_ns: of its COMMIT; 0 when there is none.
+        withdrawn: the attempt was aborted after the COMMIT.
     """
 
-    epoch: int
-    released: bool = False
+    epoch: int = 0
+    duty: SenderDuty = "mine"
+    live: Handoff | None = None
+    nonce: int = 0
+    lease_end_ns: int = 0
+    take_back_ns: int = 0
+    withdrawn: AbortReason | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReceiverRecord:
+    """What a restarted receiver has to know. Instants are of its own clock.
+
+    Attributes:
+        epoch: the lowest one it still takes.
+        duty: "observing", "provisional", "holding" (responsible for good) or "let_go".
+        live: the attempt it holds, or let go, the target in; None while observing.
+        nonce, lease_end_ns, sure_ns: of what it accepted; 0 while observing.
+    """
+
+    epoch: int = 0
+    duty: ReceiverDuty = "observing"
+    live: Handoff | None = None
+    nonce: int = 0
+    lease_end_ns: int = 0
+    sure_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Persist:
+    """Write this down, and only then go on: after a restart the machine begins with it."""
+
+    record: SenderRecord | ReceiverRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,5 +275,5 @@ class Refused:
     why: Refusal
 
 
-Action = Send | PersistEpoch | TakeResponsibility | Release | Ended | Settled | Refused
+Action = Send | Persist | TakeResponsibility | Release | Ended | Settled | Refused
 Actions = tuple[Action, ...]

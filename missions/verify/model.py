@@ -1,0 +1,187 @@
+"""A small world around the two protocol machines, in which everything that can go wrong may go wrong at any moment.
+
+One tick is one nanosecond of the machines. Instants are kept relative to the present of the sender's clock, so that the
+same situation at another time is the same state: what is reachable is finite, and all of it is explored.
+
+What the world may do at any moment:
+
+- deliver any packet, keep a copy of it (duplication), deliver it later (delay, reordering) or never (loss);
+- let a tick pass, in which the receiver's clock runs slow, right or fast, always within the uncertainty that both sides
+  have been told; either program may notice the time late, by up to the guard;
+- let either drone send what it sends all the time (Targets, Candidates, Status);
+- complete an agreement, report one of another epoch or of another object, let a pilot abort on either side;
+- kill either program between any two of its actions, and start it again with what it had written down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
+
+from path.messages import Accept, Candidate, Commit, Confirm, Message, Role, Status, Target
+from path.observations import MissReason
+from path.protocol.values import Handoff, ProtocolConfig
+
+TICK_S = 1e-9
+HANDOFF_ID, TARGET_ID, OTHER_ID = 1, 1, 2
+STATUS_AGE = -3  # ticks after which a delayed Status is dropped, as the link drops what is stale
+ORIGIN = (0.0, 0.0, 0.0)
+DOWN = (0.0, 0.0, 1.0)
+
+Side = Literal["sender", "receiver"]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """How large a world is explored; times in ticks.
+
+    Attributes:
+        in_flight: packets between the drones at a time; one more is lost.
+        crashes, aborts: how often each may happen; ``attempts``: how often the sender begins.
+        uncertainty: bound on the difference of the clocks, which wanders within it, by a tick a tick.
+        lease, retry, guard, settle, offer, handoff: as of the protocol.
+        chatter: Targets, Candidates and Status too may be delayed and reordered; otherwise they come at once or never.
+    """
+
+    in_flight: int = 4
+    crashes: int = 0
+    aborts: int = 0
+    attempts: int = 1
+    uncertainty: int = 1
+    lease: int = 5
+    retry: int = 2
+    guard: int = 1
+    settle: int = 2
+    offer: int = 4
+    handoff: int = 6
+    chatter: bool = False
+
+    @property
+    def config(self) -> ProtocolConfig:
+        return ProtocolConfig(
+            offer_s=self.offer * TICK_S,
+            handoff_s=self.handoff * TICK_S,
+            lease_s=self.lease * TICK_S,
+            retry_s=self.retry * TICK_S,
+            guard_s=self.guard * TICK_S,
+            settle_s=self.settle * TICK_S,
+            max_uncertainty_s=self.uncertainty * TICK_S,
+        )
+
+    @property
+    def longest_gap(self) -> int:
+        """L2: nobody is responsible for longer than lease and clock uncertainty, and the lateness of a program."""
+        return self.lease + self.uncertainty + self.guard
+
+    @property
+    def past(self) -> int:
+        """Instants longer ago than this are all alike: no comparison of the machines tells them apart any more."""
+        return 2 * self.uncertainty + self.guard + 1 - STATUS_AGE
+
+
+class Packet(NamedTuple):
+    to: Side
+    message: Message
+
+
+class World(NamedTuple):
+    """One situation: numbers of interned values, see ``Values``. All instants are relative to the sender's clock.
+
+    Attributes:
+        skew: the receiver's clock less the sender's.
+        sender_kept, receiver_kept: what each has on disk; of no interest, and so always 0, when nobody can crash.
+        agreed: the epoch in which the agreement was complete; 0 before.
+        alone: ticks since somebody was responsible; no higher than one above the longest that is allowed.
+    """
+
+    sender: int
+    receiver: int
+    skew: int
+    packets: frozenset[int]
+    crashes: int
+    aborts: int
+    attempts: int
+    sender_kept: int
+    receiver_kept: int
+    agreed: int
+    alone: int
+
+
+class Interned(Generic[T]):
+    """Values by small numbers: worlds of numbers are cheap to compare, and what a machine does is worked out once."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[T, int] = {}
+        self.values: list[T] = []
+
+    def __call__(self, value: T) -> int:
+        number = self._numbers.get(value)
+        if number is None:
+            number = self._numbers[value] = len(self.values)
+            self.values.append(value)
+        return number
+
+
+def later(value: Any, past: int) -> Any:
+    """The same value a tick later: its instants (fields in ``_ns``) are that much nearer, or longer ago."""
+    changed: dict[str, Any] = {}
+    for field in fields(value):
+        old = getattr(value, field.name)
+        if field.name.endswith("_ns"):
+            changed[field.name] = max(old - 1, -past)
+        elif is_dataclass(old) and not isinstance(old, type):
+            changed[field.name] = later(old, past)
+    return replace(value, **changed) if changed else value
+
+
+def packet_later(packet: Packet, past: int) -> Packet | None:
+    """A tick later; only instants that a machine looks at age. None for a Status that is too old to be told apart."""
+    message = packet.message
+    if isinstance(message, Commit):
+        return Packet(packet.to, replace(message, lease_end_ns=max(message.lease_end_ns - 1, -past)))
+    if isinstance(message, Status):
+        aged = replace(message, stamp_ns=message.stamp_ns - 1)
+        return Packet(packet.to, aged) if aged.stamp_ns > STATUS_AGE else None
+    return packet
+
+
+def target(live: Handoff) -> Target:
+    return Target(live.handoff_id, live.epoch, live.target_id, 0, 0, ORIGIN, DOWN, 0.0)
+
+
+def candidate(live: Handoff) -> Candidate:
+    return Candidate(
+        live.handoff_id, live.epoch, live.target_id, 0, 0, 0, None, MissReason.NO_CANDIDATE, ORIGIN,
+        (1.0, 0.0, 0.0, 0.0), 0.0,
+    )  # fmt: skip
+
+
+def status(role: Role, responsible: bool, stamp: int) -> Status:
+    return Status(role, stamp, ORIGIN, ORIGIN, 0.0, 0, responsible, True, 1.0)
+
+
+def later_packet(packet: Packet, past: int) -> Packet:
+    """A tick later. Only instants that a machine looks at age."""
+    message = packet.message
+    if isinstance(message, Commit):
+        return Packet(packet.to, replace(message, lease_end_ns=max(message.lease_end_ns - 1, -past)))
+    if isinstance(message, Status):
+        return Packet(packet.to, replace(message, stamp_ns=max(message.stamp_ns - 1, -past)))
+    return packet
+
+
+def unstamped(message: Message) -> Message:
+    """Without the stamps that no machine looks at: packets that say the same are the same."""
+    return message if isinstance(message, Status | Target | Candidate) else replace(message, stamp_ns=0)
+
+
+def misdirected(message: Message) -> tuple[Message, ...]:
+    """The same word about another handoff, object or commit: nothing may follow from it (S6).
+
+    A first Commit brings its nonce, so another nonce is as good.
+    """
+    if not isinstance(message, Target | Candidate | Commit | Accept | Confirm):
+        return ()
+    wrong = (replace(message, handoff_id=HANDOFF_ID + 1), replace(message, target_id=OTHER_ID))
+    return (*wrong, replace(message, nonce=message.nonce + 1)) if isinstance(message, Accept | Confirm) else wrong

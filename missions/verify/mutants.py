@@ -1,0 +1,145 @@
+"""Machines that skip one rule each. An explorer that does not catch every one of them proves nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from types import ModuleType
+from typing import Any
+
+from missions.verify.model import Scope
+from path.protocol import receiver, sender
+from path.protocol.values import Persist, Release, Send
+
+Patch = tuple[ModuleType, str, Callable[[Any], Any]]
+"""Module, name of a function in it, and what makes the wrong function from the right one."""
+
+SMALL = Scope(in_flight=2, lease=4)
+CRASHING = replace(SMALL, crashes=1)
+ABORTING = replace(SMALL, aborts=1)
+TWICE = replace(SMALL, attempts=2)
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """A rule that is skipped, the invariants one of which this must break, and a scope in which it does."""
+
+    rule: str
+    breaks: tuple[str, ...]
+    patches: Sequence[Patch]
+    scope: Scope = field(default=SMALL)
+
+
+@contextmanager
+def wrong(mutant: Mutant) -> Generator[None, None, None]:
+    """The machines, wrong in this one way."""
+    right = [(module, name, getattr(module, name)) for module, name, _ in mutant.patches]
+    try:
+        for module, name, make in mutant.patches:
+            setattr(module, name, make(getattr(module, name)))
+        yield
+    finally:
+        for module, name, function in right:
+            setattr(module, name, function)
+
+
+def _without_persist(step: Any) -> Any:
+    """The same step, which writes nothing down."""
+
+    def forgetful(*arguments: Any) -> Any:
+        state, actions = step(*arguments)
+        return state, tuple(action for action in actions if not isinstance(action, Persist))
+
+    return forgetful
+
+
+def _early(commit: Any) -> Any:
+    def impatient(*arguments: Any) -> Any:
+        state, actions = commit(*arguments)
+        if isinstance(state, sender.AwaitingAccept):
+            state = replace(state, take_back_ns=state.commit.lease_end_ns)
+        return state, actions
+
+    return impatient
+
+
+def _commit_first(commit: Any) -> Any:
+    def hasty(*arguments: Any) -> Any:
+        state, actions = commit(*arguments)
+        order = (Send, Persist, Release)
+        return state, tuple(sorted(actions, key=lambda action: order.index(type(action))))
+
+    return hasty
+
+
+def _agreement_of_anything(commit: Any) -> Any:
+    def careless(config: Any, state: Any, agreed: Any, now_ns: int) -> Any:
+        return commit(config, state, replace(agreed, epoch=state.live.epoch, target_id=state.live.target_id), now_ns)
+
+    return careless
+
+
+def _same_epoch_again(offer: Any) -> Any:
+    def repeating(config: Any, state: Any, event: Any, now_ns: int) -> Any:
+        before = replace(state, epoch=state.epoch - 1) if isinstance(state, sender.Idle) else state
+        return offer(config, before, event, now_ns)
+
+    return repeating
+
+
+def _takes_back_when_unsure(settle: Any) -> Any:
+    def greedy(state: Any, outcome: Any) -> Any:
+        after, actions = settle(state, outcome)
+        return (sender.Idle(state.live.epoch), actions) if outcome.alarming else (after, actions)
+
+    return greedy
+
+
+def _confirms_what_was_aborted(hear_accept: Any) -> Any:
+    def deaf(config: Any, state: Any, accept: Any, now_ns: int) -> Any:
+        same = accept.nonce == state.commit.nonce
+        return hear_accept(config, replace(state, withdrawn=None) if same else state, accept, now_ns)
+
+    return deaf
+
+
+def _any_nonce(hear_accept: Any) -> Any:
+    def trusting(config: Any, state: Any, accept: Any, now_ns: int) -> Any:
+        return hear_accept(config, state, replace(accept, nonce=state.commit.nonce), now_ns)
+
+    return trusting
+
+
+def _always(value: Any) -> Callable[[Any], Any]:
+    return lambda _: lambda *_arguments, **_named: value
+
+
+def _never_taken_back(_: Any) -> Any:
+    return lambda state: (state, ())
+
+
+MUTANTS = (
+    Mutant("the receiver keeps its lease to the end of its own clock", ("S1", "S3"), [
+        (receiver, "_lease_end_ns", lambda _: lambda config, lease_end_ns, uncertainty_ns: lease_end_ns)]),
+    Mutant("the receiver leaves its program no time to be late", ("S1",), [
+        (receiver, "_lease_end_ns", lambda _: lambda config, lease_end_ns, uncertainty_ns: lease_end_ns - uncertainty_ns)]),
+    Mutant("the sender takes back without the clocks' uncertainty", ("S1", "S4"), [(sender, "_commit", _early)]),
+    Mutant("the sender does not write down that it released", ("S1",), [(sender, "_commit", _without_persist)], CRASHING),
+    Mutant("the sender does not write down that it was accepted", ("S1", "L2"), [
+        (sender, "_hear_accept", _without_persist)], CRASHING),
+    Mutant("the sender begins again in the epoch it had", ("S2",), [(sender, "_offer", _same_epoch_again)], TWICE),
+    Mutant("the receiver does not write its epoch down", ("S2",), [(receiver, "step", _without_persist)], CRASHING),
+    Mutant("the receiver takes over whenever a COMMIT comes", ("S2", "S3"), [(receiver, "_lease_refusal", _always(None))]),
+    Mutant("the sender says COMMIT, and then releases", ("S4",), [(sender, "_commit", _commit_first)]),
+    Mutant("the sender takes back when it is not sure", ("S1", "S4"), [(sender, "_settle", _takes_back_when_unsure)]),
+    Mutant("any agreement is good enough for a COMMIT", ("S5",), [(sender, "_commit", _agreement_of_anything)], TWICE),
+    Mutant("the sender takes words about other handoffs", ("S6",), [(sender, "mismatch", _always(None))]),
+    Mutant("the receiver takes words about other handoffs", ("S6",), [(receiver, "mismatch", _always(None))]),
+    Mutant("the sender takes an ACCEPT of any COMMIT", ("S6",), [(sender, "_hear_accept", _any_nonce)]),
+    Mutant("the sender waits for an agreement for ever", ("L1",), [(sender, "_deadline_ns", _always(1 << 40))]),
+    Mutant("the sender never takes back", ("L1", "L2"), [(sender, "_take_back", _never_taken_back)]),
+    Mutant("the sender confirms what it has aborted", ("L2",), [
+        (sender, "_hear_accept", _confirms_what_was_aborted)], ABORTING),
+)  # fmt: skip
+"""At least one for each invariant."""
