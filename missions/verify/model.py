@@ -5,10 +5,11 @@ same situation at another time is the same state: what is reachable is finite, a
 
 What the world may do at any moment:
 
-- deliver any packet, keep a copy of it (duplication), deliver it later (delay, reordering) or never (loss);
+- deliver any packet that was ever sent: at once, later (delay, reordering), again (duplication) or never (loss). Nothing
+  is ever taken off the link, so any number of packets is in flight, and a lost one is one that is never delivered;
 - let a tick pass, in which the receiver's clock runs slow, right or fast, always within the uncertainty that both sides
   have been told; either program may notice the time late, by up to the guard;
-- let either drone send what it sends all the time (Targets, Candidates, Status);
+- both drones say all the time what they say all the time (Targets, Candidates, Status), and that too is kept;
 - complete an agreement, report one of another epoch or of another object, let a pilot abort on either side;
 - kill either program between any two of its actions, and start it again with what it had written down.
 """
@@ -37,14 +38,11 @@ class Scope:
     """How large a world is explored; times in ticks.
 
     Attributes:
-        in_flight: packets between the drones at a time; one more is lost.
         crashes, aborts: how often each may happen; ``attempts``: how often the sender begins.
         uncertainty: bound on the difference of the clocks, which wanders within it, by a tick a tick.
         lease, retry, guard, settle, offer, handoff: as of the protocol.
-        chatter: Targets, Candidates and Status too may be delayed and reordered; otherwise they come at once or never.
     """
 
-    in_flight: int = 4
     crashes: int = 0
     aborts: int = 0
     attempts: int = 1
@@ -55,7 +53,6 @@ class Scope:
     settle: int = 2
     offer: int = 4
     handoff: int = 6
-    chatter: bool = False
 
     @property
     def config(self) -> ProtocolConfig:
@@ -179,9 +176,9 @@ def unstamped(message: Message) -> Message:
 def misdirected(message: Message) -> tuple[Message, ...]:
     """The same word about another handoff, object or commit: nothing may follow from it (S6).
 
-    A first Commit brings its nonce, so another nonce is as good.
+    A Target begins an attempt and a first Commit brings its nonce: another is as good.
     """
-    if not isinstance(message, Target | Candidate | Commit | Accept | Confirm):
+    if not isinstance(message, Candidate | Commit | Accept | Confirm):
         return ()
     wrong = (replace(message, handoff_id=HANDOFF_ID + 1), replace(message, target_id=OTHER_ID))
     return (*wrong, replace(message, nonce=message.nonce + 1)) if isinstance(message, Accept | Confirm) else wrong

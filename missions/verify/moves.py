@@ -78,15 +78,17 @@ class Moves:
         self._receiver_records = Interned[ReceiverRecord]()
         self._sender_effects: dict[tuple[int, SenderEvent], _Effect] = {}
         self._receiver_effects: dict[tuple[int, int, ReceiverEvent], _Effect] = {}
+        self._words: dict[tuple[int, int, int], frozenset[int]] = {}
         self._aged: dict[tuple[str, int], int] = {}
 
     def start(self, skew: int) -> World:
         """The sender is responsible and has begun nothing; the receiver observes."""
-        return World(
+        first = World(
             self._senders(sender.Idle()), self._receivers(receiver.Observing()), skew, frozenset(),
             self.scope.crashes, self.scope.aborts, self.scope.attempts,
             self._sender_records(SenderRecord()), self._receiver_records(ReceiverRecord()), 0, 0,
         )  # fmt: skip
+        return first._replace(packets=self._said(first))
 
     def sender_of(self, world: World) -> sender.SenderState:
         return self._senders.values[world.sender]
@@ -110,11 +112,8 @@ class Moves:
     def _link(self, world: World) -> Iterator[Move]:
         for number in world.packets:
             packet = self._packets.values[number]
-            without = world._replace(packets=world.packets - {number})
             name = type(packet.message).__name__
-            yield Move(f"{name} is lost", without)
-            yield from self._deliver(without, packet, f"{name} reaches the {packet.to}")
-            yield from self._deliver(world, packet, f"{name} reaches the {packet.to}, and will again")
+            yield from self._deliver(world, packet, f"{name} reaches the {packet.to}")
             for message in misdirected(packet.message):
                 if self._changes(world, Packet(packet.to, message)):
                     yield Move(f"a misdirected {name} reaches the {packet.to}", world, "S6")
@@ -171,6 +170,7 @@ class Moves:
             receiver_kept=self._later("receiver record", self._receiver_records, world.receiver_kept),
             alone=min(world.alone + 1, self.scope.longest_gap + 1) if self.nobody(world) else 0,
         )
+        after = after._replace(packets=after.packets | self._said(after))
         return Move("a tick passes", after, self._overdue(after))
 
     def _later(self, kind: str, interned: Interned[Any], number: int) -> int:
@@ -227,9 +227,6 @@ class Moves:
         if world.aborts:
             upset = world._replace(aborts=world.aborts - 1)
             yield from self._tell_sender(upset, AbortRequested(AbortReason.PILOT), "a pilot takes the sender")
-        yield from self._say(world, Packet("receiver", status(Role.SENDER, sender.is_responsible(state), 0)))
-        if not isinstance(state, sender.Idle | sender.HandedOver):
-            yield from self._say(world, Packet("receiver", target(state.live)))
 
     def _agreements(self, world: World, live: Handoff) -> Iterator[Move]:
         nonce, told = 100 * live.epoch, self.scope.uncertainty
@@ -247,18 +244,23 @@ class Moves:
         if world.aborts:
             upset = world._replace(aborts=world.aborts - 1)
             yield from self._tell_receiver(upset, AbortRequested(AbortReason.PILOT), "a pilot takes the receiver")
-        word = status(Role.RECEIVER, receiver.is_responsible(state), world.skew)
-        yield from self._say(world, Packet("sender", word))
-        if state.live is not None:
-            yield from self._say(world, Packet("sender", candidate(state.live)))
 
-    def _say(self, world: World, packet: Packet) -> Iterator[Move]:
-        """What is said all the time comes at once or never; with chatter, it may also come later."""
-        name = type(packet.message).__name__
-        yield from self._deliver(world, packet, f"a new {name} reaches the {packet.to}")
-        if self.scope.chatter and len(world.packets) < self.scope.in_flight:
-            packets = world.packets | {self._packets(packet)}
-            yield Move(f"a {name} is on its way to the {packet.to}", world._replace(packets=packets))
+    def _said(self, world: World) -> frozenset[int]:
+        """What both drones say in this world, as they say it all the time."""
+        found = self._words.get((world.sender, world.receiver, world.skew))
+        if found is None:
+            state, held = self.sender_of(world), self.receiver_of(world)
+            said = [
+                Packet("receiver", status(Role.SENDER, sender.is_responsible(state), 0)),
+                Packet("sender", status(Role.RECEIVER, receiver.is_responsible(held), world.skew)),
+            ]
+            if not isinstance(state, sender.Idle | sender.HandedOver):
+                said.append(Packet("receiver", target(state.live)))
+            if held.live is not None:
+                said.append(Packet("sender", candidate(held.live)))
+            found = frozenset(self._packets(packet) for packet in said)
+            self._words[world.sender, world.receiver, world.skew] = found
+        return found
 
     def _crashes(self, world: World) -> Iterator[Move]:
         for same_clock, how in ((True, "killed and started again"), (False, "lost to a reboot and started again")):
@@ -268,12 +270,14 @@ class Moves:
     def _reborn_sender(self, world: World, kept: int, what: str, same_clock: bool) -> Move:
         state = sender.restored(self._config, self._sender_records.values[kept], 0, same_clock=same_clock)
         alone = world.alone if same_clock else 0  # a reboot's clock begins anew, and so does what is waited for
+        kept = self._sender_records(sender.record(state))
         after = world._replace(sender=self._senders(state), sender_kept=kept, crashes=world.crashes - 1, alone=alone)
         return self._checked(world, after, what)
 
     def _reborn_receiver(self, world: World, kept: int, what: str, same_clock: bool) -> Move:
         record = self._receiver_records.values[kept]
         state = receiver.restored(self._config, record, world.skew, same_clock=same_clock)
+        kept = self._receiver_records(receiver.record(state))
         after = world._replace(receiver=self._receivers(state), receiver_kept=kept, crashes=world.crashes - 1)
         return self._checked(world, after, what)
 
@@ -328,11 +332,11 @@ class Moves:
         if any(commit.epoch != world.agreed or commit.target_id != TARGET_ID for commit in effect.commits):
             broken = broken or "S5"
         kept = world.sender_kept if effect.kept is None else effect.kept
-        after = world._replace(sender=effect.state, sender_kept=kept, packets=self._with(world, effect.sent))
+        after = world._replace(sender=effect.state, sender_kept=kept, packets=world.packets.union(effect.sent))
         yield self._checked(world, after, what, broken)
         if world.crashes:
             for sent, half_kept in effect.halves:
-                half = world._replace(packets=self._with(world, sent))
+                half = world._replace(packets=world.packets.union(sent))
                 kept = world.sender_kept if half_kept is None else half_kept
                 yield self._reborn_sender(half, kept, f"{what}; it is killed half-way", same_clock=True)
 
@@ -342,21 +346,13 @@ class Moves:
         effect = self._receiver_effect(world, event)
         broken = effect.broken or ("L1" if awaited and effect.state == world.receiver else "")
         kept = world.receiver_kept if effect.kept is None else effect.kept
-        after = world._replace(receiver=effect.state, receiver_kept=kept, packets=self._with(world, effect.sent))
+        after = world._replace(receiver=effect.state, receiver_kept=kept, packets=world.packets.union(effect.sent))
         yield self._checked(world, after, what, broken)
         if world.crashes:
             for sent, half_kept in effect.halves:
-                half = world._replace(packets=self._with(world, sent))
+                half = world._replace(packets=world.packets.union(sent))
                 kept = world.receiver_kept if half_kept is None else half_kept
                 yield self._reborn_receiver(half, kept, f"{what}; it is killed half-way", same_clock=True)
-
-    def _with(self, world: World, sent: tuple[int, ...]) -> frozenset[int]:
-        """The link with new packets on it. One that finds it full is lost."""
-        packets = world.packets
-        for number in sent:
-            if len(packets) < self.scope.in_flight:
-                packets = packets | {number}
-        return packets
 
     def _checked(self, before: World, after: World, what: str, broken: str = "") -> Move:
         was, now = self.sender_of(before), self.sender_of(after)
@@ -371,4 +367,4 @@ class Moves:
             after = after._replace(alone=0)
         if not after.crashes:
             after = after._replace(sender_kept=0, receiver_kept=0)
-        return Move(what, after, broken)
+        return Move(what, after._replace(packets=after.packets | self._said(after)), broken)

@@ -15,7 +15,7 @@ from path.protocol.values import Persist, Release, Send
 Patch = tuple[ModuleType, str, Callable[[Any], Any]]
 """Module, name of a function in it, and what makes the wrong function from the right one."""
 
-SMALL = Scope(in_flight=2, lease=4)
+SMALL = Scope(lease=4)
 CRASHING = replace(SMALL, crashes=1)
 ABORTING = replace(SMALL, aborts=1)
 TWICE = replace(SMALL, attempts=2)

@@ -105,7 +105,9 @@ def record(state: ReceiverState) -> ReceiverRecord:
 
 
 def restored(config: ProtocolConfig, kept: ReceiverRecord, now_ns: int, *, same_clock: bool = True) -> ReceiverState:
-    """The state after a restart. What was held for good still is; a lease that is over, or may be, is let go.
+    """The state after a restart, to be written down before anything else is done.
+
+    What was held for good still is; a lease that is over, or may be, is let go.
 
     Args:
         same_clock: the record's instants are of the clock that runs now; after a reboot they are not.

@@ -118,7 +118,7 @@ def record(state: SenderState) -> SenderRecord:
 
 
 def restored(config: ProtocolConfig, kept: SenderRecord, now_ns: int, *, same_clock: bool = True) -> SenderState:
-    """The state after a restart.
+    """The state after a restart, to be written down before anything else is done.
 
     What was committed and not accepted was never confirmed, so nobody can hold it for good: it is taken back after the
     lease as without the restart. What was accepted stays handed over.
@@ -129,7 +129,7 @@ def restored(config: ProtocolConfig, kept: SenderRecord, now_ns: int, *, same_cl
     """
     if kept.live is None:
         return Idle(kept.epoch)
-    longest_ns = now_ns + to_ns(config.lease_s) + 2 * to_ns(config.max_uncertainty_s)
+    longest_ns = now_ns + to_ns(config.lease_s) + to_ns(config.max_uncertainty_s)
     take_back_ns = kept.take_back_ns if same_clock else longest_ns
     if kept.duty == "handed_over":
         return HandedOver(kept.live, kept.nonce, take_back_ns, max(take_back_ns, now_ns) + to_ns(config.settle_s))

@@ -14,7 +14,8 @@ from path.protocol.values import (
     Heard,
     Outcome,
     PeerStatus,
-    PersistEpoch,
+    Persist,
+    ReceiverRecord,
     ProtocolConfig,
     Refusal,
     Refused,
@@ -39,7 +40,7 @@ PILOT = AbortRequested(AbortReason.PILOT)
 
 def joined() -> ReceiverMachine:
     machine = ReceiverMachine(CONFIG)
-    assert machine.step(Heard(TARGET), T0) == (PersistEpoch(5),)
+    assert machine.step(Heard(TARGET), T0) == (Persist(ReceiverRecord(5)),)
     return machine
 
 
@@ -83,7 +84,7 @@ def test_without_confirm_it_lets_go_before_the_lease_ends_on_any_clock() -> None
     assert machine.responsible
     actions = machine.step(Tick(), LEASE_END)
     told = Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END))
-    assert actions == (Release(), PersistEpoch(6), told, Ended(Outcome.LET_GO))
+    assert actions == (Release(), Persist(ReceiverRecord(6)), told, Ended(Outcome.LET_GO))
     assert not machine.responsible and Outcome.LET_GO.alarming
 
 
@@ -119,7 +120,7 @@ def test_it_takes_over_only_on_the_live_commit(heard: CommitHeard, why: Refusal)
 
 def test_a_commit_without_any_target_heard_is_refused() -> None:
     assert ReceiverMachine(CONFIG).step(HEARD, T0) == (Refused(Refusal.UNKNOWN_EPOCH),)
-    assert ReceiverMachine(CONFIG, epoch=6).step(HEARD, T0) == (Refused(Refusal.LOWER_EPOCH),)
+    assert ReceiverMachine(CONFIG, Observing(6)).step(HEARD, T0) == (Refused(Refusal.LOWER_EPOCH),)
 
 
 def test_one_nonce_an_epoch() -> None:
@@ -144,20 +145,20 @@ def test_an_epoch_let_go_is_never_taken_again() -> None:
     late = replace(HEARD, lease_end_ns=T0 + 10 * S)
     assert machine.step(late, LEASE_END + 1) == (Refused(Refusal.LEASE_OVER),)
     assert machine.step(Heard(TARGET), LEASE_END + 1) == (Refused(Refusal.LOWER_EPOCH),)
-    restarted = ReceiverMachine(CONFIG, epoch=6)  # what it wrote down
+    restarted = ReceiverMachine(CONFIG, Observing(6))  # what it wrote down
     assert restarted.step(Heard(TARGET), LEASE_END + 1) == (Refused(Refusal.LOWER_EPOCH),)
     assert machine.step(Heard(replace(TARGET, epoch=6)), LEASE_END + 1) == (
         Settled(Outcome.TAKEN_BACK),
-        PersistEpoch(6),
+        Persist(ReceiverRecord(6)),
     )
 
 
 def test_lower_epochs_are_refused_and_higher_ones_beat_everything() -> None:
-    assert ReceiverMachine(CONFIG, epoch=6).step(Heard(TARGET), T0) == (Refused(Refusal.LOWER_EPOCH),)
+    assert ReceiverMachine(CONFIG, Observing(6)).step(Heard(TARGET), T0) == (Refused(Refusal.LOWER_EPOCH),)
     for machine in (provisional(), holding()):
         assert machine.step(Heard(replace(TARGET, epoch=4)), T0) == (Refused(Refusal.LOWER_EPOCH),)
         actions = machine.step(Heard(replace(TARGET, epoch=6)), T0)
-        assert actions == (Release(), Ended(Outcome.SUPERSEDED), PersistEpoch(6))
+        assert actions == (Release(), Ended(Outcome.SUPERSEDED), Persist(ReceiverRecord(6)))
         assert machine.live == Handoff(7, 6, 3) and not machine.responsible
 
 
@@ -173,10 +174,10 @@ def test_the_senders_abort_ends_it_and_spends_the_epoch() -> None:
     ended = Ended(Outcome.ABORTED, AbortReason.TARGET_LOST)
     machine = joined()
     assert machine.step(Heard(Abort(7, 4, AbortReason.PILOT, 5)), T0) == (Refused(Refusal.WRONG_HANDOFF),)
-    assert machine.step(abort, T0) == (PersistEpoch(6), ended)
+    assert machine.step(abort, T0) == (Persist(ReceiverRecord(6)), ended)
     assert machine.step(HEARD, T0) == (Refused(Refusal.LOWER_EPOCH),)
     machine = provisional()
-    assert machine.step(abort, T0) == (Release(), PersistEpoch(6), ended)
+    assert machine.step(abort, T0) == (Release(), Persist(ReceiverRecord(6)), ended)
     assert not machine.responsible
     machine = holding()
     assert machine.step(abort, T0) == (Refused(Refusal.WRONG_STATE),)
@@ -187,14 +188,14 @@ def test_the_pilots_veto() -> None:
     told = Send(Abort(7, 5, AbortReason.PILOT, T0))
     ended = Ended(Outcome.ABORTED, AbortReason.PILOT)
     machine = joined()
-    assert machine.step(PILOT, T0) == (PersistEpoch(6), told, ended)
+    assert machine.step(PILOT, T0) == (Persist(ReceiverRecord(6)), told, ended)
     assert machine.state == Observing(6)
     machine = provisional()
-    assert machine.step(PILOT, T0) == (Release(), PersistEpoch(6), told, ended)
+    assert machine.step(PILOT, T0) == (Release(), Persist(ReceiverRecord(6)), told, ended)
     assert machine.step(Heard(CONFIRM), T0)[-1] == Settled(Outcome.ORPHANED)
     assert not machine.responsible
     machine = holding()
-    assert machine.step(PILOT, T0) == (Release(), PersistEpoch(6), told, ended, Settled(Outcome.ORPHANED))
+    assert machine.step(PILOT, T0) == (Release(), Persist(ReceiverRecord(6)), told, ended, Settled(Outcome.ORPHANED))
     assert ReceiverMachine(CONFIG).step(PILOT, T0) == (Refused(Refusal.WRONG_STATE),)
 
 
@@ -204,7 +205,7 @@ def test_a_handoff_that_comes_to_nothing_ends_in_timeout() -> None:
     assert machine.wake_ns == end
     assert machine.step(Tick(), end - 1) == ()
     told = Send(Abort(7, 5, AbortReason.TIMEOUT, end))
-    assert machine.step(Tick(), end) == (PersistEpoch(6), told, Ended(Outcome.TIMEOUT))
+    assert machine.step(Tick(), end) == (Persist(ReceiverRecord(6)), told, Ended(Outcome.TIMEOUT))
     assert machine.live is None and machine.wake_ns is None
 
 

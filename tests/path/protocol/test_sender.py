@@ -16,7 +16,8 @@ from path.protocol.values import (
     Offer,
     Outcome,
     PeerStatus,
-    PersistEpoch,
+    Persist,
+    SenderRecord,
     ProtocolConfig,
     Refusal,
     Refused,
@@ -42,7 +43,7 @@ TAKE_BACK = T0 + 1 * S + 5 * MS
 
 def offering() -> SenderMachine:
     machine = SenderMachine(CONFIG)
-    assert machine.step(Offer(7, 3), T0) == (PersistEpoch(1),)
+    assert machine.step(Offer(7, 3), T0) == (Persist(SenderRecord(1)),)
     return machine
 
 
@@ -70,7 +71,8 @@ def test_it_is_responsible_until_the_agreement_and_releases_before_it_commits() 
     assert machine.step(Heard(CANDIDATE), T0) == ()
     assert machine.responsible and isinstance(machine.state, Verifying)
     actions = machine.step(AGREED, T0)
-    assert actions == (PersistEpoch(1, released=True), Release(), Send(Commit(7, 1, 3, 99, T0 + S, T0)))
+    released = SenderRecord(1, "released", LIVE, 99, T0 + S, TAKE_BACK)
+    assert actions == (Persist(released), Release(), Send(Commit(7, 1, 3, 99, T0 + S, T0)))
     assert not machine.responsible
 
 
@@ -107,7 +109,7 @@ def test_it_takes_back_only_after_lease_end_and_uncertainty() -> None:
     machine.step(Tick(), TAKE_BACK - 1)
     assert not machine.responsible
     actions = machine.step(Tick(), TAKE_BACK)
-    assert actions == (PersistEpoch(2), TakeResponsibility(False), Ended(Outcome.TAKEN_BACK))
+    assert actions == (Persist(SenderRecord(2)), TakeResponsibility(False), Ended(Outcome.TAKEN_BACK))
     assert machine.responsible and machine.live == replace(LIVE, epoch=2)
 
 
@@ -178,7 +180,7 @@ def test_deadlines_end_in_timeout_and_responsible() -> None:
     actions = machine.step(AGREED, T0 + 20 * S)
     assert actions[1:] == (Ended(Outcome.TIMEOUT), Refused(Refusal.WRONG_STATE))
     assert machine.responsible
-    assert machine.step(Offer(8, 3), T0 + 21 * S) == (PersistEpoch(2),)
+    assert machine.step(Offer(8, 3), T0 + 21 * S) == (Persist(SenderRecord(2)),)
 
 
 def test_an_abort_before_the_commit_ends_it_at_once() -> None:
@@ -252,7 +254,7 @@ def test_epochs_do_not_wrap() -> None:
     machine.step(Offer(7, 3), T0)
     machine.step(Heard(replace(CANDIDATE, epoch=65534)), T0)
     machine.step(replace(AGREED, epoch=65534), T0)
-    assert PersistEpoch(65535) in machine.step(Tick(), TAKE_BACK)
+    assert Persist(SenderRecord(65535)) in machine.step(Tick(), TAKE_BACK)
     machine.step(VerifyAgain(), TAKE_BACK)
     assert machine.step(replace(AGREED, epoch=65535), TAKE_BACK) == (Refused(Refusal.EPOCHS_EXHAUSTED),)
     assert machine.responsible
