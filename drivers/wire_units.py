@@ -6,8 +6,8 @@ No field is a floating point number: NaN and infinity have no form on the wire. 
 quantity       on the wire                                error
 =============  =========================================  ===========================
 point          24 bit a coordinate, 1/256 mm, ± 32.7 m    0.002 mm a coordinate
-rotation       3 x 16 bit rotation vector, pi/32767 rad   0.0048 degrees (0.0027 RMS)
-direction      2 x 16 bit octahedral                      0.0038 degrees
+rotation       3 x 16 bit rotation vector, pi/32767 rad   0.0048 degrees (0.0024 RMS)
+direction      2 x 16 bit octahedral                      0.0037 degrees
 instant        48 bit, 10 us, rounded down                10 us, never later
 sigma          16 bit, 0.1 mm                             0.05 mm
 box edge       16 bit, 1/16 px                            0.031 px

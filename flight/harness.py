@@ -20,7 +20,10 @@ from path.messages import Role
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """What a role tells the console, a few times a second."""
+    """What a role tells the console, a few times a second.
+
+    ``count`` of the ``needed`` agreeing pairs; ``evidence``: reached and needed, when pairs are not all that counts.
+    """
 
     role: Role
     stamp_ns: int
@@ -33,6 +36,7 @@ class Progress:
     link_bytes_per_s: float
     responsible: bool
     note: str
+    evidence: tuple[float, float] | None = None
 
 
 Emit = Callable[[Progress], None]
@@ -72,7 +76,8 @@ def decode_event(line: str | bytes) -> Progress | RoleResult | None:
         record = json.loads(line)
         kind, role = record.pop("event"), Role(record.pop("role"))
         if kind == "progress":
-            return Progress(role=role, **record)
+            evidence = record.pop("evidence")
+            return Progress(role=role, evidence=tuple(evidence) if evidence else None, **record)
         if kind == "result":
             return RoleResult(role=role, outcome=Outcome.from_label(record.pop("outcome")), **record)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):

@@ -6,18 +6,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from drivers.interfaces import View
+from drivers.rig import Mount
 from flight.config import MissionConfig
-from flight.guidance import Vec3, subtract
+from flight.guidance import Vec3
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Matrix, Pose
-from path.marker.flip import FlipGate
 from path.marker.layout import MarkerLayout
 from path.marker.pose import PoseSettings, estimate_pose
 from path.observations import MarkerDetection, Missed, MissReason, Region
 from path.prior import Prior
-from path.relative import Relative, RelativeFilter
+from path.relative import Relative, RelativeFilter, RelativeSettings
 
 _FIXED_NS = 500_000_000  # fixes older than this do not count towards "seen"
 
@@ -32,36 +34,58 @@ class MarkerFix:
     detections: Sequence[MarkerDetection]
 
 
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How both vehicles move, as they report it. Stamps are of the receiver's clock."""
+
+    own_stamp_ns: int
+    own_n_mps: Vec3
+    peer_stamp_ns: int
+    peer_n_mps: Vec3
+    peer_yaw_rad: float
+
+
 class MarkerView:
     """Marker measurements of one receiver over time. Not for two cameras."""
 
-    def __init__(self, layout: MarkerLayout, camera: CameraModel, method: MethodConfig, mission: MissionConfig) -> None:
+    def __init__(
+        self, layout: MarkerLayout, camera: CameraModel, mount: Mount, method: MethodConfig, mission: MissionConfig
+    ) -> None:
         self._layout = layout
         self._camera = camera
+        self._R_b_v = mount.T_b_v.R
         self._reach_m = 0.75 * max(float(abs(marker.corners_v).max()) for marker in layout.markers) + 0.02
         self._settings = PoseSettings(
-            attitude_sigma_rad=math.radians(mission.attitude_sigma_deg),
+            attitude_v_sigma_rad=math.radians(mission.attitude_sigma_deg),
+            attitude_c_sigma_rad=math.radians(mission.attitude_sigma_deg),
             max_incidence_rad=math.radians(method.max_incidence_deg),
             max_sigma_m=method.max_pose_sigma_m,
         )
-        self._flip = FlipGate()
-        self._filter = RelativeFilter(coast_s=mission.deadlines.marker_coast_s)
+        self._filter = RelativeFilter(
+            RelativeSettings(coast_s=mission.deadlines.marker_coast_s),
+            lever_c_m=mount.T_b_c.R.T @ mount.T_b_c.t,
+            lever_v_m=mount.T_b_v.R.T @ mount.T_b_v.t,
+        )
+        self._motion: Motion | None = None
         self._fixes: list[int] = []
         self._searched_ns = 0
         self._search_period_ns = round(1e9 / mission.search_hz)
         self.target_n_m: Vec3 | None = None
+        self.R_n_v: Matrix | None = None  # the marker's attitude at the newest look, as its drone reports it
 
     def fixes(self, now_ns: int) -> int:
         """Poses found in the last half second."""
         self._fixes = [stamp_ns for stamp_ns in self._fixes if now_ns - stamp_ns < _FIXED_NS]
         return len(self._fixes)
 
-    def set_velocities(self, peer_n_mps: Vec3, own_n_mps: Vec3) -> None:
-        """What both vehicles report: how the marker moves while it is not seen."""
-        self._filter.set_velocity(subtract(peer_n_mps, own_n_mps))
+    def note_motion(self, motion: Motion) -> None:
+        """What both vehicles report: how the marker moves between two looks, and while it is not seen."""
+        self._filter.set_own_velocity(motion.own_stamp_ns, motion.own_n_mps)
+        self._filter.set_peer_velocity(motion.peer_stamp_ns, motion.peer_n_mps)
+        self._motion = motion
 
     def predict(self, stamp_ns: int) -> Relative | None:
-        """From the camera to the marker at an instant; None when it was not seen for too long."""
+        """The marker at an instant; None when it was not seen for too long."""
         return self._filter.predict(stamp_ns)
 
     def unseen_s(self, stamp_ns: int) -> float:
@@ -69,7 +93,11 @@ class MarkerView:
 
     def look(self, view: View, R_n_c: Matrix, gravity_v: Vec3 | None, gravity_c: Vec3) -> MarkerFix | Missed:
         """The pose of the marker in one view, or why there is none."""
-        region = self._region(view.stamp_ns, R_n_c)
+        R_n_v = None
+        if gravity_v is not None and self._motion is not None:
+            R_n_v = levelled(gravity_v, self._R_b_v, self._motion.peer_yaw_rad)
+        self.R_n_v = R_n_v
+        region = self._region(view.stamp_ns, R_n_c, R_n_v)
         if region is None:
             # a search of the whole image costs ten times a look at the right place
             if view.stamp_ns - self._searched_ns < self._search_period_ns:
@@ -79,13 +107,9 @@ class MarkerView:
         pose = estimate_pose(detections, self._layout, self._camera, gravity_v, gravity_c, self._settings)
         if isinstance(pose, Missed):
             return pose
-        flipped = self._flip.check(R_n_c @ pose.T_c_v.R, view.stamp_ns)
-        if flipped is not None:
-            return flipped
-        north, east, down = (R_n_c @ pose.T_c_v.t).tolist()
-        variance = R_n_c @ pose.covariance[:3, :3] @ R_n_c.T
-        spread = (float(variance[0, 0]), float(variance[1, 1]), float(variance[2, 2]))
-        self._filter.update(view.stamp_ns, (north, east, down), spread)
+        refused = self._filter.update(view.stamp_ns, pose.T_c_v, pose.covariance, R_n_c, R_n_v)
+        if refused is not None:
+            return refused
         self._fixes.append(view.stamp_ns)
         return MarkerFix(pose.T_c_v, pose.covariance, pose.side_px, detections)
 
@@ -95,14 +119,27 @@ class MarkerView:
         north, east, down = (R_n_c @ (x * prior.depth_m, y * prior.depth_m, prior.depth_m)).tolist()
         self.target_n_m = (north, east, down)
 
-    def _region(self, stamp_ns: int, R_n_c: Matrix) -> Region | None:
+    def _region(self, stamp_ns: int, R_n_c: Matrix, R_n_v: Matrix | None) -> Region | None:
         """Around where the marker must be; None when that is not known: then everywhere."""
-        relative = self._filter.predict(stamp_ns)
+        relative = self._filter.predict(stamp_ns, R_n_c, R_n_v)
         if relative is None:
             return None
-        x, y, z = (R_n_c.T @ relative.marker_n_m).tolist()
+        x, y, z = relative.T_c_v.t.tolist()
         if z <= 0.1 or not self._camera.sees((x, y, z)):
             return None
         u, v = self._camera.project_point((x, y, z))
         half_px = self._camera.fx * (self._reach_m + 3.0 * relative.sigma_m) / z + 12.0
         return Region(u - half_px, v - half_px, u + half_px, v + half_px)
+
+
+def levelled(gravity_v: Vec3, R_b_v: Matrix, yaw_rad: float = 0.0) -> Matrix:
+    """Marker frame to the levelled heading frame (forward, right, down) of the drone that carries it, ``R_h_v``.
+
+    With that drone's heading it is ``R_n_v``.
+    """
+    x, y, z = (R_b_v @ gravity_v).tolist()
+    across = math.hypot(y, z)
+    forward = np.array([across, -x * y / across, -x * z / across])
+    right = np.array([0.0, z / across, -y / across])
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.stack([c * forward - s * right, s * forward + c * right, (x, y, z)]) @ R_b_v

@@ -11,7 +11,7 @@ from drivers.interfaces import VehicleState, VelocitySetpoint
 from drivers.rig import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, scale, subtract
-from flight.marker_view import MarkerView
+from flight.marker_view import MarkerView, levelled
 from flight.viewpoint import NoViewpoint, Scene, Viewpoint, plan_viewpoint
 from path.camera import CameraModel
 from path.geometry import Matrix
@@ -65,7 +65,7 @@ class Rendezvous:
 
     def plan(self, target: Target, layout: MarkerLayout) -> Viewpoint | NoViewpoint:
         """Plan the viewpoint for the geometry the sender reports now; a found one is flown to from now on."""
-        R_h_v = _level(target.gravity_v, self._mount.T_b_v.R)
+        R_h_v = levelled(target.gravity_v, self._mount.T_b_v.R)
         scene = Scene(
             target_h_m=R_h_v @ np.array(target.point_v_m),
             marker_normal_h=R_h_v[:, 2],
@@ -159,12 +159,3 @@ class Rendezvous:
         if self._marker.target_n_m is None:
             return self._peer().yaw_rad + self.viewpoint.yaw_h_rad
         return to_marker + 0.5 * wrapped(bearing(self._marker.target_n_m) - to_marker)
-
-
-def _level(gravity_v: Vec3, R_b_v: Matrix) -> Matrix:
-    """``R_h_v``: marker frame to the levelled heading frame (forward, right, down) of the drone that carries it."""
-    down_b = R_b_v @ np.asarray(gravity_v)
-    forward_b = np.array([1.0, 0.0, 0.0]) - down_b[0] * down_b
-    forward_b /= np.linalg.norm(forward_b)
-    R_h_b = np.stack([forward_b, np.cross(down_b, forward_b), down_b]).astype(np.float64)
-    return R_h_b @ R_b_v

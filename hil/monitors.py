@@ -12,22 +12,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.interfaces import Log
+from hil.agreed_pairs import AgreedPairs
 from hil.autopilot_values import OffboardSession
 from path.config import MethodConfig
 from path.messages import Role
 
 MAX_SETPOINT_GAP_S = 0.2
 MAX_FAILSAFE_S = 1.0
-
-
-@dataclass(slots=True)
-class _Count:
-    """Consecutive agreeing pairs as the monitor itself counts them (S5, S6)."""
-
-    pairs: int = 0
-    first_ns: int = 0
-    last_ns: int = -1
-    target_id: int = -1
 
 
 @dataclass(slots=True)
@@ -40,8 +31,12 @@ class Monitors:
     details: list[str] = field(default_factory=list[str])
     closest_m: float = math.inf
     _responsible: dict[Role, bool] = field(default_factory=dict[Role, bool])
-    _count: _Count = field(default_factory=_Count)
     _too_close: bool = False
+    _agreed: AgreedPairs = field(init=False)
+    _committed: set[int] = field(default_factory=set[int])
+
+    def __post_init__(self) -> None:
+        self._agreed = AgreedPairs(self.method)
 
     def on_record(self, role: Role, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
         """One record of a role's log."""
@@ -86,33 +81,22 @@ class Monitors:
             self._violated("S1", stamp_w_ns * 1e-9, "two responsible drones")
 
     def _on_agreement(self, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
-        count = self._count
         if not record["agreed"]:
             if record["counted"]:
-                self._count = _Count(last_ns=count.last_ns)
+                self._agreed.miss()
             return
-        capture_ns = int(record["capture_ns"])
-        iou, tau = record["iou"], record["tau"]
-        if capture_ns <= count.last_ns or iou is None or tau is None or not iou >= tau:
-            self._violated("S6", stamp_w_ns * 1e-9, f"a pair counted that must not: {dict(record)}")
-            return
-        gap_s = (capture_ns - count.last_ns) * 1e-9
-        if count.pairs == 0 or record["target_id"] != count.target_id or gap_s > self.method.max_gap_s:
-            self._count = _Count(1, capture_ns, capture_ns, int(record["target_id"]))
-        else:
-            count.pairs += 1
-            count.last_ns = capture_ns
-        if record["count"] > self._count.pairs:
-            self._violated(
-                "S6", stamp_w_ns * 1e-9, f"the role counts {record['count']}, the monitor {self._count.pairs}"
-            )
+        wrong = self._agreed.agreed(record)
+        if wrong is not None:
+            self._violated("S6", stamp_w_ns * 1e-9, wrong)
 
     def _on_commit(self, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
-        count = self._count
-        held_s = (count.last_ns - count.first_ns) * 1e-9
-        full = count.pairs >= self.method.hold_frames and held_s >= self.method.hold_s - 1e-9
-        if not full or record["target_id"] != count.target_id:
-            what = f"commit to target {record['target_id']} after {count.pairs} pairs, {held_s:.2f} s"
+        if record["epoch"] in self._committed:  # said again, until it is answered
+            return
+        self._committed.add(record["epoch"])
+        agreed = self._agreed
+        same = (record["target_id"], record["epoch"]) == (agreed.target_id, agreed.epoch)
+        if not (same and agreed.full):
+            what = f"commit to target {record['target_id']} after {agreed}"
             self._violated("S5", stamp_w_ns * 1e-9, what)
 
 

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
+from flight.marker_view import Motion
 from path.agreement import Agreed
 from path.camera import CameraModel
+from path.geometry import Matrix
 from path.messages import Candidate, Target
 from path.observations import Box, MarkerDetection, Missed
 from path.prior import Prior
 from path.rigid import transform_back
+from path.rotation import quat_from_R
 from path.sender import Pair
+from path.window import Evidence
+
+_LOWER = np.tril_indices(6)
 
 
 def box_record(box: Box | None) -> list[float] | None:
@@ -31,7 +39,7 @@ def target_record(message: Target | Missed, frame_id: int, capture_ns: int, box:
     }
 
 
-def agreement_record(pair: Pair, count: int, needed: int, target_id: int) -> dict[str, Any]:
+def agreement_record(pair: Pair, count: int, needed: int, evidence: Evidence | None, target_id: int) -> dict[str, Any]:
     """``/agreement``: what one answer of D2 was worth."""
     verdict, candidate = pair.verdict, pair.candidate
     agreed = isinstance(verdict, Agreed)
@@ -43,10 +51,13 @@ def agreement_record(pair: Pair, count: int, needed: int, target_id: int) -> dic
         "tau": verdict.tau if agreed else None,
         "count": count,
         "needed": needed,
+        "evidence": evidence.reached if evidence else None,
+        "evidence_needed": evidence.needed if evidence else None,
         "capture_ns": pair.capture_ns,
         "sequence": candidate.sequence if candidate else None,
         "target_sequence": candidate.target_sequence if candidate else None,
         "target_id": target_id,
+        "epoch": candidate.epoch if candidate else None,
         "own_box": box_record(pair.own_box),
         "mapped_box": box_record(pair.mapped_box),
     }
@@ -70,6 +81,19 @@ def marker_record(
 def marker_miss_record(capture_ns: int, missed: Missed) -> dict[str, Any]:
     """``/marker`` of a frame without a pose."""
     return {"capture_ns": capture_ns, "position_v_m": None, "corners_px": None, "reason": missed.reason.value}
+
+
+def motion_record(motion: Motion, R_n_c: Matrix, R_n_v: Matrix | None, covariance: Matrix | None) -> dict[str, Any]:
+    """``/motion``: what the relative-pose filter was given with one frame."""
+    return {
+        "own_stamp_ns": motion.own_stamp_ns,
+        "own_n_mps": motion.own_n_mps,
+        "peer_stamp_ns": motion.peer_stamp_ns,
+        "peer_n_mps": motion.peer_n_mps,
+        "q_n_c": quat_from_R(R_n_c),
+        "q_n_v": None if R_n_v is None else quat_from_R(R_n_v),
+        "covariance": None if covariance is None else covariance[_LOWER],
+    }
 
 
 def candidate_record(candidate: Candidate, prior: Prior | Missed, camera: CameraModel) -> dict[str, Any]:

@@ -126,8 +126,9 @@ def _draw_agreement(axes: Axes, run: Run, seconds: Clock) -> None:
     missed = ~agreed & ~known
     axes.plot(stamps[missed], np.full(int(missed.sum()), 0.015), "|", ms=9, color=FAULT, label="missed")
     count = axes.twinx()
-    count.plot(stamps, [r.record["count"] for r in pairs], color=COUNT, lw=1.4, label="count (right)")
-    needed = pairs[-1].record["needed"]
+    name = "count" if pairs[-1].record.get("evidence") is None else "evidence"  # whichever the gate goes by
+    count.plot(stamps, [r.record[name] for r in pairs], color=COUNT, lw=1.4, label=f"{name} (right)")
+    needed = pairs[-1].record["needed" if name == "count" else "evidence_needed"]
     count.axhline(needed, color=COUNT, lw=0.8, ls=":")
     count.set_ylim(0, needed * 1.06)
     count.tick_params(labelsize=8, colors=COUNT)

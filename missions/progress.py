@@ -80,7 +80,7 @@ class LineConsole:
 def _figures(progress: Progress) -> list[str]:
     figures: list[str] = []
     if progress.count:
-        figures.append(f"{progress.count}/{progress.needed}")
+        figures.append(_advance(progress))
     if progress.iou is not None:
         figures.append(_iou(progress))
     if progress.separation_m is not None:
@@ -88,6 +88,14 @@ def _figures(progress: Progress) -> list[str]:
     if progress.link_bytes_per_s:
         figures.append(f"link {progress.link_bytes_per_s / 1000:.1f} kB/s")
     return figures
+
+
+def _advance(progress: Progress) -> str:
+    """How far the agreement is: pairs, or evidence where it counts."""
+    if progress.evidence is None:
+        return f"{progress.count}/{progress.needed}"
+    reached, needed = progress.evidence
+    return f"evidence {reached:.1f}/{needed:.1f}"
 
 
 def _iou(progress: Progress) -> str:
@@ -119,12 +127,13 @@ class LiveTable:
     def _row(self, progress: Progress) -> list[Text | ProgressBar | str]:
         separation = "" if progress.separation_m is None else f"{progress.separation_m:.2f} m"
         agreeing = progress.count > 0 or progress.iou is not None
+        reached, needed = progress.evidence or (progress.count, progress.needed)
         return [
             Text(progress.role.value, style="bold green" if progress.responsible else "bold"),
             f"{self._elapsed.seconds(progress):.0f} s",
             Text(progress.phase, style="cyan"),
-            ProgressBar(total=progress.needed, completed=progress.count, width=BAR_WIDTH) if agreeing else "",
-            f"{progress.count}/{progress.needed}" if agreeing else "",
+            ProgressBar(total=needed, completed=min(reached, needed), width=BAR_WIDTH) if agreeing else "",
+            _advance(progress).removeprefix("evidence ") if agreeing else "",
             "" if progress.iou is None else f"{progress.iou:.2f}",
             separation,
             f"{progress.link_bytes_per_s / 1000:.1f} kB/s",

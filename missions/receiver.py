@@ -16,14 +16,14 @@ from flight.eye import Eye
 from flight.guard import check_separation
 from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, subtract
 from flight.harness import Emit, InProcess, RoleResult
-from flight.marker_view import MarkerFix, MarkerView
+from flight.marker_view import MarkerFix, MarkerView, Motion
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.rendezvous import Rendezvous
 from flight.tracking import Sighting, TargetTrack, follow, point_in_camera, to_local
 from flight.viewpoint import NoViewpoint
 from missions.handover import ReceiverHandover
-from missions.journal import box_record, candidate_record, marker_miss_record, marker_record
+from missions.journal import box_record, candidate_record, marker_miss_record, marker_record, motion_record
 from missions.rig_library import mission_of
 from missions.session import Session, fly_course, open_session
 from missions.steps import bring_down, preflight, take_off
@@ -64,7 +64,7 @@ class Receiver:
         self._config: MissionConfig = config
         self._camera = rig.receiver.camera
         self._eye = Eye(session.vehicle, rig.receiver.mount)
-        self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.method, config)
+        self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config)
         self._handover = ReceiverHandover(session, self._able)
         self._cycle: ReceiverCycle | None = None
         self._rendezvous = Rendezvous(
@@ -214,9 +214,12 @@ class Receiver:
         stamp_ns = view.stamp_ns
         gravity_v = cycle.gravity_v(stamp_ns)
         T_n_c = self._eye.T_n_c(stamp_ns, R_n_b)
-        self._marker.set_velocities(self._peer().velocity_n_mps, session.vehicle.state.velocity_n_mps)
+        motion = self._motion()
+        self._marker.note_motion(motion)
         fix = self._marker.look(view, T_n_c.R, gravity_v, self._eye.gravity_c(R_n_b))
         session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
+        covariance = fix.covariance if isinstance(fix, MarkerFix) else None
+        session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, covariance))
         self._judge_marker(stamp_ns)
         prior = cycle.prior(fix.T_c_v, fix.covariance, stamp_ns) if isinstance(fix, MarkerFix) else fix
         if isinstance(prior, Prior):
@@ -231,6 +234,12 @@ class Receiver:
         session.log.write("/candidate", stamp_ns, candidate_record(candidate, prior, self._camera))
         if candidate.box is not None and isinstance(prior, Prior):
             self._note_found(view, T_n_c, candidate, prior)
+
+    def _motion(self) -> Motion:
+        """Both vehicles' newest reports."""
+        session, peer, own = self._session, self._peer(), self._session.vehicle.state
+        peer_ns = session.alignment.to_own_ns(peer.stamp_ns) if session.alignment.ready else session.peer_heard_ns
+        return Motion(own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad)
 
     def _judge_marker(self, stamp_ns: int) -> None:
         """Separation from the marker's own measurement, and how long it may stay unseen."""

@@ -9,7 +9,7 @@ Topics of a role (fields in the order of interest; a field that does not apply i
 
     /frame           frame_id; the stamp is the capture instant. Every distinct camera frame.
     /phase           phase, note.  /note  note.
-    /state           position_n_m, velocity_n_mps, q_n_b, mode, armed, battery
+    /state           position_n_m, velocity_n_mps, q_n_b, mode, armed, battery; ten times a second
     /setpoint        velocity_n_mps, yaw_rad
     /responsibility  responsible, provisional
     /link            packets_sent, packets_received, bytes_sent, bytes_received, dropped, clock_offset_ns
@@ -19,13 +19,17 @@ Topics of a role (fields in the order of interest; a field that does not apply i
 Topics of the sender:
 
     /target          sequence, capture_ns, box [x, y, w, h], point_v_m, gravity_v, sigma_m, reason
-    /agreement       agreed, counted, reason, iou, tau, count, needed, capture_ns (sender's clock), sequence,
-                     target_sequence, target_id, own_box, mapped_box. One per candidate that was judged.
+    /agreement       agreed, counted, reason, iou, tau, count, needed, evidence, evidence_needed (both null unless the
+                     gate is "evidence"), capture_ns (sender's clock), sequence, target_sequence, target_id, epoch,
+                     own_box, mapped_box. One per candidate that was judged.
     /commit          target_id, epoch, lease_end_ns
 
 Topics of the receiver:
 
     /marker          capture_ns, position_v_m, rotation_v_c2 (wxyz), sigma_m, side_px, corners_px [[u, v] * 4], reason
+    /motion          with each /marker, what the relative-pose filter was given: own_stamp_ns, own_n_mps, peer_stamp_ns
+                     (receiver's clock), peer_n_mps, q_n_c, q_n_v (wxyz, as both vehicles report them; null when D1's
+                     gravity is not known), covariance (the pose T_c_v's, lower triangle by rows; null without a pose)
     /candidate       sequence, target_sequence, capture_ns, box, reason, position_v_m, rotation_v_c2, sigma_m,
                      point_v_m (the target's point as carried to the capture instant), prior_px [u, v],
                      region [x0, y0, x1, y1]

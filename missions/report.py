@@ -101,7 +101,7 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
     return [
         ("committed after", _number(s["t_commit_s"], "s", 2)),
         ("agreement took", _number(s["agreement_s"], "s", 2)),
-        ("agreeing pairs", f"{s['pairs_agreed']} of {s['pairs_judged']}, {_number(s['pairs_hz'], 'Hz', 1)}"),
+        ("agreeing pairs", _pairs(s)),
         ("IoU, median", f"{_number(s['iou_median'], '', 3)} (needed {_number(s['tau_median'], '', 3)})"),
         ("misses", _counts(s["misses"])),
         ("frames", "; ".join(frames)),
@@ -113,6 +113,12 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
         ("monitors", _counts(s["monitors"]) if s["monitors"] else "no violation"),
         ("speed", f"{_number(s['realtime_factor'], '', 1)} x real time ({_number(s['wall_s'], 's', 1)})"),
     ]
+
+
+def _pairs(summary: Mapping[str, Any]) -> str:
+    pairs = f"{summary['pairs_agreed']} of {summary['pairs_judged']}, {_number(summary['pairs_hz'], 'Hz', 1)}"
+    most = summary["evidence_max"]
+    return pairs if most is None else f"{pairs}; evidence {most:.1f} at most"
 
 
 def _error(summary: Mapping[str, Any], name: str) -> str:

@@ -25,6 +25,7 @@ from path.geometry import Matrix
 from path.messages import Candidate, Role, Target
 from path.observations import Missed, MissReason
 from path.sender import Pair, SenderCycle
+from path.window import Gate
 
 _STEADY_FRAMES = 5
 _PEER_POLL_S = 0.25
@@ -192,8 +193,8 @@ class Sender:
             session.link.send(message)
         self._log_frame(view, seen, message)
         for pair in cycle.evaluate_ready(session.now_ns()):
-            self._note_pair(pair, cycle.window.count)
-        if cycle.window.complete and not self._handover.released:
+            self._note_pair(pair, cycle.gate)
+        if cycle.gate.complete and not self._handover.released:
             session.log_image(view, wanted=True)
             self._handover.agreed(self._config.target_id)
 
@@ -218,17 +219,16 @@ class Sender:
                 self._receiver_side = 1.0 if x > 0.0 else -1.0
                 session.shown.separation_m = math.sqrt(x * x + y * y + z * z)
 
-    def _note_pair(self, pair: Pair, count: int) -> None:
+    def _note_pair(self, pair: Pair, gate: Gate) -> None:
         """Log one verdict and show it."""
         session, verdict = self._session, pair.verdict
+        count, evidence = gate.count, gate.evidence
         if isinstance(verdict, Agreed):
-            count = verdict.count  # of this pair: the window may already have seen the next
+            count, evidence = verdict.count, verdict.evidence  # of this pair: the gate may already have seen the next
         session.shown.count, session.shown.iou = count, verdict.iou
-        session.log.write(
-            "/agreement",
-            session.now_ns(),
-            agreement_record(pair, count, session.rig.method.hold_frames, self._config.target_id),
-        )
+        session.shown.evidence = evidence
+        record = agreement_record(pair, count, session.rig.method.needed_pairs, evidence, self._config.target_id)
+        session.log.write("/agreement", session.now_ns(), record)
 
     def _log_frame(self, view: View, seen: Sighting | MissReason, message: Target | Missed) -> None:
         session = self._session

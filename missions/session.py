@@ -36,9 +36,11 @@ from flight.pilot import Pilot
 from path.marker.warm_up import warm_up
 from path.messages import Ping, Pong, Role, Status
 from path.rotation import yaw_of
+from path.window import Evidence
 
 _POLL_S = 0.05
 _PROGRESS_PERIOD_S = 0.2
+_STATE_PERIOD_S = 0.1
 
 
 def _ignore(_: object) -> None:
@@ -50,6 +52,7 @@ class Shown:
     """What the console shows of the handshake; the role keeps it current."""
 
     count: int = 0
+    evidence: Evidence | None = None
     iou: float | None = None
     tau: float | None = None
     separation_m: float | None = None
@@ -143,20 +146,21 @@ class Session:
         self.log.write("/responsibility", self.now_ns(), {"responsible": responsible, "provisional": provisional})
 
     def show(self) -> None:
-        counters = self.link.counters
+        counters, evidence = self.link.counters, self.shown.evidence
         self._emit(
             Progress(
                 role=self.role,
                 stamp_ns=self.now_ns(),
                 phase=self.phase.title,
                 count=self.shown.count,
-                needed=self.rig.method.hold_frames,
+                needed=self.rig.method.needed_pairs,
                 iou=self.shown.iou,
                 tau=self.shown.tau,
                 separation_m=self.shown.separation_m,
                 link_bytes_per_s=self._bytes_per_s(counters.bytes_sent + counters.bytes_received),
                 responsible=self.responsible,
                 note=self.shown.note,
+                evidence=(evidence.reached, evidence.needed) if evidence else None,
             )
         )
 
@@ -216,6 +220,24 @@ class Session:
                 self._log_link()
             tick += 1
             await asyncio.sleep(period_s)
+
+    async def log_state(self) -> None:
+        """Log where the vehicle believes to be, for ever."""
+        logged_ns = 0  # what no position was known at
+        while True:
+            state = self.vehicle.state
+            if state.stamp_ns > logged_ns:
+                logged_ns = state.stamp_ns
+                record = {
+                    "position_n_m": state.position_n_m,
+                    "velocity_n_mps": state.velocity_n_mps,
+                    "q_n_b": state.q_n_b,
+                    "mode": state.mode.value,
+                    "armed": state.armed,
+                    "battery": state.battery,
+                }
+                self.log.write("/state", logged_ns, record)
+            await asyncio.sleep(_STATE_PERIOD_S)
 
     def _status(self) -> Status:
         state = self.vehicle.state
@@ -298,7 +320,7 @@ async def fly_course(session: Session, course: Course, recover: Recovery) -> Rol
     decides the outcome. What was spawned goes on until the vehicle is down: the pilot keeps flying, and the other
     drone keeps hearing from this one.
     """
-    for task in (session.pump(), session.report(), session.stopped()):
+    for task in (session.pump(), session.report(), session.log_state(), session.stopped()):
         session.spawn(task)
     flown = asyncio.ensure_future(course())
     end: MissionEnd | None = None

@@ -128,11 +128,14 @@ def judged_pairs(run: Run) -> list[LogRecord]:
 def _agreement(run: Run, span: Verification | None) -> dict[str, Any]:
     pairs = judged_pairs(run)
     agreed = [r.record for r in pairs if r.record["agreed"]]
+    evidence = [reached for r in pairs if (reached := r.record.get("evidence")) is not None]
     misses = Counter(r.record["reason"] for r in pairs if not r.record["agreed"]) + _own_misses(run, span)
     return {
         "iou_median": _median(record["iou"] for record in agreed),
         "tau_median": _median(record["tau"] for record in agreed),
+        "gate": ("evidence" if evidence else "consecutive") if pairs else None,
         "count_max": max((r.record["count"] for r in pairs), default=0),
+        "evidence_max": _rounded(max(evidence)) if evidence else None,
         "pairs_judged": len(pairs),
         "pairs_agreed": len(agreed),
         "pairs_hz": _rounded(len(pairs) / span.seconds) if span and span.seconds > 0.0 else None,

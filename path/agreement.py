@@ -12,15 +12,21 @@ from path.messages import Vec3
 from path.observations import Box, Missed, MissReason
 from path.rigid import Rigid, transform, transform_back
 from path.target import back_project
+from path.window import Evidence
 
 
 @dataclass(frozen=True, slots=True)
 class Agreed:
-    """A frame pair whose boxes overlap enough. ``count``: consecutive agreeing pairs, this one included."""
+    """A frame pair whose boxes overlap enough.
+
+    ``count``: consecutive agreeing pairs, this one included; 0 when it ended a block that was too weak.
+    ``evidence``: what the gate has with it, None when pairs are all that counts.
+    """
 
     iou: float
     tau: float
     count: int
+    evidence: Evidence | None = None
 
 
 Verdict = Agreed | Missed
@@ -101,7 +107,7 @@ def compare(
         box2: D2's candidate, in D2's image.
 
     Returns:
-        Agreed (with count 0: counting is the window's), or Missed LOW_IOU, or Missed PRIOR_OUTSIDE and no box when the
+        Agreed (with count 0: counting is the gate's), or Missed LOW_IOU, or Missed PRIOR_OUTSIDE and no box when the
         target is behind a camera by this geometry.
     """
     z2 = depth_in(T_v_c2, point_v)

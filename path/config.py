@@ -3,14 +3,51 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Literal
 
 BoxMapping = Literal["center", "corner"]
+GateKind = Literal["consecutive", "evidence"]
 
-WHOLE = ("hold_frames", "min_depth_pixels", "track_length")
+WHOLE = ("hold_frames", "min_depth_pixels", "track_length", "block_pairs", "min_pairs")
 FRACTIONS = ("tau_min", "tau_max", "depth_center_fraction", "min_depth_valid")
 MAY_BE_ZERO = ("pixel_sigma_px", "mount_sigma_m", "mount_sigma_deg", "target_center_sigma_m", "clock_sigma_s")
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceConfig:
+    """Settings of the gate "evidence" (``path.evidence``, which says what they mean and what they promise).
+
+    Attributes:
+        alpha: bound on the probability that one attempt is accepted although the boxes show different things, for what
+            the persistent errors do not explain.
+        block_s, block_pairs: a block of pairs is complete when it has this length on capture stamps and these pairs.
+        strength: mean of (S - tau) / (1 - tau) that a block needs to agree.
+        first_rate, next_rate: measured bounds on the probability that, under different things, the first block of a run
+            agrees; and that another one does after all before it did.
+        min_s, min_pairs: no run is accepted that is shorter, whatever its evidence.
+        max_pose_sigma_m: as ``MethodConfig.max_pose_sigma_m``, for this gate: what bounds the persistent errors.
+    """
+
+    alpha: float = 1e-4
+    block_s: float = 0.4
+    block_pairs: int = 8
+    strength: float = 0.25
+    first_rate: float = 1e-3
+    next_rate: float = 0.2
+    min_s: float = 1.0
+    min_pairs: int = 30
+    max_pose_sigma_m: float = 0.03
+
+    def __post_init__(self) -> None:
+        """Raises ValueError naming the first field that cannot be right, and what is allowed."""
+        for each in fields(self):
+            _check(each.name, getattr(self, each.name))
+        for name in ("alpha", "strength", "first_rate", "next_rate"):
+            if not getattr(self, name) < 1.0:
+                raise ValueError(f"{name}: {getattr(self, name)!r} is not below 1")
+        if self.first_rate > self.next_rate:
+            raise ValueError(f"first_rate: {self.first_rate!r} is above next_rate = {self.next_rate!r}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +62,10 @@ class MethodConfig:
             which drifts with the cameras' relative roll).
         tau_min, tau_max: IoU needed far away and at ``z0_m`` or nearer (eq. adaptive_threshold).
         z0_m: reference viewing distance (eq. scale_factor).
-        hold_frames, hold_s: distinct fresh agreeing frame pairs, and the time from the first to the last of them on
-            capture stamps; both are needed.
+        gate: what decides that the views have agreed for long enough: all of the last ``hold_frames`` pairs, as the
+            paper has it ("consecutive"), or the strength of the agreement as well ("evidence", ``path.evidence``).
+        hold_frames, hold_s: of the gate "consecutive": distinct fresh agreeing frame pairs, and the time from the first
+            to the last of them on capture stamps; both are needed.
         max_gap_s: longest time between two consecutive agreeing pairs; a longer one restarts the count.
         max_age_s: a message whose frame is older than this when it comes in, is stale.
         max_future_s: one whose frame is further in the future than this shows that the clocks do not agree.
@@ -52,6 +91,7 @@ class MethodConfig:
             the second (without the target's own size) is too uncertain to be used.
         ambiguity_margin: two candidates whose squared Mahalanobis distances from the prior differ by less than this
             are not told apart.
+        evidence: settings of that gate.
     """
 
     box_mapping: BoxMapping = "center"
@@ -87,14 +127,18 @@ class MethodConfig:
     min_search_px: float = 16.0
     max_search_px: float = 200.0
     ambiguity_margin: float = 6.0
+    gate: GateKind = "consecutive"
+    evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
 
     def __post_init__(self) -> None:
         """Raises ValueError naming the first field that cannot be right, and what is allowed."""
         if self.box_mapping not in ("center", "corner"):
             raise ValueError(f'box_mapping: {self.box_mapping!r} is neither "center" nor "corner"')
-        for field in fields(self):
-            if field.name != "box_mapping":
-                _check(field.name, getattr(self, field.name))
+        if self.gate not in ("consecutive", "evidence"):
+            raise ValueError(f'gate: {self.gate!r} is neither "consecutive" nor "evidence"')
+        for each in fields(self):
+            if each.name not in ("box_mapping", "gate", "evidence"):
+                _check(each.name, getattr(self, each.name))
         for low, high in (
             ("tau_min", "tau_max"),
             ("min_depth_m", "max_depth_m"),
@@ -106,6 +150,18 @@ class MethodConfig:
             raise ValueError(f"max_incidence_deg: {self.max_incidence_deg!r} is not below 90")
         if self.track_length < 4:
             raise ValueError(f"track_length: {self.track_length!r} is below 4")
+
+    @property
+    def needed_pairs(self) -> int:
+        """Agreeing pairs without which the gate lets nothing be handed over."""
+        return self.evidence.min_pairs if self.gate == "evidence" else self.hold_frames
+
+    @property
+    def pose_sigma_limit_m(self) -> float:
+        """Position standard deviation of ``T_v_c2`` above which the sender compares nothing."""
+        if self.gate == "evidence":
+            return min(self.max_pose_sigma_m, self.evidence.max_pose_sigma_m)
+        return self.max_pose_sigma_m
 
 
 def _check(name: str, value: object) -> None:

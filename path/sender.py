@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from path.agreement import Agreed, TwoViews, Verdict, compare, plain_box
 from path.camera import CameraModel
 from path.config import MethodConfig
+from path.evidence import make_gate
 from path.geometry import Pose
 from path.messages import Candidate, Target, Vec3
 from path.observations import Box, Depth, Missed, MissReason
@@ -17,7 +18,7 @@ from path.rigid import rigid, rigid_from_quat
 from path.rotation import normalized
 from path.target import TargetPoint, locate
 from path.timeline import Between, Sample, Track
-from path.window import AgreementWindow, FramePair, serial_difference
+from path.window import FramePair, Gate, serial_difference
 
 MAX_PENDING = 64
 UNIT_TOLERANCE = 0.05  # of a direction or a quaternion that went through float32
@@ -66,9 +67,13 @@ class SenderCycle:
         handoff_id: int,
         epoch: int,
         target_id: int,
+        gate: Gate | None = None,
     ) -> None:
-        """``camera`` is D1's, ``peer_camera`` D2's; ``T_v_c1`` the calibrated mounting of D1's camera."""
-        self.window = AgreementWindow(config)
+        """``camera`` is D1's, ``peer_camera`` D2's; ``T_v_c1`` the calibrated mounting of D1's camera.
+
+        ``gate``: what decides, when it is not to be the one that ``config`` names.
+        """
+        self.gate = make_gate(config) if gate is None else gate
         self.misses: Counter[MissReason] = Counter()
         self.agreed = 0
         self._views = TwoViews(camera, peer_camera, rigid(T_v_c1))
@@ -99,7 +104,7 @@ class SenderCycle:
         point = Missed(MissReason.NO_TARGET) if box is None else self._locate(box, depth, gravity_v)
         if isinstance(point, Missed):
             self._track.add(Sample(stamp_ns, frame_id, None))
-            self.window.restart(stamp_ns)
+            self.gate.restart(stamp_ns)
             return self._missed(point)
         assert box is not None
         self._track.add(Sample(stamp_ns, frame_id, (box.x, box.y, box.w, box.h, *point.point_v_m, point.z_m)))
@@ -128,11 +133,11 @@ class SenderCycle:
         newest_ns = now_ns - self._max_age_ns if newest is None else max(newest.stamp_ns, now_ns - self._max_age_ns)
         while self._pending and self._pending[0].capture_ns <= newest_ns:
             pending = self._pending.pop(0)
-            if self.window.expire(pending.capture_ns):
+            if self.gate.expire(pending.capture_ns):
                 pairs.append(self._silent(pending.capture_ns))
             pairs.append(self._judge(pending.candidate, pending.capture_ns))
         # what is older than max_age_s is refused, so no pair can join the run any more
-        if not self._pending and self.window.expire(now_ns - self._max_age_ns):
+        if not self._pending and self.gate.expire(now_ns - self._max_age_ns):
             pairs.append(self._silent(now_ns))
         return pairs
 
@@ -161,7 +166,7 @@ class SenderCycle:
             return MissReason.CLOCK
         if now_ns - capture_ns > self._max_age_ns or len(self._pending) >= MAX_PENDING:
             return MissReason.STALE
-        return self.window.refusal(candidate.sequence)
+        return self.gate.refusal(candidate.sequence)
 
     def _order(self, sequence: int) -> int:
         """Unwrapped order of a u16 sequence among those pending."""
@@ -187,7 +192,7 @@ class SenderCycle:
         """Why a fresh candidate cannot even be compared, whatever D1 saw at that instant."""
         if candidate.reason is not None:
             return candidate.reason
-        if candidate.sigma_m > self._config.max_pose_sigma_m:
+        if candidate.sigma_m > self._config.pose_sigma_limit_m:
             return MissReason.POSE_UNCERTAIN
         used = self._track.find(candidate.target_sequence)
         if used is None or used.values is None or abs(capture_ns - used.stamp_ns) > self._max_age_ns:
@@ -195,18 +200,18 @@ class SenderCycle:
         return None
 
     def _count(self, sequence: int, capture_ns: int, at: Between | None, verdict: Verdict) -> Verdict:
-        """Let the window count a verdict; what it refuses becomes an ``ignored`` miss."""
+        """Let the gate count a verdict; what it refuses becomes an ``ignored`` miss."""
         if isinstance(verdict, Missed) or at is None:
-            refusal = self.window.disagree(sequence, capture_ns)
+            refusal = self.gate.disagree(sequence, capture_ns)
         else:
             own = (at.before.frame, at.before.stamp_ns), (at.after.frame, at.after.stamp_ns)
-            refusal = self.window.agree(FramePair(sequence, capture_ns, own))
+            refusal = self.gate.agree(FramePair(sequence, capture_ns, own), verdict.iou, verdict.tau)
         if refusal is not None:
             return self._missed(Missed(refusal, verdict.iou, ignored=True))
         if isinstance(verdict, Missed):
             return self._missed(verdict)
         self.agreed += 1
-        return Agreed(verdict.iou, verdict.tau, self.window.count)
+        return Agreed(verdict.iou, verdict.tau, self.gate.count, self.gate.evidence)
 
     def _silent(self, instant_ns: int) -> Pair:
         return Pair(None, instant_ns, self._missed(Missed(MissReason.LINK_SILENT)))

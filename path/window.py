@@ -1,4 +1,5 @@
-"""The window of consecutive agreements (paper, eq. temporal_verification), on distinct fresh frame pairs only.
+"""The gate before a commit, and the paper's: consecutive agreements (eq. temporal_verification), on distinct fresh
+frame pairs only. The other gate, ``path.evidence``, rests on the same run of pairs.
 
 What is safe, and why:
 
@@ -15,6 +16,7 @@ What is safe, and why:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from path.config import MethodConfig
 from path.observations import MissReason
@@ -43,8 +45,61 @@ class FramePair:
     own_frames: tuple[tuple[int, int], tuple[int, int]]
 
 
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """How much speaks for the same object, and how much must, both as log10 of one over the probability of being
+    fooled: 4 is one in ten thousand."""
+
+    reached: float
+    needed: float
+
+
+class Gate(Protocol):
+    """Decides from the pairs of one attempt whether both boxes show the same thing. Pure; it never looks at a clock."""
+
+    @property
+    def count(self) -> int:
+        """Pairs of the run under way: agreeing, distinct and without a miss in between."""
+        ...
+
+    @property
+    def span_s(self) -> float:
+        """Time from the first to the last pair of the run, the shorter one of both sides' stamps."""
+        ...
+
+    @property
+    def complete(self) -> bool:
+        """Whether the target may be handed over now. It does not stay so when a pair disagrees."""
+        ...
+
+    @property
+    def evidence(self) -> Evidence | None:
+        """None when pairs are all that counts."""
+        ...
+
+    def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
+        """An agreeing pair, ``iou >= tau``. Returns why it does not count (DUPLICATE or STALE), None when it does."""
+        ...
+
+    def disagree(self, peer_sequence: int, capture_ns: int) -> MissReason | None:
+        """A D2 frame that does not agree. Returns why it is no new evidence, None when it restarted the run."""
+        ...
+
+    def restart(self, stamp_ns: int) -> None:
+        """Something was missed at this instant (D1's clock): no run may reach across it."""
+        ...
+
+    def expire(self, instant_ns: int) -> bool:
+        """Restart when a pair captured at ``instant_ns`` would come too late for the run; True when that was so."""
+        ...
+
+    def refusal(self, peer_sequence: int) -> MissReason | None:
+        """DUPLICATE for the newest D2 frame compared so far, STALE for an older one, None for a new one."""
+        ...
+
+
 class AgreementWindow:
-    """Counts consecutive agreeing pairs. Mutable; one instance for one handoff of one target."""
+    """Counts consecutive agreeing pairs: the gate "consecutive". Mutable; one instance for one attempt."""
 
     def __init__(self, config: MethodConfig) -> None:
         self._hold_frames = config.hold_frames
@@ -59,12 +114,10 @@ class AgreementWindow:
 
     @property
     def count(self) -> int:
-        """Consecutive agreeing pairs."""
         return self._count
 
     @property
     def span_s(self) -> float:
-        """Time from the first to the last pair of the run, the shorter one of both sides' stamps."""
         return self._span_ns / 1e9
 
     @property
@@ -76,8 +129,13 @@ class AgreementWindow:
         """Whether the run is long enough in pairs and in time (V_k of the paper)."""
         return self._count >= self._hold_frames and self._span_ns >= self._hold_ns
 
-    def agree(self, pair: FramePair) -> MissReason | None:
-        """Count an agreeing pair. Returns why it does not count (DUPLICATE or STALE), None when it does."""
+    @property
+    def evidence(self) -> Evidence | None:
+        return None
+
+    def agree(self, pair: FramePair, iou: float = 1.0, tau: float = 0.0) -> MissReason | None:
+        """Count an agreeing pair; by how much it agrees does not matter here."""
+        del iou, tau
         refusal = self.refusal(pair.peer_sequence)
         if refusal is not None:
             return refusal
@@ -98,7 +156,6 @@ class AgreementWindow:
         return None
 
     def disagree(self, peer_sequence: int, capture_ns: int) -> MissReason | None:
-        """A D2 frame that does not agree restarts the count; returns why it is no new evidence, None when it did."""
         refusal = self.refusal(peer_sequence)
         if refusal is None:
             self._peer = peer_sequence
@@ -106,19 +163,16 @@ class AgreementWindow:
         return refusal
 
     def restart(self, stamp_ns: int) -> None:
-        """Something was missed at this instant (D1's clock): no run may reach across it."""
         self._count = 0
         self._floor_ns = stamp_ns if self._floor_ns is None else max(self._floor_ns, stamp_ns)
 
     def expire(self, instant_ns: int) -> bool:
-        """Restart when a pair captured at ``instant_ns`` would come too late for the run; True when that was so."""
         if not self._count or instant_ns - self._last[0] <= self._max_gap_ns:
             return False
         self._count = 0
         return True
 
     def refusal(self, peer_sequence: int) -> MissReason | None:
-        """DUPLICATE for the newest D2 frame compared so far, STALE for an older one, None for a new one."""
         if self._peer is None:
             return None
         ahead = serial_difference(peer_sequence, self._peer)

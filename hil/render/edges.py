@@ -1,4 +1,7 @@
-"""Compiled antialiasing: pixels that an edge crosses are sampled 16 times, or 64 times where a marker is in them."""
+"""Compiled antialiasing: pixels that an edge crosses are sampled 16 times, or 64 times where a marker is in them.
+
+An edge is that of a face, or one between two cells of a marker or of another pattern.
+"""
 
 # pyright: reportMissingParameterType=false
 # Kernels are typed by what they are first called with; their docstrings say what that is.
@@ -9,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.render.jit import kernel
-from hil.render.kernels import INTERIOR, active_in_row, marker_is_white, rotor_opacity, rotor_terms
+from hil.render.kernels import INTERIOR, active_in_row, marker_is_white, rotor_opacity, rotor_terms, shade_at
 from hil.render.primitives import (
     CELLS,
     COLOR,
@@ -22,8 +25,10 @@ from hil.render.primitives import (
     OVER_V,
     ROW_0,
     ROW_1,
+    SECOND,
+    SHADES,
 )
-from hil.render.scene import INK, MARKER, PAPER
+from hil.render.scene import INK, MARKER, PAPER, PATTERN, PRINT
 
 MOST = 48  # primitives that are looked at in one pixel; more than any view of the scene has
 
@@ -95,31 +100,44 @@ def _nearest(local, number, ground_w, ray, du, dv, best, nearest):
 
 
 @kernel
-def _is_ink(primitives, p, table, side, x, y):
-    """Whether a marker's plate is black at a ray."""
+def _over(primitives, p, x, y):
+    """Where on a face a ray meets it: (u, v)."""
     z = 1.0 / (primitives[p, INVERSE_Z] * x + primitives[p, INVERSE_Z + 1] * y + primitives[p, INVERSE_Z + 2])
     u = (primitives[p, OVER_U] * x + primitives[p, OVER_U + 1] * y + primitives[p, OVER_U + 2]) * z
     v = (primitives[p, OVER_V] * x + primitives[p, OVER_V + 1] * y + primitives[p, OVER_V + 2]) * z
-    return not marker_is_white(table, side, u, v)
+    return u, v
 
 
 @kernel
-def _shares(primitives, tags, found, number, cells, cells_per_side, ray, du, dv, best, shares, light):
+def _shares(primitives, tags, found, number, looks, ray, du, dv, best, shares, light):
     """Share of the pixel that every face shows (last: the ground), and the share times what its colour is taken at."""
+    cells, cells_per_side, shade_texels, tables = looks
     for i in range(number + 1):
         samples = 0
         for s in range(best.size):
             samples += best[s] == i
         shares[i] = samples / best.size
         light[i] = shares[i]
-        if samples == 0 or i == number or tags[found[i], KIND] != MARKER:
+        if samples == 0 or i == number:
             continue
         p, inked = found[i], 0
+        if tags[p, KIND] == PATTERN or tags[p, KIND] == PRINT:
+            total, shade_table = 0, tables[tags[p, SHADES]]
+            for s in range(best.size):
+                if best[s] == i:
+                    x, y = ray[0] + ray[2] * du[s] + ray[3] * dv[s], ray[1] + ray[4] * du[s] + ray[5] * dv[s]
+                    u, v = _over(primitives, p, x, y)
+                    total += shade_at(shade_texels, shade_table, u, v)
+            light[i] = total / (255.0 * best.size)
+            continue
+        if tags[p, KIND] != MARKER:
+            continue
         table, side = cells[tags[p, CELLS]], cells_per_side[tags[p, CELLS]]
         for s in range(best.size):
             if best[s] == i:
                 x, y = ray[0] + ray[2] * du[s] + ray[3] * dv[s], ray[1] + ray[4] * du[s] + ray[5] * dv[s]
-                inked += _is_ink(primitives, p, table, side, x, y)
+                u, v = _over(primitives, p, x, y)
+                inked += not marker_is_white(table, side, u, v)
         light[i] -= inked / best.size * (1.0 - INK[0] / PAPER[0])
 
 
@@ -146,11 +164,11 @@ def _under_rotors(primitives, k, level, share, w, order, rotors, opacity, rotor_
 
 
 @kernel
-def draw_edges(primitives, tags, count, order, rotors, cells, cells_per_side, ground_w, rays, samples, edges, image):
+def draw_edges(primitives, tags, count, order, rotors, looks, ground_w, rays, samples, edges, image):
     """Sample every pixel that ``edges`` marks. ``image`` holds the ground there.
 
-    ground_w (3,): coefficients of the ground's 1/z. rays: x, y and their derivatives dx/du, dx/dv, dy/du, dy/dv, each
-    (h, w). samples: (few, many), each (2, n).
+    looks: as in ``kernels.shade_faces``. ground_w (3,): coefficients of the ground's 1/z. rays: x, y and their
+    derivatives dx/du, dx/dv, dy/du, dy/dv, each (h, w). samples: (few, many), each (2, n).
     """
     few, many = samples
     active, found, local = np.empty(count, np.int64), np.empty(MOST, np.int64), np.empty((MOST + 1, 5, 3))
@@ -167,18 +185,20 @@ def draw_edges(primitives, tags, count, order, rotors, cells, cells_per_side, gr
             number = _gather(primitives, tags, active, actives, c, ray, found, local)
             points = few
             for i in range(number):
-                if tags[found[i], KIND] == MARKER:
+                if tags[found[i], KIND] == MARKER or tags[found[i], KIND] == PRINT:
                     points = many
             du, dv, n = points[0], points[1], points.shape[1]
             best, nearest = every_best[:n], every_w[:n]
             _nearest(local, number, ground_w, ray, du, dv, best, nearest)
-            _shares(primitives, tags, found, number, cells, cells_per_side, ray, du, dv, best, shares, light)
+            _shares(primitives, tags, found, number, looks, ray, du, dv, best, shares, light)
             blended = _rotors_at(primitives, tags, order, rotors, r, c, ray, opacity, rotor_w)
             for k in range(3):
                 total = 0.0
                 for i in range(number + 1):
                     color = primitives[found[i], COLOR + k] if i < number else float(image[k, r, c])
                     level = color * light[i]
+                    if i < number and light[i] != shares[i]:  # the second colour; black for a marker
+                        level += primitives[found[i], SECOND + k] * (shares[i] - light[i])
                     if blended:
                         w = local[i, 4, 0]
                         level = _under_rotors(primitives, k, level, shares[i], w, order, rotors, opacity, rotor_w)

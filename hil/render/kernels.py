@@ -27,16 +27,21 @@ from hil.render.primitives import (
     OVER_V,
     ROW_0,
     ROW_1,
+    SECOND,
+    SHADES,
     SHARPNESS,
     SPIN,
 )
-from hil.render.scene import INK, MARKER, PAPER, PLATE_SCALE, ROTOR
+from hil.render.scene import INK, MARKER, PAPER, PATTERN, PLATE_SCALE, PRINT, ROTOR
 
 F = np.float32
 ZERO, HALF, ONE, TWO, TINY = F(0.0), F(0.5), F(1.0), F(2.0), F(1e-6)
 
 # edge buffer
 INTERIOR, EDGE, MARKER_EDGE = 0, 1, 2
+
+# columns of the tables of shades
+FIRST, ROWS, TABLE_COLUMNS = 0, 1, 2
 
 FAINT, LOBE = F(0.22), F(0.26)  # opacity of a turning rotor: everywhere, and more where its blades are
 BLADE_HALF = F(0.11)  # half the width of a blade at rest, in radii of the disc
@@ -114,6 +119,39 @@ def _marker_pixel(primitive, table, side, x, y, pixel):
 
 
 @kernel
+def shade_at(shades, table, u, v):
+    """Shade (0..255) of a pattern or print at (u, v), both 0..1 over it. ``table``: its row of the tables of shades."""
+    rows, columns = table[ROWS], table[TABLE_COLUMNS]
+    row = min(max(int(np.floor(v * rows)), 0), rows - 1)
+    column = min(max(int(np.floor(u * columns)), 0), columns - 1)
+    return int(shades[table[FIRST] + row * columns + column])
+
+
+@kernel
+def _shaded_pixel(primitive, shades, table, x, y, pixel):
+    """Shade of a pattern at a ray when it is one over the whole pixel; -1 when it is not."""
+    z = 1.0 / (primitive[INVERSE_Z] * x + primitive[INVERSE_Z + 1] * y + primitive[INVERSE_Z + 2])
+    u = (primitive[OVER_U] * x + primitive[OVER_U + 1] * y + primitive[OVER_U + 2]) * z
+    v = (primitive[OVER_V] * x + primitive[OVER_V + 1] * y + primitive[OVER_V + 2]) * z
+    reach_u = abs(primitive[OVER_U] - u * primitive[INVERSE_Z]) + abs(
+        primitive[OVER_U + 1] - u * primitive[INVERSE_Z + 1]
+    )
+    reach_v = abs(primitive[OVER_V] - v * primitive[INVERSE_Z]) + abs(
+        primitive[OVER_V + 1] - v * primitive[INVERSE_Z + 1]
+    )
+    reach_u *= 0.51 * z * pixel
+    reach_v *= 0.51 * z * pixel
+    if reach_u * table[TABLE_COLUMNS] > 0.5 or reach_v * table[ROWS] > 0.5:
+        return -1
+    shade = shade_at(shades, table, u - reach_u, v - reach_v)
+    for corner in range(1, 4):
+        du, dv = (reach_u if corner & 1 else -reach_u), (reach_v if corner >> 1 else -reach_v)
+        if shade_at(shades, table, u + du, v + dv) != shade:
+            return -1
+    return shade
+
+
+@kernel
 def active_in_row(tags, count, r, active):
     """Faces whose bounds the row meets, into ``active``; how many, and the columns they span."""
     actives, low, high = 0, 1 << 30, 0
@@ -126,8 +164,12 @@ def active_in_row(tags, count, r, active):
 
 
 @kernel
-def shade_faces(primitives, tags, count, cells, cells_per_side, ray_x, ray_y, pixel, owner, edges, image):
-    """Colour the interior of every face; pixels a marker's pattern crosses become MARKER_EDGE."""
+def shade_faces(primitives, tags, count, looks, ray_x, ray_y, pixel, owner, edges, image):
+    """Colour the interior of every face; pixels a marker's or other pattern crosses become MARKER_EDGE.
+
+    looks: cells (m, s, s) and cells_per_side (m,) of the markers; shades, flat, and their tables (k, 3).
+    """
+    cells, cells_per_side, shades, tables = looks
     active = np.empty(count, np.int64)
     palette = np.empty((2, count, 3), np.uint8)
     for p in range(count):
@@ -141,6 +183,16 @@ def shade_faces(primitives, tags, count, cells, cells_per_side, ray_x, ray_y, pi
             if p < 0 or edges[r, c] != INTERIOR:
                 continue
             white = 1
+            if tags[p, KIND] == PATTERN or tags[p, KIND] == PRINT:
+                shade = _shaded_pixel(primitives[p], shades, tables[tags[p, SHADES]], ray_x[r, c], ray_y[r, c], pixel)
+                if shade < 0:
+                    edges[r, c] = MARKER_EDGE
+                    continue
+                first = shade / 255.0
+                for k in range(3):
+                    level = primitives[p, COLOR + k] * first + primitives[p, SECOND + k] * (1.0 - first)
+                    image[k, r, c] = np.uint8(level + 0.5)
+                continue
             if tags[p, KIND] == MARKER:
                 table, side = cells[tags[p, CELLS]], cells_per_side[tags[p, CELLS]]
                 white = _marker_pixel(primitives[p], table, side, ray_x[r, c], ray_y[r, c], pixel)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.render.jit import kernel
-from hil.render.scene import MARKER, ROTOR
+from hil.render.scene import MARKER, PATTERN, PRINT, ROTOR
 
 # Columns of a primitive. Edges are scaled so that a pixel whose centre has every edge >= 1 lies inside as a whole, and
 # one with an edge < -1 lies outside as a whole.
@@ -28,14 +28,16 @@ BLADE_SIN = 26
 SPIN = 27  # rotor: 1 turning (translucent disc), 0 at rest (two blades)
 CENTER_Z = 28  # of the middle of the rectangle, m
 SHARPNESS = 29  # rotor: z over the radius of a pixel's disc, so that a step becomes a ramp of one pixel
-COLUMNS = 30
+SECOND = 30  # pattern or print: its other colour, BGR after shading
+COLUMNS = 33
 
 # Columns of the integers of a primitive.
 KIND = 0
 CELLS = 1  # MARKER: index of its cells
 ROW_0, ROW_1, COLUMN_0, COLUMN_1 = 2, 3, 4, 5  # half-open bounds in pixels
-VEHICLE = 6  # 1: part of a car
-TAGS = 7
+VEHICLE = 6  # 1: part of what is tracked
+SHADES = 7  # PATTERN, PRINT: index of its table
+TAGS = 8
 
 HALF_DIAGONAL_PX = 0.7072  # of a pixel, rounded up
 NEAR_M = 1e-3
@@ -125,19 +127,23 @@ def _fill(p0, e1, e2, determinant, pixel, primitive):
 
 
 @kernel
-def add_body(corners, colors, kinds, R, t, sun_c, motion, vehicle, view, primitives, tags, count):
+def add_body(corners, looks, first_table, R, t, sun_c, motion, vehicle, view, primitives, tags, count):
     """Append the rectangles of one body that may be seen; returns the new count.
 
-    corners (n, 9), colors (n, 3), kinds (n,): as in ``scene.Model``. R (3, 3), t (3,): T_c_body. sun_c (3,): towards
-    the sun. motion (3,): cosine and sine of the blades' angle, and 1 when they turn. vehicle: 1 for a car. view:
-    ``column_x`` (2, w), ``row_y`` (2, h), and the largest size of a pixel on the plane z = 1.
+    corners (n, 9), looks (colors (n, 3), seconds (n, 3), kinds (n,)): as in ``scene.Model``. first_table: index of the
+    first table of shades of this body. R (3, 3), t (3,): T_c_body. sun_c (3,): towards the sun. motion (3,): cosine and
+    sine of the blades' angle, and 1 when they turn. vehicle: 1 for what is tracked. view: ``column_x`` (2, w),
+    ``row_y`` (2, h), and the largest size of a pixel on the plane z = 1.
     """
     column_x, row_y, pixel = view
-    markers = 0
+    colors, seconds, kinds = looks
+    markers, tables = 0, 0
     for i in range(kinds.size):
         kind = kinds[i]
         if kind == MARKER:
             markers += 1
+        elif kind in (PATTERN, PRINT):
+            tables += 1
         p0 = _turned(R, corners, i, 0)
         p0 = (p0[0] + t[0], p0[1] + t[1], p0[2] + t[2])
         e1, e2 = _turned(R, corners, i, 3), _turned(R, corners, i, 6)
@@ -154,6 +160,7 @@ def add_body(corners, colors, kinds, R, t, sun_c, motion, vehicle, view, primiti
         _fill(p0, e1, e2, determinant, pixel, primitive)
         for k in range(3):
             primitive[COLOR + k] = min(255.0, colors[i, k] * light)
+            primitive[SECOND + k] = min(255.0, seconds[i, k] * light)
         primitive[LIGHT] = light
         slope = np.hypot(primitive[OVER_U], primitive[OVER_U + 1]) + np.hypot(primitive[OVER_V], primitive[OVER_V + 1])
         primitive[SHARPNESS] = 1.0 / max(slope * pixel, 1e-9)
@@ -162,5 +169,6 @@ def add_body(corners, colors, kinds, R, t, sun_c, motion, vehicle, view, primiti
         tags[count, KIND] = kind
         tags[count, CELLS] = markers - 1 if kind == MARKER else 0
         tags[count, VEHICLE] = vehicle
+        tags[count, SHADES] = first_table + tables - 1
         count += 1
     return count

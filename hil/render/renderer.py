@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 
 from hil.render import edges as edge_pass
 from hil.render import kernels, primitives, sensor
+from hil.render.bodies import Body, flying, standing
 from hil.render.ground import SCRATCH_ROWS, draw_ground, ground_plane
-from hil.render.scene import Model, car, drone, marked_drone
+from hil.render.scene import MARKER, car, drone, marked_drone
 from hil.render.sensor import SensorNoise
 from hil.render.textures import ground_pyramid
 from hil.snapshot import DroneTruth, ObjectTruth, Snapshot
@@ -38,12 +40,9 @@ class _Lens:
     pixel: float  # mean size of a pixel on z = 1
 
 
-@dataclass(frozen=True, slots=True)
-class _Instance:
-    model: Model
-    T_c_body: Pose
-    motion: Array  # (3,): cosine and sine of the blades' angle, 1 when they turn
-    vehicle: bool
+_Looks = tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.uint8], NDArray[np.int64]]
+_NO_CELLS = (np.zeros((1, 1, 1), np.uint8), np.ones(1, np.int64))
+_NO_SHADES = (np.zeros(1, np.uint8), np.ones((1, 3), np.int64))
 
 
 class Renderer:
@@ -95,16 +94,60 @@ class Renderer:
         Returns:
             Colour, shape (h, w, 3), BGR, and depth, shape (h, w), z in millimetres, 0 where there is none.
         """
-        depth = np.empty(self._inverse_z.shape, np.uint16)
-        for _ in self._stages(snapshot, role, frame_seed, depth):
-            pass
-        return cv2.merge(tuple(self._exposed)), depth  # pyright: ignore[reportReturnType]
+        key = self.key(role, frame_seed)
+        light, depth = self.draw(
+            snapshot.drones[role].T_w_b, self._bodies(snapshot, role), key, depth_holes=snapshot.depth_holes
+        )
+        return self.expose(light, key), depth
 
-    def _stages(self, snapshot: Snapshot, role: Role, frame_seed: int, depth: NDArray[np.uint16]) -> Iterator[str]:
-        """Do the work of one image, naming every stage before it starts; leaves the colour in ``_exposed``."""
+    def stages(self, snapshot: Snapshot, role: Role, frame_seed: int) -> Iterator[str]:
+        """Do the work of one image, naming every stage before it starts."""
+        key, depth = self.key(role, frame_seed), np.empty(self._inverse_z.shape, np.uint16)
+        T_w_c = snapshot.drones[role].T_w_b @ self._T_b_c
+        yield from self._stages(T_w_c, self._bodies(snapshot, role), key, depth, snapshot.depth_holes)
+        yield "exposure"
+        self.expose(self._image, key)
+
+    def key(self, role: Role, frame_seed: int) -> int:
+        """What selects the noise of one image."""
+        return sensor.mixed(self._seed, list(Role).index(role), frame_seed)
+
+    def draw(
+        self, T_w_b: Pose, bodies: Sequence[Body], key: int, *, depth_holes: bool = False
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+        """Bodies as the camera of the drone at ``T_w_b`` sees them; at most one of them carries ideal markers.
+
+        Returns:
+            Light before optics and sensor, shape (3, h, w), in the order B, G, R, valid until the next call; and depth
+            with its noise.
+        """
+        depth = np.empty(self._inverse_z.shape, np.uint16)
+        for _ in self._stages(T_w_b @ self._T_b_c, bodies, key, depth, depth_holes):
+            pass
+        return self._image, depth
+
+    def expose(self, light: NDArray[np.uint8], key: int) -> NDArray[np.uint8]:
+        """Image of the sensor, shape (h, w, 3), BGR, of what ``draw`` gave."""
+        noise = self._noise
+        sensor.expose(
+            light,
+            self._taps,
+            noise.read_sigma,
+            noise.shot_gain,
+            self._color_pool,
+            _offset(key, 2),
+            _offset(key, 3),
+            self._rows,
+            self._exposed,
+        )
+        return cv2.merge(tuple(self._exposed))  # pyright: ignore[reportReturnType]
+
+    def _stages(
+        self, T_w_c: Pose, bodies: Sequence[Body], key: int, depth: NDArray[np.uint16], depth_holes: bool
+    ) -> Iterator[str]:
+        """Draw, naming every stage before it starts; leaves the light in ``_image``."""
         rays, view, pixel = self._lens.rays, self._lens.view, self._lens.pixel
         x, y, inverse_z, owner, edges, image = *rays[:2], self._inverse_z, self._owner, self._edges, self._image
-        T_w_c = snapshot.drones[role].T_w_b @ self._T_b_c
         sun_c = T_w_c.R.T @ SUN_W
         owner.fill(-1)
         edges.fill(kernels.INTERIOR)
@@ -113,95 +156,81 @@ class Renderer:
         light = primitives.AMBIENT + primitives.DIFFUSE * SUN_W[2]
         draw_ground(plane, light, pixel, x, y, ground_pyramid(), self._rows, self._words, image, inverse_z)
         yield "primitives"
-        faces, tags, count, marked = self._set_up(snapshot, role, T_w_c, sun_c, view)
+        faces, tags, count, looks = _set_up(bodies, T_w_c.inverse(), sun_c, view)
         order = np.empty(count, np.int64)
         rotors = kernels.order_rotors(faces, tags, count, order)
         yield "visibility"
         kernels.draw_faces(faces, tags, count, x, y, inverse_z, owner, edges)
         yield "faces"
-        cells, sides = marked.cells, marked.cells_per_side
-        kernels.shade_faces(faces, tags, count, cells, sides, x, y, pixel, owner, edges, image)
+        kernels.shade_faces(faces, tags, count, looks, x, y, pixel, owner, edges, image)
         yield "rotors"
         kernels.draw_rotors(faces, order, rotors, tags, x, y, inverse_z, edges, image)
         yield "edges"
-        edge_pass.draw_edges(faces, tags, count, order, rotors, cells, sides, plane[2], rays, SAMPLES, edges, image)
+        edge_pass.draw_edges(faces, tags, count, order, rotors, looks, plane[2], rays, SAMPLES, edges, image)
         yield "depth"
-        noise, key = self._noise, sensor.mixed(self._seed, list(Role).index(role), frame_seed)
-        offsets = [(key >> shift) % sensor.POOL_MARGIN for shift in (0, 8, 16, 24)]
+        noise = self._noise
         sensor.measure_depth(
             inverse_z,
             owner,
             tags,
-            snapshot.depth_holes,
+            depth_holes,
             noise.depth_sigma_at_1m_m,
             noise.min_depth_m,
             noise.max_depth_m,
             self._depth_pool,
-            offsets[0],
-            offsets[1],
+            _offset(key, 0),
+            _offset(key, 1),
             depth,
         )
         sensor.punch_holes(inverse_z, edges, noise.depth_hole_rate, key >> 1, depth)
-        yield "exposure"
-        sensor.expose(
-            image,
-            self._taps,
-            noise.read_sigma,
-            noise.shot_gain,
-            self._color_pool,
-            offsets[2],
-            offsets[3],
-            self._rows,
-            self._exposed,
-        )
 
-    def _set_up(
-        self, snapshot: Snapshot, role: Role, T_w_c: Pose, sun_c: Array, view: tuple[Array, Array, float]
-    ) -> tuple[Array, NDArray[np.int64], int, Model]:
-        """Primitives of everything but the own drone, nearest body first, and the model whose markers they show."""
+    def _bodies(self, snapshot: Snapshot, role: Role) -> list[Body]:
+        """Everything but the drone of ``role``."""
         marked = self._marked[snapshot.marker_hidden]
-        bodies = self._instances(snapshot, role, T_w_c.inverse(), marked)
-        bodies.sort(key=lambda body: float(body.T_c_body.t @ body.T_c_body.t))
-        total = sum(len(body.model.kinds) for body in bodies)
-        faces = np.empty((total, primitives.COLUMNS))
-        tags = np.empty((total, primitives.TAGS), np.int64)
-        count = 0
-        for body in bodies:
-            model, pose = body.model, body.T_c_body
-            R, t = np.ascontiguousarray(pose.R), np.ascontiguousarray(pose.t)
-            count = primitives.add_body(
-                model.corners,
-                model.colors,
-                model.kinds,
-                R,
-                t,
-                sun_c,
-                body.motion,
-                body.vehicle,
-                view,
-                faces,
-                tags,
-                count,
-            )
-        return faces, tags, count, marked
-
-    def _instances(self, snapshot: Snapshot, role: Role, T_c_w: Pose, marked: Model) -> list[_Instance]:
-        bodies = [
-            _Instance(
-                marked if other is Role.SENDER else self._plain,
-                T_c_w @ truth.T_w_b,
-                np.array([math.cos(truth.rotor_phase_rad), math.sin(truth.rotor_phase_rad), float(truth.armed)]),
-                False,
-            )
+        drones = [
+            flying(marked if other is Role.SENDER else self._plain, truth.T_w_b, truth.rotor_phase_rad, truth.armed)
             for other, truth in snapshot.drones.items()
             if other is not role
         ]
-        still = np.array([1.0, 0.0, 0.0])
-        for thing in snapshot.objects:
-            c, s = math.cos(thing.yaw_rad), math.sin(thing.yaw_rad)
-            T_w_o = Pose(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array(thing.position_w_m))
-            bodies.append(_Instance(self._car, T_c_w @ T_w_o, still, True))
-        return bodies
+        return drones + [standing(self._car, thing.position_w_m, thing.yaw_rad) for thing in snapshot.objects]
+
+
+def _offset(key: int, number: int) -> int:
+    """Where the noise of an image begins in its pool."""
+    return (key >> (8 * number)) % sensor.POOL_MARGIN
+
+
+def _set_up(
+    bodies: Sequence[Body], T_c_w: Pose, sun_c: Array, view: tuple[Array, Array, float]
+) -> tuple[Array, NDArray[np.int64], int, _Looks]:
+    """Primitives of the bodies, nearest body first, and the cells and shades that they show."""
+    placed = [(body, T_c_w @ body.T_w_body) for body in bodies]
+    placed.sort(key=lambda pair: float(pair[1].t @ pair[1].t))
+    total = sum(len(body.model.kinds) for body in bodies)
+    faces = np.empty((total, primitives.COLUMNS))
+    tags = np.empty((total, primitives.TAGS), np.int64)
+    count, tables = 0, 0
+    for body, pose in placed:
+        model = body.model
+        R, t = np.ascontiguousarray(pose.R), np.ascontiguousarray(pose.t)
+        looks = model.colors, model.seconds, model.kinds
+        count = primitives.add_body(
+            model.corners, looks, tables, R, t, sun_c, body.motion, body.target, view, faces, tags, count
+        )
+        tables += len(model.shades)
+    marked = (body.model for body in bodies if np.any(body.model.kinds == MARKER))
+    cells, sides = next(((model.cells, model.cells_per_side) for model in marked), _NO_CELLS)
+    shades = _joined([table for body, _ in placed for table in body.model.shades])
+    return faces, tags, int(count), (cells, sides, *shades)
+
+
+def _joined(shades: Sequence[NDArray[np.uint8]]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Tables of shades one after the other, flat, and for each where it begins, its rows and its columns."""
+    if not shades:
+        return _NO_SHADES
+    first = np.cumsum([0, *(table.size for table in shades[:-1])])
+    tables = np.array([(start, *table.shape) for start, table in zip(first, shades, strict=True)], np.int64)
+    return np.concatenate([table.ravel() for table in shades]), tables
 
 
 def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
@@ -216,13 +245,14 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     renderer = Renderer(camera, level, level, single_marker())
     drones = {role: DroneTruth(down, (0.0, 0.0, 0.0), 0.0, True) for role in Role}
     snapshot = Snapshot(0.0, drones, (ObjectTruth(0, (0.0, 0.0, 0.0), 0.0, 0.0),))
-    depth = np.empty((camera.height, camera.width), np.uint16)
-    for number, stage in enumerate(renderer._stages(snapshot, Role.RECEIVER, 0, depth), 1):
+    for number, stage in enumerate(renderer.stages(snapshot, Role.RECEIVER, 0), 1):
         if progress is not None:
             progress(stage, number, STAGES)
 
 
+@lru_cache(maxsize=3)
 def _lens(camera: CameraModel) -> _Lens:
+    """Shared: nobody changes it. It takes about a second at 1080p, and cameras often come in several renderers."""
     height, width = camera.height, camera.width
     columns, rows = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     rays = camera.rays(np.stack((columns.ravel(), rows.ravel()), axis=1)).reshape(height, width, 2)

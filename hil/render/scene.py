@@ -1,6 +1,7 @@
 """What the synthetic cameras see, as flat rectangles in the frames of the bodies they belong to.
 
-Geometry is in metres. Faces that lie on each other keep at least 1 mm apart. Only the cars are saturated orange.
+Geometry is in metres. Faces that lie on each other keep at least 1 mm apart. Only what can be a target is saturated
+orange.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ Array = NDArray[np.float64]
 Color = tuple[float, float, float]  # BGR under full light
 
 SOLID, MARKER, ROTOR = 0, 1, 2
+PATTERN, PRINT = 3, 4  # both show a table of shades; a pixel of a print is sampled as often as one of a marker
 
 PLATE_SCALE = 1.5  # side of the white plate over the side of the marker on it
 PAPER: Color = (228.0, 228.0, 228.0)
@@ -46,7 +49,7 @@ ROTOR_RADIUS_M = 0.064
 DRONE_HALF_M = (0.085, 0.048, 0.024)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Model:
     """Rectangles of one kind of body, in its frame; n of them.
 
@@ -55,9 +58,12 @@ class Model:
             u runs right and v down: E1 x E2 points away from the viewer. From behind it is not drawn, except rotor
             discs (the circle inscribed in the rectangle).
         colors: (n, 3) BGR.
-        kinds: (n,) SOLID, MARKER or ROTOR.
+        kinds: (n,) SOLID, MARKER, ROTOR, PATTERN or PRINT.
         cells: (m, s, s) marker cells, 1 = white; the i-th MARKER rectangle shows ``cells[i]``.
         cells_per_side: (m,).
+        seconds: (n, 3) BGR, the other colour of a PATTERN or PRINT.
+        shades: the i-th PATTERN or PRINT rectangle shows ``shades[i]``, (rows, columns) over v and u: share of its
+            first colour, 0..255, the rest is the second.
     """
 
     corners: Array
@@ -65,9 +71,20 @@ class Model:
     kinds: NDArray[np.int64]
     cells: NDArray[np.uint8]
     cells_per_side: NDArray[np.int64]
+    seconds: Array
+    shades: tuple[NDArray[np.uint8], ...]
 
 
-Face = tuple[Array, Array, Array, Color, int]  # P0, E1, E2, colour, kind
+class Face(NamedTuple):
+    """One rectangle of a model."""
+
+    corner: Array
+    e1: Array
+    e2: Array
+    color: Color
+    kind: int = SOLID
+    second: Color = (0.0, 0.0, 0.0)
+    shades: NDArray[np.uint8] | None = None
 
 
 def box(center: Sequence[float] | Array, size: Sequence[float], color: Color, axes: Array | None = None) -> list[Face]:
@@ -81,31 +98,38 @@ def box(center: Sequence[float] | Array, size: Sequence[float], color: Color, ax
         e1 = first * size[(axis + 1) % 3]
         e2 = second * size[(axis + 2) % 3]
         middle = np.asarray(center, float) + normal * (0.5 * size[axis])
-        faces.append((middle - 0.5 * (e1 + e2), e1, e2, color, SOLID))
+        faces.append(Face(middle - 0.5 * (e1 + e2), e1, e2, color))
     return faces
 
 
 def car() -> Model:
     """The target and its look-alikes: x forward, z up, origin on the ground below the middle."""
-    return _model([face for center, size, color in CAR_BOXES for face in box(center, size, color)])
+    return model_of([face for center, size, color in CAR_BOXES for face in box(center, size, color)])
 
 
 def drone() -> Model:
     """A quadrotor in body FRD, without marker."""
-    return _model(_airframe())
+    return model_of(_airframe())
 
 
-def marked_drone(T_b_v: Pose, layout: MarkerLayout, *, hidden: bool) -> Model:
-    """A quadrotor that carries the plates of a marker layout; ``hidden``: the plates are blank."""
+def marked_drone(T_b_v: Pose, layout: MarkerLayout, *, hidden: bool, prints: Sequence[NDArray[np.uint8]] = ()) -> Model:
+    """A quadrotor that carries the plates of a marker layout.
+
+    Args:
+        hidden: the plates are blank.
+        prints: what the plates show instead of ideal markers, one each: shades of ``PAPER``.
+    """
     faces = _airframe()
     cells: list[NDArray[np.uint8]] = []
-    for marker in layout.markers:
+    for number, marker in enumerate(layout.markers):
         T_b_m = T_b_v @ marker.T_v_m
-        faces += _plate(T_b_m, PLATE_SCALE * marker.side_m, blank=hidden)
+        kind = SOLID if hidden else PRINT if prints else MARKER
+        front, *backing = _plate(T_b_m, PLATE_SCALE * marker.side_m, kind)
+        faces += [front._replace(shades=prints[number]) if kind == PRINT else front, *backing]
         faces += _strut(T_b_m)
-        if not hidden:
+        if kind == MARKER:
             cells.append(marker_cells(layout.dictionary, marker.id).astype(np.uint8))
-    return _model(faces, cells)
+    return model_of(faces, cells)
 
 
 def _airframe() -> list[Face]:
@@ -126,14 +150,14 @@ def _airframe() -> list[Face]:
 
 def _rotor(center: tuple[float, float, float]) -> Face:
     e1, e2 = np.array([2.0 * ROTOR_RADIUS_M, 0.0, 0.0]), np.array([0.0, 2.0 * ROTOR_RADIUS_M, 0.0])
-    return np.asarray(center) - 0.5 * (e1 + e2), e1, e2, BLADE, ROTOR
+    return Face(np.asarray(center) - 0.5 * (e1 + e2), e1, e2, BLADE, ROTOR)
 
 
-def _plate(T_b_m: Pose, side_m: float, *, blank: bool) -> list[Face]:
+def _plate(T_b_m: Pose, side_m: float, kind: int) -> list[Face]:
     """White plate with its marker, and 1 mm behind it a slightly smaller backing."""
     right, up, out = T_b_m.R.T
     e1, e2 = right * side_m, -up * side_m
-    front: Face = (T_b_m.t - 0.5 * (e1 + e2), e1, e2, PAPER, SOLID if blank else MARKER)
+    front = Face(T_b_m.t - 0.5 * (e1 + e2), e1, e2, PAPER, kind)
     inner = side_m - 2.0 * GAP_M
     return [front, *box(T_b_m.t - out * (GAP_M + 0.001), (inner, inner, 0.002), FRAME, T_b_m.R)]
 
@@ -156,15 +180,18 @@ def _strut(T_b_m: Pose) -> list[Face]:
     return box(middle, (length, 0.012, 0.012), FRAME, axes)
 
 
-def _model(faces: Sequence[Face], cells: Sequence[NDArray[np.uint8]] = ()) -> Model:
+def model_of(faces: Sequence[Face], cells: Sequence[NDArray[np.uint8]] = ()) -> Model:
+    """``cells``: of the MARKER faces, in their order."""
     side = max((len(cell) for cell in cells), default=1)
     table = np.zeros((max(len(cells), 1), side, side), np.uint8)
     for entry, cell in zip(table, cells, strict=False):
         entry[: len(cell), : len(cell)] = cell
     return Model(
-        corners=np.array([np.concatenate(face[:3]) for face in faces]),
-        colors=np.array([face[3] for face in faces]),
-        kinds=np.array([face[4] for face in faces], np.int64),
+        corners=np.array([np.concatenate((face.corner, face.e1, face.e2)) for face in faces]),
+        colors=np.array([face.color for face in faces]),
+        kinds=np.array([face.kind for face in faces], np.int64),
         cells=table,
         cells_per_side=np.array([len(cell) for cell in cells] or [1], np.int64),
+        seconds=np.array([face.second for face in faces]),
+        shades=tuple(np.ascontiguousarray(face.shades) for face in faces if face.shades is not None),
     )

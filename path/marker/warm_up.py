@@ -12,6 +12,9 @@ from path.marker.detect import detect_markers
 from path.marker.layout import single_marker
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.marker.texture import cells
+from path.relative import RelativeFilter
+
+EYE = np.eye(3)
 
 
 def warm_up() -> None:
@@ -38,3 +41,7 @@ def warm_up() -> None:
     pose = estimate_pose(found, layout, camera, (0.0, -0.8, -0.6), (gx, gy, gz), PoseSettings())
     if not isinstance(pose, MarkerPose):
         raise RuntimeError(f"a drawn marker gave no pose ({pose.reason.value}): reinstall numba and OpenCV")
+    relative = RelativeFilter()
+    for stamp_ns in (0, 20_000_000):
+        relative.update(stamp_ns, pose.T_c_v, pose.covariance, EYE, EYE)
+        relative.predict(stamp_ns, EYE, EYE)

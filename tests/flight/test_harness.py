@@ -27,6 +27,7 @@ progresses = st.builds(
     link_bytes_per_s=finite,
     responsible=st.booleans(),
     note=st.text(),
+    evidence=st.none() | st.tuples(finite, finite),
 )
 results = st.builds(
     RoleResult,

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from drivers.rig import Mount
 from flight.config import MissionConfig
-from flight.marker_view import MarkerFix, MarkerView
+from flight.guidance import Vec3
+from flight.marker_view import MarkerFix, MarkerView, Motion, levelled
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Matrix, Pose
@@ -21,6 +23,7 @@ from path.prior import Prior
 from path.rigid import rigid
 from path.rotation import R_from_rpy
 
+MOUNT = Mount(Pose(np.eye(3), np.zeros(3)), Pose(np.eye(3), np.zeros(3)))
 CAMERA = CameraModel(640, 480, 612.8, 613.1, 317.6, 238.2, (0.104, -0.221, -0.0003, 0.0007, 0.088))
 LAYOUT = single_marker()
 TURNED = R_from_rpy(math.pi, 0.0, 0.0)  # the print faces the camera
@@ -66,7 +69,7 @@ class FakeView:
 class Watch:
     """A receiver that looks at frame after frame."""
 
-    view: MarkerView = field(default_factory=lambda: MarkerView(LAYOUT, CAMERA, MethodConfig(), MissionConfig()))
+    view: MarkerView = field(default_factory=lambda: MarkerView(LAYOUT, CAMERA, MOUNT, MethodConfig(), MissionConfig()))
     stamp_ns: int = 1_000 * MS
     last: FakeView = field(default_factory=lambda: FakeView(0, None))
 
@@ -82,6 +85,10 @@ class Watch:
             fix = self.look(T_c_v)
             assert isinstance(fix, MarkerFix), fix
         return fix  # type: ignore[possibly-undefined]
+
+
+def motion(stamp_ns: int, peer_n_mps: Vec3, own_n_mps: Vec3, peer_yaw_rad: float = 0.0) -> Motion:
+    return Motion(stamp_ns, own_n_mps, stamp_ns, peer_n_mps, peer_yaw_rad)
 
 
 NEAR = marker_at(0.1, -0.1, 1.2)
@@ -152,7 +159,7 @@ def test_an_unseen_marker_is_predicted_for_a_second() -> None:
 
 def test_an_unseen_marker_moves_as_the_two_vehicles_say() -> None:
     watch = Watch()
-    watch.view.set_velocities((0.5, 0.0, 0.0), (0.2, 0.0, 0.0))
+    watch.view.note_motion(motion(watch.stamp_ns, (0.5, 0.0, 0.0), (0.2, 0.0, 0.0)))
     watch.see(NEAR)
     now = watch.view.predict(watch.stamp_ns)
     later = watch.view.predict(watch.stamp_ns + 500 * MS)
@@ -171,6 +178,35 @@ def test_a_pose_that_turns_over_is_no_fix() -> None:
     after = watch.view.predict(watch.stamp_ns - FRAME_NS)
     assert before is not None and after is not None
     assert after.marker_n_m == pytest.approx(before.marker_n_m)
+
+
+def test_a_jump_is_no_fix() -> None:
+    """Farther than both drones could have moved since."""
+    watch = Watch()
+    watch.view.note_motion(motion(watch.stamp_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    watch.see(NEAR, 10)
+    assert watch.look(marker_at(0.12, -0.1, 1.1)) == Missed(MissReason.POSE_UNCERTAIN)
+    assert watch.view.fixes(watch.stamp_ns) == 10
+
+
+def test_the_markers_attitude_is_that_of_the_drone_that_carries_it() -> None:
+    """Roll and pitch by its gravity, heading by its status, for a marker that is mounted askew."""
+    R_b_v = R_from_rpy(0.3, -0.8, 1.9)
+    R_n_b = R_from_rpy(0.1, -0.2, 2.5)
+    x, y, z = ((R_n_b @ R_b_v).T @ (0.0, 0.0, 1.0)).tolist()
+    assert levelled((x, y, z), R_b_v) == pytest.approx(R_from_rpy(0.1, -0.2, 0.0) @ R_b_v)
+    assert levelled((x, y, z), R_b_v, 2.5) == pytest.approx(R_n_b @ R_b_v)
+
+
+def test_a_prediction_turns_with_the_drone_that_carries_the_marker() -> None:
+    """Its heading comes with its status; without that nothing is known of its attitude."""
+    watch = Watch()
+    watch.see(NEAR)
+    assert watch.view.R_n_v is None
+    watch.view.note_motion(motion(watch.stamp_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), peer_yaw_rad=0.7))
+    fix = watch.see(NEAR)
+    assert watch.view.R_n_v is not None
+    assert watch.view.R_n_v[2] == pytest.approx(R_N_C[2] @ fix.T_c_v.R, abs=1e-3)  # down
 
 
 def test_a_marker_seen_from_the_side_is_too_oblique() -> None:

@@ -8,12 +8,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from drivers.interfaces import FlightMode
 from hil.autopilot_values import OffboardSession
 from hil.monitors import Monitors, WatchedLog
 from path.config import MethodConfig
+from path.evidence import EvidenceGate
 from path.messages import Role
+from path.window import FramePair
 
 METHOD = MethodConfig(hold_frames=5, hold_s=0.4, max_gap_s=0.2)
 PERIOD_NS = 100_000_000
@@ -28,8 +32,8 @@ def pairs(number: int, first: int = 1, **changes: Any) -> Iterator[dict[str, Any
     """Agreeing pairs as the sender logs them."""
     for k in range(number):
         capture_ns = (first + k) * PERIOD_NS
-        record = {"agreed": True, "counted": True, "iou": 0.7, "tau": 0.3, "count": k + 1, "target_id": 1}
-        yield {**record, "capture_ns": capture_ns, **changes}
+        record = {"agreed": True, "counted": True, "iou": 0.7, "tau": 0.3, "count": k + 1, "target_id": 1, "epoch": 1}
+        yield {**record, "evidence": None, "capture_ns": capture_ns, **changes}
 
 
 def judge(monitors: Monitors, *records: dict[str, Any]) -> None:
@@ -171,6 +175,127 @@ def test_a_count_that_begins_again_after_a_gap_is_right(monitors: Monitors) -> N
     judge(monitors, *pairs(3), *pairs(5, 10))
     commit(monitors)
     assert not monitors.violations
+
+
+# --- the gate "evidence" ----------------------------------------------------------------------------------------------
+
+EVIDENCE = MethodConfig(gate="evidence")
+BLOCK = 20  # pairs at 50 Hz
+
+
+@dataclass
+class Stream:
+    """An evidence gate and what its sender logs of it, read by monitors."""
+
+    monitors: Monitors = field(default_factory=lambda: Monitors(EVIDENCE, 0.7))
+    gate: EvidenceGate = field(default_factory=lambda: EvidenceGate(EVIDENCE))
+    epoch: int = 1
+
+    def pair(self, index: int, iou: float = 0.8, **changes: Any) -> None:
+        capture_ns = index * 20_000_000
+        own = (index, capture_ns), (index + 1, capture_ns + 20_000_000)
+        refusal = self.gate.agree(FramePair(index, capture_ns, own), iou, 0.4)
+        evidence = self.gate.evidence.reached
+        record = {"agreed": refusal is None, "counted": refusal is None, "iou": iou, "tau": 0.4, "target_id": 1}
+        record |= {"count": self.gate.count, "evidence": evidence, "epoch": self.epoch, "capture_ns": capture_ns}
+        judge(self.monitors, {**record, **changes})
+
+    def pairs(self, first: int, number: int, iou: float = 0.8) -> None:
+        for index in range(first, first + number):
+            self.pair(index, iou)
+
+    def commit(self, **changes: Any) -> dict[str, int]:
+        record = {"target_id": 1, "epoch": self.epoch, **changes}
+        self.monitors.on_record(Role.SENDER, "/commit", 10, record)
+        return dict(self.monitors.violations)
+
+
+def test_evidence_enough_for_a_commit_is_enough_for_the_monitors() -> None:
+    stream = Stream()
+    stream.pairs(0, 3 * BLOCK + 1)
+    assert stream.gate.complete
+    assert stream.commit() == {}
+
+
+def test_s5_a_commit_a_pair_too_soon() -> None:
+    stream = Stream()
+    stream.pairs(0, 3 * BLOCK)
+    assert stream.commit() == {"S5": 1}
+    assert "60 pairs, 1.18 s, chance 0.0002 in run 1" in stream.monitors.details[0]
+
+
+def test_s5_a_later_run_needs_more_and_the_monitors_know() -> None:
+    stream = Stream()
+    stream.pairs(0, 2 * BLOCK + 1)
+    stream.pairs(2 * BLOCK + 1, BLOCK, 0.41)  # weak: agreeing pairs all of them
+    stream.pairs(3 * BLOCK + 1, 3 * BLOCK + 1)
+    assert not stream.gate.complete
+    assert stream.commit() == {"S5": 1}
+
+
+def test_s5_is_silent_about_a_run_that_began_again_for_a_reason_of_the_senders_own() -> None:
+    stream = Stream()
+    stream.pairs(0, 30)
+    stream.gate.restart(29 * 20_000_000)
+    stream.pairs(30, 4 * BLOCK + 1)
+    assert stream.gate.complete
+    assert stream.commit() == {}
+
+
+def test_s5_what_was_agreed_in_another_epoch_is_nothing() -> None:
+    stream = Stream()
+    stream.pairs(0, 3 * BLOCK + 1)
+    assert stream.commit(epoch=2) == {"S5": 1}
+
+
+def test_s5_a_new_epoch_begins_with_all_of_alpha_and_without_any_pair() -> None:
+    stream = Stream()
+    for first in range(0, 600, 30):  # many short runs
+        stream.pairs(first, 20)
+        stream.gate.restart((first + 20) * 20_000_000)
+    stream.gate, stream.epoch = EvidenceGate(EVIDENCE), 2
+    stream.pairs(601, 3 * BLOCK + 1)
+    assert stream.commit() == {}
+
+
+def test_a_commit_said_again_is_not_judged_again() -> None:
+    stream = Stream()
+    stream.pairs(0, 3 * BLOCK + 1)
+    stream.commit()
+    judge(stream.monitors, next(pairs(1, 700, agreed=False, tau=None)))
+    assert stream.commit() == {}
+
+
+def test_s6_a_role_that_claims_more_evidence_than_there_is() -> None:
+    stream = Stream()
+    stream.pairs(0, 2 * BLOCK)
+    stream.pair(2 * BLOCK, evidence=4.4)
+    assert dict(stream.monitors.violations) == {"S6": 1}
+    assert "the role has evidence 4.40, the monitor 3.70" in stream.monitors.details[0]
+
+
+@given(st.lists(st.tuples(st.sampled_from("aaaaaaaaawmsg"), st.integers(1, 50), st.floats(0.4, 1.0)), max_size=12))
+@settings(max_examples=100, deadline=None)
+def test_gate_and_monitors_never_differ(script: list[tuple[str, int, float]]) -> None:
+    """Whatever comes in, in whatever order: what the gate completes is full for the monitors, and nothing else."""
+    stream, index = Stream(), 0
+    for kind, length, iou in script:
+        if kind in "aw":
+            for _ in range(length):
+                index += 1
+                stream.pair(index, iou if kind == "a" else 0.42)
+                stream.pair(max(0, index - 3), 1.0)  # an old one
+                assert stream.gate.complete == stream.monitors._agreed.full  # pyright: ignore[reportPrivateUsage]
+        elif kind == "m":
+            index += 1
+            stream.gate.disagree(index, index * 20_000_000)
+            judge(stream.monitors, next(pairs(1, agreed=False, tau=None, capture_ns=index * 20_000_000)))
+        elif kind == "s":
+            index += 1
+            stream.gate.restart(index * 20_000_000)
+        else:
+            index += length
+    assert not stream.monitors.violations
 
 
 # --- S8 ------------------------------------------------------------------------------------------------------------

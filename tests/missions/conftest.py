@@ -148,10 +148,13 @@ class Synthetic:
                 "tau": 0.3,
                 "count": max(0, k - 1),
                 "needed": PAIRS,
+                "evidence": None,
+                "evidence_needed": None,
                 "capture_ns": self._stamp(role, time_s),
                 "sequence": k,
                 "target_sequence": 50 + k,
                 "target_id": 1,
+                "epoch": 1,
                 "own_box": self._seen(role, time_s, 0, 90.0),
                 "mapped_box": self._seen(role, time_s, 0, 80.0),
             }

@@ -54,6 +54,21 @@ def test_time_begins_with_the_roles_clock() -> None:
     assert [line.split()[0] for line in written] == ["0.0", "0.0", "6.0"]
 
 
+def test_the_agreement_is_shown_in_what_the_gate_goes_by() -> None:
+    pairs = at(1, phase="verify", count=42)
+    evidence = replace(pairs, needed=30, evidence=(3.69897, 4.30103))
+    assert "  42/350" in lines(pairs)[0]
+    assert "  evidence 3.7/4.3" in lines(evidence)[0]
+    for progress, expected in (
+        (pairs, "42/350"),
+        (evidence, "3.7/4.3"),
+        (replace(evidence, evidence=(9.0, 4.3)), "9.0/"),
+    ):
+        table = LiveTable()
+        table.show(progress)
+        assert expected in text_of(table)
+
+
 def test_a_note_is_written_once() -> None:
     written = lines(START, at(1, note="the peer is late"), at(9, note="the peer is late"))
     assert [line.endswith("the peer is late") for line in written] == [False, True, False]

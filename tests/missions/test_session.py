@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Awaitable, Callable, Coroutine
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -281,6 +281,26 @@ def test_statuses_go_on_until_the_vehicle_is_down(rig: Any) -> None:
 
 
 # --- waiting -----------------------------------------------------------------------------------------------------
+
+
+def test_the_vehicles_state_is_logged_once_for_each_report(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+
+        async def course() -> None:
+            await asyncio.sleep(0.25)  # no position yet
+            bench.vehicle.state = replace(STATE, stamp_ns=7)
+            await asyncio.sleep(0.5)
+            bench.vehicle.state = replace(STATE, stamp_ns=9, position_n_m=(1.5, 2.0, -1.5))
+            await asyncio.sleep(0.5)
+
+        await bench.fly(course)
+        logged = [
+            (stamp_ns, record["position_n_m"]) for topic, stamp_ns, record in bench.log.entries if topic == "/state"
+        ]
+        assert logged == [(7, (1.0, 2.0, -1.5)), (9, (1.5, 2.0, -1.5))]
+
+    virtual(main())
 
 
 def test_a_wait_ends_when_its_condition_comes_true(rig: Any) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from path.config import MethodConfig
+from path.config import EvidenceConfig, MethodConfig
 
 
 def test_defaults_are_valid_and_are_the_papers_where_it_gives_any() -> None:
@@ -37,6 +37,40 @@ def test_defaults_are_valid_and_are_the_papers_where_it_gives_any() -> None:
 def test_a_wrong_value_is_refused_by_name(field: str, value: Any) -> None:
     with pytest.raises(ValueError, match=f"^{field}:"):
         MethodConfig(**{field: value})
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("alpha", 0.0),
+        ("alpha", 1.0),
+        ("block_s", 0.0),
+        ("block_pairs", 0),
+        ("block_pairs", 8.0),
+        ("strength", 1.0),
+        ("first_rate", 0.3),  # above next_rate
+        ("next_rate", 1.0),
+        ("min_s", math.nan),
+        ("min_pairs", 1.5),
+        ("max_pose_sigma_m", -0.01),
+    ],
+)
+def test_a_wrong_value_of_the_evidence_gate_is_refused_by_name(field: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"^{field}:"):
+        EvidenceConfig(**{field: value})
+
+
+def test_a_gate_is_one_of_two() -> None:
+    assert MethodConfig().gate == "consecutive"
+    with pytest.raises(ValueError, match=r'^gate: .*"consecutive" nor "evidence"'):
+        MethodConfig(gate="evidense")  # pyright: ignore[reportArgumentType]
+
+
+def test_the_evidence_gate_asks_for_a_better_pose_and_fewer_pairs() -> None:
+    papers, evidence = MethodConfig(), MethodConfig(gate="evidence")
+    assert (papers.needed_pairs, papers.pose_sigma_limit_m) == (350, papers.max_pose_sigma_m)
+    assert (evidence.needed_pairs, evidence.pose_sigma_limit_m) == (30, evidence.evidence.max_pose_sigma_m)
+    assert MethodConfig(gate="evidence", max_pose_sigma_m=0.01).pose_sigma_limit_m == 0.01
 
 
 def test_noise_may_be_none_at_all() -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from path.agreement import Agreed
 from path.camera import CameraModel
 from path.config import MethodConfig
+from path.evidence import EvidenceGate, SideBySide
 from path.geometry import Pose
 from path.messages import Candidate, Target
 from path.observations import Box, Depth, Detection, Missed, MissReason
@@ -20,6 +21,7 @@ from path.prior import Prior
 from path.receiver import ReceiverCycle
 from path.rotation import exp, quat_from_R
 from path.sender import Pair, SenderCycle
+from path.window import AgreementWindow
 
 MS = 1_000_000
 PERIOD = 20 * MS
@@ -88,7 +90,7 @@ class Bench:
 
     @property
     def count(self) -> int:
-        return self.sender.window.count
+        return self.sender.gate.count
 
 
 def test_a_true_pair_agrees_with_full_overlap_whatever_the_relative_roll() -> None:
@@ -347,13 +349,49 @@ def test_the_whole_method_agrees_on_a_moving_target_and_completes_on_time() -> N
         for pair in pairs:
             assert isinstance(pair.verdict, Agreed)
             assert pair.verdict.iou > 0.9
-        if bench.sender.window.complete:
+        if bench.sender.gate.complete:
             break
     assert bench.count == 351
     assert bench.sender.agreed == 351
-    assert bench.sender.window.span_s == pytest.approx(7.0)
+    assert bench.sender.gate.span_s == pytest.approx(7.0)
     assert not bench.sender.misses
     assert not receiver.misses
+
+
+def test_the_gate_that_goes_by_evidence_decides_when_the_settings_say_so() -> None:
+    bench = Bench(MethodConfig(gate="evidence"))
+    pairs = bench.run(61)
+    assert bench.sender.gate.complete
+    verdicts = [pair.verdict for pair in pairs]
+    reached = [verdict.evidence.reached for verdict in verdicts if isinstance(verdict, Agreed) and verdict.evidence]
+    assert len(reached) == 61
+    assert reached == sorted(reached)
+    assert reached[19] == 0.0
+    assert reached[20] == pytest.approx(3.0)  # 0.4 s
+
+
+def test_the_gate_that_goes_by_evidence_wants_a_better_pose() -> None:
+    uncertain = MethodConfig().evidence.max_pose_sigma_m * 1.1
+    for config, expected in ((MethodConfig(), 21), (MethodConfig(gate="evidence"), 0)):
+        bench = Bench(config)
+        bench.run(20)
+        bench.step(21, sigma_m=uncertain)
+        assert bench.count == expected
+
+
+def test_another_gate_can_look_on() -> None:
+    window, evidence = AgreementWindow(CONFIG), EvidenceGate(CONFIG)
+    sender = SenderCycle(
+        CAMERA1, CAMERA2, T_V_C1, CONFIG, handoff_id=1, epoch=2, target_id=3, gate=SideBySide(window, evidence)
+    )
+    bench = Bench()
+    bench.sender = sender
+    bench.run(70)
+    bench.step(71, box=None, reason=MissReason.NO_CANDIDATE)
+    bench.run(90, first=72)
+    bench.see(91, box=None)
+    bench.run(100, first=92)
+    assert window.count == evidence.count == 8
 
 
 def test_a_look_alike_beside_the_target_never_agrees() -> None:
@@ -399,6 +437,6 @@ def test_no_disorder_on_the_link_completes_the_window_early(
             bench.see(tick // 40)
         bench.sender.evaluate_ready(round(now_ms * MS))
         assert bench.count <= len(arrived - disagreeing)
-        if bench.sender.window.complete:
+        if bench.sender.gate.complete:
             assert len(arrived - disagreeing) >= CONFIG.hold_frames
             assert now_ms >= 13.0 + 180.0

@@ -25,7 +25,7 @@ def test_box_faces_look_outward_and_close() -> None:
     center = np.array([0.3, -0.2, 0.5])
     faces = box(center, (0.2, 0.4, 0.6), (1.0, 2.0, 3.0))
     areas = 0.0
-    for p0, e1, e2, _, _ in faces:
+    for p0, e1, e2, *_ in faces:
         towards_viewer = -np.cross(e1, e2)
         middle = p0 + 0.5 * (e1 + e2)
         assert towards_viewer @ (middle - center) > 0.0

@@ -23,7 +23,7 @@ from tests.path.marker.scene import HD, VGA, View, random_view, region_around, r
 
 LAYOUT = single_marker(side_sigma_m=0.0)
 ATTITUDE_RAD = math.radians(0.5)
-SETTINGS = PoseSettings(attitude_sigma_rad=ATTITUDE_RAD, focal_sigma=0.0)
+SETTINGS = PoseSettings(attitude_v_sigma_rad=ATTITUDE_RAD, attitude_c_sigma_rad=ATTITUDE_RAD, focal_sigma=0.0)
 HERE = Pose(np.eye(3), np.zeros(3))
 
 
@@ -112,20 +112,90 @@ def test_the_covariance_holds(camera: CameraModel, sigma_px: float):
     assert 0.75 < np.mean(surprises) < 1.25
 
 
-def test_the_covariance_holds_for_a_misprinted_marker_and_a_wrong_focal_length():
+@pytest.mark.parametrize("sigma_px", [0.015, 0.3])
+@pytest.mark.parametrize(("sigma_v_deg", "sigma_c_deg"), [(1.2, 0.2), (0.1, 0.6)])
+def test_the_squared_error_of_six_numbers_is_six_with_every_stated_error(
+    sigma_px: float, sigma_v_deg: float, sigma_c_deg: float
+):
+    """Corner noise, print, focal length and two attitudes of different quality: normalised squared errors (NEES)."""
     rng = np.random.default_rng(3)
-    surprises = list[float]()
-    layout = single_marker(side_sigma_m=0.0002)
-    settings = dataclasses.replace(SETTINGS, focal_sigma=0.002)
-    for _ in range(200):
+    layout, sigma_v, sigma_c = single_marker(side_sigma_m=0.0002), math.radians(sigma_v_deg), math.radians(sigma_c_deg)
+    settings = PoseSettings(sigma_v, sigma_c, focal_sigma=0.002)
+    squared = list[float]()
+    for _ in range(400):
         view = random_view(rng, VGA, 0.7, 1.5, 60.0)
         printed = single_marker(side_m=0.04 + rng.normal(0.0, 0.0002))
         focal = 1.0 + rng.normal(0.0, 0.002)
         lens = dataclasses.replace(VGA, fx=VGA.fx * focal, fy=VGA.fy * focal)
-        pose = solve(VGA, view, seen(lens, view, 0.02, rng, printed), rng, layout, settings)
+        down_v, down_c = vec(tilted(view.gravity_v, sigma_v, rng)), vec(tilted(view.gravity_c, sigma_c, rng))
+        pose = estimate_pose(seen(lens, view, sigma_px, rng, printed), layout, VGA, down_v, down_c, settings)
         assert isinstance(pose, MarkerPose)
-        surprises.append(surprise(pose, view))
-    assert 0.75 < np.mean(surprises) < 1.3
+        squared.append(6.0 * surprise(pose, view))
+    assert 5.4 < np.mean(squared) < 6.8  # its own standard deviation is 0.17
+    assert 10.5 < np.percentile(squared, 95.0) < 15.0  # 12.6 with six degrees of freedom
+
+
+def test_an_attitude_that_is_less_sure_counts_for_less():
+    rng = np.random.default_rng(12)
+    view = random_view(rng, VGA, 1.0, 1.2, 30.0)
+    detections = seen(VGA, view, 0.2, rng)
+    spread = list[float]()
+    for sigma_v, sigma_c in ((0.001, 0.001), (0.001, 0.02), (0.02, 0.001), (0.02, 0.02)):
+        settings = PoseSettings(sigma_v, sigma_c, focal_sigma=0.0)
+        pose = estimate_pose(detections, LAYOUT, VGA, vec(view.gravity_v), vec(view.gravity_c), settings)
+        assert isinstance(pose, MarkerPose)
+        spread.append(float(np.trace(pose.covariance[3:, 3:])))
+    assert spread[0] < 0.5 * spread[1] < 0.5 * spread[3]
+    assert spread[1] == pytest.approx(spread[2], rel=0.01)
+
+
+def test_one_gravity_alone_says_nothing():
+    rng = np.random.default_rng(13)
+    view = random_view(rng, VGA, 0.7, 0.8, 30.0)
+    detections = seen(VGA, view, 0.02, rng)
+    settings = dataclasses.replace(SETTINGS, max_ambiguity=1.0)
+    poses = [
+        estimate_pose(detections, LAYOUT, VGA, down_v, down_c, settings)
+        for down_v, down_c in ((None, None), (vec(view.gravity_v), None), (None, vec(view.gravity_c)))
+    ]
+    for pose in poses:
+        assert isinstance(pose, MarkerPose) and isinstance(poses[0], MarkerPose)
+        assert (pose.T_c_v.R == poses[0].T_c_v.R).all() and (pose.covariance == poses[0].covariance).all()
+
+
+def test_both_solutions_are_given_the_right_one_first():
+    rng = np.random.default_rng(14)
+    both, tries = 0, 100
+    for _ in range(tries):
+        view = random_view(rng, VGA, 0.7, 1.5, 60.0)
+        pose = solve(VGA, view, seen(VGA, view, 0.3, rng), rng)
+        assert isinstance(pose, MarkerPose)
+        best, *others = pose.candidates
+        assert best.T_c_v is pose.T_c_v and best.likelihood == 1.0
+        assert len(others) <= 1
+        for other in others:
+            both += 1
+            assert other.cost > best.cost and other.likelihood < 0.01
+            assert rotation.angle_between(other.T_c_v.R, best.T_c_v.R) > 0.05
+    assert both > 0.85 * tries
+
+
+def test_the_likelihood_of_the_other_solution_is_how_often_it_is_the_right_one():
+    """Without gravity, and the likelier one always taken."""
+    rng = np.random.default_rng(15)
+    settings = dataclasses.replace(SETTINGS, max_ambiguity=1.0)
+    claimed, wrong = list[float](), list[bool]()
+    for _ in range(400):
+        view = random_view(rng, VGA, 0.7, 1.5, 60.0)
+        pose = estimate_pose(seen(VGA, view, 0.15, rng), LAYOUT, VGA, None, None, settings)
+        if isinstance(pose, MarkerPose) and len(pose.candidates) == 2:
+            best, other = pose.candidates
+            assert pose.ambiguity == other.likelihood
+            claimed.append(other.likelihood / (1.0 + other.likelihood))
+            to_best, to_other = (rotation.angle_between(c.T_c_v.R, view.T_c_v.R) for c in (best, other))
+            wrong.append(to_other < to_best)
+    assert len(wrong) > 300 and np.mean(wrong) > 0.05
+    assert np.mean(claimed) == pytest.approx(np.mean(wrong), abs=0.04)
 
 
 def test_without_gravity_two_solutions_that_cannot_be_told_apart_are_not_believed():

@@ -1,0 +1,101 @@
+"""Positions of ultrasonic beacons, as a log: one line for each position the system gave, in CSV.
+
+    stamp_ns,address,x_m,y_m,z_m,quality
+    1520331200,5,4.102,1.733,1.498,92
+
+Stamps are of the beacon system's own clock, positions in its own frame (z up, rotated about the vertical and shifted
+against any other). A driver for the hardware fills the same records.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers.interfaces import PartError
+from path.messages import Vec3
+
+COLUMNS = ("stamp_ns", "address", "x_m", "y_m", "z_m", "quality")
+
+
+class BeaconLogError(PartError):
+    """A file that is no beacon log."""
+
+
+@dataclass(frozen=True, slots=True)
+class BeaconFix:
+    """One position of one mobile beacon.
+
+    Attributes:
+        stamp_ns: of the beacon system's clock.
+        address: of the beacon.
+        position_m: in the beacon system's frame.
+        quality: 0..100, as the system rates it.
+    """
+
+    stamp_ns: int
+    address: int
+    position_m: Vec3
+    quality: float
+
+
+@dataclass(frozen=True, slots=True)
+class Mounted:
+    """A beacon on a body: its address, and where it sits in the body's frame, as measured with a ruler."""
+
+    address: int
+    lever_m: Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class BeaconTruth:
+    """What a harness that makes beacons up knows of them, for judging how a trial did; no trial may estimate with it.
+
+    Attributes:
+        offset_s: world clock minus beacon stamp at the middle of the log, latency included: a position that comes late
+            is one that is stamped late.
+        yaw_rad, origin_m: a point of the world is ``Rz(yaw) p + origin`` in the beacons' frame.
+        noise: what is wrong with the beacons, in words: (quantity, value).
+    """
+
+    offset_s: float
+    yaw_rad: float
+    origin_m: Vec3
+    noise: tuple[tuple[str, str], ...]
+
+
+def write_beacons(file: Path, fixes: Iterable[BeaconFix]) -> None:
+    """Raises OSError."""
+    with file.open("w", newline="", encoding="utf-8") as out:
+        rows = csv.writer(out)
+        rows.writerow(COLUMNS)
+        for fix in fixes:
+            x, y, z = fix.position_m
+            rows.writerow((fix.stamp_ns, fix.address, f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", f"{fix.quality:.0f}"))
+
+
+def read_beacons(file: Path) -> list[BeaconFix]:
+    """All positions of a log, in its order. Raises BeaconLogError naming the line, OSError."""
+    with file.open(newline="", encoding="utf-8", errors="replace") as lines:
+        rows = csv.reader(lines)
+        header = next(rows, [])
+        if tuple(name.strip() for name in header) != COLUMNS:
+            raise BeaconLogError(f"{file}: the first line is {','.join(header)!r}", f"it must be {','.join(COLUMNS)}")
+        return [_fix(file, number, row) for number, row in enumerate(rows, 2) if row]
+
+
+def _fix(file: Path, number: int, row: list[str]) -> BeaconFix:
+    try:
+        stamp, address, *rest = row
+        x, y, z, quality = map(float, rest)
+        fix = BeaconFix(int(stamp), int(address), (x, y, z), quality)
+    except ValueError as error:
+        raise BeaconLogError(
+            f"{file}, line {number}: {','.join(row)!r} is no position of a beacon", f"write {','.join(COLUMNS)}"
+        ) from error
+    if not math.isfinite(x + y + z + quality):
+        raise BeaconLogError(f"{file}, line {number}: a number is not finite", "leave such lines out")
+    return fix

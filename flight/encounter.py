@@ -1,0 +1,213 @@
+"""The seam between a trial and hand-overs without flights: what an attempt is asked for and what came of it.
+
+A rig names who plays encounters (``[trials] encounter = "hil.encounter:Encounters"``); nothing imports that. An
+encounter is the hand-over alone: D2 is at its viewpoint, both drones hold their places and verify until D1's window is
+complete or the time is over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.rig import Rig
+from path.agreement import threshold
+from path.config import MethodConfig
+from path.window import FramePair, Gate
+
+FaultName = Literal[
+    "none",
+    "marker_occlusion",
+    "marker_dropouts",
+    "flip",
+    "depth_holes",
+    "link_loss",
+    "link_delay",
+    "clock_error",
+    "camera_freeze",
+    "attitude_jump",
+    "look_alike_near",
+    "look_alike_crossing",
+    "detector_swap",
+    "mixed",
+]
+WrongKind = Literal["shift", "turn", "lock"]
+Outcome = Literal["commit", "timeout"]
+
+PAIR, MISS, OWN_MISS = 0, 1, 2
+"""What an entry of a series is: boxes were compared; D2's frame is a miss; D1's own frame is a miss."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wrong:
+    """A wrong association that is forced: D2 answers with a look-alike all the time, the rest is as ever.
+
+    Attributes:
+        kind: "shift", "turn": D2's pose is off by a constant translation or rotation, so that the prior falls on the
+            look-alike; "lock": pose and prior are right, but D2 sees only the look-alike.
+        distance_m: from the target to the look-alike.
+        residual_m: standard deviation per axis of how far beside the look-alike the prior falls.
+        crossing: the look-alike does not stay: it drives past the target, at this distance at the closest.
+    """
+
+    kind: WrongKind
+    distance_m: float
+    residual_m: float = 0.06
+    crossing: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """One hand-over to play. All that is drawn depends on ``seed`` and ``index`` alone.
+
+    Attributes:
+        fault: what goes wrong now and then; errors that last (calibration, print, attitude, boxes) always do.
+        roll_deg: by which D2's camera is turned about its optical axis on its mount, as both drones know.
+        limit_s: after so long without a commit it is a timeout.
+        whole: go on until the limit, whatever D1's window says.
+    """
+
+    seed: int
+    index: int
+    fault: FaultName = "none"
+    wrong: Wrong | None = None
+    roll_deg: float = 0.0
+    limit_s: float = 20.0
+    whole: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """What D1's window was told, in this order: one entry for every pair that was judged and every own miss.
+
+    Attributes:
+        kind: (n,) ``PAIR``, ``MISS`` or ``OWN_MISS``.
+        reason: (n,) why there was nothing to compare, as an index into ``MissReason``; -1 for a ``PAIR``.
+        now_ns: (n,) when it was judged, D1's clock.
+        sequence: (n,) u16 of D2's frame.
+        capture_ns: (n,) when D2's frame was taken, or D1's own one for an ``OWN_MISS``; D1's clock.
+        own: (n, 4) D1's frames before and after that instant: number, stamp, number, stamp.
+        iou: (n, 2) S_k with the box's centre mapped, and with its corner mapped as in the paper.
+        z_m: (n,) the target's distance along D1's optical axis.
+        pose_sigma_m: (n,) standard deviation of D2's position that came with its box.
+        right: (n,) whether D2's box is of the object that D1 was told to hand over.
+    """
+
+    kind: NDArray[np.int64]
+    reason: NDArray[np.int64]
+    now_ns: NDArray[np.int64]
+    sequence: NDArray[np.int64]
+    capture_ns: NDArray[np.int64]
+    own: NDArray[np.int64]
+    iou: NDArray[np.float64]
+    z_m: NDArray[np.float64]
+    pose_sigma_m: NDArray[np.float64]
+    right: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """Of an encounter, at its beginning, in truth.
+
+    ``look_alike_m``: the nearest look-alike's distance from the target. ``relative_roll_deg``: of D2's camera against
+    D1's, about the line of sight to the target.
+    """
+
+    range_1_m: float
+    range_2_m: float
+    marker_m: float
+    look_alike_m: float
+    relative_roll_deg: float
+    target_mps: float
+
+
+@dataclass(frozen=True, slots=True)
+class Encounter:
+    """What came of an attempt. Times are since its beginning, by D1's clock.
+
+    Attributes:
+        start_s: D2's first frame whose boxes overlapped as much as the threshold asks; None when none did.
+        commit_s: when D1's window was complete; None when it never was.
+        right: whether the box that completed the window is of the right object; None without a commit.
+        misses: number of entries by reason.
+        simulated_s: how much time was played.
+        series: what D1's window was told.
+    """
+
+    attempt: Attempt
+    outcome: Outcome
+    start_s: float | None
+    commit_s: float | None
+    right: bool | None
+    misses: Mapping[str, int]
+    simulated_s: float
+    circumstances: Circumstances
+    series: Series
+
+    @property
+    def reason(self) -> str:
+        """Of a timeout: what was missed most often; empty for a commit."""
+        if self.outcome == "commit":
+            return ""
+        return max(self.misses, key=lambda name: self.misses[name], default="no pair")
+
+
+def agreeing(series: Series, method: MethodConfig) -> NDArray[np.bool_]:
+    """(n,) which entries are pairs that overlap as much as the method's thresholds and mapping ask."""
+    iou = series.iou[:, 0 if method.box_mapping == "center" else 1]
+    z = np.where(series.kind == PAIR, series.z_m, 1.0)
+    tau = method.tau_min + (method.tau_max - method.tau_min) * np.minimum(1.0, (method.z0_m / z) ** 2)
+    return (series.kind == PAIR) & (series.pose_sigma_m <= method.pose_sigma_limit_m) & (iou >= tau)
+
+
+def tell(series: Series, gate: Gate, method: MethodConfig) -> int | None:
+    """Tell a gate what D1's cycle would have told it; the entry with which it was complete, None when it never was."""
+    agrees = agreeing(series, method).tolist()
+    column = 0 if method.box_mapping == "center" else 1
+    entries = zip(
+        series.kind.tolist(), series.now_ns.tolist(), series.sequence.tolist(), series.capture_ns.tolist(),
+        series.own.tolist(), series.iou[:, column].tolist(), series.z_m.tolist(), agrees, strict=True,
+    )  # fmt: skip
+    judged_ns = None
+    for k, (kind, now_ns, sequence, capture_ns, own, iou, z_m, agreed) in enumerate(entries):
+        # D1 looks once it has judged all that came in by a frame
+        if now_ns != judged_ns and gate.complete:
+            return k - 1
+        judged_ns = now_ns
+        if kind == OWN_MISS:
+            gate.restart(capture_ns)
+            continue
+        gate.expire(capture_ns)
+        if agreed:
+            pair = FramePair(sequence, capture_ns, ((own[0], own[1]), (own[2], own[3])))
+            gate.agree(pair, iou, threshold(z_m, method))
+        else:
+            gate.disagree(sequence, capture_ns)
+    return len(series) - 1 if gate.complete else None
+
+
+class EncounterPlayer(Protocol):
+    """Plays attempts with a rig's cameras, mounts, marker and method."""
+
+    def __init__(self, rig: Rig, method: MethodConfig | None = None) -> None:
+        """``method`` in place of the rig's. Raises PartError for a rig that it cannot play."""
+        ...
+
+    def play(self, attempt: Attempt) -> Encounter:
+        """By the compiled form of the method: fast."""
+        ...
+
+    def play_by_method(self, attempt: Attempt) -> Encounter:
+        """The same attempt through the method itself: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle``."""
+        ...
+
+    def warmed(self) -> Self:
+        """Itself, with everything compiled or loaded."""
+        ...

@@ -1,0 +1,77 @@
+"""The corner methods that are held against each other: OpenCV's and the project's own."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import cast, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from path.camera import CameraModel
+from path.geometry import Matrix
+from path.marker.detect import Refine, detect_markers
+from path.marker.layout import MarkerLayout
+from path.marker.texture import dictionary_of
+from path.observations import Region
+
+OPENCV = {"contour": cv2.aruco.CORNER_REFINE_CONTOUR, "apriltag": cv2.aruco.CORNER_REFINE_APRILTAG}
+PIXEL_CENTRE = {"contour": 0.0, "apriltag": 0.5}  # AprilTag's own code puts the centre of the first pixel at 0.5
+TITLES = {
+    "subpix": "cv2 SUBPIX",
+    "contour": "cv2 CONTOUR",
+    "apriltag": "cv2 APRILTAG",
+    "edges": "edge lines",
+    "photometric": "photometric",
+}
+METHODS: tuple[str, ...] = tuple(name for name in TITLES if name in OPENCV or name in get_args(Refine))
+ENLARGED = 4.0  # OpenCV's own methods see the region so much larger: at its own size they miss small markers
+WINDOW_PX = 23  # of the threshold, in the enlarged region
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Corners (4, 2) in px, in the order of the print, and their covariance (8, 8) where the method has one."""
+
+    corners_px: Matrix
+    covariance_px2: Matrix | None
+
+
+def find(
+    method: str, image: NDArray[np.uint8], region: Region, layout: MarkerLayout, camera: CameraModel
+) -> Found | None:
+    """The first marker of the layout in a region, None when it is not found, or more than once."""
+    if method in OPENCV:
+        return _by_opencv(method, image, region, layout)
+    found = detect_markers(image, region, layout, camera, refine=cast(Refine, method))
+    return Found(found[0].corners_px, found[0].covariance_px2) if len(found) == 1 else None
+
+
+def _by_opencv(method: str, image: NDArray[np.uint8], region: Region, layout: MarkerLayout) -> Found | None:
+    area = region.clipped(image.shape[1], image.shape[0])
+    if area is None:
+        return None
+    u0, v0 = int(area.x0), int(area.y0)
+    cut = cv2.cvtColor(image[v0 : math.ceil(area.y1), u0 : math.ceil(area.x1)], cv2.COLOR_BGR2GRAY)
+    large = cv2.resize(cut, None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC)
+    corners, ids, _ = _detector(layout.dictionary, OPENCV[method]).detectMarkers(large)
+    own = [k for k, marker_id in enumerate(np.ravel(ids)) if marker_id == layout.markers[0].id] if corners else []
+    if len(own) != 1:
+        return None
+    quad = np.asarray(corners[own[0]], float).reshape(4, 2) - PIXEL_CENTRE[method]
+    return Found((quad + 0.5) / ENLARGED - 0.5 + np.array([u0, v0]), None)
+
+
+@cache
+def _detector(dictionary: str, refinement: int) -> cv2.aruco.ArucoDetector:
+    """With the parameters that the project's own detection uses."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = WINDOW_PX
+    parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
+    parameters.perspectiveRemovePixelPerCell = 8
+    parameters.errorCorrectionRate = 1.0
+    parameters.cornerRefinementMethod = refinement
+    return cv2.aruco.ArucoDetector(dictionary_of(dictionary), parameters)

@@ -1,0 +1,211 @@
+"""One flight of the trial judged: by its beacons, as in the field, and by the truth, as only a harness can."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.beacon_log import BeaconTruth
+from drivers.rig import Rig
+from missions.records import Run, load_run
+from missions.summary import target_error_m
+from missions.trials.dynamic_coast import Coasts, coasts
+from missions.trials.dynamic_flight import (
+    BEACON_LOG,
+    Flown,
+    Heard,
+    Motions,
+    between,
+    load_beacons,
+    load_motions,
+)
+from missions.trials.trajectory import (
+    Alignment,
+    Pair,
+    align,
+    ape,
+    blocks_of,
+    coarse_offset,
+    rpe_after,
+    rpe_along,
+)
+from missions.truth import Truth, truth_of
+from path.messages import Role
+
+Array = NDArray[np.float64]
+
+SUBJECTS = ("d2", "target")
+WANDER_S = 8.0  # within this a vehicle's own position drifts by less than the beacons' noise
+RPE_S, RPE_M = 1.0, 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """One trajectory against one reference.
+
+    Attributes:
+        t: (n,) by the receiver's clock, s; ``error_m`` (n,) of each.
+        rpe_s, rpe_m: relative errors over a second and over a metre of way.
+        expected_m: rms error from the reference's noise alone; 0 for the truth.
+    """
+
+    t: Array
+    error_m: Array
+    rpe_s: Array
+    rpe_m: Array
+    expected_m: float = 0.0
+
+    @property
+    def blocks(self) -> NDArray[np.int64]:
+        return blocks_of(self.t)
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A flight: how the records lie to each other, and how far apart they are.
+
+    Attributes:
+        clock: the beacons' clock and frame against what both vehicles believe of their own motion.
+        frame, free: their frame against PATH's trajectories: about the vertical, and by any rotation.
+        offset_error_s, yaw_error_rad: of ``clock`` and ``frame``, judged by the harness.
+        noise_m: of a beacon position per axis, from its spread before anything moved.
+        beacons, truth: by subject.
+    """
+
+    flown: Flown
+    heard: Heard
+    motions: Motions
+    clock: Alignment
+    frame: Alignment
+    free: Alignment
+    offset_error_s: float
+    yaw_error_rad: float
+    noise_m: float
+    noise_samples: int
+    beacons: dict[str, Compared]
+    truth: dict[str, Compared]
+    coasts: Coasts
+
+
+def judge(order: tuple[Flown, Rig]) -> Judged:
+    """Everything the trial says of one flight."""
+    flown, rig = order
+    run, heard = load_run(flown.folder), load_beacons(flown.folder / BEACON_LOG)
+    motions = load_motions(run, rig)
+    rng = np.random.default_rng([flown.seed, 1])
+    clock = clock_of(motions, heard, rng)
+    pairs, noise_factors = pairs_of(motions, heard)
+    frame = align(pairs, clock.offset_s, rng, fit_offset=False)
+    free = align(pairs, clock.offset_s, rng, fit_offset=False, turn="any")
+    noise_m, samples = noise_at_rest(motions, heard, clock.offset_s)
+    truth = truth_of(run.world)
+    assert truth is not None, "trials are flown where there is truth"
+    offset_ns = truth.scene.clock_offset_ns[Role.RECEIVER]
+    return Judged(
+        flown=flown,
+        heard=heard,
+        motions=motions,
+        clock=clock,
+        frame=frame,
+        free=free,
+        offset_error_s=clock.offset_s - flown.beacons.offset_s - offset_ns * 1e-9,
+        yaw_error_rad=_yaw_error(frame, flown.beacons),
+        noise_m=noise_m,
+        noise_samples=samples,
+        beacons={
+            name: _against_beacons(pair, frame, k, noise_m, noise_factors[k])
+            for k, (name, pair) in enumerate(zip(SUBJECTS, pairs, strict=True))
+        },
+        truth=_against_truth(run, truth, motions),
+        coasts=coasts(run, rig, truth),
+    )
+
+
+def clock_of(motions: Motions, heard: Heard, rng: np.random.Generator) -> Alignment:
+    """The beacons' clock and frame from the whole flight of both drones, as both believe it to have been."""
+    offset_s = coarse_offset(motions.own, heard.paths["receiver"])
+    pairs = [
+        Pair(motions.own, heard.paths["receiver"], WANDER_S),
+        Pair(motions.own_1, heard.paths["sender"], WANDER_S),
+    ]
+    return align(pairs, offset_s, rng)
+
+
+def pairs_of(motions: Motions, heard: Heard) -> tuple[list[Pair], list[Array]]:
+    """PATH's trajectories from D1 with what the beacons say, and how much noisier that is than one position."""
+    d2, d2_noise = between(heard.paths["receiver"], heard.paths["sender"])
+    target, target_noise = between(heard.paths["target"], heard.paths["sender"])
+    return [Pair(motions.d2, d2), Pair(motions.target, target)], [d2_noise, target_noise]
+
+
+def noise_at_rest(motions: Motions, heard: Heard, offset_s: float) -> tuple[float, int]:
+    """Standard deviation of a position per axis while D2 and the target had not moved yet, and from how many."""
+    squares, count = 0.0, 0
+    for name in ("receiver", "target"):
+        path = heard.paths[name]
+        rest = path.p[path.t + offset_s < motions.still_until_s - 0.5]
+        if len(rest) > 3:
+            squares += float(np.sum((rest - rest.mean(axis=0)) ** 2))
+            count += 3 * (len(rest) - 1)
+    return (math.sqrt(squares / count), count) if count else (math.nan, 0)
+
+
+def _against_beacons(pair: Pair, frame: Alignment, k: int, noise_m: float, factors: Array) -> Compared:
+    used = frame.used[k]
+    t, residuals = pair.samples.t[used] + frame.offset_s, frame.residuals[k][used]
+    places = pair.curve.at(t)
+    return Compared(
+        t,
+        ape(residuals),
+        rpe_after(t, residuals, RPE_S),
+        rpe_along(places, residuals, RPE_M),
+        noise_m * math.sqrt(3.0 * float(np.mean(factors[used]))),
+    )
+
+
+def _against_truth(run: Run, truth: Truth, motions: Motions) -> dict[str, Compared]:
+    """D2's camera in ``v``; the very point of the target that D1 measured, in D2's camera frame."""
+    seen = [r for r in run.receiver["/marker"] if r.record["position_v_m"] is not None]
+    t = np.array([r.stamp_ns for r in seen]) * 1e-9
+    errors = np.array([np.array(r.record["position_v_m"]) - truth.T_v_c2(r.stamp_ns).t for r in seen])
+    d2 = Compared(t, ape(errors), rpe_after(t, errors, RPE_S), rpe_along(motions.d2.at(t), errors, RPE_M))
+    sent = {r.record["sequence"]: r.record for r in run.sender["/target"] if r.record["reason"] is None}
+    times, lengths = list[float](), list[float]()
+    for r in run.receiver.get("/candidate", ()):
+        point = sent.get(r.record["target_sequence"])
+        error_m = None if point is None else target_error_m(truth, r.record, point)
+        if error_m is not None:
+            times.append(r.record["capture_ns"] * 1e-9)
+            lengths.append(error_m)
+    none = np.zeros(0)
+    return {"d2": d2, "target": Compared(np.array(times), np.array(lengths), none, none)}
+
+
+def _yaw_error(frame: Alignment, beacons: BeaconTruth) -> float:
+    """The truth turns ENU; ``u`` is north, west, up. What D1's heading errs is in it."""
+    return math.remainder(frame.yaw_rad - beacons.yaw_rad - 0.5 * math.pi, 2.0 * math.pi)
+
+
+def true_path(truth: Truth, name: str, beacons: BeaconTruth, t: Array) -> Array:
+    """A body's true way in the beacons' frame, (n, 3), at instants of the receiver's clock."""
+    c, s = math.cos(beacons.yaw_rad), math.sin(beacons.yaw_rad)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    offset_s = truth.scene.clock_offset_ns[Role.RECEIVER] * 1e-9
+    places = truth_positions(truth, name)
+    return np.column_stack(
+        [np.interp(t - offset_s, truth.stamps_ns * 1e-9, places[:, k]) for k in range(3)]
+    ) @ R.T + np.array(beacons.origin_m)
+
+
+def truth_positions(truth: Truth, name: str) -> Array:
+    """(n, 3) at ``truth.stamps_ns``, in the world."""
+    role = Role.RECEIVER
+    shift = truth.scene.clock_offset_ns[role]
+    if name == "target":
+        return np.array([truth.T_w_o(truth.scene.target_id, role, int(s) + shift).t for s in truth.stamps_ns])
+    own = Role(name)
+    T_c_b = truth.scene.T_b_c[own].inverse()
+    return np.array([(truth.T_w_c(own, int(s) + truth.scene.clock_offset_ns[own]) @ T_c_b).t for s in truth.stamps_ns])

@@ -1,0 +1,234 @@
+"""Compiled parts of ``path.marker.pose``: residuals, the descent from one solution, the covariance at its end."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from path.marker.kernels import Array, cholesky, cholesky_solve, distort, exp_times, finite, inverse
+
+ITERATIONS = 12
+CONVERGED = 1e-9
+
+
+@njit(cache=True, nogil=True)
+def of_layout(turn: Array, shift: Array, R_v_m: Array, t_v_m: Array) -> tuple[bool, Array, Array]:
+    """The pose of ``v`` in the camera from a marker's, given as OpenCV's rotation vector and translation (3, 1).
+
+    The first value tells whether it is a pose, and of a marker in front of the camera.
+    """
+    R_c_m = exp_times(turn[:, 0], np.eye(3))
+    R, t = np.empty((3, 3)), np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = R_c_m[i, 0] * R_v_m[j, 0] + R_c_m[i, 1] * R_v_m[j, 1] + R_c_m[i, 2] * R_v_m[j, 2]
+    for i in range(3):
+        t[i] = shift[i, 0] - (R[i, 0] * t_v_m[0] + R[i, 1] * t_v_m[1] + R[i, 2] * t_v_m[2])
+    return shift[2, 0] > 0.0 and finite(R), R, t
+
+
+@njit(cache=True, nogil=True)
+def facing(R: Array, t: Array, R_v_m: Array, t_v_m: Array) -> tuple[float, Array]:
+    """Angle between a marker's normal and the line of sight, and the marker's centre (3,) in the camera."""
+    centre = np.empty(3)
+    along = 0.0
+    for i in range(3):
+        centre[i] = R[i, 0] * t_v_m[0] + R[i, 1] * t_v_m[1] + R[i, 2] * t_v_m[2] + t[i]
+        along -= centre[i] * (R[i, 0] * R_v_m[0, 2] + R[i, 1] * R_v_m[1, 2] + R[i, 2] * R_v_m[2, 2])
+    cosine = along / math.sqrt(centre[0] * centre[0] + centre[1] * centre[1] + centre[2] * centre[2])
+    return math.acos(min(1.0, max(-1.0, cosine))), centre
+
+
+@njit(cache=True, nogil=True)
+def angle(R_a: Array, R_b: Array) -> float:
+    """Of the rotation from one to the other."""
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            total += R_a[i, j] * R_b[i, j]
+    return math.acos(min(1.0, max(-1.0, 0.5 * (total - 1.0))))
+
+
+@njit(cache=True, nogil=True)
+def linearize(
+    R: Array, t: Array, points: Array, pixels: Array, whitening: Array, lens: Array, down: Array, weight: float,
+    residuals: Array, jacobian: Array,
+) -> float:  # fmt: skip
+    """Whitened residuals (8 a marker, then 3 of gravity) and their Jacobian by (dt, dw); returns the corners' cost."""
+    markers = whitening.shape[0]
+    raw, slope = np.empty(8), np.empty((8, 6))
+    cost = 0.0
+    for m in range(markers):
+        for c in range(4):
+            i = 4 * m + c
+            qx = R[0, 0] * points[i, 0] + R[0, 1] * points[i, 1] + R[0, 2] * points[i, 2]
+            qy = R[1, 0] * points[i, 0] + R[1, 1] * points[i, 1] + R[1, 2] * points[i, 2]
+            qz = R[2, 0] * points[i, 0] + R[2, 1] * points[i, 1] + R[2, 2] * points[i, 2]
+            z = qz + t[2]
+            if z < 1e-3:
+                return np.inf
+            x, y = (qx + t[0]) / z, (qy + t[1]) / z
+            u, v, ux, uy, vx, vy = distort(x, y, lens)
+            raw[2 * c], raw[2 * c + 1] = u - pixels[i, 0], v - pixels[i, 1]
+            for k in range(2):
+                gx, gy = (ux, uy) if k == 0 else (vx, vy)
+                a, b = gx / z, gy / z
+                d = -(gx * x + gy * y) / z
+                row = slope[2 * c + k]
+                row[0], row[1], row[2] = a, b, d
+                # dX = dw x q
+                row[3], row[4], row[5] = d * qy - b * qz, a * qz - d * qx, b * qx - a * qy
+        for r in range(8):
+            value = 0.0
+            for s in range(r + 1):
+                value += whitening[m, r, s] * raw[s]
+            residuals[8 * m + r] = value
+            cost += value * value
+            for k in range(6):
+                total = 0.0
+                for s in range(r + 1):
+                    total += whitening[m, r, s] * slope[s, k]
+                jacobian[8 * m + r, k] = total
+    root, base = math.sqrt(weight), 8 * markers
+    gx = R[0, 0] * down[0] + R[0, 1] * down[1] + R[0, 2] * down[2]
+    gy = R[1, 0] * down[0] + R[1, 1] * down[1] + R[1, 2] * down[2]
+    gz = R[2, 0] * down[0] + R[2, 1] * down[1] + R[2, 2] * down[2]
+    residuals[base], residuals[base + 1], residuals[base + 2] = (
+        root * (gx - down[3]), root * (gy - down[4]), root * (gz - down[5]),
+    )  # fmt: skip
+    jacobian[base, 4], jacobian[base, 5] = root * gz, -root * gy
+    jacobian[base + 1, 3], jacobian[base + 1, 5] = -root * gz, root * gx
+    jacobian[base + 2, 3], jacobian[base + 2, 4] = root * gy, -root * gx
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def normal(jacobian: Array, residuals: Array, information: Array, gradient: Array) -> float:
+    """Information ``J^T J`` (6, 6) and ``-J^T r`` (6,) into their places; returns the cost ``r^T r``."""
+    cost = 0.0
+    for i in range(6):
+        gradient[i] = 0.0
+        for j in range(6):
+            information[i, j] = 0.0
+    for r in range(residuals.shape[0]):
+        cost += residuals[r] * residuals[r]
+        for i in range(6):
+            gradient[i] -= jacobian[r, i] * residuals[r]
+            for j in range(6):
+                information[i, j] += jacobian[r, i] * jacobian[r, j]
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def refine(
+    start_R: Array, start_t: Array, points: Array, pixels: Array, whitening: Array, lens: Array, down: Array,
+    weight: float,
+) -> tuple[float, Array, Array, Array, float]:  # fmt: skip
+    """Levenberg-Marquardt from one solution: cost, pose, information (6, 6) and the corners' share of the cost."""
+    turn, shift = start_R, start_t
+    rows = 8 * whitening.shape[0] + 3
+    residuals, jacobian = np.zeros(rows), np.zeros((rows, 6))
+    information, gradient = np.zeros((6, 6)), np.zeros(6)
+    tried_information, tried_gradient, factor = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
+    corners = linearize(turn, shift, points, pixels, whitening, lens, down, weight, residuals, jacobian)
+    cost = normal(jacobian, residuals, information, gradient) if corners < np.inf else np.inf
+    damping = 1e-6
+    for _ in range(ITERATIONS):
+        if not cost < np.inf:
+            break
+        step, shifted = gradient.copy(), shift.copy()
+        for i in range(6):
+            for j in range(6):
+                factor[i, j] = information[i, j]
+            factor[i, i] += damping * information[i, i] + 1e-12
+        if not cholesky(factor):
+            break
+        cholesky_solve(factor, step)
+        for i in range(3):
+            shifted[i] += step[i]
+        turned = exp_times(step[3:], turn)
+        corners_new = linearize(turned, shifted, points, pixels, whitening, lens, down, weight, residuals, jacobian)
+        cost_new = normal(jacobian, residuals, tried_information, tried_gradient) if corners_new < np.inf else np.inf
+        if cost_new <= cost:
+            done = cost - cost_new < CONVERGED * (1.0 + cost)
+            turn, shift, cost, corners = turned, shifted, cost_new, corners_new
+            information, tried_information = tried_information, information
+            gradient, tried_gradient = tried_gradient, gradient
+            damping = max(1e-9, 0.1 * damping)
+            if done:
+                break
+        else:
+            damping = 1e-4 if damping < 1e-5 else 10.0 * damping
+            if damping > 1e8:
+                break
+    return cost, turn, shift, information, corners
+
+
+@njit(cache=True, nogil=True)
+def scales(
+    R: Array, t: Array, points: Array, middles: Array, sizes: Array, whitening: Array, lens: Array, jacobian: Array,
+    by_size: Array, by_focal: Array,
+) -> None:  # fmt: skip
+    """How corners pull the pose, ``J^T W du`` (6,), when a print or the focal length is not what it is believed to be.
+
+    Args:
+        middles, sizes: (m, 3) centre of each marker in ``v``, (m,) standard deviation of its side, relative. All
+            prints err together: they come from one printer.
+        jacobian: of ``linearize``, at this pose.
+    """
+    size, focal = np.empty(8), np.empty(8)
+    by_size[:], by_focal[:] = 0.0, 0.0
+    for m in range(whitening.shape[0]):
+        for c in range(4):
+            p = points[4 * m + c]
+            qx = R[0, 0] * p[0] + R[0, 1] * p[1] + R[0, 2] * p[2] + t[0]
+            qy = R[1, 0] * p[0] + R[1, 1] * p[1] + R[1, 2] * p[2] + t[1]
+            qz = R[2, 0] * p[0] + R[2, 1] * p[1] + R[2, 2] * p[2] + t[2]
+            x, y = qx / qz, qy / qz
+            u, v, ux, uy, vx, vy = distort(x, y, lens)
+            ox, oy, oz = p[0] - middles[m, 0], p[1] - middles[m, 1], p[2] - middles[m, 2]
+            z = R[2, 0] * ox + R[2, 1] * oy + R[2, 2] * oz
+            dx = (R[0, 0] * ox + R[0, 1] * oy + R[0, 2] * oz - x * z) / qz
+            dy = (R[1, 0] * ox + R[1, 1] * oy + R[1, 2] * oz - y * z) / qz
+            size[2 * c], size[2 * c + 1] = sizes[m] * (ux * dx + uy * dy), sizes[m] * (vx * dx + vy * dy)
+            focal[2 * c], focal[2 * c + 1] = u - lens[2], v - lens[3]
+        for r in range(8):
+            white_size, white_focal = 0.0, 0.0
+            for s in range(r + 1):
+                white_size += whitening[m, r, s] * size[s]
+                white_focal += whitening[m, r, s] * focal[s]
+            for k in range(6):
+                by_size[k] += jacobian[8 * m + r, k] * white_size
+                by_focal[k] += jacobian[8 * m + r, k] * white_focal
+
+
+@njit(cache=True, nogil=True)
+def covariance(
+    R: Array, t: Array, points: Array, pixels: Array, middles: Array, sizes: Array, focal: float, whitening: Array,
+    lens: Array, down: Array, weight: float, information: Array, misfit: float, out: Array,
+) -> float:  # fmt: skip
+    """Inverse information times the misfit, and what a wrong print and focal length add, into ``out`` (6, 6).
+
+    Returns the standard deviation of the position, mean over the axes; NaN when the information is singular.
+
+    Args:
+        focal: relative standard deviation of the focal length; the others as in ``scales`` and ``linearize``.
+    """
+    if not inverse(information, out):
+        return math.nan
+    rows = 8 * whitening.shape[0] + 3
+    left, jacobian = np.zeros(rows), np.zeros((rows, 6))
+    linearize(R, t, points, pixels, whitening, lens, down, weight, left, jacobian)
+    by_size, by_focal = np.empty(6), np.empty(6)
+    scales(R, t, points, middles, sizes, whitening, lens, jacobian, by_size, by_focal)
+    moved_by_size, moved_by_focal = np.zeros(6), np.zeros(6)
+    for i in range(6):
+        for j in range(6):
+            moved_by_size[i] += out[i, j] * by_size[j]
+            moved_by_focal[i] += focal * out[i, j] * by_focal[j]
+    for i in range(6):
+        for j in range(6):
+            out[i, j] = misfit * out[i, j] + moved_by_size[i] * moved_by_size[j] + moved_by_focal[i] * moved_by_focal[j]
+    return math.sqrt((out[0, 0] + out[1, 1] + out[2, 2]) / 3.0)

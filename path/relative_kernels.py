@@ -1,0 +1,204 @@
+"""Arithmetic of the relative-pose filter, compiled: what is worth knowing about it is in ``path.relative``.
+
+The error state is (dp, dw, de), 9 numbers in ``n``: position of the marker from the camera, its attitude perturbed as
+``exp(dw) R_n_v``, and the error of the reported relative velocity.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from path.marker.kernels import cholesky, exp_times
+from path.messages import Vec3
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def carried(
+    p: Array, R: Array, e: Array, P: Array, R_n_c: Array, R_n_v: Array, to_R_n_c: Array, to_R_n_v: Array, way: Vec3,
+    dt: float, walk: float, own: Vec3, peer: Vec3, lever_c: Array, lever_v: Array,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """``p``, ``R`` and ``P`` after ``dt`` seconds.
+
+    Args:
+        p, R, e, P: (3,), (3, 3), (3,), (9, 9), the state.
+        R_n_c, R_n_v, to_R_n_c, to_R_n_v: (3, 3), attitudes of camera and marker as reported, before and after.
+        way: what the reported velocities say that the marker's drone moved, minus the own one, m.
+        walk: variance that the velocity's error gains in a second, (m/s)^2.
+        own, peer: variances about the axes of ``n`` of what the two attitudes err more than before. The own one turns
+            position and attitude together.
+        lever_c, lever_v: (3,) of camera and marker from their drones' centres, in their own axes.
+    """
+    turn, turned_R, lever, moved = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            turn[i, j] = to_R_n_v[i, 0] * R_n_v[j, 0] + to_R_n_v[i, 1] * R_n_v[j, 1] + to_R_n_v[i, 2] * R_n_v[j, 2]
+    for i in range(3):
+        moved[i], lever[i] = p[i] + way[i] + e[i] * dt, 0.0
+        for j in range(3):
+            turned_R[i, j] = turn[i, 0] * R[0, j] + turn[i, 1] * R[1, j] + turn[i, 2] * R[2, j]
+            lever[i] += turned_R[i, j] * lever_v[j]
+            moved[i] += (turned_R[i, j] - R[i, j]) * lever_v[j] - (to_R_n_c[i, j] - R_n_c[i, j]) * lever_c[j]
+    return moved, turned_R, _covariance(P, turn, dt, walk, moved, own, lever, peer)
+
+
+@njit(cache=True, nogil=True)
+def _covariance(P: Array, turn: Array, dt: float, walk: float, p: Array, own: Vec3, lever: Array, peer: Vec3) -> Array:
+    """``P`` after ``dt`` seconds; ``turn`` (3, 3) of the marker's drone, ``p`` and ``lever`` (3,) afterwards."""
+    half, out = P.copy(), np.empty((9, 9))
+    for j in range(9):
+        for i in range(3):
+            half[i, j] = P[i, j] + dt * P[6 + i, j]
+            half[3 + i, j] = turn[i, 0] * P[3, j] + turn[i, 1] * P[4, j] + turn[i, 2] * P[5, j]
+    for i in range(9):
+        for j in range(3):
+            out[i, j] = half[i, j] + dt * half[i, 6 + j]
+            out[i, 3 + j] = turn[j, 0] * half[i, 3] + turn[j, 1] * half[i, 4] + turn[j, 2] * half[i, 5]
+            out[i, 6 + j] = half[i, 6 + j]
+    for i in range(3):
+        out[i, i] += walk * dt * dt * dt / 3.0
+        out[i, 6 + i] += 0.5 * walk * dt * dt
+        out[6 + i, i] += 0.5 * walk * dt * dt
+        out[6 + i, 6 + i] += walk * dt
+    _add_turned(out, p, own)
+    _add_turned(out, lever, peer)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _add_turned(P: Array, arm: Array, variances: Vec3) -> None:
+    """Add a random turn ``d`` about the axes of ``n``: ``dp += d x arm``, ``dw += d``."""
+    G = np.zeros((6, 3))
+    G[0, 1], G[0, 2], G[1, 0] = arm[2], -arm[1], -arm[2]
+    G[1, 2], G[2, 0], G[2, 1] = arm[0], arm[1], -arm[0]
+    G[3, 0], G[4, 1], G[5, 2] = 1.0, 1.0, 1.0
+    for i in range(6):
+        for j in range(6):
+            for k in range(3):
+                P[i, j] += G[i, k] * variances[k] * G[j, k]
+
+
+@njit(cache=True, nogil=True)
+def turned(covariance: Array, R: Array) -> Array:
+    """A pose's covariance (6, 6) in another frame: both halves turned by ``R`` (3, 3)."""
+    half, out = np.empty((6, 6)), np.empty((6, 6))
+    for i in range(3):
+        for j in range(6):
+            for b in range(0, 6, 3):
+                half[b + i, j] = (
+                    R[i, 0] * covariance[b, j] + R[i, 1] * covariance[b + 1, j] + R[i, 2] * covariance[b + 2, j]
+                )
+    for i in range(6):
+        for j in range(3):
+            for b in range(0, 6, 3):
+                out[i, b + j] = R[j, 0] * half[i, b] + R[j, 1] * half[i, b + 1] + R[j, 2] * half[i, b + 2]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def placed(R_a_b: Array, p_b: Array, R_b_v: Array, covariance: Array) -> tuple[Array, Array, Array]:
+    """A pose and its covariance (6, 6) in another frame, which is only turned: ``R_a_b p``, ``R_a_b R`` and so on."""
+    p, R = np.empty(3), np.empty((3, 3))
+    for i in range(3):
+        p[i] = R_a_b[i, 0] * p_b[0] + R_a_b[i, 1] * p_b[1] + R_a_b[i, 2] * p_b[2]
+        for j in range(3):
+            R[i, j] = R_a_b[i, 0] * R_b_v[0, j] + R_a_b[i, 1] * R_b_v[1, j] + R_a_b[i, 2] * R_b_v[2, j]
+    return p, R, turned(covariance, R_a_b)
+
+
+@njit(cache=True, nogil=True)
+def known_by(
+    R_n_c: Array, t: Array, R_c_v: Array, covariance: Array, persistent: float, spread: float
+) -> tuple[Array, Array, Array, Array]:
+    """``p``, ``R``, ``P`` and the persistent covariance (6, 6) of a state that knows nothing but one measured pose.
+
+    Args:
+        persistent: share of its variance that persists.
+        spread: variance of the velocity's error, (m/s)^2.
+    """
+    p, R, measured = placed(R_n_c, t, R_c_v, covariance)
+    P = np.zeros((9, 9))
+    for i in range(6):
+        for j in range(6):
+            P[i, j] = (1.0 - persistent) * measured[i, j]
+            measured[i, j] *= persistent
+    for i in range(6, 9):
+        P[i, i] = spread
+    return p, R, P, measured
+
+
+@njit(cache=True, nogil=True)
+def _surprise(p: Array, R: Array, seen_p: Array, seen_R: Array) -> Array:
+    """What a measured pose differs by from the state's, (6,): ``seen_p - p`` and the rotation vector to ``seen_R``."""
+    out, D = np.empty(6), np.empty((3, 3))
+    for i in range(3):
+        out[i] = seen_p[i] - p[i]
+        for j in range(3):
+            D[i, j] = seen_R[i, 0] * R[j, 0] + seen_R[i, 1] * R[j, 1] + seen_R[i, 2] * R[j, 2]
+    x, y, z = D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]
+    sine = 0.5 * math.sqrt(x * x + y * y + z * z)
+    angle = math.atan2(sine, 0.5 * (D[0, 0] + D[1, 1] + D[2, 2] - 1.0))
+    if sine > 1e-7:
+        scale = 0.5 * angle / sine
+    elif angle < 1.0:
+        scale = 0.5
+    else:  # half a turn, about whatever axis: no measurement that will be believed
+        x, y, z, scale = angle, 0.0, 0.0, 1.0
+    out[3], out[4], out[5] = scale * x, scale * y, scale * z
+    return out
+
+
+@njit(cache=True, nogil=True)
+def fuse(
+    p: Array, R: Array, e: Array, P: Array, persistent: Array, seen_p: Array, seen_R: Array, seen_P: Array,
+    seen_persistent: Array, kept: float, gate: float,
+) -> tuple[float, float, Array]:  # fmt: skip
+    """Kalman update by a measured pose. ``p``, ``R`` and ``P`` are changed in place.
+
+    Args:
+        persistent, seen_persistent: (6, 6), the part of the newest measurement's covariance that persists, and of
+            this one's: the two errors differ the more, the longer ago and the less alike they are.
+        seen_P: (9, 9), what of this one's does not persist.
+        kept: how much of a persistent error is left by now, 0..1.
+
+    Returns:
+        The squared Mahalanobis distance (above ``gate`` nothing is changed; NaN when a covariance is none), the
+        angle between the attitudes, and the new ``e``.
+    """
+    difference = _surprise(p, R, seen_p, seen_R)
+    angle = math.sqrt(difference[3] ** 2 + difference[4] ** 2 + difference[5] ** 2)
+    error = e.copy()
+    size, seen_size = np.trace(persistent), np.trace(seen_persistent)
+    change = 1.0 - kept * min(size, seen_size) / max(size, seen_size, 1e-30)
+    S = P[:6, :6] + seen_P[:6, :6] + change * (persistent + seen_persistent)
+    if not cholesky(S):
+        return math.nan, angle, error
+    white, W = np.empty(6), np.empty((6, 9))  # S^-1/2 of the difference, and of the rows of P
+    for i in range(6):
+        white[i] = difference[i]
+        W[i] = P[i]
+        for k in range(i):
+            white[i] -= S[i, k] * white[k]
+            W[i] -= S[i, k] * W[k]
+        white[i] /= S[i, i]
+        W[i] /= S[i, i]
+    distance2 = 0.0
+    for i in range(6):
+        distance2 += white[i] * white[i]
+    if distance2 <= gate:
+        correction = np.zeros(9)
+        for i in range(9):
+            for k in range(6):
+                correction[i] += W[k, i] * white[k]
+                for j in range(9):
+                    P[i, j] -= W[k, i] * W[k, j]
+        for i in range(3):
+            p[i] += correction[i]
+            error[i] += correction[6 + i]
+        R[:] = exp_times(correction[3:6], R)
+    return distance2, angle, error
