@@ -1,13 +1,23 @@
-"""Breadth first through every reachable world, with the way to whatever breaks an invariant."""
+"""Through every reachable world, tick by tick, with the way to whatever breaks an invariant.
+
+Two ways of not walking in circles:
+
+- exactly: a world that was seen is not entered again, any other is;
+- covering: nor is a world that is *covered* by one that was seen, which is the same but for more packets on the link,
+  more crashes, aborts and attempts to come, and a longer gap behind it. Nothing forces a packet to be delivered or a
+  program to crash, so whatever can happen in the covered world can happen in the other, and is held against invariants
+  that are no weaker there. Far fewer worlds tell as much, and larger scopes become possible.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from missions.verify.model import Scope, World
-from missions.verify.moves import Moves
+from missions.verify.moves import TICK, Move, Moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,12 +25,13 @@ class Exploration:
     """What was found.
 
     Attributes:
-        states, steps: reachable worlds, and steps between them.
-        depth: steps to the farthest world.
+        states, steps: worlds that were entered, and steps that were taken from them.
+        depth: ticks to the farthest world.
         complete: everything reachable was seen; False when the limit came first.
         broken: how often each invariant was broken.
-        example: the shortest way to the first break: what happened, step by step.
-        ends: how often each pair of machine states was reached.
+        example: the way to the first break: what happened, step by step.
+        in_flight: packets on the link at most, of which any may be delivered, or not, at any moment.
+        pairs: in how many worlds each pair of machine states was.
     """
 
     scope: Scope
@@ -30,7 +41,107 @@ class Exploration:
     complete: bool
     broken: Counter[str]
     example: tuple[str, ...]
-    ends: Counter[tuple[str, str]]
+    in_flight: int
+    pairs: Counter[tuple[str, str]]
+
+
+class Seen(Protocol):
+    """The worlds that were seen."""
+
+    def add(self, world: World) -> bool:
+        """Whether it is to be entered: it is new."""
+        ...
+
+    def still(self, world: World) -> bool:
+        """Whether it is worth going on from: nothing better was seen since."""
+        ...
+
+
+class Exact:
+    """Each world by itself."""
+
+    def __init__(self) -> None:
+        self._worlds: set[World] = set()
+
+    def add(self, world: World) -> bool:
+        before = len(self._worlds)
+        self._worlds.add(world)
+        return len(self._worlds) > before
+
+    def still(self, world: World) -> bool:
+        del world
+        return True
+
+
+def covers(large: World, small: World) -> bool:
+    """Whether what can happen in ``small`` can happen in ``large``. Both machines' states, skew and agreement agree."""
+    return (
+        not small.packets & ~large.packets
+        and small.crashes <= large.crashes
+        and small.aborts <= large.aborts
+        and small.attempts <= large.attempts
+        and small.alone <= large.alone
+        and small.sender_kept in (0, large.sender_kept)
+        and small.receiver_kept in (0, large.receiver_kept)
+    )
+
+
+class Covering:
+    """Only worlds that no other covers."""
+
+    def __init__(self) -> None:
+        self._worlds: dict[tuple[int, int, int, int], list[World]] = {}
+
+    def add(self, world: World) -> bool:
+        key = (world.sender, world.receiver, world.skew, world.agreed)
+        known = self._worlds.get(key)
+        if known is None:
+            self._worlds[key] = [world]
+            return True
+        for place, other in enumerate(known):
+            if covers(other, world):
+                known[0], known[place] = other, known[0]  # it is likely to cover the next one too
+                return False
+        known[:] = [world, *(other for other in known if not covers(world, other))]
+        return True
+
+    def still(self, world: World) -> bool:
+        return world in self._worlds[world.sender, world.receiver, world.skew, world.agreed]
+
+    def covered(self, world: World) -> bool:
+        known = self._worlds.get((world.sender, world.receiver, world.skew, world.agreed), ())
+        return any(covers(other, world) for other in known)
+
+
+class _Trail:
+    """What was found so far, and how it was reached."""
+
+    def __init__(self, moves: Moves) -> None:
+        self.moves = moves
+        self.came_from: dict[World, tuple[World, str] | None] = {}
+        self.broken: Counter[str] = Counter()
+        self.example: tuple[str, ...] = ()
+        self.entered = self.steps = self.in_flight = 0
+        self.pairs: Counter[tuple[int, int]] = Counter()
+
+    def enter(self, world: World) -> None:
+        self.entered += 1
+        self.in_flight = max(self.in_flight, world.packets.bit_count())
+        self.pairs[world.sender, world.receiver] += 1
+
+    def take(self, world: World, move: Move) -> None:
+        self.steps += 1
+        if move.broken:
+            if not self.broken:
+                self.example = (*self._way(world), f"{move.what}: breaks {move.broken}")
+            self.broken[move.broken] += 1
+
+    def _way(self, world: World) -> tuple[str, ...]:
+        steps: list[str] = []
+        while (before := self.came_from[world]) is not None:
+            world, what = before
+            steps.append(what)
+        return tuple(reversed(steps))
 
 
 def explore(
@@ -39,50 +150,58 @@ def explore(
     advance: Callable[[int, int], None] | None = None,
     *,
     until_broken: bool = False,
+    seen: Seen | None = None,
 ) -> Exploration:
     """Everything that can happen in a scope.
 
     Args:
-        limit: worlds to see at most.
-        advance: told now and then how many worlds were seen and how many wait.
+        limit: worlds to enter at most, or a few more.
+        advance: told now and then how many ticks and worlds it is in.
         until_broken: stop at the first break of an invariant, for machines that are known to be wrong.
+        seen: ``Exact()`` unless told.
     """
+    seen = Exact() if seen is None else seen
     moves = Moves(scope)
-    firsts = [moves.start(skew) for skew in range(-scope.uncertainty, scope.uncertainty + 1)]
-    came_from: dict[World, tuple[World, str] | None] = dict.fromkeys(firsts)
-    frontier, depth, steps = firsts, 0, 0
-    broken: Counter[str] = Counter()
-    example: tuple[str, ...] = ()
-    while frontier and len(came_from) < limit and not (until_broken and broken):
-        following: list[World] = []
-        for number, world in enumerate(frontier):
-            for move in moves(world):
-                steps += 1
-                if move.broken:
-                    if not broken:
-                        example = (*_way(came_from, world), f"{move.what}: breaks {move.broken}")
-                    broken[move.broken] += 1
-                    if until_broken:
-                        break
-                if move.world not in came_from:
-                    came_from[move.world] = (world, move.what)
-                    following.append(move.world)
-            if until_broken and broken:
-                break
-            if advance is not None and number % 4096 == 0:
-                advance(len(came_from), len(frontier) - number + len(following))
-        frontier = following
-        depth += bool(following)
-    ends = Counter(
-        (type(moves.sender_of(world)).__name__, type(moves.receiver_of(world)).__name__) for world in came_from
+    trail = _Trail(moves)
+    waiting = [moves.start(skew) for skew in range(-scope.uncertainty, scope.uncertainty + 1)]
+    for world in waiting:
+        seen.add(world)
+        trail.came_from[world] = None
+    depth = 0
+    while waiting:
+        waiting = _one_instant(trail, seen, waiting, until_broken)
+        if advance is not None:
+            advance(depth, trail.entered)
+        if trail.entered >= limit or (until_broken and trail.broken):
+            break
+        depth += bool(waiting)
+    named: Counter[tuple[str, str]] = Counter()
+    for (gives, takes), count in trail.pairs.items():
+        named[moves.names(gives, takes)] += count
+    return Exploration(
+        scope, trail.entered, trail.steps, depth, not waiting, trail.broken, trail.example, trail.in_flight, named
     )
-    return Exploration(scope, len(came_from), steps, depth, not frontier, broken, example, ends)
 
 
-def _way(came_from: dict[World, tuple[World, str] | None], world: World) -> tuple[str, ...]:
-    steps: list[str] = []
-    while (before := came_from[world]) is not None:
-        world, what = before
-        steps.append(what)
-    return tuple(reversed(steps))
-
+def _one_instant(trail: _Trail, seen: Seen, waiting: list[World], until_broken: bool) -> list[World]:
+    """Everything that can happen before the next tick, and the worlds of that tick."""
+    ticks: list[tuple[World, World]] = []
+    for world in waiting:  # grows while it is walked through
+        if not seen.still(world):
+            continue
+        trail.enter(world)
+        for move in trail.moves(world):
+            trail.take(world, move)
+            if move.what is TICK:
+                ticks.append((world, move.world))
+            elif seen.add(move.world):
+                trail.came_from[move.world] = (world, move.what)
+                waiting.append(move.world)
+            if until_broken and trail.broken:
+                return []
+    following: list[World] = []
+    for world, after in ticks:
+        if seen.still(world) and seen.add(after):
+            trail.came_from[after] = (world, TICK)
+            following.append(after)
+    return following

@@ -5,19 +5,20 @@ same situation at another time is the same state: what is reachable is finite, a
 
 What the world may do at any moment:
 
-- deliver any packet that was ever sent: at once, later (delay, reordering), again (duplication) or never (loss). Nothing
-  is ever taken off the link, so any number of packets is in flight, and a lost one is one that is never delivered;
+- deliver any packet that was ever sent: at once, later (delay, reordering), again (duplication) or never (loss).
+  Nothing is ever taken off the link: any number of packets is in flight, and a lost one is one that never arrives;
 - let a tick pass, in which the receiver's clock runs slow, right or fast, always within the uncertainty that both sides
   have been told; either program may notice the time late, by up to the guard;
 - both drones say all the time what they say all the time (Targets, Candidates, Status), and that too is kept;
 - complete an agreement, report one of another epoch or of another object, let a pilot abort on either side;
-- kill either program between any two of its actions, and start it again with what it had written down.
+- kill either program between any two of its actions, and start it again, at once or at any later time, with what it had
+  written down; on a clock that goes on, or on another one after a reboot.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any, Generic, Literal, NamedTuple, TypeVar
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 from path.messages import Accept, Candidate, Commit, Confirm, Message, Role, Status, Target
 from path.observations import MissReason
@@ -30,7 +31,6 @@ ORIGIN = (0.0, 0.0, 0.0)
 DOWN = (0.0, 0.0, 1.0)
 
 Side = Literal["sender", "receiver"]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,11 +83,12 @@ class Packet(NamedTuple):
 
 
 class World(NamedTuple):
-    """One situation: numbers of interned values, see ``Values``. All instants are relative to the sender's clock.
+    """One situation: numbers of interned values, see ``Effects``. All instants are relative to the sender's clock.
 
     Attributes:
+        packets: on the link, a bit each.
         skew: the receiver's clock less the sender's.
-        sender_kept, receiver_kept: what each has on disk; of no interest, and so always 0, when nobody can crash.
+        sender_kept, receiver_kept: what each has on disk; of no interest, and so 0, when it can crash no more.
         agreed: the epoch in which the agreement was complete; 0 before.
         alone: ticks since somebody was responsible; no higher than one above the longest that is allowed.
     """
@@ -95,7 +96,7 @@ class World(NamedTuple):
     sender: int
     receiver: int
     skew: int
-    packets: frozenset[int]
+    packets: int
     crashes: int
     aborts: int
     attempts: int
@@ -103,33 +104,6 @@ class World(NamedTuple):
     receiver_kept: int
     agreed: int
     alone: int
-
-
-class Interned(Generic[T]):
-    """Values by small numbers: worlds of numbers are cheap to compare, and what a machine does is worked out once."""
-
-    def __init__(self) -> None:
-        self._numbers: dict[T, int] = {}
-        self.values: list[T] = []
-
-    def __call__(self, value: T) -> int:
-        number = self._numbers.get(value)
-        if number is None:
-            number = self._numbers[value] = len(self.values)
-            self.values.append(value)
-        return number
-
-
-def later(value: Any, past: int) -> Any:
-    """The same value a tick later: its instants (fields in ``_ns``) are that much nearer, or longer ago."""
-    changed: dict[str, Any] = {}
-    for field in fields(value):
-        old = getattr(value, field.name)
-        if field.name.endswith("_ns"):
-            changed[field.name] = max(old - 1, -past)
-        elif is_dataclass(old) and not isinstance(old, type):
-            changed[field.name] = later(old, past)
-    return replace(value, **changed) if changed else value
 
 
 def packet_later(packet: Packet, past: int) -> Packet | None:
@@ -158,27 +132,19 @@ def status(role: Role, responsible: bool, stamp: int) -> Status:
     return Status(role, stamp, ORIGIN, ORIGIN, 0.0, 0, responsible, True, 1.0)
 
 
-def later_packet(packet: Packet, past: int) -> Packet:
-    """A tick later. Only instants that a machine looks at age."""
-    message = packet.message
-    if isinstance(message, Commit):
-        return Packet(packet.to, replace(message, lease_end_ns=max(message.lease_end_ns - 1, -past)))
-    if isinstance(message, Status):
-        return Packet(packet.to, replace(message, stamp_ns=max(message.stamp_ns - 1, -past)))
-    return packet
-
-
 def unstamped(message: Message) -> Message:
     """Without the stamps that no machine looks at: packets that say the same are the same."""
     return message if isinstance(message, Status | Target | Candidate) else replace(message, stamp_ns=0)
 
 
-def misdirected(message: Message) -> tuple[Message, ...]:
-    """The same word about another handoff, object or commit: nothing may follow from it (S6).
+def misdirected(message: Message, scope: Scope) -> tuple[Message, ...]:
+    """The same word about another handoff, object or commit, and a lease that nobody gives: nothing may follow (S6).
 
     A Target begins an attempt and a first Commit brings its nonce: another is as good.
     """
     if not isinstance(message, Candidate | Commit | Accept | Confirm):
         return ()
     wrong = (replace(message, handoff_id=HANDOFF_ID + 1), replace(message, target_id=OTHER_ID))
+    if isinstance(message, Commit):
+        return (*wrong, replace(message, lease_end_ns=scope.lease + 2 * scope.uncertainty + 1))
     return (*wrong, replace(message, nonce=message.nonce + 1)) if isinstance(message, Accept | Confirm) else wrong

@@ -3,47 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from missions.verify.model import (
-    HANDOFF_ID,
-    OTHER_ID,
-    TARGET_ID,
-    Interned,
-    Packet,
-    Scope,
-    Side,
-    World,
-    candidate,
-    later,
-    misdirected,
-    packet_later,
-    status,
-    target,
-    unstamped,
-)
-from missions.verify.rules import lowest_epoch, receiver_rules, sender_rules, used_epoch
-from path.messages import AbortReason, Commit, Message, Role, Status
+from missions.verify.effects import Effect, Effects
+from missions.verify.model import HANDOFF_ID, OTHER_ID, TARGET_ID, Scope, World
+from missions.verify.rules import Dead, across_rules, lowest_epoch, responsible_receiver, responsible_sender, used_epoch
+from path.messages import AbortReason
 from path.protocol import receiver, sender
 from path.protocol.values import (
     AbortRequested,
-    Actions,
     AgreementComplete,
-    CommitHeard,
     Handoff,
-    Heard,
     Offer,
     Outcome,
-    PeerStatus,
-    Persist,
-    ReceiverEvent,
     ReceiverRecord,
-    Send,
     SenderEvent,
     SenderRecord,
     Tick,
     VerifyAgain,
 )
+
+TICK = "a tick passes"
+
+_CLOCKS = ((True, ""), (False, ", after a reboot"))
+_PILOT = AbortRequested(AbortReason.PILOT)
 
 
 class Move(NamedTuple):
@@ -54,140 +37,97 @@ class Move(NamedTuple):
     broken: str = ""
 
 
-class _Effect(NamedTuple):
-    """What a machine does on an event: its new state, packets, record, and the invariant its actions break."""
-
-    state: int
-    sent: tuple[int, ...]
-    kept: int | None
-    commits: tuple[Commit, ...]
-    broken: str
-    halves: tuple[tuple[tuple[int, ...], int | None], ...]  # sent and kept, when killed after 1, 2, ... actions
-
-
 class Moves:
     """All steps from a world, of one scope."""
 
     def __init__(self, scope: Scope) -> None:
         self.scope = scope
-        self._config = scope.config
-        self._senders = Interned[sender.SenderState]()
-        self._receivers = Interned[receiver.ReceiverState]()
-        self._packets = Interned[Packet]()
-        self._sender_records = Interned[SenderRecord]()
-        self._receiver_records = Interned[ReceiverRecord]()
-        self._sender_effects: dict[tuple[int, SenderEvent], _Effect] = {}
-        self._receiver_effects: dict[tuple[int, int, ReceiverEvent], _Effect] = {}
-        self._words: dict[tuple[int, int, int], frozenset[int]] = {}
-        self._aged: dict[tuple[str, int], int] = {}
+        self.effects = Effects(scope)
+        self._senders = self.effects.senders.values
+        self._receivers = self.effects.receivers.values
 
     def start(self, skew: int) -> World:
         """The sender is responsible and has begun nothing; the receiver observes."""
-        first = World(
-            self._senders(sender.Idle()), self._receivers(receiver.Observing()), skew, frozenset(),
-            self.scope.crashes, self.scope.aborts, self.scope.attempts,
-            self._sender_records(SenderRecord()), self._receiver_records(ReceiverRecord()), 0, 0,
-        )  # fmt: skip
-        return first._replace(packets=self._said(first))
+        effects, scope = self.effects, self.scope
+        state, held = effects.senders(sender.Idle()), effects.receivers(receiver.Observing())
+        kept, noted = effects.sender_records(SenderRecord()), effects.receiver_records(ReceiverRecord())
+        packets = effects.said(state, held, skew)
+        return World(state, held, skew, packets, scope.crashes, scope.aborts, scope.attempts, kept, noted, 0, 0)
 
-    def sender_of(self, world: World) -> sender.SenderState:
-        return self._senders.values[world.sender]
+    def sender_of(self, world: World) -> sender.SenderState | Dead:
+        return self._senders[world.sender]
 
-    def receiver_of(self, world: World) -> receiver.ReceiverState:
-        return self._receivers.values[world.receiver]
+    def receiver_of(self, world: World) -> receiver.ReceiverState | Dead:
+        return self._receivers[world.receiver]
 
-    def nobody(self, world: World) -> bool:
-        return not sender.is_responsible(self.sender_of(world)) and not receiver.is_responsible(self.receiver_of(world))
+    def names(self, state: int, held: int) -> tuple[str, str]:
+        """Of a pair of the machines' states, by their numbers."""
+        return type(self._senders[state]).__name__, type(self._receivers[held]).__name__
 
     def __call__(self, world: World) -> Iterator[Move]:
-        yield from self._link(world)
+        if not isinstance(self.sender_of(world), Dead):
+            for effect in self.effects.heard_by_sender(world.sender, world.packets):
+                yield from self._sender_does(world, effect)
+            yield from self._sender_program(world)
+        if not isinstance(self.receiver_of(world), Dead):
+            for effect in self.effects.heard_by_receiver(world.receiver, world.skew, world.packets):
+                yield from self._receiver_does(world, effect)
+            if world.aborts:
+                told = self.effects.receiver_told(world.receiver, world.skew, _PILOT, "a pilot takes the receiver")
+                yield from self._receiver_does(world._replace(aborts=world.aborts - 1), told)
         yield from self._time(world)
-        yield from self._sender_program(world)
-        yield from self._receiver_program(world)
-        if world.crashes:
-            yield from self._crashes(world)
-
-    # --- the link ---------------------------------------------------------------------------------------------
-
-    def _link(self, world: World) -> Iterator[Move]:
-        for number in world.packets:
-            packet = self._packets.values[number]
-            name = type(packet.message).__name__
-            yield from self._deliver(world, packet, f"{name} reaches the {packet.to}")
-            for message in misdirected(packet.message):
-                if self._changes(world, Packet(packet.to, message)):
-                    yield Move(f"a misdirected {name} reaches the {packet.to}", world, "S6")
-
-    def _deliver(self, world: World, packet: Packet, what: str) -> Iterator[Move]:
-        if packet.to == "sender":
-            yield from self._tell_sender(world, self._heard_by_sender(packet.message), what)
-        else:
-            yield from self._tell_receiver(world, self._heard_by_receiver(packet.message), what)
-
-    def _heard_by_sender(self, message: Message) -> SenderEvent:
-        if isinstance(message, Status):
-            return PeerStatus(message.responsible, message.stamp_ns - self.scope.uncertainty)
-        return Heard(message)
-
-    def _heard_by_receiver(self, message: Message) -> ReceiverEvent:
-        if isinstance(message, Status):
-            return PeerStatus(message.responsible, message.stamp_ns - self.scope.uncertainty)
-        if isinstance(message, Commit):
-            return CommitHeard(message, message.lease_end_ns, self.scope.uncertainty)
-        return Heard(message)
-
-    def _changes(self, world: World, packet: Packet) -> bool:
-        """Whether a packet does more to its machine than the mere passing of time."""
-        if packet.to == "sender":
-            told = self._sender_effect(world, self._heard_by_sender(packet.message))
-            return told.state != self._sender_effect(world, Tick()).state
-        told = self._receiver_effect(world, self._heard_by_receiver(packet.message))
-        return told.state != self._receiver_effect(world, Tick()).state
+        yield from self._crashes(world)
 
     # --- time -------------------------------------------------------------------------------------------------
 
     def _time(self, world: World) -> Iterator[Move]:
-        guard = self.scope.guard
-        due, waiting = sender.wake_ns(self.sender_of(world)), receiver.wake_ns(self.receiver_of(world))
+        """Either program notices what is due, at once or late by up to the guard; or a tick passes."""
+        guard, uncertainty = self.scope.guard, self.scope.uncertainty
+        gives, takes = self.sender_of(world), self.receiver_of(world)
+        due = None if isinstance(gives, Dead) else sender.wake_ns(gives)
+        waiting = None if isinstance(takes, Dead) else receiver.wake_ns(takes)
         if due is not None and due <= 0:
-            yield from self._tell_sender(world, Tick(), "the sender notices the time", awaited=True)
+            effect = self.effects.sender_told(world.sender, Tick(), "the sender notices the time")
+            yield from self._sender_does(world, _awaited(effect, world.sender))
         if waiting is not None and waiting <= world.skew:
-            yield from self._tell_receiver(world, Tick(), "the receiver notices the time", awaited=True)
+            effect = self.effects.receiver_told(world.receiver, world.skew, Tick(), "the receiver notices the time")
+            yield from self._receiver_does(world, _awaited(effect, world.receiver))
         if due is not None and 1 - due > guard:
             return
-        for skew in range(max(world.skew - 1, -self.scope.uncertainty), min(world.skew + 1, self.scope.uncertainty) + 1):
+        for skew in range(max(world.skew - 1, -uncertainty), min(world.skew + 1, uncertainty) + 1):
             if waiting is None or skew + 1 - waiting <= guard:
                 yield self._tick(world, skew)
 
     def _tick(self, world: World, skew: int) -> Move:
-        packets = (self._packet_later(number) for number in world.packets)
-        after = world._replace(
-            sender=self._later("sender", self._senders, world.sender),
-            receiver=self._later("receiver", self._receivers, world.receiver),
-            skew=skew,
-            packets=frozenset(number for number in packets if number >= 0),
-            sender_kept=self._later("sender record", self._sender_records, world.sender_kept),
-            receiver_kept=self._later("receiver record", self._receiver_records, world.receiver_kept),
-            alone=min(world.alone + 1, self.scope.longest_gap + 1) if self.nobody(world) else 0,
+        effects = self.effects
+        state = effects.aged("sender", effects.senders, world.sender)
+        held = effects.aged("receiver", effects.receivers, world.receiver)
+        after = World(
+            state,
+            held,
+            skew,
+            effects.packets_aged(world.packets) | effects.said(state, held, skew),
+            world.crashes,
+            world.aborts,
+            world.attempts,
+            effects.aged("sender record", effects.sender_records, world.sender_kept),
+            effects.aged("receiver record", effects.receiver_records, world.receiver_kept),
+            world.agreed,
+            min(world.alone + 1, self.scope.longest_gap + 1) if self._nobody(world) else 0,
         )
-        after = after._replace(packets=after.packets | self._said(after))
-        return Move("a tick passes", after, self._overdue(after))
+        return Move(TICK, after, self._overdue(after))
 
-    def _later(self, kind: str, interned: Interned[Any], number: int) -> int:
-        aged = self._aged.get((kind, number))
-        if aged is None:
-            aged = self._aged[kind, number] = interned(later(interned.values[number], self.scope.past))
-        return aged
-
-    def _packet_later(self, number: int) -> int:
-        aged = self._aged.get(("packet", number))
-        if aged is None:
-            packet = packet_later(self._packets.values[number], self.scope.past)
-            aged = self._aged["packet", number] = -1 if packet is None else self._packets(packet)
-        return aged
+    def _nobody(self, world: World) -> bool:
+        """Nobody is responsible, though whoever would have to be runs."""
+        gives, takes = self.sender_of(world), self.receiver_of(world)
+        if isinstance(gives, Dead) or sender.is_responsible(gives):
+            return False
+        if isinstance(takes, Dead):
+            return not isinstance(gives, sender.HandedOver)
+        return not receiver.is_responsible(takes)
 
     def _overdue(self, world: World) -> str:
-        """L1: everything that waits, ends. L2: no gap but the orphan, and that one is alarmed."""
+        """L1: everything that waits, ends. L2: no gap but the orphan, and then neither side believes that all is well."""
         state, held = self.sender_of(world), self.receiver_of(world)
         latest = -self.scope.guard
         match state:
@@ -199,20 +139,25 @@ class Moves:
                 late = state.settle_end_ns < latest
             case _:
                 late = False
-        if isinstance(held, receiver.Provisional):
-            late = late or held.lease_end_ns < world.skew + latest
-        elif isinstance(held, receiver.LetGo) and held.settled is None:
-            late = late or held.settle_end_ns < world.skew + latest
+        match held:
+            case receiver.Provisional():
+                late = late or held.lease_end_ns < world.skew + latest
+            case receiver.LetGo(settled=None):
+                late = late or held.settle_end_ns < world.skew + latest
+            case _:
+                pass
         if late:
             return "L1"
         if world.alone <= self.scope.longest_gap:
             return ""
         if not (isinstance(state, sender.HandedOver) and isinstance(held, receiver.LetGo)):
             return "L2"
-        undisturbed = world.crashes == self.scope.crashes and world.aborts == self.scope.aborts
-        return "L2" if state.settled is Outcome.HANDED_OVER and undisturbed else ""
+        if held.settled is Outcome.TAKEN_BACK:
+            return "L2"  # the receiver believes that all is well
+        no_pilot = world.aborts == self.scope.aborts  # who may have let go of what the sender knows to be held
+        return "L2" if state.settled is Outcome.HANDED_OVER and no_pilot else ""
 
-    # --- the programs -----------------------------------------------------------------------------------------
+    # --- the sender's program ---------------------------------------------------------------------------------
 
     def _sender_program(self, world: World) -> Iterator[Move]:
         state = self.sender_of(world)
@@ -225,10 +170,10 @@ class Moves:
         if isinstance(state, sender.Verifying):
             yield from self._agreements(world, state.live)
         if world.aborts:
-            upset = world._replace(aborts=world.aborts - 1)
-            yield from self._tell_sender(upset, AbortRequested(AbortReason.PILOT), "a pilot takes the sender")
+            yield from self._tell_sender(world._replace(aborts=world.aborts - 1), _PILOT, "a pilot takes the sender")
 
     def _agreements(self, world: World, live: Handoff) -> Iterator[Move]:
+        """The one that the window counted, and those of which nothing may come (S5)."""
         nonce, told = 100 * live.epoch, self.scope.uncertainty
         whole = AgreementComplete(live.epoch, TARGET_ID, nonce, told)
         yield from self._tell_sender(world._replace(agreed=live.epoch), whole, "the agreement is complete")
@@ -239,132 +184,80 @@ class Moves:
         ):
             yield from self._tell_sender(world, wrong, what)
 
-    def _receiver_program(self, world: World) -> Iterator[Move]:
-        state = self.receiver_of(world)
-        if world.aborts:
-            upset = world._replace(aborts=world.aborts - 1)
-            yield from self._tell_receiver(upset, AbortRequested(AbortReason.PILOT), "a pilot takes the receiver")
+    def _tell_sender(self, world: World, event: SenderEvent, what: str) -> Iterator[Move]:
+        return self._sender_does(world, self.effects.sender_told(world.sender, event, what))
 
-    def _said(self, world: World) -> frozenset[int]:
-        """What both drones say in this world, as they say it all the time."""
-        found = self._words.get((world.sender, world.receiver, world.skew))
-        if found is None:
-            state, held = self.sender_of(world), self.receiver_of(world)
-            said = [
-                Packet("receiver", status(Role.SENDER, sender.is_responsible(state), 0)),
-                Packet("sender", status(Role.RECEIVER, receiver.is_responsible(held), world.skew)),
-            ]
-            if not isinstance(state, sender.Idle | sender.HandedOver):
-                said.append(Packet("receiver", target(state.live)))
-            if held.live is not None:
-                said.append(Packet("sender", candidate(held.live)))
-            found = frozenset(self._packets(packet) for packet in said)
-            self._words[world.sender, world.receiver, world.skew] = found
-        return found
+    # --- crashes ----------------------------------------------------------------------------------------------
 
     def _crashes(self, world: World) -> Iterator[Move]:
-        for same_clock, how in ((True, "killed and started again"), (False, "lost to a reboot and started again")):
-            yield self._reborn_sender(world, world.sender_kept, f"the sender is {how}", same_clock)
-            yield self._reborn_receiver(world, world.receiver_kept, f"the receiver is {how}", same_clock)
+        """Killed at any moment, with whatever is on disk; started again at any later one."""
+        gives, takes = self.sender_of(world), self.receiver_of(world)
+        if world.crashes and not isinstance(gives, Dead):
+            yield Move("the sender is killed", self._sender_killed(world, world.sender_kept))
+        if world.crashes and not isinstance(takes, Dead):
+            yield Move("the receiver is killed", self._receiver_killed(world, world.receiver_kept))
+        if isinstance(gives, Dead):
+            for same_clock, how in _CLOCKS:
+                state, kept = self.effects.sender_restored(world.sender_kept, same_clock)
+                alone = world.alone if same_clock else 0  # a new clock begins anew what is waited for
+                up = world._replace(sender=state, sender_kept=kept, alone=alone)
+                yield self._checked(world, up, f"the sender is started again{how}", "")
+        if isinstance(takes, Dead):
+            for same_clock, how in _CLOCKS:
+                held, kept = self.effects.receiver_restored(world.receiver_kept, world.skew, same_clock)
+                up = world._replace(receiver=held, receiver_kept=kept)
+                yield self._checked(world, up, f"the receiver is started again{how}", "")
 
-    def _reborn_sender(self, world: World, kept: int, what: str, same_clock: bool) -> Move:
-        state = sender.restored(self._config, self._sender_records.values[kept], 0, same_clock=same_clock)
-        alone = world.alone if same_clock else 0  # a reboot's clock begins anew, and so does what is waited for
-        kept = self._sender_records(sender.record(state))
-        after = world._replace(sender=self._senders(state), sender_kept=kept, crashes=world.crashes - 1, alone=alone)
-        return self._checked(world, after, what)
+    def _sender_killed(self, world: World, kept: int) -> World:
+        state = self.sender_of(world)
+        dead = self.effects.senders(Dead(used_epoch(state), isinstance(state, sender.HandedOver)))
+        return world._replace(sender=dead, sender_kept=kept, crashes=world.crashes - 1)
 
-    def _reborn_receiver(self, world: World, kept: int, what: str, same_clock: bool) -> Move:
-        record = self._receiver_records.values[kept]
-        state = receiver.restored(self._config, record, world.skew, same_clock=same_clock)
-        kept = self._receiver_records(receiver.record(state))
-        after = world._replace(receiver=self._receivers(state), receiver_kept=kept, crashes=world.crashes - 1)
-        return self._checked(world, after, what)
+    def _receiver_killed(self, world: World, kept: int) -> World:
+        dead = self.effects.receivers(Dead(lowest_epoch(self.receiver_of(world))))
+        return world._replace(receiver=dead, receiver_kept=kept, crashes=world.crashes - 1)
 
     # --- a machine's step, with all that may interrupt it -----------------------------------------------------
 
-    def _sender_effect(self, world: World, event: SenderEvent) -> _Effect:
-        key = (world.sender, event)
-        effect = self._sender_effects.get(key)
-        if effect is None:
-            before = self.sender_of(world)
-            state, actions = sender.step(self._config, before, event, 0)
-            broken = sender_rules(before, state, actions, self.scope.uncertainty)
-            effect = self._sender_effects[key] = self._effect("receiver", self._senders(state), actions, broken)
-        return effect
-
-    def _receiver_effect(self, world: World, event: ReceiverEvent) -> _Effect:
-        key = (world.receiver, world.skew, event)
-        effect = self._receiver_effects.get(key)
-        if effect is None:
-            before = self.receiver_of(world)
-            state, actions = receiver.step(self._config, before, event, world.skew)
-            broken = receiver_rules(before, state, event, actions)
-            effect = self._receiver_effects[key] = self._effect("sender", self._receivers(state), actions, broken)
-        return effect
-
-    def _effect(self, to: Side, state: int, actions: Actions, broken: str) -> _Effect:
-        sent: list[int] = []
-        commits: list[Commit] = []
-        kept: int | None = None
-        halves: list[tuple[tuple[int, ...], int | None]] = []
-        for action in actions:
-            if isinstance(action, Send):
-                sent.append(self._packets(Packet(to, unstamped(action.message))))
-                if isinstance(action.message, Commit):
-                    commits.append(action.message)
-            elif isinstance(action, Persist):
-                record = action.record
-                kept = (
-                    self._sender_records(record)
-                    if isinstance(record, SenderRecord)
-                    else self._receiver_records(record)
-                )
-            halves.append((tuple(sent), kept))
-        return _Effect(state, tuple(sent), kept, tuple(commits), broken, tuple(dict.fromkeys(halves[:-1])))
-
-    def _tell_sender(
-        self, world: World, event: SenderEvent, what: str, *, awaited: bool = False
-    ) -> Iterator[Move]:
-        """``awaited``: the machine asked to be told of this instant, and has to make something of it (L1)."""
-        effect = self._sender_effect(world, event)
-        broken = effect.broken or ("L1" if awaited and effect.state == world.sender else "")
-        if any(commit.epoch != world.agreed or commit.target_id != TARGET_ID for commit in effect.commits):
+    def _sender_does(self, world: World, effect: Effect) -> Iterator[Move]:
+        broken = effect.broken
+        if any(commit != (world.agreed, TARGET_ID) for commit in effect.commits):
             broken = broken or "S5"
-        kept = world.sender_kept if effect.kept is None else effect.kept
-        after = world._replace(sender=effect.state, sender_kept=kept, packets=world.packets.union(effect.sent))
-        yield self._checked(world, after, what, broken)
+        kept = world.sender_kept if effect.kept < 0 else effect.kept
+        after = world._replace(sender=effect.state, sender_kept=kept, packets=world.packets | effect.sent)
+        yield self._checked(world, after, effect.what, broken)
         if world.crashes:
             for sent, half_kept in effect.halves:
-                half = world._replace(packets=world.packets.union(sent))
-                kept = world.sender_kept if half_kept is None else half_kept
-                yield self._reborn_sender(half, kept, f"{what}; it is killed half-way", same_clock=True)
+                half = world._replace(packets=world.packets | sent)
+                dead = self._sender_killed(half, world.sender_kept if half_kept < 0 else half_kept)
+                yield Move(f"{effect.what}; it is killed half-way", dead)
 
-    def _tell_receiver(
-        self, world: World, event: ReceiverEvent, what: str, *, awaited: bool = False
-    ) -> Iterator[Move]:
-        effect = self._receiver_effect(world, event)
-        broken = effect.broken or ("L1" if awaited and effect.state == world.receiver else "")
-        kept = world.receiver_kept if effect.kept is None else effect.kept
-        after = world._replace(receiver=effect.state, receiver_kept=kept, packets=world.packets.union(effect.sent))
-        yield self._checked(world, after, what, broken)
+    def _receiver_does(self, world: World, effect: Effect) -> Iterator[Move]:
+        kept = world.receiver_kept if effect.kept < 0 else effect.kept
+        after = world._replace(receiver=effect.state, receiver_kept=kept, packets=world.packets | effect.sent)
+        yield self._checked(world, after, effect.what, effect.broken)
         if world.crashes:
             for sent, half_kept in effect.halves:
-                half = world._replace(packets=world.packets.union(sent))
-                kept = world.receiver_kept if half_kept is None else half_kept
-                yield self._reborn_receiver(half, kept, f"{what}; it is killed half-way", same_clock=True)
+                half = world._replace(packets=world.packets | sent)
+                dead = self._receiver_killed(half, world.receiver_kept if half_kept < 0 else half_kept)
+                yield Move(f"{effect.what}; it is killed half-way", dead)
 
-    def _checked(self, before: World, after: World, what: str, broken: str = "") -> Move:
-        was, now = self.sender_of(before), self.sender_of(after)
-        held, holds = self.receiver_of(before), self.receiver_of(after)
-        if sender.is_responsible(now) and receiver.is_responsible(holds):
+    def _checked(self, before: World, after: World, what: str, broken: str) -> Move:
+        now, holds = self.sender_of(after), self.receiver_of(after)
+        gives, takes = responsible_sender(now), responsible_receiver(holds)
+        broken = broken or across_rules(self.sender_of(before), now, self.receiver_of(before), holds)
+        if gives and takes:
             broken = broken or "S1"
-        if used_epoch(now) < used_epoch(was) or lowest_epoch(holds) < lowest_epoch(held):
-            broken = broken or "S2"
-        if isinstance(was, sender.HandedOver) and sender.is_responsible(now):
-            broken = broken or "S4"
-        if after.alone and (sender.is_responsible(now) or receiver.is_responsible(holds)):
-            after = after._replace(alone=0)
-        if not after.crashes:
-            after = after._replace(sender_kept=0, receiver_kept=0)
-        return Move(what, after._replace(packets=after.packets | self._said(after)), broken)
+        alone = 0 if gives or takes else after.alone
+        sender_kept, receiver_kept = after.sender_kept, after.receiver_kept
+        if not after.crashes:  # nobody will ever read it
+            sender_kept = sender_kept if isinstance(now, Dead) else 0
+            receiver_kept = receiver_kept if isinstance(holds, Dead) else 0
+        packets = after.packets | self.effects.said(after.sender, after.receiver, after.skew)
+        world = after._replace(packets=packets, alone=alone, sender_kept=sender_kept, receiver_kept=receiver_kept)
+        return Move(what, world, broken)
+
+
+def _awaited(effect: Effect, state: int) -> Effect:
+    """A machine that asked to be told of this instant has to make something of it (L1)."""
+    return effect._replace(broken="L1") if effect.state == state and not effect.broken else effect

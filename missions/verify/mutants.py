@@ -1,4 +1,7 @@
-"""Machines that skip one rule each. An explorer that does not catch every one of them proves nothing."""
+"""Machines that skip one rule each. An explorer that does not catch every one of them proves nothing.
+
+They are here and not with the tests because ``path-handoff verify`` shows on every machine that it catches them.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typing import Any
 
 from missions.verify.model import Scope
 from path.protocol import receiver, sender
-from path.protocol.values import Persist, Release, Send
+from path.protocol.values import Persist, Refusal, Release, Send
 
 Patch = tuple[ModuleType, str, Callable[[Any], Any]]
 """Module, name of a function in it, and what makes the wrong function from the right one."""
@@ -64,15 +67,6 @@ def _early(commit: Any) -> Any:
     return impatient
 
 
-def _commit_first(commit: Any) -> Any:
-    def hasty(*arguments: Any) -> Any:
-        state, actions = commit(*arguments)
-        order = (Send, Persist, Release)
-        return state, tuple(sorted(actions, key=lambda action: order.index(type(action))))
-
-    return hasty
-
-
 def _agreement_of_anything(commit: Any) -> Any:
     def careless(config: Any, state: Any, agreed: Any, now_ns: int) -> Any:
         return commit(config, state, replace(agreed, epoch=state.live.epoch, target_id=state.live.target_id), now_ns)
@@ -111,27 +105,127 @@ def _any_nonce(hear_accept: Any) -> Any:
     return trusting
 
 
+def _in_order(*kinds: type[Any]) -> Callable[[Any], Any]:
+    """The same step, with its actions of these kinds in this order, and the others after them."""
+
+    def place(action: Any) -> int:
+        return kinds.index(type(action)) if type(action) in kinds else len(kinds)
+
+    def of(step: Any) -> Any:
+        def reordered(*arguments: Any) -> Any:
+            state, actions = step(*arguments)
+            return state, tuple(sorted(actions, key=place))
+
+        return reordered
+
+    return of
+
+
+def _blind_to(refusal: Refusal) -> Callable[[Any], Any]:
+    def of(refuse: Any) -> Any:
+        def blind(*arguments: Any) -> Any:
+            why = refuse(*arguments)
+            return None if why is refusal else why
+
+        return blind
+
+    return of
+
+
+def _never_lets_go(elapse: Any) -> Any:
+    def clinging(config: Any, state: Any, now_ns: int) -> Any:
+        return (state, ()) if isinstance(state, receiver.Provisional) else elapse(config, state, now_ns)
+
+    return clinging
+
+
+def _restored_as(make: Callable[[Any, int], Any]) -> Callable[[Any], Any]:
+    """A restart that makes this of the record and the time, when it has one of a handoff."""
+
+    def of(restored: Any) -> Any:
+        def wrong_restart(config: Any, kept: Any, now_ns: int, *, same_clock: bool = True) -> Any:
+            if kept.live is None:
+                return restored(config, kept, now_ns, same_clock=same_clock)
+            return make(kept, now_ns)
+
+        return wrong_restart
+
+    return of
+
+
+def _holds_on(kept: Any, now_ns: int) -> Any:
+    match kept.duty:
+        case "holding":
+            return receiver.Holding(kept.live, kept.nonce)
+        case "provisional":
+            return receiver.Provisional(kept.live, kept.nonce, now_ns + 2, now_ns, kept.sure_ns)
+        case _:
+            return receiver.LetGo(kept.live, kept.nonce, kept.sure_ns, max(kept.sure_ns, now_ns) + 2)
+
+
 def _always(value: Any) -> Callable[[Any], Any]:
-    return lambda _: lambda *_arguments, **_named: value
+    def of(_: Any) -> Any:
+        def constant(*arguments: Any) -> Any:
+            del arguments
+            return value
+
+        return constant
+
+    return of
 
 
 def _never_taken_back(_: Any) -> Any:
-    return lambda state: (state, ())
+    def idle(state: Any) -> Any:
+        return state, ()
+
+    return idle
+
+
+def _lease_to_the_end(_: Any) -> Any:
+    def unguarded(config: Any, lease_end_ns: int, uncertainty_ns: int) -> int:
+        del config, uncertainty_ns
+        return lease_end_ns
+
+    return unguarded
+
+
+def _lease_without_guard(_: Any) -> Any:
+    def tight(config: Any, lease_end_ns: int, uncertainty_ns: int) -> int:
+        del config
+        return lease_end_ns - uncertainty_ns
+
+    return tight
 
 
 MUTANTS = (
     Mutant("the receiver keeps its lease to the end of its own clock", ("S1", "S3"), [
-        (receiver, "_lease_end_ns", lambda _: lambda config, lease_end_ns, uncertainty_ns: lease_end_ns)]),
+        (receiver, "_lease_end_ns", _lease_to_the_end)]),
     Mutant("the receiver leaves its program no time to be late", ("S1",), [
-        (receiver, "_lease_end_ns", lambda _: lambda config, lease_end_ns, uncertainty_ns: lease_end_ns - uncertainty_ns)]),
+        (receiver, "_lease_end_ns", _lease_without_guard)]),
     Mutant("the sender takes back without the clocks' uncertainty", ("S1", "S4"), [(sender, "_commit", _early)]),
-    Mutant("the sender does not write down that it released", ("S1",), [(sender, "_commit", _without_persist)], CRASHING),
+    Mutant("the sender does not write down that it released", ("S1",), [
+        (sender, "_commit", _without_persist)], CRASHING),
     Mutant("the sender does not write down that it was accepted", ("S1", "L2"), [
         (sender, "_hear_accept", _without_persist)], CRASHING),
     Mutant("the sender begins again in the epoch it had", ("S2",), [(sender, "_offer", _same_epoch_again)], TWICE),
     Mutant("the receiver does not write its epoch down", ("S2",), [(receiver, "step", _without_persist)], CRASHING),
-    Mutant("the receiver takes over whenever a COMMIT comes", ("S2", "S3"), [(receiver, "_lease_refusal", _always(None))]),
-    Mutant("the sender says COMMIT, and then releases", ("S4",), [(sender, "_commit", _commit_first)]),
+    Mutant("the receiver takes over when the lease is over", ("S3", "S6"), [
+        (receiver, "_lease_refusal", _blind_to(Refusal.LEASE_OVER))]),
+    Mutant("the receiver believes any lease, however long", ("S6",), [
+        (receiver, "_lease_refusal", _blind_to(Refusal.LEASE_TOO_LONG))]),
+    Mutant("the receiver never lets go", ("L1", "S1"), [(receiver, "_elapse", _never_lets_go)]),
+    Mutant("the sender says COMMIT before it is written down", ("S1",), [
+        (sender, "_commit", _in_order(Release, Send, Persist))], CRASHING),
+    Mutant("the receiver says ACCEPT before it is written down", ("L2",), [
+        (receiver, "_hear_commit", _in_order(Send, Persist))], CRASHING),
+    Mutant("the sender starts again as if it had given nothing away", ("S1", "S4"), [
+        (sender, "restored", _restored_as(lambda kept, _: sender.Idle(kept.epoch)))], CRASHING),
+    Mutant("the receiver starts again as if it held nothing", ("L2",), [
+        (receiver, "restored", _restored_as(lambda kept, _: receiver.Observing(kept.epoch + 1)))], CRASHING),
+    Mutant("the receiver starts again with a lease of its own", ("S1",), [
+        (receiver, "restored", _restored_as(_holds_on))], CRASHING),
+    Mutant("the sender says COMMIT, and then releases", ("S4",), [
+        (sender, "_commit", _in_order(Send, Persist, Release))]),
     Mutant("the sender takes back when it is not sure", ("S1", "S4"), [(sender, "_settle", _takes_back_when_unsure)]),
     Mutant("any agreement is good enough for a COMMIT", ("S5",), [(sender, "_commit", _agreement_of_anything)], TWICE),
     Mutant("the sender takes words about other handoffs", ("S6",), [(sender, "mismatch", _always(None))]),

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from path.messages import Commit
 from path.protocol import receiver, sender
 from path.protocol.values import Actions, CommitHeard, ReceiverEvent, Release, Send, TakeResponsibility
 
 
-def used_epoch(state: sender.SenderState) -> int:
+@dataclass(frozen=True, slots=True)
+class Dead:
+    """A program that does not run, and what is remembered of it: its epoch (S2), and whether it handed over (S4)."""
+
+    epoch: int
+    handed_over: bool = False
+
+
+def used_epoch(state: sender.SenderState | Dead) -> int:
     """The sender's last epoch."""
-    return state.epoch if isinstance(state, sender.Idle) else state.live.epoch
+    return state.epoch if isinstance(state, sender.Idle | Dead) else state.live.epoch
 
 
-def lowest_epoch(state: receiver.ReceiverState) -> int:
+def lowest_epoch(state: receiver.ReceiverState | Dead) -> int:
     """The lowest epoch that the receiver may still take. Not asked of the machine: it may be the one that is wrong."""
+    if isinstance(state, Dead):
+        return state.epoch
     if isinstance(state, receiver.Observing):
         return state.floor
     return state.live.epoch + isinstance(state, receiver.LetGo)
@@ -39,6 +51,27 @@ def sender_rules(before: sender.SenderState, after: sender.SenderState, actions:
             case _:
                 pass
     return "" if responsible == sender.is_responsible(after) else "S1"
+
+
+def across_rules(
+    was: sender.SenderState | Dead,
+    now: sender.SenderState | Dead,
+    held: receiver.ReceiverState | Dead,
+    holds: receiver.ReceiverState | Dead,
+) -> str:
+    """S2: no epoch ever falls. S4: who handed over never takes back. Be it across a restart."""
+    if used_epoch(now) < used_epoch(was) or lowest_epoch(holds) < lowest_epoch(held):
+        return "S2"
+    gave = was.handed_over if isinstance(was, Dead) else isinstance(was, sender.HandedOver)
+    return "S4" if gave and responsible_sender(now) else ""
+
+
+def responsible_sender(state: sender.SenderState | Dead) -> bool:
+    return not isinstance(state, Dead) and sender.is_responsible(state)
+
+
+def responsible_receiver(state: receiver.ReceiverState | Dead) -> bool:
+    return not isinstance(state, Dead) and receiver.is_responsible(state)
 
 
 def receiver_rules(

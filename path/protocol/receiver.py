@@ -233,6 +233,8 @@ def _lease_refusal(config: ProtocolConfig, state: ReceiverState, heard: CommitHe
         return Refusal.LEASE_OVER
     if heard.lease_end_ns is None or heard.uncertainty_ns > to_ns(config.max_uncertainty_s):
         return Refusal.NO_CLOCK
+    if heard.lease_end_ns - now_ns > to_ns(config.lease_s) + heard.uncertainty_ns:
+        return Refusal.LEASE_TOO_LONG
     if now_ns >= _lease_end_ns(config, heard.lease_end_ns, heard.uncertainty_ns):
         return Refusal.LEASE_OVER
     return None if heard.able else Refusal.NOT_ABLE

@@ -78,6 +78,7 @@ class Refusal(Enum):
     WRONG_TARGET = "wrong_target"
     WRONG_NONCE = "wrong_nonce"
     LEASE_OVER = "lease_over"
+    LEASE_TOO_LONG = "lease_too_long"  # longer than any that is given: the clocks are not what they were
     NO_CLOCK = "no_clock"
     NOT_ABLE = "not_able"
     EPOCHS_EXHAUSTED = "epochs_exhausted"
