@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass, replace
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from missions.verify.model import (
+    UNREAD,
     Packet,
     Scope,
     Side,
@@ -237,6 +238,8 @@ class Effects:
 
     def aged(self, kind: str, interned: Interned[Any], number: int) -> int:
         """The number of a value a tick later."""
+        if number == UNREAD:
+            return UNREAD
         found = self._aged.get((kind, number))
         if found is None:
             value = interned.values[number]

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from missions.verify.model import Scope, World
+from missions.verify.model import UNREAD, Scope, World
 from missions.verify.moves import TICK, Move, Moves
 
 
@@ -61,12 +61,12 @@ class Exact:
     """Each world by itself."""
 
     def __init__(self) -> None:
-        self._worlds: set[World] = set()
+        self.worlds: set[World] = set()
 
     def add(self, world: World) -> bool:
-        before = len(self._worlds)
-        self._worlds.add(world)
-        return len(self._worlds) > before
+        before = len(self.worlds)
+        self.worlds.add(world)
+        return len(self.worlds) > before
 
     def still(self, world: World) -> bool:
         del world
@@ -81,8 +81,8 @@ def covers(large: World, small: World) -> bool:
         and small.aborts <= large.aborts
         and small.attempts <= large.attempts
         and small.alone <= large.alone
-        and small.sender_kept in (0, large.sender_kept)
-        and small.receiver_kept in (0, large.receiver_kept)
+        and small.sender_kept in (UNREAD, large.sender_kept)
+        and small.receiver_kept in (UNREAD, large.receiver_kept)
     )
 
 
@@ -151,6 +151,7 @@ def explore(
     *,
     until_broken: bool = False,
     seen: Seen | None = None,
+    moves: Moves | None = None,
 ) -> Exploration:
     """Everything that can happen in a scope.
 
@@ -159,9 +160,10 @@ def explore(
         advance: told now and then how many ticks and worlds it is in.
         until_broken: stop at the first break of an invariant, for machines that are known to be wrong.
         seen: ``Exact()`` unless told.
+        moves: of the same scope, to number its worlds as another exploration did.
     """
     seen = Exact() if seen is None else seen
-    moves = Moves(scope)
+    moves = moves or Moves(scope)
     trail = _Trail(moves)
     waiting = [moves.start(skew) for skew in range(-scope.uncertainty, scope.uncertainty + 1)]
     for world in waiting:

@@ -26,6 +26,7 @@ from path.protocol.values import Handoff, ProtocolConfig
 
 TICK_S = 1e-9
 HANDOFF_ID, TARGET_ID, OTHER_ID = 1, 1, 2
+UNREAD = -1
 STATUS_AGE = -3  # ticks after which a delayed Status is dropped, as the link drops what is stale
 ORIGIN = (0.0, 0.0, 0.0)
 DOWN = (0.0, 0.0, 1.0)
@@ -88,7 +89,7 @@ class World(NamedTuple):
     Attributes:
         packets: on the link, a bit each.
         skew: the receiver's clock less the sender's.
-        sender_kept, receiver_kept: what each has on disk; of no interest, and so 0, when it can crash no more.
+        sender_kept, receiver_kept: what each has on disk; ``UNREAD`` when it can crash no more.
         agreed: the epoch in which the agreement was complete; 0 before.
         alone: ticks since somebody was responsible; no higher than one above the longest that is allowed.
     """

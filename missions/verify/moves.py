@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from missions.verify.effects import Effect, Effects
-from missions.verify.model import HANDOFF_ID, OTHER_ID, TARGET_ID, Scope, World
+from missions.verify.model import HANDOFF_ID, OTHER_ID, TARGET_ID, UNREAD, Scope, World
 from missions.verify.rules import Dead, across_rules, lowest_epoch, responsible_receiver, responsible_sender, used_epoch
 from path.messages import AbortReason
 from path.protocol import receiver, sender
@@ -51,6 +51,8 @@ class Moves:
         effects, scope = self.effects, self.scope
         state, held = effects.senders(sender.Idle()), effects.receivers(receiver.Observing())
         kept, noted = effects.sender_records(SenderRecord()), effects.receiver_records(ReceiverRecord())
+        if not scope.crashes:
+            kept = noted = UNREAD
         packets = effects.said(state, held, skew)
         return World(state, held, skew, packets, scope.crashes, scope.aborts, scope.attempts, kept, noted, 0, 0)
 
@@ -127,7 +129,7 @@ class Moves:
         return not receiver.is_responsible(takes)
 
     def _overdue(self, world: World) -> str:
-        """L1: everything that waits, ends. L2: no gap but the orphan, and then neither side believes that all is well."""
+        """L1: everything that waits, ends. L2: no gap but the orphan, and neither side takes that for all well."""
         state, held = self.sender_of(world), self.receiver_of(world)
         latest = -self.scope.guard
         match state:
@@ -251,8 +253,8 @@ class Moves:
         alone = 0 if gives or takes else after.alone
         sender_kept, receiver_kept = after.sender_kept, after.receiver_kept
         if not after.crashes:  # nobody will ever read it
-            sender_kept = sender_kept if isinstance(now, Dead) else 0
-            receiver_kept = receiver_kept if isinstance(holds, Dead) else 0
+            sender_kept = sender_kept if isinstance(now, Dead) else UNREAD
+            receiver_kept = receiver_kept if isinstance(holds, Dead) else UNREAD
         packets = after.packets | self.effects.said(after.sender, after.receiver, after.skew)
         world = after._replace(packets=packets, alone=alone, sender_kept=sender_kept, receiver_kept=receiver_kept)
         return Move(what, world, broken)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any
 
+from missions.verify.explore import Covering, Exploration, explore
 from missions.verify.model import Scope
 from path.protocol import receiver, sender
 from path.protocol.values import Persist, Refusal, Release, Send
@@ -45,6 +46,13 @@ def wrong(mutant: Mutant) -> Generator[None, None, None]:
     finally:
         for module, name, function in right:
             setattr(module, name, function)
+
+
+def caught(mutant: Mutant) -> Exploration | None:
+    """The exploration that shows an invariant broken which the mutant's rule keeps; None when there is none."""
+    with wrong(mutant):
+        found = explore(mutant.scope, until_broken=True, seen=Covering())
+    return found if set(found.broken) & set(mutant.breaks) else None
 
 
 def _without_persist(step: Any) -> Any:
@@ -198,7 +206,7 @@ def _lease_without_guard(_: Any) -> Any:
 
 
 MUTANTS = (
-    Mutant("the receiver keeps its lease to the end of its own clock", ("S1", "S3"), [
+    Mutant("the receiver keeps its lease to the end of its own clock", ("S3", "S1"), [
         (receiver, "_lease_end_ns", _lease_to_the_end)]),
     Mutant("the receiver leaves its program no time to be late", ("S1",), [
         (receiver, "_lease_end_ns", _lease_without_guard)]),
