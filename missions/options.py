@@ -56,6 +56,9 @@ class RoleOptions:
     console: Literal["auto", "events"] = "auto"
     """auto: a live table in a terminal, plain lines elsewhere; events: lines of JSON, for another program."""
 
+    state: FileName = None
+    """File of what the role has to know when it is started again; in --out, or else in runs, by default."""
+
 
 @dataclass(frozen=True, slots=True)
 class SenderOptions(RoleOptions):

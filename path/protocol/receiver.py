@@ -12,6 +12,7 @@ from path.protocol.values import (
     Ended,
     Handoff,
     Heard,
+    NewMission,
     Outcome,
     PeerStatus,
     Persist,
@@ -175,6 +176,8 @@ def _react(config: ProtocolConfig, state: ReceiverState, event: ReceiverEvent, n
             return _abort_requested(config, state, event.reason, now_ns)
         case PeerStatus():
             return _hear_status(state, event)
+        case NewMission():
+            return _begin_anew(state)
         case _:
             return state, (Refused(Refusal.WRONG_STATE),)
 
@@ -307,6 +310,15 @@ def _hear_status(state: ReceiverState, status: PeerStatus) -> Step:
             return _settle(state, Outcome.TAKEN_BACK if status.responsible else Outcome.ORPHANED)
         case _:
             return state, ()
+
+
+def _begin_anew(state: ReceiverState) -> Step:
+    if state.live is None:
+        return state, ()
+    if isinstance(state, Provisional):
+        return state, (Refused(Refusal.WRONG_STATE),)
+    after, actions = _spend(state.live)
+    return after, (Release(), *actions) if isinstance(state, Holding) else actions
 
 
 def _spend(live: Handoff) -> tuple[Observing, Actions]:

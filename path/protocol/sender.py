@@ -13,6 +13,7 @@ from path.protocol.values import (
     Ended,
     Handoff,
     Heard,
+    NewMission,
     Offer,
     Outcome,
     PeerStatus,
@@ -201,6 +202,9 @@ def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_n
     match state, event:
         case Idle() | TakenBack(), Offer():
             return _offer(config, state, event, now_ns)
+        case Idle() | TakenBack() | HandedOver(), NewMission():
+            anew = Idle(epoch(state))
+            return anew, (Persist(record(anew)),)
         case TakenBack(), VerifyAgain():
             return Verifying(state.live, now_ns + to_ns(config.handoff_s)), ()
         case Offering() | Verifying() | AwaitingAccept() | HandedOver(), Heard():

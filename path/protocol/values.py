@@ -170,6 +170,11 @@ class VerifyAgain:
 
 
 @dataclass(frozen=True, slots=True)
+class NewMission:
+    """On the ground a person begins anew: what an earlier mission gave away or held is over. Epochs go on."""
+
+
+@dataclass(frozen=True, slots=True)
 class CommitHeard:
     """Receiver: a Commit came in.
 
@@ -185,8 +190,8 @@ class CommitHeard:
     able: bool = True
 
 
-SenderEvent = Tick | Heard | AbortRequested | PeerStatus | Offer | AgreementComplete | VerifyAgain
-ReceiverEvent = Tick | Heard | AbortRequested | PeerStatus | CommitHeard
+SenderEvent = Tick | Heard | AbortRequested | PeerStatus | Offer | AgreementComplete | VerifyAgain | NewMission
+ReceiverEvent = Tick | Heard | AbortRequested | PeerStatus | CommitHeard | NewMission
 
 
 # --- actions: to be carried out in their order -----------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any, cast
 import pytest
 
 from drivers.interfaces import FlightMode, LinkCounters, Received, VehicleState
+from drivers.state_file import MemoryStore
 from flight.config import Deadlines, MissionConfig
 from flight.outcome import MissionEnd, Outcome
 from hil.virtual_time import run_virtual
@@ -104,9 +105,10 @@ class Pair:
             self.link[Role.RECEIVER],
             self.link[Role.SENDER],
         )
+        self.store = {role: MemoryStore() for role in Role}
         self.session = {role: self._session(rig, role) for role in Role}
-        self.sender = SenderHandover(self.session[Role.SENDER])
-        self.receiver = ReceiverHandover(self.session[Role.RECEIVER], lambda: self.able)
+        self.sender = SenderHandover(self.session[Role.SENDER], self.store[Role.SENDER])
+        self.receiver = ReceiverHandover(self.session[Role.RECEIVER], self.store[Role.RECEIVER], lambda: self.able)
         self.verified_again: list[int] = []
         sender, receiver = self.session[Role.SENDER], self.session[Role.RECEIVER]
         sender.on_message, sender.on_status = self.sender.on_message, self.sender.on_status
@@ -264,7 +266,7 @@ def test_the_release_is_written_before_the_commit_is_sent(rig: Any) -> None:
         topic for _, topic, _ in pair.log[Role.SENDER].entries if topic in ("/epoch", "/responsibility", "/commit")
     ]
     assert topics[-3:] == ["/epoch", "/responsibility", "/commit"]
-    assert pair.log[Role.SENDER].of("/epoch")[-1] == {"epoch": 1, "released": True}
+    assert pair.log[Role.SENDER].of("/epoch")[-1] == {"epoch": 1, "duty": "released"}
     (commit,) = pair.log[Role.SENDER].of("/commit")
     (sent,) = kinds(pair.link[Role.SENDER].sent, Commit)
     assert isinstance(sent, Commit)
