@@ -113,8 +113,8 @@ async def _until(condition: Callable[[], bool], end_s: float) -> bool:
 class _Handover(Generic[Machine]):
     """A machine on its role's link: messages, statuses and time in, actions carried out.
 
-    A machine that was restored is written down again at once: its record's instants are of this clock from now on.
-    Raises StateError.
+    Its state is written down before anything else: a restored one's instants are of this clock from now on, and a disk
+    that cannot be written to is found before anything flies. Raises StateError.
     """
 
     def __init__(self, session: Session, store: RecordStore, machine: Machine, kept: Kept | None) -> None:
@@ -205,7 +205,7 @@ class SenderHandover(_Handover[SenderMachine]):
         if kept is not None:
             assert isinstance(kept.record, SenderRecord)
             machine.state = sender.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
-            store.save(sender.record(machine.state))
+        store.save(sender.record(machine.state))
         super().__init__(session, store, machine, kept)
 
     def _undecided(self, flying: bool) -> bool:
@@ -294,7 +294,7 @@ class ReceiverHandover(_Handover[ReceiverMachine]):
         if kept is not None:
             assert isinstance(kept.record, ReceiverRecord)
             machine.state = receiver.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
-            store.save(receiver.record(machine.state))
+        store.save(receiver.record(machine.state))
         super().__init__(session, store, machine, kept)
         self._able = able
         if machine.responsible:

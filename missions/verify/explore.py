@@ -19,6 +19,10 @@ from typing import Protocol
 from missions.verify.model import UNREAD, Scope, World
 from missions.verify.moves import TICK, Move, Moves
 
+_ONES = 24  # bits for a number of crashes, aborts, attempts or ticks
+_RECORD = 16
+_COMPLEMENT = (1 << _RECORD) - 1
+
 
 @dataclass(frozen=True, slots=True)
 class Exploration:
@@ -73,44 +77,52 @@ class Exact:
         return True
 
 
+def weight(world: World) -> int:
+    """As bits, all that may still happen in a world: a world covers another when it has all of the other's bits.
+
+    Numbers are as many ones; records, which have to be equal unless nobody reads them, are their bits and the
+    complement of their bits, of which none contains another.
+    """
+    bits = world.packets
+    for number in (world.crashes, world.aborts, world.attempts, world.alone):
+        bits = bits << _ONES | (1 << number) - 1
+    for kept in (world.sender_kept, world.receiver_kept):
+        bits = bits << 2 * _RECORD | (0 if kept == UNREAD else kept << _RECORD | (kept ^ _COMPLEMENT))
+    return bits
+
+
 def covers(large: World, small: World) -> bool:
     """Whether what can happen in ``small`` can happen in ``large``. Both machines' states, skew and agreement agree."""
-    return (
-        not small.packets & ~large.packets
-        and small.crashes <= large.crashes
-        and small.aborts <= large.aborts
-        and small.attempts <= large.attempts
-        and small.alone <= large.alone
-        and small.sender_kept in (UNREAD, large.sender_kept)
-        and small.receiver_kept in (UNREAD, large.receiver_kept)
-    )
+    return not weight(small) & ~weight(large)
 
 
 class Covering:
     """Only worlds that no other covers."""
 
     def __init__(self) -> None:
-        self._worlds: dict[tuple[int, int, int, int], list[World]] = {}
+        self._weights: dict[tuple[int, int, int, int], list[int]] = {}
 
     def add(self, world: World) -> bool:
         key = (world.sender, world.receiver, world.skew, world.agreed)
-        known = self._worlds.get(key)
+        bits = weight(world)
+        known = self._weights.get(key)
         if known is None:
-            self._worlds[key] = [world]
+            self._weights[key] = [bits]
             return True
         for place, other in enumerate(known):
-            if covers(other, world):
+            if bits | other == other:
                 known[0], known[place] = other, known[0]  # it is likely to cover the next one too
                 return False
-        known[:] = [world, *(other for other in known if not covers(world, other))]
+        known[:] = [bits, *[other for other in known if bits | other != bits]]
         return True
 
     def still(self, world: World) -> bool:
-        return world in self._worlds[world.sender, world.receiver, world.skew, world.agreed]
+        return weight(world) in self._weights[world.sender, world.receiver, world.skew, world.agreed]
 
     def covered(self, world: World) -> bool:
-        known = self._worlds.get((world.sender, world.receiver, world.skew, world.agreed), ())
-        return any(covers(other, world) for other in known)
+        known = self._weights.get((world.sender, world.receiver, world.skew, world.agreed), ())
+        bits = weight(world)
+        return any(bits | other == other for other in known)
 
 
 class _Trail:

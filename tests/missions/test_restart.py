@@ -197,6 +197,17 @@ def with_failing(rig: Any, role: Role, duty: str, course: Callable[[Pair], Corou
     return cast(Pair, run_virtual(main()))
 
 
+@pytest.mark.parametrize("role", Role)
+def test_a_disk_that_cannot_be_written_is_found_before_anything_flies(rig: Any, role: Role) -> None:
+    async def main() -> None:
+        pair = Pair(rig)
+        pair.store[role] = FailingStore("mine" if role is Role.SENDER else "observing")
+        with pytest.raises(StateError):
+            started(pair, rig, role, flying=False)
+
+    run_virtual(main())
+
+
 def test_a_sender_that_cannot_write_it_down_does_not_release_nor_commit(rig: Any) -> None:
     async def course(pair: Pair) -> None:
         with pytest.raises(StateError):
