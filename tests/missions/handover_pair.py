@@ -64,8 +64,11 @@ class FakeVehicle:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    while not condition():  # noqa: ASYNC110
+    for _ in range(6000):
+        if condition():
+            return
         await asyncio.sleep(0.01)
+    raise AssertionError("did not come about within a minute")
 
 
 Entry = tuple[float, str, dict[str, Any]]
