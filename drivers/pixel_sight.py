@@ -10,17 +10,21 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.depth_mask import without_elsewhere
 from drivers.freshness import Freshness
 from drivers.interfaces import Camera, CameraError, Detector, Frame
 from drivers.rig import PartContext, PartSpec, create
+from path.agreement import iou
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.marker.detect import detect_markers
 from path.marker.layout import MarkerLayout
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
-from path.target import registered_depth
+from path.target import depth_sigma, registered_depth
 
 Corners = Literal["photometric", "subpix"]
+DEPTH_SIGMAS = 2.0  # of the depth camera's own noise
+UNCUT_IOU, CUT_SCORE = 0.85, 0.5  # of a box with the same before depth cut something off; of a piece that looks whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +113,26 @@ class PixelView:
         return self._frame.frame_id
 
     def targets(self, region: Region | None) -> Sequence[Detection]:
-        """Target-like objects with their box centre in ``region``, best score first."""
-        return self._detector.detect(self._frame.color, region)
+        """Target-like objects with their box centre in ``region``, best score first.
+
+        With a depth stream, only those that are not known to be nearer or farther than the region says. What touches
+        them in the image, at another depth, is cut off; what is left of other things by that is odd in shape.
+        """
+        frame, detector = self._frame, self._detector
+        found = detector.detect(frame.color, region)
+        if region is None or region.any_depth or frame.depth_mm is None:
+            return found
+        near_m = region.near_m - DEPTH_SIGMAS * depth_sigma(region.near_m, self._method)
+        far_m = region.far_m + DEPTH_SIGMAS * depth_sigma(region.far_m, self._method)
+        noise_m = self._method.depth_sigma_at_1m_m
+        cut = detector.detect(without_elsewhere(frame.color, frame.depth_mm, (near_m, far_m), noise_m, region), region)
+        kept = [whole if (whole := _whole_of(each, found)) is not None else each for each in cut]
+        sure = [each for each in kept if each in found or each.score >= CUT_SCORE]
+        return sure or [each for each in kept if self._is_between(each.box, near_m, far_m)]
+
+    def _is_between(self, box: Box, near_m: float, far_m: float) -> bool:
+        depth = self.depth(box)
+        return depth is not None and near_m <= depth.z_m <= far_m
 
     def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
         """Markers of the layout in ``region``."""
@@ -123,6 +145,12 @@ class PixelView:
 
     def image(self) -> NDArray[np.uint8]:
         return self._frame.color
+
+
+def _whole_of(part: Detection, found: Sequence[Detection]) -> Detection | None:
+    """The same thing where nothing is cut off, and its edges are exact; None when there was something to cut off."""
+    whole = max(found, key=lambda each: iou(each.box, part.box), default=None)
+    return whole if whole is not None and iou(whole.box, part.box) >= UNCUT_IOU else None
 
 
 def _check_size(frame: Frame, model: CameraModel) -> None:

@@ -66,15 +66,18 @@ class Attempt:
 
     Attributes:
         fault: what goes wrong now and then; errors that last (calibration, print, attitude, boxes) always do.
+        reach: how much farther from the target D1 stays than it usually does.
         roll_deg: by which D2's camera is turned about its optical axis on its mount, as both drones know.
         limit_s: after so long without a commit it is a timeout.
-        whole: go on until the limit, whatever D1's window says.
+        whole: go on until the limit, whatever D1's window says. Otherwise the compiled form ends with the commit, or
+            as soon as there can be none any more.
     """
 
     seed: int
     index: int
     fault: FaultName = "none"
     wrong: Wrong | None = None
+    reach: float = 1.0
     roll_deg: float = 0.0
     limit_s: float = 20.0
     whole: bool = False
@@ -95,6 +98,7 @@ class Series:
         z_m: (n,) the target's distance along D1's optical axis.
         pose_sigma_m: (n,) standard deviation of D2's position that came with its box.
         right: (n,) whether D2's box is of the object that D1 was told to hand over.
+        same: (n,) whether both boxes are of one object: D1 may have gone over to another one itself.
     """
 
     kind: NDArray[np.int64]
@@ -107,6 +111,7 @@ class Series:
     z_m: NDArray[np.float64]
     pose_sigma_m: NDArray[np.float64]
     right: NDArray[np.bool_]
+    same: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -116,14 +121,15 @@ class Series:
 class Circumstances:
     """Of an encounter, at its beginning, in truth.
 
-    ``look_alike_m``: the nearest look-alike's distance from the target. ``relative_roll_deg``: of D2's camera against
-    D1's, about the line of sight to the target.
+    ``look_alike_m``: the nearest look-alike's distance from the target; ``closest_m``: the smallest that there is until
+    the attempt's limit. ``relative_roll_deg``: of D2's camera against D1's, about the line of sight to the target.
     """
 
     range_1_m: float
     range_2_m: float
     marker_m: float
     look_alike_m: float
+    closest_m: float
     relative_roll_deg: float
     target_mps: float
 
@@ -136,6 +142,7 @@ class Encounter:
         start_s: D2's first frame whose boxes overlapped as much as the threshold asks; None when none did.
         commit_s: when D1's window was complete; None when it never was.
         right: whether the box that completed the window is of the right object; None without a commit.
+        same: whether it is of the object that D1's box was of.
         misses: number of entries by reason.
         simulated_s: how much time was played.
         series: what D1's window was told.
@@ -146,6 +153,7 @@ class Encounter:
     start_s: float | None
     commit_s: float | None
     right: bool | None
+    same: bool | None
     misses: Mapping[str, int]
     simulated_s: float
     circumstances: Circumstances
@@ -210,4 +218,12 @@ class EncounterPlayer(Protocol):
 
     def warmed(self) -> Self:
         """Itself, with everything compiled or loaded."""
+        ...
+
+    def conditions(self) -> tuple[tuple[str, str], ...]:
+        """What is drawn and how much of it: (what, how), for the reader."""
+        ...
+
+    def meanings(self) -> Mapping[FaultName, str]:
+        """What each fault is."""
         ...

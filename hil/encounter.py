@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from typing import Self
 
 import numpy as np
 
 from drivers.interfaces import PartError
 from drivers.rig import Rig
-from flight.encounter import PAIR, Attempt, Encounter, Series, agreeing, tell
+from flight.encounter import PAIR, Attempt, Encounter, FaultName, Series, agreeing, tell
 from hil.encounter_by_method import play_cycles
+from hil.encounter_conditions import MEANINGS, conditions
 from hil.encounter_method import REASONS, Rules
 from hil.encounter_play import play
 from hil.encounter_pose import Limits
@@ -34,6 +36,7 @@ from hil.encounter_state import (
     OWN_FRAMES,
     REASON,
     RIGHT,
+    SAME,
     SEQUENCE,
     SIGMA_M,
     Z_M,
@@ -41,7 +44,7 @@ from hil.encounter_state import (
     State,
     fresh,
 )
-from hil.encounter_window import Hold
+from hil.encounter_window import Hold, hopeless
 from hil.geometric_scene import CameraSetup, lens_row
 from hil.geometric_sight import Sensor
 from path.config import MethodConfig
@@ -81,13 +84,13 @@ class Encounters:
         state = fresh(len(sender.number), len(receiver.number))
         kinds, which, now = stage.events
         setup, hold = self._setup(stage.believed), self._hold()
-        until_s = 0.0
+        until_s, limit_ns = 0.0, round((attempt.limit_s + EPOCH_S) * 1e9)
         while state.counters[NEXT] < len(kinds) and until_s < attempt.limit_s:
             until_s = min(until_s + BLOCK_S, attempt.limit_s)
             stage.fill(until_s)
             until_ns = round((until_s + EPOCH_S) * 1e9)
             play(kinds, which, now, until_ns, stage.clock_ns, setup, hold, attempt.whole, stage.seen, state)
-            if state.counters[DONE] and not attempt.whole:
+            if not attempt.whole and (state.counters[DONE] or hopeless(state.window, hold, until_ns, limit_ns)):
                 break
         return _encounter(attempt, stage, _series(state), until_s, self._method)
 
@@ -95,6 +98,12 @@ class Encounters:
         stage = Stage(attempt, self._believed, self._sensor, self._parts)
         series, until_s = play_cycles(attempt, stage, self._believed, self._method)
         return _encounter(attempt, stage, series, until_s, self._method)
+
+    def conditions(self) -> tuple[tuple[str, str], ...]:
+        return conditions()
+
+    def meanings(self) -> Mapping[FaultName, str]:
+        return MEANINGS
 
     def _setup(self, calibrated: Calibrated) -> Setup:
         method, mission = self._method, self._believed.mission
@@ -142,6 +151,7 @@ def _series(state: State) -> Series:
         z_m=floats[:, Z_M].copy(),
         pose_sigma_m=floats[:, SIGMA_M].copy(),
         right=ints[:, RIGHT] != 0,
+        same=ints[:, SAME] != 0,
     )
 
 
@@ -160,6 +170,7 @@ def _encounter(attempt: Attempt, stage: Stage, series: Series, played_s: float, 
         start_s=None if first is None else int(series.capture_ns[first]) * 1e-9 - EPOCH_S,
         commit_s=None if done is None else int(series.now_ns[done]) * 1e-9 - EPOCH_S,
         right=None if done is None else bool(series.right[done]),
+        same=None if done is None else bool(series.same[done]),
         misses=dict(misses),
         simulated_s=played_s,
         circumstances=stage.circumstances,

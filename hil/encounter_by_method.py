@@ -14,7 +14,7 @@ from flight.encounter import MISS, OWN_MISS, PAIR, Attempt, Series
 from flight.marker_view import MarkerFix, MarkerView, Motion
 from hil.encounter_method import REASONS
 from hil.encounter_scene import Believed
-from hil.encounter_sight import CLAIMED, FOUND, SEEN, SIGMA, STATUS, UNCLEAR, Z
+from hil.encounter_sight import CLAIMED, FOUND, SEEN, SIGMA, STATUS, UNCLEAR, WHO, Z
 from hil.encounter_stage import BLOCK_S, EPOCH_S, Stage
 from hil.encounter_state import CANDIDATE_HEARD, RECEIVER_FRAME, SENDER_FRAME
 from path.agreement import BoxMapping, TwoViews, depth_in, iou, map_box
@@ -84,7 +84,8 @@ class _Both:
         self._candidates: dict[int, Candidate] = {}
         views = TwoViews(calibrated.camera_1, calibrated.camera_2, rigid(mount))
         self.record = _Record(views, method)
-        self._whose: dict[int, bool] = {}
+        self._whose: dict[int, float] = {}
+        self._own: dict[int, float] = {}
 
     def step(self, kind: int, which: int, now_ns: int) -> None:
         seen = self._stage.seen
@@ -107,6 +108,7 @@ class _Both:
         message = self.sender.observe(number, stamp_ns, box, depth, _vector(seen.gravity_v[k]))
         if isinstance(message, Target):
             self._targets[k] = message
+            self._own[number] = float(row[WHO])
             assert box is not None
             assert depth is not None
             values = (box.x, box.y, box.w, box.h, *message.point_v_m, depth.z_m)
@@ -115,7 +117,7 @@ class _Both:
             reason = MissReason.AMBIGUOUS_TARGET if row[STATUS] == UNCLEAR else message.reason
             self.record.own_miss(reason, number, stamp_ns, now_ns)
         for pair in self.sender.evaluate_ready(now_ns):
-            self.record.pair(pair, now_ns, self._whose)
+            self.record.pair(pair, now_ns, self._whose, self._own)
 
     def _receiver_frame(self, k: int) -> None:
         seen, cycle = self._stage.seen, self._receiver
@@ -146,9 +148,8 @@ class _Both:
         assert isinstance(candidate, Candidate)
         self._candidates[k] = candidate
         box = candidate.box
-        self._whose[candidate.sequence] = box is not None and any(
-            row[5] == 0.0 for row in rows if row[:4] == [box.x, box.y, box.w, box.h]
-        )
+        if box is not None:
+            self._whose[candidate.sequence] = next(row[5] for row in rows if row[:4] == [box.x, box.y, box.w, box.h])
 
 
 class _Record:
@@ -162,10 +163,11 @@ class _Record:
 
     def own_miss(self, reason: MissReason, number: int, stamp_ns: int, now_ns: int) -> None:
         self.track.add(Sample(stamp_ns, number, None))
-        self._rows.append((OWN_MISS, REASONS.index(reason), now_ns, 0, stamp_ns, number, stamp_ns, 0, 0, 0))
+        self._rows.append((OWN_MISS, REASONS.index(reason), now_ns, 0, stamp_ns, number, stamp_ns, 0, 0, 0, 0))
         self._values.append((0.0, 0.0, 0.0, 0.0))
 
-    def pair(self, pair: Pair, now_ns: int, whose: dict[int, bool]) -> None:
+    def pair(self, pair: Pair, now_ns: int, whose: dict[int, float], own_whose: dict[int, float]) -> None:
+        """``whose``: object of D2's box by sequence, ``own_whose``: of D1's by frame."""
         candidate, verdict = pair.candidate, pair.verdict
         if candidate is None:
             return
@@ -173,12 +175,13 @@ class _Record:
         at = self.track.at(pair.capture_ns)
         if pair.own_box is None or pair.mapped_box is None or at is None:
             assert isinstance(verdict, Missed)
-            self._rows.append((MISS, REASONS.index(verdict.reason), *head, 0, 0, 0, 0, 0))
+            self._rows.append((MISS, REASONS.index(verdict.reason), *head, 0, 0, 0, 0, 0, 0))
             self._values.append((0.0, 0.0, 0.0, 0.0))
             return
-        right = int(whose[candidate.sequence])
+        theirs = whose[candidate.sequence]
+        right, same = int(theirs == 0.0), int(theirs == own_whose[at.before.frame])
         own = (at.before.frame, at.before.stamp_ns, at.after.frame, at.after.stamp_ns)
-        self._rows.append((PAIR, -1, *head, *own, right))
+        self._rows.append((PAIR, -1, *head, *own, right, same))
         self._values.append((*self._scores(candidate, at.values, pair.own_box), at.values[7], candidate.sigma_m))
 
     def _scores(self, candidate: Candidate, values: tuple[float, ...], own_box: Box) -> tuple[float, float]:
@@ -193,11 +196,12 @@ class _Record:
 
     @property
     def series(self) -> Series:
-        ints = np.array(self._rows, np.int64).reshape(-1, 10)
+        ints = np.array(self._rows, np.int64).reshape(-1, 11)
         floats = np.array(self._values, float).reshape(-1, 4)
         return Series(
             kind=ints[:, 0], reason=ints[:, 1], now_ns=ints[:, 2], sequence=ints[:, 3], capture_ns=ints[:, 4],
             own=ints[:, 5:9], iou=floats[:, :2], z_m=floats[:, 2], pose_sigma_m=floats[:, 3], right=ints[:, 9] != 0,
+            same=ints[:, 10] != 0,
         )  # fmt: skip
 
 

@@ -63,9 +63,9 @@ def direction(rng: Generator) -> Array:
 
 
 def _spells(rng: Generator, most: int, low_s: float, high_s: float) -> Array:
-    """One to ``most`` spells within the first eight seconds, lengths spread evenly over their logarithm."""
+    """One to ``most`` spells within the first five seconds, lengths spread evenly over their logarithm."""
     count = int(rng.integers(1, most + 1))
-    start = rng.uniform(0.0, 8.0, count)
+    start = rng.uniform(0.0, 5.0, count)
     length = np.exp(rng.uniform(math.log(low_s), math.log(high_s), count))
     return np.stack((start, start + length), axis=1)
 

@@ -45,6 +45,7 @@ ATTITUDE = (slice(6, 9), slice(9, 12))
 ATTITUDE_NOISE = (slice(12, 15), slice(15, 18))
 DRIFT = slice(18, 21)
 SPEED_NOISE = (slice(21, 24), slice(24, 27))
+EVERYTHING = slice(None)
 SENDER, RECEIVER = 0, 1
 
 
@@ -109,22 +110,23 @@ class Motion:
     def reported(self, times_s: Array, drone: int) -> Array:
         """Velocities that a vehicle reports, NED (n, 3)."""
         step, count = 1e-3, len(times_s)
-        around_s = np.concatenate((times_s - step, times_s + step, times_s))
-        values = self._at(around_s)
-        places = values[:, WANDER[SENDER]] + (values[:, WANDER[RECEIVER]] if drone else 0.0)
+        around_s = np.concatenate((times_s - step, times_s + step))
+        places = self._at(around_s, WANDER[SENDER])
+        if drone == RECEIVER:
+            places += self._at(around_s, WANDER[RECEIVER])
         places[:, :2] += self._drawn.things.at(around_s)[0][:, 0]
-        return (places[count : 2 * count] - places[:count]) / (2.0 * step) + values[2 * count :, SPEED_NOISE[drone]]
+        return (places[count:] - places[:count]) / (2.0 * step) + self._at(times_s, SPEED_NOISE[drone])
 
     def yaw(self, times_s: Array) -> Array:
         """The sender's, as it reports it."""
-        values = self._at(times_s)
         errors = self._drawn.errors
-        own = values[:, ATTITUDE[SENDER]][:, 2] + errors.lean[SENDER, 2]
-        return own + values[:, ATTITUDE_NOISE[SENDER]][:, 2] + errors.tilt_bias[SENDER, 2]
+        own = self._at(times_s, ATTITUDE[SENDER])[:, 2] + errors.lean[SENDER, 2]
+        return own + self._at(times_s, ATTITUDE_NOISE[SENDER])[:, 2] + errors.tilt_bias[SENDER, 2]
 
-    def _at(self, times_s: Array) -> Array:
-        out = np.empty((len(times_s), len(self._waves)))
-        _waves(self._waves, times_s, out)
+    def _at(self, times_s: Array, channels: slice = EVERYTHING) -> Array:
+        waves = self._waves[channels]
+        out = np.empty((len(times_s), len(waves)))
+        _waves(waves, times_s, out)
         return out
 
     def _jump(self, times_s: Array, drone: int) -> Array:

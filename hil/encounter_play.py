@@ -47,7 +47,7 @@ from hil.encounter_relative import (
     levelled,
     update,
 )
-from hil.encounter_sight import CLAIMED, FOUND, SIGMA, WHOSE
+from hil.encounter_sight import CLAIMED, FOUND, SIGMA, WHO, WHOSE
 from hil.encounter_state import (
     CAPTURE,
     DONE,
@@ -64,6 +64,7 @@ from hil.encounter_state import (
     REASON,
     RECEIVER_FRAME,
     RIGHT,
+    SAME,
     SENDER_FRAME,
     SEQUENCE,
     SIGMA_M,
@@ -284,6 +285,7 @@ def _judge(k, now_ns, setup, hold, seen, state):
         ints[OWN_FRAMES], ints[OWN_FRAMES + 1] = seen.number_1[before], seen.stamp_1[before]
         ints[OWN_FRAMES + 2], ints[OWN_FRAMES + 3] = seen.number_1[after], seen.stamp_1[after]
         ints[RIGHT] = candidate[WHOSE_2] == 0.0
+        ints[SAME] = candidate[WHOSE_2] == seen.own[before, WHO]
         agrees = iou[hold.mapping] >= threshold(z, hold.tau_min, hold.tau_max, hold.z0_m)
     count(state.window, hold, agrees, seen.number_2[k], capture, ints[OWN_FRAMES : OWN_FRAMES + 4])
 

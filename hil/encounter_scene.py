@@ -147,7 +147,7 @@ class Drawn:
 def draw(attempt: Attempt, believed: Believed, streams: list[Generator]) -> Drawn:
     """``streams``: of place, things, errors and faults."""
     calibrated = believed.calibrated(attempt.roll_deg)
-    place = _place(believed, streams[0])
+    place = _place(believed, attempt.reach, streams[0])
     errors = _errors(believed, calibrated, streams[2])
     names, faults = draw_faults(attempt.fault, streams[3])
     things = _things(attempt, names, streams[1])
@@ -165,12 +165,13 @@ def level(yaw_rad: float) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _place(believed: Believed, rng: Generator) -> Place:
+def _place(believed: Believed, reach: float, rng: Generator) -> Place:
     """Both drones as the mission would place them, each a little beside."""
     mission, sender, receiver = believed.mission, believed.rig.sender, believed.rig.receiver
     T_b_v, camera = sender.mount.T_b_v, receiver.camera
     while True:
         behind, height, side = rng.uniform(*BEHIND_M), rng.uniform(*HEIGHT_M), SIDE_M * rng.standard_normal()
+        behind, height = reach * behind, reach * height
         sender_n = np.array([-behind, side, -height])
         target_h = -sender_n - T_b_v.t - np.array([0.0, 0.0, TARGET_HEIGHT_M])
         scene = Scene(target_h, T_b_v.R[:, 2], believed.rig.layout.markers[0].side_m, -T_b_v.t)

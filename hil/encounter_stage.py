@@ -45,8 +45,9 @@ SENDER_LATENCY_S, RECEIVER_LATENCY_S = (0.008, 0.020), (0.010, 0.030)  # from a 
 LATENCY_JITTER_S = 0.002
 FOLLOWER_SIGMA_M, FOLLOWER_SIGMA_MPS = 0.02, 0.05
 STREAMS = 7
-BLOCK_S = 1.0
+BLOCK_S = 0.5
 HORIZON_S = 8.2  # how far an attempt is made ready at first
+CLOSEST_STEP_S = 0.02
 EPOCH_S = 10.0  # of the clocks, when an attempt begins
 
 
@@ -248,11 +249,14 @@ class Stage:
         marker = self.flown_2.other_R[0] @ true.T_b_v.t + self.flown_2.other_t[0]
         others = np.linalg.norm(things[1:, :2] - things[0, :2], axis=1)
         known = others[np.isfinite(others)]
+        places = self.drawn.things.at(np.arange(0.0, self._limit_s, CLOSEST_STEP_S))[0]
+        apart = np.linalg.norm(places[:, 1:] - places[:, :1], axis=2)
         return Circumstances(
             range_1_m=float(np.linalg.norm(middle - T_w_c1.t)),
             range_2_m=float(np.linalg.norm(middle - T_w_c2.t)),
             marker_m=float(np.linalg.norm(marker - T_w_c2.t)),
             look_alike_m=float(known.min()) if len(known) else math.inf,
+            closest_m=float(np.min(apart, initial=math.inf, where=np.isfinite(apart))),
             relative_roll_deg=math.degrees(relative_roll(T_w_c1, T_w_c2)),
             target_mps=self.drawn.things.speed_mps,
         )

@@ -14,6 +14,7 @@ from hil.geometric_kernels import kernel
 COUNT, FIRST, LAST, PEER, OWN, FLOOR = 0, 1, 3, 5, 6, 7
 WINDOW_SIZE = 8
 NEVER = -(1 << 62)
+SLACK_NS = 500_000_000  # what was captured is judged later, by the link and both cycles
 
 
 class Hold(NamedTuple):
@@ -69,6 +70,13 @@ def count(window, hold, agrees, number, capture, own):
 def complete(window, hold):
     span = min(window[LAST] - window[FIRST], window[LAST + 1] - window[FIRST + 1])
     return window[COUNT] >= hold.frames and span >= hold.hold_ns
+
+
+@kernel
+def hopeless(window, hold, now, limit):
+    """Whether no run can be long enough before ``limit``: not even one that goes on, or begins now."""
+    begin = window[FIRST] if window[COUNT] else now
+    return begin - SLACK_NS + hold.hold_ns > limit
 
 
 @kernel

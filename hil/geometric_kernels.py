@@ -15,9 +15,11 @@ from numba import njit
 
 kernel = njit(cache=True, nogil=True, error_model="numpy")
 
-# Columns of a placed box: rotation camera -> box (3 x 3), the camera's centre in box coordinates, half sides.
-TURN, CENTRE, HALF = 0, 9, 12
-BOX_COLUMNS = 15
+# Columns of a placed box: rotation camera -> box (3 x 3), the camera's centre in box coordinates, half sides; x0 y0 x1
+# y1 in the image, with a margin for edges that the lens bends.
+TURN, CENTRE, HALF, RECT = 0, 9, 12, 15
+BOX_COLUMNS = 19
+MARGIN_PX = 4.0
 # Columns of a body's extent in the image: corners of its bounding box, nearest depth, whether it can be drawn.
 X0, Y0, X1, Y1, NEAR, DRAWN = 0, 1, 2, 3, 4, 5
 EXTENT_COLUMNS = 6
@@ -64,6 +66,7 @@ def _place_box(R, t, centre, half, axes, lens, box, extent):
         turned = box[TURN + 3 * i] * t[0] + box[TURN + 3 * i + 1] * t[1] + box[TURN + 3 * i + 2] * t[2]
         box[CENTRE + i] = -turned - along
         box[HALF + i] = half[i]
+    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
     for corner in range(8):
         a = half[0] if corner & 1 else -half[0]
         b = half[1] if corner & 2 else -half[1]
@@ -79,9 +82,12 @@ def _place_box(R, t, centre, half, axes, lens, box, extent):
             extent[DRAWN] = 0.0
             return
         u, v = distorted(lens, x, y)
-        extent[X0], extent[X1] = min(extent[X0], u), max(extent[X1], u)
-        extent[Y0], extent[Y1] = min(extent[Y0], v), max(extent[Y1], v)
+        x0, y0, x1, y1 = min(x0, u), min(y0, v), max(x1, u), max(y1, v)
         extent[NEAR] = min(extent[NEAR], z)
+    extent[X0], extent[Y0] = min(extent[X0], x0), min(extent[Y0], y0)
+    extent[X1], extent[Y1] = max(extent[X1], x1), max(extent[Y1], y1)
+    box[RECT], box[RECT + 1] = x0 - MARGIN_PX, y0 - MARGIN_PX
+    box[RECT + 2], box[RECT + 3] = x1 + MARGIN_PX, y1 + MARGIN_PX
 
 
 @kernel
@@ -132,19 +138,21 @@ def place(R_w_b, t_w_b, R_b_c, t_b_c, lens, things, car, other_R, other_t, drone
 
 
 @kernel
-def _hit(box, x, y):
+def _hit(boxes, k, x, y):
     """Depth at which the ray (x, y, 1) enters a box; inf when it misses."""
     enter, leave = 0.0, np.inf
     for i in range(3):
-        speed = box[TURN + 3 * i] * x + box[TURN + 3 * i + 1] * y + box[TURN + 3 * i + 2]
-        start, half = box[CENTRE + i], box[HALF + i]
+        speed = boxes[k, TURN + 3 * i] * x + boxes[k, TURN + 3 * i + 1] * y + boxes[k, TURN + 3 * i + 2]
+        start, half = boxes[k, CENTRE + i], boxes[k, HALF + i]
         if abs(speed) < 1e-12:
             if abs(start) > half:
                 return np.inf
             continue
         a, b = (-half - start) / speed, (half - start) / speed
         enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
-    return enter if 0.0 < enter <= leave else np.inf
+        if enter > leave:
+            return np.inf
+    return enter if enter > 0.0 else np.inf
 
 
 @kernel
@@ -156,14 +164,15 @@ def nearest(boxes, extents, per_car, x, y, u, v, only):
     """
     best, who = np.inf, -1
     cars = extents.shape[0] - 1
-    for body in range(cars + 1):
-        extent = extents[body]
-        if (only >= 0 and body != only) or extent[DRAWN] == 0.0:
+    for body in range(cars + 1) if only < 0 else range(only, only + 1):
+        if extents[body, DRAWN] == 0.0:
             continue
-        if u < extent[X0] or u > extent[X1] or v < extent[Y0] or v > extent[Y1]:
+        if u < extents[body, X0] or u > extents[body, X1] or v < extents[body, Y0] or v > extents[body, Y1]:
             continue
         for k in range(body * per_car, (body + 1) * per_car if body < cars else boxes.shape[0]):
-            z = _hit(boxes[k], x, y)
+            if u < boxes[k, RECT] or u > boxes[k, RECT + 2] or v < boxes[k, RECT + 1] or v > boxes[k, RECT + 3]:
+                continue
+            z = _hit(boxes, k, x, y)
             if z < best:
                 best, who = z, body
     return best, who

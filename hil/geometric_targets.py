@@ -81,6 +81,7 @@ def outlines(boxes, extents, per_car, lens, seen):
     n = CELLS
     pixels, rays = np.empty((n * n, 2)), np.empty((n * n, 2))
     own, who = np.empty(n * n, np.bool_), np.empty(n * n, np.int64)
+    close = np.empty(extents.shape[0], np.int64)
     for car in range(seen.shape[0]):
         extent, out = extents[car], seen[car]
         x0, y0 = max(extent[X0], -0.5), max(extent[Y0], -0.5)
@@ -90,22 +91,28 @@ def outlines(boxes, extents, per_car, lens, seen):
         if extent[DRAWN] == 0.0 or x1 <= x0 or y1 <= y0:
             out[SHARE] = 0.0
             continue
-        crowded = False
+        crowd = 0
         for body in range(extents.shape[0]):
             other = extents[body]
             if body != car and other[DRAWN] == 1.0:
                 apart_x = max(other[X0] - x1, x0 - other[X1])
                 apart_y = max(other[Y0] - y1, y0 - other[Y1])
-                crowded = crowded or max(apart_x, apart_y) < NEIGHBOUR_PX
-        if not crowded:
+                if max(apart_x, apart_y) < NEIGHBOUR_PX:
+                    close[crowd] = body
+                    crowd += 1
+        if crowd == 0:
             continue
         wide, high = x1 - x0 + 2.0 * NEIGHBOUR_PX, y1 - y0 + 2.0 * NEIGHBOUR_PX
         left, top = x0 - NEIGHBOUR_PX, y0 - NEIGHBOUR_PX
         sample_rays(lens, left, top, left + wide, top + high, n, pixels, rays)
         for k in range(n * n):
             u, v, x, y = pixels[k, 0], pixels[k, 1], rays[k, 0], rays[k, 1]
-            own[k] = nearest(boxes, extents, per_car, x, y, u, v, car)[1] == car
-            who[k] = nearest(boxes, extents, per_car, x, y, u, v, -1)[1]
+            best, who[k] = nearest(boxes, extents, per_car, x, y, u, v, car)
+            own[k] = who[k] == car
+            for body in close[:crowd]:
+                z = nearest(boxes, extents, per_car, x, y, u, v, body)[0]
+                if z < best:
+                    best, who[k] = z, body
         _visible_part(own, who, car, seen.shape[0], left, top, wide / n, high / n, out)
 
 

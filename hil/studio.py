@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,8 @@ from hil.render.sensor import SensorNoise, mixed
 from path.geometry import Pose
 from path.marker.texture import cells
 from path.messages import Role
+
+Array = NDArray[np.float64]
 
 FARTHEST_M = 400.0  # as far as the ground is drawn
 CAR, PLAIN_DRONE = car(), drone()
@@ -120,18 +124,48 @@ def _sensor_noise(imaging: Imaging, depth: DepthNoise) -> SensorNoise:
     )
 
 
-def _depth_of(model: Model, T_c_body: Pose, ray: NDArray[np.float64]) -> float:
+class _Solid(NamedTuple):
+    """Faces of a model but its rotors, in its frame, and the ball around it.
+
+    Attributes:
+        p0, normal: (n, 3) corners, normals away from the viewer.
+        reach: (n,) normal times corner.
+        across, down: (n, 3) sides, each divided by its squared length.
+    """
+
+    p0: Array
+    normal: Array
+    reach: Array
+    across: Array
+    down: Array
+    center: Array
+    radius2: float
+
+
+@lru_cache(maxsize=64)
+def _solid(model: Model) -> _Solid:
+    corners = model.corners[model.kinds != ROTOR]
+    p0, e1, e2 = corners[:, :3], corners[:, 3:6], corners[:, 6:9]
+    normal = np.cross(e1, e2)
+    points = np.concatenate((p0, p0 + e1, p0 + e2, p0 + e1 + e2))
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radius2 = float(((points - center) ** 2).sum(axis=1).max()) * (1.0 + 1e-9)
+    across, down = (e / (e * e).sum(axis=1, keepdims=True) for e in (e1, e2))
+    return _Solid(p0, normal, (normal * p0).sum(axis=1), across, down, center, radius2)
+
+
+def _depth_of(model: Model, T_c_body: Pose, ray: Array) -> float:
     """Depth of the nearest face that a ray (x, y, 1) meets from its front; inf when it meets none."""
-    solid = model.kinds != ROTOR
-    corners = model.corners[solid]
-    p0 = T_c_body.apply(corners[:, :3])
-    e1, e2 = corners[:, 3:6] @ T_c_body.R.T, corners[:, 6:9] @ T_c_body.R.T
-    normal = np.cross(e1, e2)  # away from the viewer
-    along, reach = normal @ ray, np.einsum("ij,ij->i", normal, p0)
+    solid = _solid(model)
+    eye, direction = -T_c_body.t @ T_c_body.R, ray @ T_c_body.R  # in the model's frame
+    apart = solid.center - eye
+    along = float(apart @ direction)
+    if float(apart @ apart) - along * along / float(direction @ direction) > solid.radius2:
+        return math.inf  # most bodies of a stage are not even near
+    reach = solid.reach - solid.normal @ eye
     with np.errstate(divide="ignore", invalid="ignore"):
-        z = reach / along
-        offset = z[:, None] * ray - p0
-        u = np.einsum("ij,ij->i", offset, e1) / np.einsum("ij,ij->i", e1, e1)
-        v = np.einsum("ij,ij->i", offset, e2) / np.einsum("ij,ij->i", e2, e2)
+        z = reach / (solid.normal @ direction)
+        offset = eye + z[:, None] * direction - solid.p0
+        u, v = (offset * solid.across).sum(axis=1), (offset * solid.down).sum(axis=1)
         hit = (reach > 0.0) & (z > 0.0) & (u >= 0.0) & (u <= 1.0) & (v >= 0.0) & (v <= 1.0)
     return float(z[hit].min()) if hit.any() else math.inf

@@ -12,7 +12,17 @@ RigName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
 OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 FileName = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 TrialName = Literal[
-    "all", "sensitivity", "static", "corners", "dynamic", "ambiguity", "handshake", "thresholds", "link", "compute"
+    "all",
+    "sensitivity",
+    "static",
+    "corners",
+    "dynamic",
+    "ambiguity",
+    "handshake",
+    "evidence",
+    "thresholds",
+    "link",
+    "compute",
 ]
 Faults = Annotated[tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE]"), tyro.conf.UseAppendAction]
 

@@ -29,12 +29,12 @@ class EvidenceConfig:
         max_pose_sigma_m: as ``MethodConfig.max_pose_sigma_m``, for this gate: what bounds the persistent errors.
     """
 
-    alpha: float = 1e-4
+    alpha: float = 1e-3
     block_s: float = 0.4
     block_pairs: int = 8
-    strength: float = 0.25
-    first_rate: float = 1e-3
-    next_rate: float = 0.2
+    strength: float = 0.35
+    first_rate: float = 3e-3
+    next_rate: float = 0.5
     min_s: float = 1.0
     min_pairs: int = 30
     max_pose_sigma_m: float = 0.03
@@ -54,8 +54,8 @@ class EvidenceConfig:
 class MethodConfig:
     """Everything the method can be told; the same on both drones.
 
-    ``tau_min``, ``tau_max`` and ``z0_m`` are not published: these defaults are plausible values, and are to be
-    replaced by those of a ROC sweep (false accepts against rejected true pairs).
+    ``tau_min``, ``tau_max`` and ``z0_m`` are not published: these defaults are ours, held against a sweep of false
+    accepts and rejected true pairs (docs/decisions/0012-thresholds.md).
 
     Attributes:
         box_mapping: map the centre of D2's box, then rescale ("center"), or its corner as the paper does ("corner",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -29,18 +30,27 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A part of an image in px: ``x0 <= x < x1``, ``y0 <= y < y1``. May reach beyond the image."""
+    """A part of an image in px: ``x0 <= x < x1``, ``y0 <= y < y1``. May reach beyond the image.
+
+    ``near_m, far_m``: how far away along the optical axis what is looked for can be, where the camera has depth.
+    """
 
     x0: float
     y0: float
     x1: float
     y1: float
+    near_m: float = 0.0
+    far_m: float = math.inf
+
+    @property
+    def any_depth(self) -> bool:
+        return self.near_m <= 0.0 and self.far_m == math.inf
 
     def clipped(self, width: int, height: int) -> Region | None:
         """The part inside a ``width`` x ``height`` image, or None when nothing is left."""
         x0, y0 = max(self.x0, 0.0), max(self.y0, 0.0)
         x1, y1 = min(self.x1, float(width)), min(self.y1, float(height))
-        return Region(x0, y0, x1, y1) if x1 > x0 and y1 > y0 else None
+        return Region(x0, y0, x1, y1, self.near_m, self.far_m) if x1 > x0 and y1 > y0 else None
 
     def contains(self, u: float, v: float) -> bool:
         return self.x0 <= u < self.x1 and self.y0 <= v < self.y1

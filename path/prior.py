@@ -19,6 +19,9 @@ from path.messages import Vec3
 from path.observations import Missed, MissReason, Region
 from path.rigid import Rigid, transform
 
+TARGET_REACH_M = 0.3
+"""From the point that D1 measured, on the side of the target that it sees, to what D2 sees of it, along D2's axis."""
+
 Covariance2 = tuple[float, float, float]
 """Variances and covariance of a pixel, ``(uu, uv, vv)`` in px^2."""
 
@@ -31,7 +34,7 @@ class Prior:
         pixel: distorted pixel of the target's point.
         depth_m: its depth along D2's optical axis.
         covariance_px2: of a box centre around that pixel.
-        region: what to search, for box centres; may reach beyond the image.
+        region: what to search, for box centres; may reach beyond the image. Its depths are for all of the target.
         target_sequence: the newest Target message it rests on.
         T_c2_v: the pose it was made with.
         pose_sigma_m: standard deviation per axis of D2's position in ``v``.
@@ -87,6 +90,13 @@ def propagate(
     return pixel_covariance, math.sqrt(max(0.0, rows[2][2] + rows[3][3] + rows[4][4]) / 3.0)
 
 
+def depth_sigma(T_c2_v: Rigid, point_c: Vec3, covariance: Matrix, point_sigma_m: float) -> float:
+    """Standard deviation (m) of the point's depth along D2's optical axis; arguments as ``propagate``."""
+    x, y = point_c[0] - T_c2_v[9], point_c[1] - T_c2_v[10]
+    row = np.array((0.0, 0.0, 1.0, y, -x, 0.0))  # dX = dt + dw x q, as in ``propagate``
+    return math.hypot(math.sqrt(max(0.0, float(row @ covariance @ row))), point_sigma_m)
+
+
 def predict(
     camera: CameraModel,
     T_c2_v: Rigid,
@@ -125,5 +135,8 @@ def predict(
     half_u = max(half_u + 0.5 * box_size_at_1m_px[0] / point_c[2], config.min_search_px)
     half_v = max(half_v + 0.5 * box_size_at_1m_px[1] / point_c[2], config.min_search_px)
     u, v = camera.project_point(point_c)
-    region = Region(u - half_u, v - half_v, u + half_u, v + half_v)
+    reach_m = TARGET_REACH_M + config.search_sigmas * depth_sigma(T_c2_v, point_c, covariance, point_sigma_m)
+    region = Region(
+        u - half_u, v - half_v, u + half_u, v + half_v, max(0.0, point_c[2] - reach_m), point_c[2] + reach_m
+    )
     return Prior((u, v), point_c[2], (uu, uv, vv), region, target_sequence, T_c2_v, pose_sigma_m)

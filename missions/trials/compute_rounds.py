@@ -18,7 +18,7 @@ from missions.trials.compute_film import Film, Moment
 from missions.trials.compute_path import PathPair
 from missions.trials.trial import TrialRequest
 from path.baselines.association import BaselineConfig, associate
-from path.baselines.features import Distance, Features, Image, Keypoints, Look
+from path.baselines.features import Features, Image, Look
 from path.baselines.orb import Orb
 from path.messages import Role
 from path.observations import Box
@@ -113,35 +113,11 @@ class Baseline:
         return self._film.moments[self._next % len(self._film.moments)]
 
 
-class Thrifty:
-    """Features that remember those of an empty image: the association asks for them in each cycle, to have an example
-    of no features. That is no part of the method and shall not be held against it."""
-
-    def __init__(self, features: Features) -> None:
-        self._features = features
-        self._nothing: dict[tuple[int, ...], Keypoints] = {}
-
-    @property
-    def distance(self) -> Distance:
-        return self._features.distance
-
-    @property
-    def side_px(self) -> int | None:
-        return self._features.side_px
-
-    def extract(self, image: Image) -> Keypoints:
-        if image.size > 64 * 64 * 3 or image.any():
-            return self._features.extract(image)
-        if image.shape not in self._nothing:
-            self._nothing[image.shape] = self._features.extract(image)
-        return self._nothing[image.shape]
-
-
 def _baselines(request: TrialRequest, plan: Plan) -> list[tuple[str, Features, int]]:
     """XFeat only with its weights. Raises PartError for weights that are none."""
-    found: list[tuple[str, Features, int]] = [("orb", Thrifty(Orb()), plan.orb)]
+    found: list[tuple[str, Features, int]] = [("orb", Orb(), plan.orb)]
     if request.xfeat is not None:
-        found.append(("xfeat", Thrifty(XFeat(request.xfeat, threads=1)), plan.xfeat))
+        found.append(("xfeat", XFeat(request.xfeat, threads=1), plan.xfeat))
     return found
 
 

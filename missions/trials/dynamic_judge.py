@@ -40,6 +40,7 @@ Array = NDArray[np.float64]
 SUBJECTS = ("d2", "target")
 WANDER_S = 8.0  # within this a vehicle's own position drifts by less than the beacons' noise
 RPE_S, RPE_M = 1.0, 1.0
+SIGMAS_PER_MAD = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,15 +143,18 @@ def pairs_of(motions: Motions, heard: Heard) -> tuple[list[Pair], list[Array]]:
 
 
 def noise_at_rest(motions: Motions, heard: Heard, offset_s: float) -> tuple[float, int]:
-    """Standard deviation of a position per axis while D2 and the target had not moved yet, and from how many."""
-    squares, count = 0.0, 0
+    """Standard deviation of a position per axis while D2 and the target had not moved yet, and from how many.
+
+    From the median deviation: a few reflections in a row pass the check for jumps, and would say all positions are bad.
+    """
+    off: list[Array] = []
     for name in ("receiver", "target"):
         path = heard.paths[name]
         rest = path.p[path.t + offset_s < motions.still_until_s - 0.5]
         if len(rest) > 3:
-            squares += float(np.sum((rest - rest.mean(axis=0)) ** 2))
-            count += 3 * (len(rest) - 1)
-    return (math.sqrt(squares / count), count) if count else (math.nan, 0)
+            off.append(np.abs(rest - np.median(rest, axis=0)).ravel())
+    together = np.concatenate(off) if off else np.zeros(0)
+    return (SIGMAS_PER_MAD * float(np.median(together)), len(together)) if len(together) else (math.nan, 0)
 
 
 def _against_beacons(pair: Pair, frame: Alignment, k: int, noise_m: float, factors: Array) -> Compared:

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from path.baselines.features import Features, Image, Keypoints, Look, look
-from path.baselines.matching import MatchConfig, Pairs, match, verify
+from path.baselines.features import Distance, Features, Image, Keypoints, Look, look
+from path.baselines.matching import MatchConfig, Nearest, Pairs, accepted, nearest, verify
 from path.observations import Box
 
 Scope = Literal["each", "all"]
@@ -65,18 +65,33 @@ def vote(
         own: features of D1's target.
         theirs: features of each of D2's boxes; both as ``path.baselines.features.look`` finds them.
     """
-    if config.scope == "each":
-        sets = [(each, _verified(features, own, each, config.match, seed)) for each in theirs]
-        lines = tuple(_lines(own, each, pairs) for each, pairs in sets)
-        return Votes(tuple(len(line) for line in lines), lines)
-    together = _joined(theirs)
-    if together is None:
-        return Votes((0,) * len(theirs), (np.zeros((0, 4), np.float32),) * len(theirs))
-    everything, owner = together
-    pairs = _verified(features, own, everything, config.match, seed)
-    whose = owner[pairs[:, 1]]
-    lines = tuple(_lines(own, everything, pairs[whose == i]) for i in range(len(theirs)))
-    return Votes(tuple(len(line) for line in lines), lines)
+    return vote_each(features, own, theirs, [config], seed)[0]
+
+
+def vote_each(
+    features: Features, own: Keypoints, theirs: Sequence[Keypoints], configs: Sequence[BaselineConfig], seed: int = 0
+) -> list[Votes]:
+    """The votes under several configurations of the same ``look``; what they share is worked out once."""
+    distance = features.distance
+    apart = [nearest(own, each, distance) for each in theirs] if any(c.scope == "each" for c in configs) else []
+    together = _joined(theirs) if any(c.scope == "all" for c in configs) else None
+    whole = None if together is None else nearest(own, together[0], distance)
+    cast: list[Votes] = []
+    for config in configs:
+        if config.scope == "each":
+            sets = zip(apart, theirs, strict=True)
+            lines = tuple(
+                _lines(own, each, _verified(own, each, found, distance, config, seed)) for found, each in sets
+            )
+        elif together is None or whole is None:
+            lines = (np.zeros((0, 4), np.float32),) * len(theirs)
+        else:
+            everything, owner = together
+            pairs = _verified(own, everything, whole, distance, config, seed)
+            whose = owner[pairs[:, 1]]
+            lines = tuple(_lines(own, everything, pairs[whose == i]) for i in range(len(theirs)))
+        cast.append(Votes(tuple(len(line) for line in lines), lines))
+    return cast
 
 
 def associate(
@@ -98,9 +113,11 @@ def associate(
     return choose(votes.inliers, config.min_inliers, config.min_lead), votes
 
 
-def _verified(features: Features, own: Keypoints, other: Keypoints, config: MatchConfig, seed: int) -> Pairs:
-    pairs = match(own, other, features.distance, config)
-    return pairs[verify(own, other, pairs, config, seed)]
+def _verified(
+    own: Keypoints, other: Keypoints, found: Nearest, distance: Distance, config: BaselineConfig, seed: int
+) -> Pairs:
+    pairs = accepted(found, distance, config.match)
+    return pairs[verify(own, other, pairs, config.match, seed)]
 
 
 def _joined(theirs: Sequence[Keypoints]) -> tuple[Keypoints, np.ndarray[tuple[int], np.dtype[np.int64]]] | None:

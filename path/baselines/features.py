@@ -43,6 +43,9 @@ class Keypoints:
         return Keypoints(self.points_px[which], self.descriptors[which], self.scores[which])
 
 
+NOTHING = Keypoints(np.zeros((0, 2), np.float32), np.zeros((0, 0), np.uint8), np.zeros(0, np.float32))
+
+
 class Features(Protocol):
     """Finds and describes local features.
 
@@ -75,20 +78,33 @@ class Look:
 
 def look(features: Features, image: Image, boxes: Sequence[Box], settings: Look) -> list[Keypoints]:
     """The features in each box and its surroundings, in pixels of the image. A box outside the image has none."""
+    return look_each(features, image, boxes, [settings])[settings]
+
+
+def look_each(
+    features: Features, image: Image, boxes: Sequence[Box], settings: Sequence[Look]
+) -> dict[Look, list[Keypoints]]:
+    """The same in several ways. A network sees the windows of one zoom once, wide enough for all of that zoom."""
     height, width = image.shape[:2]
-    areas = [_grown(box, settings.context).clipped(width, height) for box in boxes]
-    known = [area for area in areas if area is not None]
-    if features.side_px is None:
-        windows = known
-    else:
-        windows = cover(known, min(features.side_px / settings.zoom, float(max(width, height))), width, height)
-    seen = [_in_window(features, image, window, settings.zoom) for window in windows]
-    nothing = features.extract(np.zeros((64, 64, 3), np.uint8)).pick(np.zeros(0, np.int64))
-    found: list[Keypoints] = []
-    for area in areas:
-        home = None if area is None else _home(area, windows)
-        found.append(nothing if area is None or home is None else inside(seen[home], area))
+    found: dict[Look, list[Keypoints]] = {}
+    for zoom in dict.fromkeys(each.zoom for each in settings):
+        alike = sorted({each for each in settings if each.zoom == zoom}, key=lambda each: -each.context)
+        for group in [[each] for each in alike] if features.side_px is None else [alike]:
+            areas = {each: [_grown(box, each.context).clipped(width, height) for box in boxes] for each in group}
+            windows = [area for area in areas[group[0]] if area is not None]
+            if features.side_px is not None:
+                windows = cover(windows, min(features.side_px / zoom, float(max(width, height))), width, height)
+            seen = [_in_window(features, image, window, zoom) for window in windows]
+            for each in group:
+                found[each] = [_of_area(area, windows, seen) for area in areas[each]]
     return found
+
+
+def _of_area(area: Region | None, windows: Sequence[Region], seen: Sequence[Keypoints]) -> Keypoints:
+    home = None if area is None else _home(area, windows)
+    if area is not None and home is not None:
+        return inside(seen[home], area)
+    return seen[0].pick(np.zeros(0, np.int64)) if seen else NOTHING
 
 
 def inside(keypoints: Keypoints, area: Region) -> Keypoints:

@@ -36,28 +36,57 @@ class MatchConfig:
     reach_px: float = 4.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Nearest:
+    """What of ``b`` each of ``a``'s n features is most like; empty when either has none.
+
+    Attributes:
+        rows: (n,) indices into ``a``.
+        best: (n,) indices into ``b``.
+        mutual: (n,) whether it is also the other way round.
+        apart, second: (n,) distance of that one and of the next best, inf when there is none.
+    """
+
+    rows: NDArray[np.int64]
+    best: NDArray[np.int64]
+    mutual: NDArray[np.bool_]
+    apart: NDArray[np.float32]
+    second: NDArray[np.float32]
+
+
 def match(a: Keypoints, b: Keypoints, distance: Distance, config: MatchConfig) -> Pairs:
     """Pairs (m, 2) of indices into ``a`` and ``b``: each the other's best match, and much better than the second best.
 
     The ratio is that of bits that differ, or of the angles' chords for descriptors of unit length.
     """
+    return accepted(nearest(a, b, distance), distance, config)
+
+
+def nearest(a: Keypoints, b: Keypoints, distance: Distance) -> Nearest:
+    """The part of matching that does not depend on thresholds."""
     if len(a) == 0 or len(b) == 0:
-        return np.zeros((0, 2), np.int64)
+        none, nothing = np.zeros(0, np.int64), np.zeros(0, np.float32)
+        return Nearest(none, none, np.zeros(0, np.bool_), nothing, nothing)
     if distance == "cosine":
-        cosine = a.descriptors @ b.descriptors.T
-        apart = np.sqrt(np.maximum(0.0, 2.0 - 2.0 * cosine))
-        limit = float(np.sqrt(2.0 - 2.0 * config.min_cosine))
+        apart = np.sqrt(np.maximum(0.0, 2.0 - 2.0 * (a.descriptors @ b.descriptors.T)))
     else:
         apart = hamming(a.descriptors, b.descriptors).astype(np.float32)
-        limit = float(config.max_hamming)
     rows = np.arange(len(a))
     best = apart.argmin(axis=1)
-    nearest = apart[rows, best]
-    good = (apart.argmin(axis=0)[best] == rows) & (nearest <= limit)  # mutual, and alike
-    if config.ratio < 1.0 and len(b) > 1:
-        apart[rows, best] = np.inf
-        good &= nearest < config.ratio * apart.min(axis=1)
-    return np.column_stack((rows[good], best[good]))
+    mutual = apart.argmin(axis=0)[best] == rows
+    first = apart[rows, best]
+    apart[rows, best] = np.inf
+    return Nearest(rows, best, mutual, first, apart.min(axis=1))
+
+
+def accepted(found: Nearest, distance: Distance, config: MatchConfig) -> Pairs:
+    """Pairs (m, 2) that hold against the thresholds."""
+    cosine = distance == "cosine"
+    limit = float(np.sqrt(2.0 - 2.0 * config.min_cosine)) if cosine else float(config.max_hamming)
+    good = found.mutual & (found.apart <= limit)
+    if config.ratio < 1.0:
+        good &= found.apart < config.ratio * found.second
+    return np.column_stack((found.rows[good], found.best[good]))
 
 
 def hamming(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.uint16]:

@@ -70,9 +70,9 @@ def detect_markers(
     found: list[MarkerDetection] = []
     for marker_id, quad in quads:
         if layout.marker(marker_id) is not None:
-            detection = _refined(grey, (u0, v0), marker_id, quad, layout.dictionary, camera, refine)
-            if detection is not None:
-                found.append(detection)
+            refined = refine_corners(grey, (u0, v0), quad, _quiet(layout.dictionary, marker_id), camera, refine)
+            if refined is not None:
+                found.append(MarkerDetection(marker_id, *refined))
         elif foreign:
             found.append(MarkerDetection(marker_id, quad + np.array([u0, v0]), np.eye(8)))
     return tuple(sorted(found, key=lambda detection: detection.marker_id))
@@ -113,30 +113,38 @@ def _side(quad: Array) -> float:
     return float(np.mean(np.hypot(*(np.roll(quad, -1, axis=0) - quad).T)))
 
 
-def _refined(
+def refine_corners(
     grey: NDArray[np.uint8],
     offset: tuple[int, int],
-    marker_id: int,
     quad: Array,
-    dictionary: str,
+    pattern: Array,
     camera: CameraModel,
-    refine: Refine,
-) -> MarkerDetection | None:
-    """The detection with refined corners; None when the image there is nothing like the print."""
-    if _likeness(grey, quad, cells(dictionary, marker_id)) < MIN_LIKENESS:
+    refine: Refine = "photometric",
+) -> tuple[Array, Array] | None:
+    """Corners of one marker, good to about a pixel, refined; None when the image there is nothing like the print.
+
+    Args:
+        grey: uint8, C-contiguous; its pixel (0, 0) is the camera's pixel ``offset``.
+        quad: corners as decoded, (4, 2) in pixels of ``grey``.
+        pattern: cells of the print with a border of white ones, 0 black and 1 white.
+
+    Returns:
+        Corners (4, 2) in camera pixels and their covariance (8, 8).
+    """
+    if _likeness(grey, quad, pattern[1:-1, 1:-1]) < MIN_LIKENESS:
         return None
     if refine == "photometric":
         start = quad + offset
-        fitted = fit(grey, offset, start, camera, _quiet(dictionary, marker_id))
+        fitted = fit(grey, offset, start, camera, pattern)
         if (
             fitted is not None
             and fitted.explained >= MIN_EXPLAINED
             and fitted.contrast >= MIN_CONTRAST
             and float(np.abs(fitted.corners_px - start).max()) < max(2.0, 0.15 * _side(quad))
         ):
-            return MarkerDetection(marker_id, fitted.corners_px, fitted.covariance_px2)
-    corners, covariance = _subpix(grey, quad, cells(dictionary, marker_id).shape[0])
-    return MarkerDetection(marker_id, corners + offset, covariance)
+            return fitted.corners_px, fitted.covariance_px2
+    corners, covariance = _subpix(grey, quad, pattern.shape[0] - 2)
+    return corners + offset, covariance
 
 
 @lru_cache(maxsize=64)

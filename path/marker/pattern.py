@@ -24,6 +24,7 @@ from path.marker.kernels import Array
 UNKNOWNS = 16
 BLUR, TONE = 14, 15  # places of blur and kappa in theta
 SATURATED = 254.0  # grey level
+BLOCK = 4  # rows added at once
 REACH = 4.0  # standard deviations after which an edge is not blurred any more
 
 _GRID = np.arange(-6.0, 6.0 + 1e-9, 1.0 / 64.0)
@@ -32,18 +33,21 @@ _CDF = np.array([0.5 * math.erfc(-z / math.sqrt(2.0)) for z in _GRID])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _edges(x: float, s: float, n: int, z: Array, pdf: Array, weight: Array) -> tuple[int, int]:
+def _edges(x: float, s: float, edges: Array, z: Array, pdf: Array, weight: Array) -> tuple[int, int]:
     """Blurred cell edges along one axis at position ``x``.
 
-    Fills, for the active edges ``i = first..last``, ``z[i]`` = (x - i)/s and ``pdf[i]``, and for the cells
+    Fills, for the active edges ``i = first..last``, ``z[i]`` = (x - edges[i])/s and ``pdf[i]``, and for the cells
     ``first - 1..last`` their share ``weight[cell + 1]`` of the blur. Edges run 0..n, cells -1 (quiet) .. n (quiet).
     Phi and phi come from a table with a third-order Taylor step (error below 1e-9).
     """
-    first = max(0, math.ceil(x - REACH * s))
-    last = min(n, math.floor(x + REACH * s))
+    first, last = 0, edges.shape[0] - 1
+    while first <= last and edges[first] < x - REACH * s:
+        first += 1
+    while last >= first and edges[last] > x + REACH * s:
+        last -= 1
     before = 1.0
     for i in range(first, last + 1):
-        zi = (x - i) / s
+        zi = (x - edges[i]) / s
         k = round((zi + 6.0) * 64.0)
         node = k / 64.0 - 6.0
         d = zi - node
@@ -59,16 +63,24 @@ def _edges(x: float, s: float, n: int, z: Array, pdf: Array, weight: Array) -> t
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _evaluate(  # noqa: PLR0915 - one formula, written out
-    pixel: Array, theta: Array, frame: Array, cells: Array, work: Array, row: Array
+def evaluate(  # noqa: PLR0915 - one formula, written out
+    p: float,
+    q: float,
+    theta: Array,
+    frame: Array,
+    cells: Array,
+    edges: Array,
+    work: Array,
+    row: Array,
+    edge_row: Array | None,
 ) -> float:
     """Model grey value at one pixel; fills ``row`` with its derivatives to the 16 unknowns.
 
-    ``pixel`` is (p, q, grey): the ray in the fit's own coordinates, see ``print_pixels.frame_of`` for ``frame``.
-    ``cells`` is the pattern with its quiet border, ``work`` scratch of shape (6, cells + 3).
+    ``p, q`` is the ray in the fit's own coordinates, see ``print_pixels.frame_of`` for ``frame``. ``cells`` is the
+    pattern with its quiet border, ``edges`` where its cells end along x and y, shape (2, cells + 1), ``work`` scratch
+    of shape (6, cells + 3). ``edge_row`` takes the derivatives to the inner edges, those along x first.
     """
     n = cells.shape[0] - 2
-    p, q = pixel[0], pixel[1]
     inv_w = 1.0 / (1.0 + theta[6] * p + theta[7] * q)
     x = min(max((theta[0] * p + theta[1] * q + theta[2]) * inv_w, -1.0), n + 1.0)
     y = min(max((theta[3] * p + theta[4] * q + theta[5]) * inv_w, -1.0), n + 1.0)
@@ -80,11 +92,13 @@ def _evaluate(  # noqa: PLR0915 - one formula, written out
     rho = (xu * yu + xv * yv) / (nx * ny)
     sx, sy = theta[BLUR] * nx, theta[BLUR] * ny
     zx, fx, wx, zy, fy, wy = work[0], work[1], work[2], work[3], work[4], work[5]
-    x0, x1 = _edges(x, sx, n, zx, fx, wx)
-    y0, y1 = _edges(y, sy, n, zy, fy, wy)
+    x0, x1 = _edges(x, sx, edges[0], zx, fx, wx)
+    y0, y1 = _edges(y, sy, edges[1], zy, fy, wy)
 
     t = t_x = t_y = curve_x = curve_y = s00 = s10 = s01 = s11 = 0.0
     left = left_1 = left_z = 0.0
+    if edge_row is not None:
+        edge_row[:] = 0.0
     for column in range(x0, x1 + 2):  # cells[:, column] lies left of edge ``column``
         value = d1 = dz = 0.0
         for i in range(y0, y1 + 2):
@@ -93,6 +107,8 @@ def _evaluate(  # noqa: PLR0915 - one formula, written out
             step = fy[i] * (cells[i + 1, column] - cells[i, column])
             d1 += step
             dz += zy[i] * step
+            if edge_row is not None and 0 < i < n:
+                edge_row[n - 2 + i] -= wx[column] * step / sy
         t += wx[column] * value
         t_y += wx[column] * d1
         curve_y -= wx[column] * dz
@@ -102,6 +118,8 @@ def _evaluate(  # noqa: PLR0915 - one formula, written out
             curve_x -= fz * (value - left)
             s00 += f * (d1 - left_1)
             s10 += fz * (d1 - left_1)
+            if edge_row is not None and 1 < column <= n:
+                edge_row[column - 2] -= f * (value - left) / sx
             s01 += f * (dz - left_z)
             s11 += fz * (dz - left_z)
         left, left_1, left_z = value, d1, dz
@@ -126,30 +144,71 @@ def _evaluate(  # noqa: PLR0915 - one formula, written out
     row[11], row[12], row[13] = tone, ex * tone, ey * tone
     row[14] = slope * t_blur
     row[15] = contrast * t * (1.0 - t)
+    if edge_row is not None:
+        for k in range(edge_row.shape[0]):
+            edge_row[k] *= slope
     return black + contrast * tone
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def accumulate(
-    pixels: Array, theta: Array, frame: Array, cells: Array, spread: float, normal: Array, residuals: Array
+    pixels: Array,
+    theta: Array,
+    frame: Array,
+    cells: Array,
+    edges: Array,
+    spread: float,
+    normal: Array,
+    residuals: Array,
 ) -> None:
     """One pass over the pixels: weighted normal matrix, gradient in its last column, and residuals (0 where saturated).
 
-    ``normal`` has shape (16, 17). Weights fall off with the residual in units of ``spread``.
+    ``normal`` has shape (16, 17), its upper triangle is written. Weights fall off with the residual over ``spread``.
     """
-    for i in range(UNKNOWNS):
-        for j in range(UNKNOWNS + 1):
-            normal[i, j] = 0.0
-    work, row = np.empty((6, cells.shape[0] + 1)), np.empty(UNKNOWNS + 1)
+    normal[:] = 0.0
+    work, row = np.empty((6, cells.shape[0] + 1)), np.empty(UNKNOWNS)
+    block, filled = np.zeros((2 * BLOCK, UNKNOWNS + 1)), 0
     for k in range(pixels.shape[0]):
-        r = pixels[k, 2] - _evaluate(pixels[k], theta, frame, cells, work, row)
+        r = pixels[k, 2] - evaluate(pixels[k, 0], pixels[k, 1], theta, frame, cells, edges, work, row, None)
         if r < 0.0 and pixels[k, 2] >= SATURATED:  # as bright as a pixel can be: any brighter light explains it
             residuals[k] = 0.0
             continue
         residuals[k] = r
-        row[UNKNOWNS] = r
-        w = 1.0 / (1.0 + (r / spread) ** 2) ** 2
-        for i in range(UNKNOWNS):
-            g = w * row[i]
-            for j in range(UNKNOWNS + 1):
-                normal[i, j] += g * row[j]
+        filled = add_row(row, r, spread, block, filled, normal)
+    add_last(block, filled, normal)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_row(row: Array, r: float, spread: float, block: Array, filled: int, normal: Array) -> int:
+    """Put a pixel's derivatives, weighted by its residual, into ``block`` (2 BLOCK, k + 1); a full one into ``normal``.
+
+    Several at once, because memory is the slow part. Returns how many rows the block holds.
+    """
+    w = 1.0 / (1.0 + (r / spread) ** 2) ** 2
+    own, weighted = block[filled], block[BLOCK + filled]
+    for i in range(row.shape[0]):
+        own[i] = row[i]
+        weighted[i] = w * row[i]
+    own[row.shape[0]] = r
+    if filled < BLOCK - 1:
+        return filled + 1
+    _add_block(block, normal)
+    return 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_last(block: Array, filled: int, normal: Array) -> None:
+    """The rows that did not fill a block."""
+    block[BLOCK + filled :] = 0.0
+    _add_block(block, normal)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_block(block: Array, normal: Array) -> None:
+    """Add products of four rows to the upper triangle."""
+    r0, r1, r2, r3 = block[0], block[1], block[2], block[3]
+    for i in range(normal.shape[0]):
+        a, b, c, d = block[4, i], block[5, i], block[6, i], block[7, i]
+        target = normal[i]
+        for j in range(i, normal.shape[0] + 1):
+            target[j] += a * r0[j] + b * r1[j] + c * r2[j] + d * r3[j]

@@ -1,32 +1,56 @@
 """Corners of a marker from a fit of its whole image, not of its edges.
 
-Gauss-Newton with robust weights on the model of ``path.marker.pattern``. The normal matrix, the size of the residual
-and how far it is correlated from pixel to pixel give the covariance of the corners: what the model cannot explain
-(sharpening, ink spread) is correlated, and counts for fewer pixels than it has.
+Gauss-Newton with robust weights on the model of ``path.marker.pattern``, an ideal print and camera. Where that leaves
+more than noise, it is asked what is wrong, see ``path.marker.misfit``. The normal matrix, the size of the residual and
+how far it is correlated from pixel to pixel give the covariance of the corners: what the model cannot explain is
+correlated, and counts for fewer pixels than it has.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numba import njit
 
 from path.camera import CameraModel
-from path.marker.kernels import Array, cholesky, cholesky_solve, distort, lens_of
+from path.marker.fit_kernels import START_BLUR_PX, Statistics, finish, robust_scale, statistics, step, tones
+from path.marker.kernels import Array, lens_of
+from path.marker.misfit import (
+    COARSE,
+    FILTERED,
+    GROUPS,
+    SHADOW,
+    SHADOWED,
+    TAPS,
+    Flags,
+    Indices,
+    Places,
+    accumulate_filtered,
+    model,
+    stencil,
+    used_unknowns,
+)
 from path.marker.pattern import BLUR, TONE, UNKNOWNS, accumulate
-from path.marker.print_pixels import Gray, corner_rays, frame_of, gather, homography
+from path.marker.print_pixels import MAX_PIXELS, Gray, frame_of, gather, homography
+from path.marker.shadow import cell_light, find_shadow
 
-START_BLUR_PX = 0.75  # an ordinary lens and pixel
 MAX_PASSES = 8
+MAX_MORE_PASSES, MAX_FEW_PASSES = 6, 2  # with what may be wrong: a shadow or much, or little
+STRONG_MISFIT = 0.055  # residual over contrast that is worth all pixels and passes
+MISFIT, CORRELATED_MISFIT = 0.025, 0.011  # residual over contrast above which it is asked what is wrong
+SHADOW_MISFIT, SHADOW_LEFT = 0.022, 0.45  # correlated misfit above which a shadow is looked for; share it may leave
+COARSE_MISFIT, COARSE_LEFT = 0.025, 0.93  # the same for inner edges that are off; the share with outliers
+LEAST_DEPTH = 0.1  # of a shadow
+LEAST_BLUR_PX, MOST_BLUR_PX = 0.5, 0.8  # of a lens and pixel; what is beyond it is left to the filter
+MAX_FILTERED, FILTERED_BLOCK = 1200, 2  # pixels, and in squares of so many doublings: they share their surroundings
+FILTER_REACH_PX = 0.75  # in deviations of blur that keep twice their size away from the plate's edge
+SHARE_USED = 0.84  # mean weight below which something lies across the print, or much more is wrong
+NEAR_PX = 0.1  # a step shorter than this leads near enough to ask what is wrong
 MAX_DRIFT_PX = 3.0  # a step longer than this is not a refinement
 REGATHER_PX = 0.2  # after a step longer than this the pixels of the print are chosen anew
 SETTLED_PX = 0.03  # a step shorter than this is followed by none that matters
 UNSETTLED_PX = 0.15  # longest last step of a fit that creeps towards its end
-MAX_CORRELATION = 0.5  # of neighbouring residuals; counted in both directions, it divides the pixels by up to 9
-MISFIT_PX = 2.5  # what a correlated residual as large as the contrast moves a corner; from a real, sharpened photograph
-CONSISTENCY = 1.6  # weights take 1.28 off the residual's variance; the rest is measured on exact images of markers
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +65,7 @@ class PhotometricFit:
         blur_px: standard deviation of the blur, pixel area included.
         explained: share of the image's variance that the model explains, 0..1.
         passes: Gauss-Newton passes used.
+        wrong: what the image said is not ideal: the camera (a filter), the print (its inner edges), light (a shadow).
     """
 
     corners_px: Array
@@ -50,10 +75,87 @@ class PhotometricFit:
     blur_px: float
     explained: float
     passes: int
+    wrong: tuple[bool, ...] = (False,) * GROUPS
+
+
+@dataclass(slots=True)
+class _State:
+    """A fit on its way: first of 16 unknowns ``theta``, then of those in ``groups`` of ``extra`` too."""
+
+    image: Gray
+    offset: tuple[int, int]
+    cells: Array
+    edges: Array  # (2, n + 1)
+    lens: Array
+    frame: Array
+    theta: Array
+    corners: Array
+    pixels: Array
+    extra: Array
+    groups: Flags
+    jacobian: Array = field(default_factory=lambda: np.empty((8, 8)))
+    factor: Array = field(default_factory=lambda: np.empty((0, 0)))
+    residuals: Array = field(default_factory=lambda: np.empty(0))
+    noise: float = 0.0
+    spread: float = 1e3
+    moved: float = math.inf
+    passes: int = 0
+
+    def copy(self) -> _State:
+        """With unknowns of its own."""
+        return replace(
+            self,
+            theta=self.theta.copy(),
+            corners=self.corners.copy(),
+            extra=self.extra.copy(),
+            groups=self.groups.copy(),
+            jacobian=self.jacobian.copy(),
+        )
+
+    @property
+    def n(self) -> int:
+        return self.cells.shape[0] - 2
+
+    @property
+    def statistics(self) -> Statistics:
+        return statistics(self.pixels, self.residuals, self.spread, len(self.factor))
+
+    @property
+    def share_used(self) -> float:
+        """Mean weight of the pixels that are not saturated, 0.88 when the residuals are normal."""
+        return self.statistics[0] / max(np.count_nonzero(self.residuals), 1)
+
+    def loss(self, spread: float) -> float:
+        """Size of the residuals with outliers, those far beyond ``spread`` counted as that large."""
+        squares = self.residuals**2
+        return math.sqrt(float(np.mean(squares / (1.0 + squares / spread**2))))
+
+    @property
+    def misfit(self) -> float:
+        """Residual over contrast."""
+        return math.sqrt(self.statistics[1]) / max(abs(float(self.theta[11])), 1.0)
+
+    @property
+    def correlated_misfit(self) -> float:
+        return self.misfit * math.sqrt(self.statistics[3])
+
+    def gather(self, blur_px: float, most: int = MAX_PIXELS, block: int = 0) -> bool:
+        """Choose the pixels; False when there are too few."""
+        u, v = self.offset
+        frame, lens, theta = self.frame, self.lens, self.theta
+        self.pixels = gather(self.image, u, v, frame, lens, theta, self.n, blur_px, most, block)
+        return len(self.pixels) >= 3 * UNKNOWNS
 
 
 def fit(
-    image: Gray, offset: tuple[int, int], start_px: Array, camera: CameraModel, cells: Array
+    image: Gray,
+    offset: tuple[int, int],
+    start_px: Array,
+    camera: CameraModel,
+    cells: Array,
+    edges: Array | None = None,
+    *,
+    ideal: bool = False,
 ) -> PhotometricFit | None:
     """Fit the printed pattern to a grey image.
 
@@ -61,151 +163,146 @@ def fit(
         image: uint8, C-contiguous, shape (h, w); its pixel (0, 0) is the camera's pixel ``offset``.
         start_px: corners to start from, shape (4, 2), C-contiguous, distorted camera pixels, good to about a pixel.
         cells: pattern with a border of white cells, shape (cells + 2, cells + 2).
+        edges: where the cells end along x and y, in cells from the frame's outer edge, shape (2, cells + 1); None for
+            0, 1, ..., cells.
+        ideal: fit an ideal print and camera only.
 
     Returns:
         None when the fit does not converge or too few pixels show the print.
     """
+    state = _start(image, offset, start_px, camera, cells, edges)
+    if state is None or not _fit_ideal(state, ideal):
+        return None
+    if not ideal and _misfits(state):
+        state = _fit_misfit(state)
+    return None if state.moved > UNSETTLED_PX else _finished(state)
+
+
+def _start(
+    image: Gray, offset: tuple[int, int], start_px: Array, camera: CameraModel, cells: Array, edges: Array | None
+) -> _State | None:
     n = cells.shape[0] - 2
     lens = lens_of(camera)
     frame, rays, theta = np.empty(9), np.empty((4, 2)), np.zeros(UNKNOWNS)
     theta[BLUR] = START_BLUR_PX
     if not frame_of(start_px, lens, frame, rays) or not homography(rays, n, theta):
         return None
-    pixels = gather(image, offset[0], offset[1], frame, lens, theta, n, START_BLUR_PX)
-    if len(pixels) < 3 * UNKNOWNS:
+    ends = np.repeat(np.arange(n + 1.0)[None], 2, axis=0) if edges is None else edges
+    extra, groups = np.zeros(TAPS + 2 * (n - 1) + SHADOW), np.zeros(GROUPS, np.bool_)
+    state = _State(image, offset, cells, ends, lens, frame, theta, rays, np.empty((0, 6)), extra, groups)
+    if not state.gather(START_BLUR_PX):
         return None
-    low, high = np.percentile(pixels[:, 2], (10.0, 90.0))
-    theta[8], theta[11] = low, high - low
-    corners, jacobian = rays.copy(), np.empty((8, 8))
-    normal, factor = np.empty((UNKNOWNS, UNKNOWNS + 1)), np.empty((UNKNOWNS, UNKNOWNS))
-    spread, moved, passes, residuals = 1e3, math.inf, 0, np.empty(0)
-    for passes in range(1, MAX_PASSES + 1):
-        residuals = np.empty(len(pixels))
-        accumulate(pixels, theta, frame, cells, spread, normal, residuals)
-        noise = robust_scale(residuals)
-        spread = 4.0 * noise
-        moved = step(normal, noise, frame, n, theta, factor, corners, jacobian)
-        if moved >= MAX_DRIFT_PX:
-            return None
-        if passes > 1 and moved < SETTLED_PX:
+    theta[8], theta[11] = tones(state.pixels)
+    return state
+
+
+def _fit_ideal(state: _State, ideal: bool) -> bool:
+    """Passes with the 16 unknowns of an ideal print and camera; False when they drift away or off the print."""
+    normal, used, sigmas = np.empty((UNKNOWNS, UNKNOWNS + 1)), np.empty(0, np.int64), np.empty(0)
+    for _ in range(MAX_PASSES):
+        state.residuals = np.empty(len(state.pixels))
+        accumulate(
+            state.pixels, state.theta, state.frame, state.cells, state.edges, state.spread, normal, state.residuals
+        )
+        if not _step(state, normal, used, sigmas):
+            return False
+        near = not ideal and state.moved < NEAR_PX and _misfits(state) and state.share_used > SHARE_USED
+        if state.passes > 1 and (near or state.moved < SETTLED_PX):
             break
-        if moved > REGATHER_PX:
-            pixels = gather(image, offset[0], offset[1], frame, lens, theta, n, theta[BLUR])
-            if len(pixels) < 3 * UNKNOWNS:
-                return None
-    if moved > UNSETTLED_PX:
+        if state.moved > REGATHER_PX and not state.gather(state.theta[BLUR]):
+            return False
+    return True
+
+
+def _misfits(state: _State) -> bool:
+    """Whether an ideal print and camera do not explain the image: to be asked near the end of their fit."""
+    sure = state.misfit < MISFIT and state.correlated_misfit < CORRELATED_MISFIT
+    return not sure or state.share_used < SHARE_USED
+
+
+def _fit_misfit(state: _State) -> _State:
+    """The fit that knows what may be wrong, where that explains more than the ideal one; else that one, to its end."""
+    better: _State | None = None
+    if state.correlated_misfit > SHADOW_MISFIT:
+        better = _tried(state, SHADOWED)
+    if better is None or better.misfit > SHADOW_LEFT * state.misfit:
+        better = _tried(state, FILTERED)
+    if better is None or better.noise > state.noise:
+        _fit_ideal(state, True)
+        better = state
+    if better.correlated_misfit > COARSE_MISFIT or better.share_used < SHARE_USED:
+        coarse = _tried(better, COARSE)
+        if coarse is not None and coarse.loss(better.spread) < COARSE_LEFT * better.loss(better.spread):
+            return coarse
+    return better
+
+
+def _tried(state: _State, group: int) -> _State | None:
+    """A fit with one group more, from where another one is; None when it leads nowhere."""
+    own = state.copy()
+    if group == SHADOWED and not _look_for_shadow(own):
         return None
-    covariance = np.empty((8, 8))
-    residual, explained = finish(
-        pixels, residuals, factor, lens, frame, spread, theta[11], corners, jacobian, covariance
+    own.groups[group] = own.groups[FILTERED] = True
+    if not state.groups[FILTERED]:
+        own.theta[BLUR] = min(max(own.theta[BLUR], LEAST_BLUR_PX), MOST_BLUR_PX)
+    much = group != FILTERED or state.misfit > STRONG_MISFIT
+    if not own.gather(own.theta[BLUR] + FILTER_REACH_PX, MAX_PIXELS if much else MAX_FILTERED, FILTERED_BLOCK):
+        return None
+    rays, at = stencil(own.pixels, own.frame, own.lens)
+    for attempt in range(MAX_MORE_PASSES if much else MAX_FEW_PASSES):
+        if not _misfit_pass(own, rays, at):
+            return None
+        if attempt > 0 and (own.moved < SETTLED_PX or (group == SHADOWED and own.extra[-SHADOW] < LEAST_DEPTH)):
+            break
+    return own if own.moved < UNSETTLED_PX else None
+
+
+def _look_for_shadow(state: _State) -> bool:
+    light = cell_light(state.pixels, state.theta, state.frame, state.cells, state.edges)
+    beside = find_shadow(light, state.extra[-SHADOW:])
+    state.theta[[8, 11]] *= beside
+    state.theta[[9, 10, 12, 13, TONE]] = 0.0
+    state.spread = 1e3
+    return beside > 0.0
+
+
+def _misfit_pass(state: _State, rays: Array, at: Indices) -> bool:
+    used, sigmas = used_unknowns(state.groups, state.n)
+    normal = np.empty((UNKNOWNS + len(used), UNKNOWNS + len(used) + 1))
+    state.residuals = np.empty(len(state.pixels))
+    rows = model(rays, state.theta, state.extra, state.groups, state.frame, state.cells, state.edges)
+    taps, filtered = state.extra[:TAPS], bool(state.groups[FILTERED])
+    accumulate_filtered(state.pixels, at, rows, taps, filtered, state.spread, normal, state.residuals)
+    return _step(state, normal, used, sigmas)
+
+
+def _step(state: _State, normal: Array, used: Places, sigmas: Array) -> bool:
+    """Change the unknowns; False when that leads away from the start."""
+    state.noise = robust_scale(state.residuals)
+    state.spread = 4.0 * state.noise
+    state.factor = np.empty((len(normal), len(normal)))
+    state.passes += 1
+    state.moved = step(
+        normal,
+        state.noise,
+        state.frame,
+        state.n,
+        state.theta,
+        state.extra,
+        used,
+        sigmas,
+        state.factor,
+        state.corners,
+        state.jacobian,
     )
-    return PhotometricFit(corners, covariance, residual, float(theta[11]), float(theta[BLUR]), explained, passes)
+    return state.moved < MAX_DRIFT_PX
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def robust_scale(residuals: Array) -> float:
-    """Robust standard deviation of the residuals (from their median size), at least half a grey level."""
-    bins = np.zeros(512, np.int64)
-    count = 0
-    for k in range(residuals.shape[0]):
-        if residuals[k] != 0.0:
-            bins[min(511, int(abs(residuals[k]) * 4.0))] += 1
-            count += 1
-    half, total = count // 2, 0
-    for k in range(512):
-        total += bins[k]
-        if total > half:
-            return max(0.5, 1.4826 * (k + 0.5) / 4.0)
-    return 190.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def step(
-    normal: Array, noise: float, frame: Array, n: int, theta: Array, factor: Array, corners: Array, jacobian: Array
-) -> float:
-    """One Gauss-Newton step: changes ``theta``, ``corners`` and their ``jacobian``; keeps the Cholesky ``factor``.
-
-    Weak priors keep tone, blur and the slope of light finite on tiny markers.
-
-    Returns:
-        The longest way a corner moved, px; 1e9 when there was no step.
-    """
-    change = np.empty(UNKNOWNS)
-    for i in range(UNKNOWNS):
-        change[i] = normal[i, UNKNOWNS]
-        for j in range(UNKNOWNS):
-            factor[i, j] = normal[i, j]
-        if i > 8 and i != 11:
-            sigma = 0.5 if i >= BLUR else 0.25 * max(abs(theta[11]), 1.0)
-            weight = (noise / sigma) ** 2
-            factor[i, i] += weight
-            change[i] -= weight * (theta[i] - (START_BLUR_PX if i == BLUR else 0.0))
-    if not cholesky(factor):
-        return 1e9
-    cholesky_solve(factor, change)
-    for i in range(UNKNOWNS):
-        theta[i] += change[i]
-    theta[BLUR] = min(max(theta[BLUR], 0.3), 3.0)
-    theta[TONE] = min(max(theta[TONE], -0.8), 0.8)
-    before = corners.copy()
-    corner_rays(theta, n, corners, jacobian)
-    px = 1.0 / math.sqrt(abs(frame[5] * frame[8] - frame[6] * frame[7]))
-    moved = 0.0
-    for k in range(4):
-        for j in range(2):
-            way = abs(corners[k, j] - before[k, j]) * px
-            moved = max(moved, way if way < 1e9 else 1e9)  # NaN is too far
-    return moved
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def finish(
-    pixels: Array,
-    residuals: Array,
-    factor: Array,
-    lens: Array,
-    frame: Array,
-    spread: float,
-    contrast: float,
-    corners: Array,
-    jacobian: Array,
-    covariance: Array,
-) -> tuple[float, float]:
-    """Turn ``corners`` from rays into pixels and fill ``covariance``; returns the residual and the share explained."""
-    total = squares = grey = grey2 = beside = near = 0.0
-    w_before = 0.0
-    for k in range(pixels.shape[0]):
-        r = residuals[k]
-        if r == 0.0:
-            w_before = 0.0
-            continue
-        w = 1.0 / (1.0 + (r / spread) ** 2) ** 2
-        total, squares = total + w, squares + w * r * r
-        grey, grey2 = grey + w * pixels[k, 2], grey2 + w * pixels[k, 2] ** 2
-        if pixels[k, 3] > 0.5:
-            pair = math.sqrt(w * w_before)
-            beside += pair * r * residuals[k - 1]
-            near += pair * 0.5 * (r * r + residuals[k - 1] ** 2)
-        w_before = w
-    variance = squares / max(total - UNKNOWNS, 1.0)
-    explained = 1.0 - squares / max(grey2 - grey * grey / total, 1e-9)
-    correlation = min(max(beside / near, 0.0), MAX_CORRELATION) if near > 0.0 else 0.0
-    variance_used = CONSISTENCY * variance * ((1.0 + correlation) / (1.0 - correlation)) ** 2
-    for k in range(4):
-        u, v, ux, uy, vx, vy = distort(corners[k, 0] / frame[4] + frame[2], corners[k, 1] / frame[4] + frame[3], lens)
-        corners[k, 0], corners[k, 1] = u, v
-        for j in range(8):
-            p, q = jacobian[2 * k, j] / frame[4], jacobian[2 * k + 1, j] / frame[4]
-            jacobian[2 * k, j], jacobian[2 * k + 1, j] = ux * p + uy * q, vx * p + vy * q
-    column = np.empty(UNKNOWNS)
-    for i in range(8):
-        for k in range(UNKNOWNS):
-            column[k] = jacobian[i, k] if k < 8 else 0.0
-        cholesky_solve(factor, column)
-        for j in range(8):
-            s = 0.0
-            for k in range(8):
-                s += jacobian[j, k] * column[k]
-            covariance[i, j] = s * variance_used
-        covariance[i, i] += correlation * variance * (MISFIT_PX / contrast) ** 2
-    return math.sqrt(variance), explained
+def _finished(state: _State) -> PhotometricFit:
+    covariance, contrast = np.empty((8, 8)), float(state.theta[11])
+    measured = state.statistics
+    finish(state.factor, measured, state.lens, state.frame, contrast, state.corners, state.jacobian, covariance)
+    _, variance, explained, _ = measured
+    wrong = tuple(bool(group) for group in state.groups)
+    blur_px, residual = float(state.theta[BLUR]), math.sqrt(variance)
+    return PhotometricFit(state.corners, covariance, residual, contrast, blur_px, explained, state.passes, wrong)

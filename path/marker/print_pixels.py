@@ -12,7 +12,7 @@ from path.marker.kernels import Array, distort, undistort
 
 Gray = NDArray[np.uint8]
 
-MAX_PIXELS = 1600  # a larger marker is fitted on a regular selection of its pixels
+MAX_PIXELS = 1600  # a larger marker is fitted on a selection of its pixels
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -91,12 +91,31 @@ def _on_print(p: float, q: float, theta: Array) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _mixed(a: int, b: int) -> int:
+    """A whole number that looks random: a regular selection could run along the edges of a print."""
+    h = (a * 73856093) ^ (b * 19349663)
+    h = ((h >> 13) ^ h) * 1274126177
+    return h >> 7
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def gather(
-    image: Gray, u_off: int, v_off: int, frame: Array, lens: Array, theta: Array, n: int, blur_px: float
+    image: Gray,
+    u_off: int,
+    v_off: int,
+    frame: Array,
+    lens: Array,
+    theta: Array,
+    n: int,
+    blur_px: float,
+    most: int = MAX_PIXELS,
+    block: int = 0,
 ) -> Array:
     """Pixels of the print and of the part of its quiet border that its outer edge does not reach.
 
-    Returns rows (p, q, grey, 1 when the row before is the pixel to the left).
+    Of a large print about ``most`` are selected: pairs in a row, or squares of 2**block.
+
+    Returns rows (p, q, grey, 1 when the row before is the pixel to the left, u, v), the last two as camera pixels.
     """
     height, width = image.shape
     cx, cy, scale = frame[2], frame[3], frame[4]
@@ -116,13 +135,13 @@ def gather(
     u0, u1 = max(0, int(low_u)), min(width, int(high_u) + 2)
     v0, v1 = max(0, int(low_v)), min(height, int(high_v) + 2)
     area = abs(frame[5] * frame[8] - frame[6] * frame[7]) * abs(theta[0] * theta[4] - theta[1] * theta[3])
-    every = max(1, math.ceil((n + x_out + x_out) * (n + y_out + y_out) / area / MAX_PIXELS))
-    pixels = np.empty((max(0, (u1 - u0) * (v1 - v0)), 4))
+    share = round(1024.0 * most * area / ((n + x_out + x_out) * (n + y_out + y_out)))
+    pixels = np.empty((max(0, (u1 - u0) * (v1 - v0)), 6))
     count = 0
     for v in range(v0, v1):
         previous = -2
         for u in range(u0, u1):
-            if every > 1 and (u // 2 + v) % every != 0:
+            if share < 1024 and _mixed(u >> max(block, 1), v >> block) & 1023 >= share:
                 continue
             du, dv = u + u_off - frame[0], v + v_off - frame[1]
             p, q = frame[5] * du + frame[6] * dv, frame[7] * du + frame[8] * dv
@@ -136,6 +155,7 @@ def gather(
                 pixels[count, 0], pixels[count, 1] = p, q
                 pixels[count, 2] = image[v, u]
                 pixels[count, 3] = 1.0 if previous == u - 1 else 0.0
+                pixels[count, 4], pixels[count, 5] = u + u_off, v + v_off
                 previous = u
                 count += 1
     return pixels[:count]

@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from drivers.depth_mask import GREY
 from drivers.interfaces import CameraError, Frame
 from drivers.pixel_sight import PixelSight, PixelSightConfig, PixelView
 from drivers.rig import Mount, Origin, PartContext
 from drivers.tables import RigError, decode_table
 from path.camera import CameraModel
+from path.config import MethodConfig
 from path.geometry import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
@@ -62,9 +64,11 @@ class StubDetector:
 
     def __init__(self, config: StubConfig, context: PartContext) -> None:
         self.asked: list[Region | None] = []
+        self.shown: list[NDArray[np.uint8]] = []
 
     def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]:
         self.asked.append(region)
+        self.shown.append(image)
         return (Detection(Box(1.0, 2.0, 3.0, 4.0), 0.5),)
 
 
@@ -162,6 +166,63 @@ def test_nothing_is_computed_before_it_is_asked() -> None:
     assert view.targets(region)[0].box.w == 3.0
     assert detector.asked == [region]
     assert np.all(view.image() == 9)
+
+
+def test_the_detector_is_shown_only_what_is_as_far_away_as_the_region_says() -> None:
+    made, camera, detector = sight()
+    half = frame(9)
+    assert half.depth_mm is not None
+    half.depth_mm[:] = 1000
+    half.depth_mm[:, 80:] = 2000
+    camera.frames = [half, frame(10, depth=False)]
+    anywhere, near = Region(0.0, 0.0, 50.0, 50.0), Region(0.0, 0.0, 50.0, 50.0, 0.8, 1.2)
+    view = view_of(made)
+    view.targets(None)
+    view.targets(anywhere)
+    assert all(shown is half.color for shown in detector.shown)
+    view.targets(near)
+    assert (detector.shown[-1][:88, :76] == 9).all()
+    assert (detector.shown[-1][:, 84:] != 9).all()
+    assert (half.color == 9).all()
+    flat = view_of(made)
+    flat.targets(near)
+    assert (detector.shown[-1] == 10).all()
+
+
+class Cutting:
+    """Finds one thing in the whole image, and its pieces where something is grey."""
+
+    def __init__(self, whole: Detection, pieces: Sequence[Detection]) -> None:
+        self.whole, self.pieces = whole, pieces
+
+    def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]:
+        return self.pieces if (image == GREY).all(axis=2).any() else (self.whole,)
+
+
+def seen_cut(whole: Detection, *pieces: Detection) -> Sequence[Detection]:
+    shot = frame(9)
+    assert shot.depth_mm is not None
+    shot.depth_mm[:] = 1000
+    shot.depth_mm[:, 80:] = 2000
+    view = PixelView(shot, CAMERA, single_marker(), Cutting(whole, pieces), MethodConfig())
+    return view.targets(Region(0.0, 0.0, 160.0, 120.0, 0.8, 1.2))
+
+
+def test_what_depth_cuts_off_is_no_target_and_what_it_leaves_alone_keeps_its_edges() -> None:
+    both = Detection(Box(40.0, 40.0, 80.0, 40.0), 0.9)
+    near = Detection(Box(40.0, 40.0, 40.0, 40.0), 0.9)
+    sliver = Detection(Box(84.0, 40.0, 4.0, 40.0), 0.2)
+    assert seen_cut(both, near, sliver) == [near]
+    nearly_all = Detection(Box(41.0, 40.0, 78.0, 40.0), 0.9)
+    assert seen_cut(both, nearly_all) == [both]
+
+
+def test_a_piece_of_odd_shape_is_a_target_only_when_there_is_no_other_and_its_own_depth_is_right() -> None:
+    both = Detection(Box(40.0, 40.0, 80.0, 40.0), 0.9)
+    near, far = Detection(Box(40.0, 40.0, 40.0, 40.0), 0.2), Detection(Box(100.0, 40.0, 20.0, 40.0), 0.2)
+    assert seen_cut(both, near, far) == [near]
+    assert seen_cut(both, far) == []
+    assert seen_cut(both) == []
 
 
 def test_depth_is_asked_of_the_registered_image() -> None:

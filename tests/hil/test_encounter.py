@@ -80,6 +80,23 @@ def test_an_undisturbed_encounter_ends_in_a_commit_of_the_right_object() -> None
     assert found.circumstances.look_alike_m >= 1.0
 
 
+def test_an_attempt_that_can_no_longer_commit_is_given_up_and_no_other() -> None:
+    for index in range(12):
+        attempt = Attempt(6, index, "mixed", limit_s=3.0)
+        found, whole = player().play(attempt), player().play(replace(attempt, whole=True))
+        assert (found.outcome, found.commit_s, found.right) == (whole.outcome, whole.commit_s, whole.right)
+    never = player().play(Attempt(6, 0, wrong=Wrong("lock", 0.8), limit_s=4.2))
+    assert never.outcome == "timeout"
+    assert 3.4 < never.simulated_s < 4.2  # the window needs 0.8 s
+
+
+def test_the_closest_look_alike_is_the_one_that_drives_past() -> None:
+    past = player().play(Attempt(0, 0, "look_alike_crossing", limit_s=12.0)).circumstances
+    assert 0.3 < past.closest_m < 0.45 < past.look_alike_m
+    near = player().play(Attempt(0, 0, "look_alike_near", limit_s=1.0)).circumstances
+    assert near.closest_m == pytest.approx(near.look_alike_m, abs=1e-6)
+
+
 def test_a_pose_that_is_off_makes_the_boxes_of_a_look_alike_agree() -> None:
     """The mapping goes back by the same wrong pose: decision 0004 says so."""
     found = [player().play(Attempt(0, k, wrong=Wrong("shift", 0.8, 0.0), limit_s=4.0)) for k in range(6)]
@@ -110,9 +127,30 @@ def test_an_own_miss_restarts_and_a_higher_threshold_agrees_less() -> None:
     assert agreeing(series, strict).sum() < agreeing(series, SHORT).sum()
 
 
+def test_from_farther_away_the_target_is_farther_and_nothing_else_is_drawn_anew() -> None:
+    near, far = (player().play(Attempt(0, 3, reach=reach, limit_s=0.5)).circumstances for reach in (1.0, 1.4))
+    assert far.range_1_m == pytest.approx(1.4 * near.range_1_m, rel=0.02)
+    assert (far.look_alike_m, far.target_mps) == (near.look_alike_m, near.target_mps)
+
+
+def test_conditions_and_every_fault_are_put_into_words() -> None:
+    assert set(player().meanings()) == set(get_args(FaultName))
+    assert len(player().conditions()) > 10
+    assert all(what and how for what, how in player().conditions())
+
+
 def test_one_marker_is_needed() -> None:
     one = rig()
     still = Pose(np.eye(3), np.zeros(3))
     two = MarkerLayout((Marker(0, 0.04, 0.0, still), Marker(1, 0.04, 0.0, Pose(np.eye(3), np.array([0.1, 0.0, 0.0])))))
     with pytest.raises(PartError, match="one marker"):
         Encounters(replace(one, layout=two))
+
+
+def test_what_d1_followed_itself_is_told_apart_from_what_both_did_not_agree_on() -> None:
+    """Right boxes are of what D1 follows as long as it follows the target; a look-alike for D2 alone is neither."""
+    good = player().play(Attempt(0, 0, limit_s=2.0)).series
+    assert good.same[good.right].all()
+    misled = player().play(Attempt(0, 0, wrong=Wrong("shift", 0.8, 0.0), limit_s=2.0, whole=True)).series
+    assert (misled.kind == PAIR).sum() > 50
+    assert not misled.same.any() and not misled.right.any()

@@ -212,23 +212,23 @@ class Stream:
 
 def test_evidence_enough_for_a_commit_is_enough_for_the_monitors() -> None:
     stream = Stream()
-    stream.pairs(0, 3 * BLOCK + 1)
+    stream.pairs(0, 4 * BLOCK + 1)
     assert stream.gate.complete
     assert stream.commit() == {}
 
 
 def test_s5_a_commit_a_pair_too_soon() -> None:
     stream = Stream()
-    stream.pairs(0, 3 * BLOCK)
+    stream.pairs(0, 4 * BLOCK)
     assert stream.commit() == {"S5": 1}
-    assert "60 pairs, 1.18 s, chance 0.0002 in run 1" in stream.monitors.details[0]
+    assert "80 pairs, 1.58 s, chance 0.00075 in run 1" in stream.monitors.details[0]
 
 
 def test_s5_a_later_run_needs_more_and_the_monitors_know() -> None:
     stream = Stream()
     stream.pairs(0, 2 * BLOCK + 1)
     stream.pairs(2 * BLOCK + 1, BLOCK, 0.41)  # weak: agreeing pairs all of them
-    stream.pairs(3 * BLOCK + 1, 3 * BLOCK + 1)
+    stream.pairs(3 * BLOCK + 1, 4 * BLOCK + 1)
     assert not stream.gate.complete
     assert stream.commit() == {"S5": 1}
 
@@ -237,14 +237,14 @@ def test_s5_is_silent_about_a_run_that_began_again_for_a_reason_of_the_senders_o
     stream = Stream()
     stream.pairs(0, 30)
     stream.gate.restart(29 * 20_000_000)
-    stream.pairs(30, 4 * BLOCK + 1)
+    stream.pairs(30, 6 * BLOCK + 1)
     assert stream.gate.complete
     assert stream.commit() == {}
 
 
 def test_s5_what_was_agreed_in_another_epoch_is_nothing() -> None:
     stream = Stream()
-    stream.pairs(0, 3 * BLOCK + 1)
+    stream.pairs(0, 4 * BLOCK + 1)
     assert stream.commit(epoch=2) == {"S5": 1}
 
 
@@ -254,13 +254,13 @@ def test_s5_a_new_epoch_begins_with_all_of_alpha_and_without_any_pair() -> None:
         stream.pairs(first, 20)
         stream.gate.restart((first + 20) * 20_000_000)
     stream.gate, stream.epoch = EvidenceGate(EVIDENCE), 2
-    stream.pairs(601, 3 * BLOCK + 1)
+    stream.pairs(601, 4 * BLOCK + 1)
     assert stream.commit() == {}
 
 
 def test_a_commit_said_again_is_not_judged_again() -> None:
     stream = Stream()
-    stream.pairs(0, 3 * BLOCK + 1)
+    stream.pairs(0, 4 * BLOCK + 1)
     stream.commit()
     judge(stream.monitors, next(pairs(1, 700, agreed=False, tau=None)))
     assert stream.commit() == {}
@@ -271,7 +271,7 @@ def test_s6_a_role_that_claims_more_evidence_than_there_is() -> None:
     stream.pairs(0, 2 * BLOCK)
     stream.pair(2 * BLOCK, evidence=4.4)
     assert dict(stream.monitors.violations) == {"S6": 1}
-    assert "the role has evidence 4.40, the monitor 3.70" in stream.monitors.details[0]
+    assert "the role has evidence 4.40, the monitor 2.82" in stream.monitors.details[0]
 
 
 @given(st.lists(st.tuples(st.sampled_from("aaaaaaaaawmsg"), st.integers(1, 50), st.floats(0.4, 1.0)), max_size=12))

@@ -48,7 +48,7 @@ def test_a_wrong_value_is_refused_by_name(field: str, value: Any) -> None:
         ("block_pairs", 0),
         ("block_pairs", 8.0),
         ("strength", 1.0),
-        ("first_rate", 0.3),  # above next_rate
+        ("first_rate", 0.6),  # above next_rate
         ("next_rate", 1.0),
         ("min_s", math.nan),
         ("min_pairs", 1.5),

@@ -13,7 +13,7 @@ from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Matrix, Pose
 from path.observations import Missed, MissReason
-from path.prior import Prior, predict, propagate
+from path.prior import TARGET_REACH_M, Prior, depth_sigma, predict, propagate
 from path.rigid import rigid, transform
 from path.rotation import exp
 
@@ -138,3 +138,26 @@ def test_what_is_no_prior_says_why(changes: dict[str, Any], reason: MissReason) 
     result = prior_of(**changes)
     assert isinstance(result, Missed)
     assert result.reason is reason
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(np.array))
+def test_depth_has_the_covariance_of_the_pose(direction: np.ndarray) -> None:
+    x, y, z = (POSE.R @ np.array(POINT) + POSE.t).tolist()
+    before, after = (
+        (exp(step * direction[3:]) @ POSE.R @ np.array(POINT) + POSE.t + step * direction[:3])[2]
+        for step in (-1e-6, 1e-6)
+    )
+    sigma_m = depth_sigma(rigid(POSE), (x, y, z), np.outer(direction, direction), 0.0)
+    assert sigma_m == pytest.approx(abs(after - before) / 2e-6, abs=1e-6)
+
+
+def test_the_region_reaches_as_far_away_as_the_target_can_be() -> None:
+    prior = prior_of()
+    assert isinstance(prior, Prior)
+    near_m, far_m = prior.region.near_m, prior.region.far_m
+    assert prior.depth_m - near_m == pytest.approx(far_m - prior.depth_m)
+    assert far_m - prior.depth_m > TARGET_REACH_M + CONFIG.search_sigmas * 0.01
+    wide = prior_of(point_sigma_m=0.05)
+    assert isinstance(wide, Prior)
+    assert wide.region.far_m > far_m + CONFIG.search_sigmas * 0.03
+    assert not wide.region.any_depth

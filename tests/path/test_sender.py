@@ -360,14 +360,14 @@ def test_the_whole_method_agrees_on_a_moving_target_and_completes_on_time() -> N
 
 def test_the_gate_that_goes_by_evidence_decides_when_the_settings_say_so() -> None:
     bench = Bench(MethodConfig(gate="evidence"))
-    pairs = bench.run(61)
+    pairs = bench.run(81)
     assert bench.sender.gate.complete
     verdicts = [pair.verdict for pair in pairs]
     reached = [verdict.evidence.reached for verdict in verdicts if isinstance(verdict, Agreed) and verdict.evidence]
-    assert len(reached) == 61
+    assert len(reached) == 81
     assert reached == sorted(reached)
     assert reached[19] == 0.0
-    assert reached[20] == pytest.approx(3.0)  # 0.4 s
+    assert reached[20] == pytest.approx(-math.log10(3e-3))  # 0.4 s
 
 
 def test_the_gate_that_goes_by_evidence_wants_a_better_pose() -> None:

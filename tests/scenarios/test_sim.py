@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,21 @@ def test_a_handoff_commits_and_breaks_no_rule(tmp_path: Path, seed: int) -> None
     assert summary["target_error_m"] < 0.05
     assert not responsible_at_the_end(tmp_path, Role.SENDER)
     assert responsible_at_the_end(tmp_path, Role.RECEIVER)
+
+
+@pytest.mark.parametrize("faults", [(), ("link_loss=0.3",)])
+def test_the_gate_that_goes_by_evidence_commits_in_less_than_three_seconds(
+    tmp_path: Path, faults: tuple[str, ...]
+) -> None:
+    papers = resources.files("missions").joinpath("rigs/sim.toml").read_text("utf-8")
+    (tmp_path / "evidence.toml").write_text(papers.replace("[method]", '[method]\ngate = "evidence"'), "utf-8")
+    facts, summary = fly(str(tmp_path / "evidence.toml"), tmp_path / "run", 7, *faults)
+    assert facts.outcome == "committed", facts.detail
+    assert facts.violations == {}
+    assert summary["wrong_handover"] is False
+    assert summary["gate"] == "evidence"
+    assert summary["evidence_max"] > 3.3
+    assert 1.5 < summary["agreement_s"] < 3.0
 
 
 def test_rendered_frames_through_the_whole_perception_commit(tmp_path: Path) -> None:

@@ -8,10 +8,9 @@ from missions import rig_library
 from missions.trials import compute
 from missions.trials.compute_film import PERIOD_NS, Film, camera_of, shoot_film
 from missions.trials.compute_path import GEOMETRY, SUMS, PathPair, Stopwatch
-from missions.trials.compute_rounds import Thrifty, Timings, one_thread
+from missions.trials.compute_rounds import Timings, one_thread
 from missions.trials.trial import TrialRequest, TrialResult
 from missions.trials.work import open_work
-from path.baselines.features import Distance, Image, Keypoints
 from path.messages import Role
 
 
@@ -95,32 +94,6 @@ def test_ratios_compare_medians_of_blocks() -> None:
     assert {name: ratio["ratio"] for name, ratio in ratios.items()} == {
         "geometry_alone_vs_orb_whole": 100.0, "geometry_vs_orb_whole": 50.0, "path_vs_orb_whole": 25.0,
     }  # fmt: skip
-
-
-class Counting:
-    """Features that count how often they are asked for."""
-
-    distance: Distance = "hamming"
-    side_px: int | None = None
-
-    def __init__(self) -> None:
-        self.asked = 0
-
-    def extract(self, image: Image) -> Keypoints:
-        self.asked += 1
-        return Keypoints(np.zeros((0, 2), np.float32), np.zeros((0, 32), np.uint8), np.zeros(0, np.float32))
-
-
-def test_an_empty_image_is_asked_for_once_and_a_real_one_every_time() -> None:
-    counting = Counting()
-    thrifty = Thrifty(counting)
-    empty, real = np.zeros((64, 64, 3), np.uint8), np.full((64, 64, 3), 9, np.uint8)
-    for _ in range(3):
-        thrifty.extract(empty)
-    assert counting.asked == 1
-    for _ in range(3):
-        thrifty.extract(real)
-    assert counting.asked == 4
 
 
 def test_opencv_has_its_threads_again_after_an_error() -> None:

@@ -18,7 +18,8 @@ from missions.records import load_run
 from missions.trials import dynamic
 from missions.trials.dynamic import blocks_interval
 from missions.trials.dynamic_flight import BEACON_LOG, Heard, Motions, load_beacons, load_motions, moving
-from missions.trials.dynamic_judge import clock_of
+from missions.trials.dynamic_judge import clock_of, noise_at_rest
+from missions.trials.trajectory import Trajectory
 from missions.trials.trial import TrialRequest, TrialResult
 from missions.trials.work import open_work
 
@@ -119,3 +120,18 @@ def test_intervals_take_blocks_together() -> None:
 def test_a_rig_without_beacons_is_refused(tmp_path: Path) -> None:
     with open_work(1, io.StringIO()) as work, pytest.raises(PartError, match="beacons"):
         dynamic.run(TrialRequest(rig_library.load("sim"), tmp_path, 1, True, work))
+
+
+def test_reflections_before_take_off_do_not_make_the_beacons_worse() -> None:
+    rng = np.random.default_rng(3)
+    t = np.arange(60) * 0.25
+    still = Trajectory(t, rng.normal(0.0, 0.02, (60, 3)))
+    struck = still.p.copy()
+    struck[20:25] += 0.7  # as long as the median over five positions follows it
+    none = Trajectory(np.zeros(0), np.zeros((0, 3)))
+    motions = Motions(none, none, 100.0, none, none, (0.0, 0.0))
+    clean, _ = noise_at_rest(motions, Heard({"receiver": still, "target": none}, 60, 0), 0.0)
+    noisy, count = noise_at_rest(motions, Heard({"receiver": Trajectory(t, struck), "target": none}, 60, 0), 0.0)
+    assert count == 180
+    assert clean == pytest.approx(0.02, rel=0.15)
+    assert noisy == pytest.approx(clean, rel=0.2)

@@ -56,7 +56,14 @@ def test_context_is_what_is_around_the_box_too() -> None:
 def test_boxes_that_share_a_window_share_the_work() -> None:
     corners = Corners(320)
     look(corners, dots(), [Box(80, 70, 60, 60), Box(150, 90, 60, 60), Box(400, 250, 60, 60)], Look(2.0, 0.0))
-    assert corners.shown[:-1] == [(320, 320), (320, 320)]  # the last one is asked for what nothing looks like
+    assert corners.shown == [(320, 320), (320, 320)]  # and nothing else is asked for
+
+
+def test_without_a_box_in_the_image_nothing_is_extracted() -> None:
+    corners = Corners()
+    (outside,) = look(corners, dots(), [Box(-200, 10, 50, 50)], Look())
+    assert len(outside) == 0
+    assert not corners.shown
 
 
 def test_a_box_too_large_for_a_window_is_enlarged_less() -> None:

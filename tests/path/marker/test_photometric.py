@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -9,15 +10,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from path import rotation
 from path.camera import CameraModel
+from path.geometry import Pose
 from path.marker.layout import single_marker
-from path.marker.pattern import UNKNOWNS, _evaluate
+from path.marker.misfit import FILTERED, SHADOWED, TAPS, model
+from path.marker.pattern import UNKNOWNS
 from path.marker.photometric import PhotometricFit, fit
 from path.marker.texture import cells
 from tests.path.marker.scene import HD, VGA, Optics, random_view, region_around, render, true_corners
 
 LAYOUT = single_marker()
 CELLS = np.pad(cells("DICT_4X4_50", 0), 1, constant_values=1.0)
+STRAIGHT = CameraModel(110, 110, 600.0, 600.0, 55.0, 55.0)  # no distortion
 
 
 @dataclass(frozen=True)
@@ -123,21 +128,114 @@ def test_corners_that_are_no_quadrilateral_give_no_fit():
 def test_derivatives_are_those_of_the_grey_value():
     rng = np.random.default_rng(7)
     theta = np.array([2.1, 0.3, 3.1, -0.2, 2.3, 2.8, 0.0, 0.0, 40.0, 3.0, -2.0, 150.0, 5.0, -4.0, 0.02, 0.2])
+    extra = np.concatenate([np.zeros(TAPS), rng.normal(0.0, 0.03, 10), [0.4, 0.7, 0.1, -1.0]])
     frame = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 11.0, 1.0, -2.0, 12.0])
-    work, ignored = np.empty((6, 9)), np.empty(UNKNOWNS)
-    pixels = np.column_stack([rng.uniform(-1.3, 1.3, (60, 2)), np.zeros(60)])
-    rows = np.empty((60, UNKNOWNS))
-    for pixel, row in zip(pixels, rows, strict=True):
-        _evaluate(pixel, theta, frame, CELLS, work, row)
-    for k in (2, 5, *range(8, UNKNOWNS)):  # the rest of the homography turns the blur too; a shift leaves it as it is
-        h = np.zeros(UNKNOWNS)
-        h[k] = 1e-6 * max(1.0, abs(theta[k]))
-        slope = [
-            (
-                _evaluate(p, theta + h, frame, CELLS, work, ignored)
-                - _evaluate(p, theta - h, frame, CELLS, work, ignored)
-            )
-            / (2.0 * h[k])
-            for p in pixels
-        ]
-        assert np.linalg.norm(rows[:, k] - slope) < 0.1 * np.linalg.norm(slope), k
+    edges, groups = np.stack([np.arange(7.0)] * 2), np.array([True, True, True])
+    rays = rng.uniform(-1.3, 1.3, (60, 2))
+
+    def rows(of_theta: NDArray[np.float64], of_extra: NDArray[np.float64]) -> NDArray[np.float64]:
+        return model(rays, of_theta, of_extra, groups, frame, CELLS, edges)
+
+    slopes = rows(theta, extra)
+    # of the homography a shift alone: the rest turns the blur too
+    places = [(k, theta) for k in (2, 5, *range(8, UNKNOWNS))] + [(k, extra) for k in range(TAPS, len(extra))]
+    for k, of in places:
+        h = np.zeros(len(of))
+        h[k] = 1e-6 * max(1.0, abs(of[k]))
+        more, less = (rows(theta + s * h, extra) if of is theta else rows(theta, extra + s * h) for s in (1.0, -1.0))
+        slope = (more[:, -1] - less[:, -1]) / (2.0 * h[k])
+        own = slopes[:, k if of is theta else UNKNOWNS + k - TAPS]
+        assert np.linalg.norm(own - slope) < 0.1 * np.linalg.norm(slope), (k, of is theta)
+
+
+def test_what_is_wrong_is_found_and_corners_stay_good():
+    def wrong(image: Callable[[NDArray[np.float64]], NDArray[np.float64]], seed: int) -> Sample:
+        rng = np.random.default_rng(seed)
+        view = random_view(rng, VGA, 0.6, 1.0, 40.0)
+        truth = true_corners(VGA, view.T_c_v, LAYOUT)
+        drawn = render(VGA, view.T_c_v, LAYOUT, rng, Optics(), np.full((480, 640), 105.0)).astype(np.float64)
+        grey = np.clip(np.rint(image(drawn)), 0.0, 255.0).astype(np.uint8)
+        fitted = fit(grey, (0, 0), truth + rng.uniform(-0.4, 0.4, (4, 2)), VGA, CELLS)
+        assert fitted is not None
+        return Sample(fitted.corners_px - truth, 0.0, fitted)
+
+    def sharp(image: NDArray[np.float64]) -> NDArray[np.float64]:
+        return image + 1.0 * (image - cv2.GaussianBlur(image, (0, 0), 1.1))
+
+    def moved(image: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(cv2.blur(image, (3, 1)), dtype=np.float64)
+
+    for change, limit_px in ((sharp, 0.04), (moved, 0.03)):
+        found = [wrong(change, seed) for seed in range(10)]
+        assert np.mean([s.fitted.wrong[FILTERED] for s in found]) > 0.7
+        assert rms(found) < limit_px
+        assert np.mean([s.surprise for s in found]) < 2.0
+
+
+def test_the_edge_of_a_shadow_is_found():
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        view = random_view(rng, HD, 0.7, 1.0, 40.0)
+        truth = true_corners(HD, view.T_c_v, LAYOUT)
+        image = render(HD, view.T_c_v, LAYOUT, rng, Optics(), np.full((720, 1280), 105.0)).astype(np.float64)
+        v, u = np.mgrid[0:720, 0:1280] - truth.mean(axis=0)[::-1, None, None]
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        across = u * np.cos(angle) + v * np.sin(angle) - rng.uniform(-4.0, 4.0)
+        shaded = image * (1.0 - 0.5 * np.clip(across / 3.0 + 0.5, 0.0, 1.0))
+        start = truth + rng.uniform(-0.4, 0.4, (4, 2))
+        fitted = fit(shaded.astype(np.uint8), (0, 0), start, HD, CELLS)
+        plain = fit(shaded.astype(np.uint8), (0, 0), start, HD, CELLS, ideal=True)
+        assert fitted is not None and fitted.wrong[SHADOWED], seed
+        error = float(np.sqrt(np.mean((fitted.corners_px - truth) ** 2)))
+        assert error < 0.05
+        if plain is not None:
+            assert error < 0.5 * float(np.sqrt(np.mean((plain.corners_px - truth) ** 2)))
+
+
+def test_inner_edges_that_are_off_are_found_or_may_be_told():
+    """A picture of 46 pixels across was printed: cells of 8, 8, 7, 8, 8, 7 pixels."""
+    ends = np.ceil(np.arange(7.0) * 46.0 / 6.0 - 1e-9) * 6.0 / 46.0
+    told = np.stack([ends, ends])
+    found, plain, known = [], [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        image, truth = coarse_print(ends, rng)
+        start = truth + rng.uniform(-0.4, 0.4, (4, 2))
+        fits = (fit(image, (0, 0), start, STRAIGHT, CELLS, edges, ideal=ideal) for edges, ideal in (
+            (None, False), (None, True), (told, True)))  # fmt: skip
+        for errors, fitted in zip((found, plain, known), fits, strict=True):
+            assert fitted is not None
+            errors.append(fitted.corners_px - truth)
+    off = [float(np.sqrt(np.mean(np.square(errors)))) for errors in (found, plain, known)]
+    assert off[0] < 0.6 * off[1]
+    assert off[2] < 0.03
+
+
+def coarse_print(ends: NDArray[np.float64], rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """A frontal marker of some 40 px, whose cells end at ``ends``, and its true corners."""
+    side, zoom = 40.0 + rng.uniform(0.0, 3.0), 16
+    corner = np.array([30.0, 30.0]) + rng.uniform(0.0, 1.0, 2)
+    angle = rng.uniform(0.1, 0.7)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    grid = (np.arange(110 * zoom) + 0.5) / zoom - 0.5
+    u, v = np.meshgrid(grid, grid)
+    x, y = np.tensordot(turn.T, np.stack([u - corner[0] - 20.0, v - corner[1]]), axes=1) * 6.0 / side
+    places = [np.searchsorted(ends, axis, side="right") for axis in (x, y)]
+    light = 40.0 + 150.0 * CELLS[places[1], places[0]]
+    light = cv2.GaussianBlur(light, (0, 0), 0.6 * zoom).reshape(110, zoom, 110, zoom).mean(axis=(1, 3))
+    noisy = np.rint(light + rng.normal(0.0, 1.5, light.shape))
+    square = np.array([[0.0, 0.0], [side, 0.0], [side, side], [0.0, side]])
+    return np.clip(noisy, 0, 255).astype(np.uint8), square @ turn.T + corner + np.array([20.0, 0.0])
+
+
+@pytest.mark.parametrize("degrees", [26.57, 63.43])
+def test_a_selection_of_the_pixels_of_a_large_marker_is_not_along_its_edges(degrees: float):
+    turned = rotation.exp(np.array([0.0, 0.0, np.radians(degrees)])) @ np.diag([1.0, -1.0, -1.0])
+    for k in range(2):
+        T_c_v = Pose(turned, np.array([0.01 * k, 0.005, 0.3]))
+        truth = HD.project(T_c_v.apply(LAYOUT.markers[0].corners_v))
+        ground = np.full((720, 1280), 105.0)
+        image = render(HD, T_c_v, LAYOUT, np.random.default_rng(k), Optics(noise=1.0, samples=12), ground)
+        fitted = fit(image, (0, 0), truth + 0.2, HD, CELLS)
+        assert fitted is not None
+        assert float(np.sqrt(np.mean((fitted.corners_px - truth) ** 2))) < 0.02

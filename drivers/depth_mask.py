@@ -1,0 +1,77 @@
+"""What of an image is at some depth: things that touch in the image are not, where they are not equally far away."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from path.observations import Region
+
+GREY = 110  # neither a colour nor dark: no detector takes it for something
+HALF = 2  # worked out at half the resolution, where small squares reach far
+MEDIAN_PX = 5  # single pixels of depth are noisy and have holes; taken twice
+HOLE_PX = 7  # smaller holes are those along edges
+SPECK_PX = 3  # smaller islands are noise
+STEP_PX, STEP_M, STEP_SIGMAS = 3, 0.22, 1.0  # over so few pixels one thing's surface does not change so much
+CUT_PX = 3  # more than a detector sees over
+REACH = 0.25  # of the image's width: what is larger than twice that is not looked for
+
+Image = NDArray[Any]  # OpenCV's own annotation is wider
+
+
+def without_elsewhere(
+    image: NDArray[np.uint8],
+    depth_mm: NDArray[np.uint16],
+    limits_m: tuple[float, float],
+    sigma_at_1m_m: float,
+    region: Region | None = None,
+) -> NDArray[np.uint8]:
+    """The image, grey where it is known to show something nearer or farther, and along steps of what is between.
+
+    What has no depth stays, but for the edges of what is elsewhere: nothing is lost because depth is missing.
+
+    Args:
+        image: (h, w, 3) BGR.
+        depth_mm: (h, w), registered to it, 0 where there is none.
+        limits_m: between which depths things are to be seen.
+        sigma_at_1m_m: noise of a pixel's depth at 1 m; it grows with the square of the depth.
+        region: where their middles are to be; far around it all is grey.
+    """
+    height, width = depth_mm.shape
+    reach = REACH * width
+    asked = Region(0.0, 0.0, width, height) if region is None else region
+    window = Region(asked.x0 - reach, asked.y0 - reach, asked.x1 + reach, asked.y1 + reach).clipped(width, height)
+    shown = np.full_like(image, GREY)
+    if window is None:
+        return shown
+    rows, columns = (slice(int(window.y0), int(window.y1) + 1), slice(int(window.x0), int(window.x1) + 1))
+    kept = _kept(depth_mm[rows, columns], limits_m, sigma_at_1m_m)
+    cv2.copyTo(image[rows, columns], kept, shown[rows, columns])
+    return shown
+
+
+def _kept(depth_mm: NDArray[np.uint16], limits_m: tuple[float, float], sigma_at_1m_m: float) -> Image:
+    """Mask (h, w) of what is shown."""
+    smooth = cv2.medianBlur(cv2.medianBlur(np.ascontiguousarray(depth_mm[::HALF, ::HALF]), MEDIAN_PX), MEDIAN_PX)
+    near_mm, far_mm = (np.array([min(max(0.0, 1000.0 * each), 65535.0)]) for each in limits_m)
+    nothing = np.zeros(1)
+    inside = cv2.inRange(smooth, near_mm, far_mm)
+    unknown = cv2.morphologyEx(cv2.inRange(smooth, nothing, nothing), cv2.MORPH_OPEN, _square(HOLE_PX))
+    kept = cv2.morphologyEx(cv2.bitwise_or(inside, unknown), cv2.MORPH_OPEN, _square(SPECK_PX))
+    kept[_steps(smooth, inside, sigma_at_1m_m) > 0] = 0
+    return cv2.resize(kept, depth_mm.shape[::-1], interpolation=cv2.INTER_NEAREST)
+
+
+def _steps(smooth: Image, inside: Image, sigma_at_1m_m: float) -> Image:
+    """Mask of lines along the steps between things that are both inside."""
+    highest = cv2.dilate(np.where(inside > 0, smooth, np.uint16(0)), _square(STEP_PX)).astype(np.float32)
+    lowest = cv2.erode(np.where(inside > 0, smooth, np.uint16(65535)), _square(STEP_PX)).astype(np.float32)
+    limit = 1000.0 * STEP_M + (STEP_SIGMAS * sigma_at_1m_m / 1000.0) * lowest * lowest
+    return cv2.dilate((highest - lowest > limit).astype(np.uint8), _square(CUT_PX))
+
+
+def _square(side: int) -> NDArray[np.uint8]:
+    return np.ones((side, side), np.uint8)
