@@ -32,12 +32,16 @@ class Job:
     exact: bool = True
 
 
+SHORT_TWICE = Scope(lease=3, offer=2, handoff=3, crashes=2, attempts=2)
+SHORT_ABORTED = Scope(lease=3, offer=3, handoff=4, crashes=2, aborts=1)
 QUICK = (
     Job("the link alone", SMALL),
     Job("one abort", Scope(lease=4, aborts=1)),
     Job("one crash", Scope(lease=4, crashes=1), exact=False),
 )
 FULL = (  # the longest first, so that no core waits for it at the end
+    Job("two crashes, two attempts, a short lease", SHORT_TWICE, exact=False),
+    Job("two crashes, one abort, a short lease", SHORT_ABORTED, exact=False),
     Job("two crashes", Scope(lease=4, crashes=2), exact=False),
     Job("one crash, two attempts", Scope(lease=4, crashes=1, attempts=2), exact=False),
     Job("two aborts, two attempts", Scope(lease=4, aborts=2, attempts=2), exact=False),
