@@ -3,10 +3,14 @@ from __future__ import annotations
 import errno
 import json
 import os
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers import state_file
@@ -149,6 +153,35 @@ def test_file_and_folder_are_on_the_disk_before_it_returns(path: Path, monkeypat
     monkeypatch.setattr(Path, "replace", replace)
     StateFile(path, Role.SENDER).save(RELEASED)
     assert calls == ["sync file", "rename", "sync folder"]
+
+
+SAVES_FOR_EVER = """
+import sys
+from itertools import count
+from pathlib import Path
+from drivers.state_file import StateFile
+from path.messages import Role
+from path.protocol.values import SenderRecord
+store = StateFile(Path(sys.argv[1]), Role.SENDER)
+for epoch in count(1):
+    store.save(SenderRecord(epoch))
+    print(epoch, flush=True)
+"""
+
+
+def test_killed_at_any_moment_it_leaves_what_was_saved_or_what_was_being_saved(path: Path) -> None:
+    wait = np.random.default_rng(1)
+    root = Path(__file__).parents[2]
+    for _ in range(4):
+        command = [sys.executable, "-c", SAVES_FOR_EVER, str(path)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            time.sleep(wait.uniform(0.0, 0.05))
+            process.kill()
+            said = process.stdout.read().split() or ["1"]
+        kept = StateFile(path, Role.SENDER).load()
+        assert kept is not None and kept.record.epoch in (int(said[-1]), int(said[-1]) + 1)
 
 
 def test_memory_keeps_it_as_long_as_it_is_there() -> None:
