@@ -14,7 +14,7 @@ from missions.trials.ambiguity_frame import Judged, Task, judge
 from missions.trials.ambiguity_pictures import Curve, draw_outcomes, draw_sweeps
 from missions.trials.ambiguity_report import TITLES, cause_table, findings, noise_table, notes, of_path, outcome_table
 from missions.trials.ambiguity_score import Ballot, Rule, Tally, best_rule, tally
-from missions.trials.ambiguity_stage import Case, Wanted, at_distance
+from missions.trials.ambiguity_stage import Case, Wanted
 from missions.trials.ambiguity_variants import ORB_VARIANTS, XFEAT_VARIANTS, same_look, sentence, told
 from missions.trials.trial import Picture, Table, TrialRequest, TrialResult
 from path.baselines.association import BaselineConfig
@@ -122,7 +122,7 @@ def _sweeps(request: TrialRequest, variants: Variants, rules: Mapping[str, Rule]
     """
     distances, angles = (QUICK_DISTANCES_M, QUICK_VIEWPOINTS_DEG) if request.quick else (DISTANCES_M, VIEWPOINTS_DEG)
     count = QUICK_SWEEP_FRAMES if request.quick else SWEEP_FRAMES
-    points = [at_distance(Wanted("present"), distance) for distance in distances]
+    points = [Wanted("present", (distance, distance)) for distance in distances]
     points += [Wanted("present", WIDE_NEAREST_M, math.radians(angle), WIDE_MARKER_M) for angle in angles]
     used: Variants = {method: (variants[method][rule.variant],) for method, rule in rules.items()}
     used = {"xfeat": (), **used}

@@ -166,9 +166,10 @@ def notes(judged: Sequence[Judged], xfeat: bool) -> tuple[str, ...]:
         "need depth for that.",
         "The baselines choose among the boxes of the same detector on the whole image, without depth; in "
         f"{boxless} of {len(present)} frames none of these shows mainly the target. Features are cut out at full "
-        "resolution around the boxes. Matches are mutual, pass a ratio test, and are verified by RANSAC. Variant and "
-        "thresholds are the best of a sweep on the very frames they are judged by: an upper bound for the baselines; "
-        "PATH has its defaults.",
+        "resolution around the boxes. Matches are mutual, pass a ratio test, and are verified by RANSAC. Ratio, model, "
+        "reach, scope and thresholds are the best of a sweep on the very frames they are judged by (how far the image "
+        "is enlarged, and how much around a box is looked at, on the first 60 of them): an upper bound for the "
+        "baselines; PATH has its defaults.",
         "The people's clothes are flat patterns that differ in one cell of twelve and a few per cent of shade, and "
         "both cameras see them in the same light: this is easier for features than the paper's outdoor frames.",
     ]

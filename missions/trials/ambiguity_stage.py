@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -103,11 +104,13 @@ class Scene:
         return min(math.dist(first.position_w_m[:2], other.position_w_m[:2]) for other in others)
 
 
+@cache
 def camera_mount() -> Pose:
     """``T_b_c`` of both drones."""
     return Pose(R_from_rpy(0.0, -PITCH_DOWN_RAD, 0.0) @ FORWARD, np.array([0.10, 0.0, 0.02]))
 
 
+@cache
 def marker_mount(side: int) -> Pose:
     """``T_b_v``: 18 cm out from the middle of D1 on one side, tilted up."""
     turn = R_from_rpy(0.0, 0.0, side * 2.0 * math.pi / SIDES)
@@ -345,8 +348,3 @@ def _marker_seen(scene: Scene, receiver: View) -> bool:
         and receiver.camera.sees((x, y, z), 40.0)
         and receiver.camera.fx * scene.wanted.marker_side_m / z >= MIN_MARKER_PX
     )
-
-
-def at_distance(wanted: Wanted, distance_m: float) -> Wanted:
-    """The same with the nearest look-alike at one distance."""
-    return replace(wanted, nearest_m=(distance_m, distance_m))

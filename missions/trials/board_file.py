@@ -41,7 +41,6 @@ class BoardFile:
         dictionary: name of one of OpenCV's dictionaries, or a file as its ``writeDictionary`` gives it.
         rows, columns, first_id: markers, numbered along rows from the top-left one as printed.
         pitch_m: from marker to marker; side_m: of the black frame, nominal (it is estimated from the photograph).
-        drawn_px: how many pixels across a marker has in the picture that was printed, where that is known.
     """
 
     image: Path
@@ -52,7 +51,6 @@ class BoardFile:
     side_m: float
     camera: BoardCamera
     first_id: int = 0
-    drawn_px: int | None = None
 
     def __post_init__(self) -> None:
         if self.rows < 1 or self.columns < 1 or self.rows * self.columns < 4:

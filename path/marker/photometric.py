@@ -37,13 +37,14 @@ from path.marker.shadow import cell_light, find_shadow
 
 MAX_PASSES = 8
 MAX_MORE_PASSES, MAX_FEW_PASSES = 6, 2  # with what may be wrong: a shadow or much, or little
-STRONG_MISFIT = 0.055  # residual over contrast that is worth all pixels and passes
+STRONG_MISFIT, STRONG_CORRELATED_MISFIT = 0.055, 0.035  # residual over contrast that is worth all pixels and passes
+LARGE_PX = 42.0  # side from which on less than that is not worth it: a pose is as good as print and lens are known
 MISFIT, CORRELATED_MISFIT = 0.025, 0.011  # residual over contrast above which it is asked what is wrong
 SHADOW_MISFIT, SHADOW_LEFT = 0.022, 0.45  # correlated misfit above which a shadow is looked for; share it may leave
 COARSE_MISFIT, COARSE_LEFT = 0.025, 0.93  # the same for inner edges that are off; the share with outliers
 LEAST_DEPTH = 0.1  # of a shadow
 LEAST_BLUR_PX, MOST_BLUR_PX = 0.5, 0.8  # of a lens and pixel; what is beyond it is left to the filter
-MAX_FILTERED, FILTERED_BLOCK = 1200, 2  # pixels, and in squares of so many doublings: they share their surroundings
+MAX_FILTERED, FILTERED_BLOCK = 1000, 2  # pixels, and in squares of so many doublings: they share their surroundings
 FILTER_REACH_PX = 0.75  # in deviations of blur that keep twice their size away from the plate's edge
 SHARE_USED = 0.84  # mean weight below which something lies across the print, or much more is wrong
 NEAR_PX = 0.1  # a step shorter than this leads near enough to ask what is wrong
@@ -119,6 +120,12 @@ class _State:
     @property
     def statistics(self) -> Statistics:
         return statistics(self.pixels, self.residuals, self.spread, len(self.factor))
+
+    @property
+    def area_px2(self) -> float:
+        x, y = self.corners.T
+        scale = abs(self.frame[5] * self.frame[8] - self.frame[6] * self.frame[7])
+        return 0.5 * abs(float((x[0] - x[2]) * (y[1] - y[3]) - (x[1] - x[3]) * (y[0] - y[2]))) / float(scale)
 
     @property
     def share_used(self) -> float:
@@ -220,13 +227,19 @@ def _misfits(state: _State) -> bool:
     return not sure or state.share_used < SHARE_USED
 
 
+def _filter_pays(state: _State) -> bool:
+    """Whether a filter betters a pose: of a large marker only where much is wrong."""
+    much = state.misfit > STRONG_MISFIT or state.correlated_misfit > STRONG_CORRELATED_MISFIT
+    return much or state.area_px2 < LARGE_PX**2
+
+
 def _fit_misfit(state: _State) -> _State:
     """The fit that knows what may be wrong, where that explains more than the ideal one; else that one, to its end."""
     better: _State | None = None
     if state.correlated_misfit > SHADOW_MISFIT:
         better = _tried(state, SHADOWED)
     if better is None or better.misfit > SHADOW_LEFT * state.misfit:
-        better = _tried(state, FILTERED)
+        better = _tried(state, FILTERED) if _filter_pays(state) else None
     if better is None or better.noise > state.noise:
         _fit_ideal(state, True)
         better = state

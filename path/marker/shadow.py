@@ -10,8 +10,8 @@ from numba import njit
 from path.marker.kernels import Array, cholesky, cholesky_solve
 from path.marker.pattern import TONE, UNKNOWNS, evaluate
 
-EVERY = 3  # pixel is enough for the light on the cells
-DIRECTIONS, OFFSETS = 16, 11  # directions over half a circle: either side may be the dark one
+EVERY = 5  # pixel is enough for the light on the cells
+DIRECTIONS, OFFSETS = 12, 9  # directions over half a circle: either side may be the dark one
 MOST_OFFSET, WIDTHS = 0.8, (0.05, 0.2, 0.5)  # and width of the ramp, in the fit's coordinates: a marker is about 1.4
 MIN_DEPTH, MAX_DEPTH = 0.12, 0.9  # of the light
 MIN_GAIN = 0.35  # share of the unevenness that a shadow has to explain, beyond a slope of the light
