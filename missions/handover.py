@@ -127,7 +127,8 @@ class _Handover(Generic[Machine]):
     async def resume(self) -> None:
         """Before anything else is begun, what a restart left undecided is decided, and the other drone answered.
 
-        Raises MissionEnd(RESTARTED) when the vehicle is not on the ground: a course is not taken up in its middle.
+        On the ground a new mission begins then: what an earlier one gave away or held is over. In the air it raises
+        MissionEnd(RESTARTED): a course is not taken up in its middle.
         """
         if self._kept is None:
             return
@@ -136,12 +137,8 @@ class _Handover(Generic[Machine]):
         await _until(lambda: not self._undecided(flying), math.inf)
         if flying:
             raise MissionEnd(Outcome.RESTARTED, f"started again in the air, {self._kept.record.duty}")
-
-    def begin_anew(self) -> None:
-        """On the ground: what an earlier mission gave away or held is over."""
-        if self._kept is not None:
-            self._step(NewMission())
-            self._carrier.ended = self._carrier.settled = None
+        self._step(NewMission())
+        self._carrier.ended = self._carrier.settled = None
 
     def _undecided(self, flying: bool) -> bool:
         """Something is still to come of an earlier handoff; in the air, also whether it is orphaned."""
@@ -227,12 +224,15 @@ class SenderHandover(_Handover[SenderMachine]):
     def handed_over(self) -> bool:
         return isinstance(self._machine.state, HandedOver)
 
-    def begin_anew(self) -> None:
-        """Raises MissionEnd(PEER_ABORTED) when the receiver holds the target of an earlier mission."""
-        peer = self._session.peer
-        if peer is not None and peer.responsible:
-            raise MissionEnd(Outcome.PEER_ABORTED, "the receiver still holds the target of an earlier handoff")
-        super().begin_anew()
+    async def until_free(self) -> None:
+        """Until the other drone is heard not to hold a target. Raises MissionEnd(PEER_ABORTED) when it goes on to."""
+        session = self._session
+        await session.until(
+            lambda: session.peer is not None and not session.peer.responsible,
+            session.config.deadlines.peer_s,
+            Outcome.PEER_ABORTED,
+            "the receiver did not let go of an earlier handoff's target",
+        )
 
     def offer(self) -> None:
         """The target is tracked: this drone is responsible for it, and offers it."""

@@ -92,7 +92,6 @@ class Receiver:
         session, config, deadlines = self._session, self._config, self._config.deadlines
         await self._handover.resume()
         await preflight(session)
-        self._handover.begin_anew()
         session.spawn(self._watch_peer())
         self._handover.start()
 

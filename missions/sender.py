@@ -75,7 +75,7 @@ class Sender:
         session, config, deadlines = self._session, self._config, self._config.deadlines
         await self._handover.resume()
         await preflight(session)
-        self._handover.begin_anew()
+        await self._handover.until_free()
         await take_off(session, config.take_off_height_m)
 
         session.enter(Phase.ACQUIRE)

@@ -128,23 +128,27 @@ def test_a_receiver_killed_while_it_holds_still_does_and_says_so(rig: Any) -> No
 
 
 def test_on_the_ground_a_new_mission_begins_with_the_next_epoch(rig: Any) -> None:
+    """Whichever program is started first: a sender waits for the receiver to have let go of the old target."""
+
     async def course(pair: Pair) -> None:
         await pair.decide()
         for role in Role:
             await killed(pair, role)
-        for role in (Role.RECEIVER, Role.SENDER):
-            await asyncio.sleep(0.1)
-            handover = started(pair, rig, role, flying=False)
-            await handover.resume()
-            await asyncio.sleep(0.1)
-            handover.begin_anew()
+        sender = cast(SenderHandover, started(pair, rig, Role.SENDER, flying=False))
+        await sender.resume()
+        free = asyncio.create_task(sender.until_free())
+        receiver = started(pair, rig, Role.RECEIVER, flying=False)
+        await asyncio.sleep(0.5)
+        assert pair.receiver.holds_for_good and not free.done()
+        await receiver.resume()
+        await free
         await until(lambda: all(session.alignment.ready for session in pair.session.values()))
         assert pair.responsible() == {Role.SENDER: False, Role.RECEIVER: False}
-        pair.sender.offer()
+        sender.offer()
         pair.receiver.start()
         pair.session[Role.SENDER].spawn(pair.offer_targets())
         await asyncio.sleep(0.5)
-        assert pair.sender.epoch == 2
+        assert sender.epoch == 2
         assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
 
     fly(rig, course)
@@ -154,12 +158,12 @@ def test_a_sender_does_not_begin_anew_while_the_receiver_holds(rig: Any) -> None
     async def course(pair: Pair) -> None:
         await pair.decide()
         await killed(pair, Role.SENDER)
-        sender = started(pair, rig, Role.SENDER, flying=False)
+        sender = cast(SenderHandover, started(pair, rig, Role.SENDER, flying=False))
         await sender.resume()
-        await until(lambda: pair.session[Role.SENDER].peer is not None)
-        with pytest.raises(MissionEnd, match="still holds") as caught:
-            sender.begin_anew()
+        with pytest.raises(MissionEnd, match="did not let go") as caught:
+            await sender.until_free()
         assert caught.value.outcome is Outcome.PEER_ABORTED
+        assert pair.responsible() == {Role.SENDER: False, Role.RECEIVER: True}
 
     fly(rig, course)
 
