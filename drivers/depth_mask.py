@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -16,10 +16,17 @@ MEDIAN_PX = 5  # single pixels of depth are noisy and have holes; taken twice
 HOLE_PX = 7  # smaller holes are those along edges
 SPECK_PX = 3  # smaller islands are noise
 STEP_PX, STEP_M, STEP_SIGMAS = 3, 0.22, 1.0  # over so few pixels one thing's surface does not change so much
+FAINT = 0.6  # of that: a step's end
 CUT_PX = 3  # more than a detector sees over
 REACH = 0.25  # of the image's width: what is larger than twice that is not looked for
 
+Number = TypeVar("Number", float, NDArray[np.float32])
 Image = NDArray[Any]  # OpenCV's own annotation is wider
+
+
+def step_limit_m(depth_m: Number, sigma_at_1m_m: float) -> Number:
+    """By how much (m) depth changes from one thing to another behind it, at least."""
+    return STEP_M + STEP_SIGMAS * sigma_at_1m_m * depth_m * depth_m
 
 
 def without_elsewhere(
@@ -31,7 +38,8 @@ def without_elsewhere(
 ) -> NDArray[np.uint8]:
     """The image, grey where it is known to show something nearer or farther, and along steps of what is between.
 
-    What has no depth stays, but for the edges of what is elsewhere: nothing is lost because depth is missing.
+    What has no depth stays, cut from what is between, but for the edges of what is elsewhere: nothing is lost because
+    depth is missing.
 
     Args:
         image: (h, w, 3) BGR.
@@ -62,6 +70,8 @@ def _kept(depth_mm: NDArray[np.uint16], limits_m: tuple[float, float], sigma_at_
     unknown = cv2.morphologyEx(cv2.inRange(smooth, nothing, nothing), cv2.MORPH_OPEN, _square(HOLE_PX))
     kept = cv2.morphologyEx(cv2.bitwise_or(inside, unknown), cv2.MORPH_OPEN, _square(SPECK_PX))
     kept[_steps(smooth, inside, sigma_at_1m_m) > 0] = 0
+    border = cv2.bitwise_and(cv2.dilate(unknown, _square(CUT_PX)), cv2.dilate(inside, _square(2 * CUT_PX + 1)))
+    kept[border > 0] = 0  # nearly all of it on the side that has no depth: the other keeps its outline
     return cv2.resize(kept, depth_mm.shape[::-1], interpolation=cv2.INTER_NEAREST)
 
 
@@ -69,8 +79,12 @@ def _steps(smooth: Image, inside: Image, sigma_at_1m_m: float) -> Image:
     """Mask of lines along the steps between things that are both inside."""
     highest = cv2.dilate(np.where(inside > 0, smooth, np.uint16(0)), _square(STEP_PX)).astype(np.float32)
     lowest = cv2.erode(np.where(inside > 0, smooth, np.uint16(65535)), _square(STEP_PX)).astype(np.float32)
-    limit = 1000.0 * STEP_M + (STEP_SIGMAS * sigma_at_1m_m / 1000.0) * lowest * lowest
-    return cv2.dilate((highest - lowest > limit).astype(np.uint8), _square(CUT_PX))
+    share = (highest - lowest) / (np.float32(1000.0) * step_limit_m(lowest / np.float32(1000.0), sigma_at_1m_m))
+    found: tuple[int, Image] = cv2.connectedComponents((share > FAINT).astype(np.uint8))
+    count, labels = found
+    is_step = np.zeros(count, np.uint8)
+    is_step[labels[share > 1.0]] = 1  # a faint one only where it goes on from one that is clear
+    return cv2.dilate(is_step[labels], _square(CUT_PX))
 
 
 def _square(side: int) -> NDArray[np.uint8]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.depth_mask import without_elsewhere
+from drivers.depth_pieces import DepthSlice
 from drivers.freshness import Freshness
 from drivers.interfaces import Camera, CameraError, Detector, Frame
 from drivers.rig import PartContext, PartSpec, create
@@ -119,20 +120,17 @@ class PixelView:
         them in the image, at another depth, is cut off; what is left of other things by that is odd in shape.
         """
         frame, detector = self._frame, self._detector
-        found = detector.detect(frame.color, region)
         if region is None or region.any_depth or frame.depth_mm is None:
-            return found
+            return detector.detect(frame.color, region)
         near_m = region.near_m - DEPTH_SIGMAS * depth_sigma(region.near_m, self._method)
         far_m = region.far_m + DEPTH_SIGMAS * depth_sigma(region.far_m, self._method)
-        noise_m = self._method.depth_sigma_at_1m_m
-        cut = detector.detect(without_elsewhere(frame.color, frame.depth_mm, (near_m, far_m), noise_m, region), region)
+        depths = DepthSlice(frame.depth_mm, (near_m, far_m), self._method.depth_sigma_at_1m_m)
+        shown = without_elsewhere(frame.color, depths.depth_mm, depths.limits_m, depths.sigma_at_1m_m, region)
+        cut = depths.united(detector.detect(shown, region))
+        found = detector.detect(frame.color, region) if cut else ()
         kept = [whole if (whole := _whole_of(each, found)) is not None else each for each in cut]
         sure = [each for each in kept if each in found or each.score >= CUT_SCORE]
-        return sure or [each for each in kept if self._is_between(each.box, near_m, far_m)]
-
-    def _is_between(self, box: Box, near_m: float, far_m: float) -> bool:
-        depth = self.depth(box)
-        return depth is not None and near_m <= depth.z_m <= far_m
+        return sure or [each for each in kept if depths.is_thing(each)]
 
     def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
         """Markers of the layout in ``region``."""

@@ -70,3 +70,20 @@ def test_far_around_the_region_all_is_grey() -> None:
     assert seen[:55, :55].all()
     assert not seen[:, 58:].any()
     assert not (without_elsewhere(IMAGE, depth, (2.0, 3.0), NOISE_M, Region(300.0, 5.0, 325.0, 25.0)) == 200).any()
+
+
+def test_what_has_no_depth_is_cut_from_what_is_between_on_its_own_side() -> None:
+    depth = np.full((60, 120), 2500, np.uint16)
+    depth[:, 60:] = 0
+    seen = shown(depth)
+    assert seen[:, :56].all()
+    assert not seen[:, 58:64].any()
+    assert seen[:, 72:].all()
+
+
+def test_a_step_is_followed_to_where_it_is_faint_but_does_not_begin_there() -> None:
+    depth = np.full((60, 120), 2300, np.uint16)
+    depth[:30, 60:], depth[30:, 60:] = 2700, 2500
+    assert not shown(depth)[:, 59:61].any()
+    depth[:, 60:] = 2500
+    assert shown(depth).all()

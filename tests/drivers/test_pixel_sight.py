@@ -181,8 +181,9 @@ def test_the_detector_is_shown_only_what_is_as_far_away_as_the_region_says() -> 
     view.targets(anywhere)
     assert all(shown is half.color for shown in detector.shown)
     view.targets(near)
-    assert (detector.shown[-1][:88, :76] == 9).all()
-    assert (detector.shown[-1][:, 84:] != 9).all()
+    cut = detector.shown[2]
+    assert (cut[:88, :76] == 9).all()
+    assert (cut[:, 84:] != 9).all()
     assert (half.color == 9).all()
     flat = view_of(made)
     flat.targets(near)
@@ -199,11 +200,11 @@ class Cutting:
         return self.pieces if (image == GREY).all(axis=2).any() else (self.whole,)
 
 
-def seen_cut(whole: Detection, *pieces: Detection) -> Sequence[Detection]:
+def seen_cut(whole: Detection, *pieces: Detection, near_to: int = 80) -> Sequence[Detection]:
     shot = frame(9)
     assert shot.depth_mm is not None
     shot.depth_mm[:] = 1000
-    shot.depth_mm[:, 80:] = 2000
+    shot.depth_mm[:, near_to:] = 2000
     view = PixelView(shot, CAMERA, single_marker(), Cutting(whole, pieces), MethodConfig())
     return view.targets(Region(0.0, 0.0, 160.0, 120.0, 0.8, 1.2))
 
@@ -223,6 +224,23 @@ def test_a_piece_of_odd_shape_is_a_target_only_when_there_is_no_other_and_its_ow
     assert seen_cut(both, near, far) == [near]
     assert seen_cut(both, far) == []
     assert seen_cut(both) == []
+
+
+def test_pieces_that_the_cut_made_of_one_thing_are_that_thing_with_its_own_edges() -> None:
+    one = Detection(Box(20.0, 20.0, 60.0, 62.0), 0.9)
+    upper, lower = Detection(Box(20.0, 20.0, 60.0, 40.0), 0.2), Detection(Box(30.0, 50.0, 50.0, 30.0), 0.2)
+    assert seen_cut(one, upper, lower, near_to=100) == [one]
+
+
+def test_the_uncut_image_is_looked_at_only_when_something_is_left_of_the_cut_one() -> None:
+    made, camera, detector = sight()
+    camera.frames = [frame(9), frame(10)]
+    region = Region(0.0, 0.0, 160.0, 120.0, 1.8, 2.2)
+    view_of(made).targets(region)
+    assert len(detector.shown) == 2
+    detector.detect = lambda image, region: detector.shown.append(image) or ()  # type: ignore[method-assign]
+    assert view_of(made).targets(region) == []
+    assert len(detector.shown) == 3
 
 
 def test_depth_is_asked_of_the_registered_image() -> None:
