@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from path.camera import CameraModel
 from path.messages import Message
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
+from path.protocol.values import ReceiverRecord, SenderRecord
 
 
 class PartError(Exception):
@@ -40,6 +41,10 @@ class LinkError(PartError):
     """The link to the other drone cannot be opened or used."""
 
 
+class StateError(PartError):
+    """What a role must know after a restart cannot be written, or not be read."""
+
+
 class Part(Protocol):
     """Opened and closed by ``async with``."""
 
@@ -54,6 +59,31 @@ class Clock(Protocol):
     """One drone's clock. Every stamp a role makes or compares is of this clock."""
 
     def now_ns(self) -> int: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """What a role had written down before it was started again.
+
+    Attributes:
+        same_clock: the record's instants are of the clock that runs now; after a reboot they are not.
+    """
+
+    record: SenderRecord | ReceiverRecord
+    same_clock: bool
+
+
+class RecordStore(Protocol):
+    """One record that outlives the role's program."""
+
+    def load(self) -> Kept | None:
+        """What was saved last; None when nothing ever was. Raises StateError."""
+        ...
+
+    def save(self, record: SenderRecord | ReceiverRecord) -> None:
+        """On return it is safe from a crash of the program and of the computer. Raises StateError: then it may be
+        either the old record or this one that is found later."""
+        ...
 
 
 # --- vehicle ---------------------------------------------------------------------------------------------------

@@ -27,8 +27,14 @@ class Outcome(Enum):
     PEER_ABORTED = ("peer_aborted", 23, "the other drone ended the handoff")
     CLOCK_FAULT = ("clock_fault", 24, "the drones' clocks could not be aligned")
     APPROACH_FAILED = ("approach_failed", 25, "the planned viewpoint was not reached in time")
+    STATE_LOST = ("state_lost", 26, "what must survive a restart could not be written: disk full?")
     INTERRUPTED = ("interrupted", 30, "stopped by Ctrl-C or SIGTERM")
     CRASHED = ("crashed", 31, "the role's program died")
+    RESTARTED = (
+        "restarted",
+        32,
+        "the role's program was started again in the air: it settled the handoff and landed",
+    )
     LOG_FAILED = ("log_failed", 35, "committed, but a log could not be written: disk full?")
     MONITOR_VIOLATED = ("monitor_violated", 40, "a safety monitor of the harness was violated")
     HARNESS_FAILED = ("harness_failed", 41, "the simulation itself failed: not the mission's fault")

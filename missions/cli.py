@@ -17,6 +17,7 @@ from missions.options import (
     RigsOptions,
     SenderOptions,
     TrialOptions,
+    VerifyOptions,
 )
 
 MODULES: dict[type[object], str] = {
@@ -27,6 +28,7 @@ MODULES: dict[type[object], str] = {
     RigsOptions: "rig_list",
     ReportOptions: "report",
     TrialOptions: "trials.run",
+    VerifyOptions: "verify.run",
 }
 """Each has ``run(options) -> exit code``."""
 
@@ -42,6 +44,7 @@ examples:
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field
   path-handoff trial sensitivity              an experiment of the paper, run again
+  path-handoff verify                         whatever the link does: never two responsible
 """
 
 Command = (
@@ -52,6 +55,7 @@ Command = (
     | Annotated[RigsOptions, tyro.conf.subcommand("rigs")]
     | Annotated[ReportOptions, tyro.conf.subcommand("report")]
     | Annotated[TrialOptions, tyro.conf.subcommand("trial")]
+    | Annotated[VerifyOptions, tyro.conf.subcommand("verify")]
 )
 
 

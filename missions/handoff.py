@@ -104,7 +104,7 @@ def harness_of(rig: Rig) -> Harness:
 def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) -> RunFacts:
     """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was asked wrongly."""
     harness = harness_of(rig)
-    for left in (*out.glob("*.mcap"), *out.glob("*.stderr.txt")):
+    for left in (*out.glob("*.mcap"), *out.glob("*.stderr.txt"), *out.glob("*.state.json")):
         left.unlink()  # of an earlier run into the same folder: nothing of it may be taken for this one's
 
     def command(role: Role) -> Sequence[str]:

@@ -1,4 +1,8 @@
-"""The hand-over protocol on a role's link: the machines decide, this carries out what they want done."""
+"""The hand-over protocol on a role's link: the machines decide, this carries out what they want done.
+
+What a machine wants written down is on the disk before anything that follows is done or sent, so that the program may
+die between any two lines of this file and be started again.
+"""
 
 from __future__ import annotations
 
@@ -7,27 +11,31 @@ import math
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
-from drivers.interfaces import Received
+from drivers.interfaces import Kept, Received, RecordStore, StateError
 from flight.outcome import MissionEnd, Outcome, abort_reason
 from missions.session import Session
 from path.messages import AbortReason, Commit, Status
-from path.protocol.receiver import Holding, ReceiverMachine
+from path.protocol import receiver, sender
+from path.protocol.receiver import Holding, LetGo, Provisional, ReceiverMachine
 from path.protocol.sender import AwaitingAccept, HandedOver, SenderMachine
 from path.protocol.values import (
     AbortRequested,
-    Actions,
+    Action,
     AgreementComplete,
     CommitHeard,
     Ended,
     Handoff,
     Heard,
+    NewMission,
     Offer,
     PeerStatus,
-    PersistEpoch,
+    Persist,
     ProtocolConfig,
+    ReceiverRecord,
     Refused,
     Release,
     Send,
+    SenderRecord,
     Settled,
     TakeResponsibility,
     Tick,
@@ -37,6 +45,7 @@ from path.protocol.values import Outcome as Decision
 
 Machine = TypeVar("Machine", SenderMachine, ReceiverMachine)
 
+_TAKE = TakeResponsibility(provisional=True)
 _TICK_S = 0.1  # at the longest: an answer may have set a machine an earlier deadline
 
 
@@ -52,34 +61,36 @@ def protocol_config(session: Session) -> ProtocolConfig:
 class _Carrier:
     """Carries out actions of a machine, in their order, and remembers what was decided."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, store: RecordStore) -> None:
         self.session = session
+        self.store = store
         self.ended: Ended | None = None
         self.settled: Settled | None = None
 
-    def carry_out(self, actions: Actions) -> None:
+    def carry_out(self, action: Action) -> None:
+        """Raises StateError when it is to be written down and cannot be."""
         session = self.session
-        for action in actions:
-            match action:
-                case Send(message):
-                    session.link.send(message)
-                    if isinstance(message, Commit):
-                        self._log("/commit", target_id=message.target_id, epoch=message.epoch, nonce=message.nonce,
-                                  lease_end_ns=message.lease_end_ns)  # fmt: skip
-                case PersistEpoch(epoch, released):
-                    self._log("/epoch", epoch=epoch, released=released)
-                case TakeResponsibility(provisional):
-                    session.set_responsible(True, provisional)
-                case Release():
-                    session.set_responsible(False)
-                case Ended():
-                    self.ended = action
-                    self._log("/decision", outcome=action.outcome.value, reason=_value(action.reason))
-                case Settled():
-                    self.settled = action
-                    self._log("/settled", outcome=action.outcome.value)
-                case Refused(why):
-                    self._log("/refused", why=why.value)
+        match action:
+            case Send(message):
+                session.link.send(message)
+                if isinstance(message, Commit):
+                    self._log("/commit", target_id=message.target_id, epoch=message.epoch, nonce=message.nonce,
+                              lease_end_ns=message.lease_end_ns)  # fmt: skip
+            case Persist(record):
+                self.store.save(record)
+                self._log("/epoch", epoch=record.epoch, duty=record.duty)
+            case TakeResponsibility(provisional):
+                session.set_responsible(True, provisional)
+            case Release():
+                session.set_responsible(False)
+            case Ended():
+                self.ended = action
+                self._log("/decision", outcome=action.outcome.value, reason=_value(action.reason))
+            case Settled():
+                self.settled = action
+                self._log("/settled", outcome=action.outcome.value)
+            case Refused(why):
+                self._log("/refused", why=why.value)
 
     def _log(self, topic: str, **record: object) -> None:
         self.session.log.write(topic, self.session.now_ns(), record)
@@ -100,12 +111,43 @@ async def _until(condition: Callable[[], bool], end_s: float) -> bool:
 
 
 class _Handover(Generic[Machine]):
-    """A machine on its role's link: messages, statuses and time in, actions carried out."""
+    """A machine on its role's link: messages, statuses and time in, actions carried out.
 
-    def __init__(self, session: Session, machine: Machine) -> None:
+    Its state is written down before anything else: a restored one's instants are of this clock from now on, and a disk
+    that cannot be written to is found before anything flies. Raises StateError.
+    """
+
+    def __init__(self, session: Session, store: RecordStore, machine: Machine, kept: Kept | None) -> None:
         self._session = session
         self._machine = machine
-        self._carrier = _Carrier(session)
+        self._carrier = _Carrier(session, store)
+        self._kept = kept
+        self._ticking = False
+
+    async def resume(self) -> None:
+        """Before anything else is begun, what a restart left undecided is decided, and the other drone answered.
+
+        On the ground a new mission begins then: what an earlier one gave away or held is over. In the air it raises
+        MissionEnd(RESTARTED): a course is not taken up in its middle.
+        """
+        if self._kept is None:
+            return
+        self._start_ticking()
+        flying = self._session.vehicle.state.armed
+        await _until(lambda: not self._undecided(flying), math.inf)
+        if flying:
+            raise MissionEnd(Outcome.RESTARTED, f"started again in the air, {self._kept.record.duty}")
+        self._step(NewMission())
+        self._carrier.ended = self._carrier.settled = None
+
+    def _undecided(self, flying: bool) -> bool:
+        """Something is still to come of an earlier handoff; in the air, also whether it is orphaned."""
+        raise NotImplementedError
+
+    def _start_ticking(self) -> None:
+        if not self._ticking:
+            self._ticking = True
+            self._session.spawn(self._tick())
 
     def on_status(self, status: Status) -> None:
         alignment = self._session.alignment
@@ -115,27 +157,57 @@ class _Handover(Generic[Machine]):
 
     def _give_up(self, end: MissionEnd | None) -> None:
         if end is not None and self._machine.live is not None:
-            self._step(AbortRequested(abort_reason(end.outcome)))
+            try:
+                self._step(AbortRequested(abort_reason(end.outcome)))
+            except StateError as error:  # the mission ends anyhow, and the vehicle comes down
+                self._session.say(str(error))
 
     async def _tick(self) -> None:
         """Let the machine know when time has brought something about, for ever."""
         while True:
             wake_ns, now_ns = self._machine.wake_ns, self._session.now_ns()
             if wake_ns is not None and now_ns >= wake_ns:
-                self._carrier.carry_out(self._machine.step(Tick(), now_ns))
+                self._step(Tick())
                 wake_ns = self._machine.wake_ns
             ahead_s = _TICK_S if wake_ns is None else (wake_ns - now_ns) * 1e-9
             await asyncio.sleep(min(max(ahead_s, 0.005), _TICK_S))
 
     def _step(self, event: Any) -> None:
-        self._carrier.carry_out(self._machine.step(event, self._session.now_ns()))
+        """Raises StateError when the machine wants something written down that cannot be: nothing after it is done, and
+        when nothing before it was, the machine is where it was."""
+        before = self._machine.state
+        actions = self._machine.step(event, self._session.now_ns())
+        for number, action in enumerate(actions):
+            if action == _TAKE and self._too_late():
+                return  # it took too long to write down; the machine is about to let go
+            try:
+                self._carrier.carry_out(action)
+            except StateError:
+                if number == 0:
+                    self._machine.state = before  # type: ignore[assignment]  # of the same machine
+                raise
+
+    def _too_late(self) -> bool:
+        """What was just taken within a lease is over already."""
+        state = self._machine.state
+        return isinstance(state, Provisional) and self._session.now_ns() >= state.lease_end_ns
 
 
 class SenderHandover(_Handover[SenderMachine]):
     """D1's side."""
 
-    def __init__(self, session: Session) -> None:
-        super().__init__(session, SenderMachine(protocol_config(session)))
+    def __init__(self, session: Session, store: RecordStore) -> None:
+        config, kept = protocol_config(session), store.load()
+        machine = SenderMachine(config)
+        if kept is not None:
+            assert isinstance(kept.record, SenderRecord)
+            machine.state = sender.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
+        store.save(sender.record(machine.state))
+        super().__init__(session, store, machine, kept)
+
+    def _undecided(self, flying: bool) -> bool:
+        state = self._machine.state
+        return isinstance(state, AwaitingAccept) or (flying and isinstance(state, HandedOver) and not state.settled)
 
     @property
     def epoch(self) -> int:
@@ -152,12 +224,22 @@ class SenderHandover(_Handover[SenderMachine]):
     def handed_over(self) -> bool:
         return isinstance(self._machine.state, HandedOver)
 
+    async def until_free(self) -> None:
+        """Until the other drone is heard not to hold a target. Raises MissionEnd(PEER_ABORTED) when it goes on to."""
+        session = self._session
+        await session.until(
+            lambda: session.peer is not None and not session.peer.responsible,
+            session.config.deadlines.peer_s,
+            Outcome.PEER_ABORTED,
+            "the receiver did not let go of an earlier handoff's target",
+        )
+
     def offer(self) -> None:
         """The target is tracked: this drone is responsible for it, and offers it."""
         session = self._session
         session.set_responsible(True)
         self._step(Offer(session.config.handoff_id, session.config.target_id))
-        session.spawn(self._tick())
+        self._start_ticking()
 
     def agreed(self, target_id: int) -> None:
         """The whole window agreed: release, then commit. Refused while the clocks are not known; may be said again."""
@@ -206,9 +288,21 @@ class SenderHandover(_Handover[SenderMachine]):
 class ReceiverHandover(_Handover[ReceiverMachine]):
     """D2's side. ``able``: whether this drone sees the target and could follow it now."""
 
-    def __init__(self, session: Session, able: Callable[[], bool]) -> None:
-        super().__init__(session, ReceiverMachine(protocol_config(session)))
+    def __init__(self, session: Session, store: RecordStore, able: Callable[[], bool]) -> None:
+        config, kept = protocol_config(session), store.load()
+        machine = ReceiverMachine(config)
+        if kept is not None:
+            assert isinstance(kept.record, ReceiverRecord)
+            machine.state = receiver.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
+        store.save(receiver.record(machine.state))
+        super().__init__(session, store, machine, kept)
         self._able = able
+        if machine.responsible:
+            session.set_responsible(True, isinstance(machine.state, Provisional))
+
+    def _undecided(self, flying: bool) -> bool:
+        state = self._machine.state
+        return isinstance(state, Provisional) or (flying and isinstance(state, LetGo) and not state.settled)
 
     @property
     def live(self) -> Handoff | None:
@@ -225,7 +319,7 @@ class ReceiverHandover(_Handover[ReceiverMachine]):
         return isinstance(self._machine.state, Holding)
 
     def start(self) -> None:
-        self._session.spawn(self._tick())
+        self._start_ticking()
 
     def on_message(self, received: Received) -> None:
         message = received.message

@@ -66,6 +66,9 @@ class RoleOptions:
     console: Literal["auto", "events"] = "auto"
     """auto: a live table in a terminal, plain lines elsewhere; events: lines of JSON, for another program."""
 
+    state: FileName = None
+    """File of what the role has to know when it is started again; in --out, or else in runs, by default."""
+
 
 @dataclass(frozen=True, slots=True)
 class SenderOptions(RoleOptions):
@@ -128,3 +131,17 @@ class TrialOptions:
 
     board: FileName = None
     """TOML file that describes a photograph of a marker board, for `corners`; without it no photograph is measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class VerifyOptions:
+    """Walk through everything that loss, delay, crashes and clocks can do to a hand-over, and hold it to its rules."""
+
+    out: OutFolder = None
+    """Folder for summary.json; verify/<time> by default."""
+
+    quick: bool = False
+    """Small scopes only, in half a minute; all of them take some minutes."""
+
+    jobs: int = 0
+    """Processes at a time; 0: one per core."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.interfaces import Log, Received, VehicleState, VelocitySetpoint, View
+from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
 from drivers.rig import Rig
 from flight.config import MissionConfig
 from flight.eye import Eye
@@ -45,27 +45,33 @@ _PEER_POLL_S = 0.25
 
 
 async def run_receiver(
-    rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None
+    rig: Rig,
+    role: Role,
+    log: Log,
+    emit: Emit,
+    stop: asyncio.Event,
+    harness: InProcess | None,
+    store: RecordStore,
 ) -> RoleResult:
-    """The receiver's whole program (``flight.harness.RoleMain``)."""
+    """The receiver's whole program. ``store`` keeps what it has to know after a restart. Raises PartError."""
     config = mission_of(rig)
     async with AsyncExitStack() as stack:
         session = await open_session(stack, rig, role, config, log, emit, stop, harness)
-        receiver = Receiver(session)
+        receiver = Receiver(session, store)
         return await fly_course(session, receiver.course, receiver.recover)
 
 
 class Receiver:
     """The receiver's course and what it does with every frame and message."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, store: RecordStore) -> None:
         rig, config = session.rig, session.config
         self._session = session
         self._config: MissionConfig = config
         self._camera = rig.receiver.camera
         self._eye = Eye(session.vehicle, rig.receiver.mount)
         self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config)
-        self._handover = ReceiverHandover(session, self._able)
+        self._handover = ReceiverHandover(session, store, self._able)
         self._cycle: ReceiverCycle | None = None
         self._rendezvous = Rendezvous(
             config, self._camera, rig.receiver.mount, self._marker, self._peer, session.now_ns
@@ -84,6 +90,7 @@ class Receiver:
 
     async def course(self) -> None:
         session, config, deadlines = self._session, self._config, self._config.deadlines
+        await self._handover.resume()
         await preflight(session)
         session.spawn(self._watch_peer())
         self._handover.start()

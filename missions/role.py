@@ -17,10 +17,11 @@ def run(options: RoleOptions) -> int:
     role = Role.RECEIVER if isinstance(options, ReceiverOptions) else Role.SENDER
     rig = rig_library.load(options.rig)
     folder = new_folder(options.out)
+    state = options.state or (options.out or folder.parent) / f"{role.value}.state.json"
     if options.console == "events":
-        return run_role(rig, role, folder, lambda _: None, parent=True).outcome.exit_code
+        return run_role(rig, role, folder, state, lambda _: None, parent=True).outcome.exit_code
     with open_console(sys.stdout) as console:
-        result = run_role(rig, role, folder, console.show, parent=False)
+        result = run_role(rig, role, folder, state, console.show, parent=False)
     sys.stdout.write(f"{role.value}: {result.outcome.label}: {result.detail or result.outcome.meaning}\n")
     sys.stdout.write(f"log: {folder / role.value}.mcap\n")
     return result.outcome.exit_code

@@ -11,29 +11,32 @@ from pathlib import Path
 from drivers.interfaces import Log
 from drivers.log import McapLog
 from drivers.rig import Rig
-from flight.harness import Emit, InProcess, Progress, RoleMain, RoleResult, encode_event, with_log
+from drivers.state_file import MemoryStore, StateFile
+from flight.harness import Emit, InProcess, Progress, RoleResult, encode_event, with_log
 from missions.receiver import run_receiver
 from missions.sender import run_sender
 from path.messages import Role
 
-ROLE_MAINS: dict[Role, RoleMain] = {Role.SENDER: run_sender, Role.RECEIVER: run_receiver}
+_MAINS = {Role.SENDER: run_sender, Role.RECEIVER: run_receiver}
 
 
 async def fly_role(
     rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None
 ) -> RoleResult:
-    """The program of either role (``flight.harness.RoleMain``)."""
-    return await ROLE_MAINS[role](rig, role, log, emit, stop, harness)
+    """The program of either role in the world's own process (``flight.harness.RoleMain``), which outlives it."""
+    return await _MAINS[role](rig, role, log, emit, stop, harness, MemoryStore())
 
 
-def run_role(rig: Rig, role: Role, out: Path, emit: Emit, parent: bool) -> RoleResult:
+def run_role(rig: Rig, role: Role, out: Path, state: Path, emit: Emit, parent: bool) -> RoleResult:
     """Fly one role to its end; SIGINT and SIGTERM land the vehicle. Raises PartError when a part cannot be opened.
 
     Args:
+        out: folder of the log.
+        state: file of what the role has to know when it is started again.
         parent: events go to stdout as lines of JSON, and a closed stdin means that the parent is gone: stop.
     """
     with McapLog(out / f"{role.value}.mcap", frame="c1" if role is Role.SENDER else "c2") as log:
-        result = asyncio.run(_run(rig, role, log, _to_parent if parent else emit, parent))
+        result = asyncio.run(_run(rig, role, log, StateFile(state, role), _to_parent if parent else emit, parent))
         result = with_log(result, log.failed)
         if parent:
             print(encode_event(result), flush=True)
@@ -44,14 +47,14 @@ def _to_parent(progress: Progress) -> None:
     print(encode_event(progress), flush=True)
 
 
-async def _run(rig: Rig, role: Role, log: McapLog, emit: Emit, parent: bool) -> RoleResult:
+async def _run(rig: Rig, role: Role, log: McapLog, store: StateFile, emit: Emit, parent: bool) -> RoleResult:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
     if parent:
         loop.add_reader(sys.stdin.fileno(), _stop_at_end_of_input, loop, stop)
-    return await fly_role(rig, role, log, emit, stop, None)
+    return await _MAINS[role](rig, role, log, emit, stop, None, store)
 
 
 def _stop_at_end_of_input(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:

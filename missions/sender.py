@@ -6,7 +6,7 @@ import asyncio
 import math
 from contextlib import AsyncExitStack
 
-from drivers.interfaces import Log, Received, VehicleState, VelocitySetpoint, View
+from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
 from drivers.rig import Rig
 from flight.config import MissionConfig
 from flight.eye import Eye
@@ -33,20 +33,26 @@ _STEADY_M = 0.25
 
 
 async def run_sender(
-    rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None
+    rig: Rig,
+    role: Role,
+    log: Log,
+    emit: Emit,
+    stop: asyncio.Event,
+    harness: InProcess | None,
+    store: RecordStore,
 ) -> RoleResult:
-    """The sender's whole program (``flight.harness.RoleMain``)."""
+    """The sender's whole program. ``store`` keeps what it has to know after a restart. Raises PartError."""
     config = mission_of(rig)
     async with AsyncExitStack() as stack:
         session = await open_session(stack, rig, role, config, log, emit, stop, harness)
-        sender = Sender(session)
+        sender = Sender(session, store)
         return await fly_course(session, sender.course, sender.recover)
 
 
 class Sender:
     """The sender's course and what it does with every frame and message."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, store: RecordStore) -> None:
         rig, config = session.rig, session.config
         self._session = session
         self._config: MissionConfig = config
@@ -56,7 +62,7 @@ class Sender:
         self._track: TargetTrack | None = None
         self._steady: list[Vec3] = []
         self._watching = True
-        self._handover = SenderHandover(session)
+        self._handover = SenderHandover(session, store)
         self._cycle: SenderCycle | None = None
         self._receiver_side = -1.0  # on which side of D1 the receiver stands: -1 left, 1 right
         self._candidates = 0
@@ -67,7 +73,9 @@ class Sender:
 
     async def course(self) -> None:
         session, config, deadlines = self._session, self._config, self._config.deadlines
+        await self._handover.resume()
         await preflight(session)
+        await self._handover.until_free()
         await take_off(session, config.take_off_height_m)
 
         session.enter(Phase.ACQUIRE)

@@ -22,6 +22,7 @@ from drivers.interfaces import (
     Log,
     Received,
     Sight,
+    StateError,
     Vehicle,
     VehicleError,
     View,
@@ -363,5 +364,7 @@ def as_end(error: BaseException) -> MissionEnd:
         return MissionEnd(Outcome.VEHICLE_REFUSED, str(error))
     if isinstance(error, LinkError):
         return MissionEnd(Outcome.PEER_LOST, str(error))
+    if isinstance(error, StateError):
+        return MissionEnd(Outcome.STATE_LOST, str(error))
     traceback.print_exception(error, file=sys.stderr)
     return MissionEnd(Outcome.CRASHED, f"{type(error).__name__}: {error}")

@@ -12,11 +12,13 @@ from path.protocol.values import (
     Ended,
     Handoff,
     Heard,
+    NewMission,
     Outcome,
     PeerStatus,
-    PersistEpoch,
+    Persist,
     ProtocolConfig,
     ReceiverEvent,
+    ReceiverRecord,
     Refusal,
     Refused,
     Release,
@@ -88,6 +90,40 @@ def floor(state: ReceiverState) -> int:
             return state.live.epoch + 1
 
 
+def record(state: ReceiverState) -> ReceiverRecord:
+    """What is to be written down of a state."""
+    match state:
+        case Observing():
+            return ReceiverRecord(state.floor)
+        case Provisional():
+            return ReceiverRecord(
+                floor(state), "provisional", state.live, state.nonce, state.lease_end_ns, state.sure_ns
+            )
+        case Holding():
+            return ReceiverRecord(floor(state), "holding", state.live, state.nonce)
+        case LetGo():
+            return ReceiverRecord(floor(state), "let_go", state.live, state.nonce, 0, state.sure_ns)
+
+
+def restored(config: ProtocolConfig, kept: ReceiverRecord, now_ns: int, *, same_clock: bool = True) -> ReceiverState:
+    """The state after a restart, to be written down before anything else is done.
+
+    What was held for good still is; a lease that is over, or may be, is let go.
+
+    Args:
+        same_clock: the record's instants are of the clock that runs now; after a reboot they are not.
+    """
+    if kept.live is None:
+        return Observing(kept.epoch)
+    if kept.duty == "holding":
+        return Holding(kept.live, kept.nonce)
+    if kept.duty == "provisional" and same_clock and now_ns < kept.lease_end_ns:
+        return Provisional(kept.live, kept.nonce, kept.lease_end_ns, now_ns, kept.sure_ns)
+    longest_ns = now_ns + to_ns(config.lease_s) + 2 * to_ns(config.max_uncertainty_s) + to_ns(config.guard_s)
+    sure_ns = kept.sure_ns if same_clock else longest_ns
+    return LetGo(kept.live, kept.nonce, sure_ns, max(sure_ns, now_ns) + to_ns(config.settle_s))
+
+
 def wake_ns(state: ReceiverState) -> int | None:
     """When the next Tick is due, own clock; None when time changes nothing."""
     match state:
@@ -140,6 +176,8 @@ def _react(config: ProtocolConfig, state: ReceiverState, event: ReceiverEvent, n
             return _abort_requested(config, state, event.reason, now_ns)
         case PeerStatus():
             return _hear_status(state, event)
+        case NewMission():
+            return _begin_anew(state)
         case _:
             return state, (Refused(Refusal.WRONG_STATE),)
 
@@ -159,7 +197,8 @@ def _hear_target(config: ProtocolConfig, state: ReceiverState, target: Target, n
         before = (Settled(Outcome.TAKEN_BACK),)
     live = Handoff(target.handoff_id, target.epoch, target.target_id)
     end_ns = now_ns + to_ns(config.handoff_s) + to_ns(config.lease_s)
-    return Observing(live.epoch, live, end_ns), (*before, PersistEpoch(live.epoch))
+    after = Observing(live.epoch, live, end_ns)
+    return after, (*before, Persist(record(after)))
 
 
 def _hear_commit(config: ProtocolConfig, state: ReceiverState, heard: CommitHeard, now_ns: int) -> Step:
@@ -177,7 +216,7 @@ def _hear_commit(config: ProtocolConfig, state: ReceiverState, heard: CommitHear
         resend_ns=now_ns + to_ns(config.retry_s),
         sure_ns=sure_ns,
     )
-    return held, (TakeResponsibility(provisional=True), Send(_accept(held, now_ns)))
+    return held, (Persist(record(held)), TakeResponsibility(provisional=True), Send(_accept(held, now_ns)))
 
 
 def _commit_refusal(config: ProtocolConfig, state: ReceiverState, heard: CommitHeard, now_ns: int) -> Refusal | None:
@@ -197,6 +236,8 @@ def _lease_refusal(config: ProtocolConfig, state: ReceiverState, heard: CommitHe
         return Refusal.LEASE_OVER
     if heard.lease_end_ns is None or heard.uncertainty_ns > to_ns(config.max_uncertainty_s):
         return Refusal.NO_CLOCK
+    if heard.lease_end_ns - now_ns > to_ns(config.lease_s) + heard.uncertainty_ns:
+        return Refusal.LEASE_TOO_LONG
     if now_ns >= _lease_end_ns(config, heard.lease_end_ns, heard.uncertainty_ns):
         return Refusal.LEASE_OVER
     return None if heard.able else Refusal.NOT_ABLE
@@ -217,7 +258,9 @@ def _hear_confirm(state: ReceiverState, confirm: Confirm, now_ns: int) -> Step:
         return state, (Refused(why),)
     match state:
         case Provisional():
-            return Holding(state.live, state.nonce), (TakeResponsibility(provisional=False), Ended(Outcome.HANDED_OVER))
+            holding = Holding(state.live, state.nonce)
+            take = TakeResponsibility(provisional=False)
+            return holding, (Persist(record(holding)), take, Ended(Outcome.HANDED_OVER))
         case Holding():
             return state, ()
         case LetGo():
@@ -256,7 +299,7 @@ def _abort_requested(config: ProtocolConfig, state: ReceiverState, reason: Abort
             gone = LetGo(state.live, state.nonce, now_ns, end, settled=Outcome.ORPHANED)
             tell = Send(_abort(state.live, reason, now_ns))
             ended = (Ended(Outcome.ABORTED, reason), Settled(Outcome.ORPHANED))
-            return gone, (Release(), PersistEpoch(floor(gone)), tell, *ended)
+            return gone, (Release(), Persist(record(gone)), tell, *ended)
         case _:
             return state, (Refused(Refusal.WRONG_STATE),)
 
@@ -269,15 +312,25 @@ def _hear_status(state: ReceiverState, status: PeerStatus) -> Step:
             return state, ()
 
 
+def _begin_anew(state: ReceiverState) -> Step:
+    if state.live is None:
+        return state, ()
+    if isinstance(state, Provisional):
+        return state, (Refused(Refusal.WRONG_STATE),)
+    after, actions = _spend(state.live)
+    return after, (Release(), *actions) if isinstance(state, Holding) else actions
+
+
 def _spend(live: Handoff) -> tuple[Observing, Actions]:
     """Nothing more is taken in this epoch, not even after a restart."""
-    return Observing(live.epoch + 1), (PersistEpoch(live.epoch + 1),)
+    after = Observing(live.epoch + 1)
+    return after, (Persist(record(after)),)
 
 
 def _let_go(config: ProtocolConfig, state: Provisional, reason: AbortReason, ended: Ended, now_ns: int) -> Step:
     gone = LetGo(state.live, state.nonce, state.sure_ns, state.sure_ns + to_ns(config.settle_s))
     tell = Send(_abort(state.live, reason, now_ns))
-    return gone, (Release(), PersistEpoch(floor(gone)), tell, ended)
+    return gone, (Release(), Persist(record(gone)), tell, ended)
 
 
 def _settle(state: LetGo, outcome: Outcome) -> Step:
@@ -297,12 +350,12 @@ class ReceiverMachine:
     """``step`` with its state kept.
 
     Args:
-        epoch: the last ``PersistEpoch`` before a restart: the lowest epoch still taken.
+        state: ``restored`` after a restart.
     """
 
-    def __init__(self, config: ProtocolConfig | None = None, epoch: int = 0) -> None:
+    def __init__(self, config: ProtocolConfig | None = None, state: ReceiverState | None = None) -> None:
         self.config = config or ProtocolConfig()
-        self.state: ReceiverState = Observing(epoch)
+        self.state: ReceiverState = state or Observing()
 
     def step(self, event: ReceiverEvent, now_ns: int) -> Actions:
         self.state, actions = step(self.config, self.state, event, now_ns)

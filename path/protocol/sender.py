@@ -13,16 +13,18 @@ from path.protocol.values import (
     Ended,
     Handoff,
     Heard,
+    NewMission,
     Offer,
     Outcome,
     PeerStatus,
-    PersistEpoch,
+    Persist,
     ProtocolConfig,
     Refusal,
     Refused,
     Release,
     Send,
     SenderEvent,
+    SenderRecord,
     Settled,
     TakeResponsibility,
     Tick,
@@ -35,10 +37,9 @@ from path.protocol.values import (
 
 @dataclass(frozen=True, slots=True)
 class Idle:
-    """No handoff. ``epoch`` is the last one used. Not responsible only after a restart that found it released."""
+    """No handoff. ``epoch`` is the last one used."""
 
     epoch: int = 0
-    responsible: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +93,51 @@ Step = tuple[SenderState, Actions]
 
 
 def is_responsible(state: SenderState) -> bool:
+    return not isinstance(state, AwaitingAccept | HandedOver)
+
+
+def epoch(state: SenderState) -> int:
+    """The last one used (S2)."""
+    return state.epoch if isinstance(state, Idle) else state.live.epoch
+
+
+def record(state: SenderState) -> SenderRecord:
+    """What is to be written down of a state."""
     match state:
         case Idle():
-            return state.responsible
+            return SenderRecord(state.epoch)
         case Offering() | Verifying() | TakenBack():
-            return True
-        case AwaitingAccept() | HandedOver():
-            return False
+            return SenderRecord(state.live.epoch)
+        case AwaitingAccept():
+            commit = state.commit
+            return SenderRecord(
+                state.live.epoch, "released", state.live, commit.nonce, commit.lease_end_ns, state.take_back_ns,
+                state.withdrawn,
+            )  # fmt: skip
+        case HandedOver():
+            return SenderRecord(state.live.epoch, "handed_over", state.live, state.nonce, 0, state.sure_ns)
+
+
+def restored(config: ProtocolConfig, kept: SenderRecord, now_ns: int, *, same_clock: bool = True) -> SenderState:
+    """The state after a restart, to be written down before anything else is done.
+
+    What was committed and not accepted was never confirmed, so nobody can hold it for good: it is taken back after the
+    lease as without the restart. What was accepted stays handed over.
+
+    Args:
+        same_clock: the record's instants are of the clock that runs now; after a reboot they are not, and everything is
+            waited for as if it had begun just now.
+    """
+    if kept.live is None:
+        return Idle(kept.epoch)
+    longest_ns = now_ns + to_ns(config.lease_s) + to_ns(config.max_uncertainty_s)
+    take_back_ns = kept.take_back_ns if same_clock else longest_ns
+    if kept.duty == "handed_over":
+        return HandedOver(kept.live, kept.nonce, take_back_ns, max(take_back_ns, now_ns) + to_ns(config.settle_s))
+    live = kept.live
+    lease_end_ns = kept.lease_end_ns if same_clock else now_ns  # never again promised: it may be over
+    commit = Commit(live.handoff_id, live.epoch, live.target_id, kept.nonce, lease_end_ns, now_ns)
+    return AwaitingAccept(live, commit, now_ns, take_back_ns, kept.withdrawn)
 
 
 def wake_ns(state: SenderState) -> int | None:
@@ -139,7 +178,9 @@ def _elapse(config: ProtocolConfig, state: SenderState, now_ns: int) -> Step:
             return Idle(state.live.epoch), (Send(abort), Ended(Outcome.TIMEOUT))
         case AwaitingAccept() if now_ns >= state.take_back_ns:
             return _take_back(state)
-        case AwaitingAccept() if not _silent(state) and state.resend_ns <= now_ns < state.commit.lease_end_ns:
+        case AwaitingAccept() if not _silent(state) and state.resend_ns <= now_ns:
+            if now_ns >= state.commit.lease_end_ns:  # noticed too late to say it once more
+                return replace(state, resend_ns=state.commit.lease_end_ns), ()
             again = replace(state.commit, stamp_ns=now_ns)
             return replace(state, resend_ns=now_ns + to_ns(config.retry_s)), (Send(again),)
         case HandedOver() if state.settled is None and now_ns >= state.settle_end_ns:
@@ -153,14 +194,17 @@ def _take_back(state: AwaitingAccept) -> Step:
     # A receiver that let go at the lease's end says so with TIMEOUT: that is no abort but the lease running out.
     ran_out = state.withdrawn in (None, AbortReason.TIMEOUT)
     outcome = Outcome.TAKEN_BACK if ran_out else Outcome.ABORTED
-    actions = (PersistEpoch(live.epoch), TakeResponsibility(provisional=False), Ended(outcome, state.withdrawn))
-    return TakenBack(live), actions
+    after = TakenBack(live)
+    return after, (Persist(record(after)), TakeResponsibility(provisional=False), Ended(outcome, state.withdrawn))
 
 
 def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_ns: int) -> Step:  # noqa: PLR0911
     match state, event:
         case Idle() | TakenBack(), Offer():
             return _offer(config, state, event, now_ns)
+        case Idle() | TakenBack() | HandedOver(), NewMission():
+            anew = Idle(epoch(state))
+            return anew, (Persist(record(anew)),)
         case TakenBack(), VerifyAgain():
             return Verifying(state.live, now_ns + to_ns(config.handoff_s)), ()
         case Offering() | Verifying() | AwaitingAccept() | HandedOver(), Heard():
@@ -169,7 +213,7 @@ def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_n
             return _give_up(state, event.reason, now_ns)
         case AwaitingAccept(), AbortRequested():
             withdrawn = replace(state, withdrawn=state.withdrawn or event.reason)
-            return withdrawn, (Send(_abort(state.live, event.reason, now_ns)),)
+            return withdrawn, (Persist(record(withdrawn)), Send(_abort(state.live, event.reason, now_ns)))
         case Verifying(), AgreementComplete():
             return _commit(config, state, event, now_ns)
         case HandedOver(settled=None | Outcome.UNCONFIRMED), PeerStatus() if event.stamp_ns > state.sure_ns:
@@ -181,14 +225,12 @@ def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_n
 
 
 def _offer(config: ProtocolConfig, state: Idle | TakenBack, offer: Offer, now_ns: int) -> Step:
-    if not is_responsible(state):
-        return state, (Refused(Refusal.NOT_RESPONSIBLE),)
-    epoch = (state.epoch if isinstance(state, Idle) else state.live.epoch) + 1
-    if epoch >= LAST_EPOCH:  # one more is kept for taking back
+    following = epoch(state) + 1
+    if following >= LAST_EPOCH:  # one more is kept for taking back
         return state, (Refused(Refusal.EPOCHS_EXHAUSTED),)
-    live = Handoff(offer.handoff_id, epoch, offer.target_id)
+    live = Handoff(offer.handoff_id, following, offer.target_id)
     offering = Offering(live, now_ns + to_ns(config.offer_s), now_ns + to_ns(config.handoff_s))
-    return offering, (PersistEpoch(epoch),)
+    return offering, (Persist(record(offering)),)
 
 
 def _commit(config: ProtocolConfig, state: Verifying, agreed: AgreementComplete, now_ns: int) -> Step:
@@ -207,7 +249,7 @@ def _commit(config: ProtocolConfig, state: Verifying, agreed: AgreementComplete,
     live, lease_end = state.live, now_ns + to_ns(config.lease_s)
     commit = Commit(live.handoff_id, live.epoch, live.target_id, agreed.nonce, lease_end, now_ns)
     awaiting = AwaitingAccept(live, commit, now_ns + to_ns(config.retry_s), lease_end + agreed.uncertainty_ns)
-    return awaiting, (PersistEpoch(live.epoch, released=True), Release(), Send(commit))
+    return awaiting, (Persist(record(awaiting)), Release(), Send(commit))
 
 
 def _give_up(state: Offering | Verifying, reason: AbortReason, now_ns: int) -> Step:
@@ -249,7 +291,8 @@ def _hear_abort(state: Offering | Verifying | AwaitingAccept | HandedOver, abort
             return Idle(state.live.epoch), (Ended(Outcome.ABORTED, abort.reason),)
         case AwaitingAccept():
             # Not yet responsible again: S4 waits for the lease's end, whatever the receiver says.
-            return replace(state, withdrawn=state.withdrawn or abort.reason), ()
+            withdrawn = replace(state, withdrawn=state.withdrawn or abort.reason)
+            return withdrawn, () if withdrawn == state else (Persist(record(withdrawn)),)
         case HandedOver(settled=Outcome.ORPHANED):
             return state, ()
         case HandedOver():
@@ -268,7 +311,8 @@ def _hear_accept(config: ProtocolConfig, state: AwaitingAccept, accept: Accept, 
         return state, (Send(_abort(state.live, state.withdrawn, now_ns)),)
     settle_end = state.take_back_ns + to_ns(config.settle_s)
     handed_over = HandedOver(state.live, accept.nonce, state.take_back_ns, settle_end)
-    return handed_over, (Send(_confirm(state.live, accept.nonce, now_ns)), Ended(Outcome.HANDED_OVER))
+    confirm = Send(_confirm(state.live, accept.nonce, now_ns))
+    return handed_over, (Persist(record(handed_over)), confirm, Ended(Outcome.HANDED_OVER))
 
 
 def _abort(live: Handoff, reason: AbortReason, now_ns: int) -> Abort:
@@ -283,13 +327,12 @@ class SenderMachine:
     """``step`` with its state kept.
 
     Args:
-        epoch, released: the last ``PersistEpoch`` before a restart. Released, it is not responsible and offers nothing:
-            another may hold the target, and only a person can say that it is to be taken again.
+        state: ``restored`` after a restart.
     """
 
-    def __init__(self, config: ProtocolConfig | None = None, epoch: int = 0, released: bool = False) -> None:
+    def __init__(self, config: ProtocolConfig | None = None, state: SenderState | None = None) -> None:
         self.config = config or ProtocolConfig()
-        self.state: SenderState = Idle(epoch, responsible=not released)
+        self.state: SenderState = state or Idle()
 
     def step(self, event: SenderEvent, now_ns: int) -> Actions:
         self.state, actions = step(self.config, self.state, event, now_ns)

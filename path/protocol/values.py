@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from enum import Enum
+from typing import Literal
 
 from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Confirm, Message, Target
 
 LAST_EPOCH = 65535
+
+SenderDuty = Literal["mine", "released", "handed_over"]
+ReceiverDuty = Literal["observing", "provisional", "holding", "let_go"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +78,9 @@ class Refusal(Enum):
     WRONG_TARGET = "wrong_target"
     WRONG_NONCE = "wrong_nonce"
     LEASE_OVER = "lease_over"
+    LEASE_TOO_LONG = "lease_too_long"  # longer than any that is given: the clocks are not what they were
     NO_CLOCK = "no_clock"
     NOT_ABLE = "not_able"
-    NOT_RESPONSIBLE = "not_responsible"
     EPOCHS_EXHAUSTED = "epochs_exhausted"
 
 
@@ -166,6 +170,11 @@ class VerifyAgain:
 
 
 @dataclass(frozen=True, slots=True)
+class NewMission:
+    """On the ground a person begins anew: what an earlier mission gave away or held is over. Epochs go on."""
+
+
+@dataclass(frozen=True, slots=True)
 class CommitHeard:
     """Receiver: a Commit came in.
 
@@ -181,8 +190,8 @@ class CommitHeard:
     able: bool = True
 
 
-SenderEvent = Tick | Heard | AbortRequested | PeerStatus | Offer | AgreementComplete | VerifyAgain
-ReceiverEvent = Tick | Heard | AbortRequested | PeerStatus | CommitHeard
+SenderEvent = Tick | Heard | AbortRequested | PeerStatus | Offer | AgreementComplete | VerifyAgain | NewMission
+ReceiverEvent = Tick | Heard | AbortRequested | PeerStatus | CommitHeard | NewMission
 
 
 # --- actions: to be carried out in their order -----------------------------------------------------------------
@@ -194,16 +203,50 @@ class Send:
 
 
 @dataclass(frozen=True, slots=True)
-class PersistEpoch:
-    """Write this down, and only then go on: after a restart the machine begins with it.
+class SenderRecord:
+    """What a restarted sender has to know. Instants are of its own clock.
 
     Attributes:
-        epoch: sender: the last one used; receiver: the lowest one it still takes.
-        released: sender only: it gave the target away in this epoch and has not taken it back.
+        epoch: the last one used.
+        duty: "mine" (responsible), "released" (committed, nothing confirmed) or "handed_over" (accepted).
+        live: the attempt it is released or handed over in; None when it is neither.
+        nonce, lease_end_ns, take_back_ns: of its COMMIT; 0 when there is none.
+        withdrawn: the attempt was aborted after the COMMIT.
     """
 
-    epoch: int
-    released: bool = False
+    epoch: int = 0
+    duty: SenderDuty = "mine"
+    live: Handoff | None = None
+    nonce: int = 0
+    lease_end_ns: int = 0
+    take_back_ns: int = 0
+    withdrawn: AbortReason | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReceiverRecord:
+    """What a restarted receiver has to know. Instants are of its own clock.
+
+    Attributes:
+        epoch: the lowest one it still takes.
+        duty: "observing", "provisional", "holding" (responsible for good) or "let_go".
+        live: the attempt it holds, or let go, the target in; None while observing.
+        nonce, lease_end_ns, sure_ns: of what it accepted; 0 while observing.
+    """
+
+    epoch: int = 0
+    duty: ReceiverDuty = "observing"
+    live: Handoff | None = None
+    nonce: int = 0
+    lease_end_ns: int = 0
+    sure_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Persist:
+    """Write this down, and only then go on: after a restart the machine begins with it."""
+
+    record: SenderRecord | ReceiverRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,5 +281,5 @@ class Refused:
     why: Refusal
 
 
-Action = Send | PersistEpoch | TakeResponsibility | Release | Ended | Settled | Refused
+Action = Send | Persist | TakeResponsibility | Release | Ended | Settled | Refused
 Actions = tuple[Action, ...]

@@ -53,6 +53,8 @@ def test_a_stop_in_the_air_lands_both_and_leaves_nothing_behind(tmp_path: Path) 
         assert process.stdout is not None
         seen += process.stdout.readlines()
         assert process.wait(LANDING_LIMIT_S) == 30, "".join(seen)
+    kept = {role: json.loads((out / f"{role}.state.json").read_text())["record"] for role in ("sender", "receiver")}
+    assert (kept["sender"]["duty"], kept["receiver"]["duty"]) == ("mine", "observing")
     facts = json.loads((out / "run.json").read_text())
     assert facts["outcome"] == "interrupted"
     assert facts["violations"] == {}

@@ -11,7 +11,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from path.messages import AbortReason, Accept, Candidate, Commit, Confirm, Message, Target
 from path.observations import MissReason
-from path.protocol.receiver import Holding, Provisional, ReceiverMachine, floor
+from path.protocol import receiver, sender
+from path.protocol.receiver import Holding, Provisional, ReceiverMachine
 from path.protocol.sender import AwaitingAccept, HandedOver, Idle, SenderMachine, TakenBack, Verifying
 from path.protocol.values import (
     AbortRequested,
@@ -22,11 +23,13 @@ from path.protocol.values import (
     Heard,
     Offer,
     Outcome,
-    PersistEpoch,
+    Persist,
     ReceiverEvent,
+    ReceiverRecord,
     Release,
     Send,
     SenderEvent,
+    SenderRecord,
     TakeResponsibility,
     Tick,
     VerifyAgain,
@@ -47,8 +50,8 @@ class Pair:
     wire: list[tuple[bool, Message]] = field(default_factory=list[tuple[bool, Message]])  # to the sender?
     sender: SenderMachine = field(default_factory=SenderMachine)
     receiver: ReceiverMachine = field(default_factory=ReceiverMachine)
-    sender_kept: PersistEpoch = field(default_factory=lambda: PersistEpoch(0))
-    receiver_kept: int = 0
+    sender_kept: SenderRecord = field(default_factory=SenderRecord)
+    receiver_kept: ReceiverRecord = field(default_factory=ReceiverRecord)
     sender_flag: bool = True  # responsibility as the actions alone tell it
     receiver_flag: bool = False
     sender_ended: list[Outcome] = field(default_factory=list[Outcome])
@@ -64,9 +67,9 @@ class Pair:
                     self.wire.append((False, commit))
                 case Send(message):
                     self.wire.append((False, message))
-                case PersistEpoch():
-                    assert action.epoch >= self.sender_kept.epoch, "S2"
-                    self.sender_kept = action
+                case Persist(SenderRecord() as record):
+                    assert record.epoch >= self.sender_kept.epoch, "S2"
+                    self.sender_kept = record
                 case Release():
                     self.sender_flag = False
                 case TakeResponsibility():
@@ -82,9 +85,9 @@ class Pair:
             match action:
                 case Send(message):
                     self.wire.append((True, message))
-                case PersistEpoch():
-                    assert action.epoch >= self.receiver_kept, "S2"
-                    self.receiver_kept = action.epoch
+                case Persist(ReceiverRecord() as record):
+                    assert record.epoch >= self.receiver_kept.epoch, "S2"
+                    self.receiver_kept = record
                 case Release():
                     self.receiver_flag = False
                 case TakeResponsibility():
@@ -92,6 +95,16 @@ class Pair:
                 case _:
                     pass
         return actions
+
+    def restart_sender(self) -> None:
+        config = self.sender.config
+        self.sender = SenderMachine(config, sender.restored(config, self.sender_kept, self.now_ns))
+        self.sender_flag = self.sender.responsible
+
+    def restart_receiver(self) -> None:
+        config, now_ns = self.receiver.config, self.receiver_clock(self.now_ns)
+        self.receiver = ReceiverMachine(config, receiver.restored(config, self.receiver_kept, now_ns))
+        self.receiver_flag = self.receiver.responsible
 
     def deliver(self, to_sender: bool, message: Message) -> None:
         if to_sender:
@@ -153,7 +166,7 @@ class Handovers(RuleBasedStateMachine):
         self.was_handed_over = False
         self.sender_epoch = 0
         self.receiver_floor = 0
-        self.upset = False
+        self.upsets = 0
         self.all_goes_well_up_to_the_commit()
 
     @rule(ms=st.sampled_from([1, 20, 60, 400, 1500]))
@@ -210,10 +223,10 @@ class Handovers(RuleBasedStateMachine):
     def verify_again(self) -> None:
         self.pair.tell_sender(VerifyAgain())
 
-    @precondition(lambda self: not self.upset)
+    @precondition(lambda self: self.upsets < 3)
     @rule(kind=st.sampled_from(["sender's veto", "receiver's veto", "sender restarts", "receiver restarts"]))
-    def one_upset(self, kind: str) -> None:
-        self.upset = True
+    def upset(self, kind: str) -> None:
+        self.upsets += 1
         pair = self.pair
         match kind:
             case "sender's veto":
@@ -221,28 +234,26 @@ class Handovers(RuleBasedStateMachine):
             case "receiver's veto":
                 pair.tell_receiver(AbortRequested(AbortReason.PILOT))
             case "sender restarts":
-                pair.sender = SenderMachine(epoch=pair.sender_kept.epoch, released=pair.sender_kept.released)
-                self.was_handed_over = False
+                pair.restart_sender()
             case _:
-                pair.receiver = ReceiverMachine(epoch=pair.receiver_kept)
-                pair.receiver_flag = False
+                pair.restart_receiver()
 
     @invariant()
     def holds(self) -> None:
         if not hasattr(self, "pair"):
             return
-        sender, receiver = self.pair.sender, self.pair.receiver
-        assert not (sender.responsible and receiver.responsible), "S1"
-        assert sender.responsible == self.pair.sender_flag, "the actions tell the state"
-        assert receiver.responsible == self.pair.receiver_flag, "the actions tell the state"
-        epoch = sender.state.epoch if isinstance(sender.state, Idle) else sender.state.live.epoch
-        assert epoch >= self.sender_epoch and floor(receiver.state) >= self.receiver_floor, "S2"
-        self.sender_epoch, self.receiver_floor = epoch, floor(receiver.state)
-        assert not (self.was_handed_over and sender.responsible), "S4"
-        self.was_handed_over = isinstance(sender.state, HandedOver)
-        match sender.state, receiver.state:
-            case (AwaitingAccept() | HandedOver()) as gives, (Provisional() | Holding()) as takes:
-                assert takes.live.epoch != epoch or takes.live == gives.live, "S5"
+        gives, takes = self.pair.sender, self.pair.receiver
+        assert not (gives.responsible and takes.responsible), "S1"
+        assert gives.responsible == self.pair.sender_flag, "the actions tell the state"
+        assert takes.responsible == self.pair.receiver_flag, "the actions tell the state"
+        epoch = sender.epoch(gives.state)
+        assert epoch >= self.sender_epoch and receiver.floor(takes.state) >= self.receiver_floor, "S2"
+        self.sender_epoch, self.receiver_floor = epoch, receiver.floor(takes.state)
+        assert not (self.was_handed_over and gives.responsible), "S4"
+        self.was_handed_over = isinstance(gives.state, HandedOver)
+        match gives.state, takes.state:
+            case (AwaitingAccept() | HandedOver()) as given, (Provisional() | Holding()) as taken:
+                assert taken.live.epoch != epoch or taken.live == given.live, "S5"
             case _:
                 pass
 

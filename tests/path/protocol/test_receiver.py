@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
 from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Target
-from path.protocol.receiver import Holding, LetGo, Observing, Provisional, ReceiverMachine
+from path.protocol.receiver import Holding, LetGo, Observing, Provisional, ReceiverMachine, record, restored
 from path.protocol.values import (
     AbortRequested,
     CommitHeard,
@@ -14,8 +15,9 @@ from path.protocol.values import (
     Heard,
     Outcome,
     PeerStatus,
-    PersistEpoch,
+    Persist,
     ProtocolConfig,
+    ReceiverRecord,
     Refusal,
     Refused,
     Release,
@@ -34,12 +36,15 @@ HEARD = CommitHeard(Commit(7, 5, 3, 99, 12345, 1), lease_end_ns=T0 + S, uncertai
 LEASE_END = T0 + S - 5 * MS - 20 * MS
 SURE = T0 + S + 5 * MS + 100 * MS + 20 * MS
 CONFIRM = Confirm(7, 5, 3, 99, 5)
+LIVE = Handoff(7, 5, 3)
+HELD = Persist(ReceiverRecord(5, "provisional", LIVE, 99, LEASE_END, SURE))
+GONE = Persist(ReceiverRecord(6, "let_go", LIVE, 99, 0, SURE))
 PILOT = AbortRequested(AbortReason.PILOT)
 
 
 def joined() -> ReceiverMachine:
     machine = ReceiverMachine(CONFIG)
-    assert machine.step(Heard(TARGET), T0) == (PersistEpoch(5),)
+    assert machine.step(Heard(TARGET), T0) == (Persist(ReceiverRecord(5)),)
     return machine
 
 
@@ -65,13 +70,14 @@ def test_the_whole_way() -> None:
     machine = joined()
     assert machine.live == Handoff(7, 5, 3) and not machine.responsible
     assert machine.step(Heard(TARGET), T0) == ()
-    assert machine.step(HEARD, T0) == (TakeResponsibility(True), Send(Accept(7, 5, 3, 99, T0)))
+    assert machine.step(HEARD, T0) == (HELD, TakeResponsibility(True), Send(Accept(7, 5, 3, 99, T0)))
     assert machine.responsible
     again = T0 + 100 * MS
     assert machine.wake_ns == again
     assert machine.step(Tick(), again) == (Send(Accept(7, 5, 3, 99, again)),)
     assert machine.step(HEARD, again) == ()  # the repeated Commit changes nothing
-    assert machine.step(Heard(CONFIRM), again) == (TakeResponsibility(False), Ended(Outcome.HANDED_OVER))
+    kept = Persist(ReceiverRecord(5, "holding", LIVE, 99))
+    assert machine.step(Heard(CONFIRM), again) == (kept, TakeResponsibility(False), Ended(Outcome.HANDED_OVER))
     assert isinstance(machine.state, Holding) and machine.responsible
     assert machine.step(Heard(CONFIRM), again) == () and machine.step(HEARD, again) == ()
     assert machine.step(Tick(), T0 + 1000 * S) == () and machine.responsible
@@ -83,7 +89,7 @@ def test_without_confirm_it_lets_go_before_the_lease_ends_on_any_clock() -> None
     assert machine.responsible
     actions = machine.step(Tick(), LEASE_END)
     told = Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END))
-    assert actions == (Release(), PersistEpoch(6), told, Ended(Outcome.LET_GO))
+    assert actions == (Release(), GONE, told, Ended(Outcome.LET_GO))
     assert not machine.responsible and Outcome.LET_GO.alarming
 
 
@@ -114,12 +120,12 @@ def test_it_takes_over_only_on_the_live_commit(heard: CommitHeard, why: Refusal)
     machine = joined()
     assert machine.step(heard, T0) == (Refused(why),)
     assert not machine.responsible
-    assert machine.step(HEARD, T0)[0] == TakeResponsibility(True)
+    assert machine.step(HEARD, T0)[:2] == (HELD, TakeResponsibility(True))
 
 
 def test_a_commit_without_any_target_heard_is_refused() -> None:
     assert ReceiverMachine(CONFIG).step(HEARD, T0) == (Refused(Refusal.UNKNOWN_EPOCH),)
-    assert ReceiverMachine(CONFIG, epoch=6).step(HEARD, T0) == (Refused(Refusal.LOWER_EPOCH),)
+    assert ReceiverMachine(CONFIG, Observing(6)).step(HEARD, T0) == (Refused(Refusal.LOWER_EPOCH),)
 
 
 def test_one_nonce_an_epoch() -> None:
@@ -144,20 +150,20 @@ def test_an_epoch_let_go_is_never_taken_again() -> None:
     late = replace(HEARD, lease_end_ns=T0 + 10 * S)
     assert machine.step(late, LEASE_END + 1) == (Refused(Refusal.LEASE_OVER),)
     assert machine.step(Heard(TARGET), LEASE_END + 1) == (Refused(Refusal.LOWER_EPOCH),)
-    restarted = ReceiverMachine(CONFIG, epoch=6)  # what it wrote down
+    restarted = ReceiverMachine(CONFIG, Observing(6))  # what it wrote down
     assert restarted.step(Heard(TARGET), LEASE_END + 1) == (Refused(Refusal.LOWER_EPOCH),)
     assert machine.step(Heard(replace(TARGET, epoch=6)), LEASE_END + 1) == (
         Settled(Outcome.TAKEN_BACK),
-        PersistEpoch(6),
+        Persist(ReceiverRecord(6)),
     )
 
 
 def test_lower_epochs_are_refused_and_higher_ones_beat_everything() -> None:
-    assert ReceiverMachine(CONFIG, epoch=6).step(Heard(TARGET), T0) == (Refused(Refusal.LOWER_EPOCH),)
+    assert ReceiverMachine(CONFIG, Observing(6)).step(Heard(TARGET), T0) == (Refused(Refusal.LOWER_EPOCH),)
     for machine in (provisional(), holding()):
         assert machine.step(Heard(replace(TARGET, epoch=4)), T0) == (Refused(Refusal.LOWER_EPOCH),)
         actions = machine.step(Heard(replace(TARGET, epoch=6)), T0)
-        assert actions == (Release(), Ended(Outcome.SUPERSEDED), PersistEpoch(6))
+        assert actions == (Release(), Ended(Outcome.SUPERSEDED), Persist(ReceiverRecord(6)))
         assert machine.live == Handoff(7, 6, 3) and not machine.responsible
 
 
@@ -173,10 +179,10 @@ def test_the_senders_abort_ends_it_and_spends_the_epoch() -> None:
     ended = Ended(Outcome.ABORTED, AbortReason.TARGET_LOST)
     machine = joined()
     assert machine.step(Heard(Abort(7, 4, AbortReason.PILOT, 5)), T0) == (Refused(Refusal.WRONG_HANDOFF),)
-    assert machine.step(abort, T0) == (PersistEpoch(6), ended)
+    assert machine.step(abort, T0) == (Persist(ReceiverRecord(6)), ended)
     assert machine.step(HEARD, T0) == (Refused(Refusal.LOWER_EPOCH),)
     machine = provisional()
-    assert machine.step(abort, T0) == (Release(), PersistEpoch(6), ended)
+    assert machine.step(abort, T0) == (Release(), Persist(ReceiverRecord(6)), ended)
     assert not machine.responsible
     machine = holding()
     assert machine.step(abort, T0) == (Refused(Refusal.WRONG_STATE),)
@@ -187,14 +193,15 @@ def test_the_pilots_veto() -> None:
     told = Send(Abort(7, 5, AbortReason.PILOT, T0))
     ended = Ended(Outcome.ABORTED, AbortReason.PILOT)
     machine = joined()
-    assert machine.step(PILOT, T0) == (PersistEpoch(6), told, ended)
+    assert machine.step(PILOT, T0) == (Persist(ReceiverRecord(6)), told, ended)
     assert machine.state == Observing(6)
     machine = provisional()
-    assert machine.step(PILOT, T0) == (Release(), PersistEpoch(6), told, ended)
+    assert machine.step(PILOT, T0) == (Release(), GONE, told, ended)
     assert machine.step(Heard(CONFIRM), T0)[-1] == Settled(Outcome.ORPHANED)
     assert not machine.responsible
     machine = holding()
-    assert machine.step(PILOT, T0) == (Release(), PersistEpoch(6), told, ended, Settled(Outcome.ORPHANED))
+    gone = Persist(ReceiverRecord(6, "let_go", LIVE, 99, 0, T0))
+    assert machine.step(PILOT, T0) == (Release(), gone, told, ended, Settled(Outcome.ORPHANED))
     assert ReceiverMachine(CONFIG).step(PILOT, T0) == (Refused(Refusal.WRONG_STATE),)
 
 
@@ -204,7 +211,7 @@ def test_a_handoff_that_comes_to_nothing_ends_in_timeout() -> None:
     assert machine.wake_ns == end
     assert machine.step(Tick(), end - 1) == ()
     told = Send(Abort(7, 5, AbortReason.TIMEOUT, end))
-    assert machine.step(Tick(), end) == (PersistEpoch(6), told, Ended(Outcome.TIMEOUT))
+    assert machine.step(Tick(), end) == (Persist(ReceiverRecord(6)), told, Ended(Outcome.TIMEOUT))
     assert machine.live is None and machine.wake_ns is None
 
 
@@ -221,3 +228,46 @@ def test_after_letting_go_it_learns_who_is_responsible(event: PeerStatus | Tick,
     assert isinstance(machine.state, LetGo)
     assert machine.step(PeerStatus(responsible=False, stamp_ns=SURE), LEASE_END + 1) == ()
     assert machine.step(event, at) == (Settled(outcome),)
+
+
+def restarted(machine: ReceiverMachine, now_ns: int, *, same_clock: bool = True) -> ReceiverMachine:
+    """With what the machine would have written down."""
+    kept = record(machine.state)
+    return ReceiverMachine(CONFIG, restored(CONFIG, kept, now_ns, same_clock=same_clock))
+
+
+def test_within_its_lease_it_holds_on_after_a_restart_and_says_so() -> None:
+    machine = restarted(provisional(), T0 + 100 * MS)
+    assert machine.responsible
+    accept = Accept(7, 5, 3, 99, T0 + 100 * MS)
+    assert machine.step(Tick(), T0 + 100 * MS) == (Send(accept),)
+    machine.step(Heard(CONFIRM), T0 + 200 * MS)
+    assert isinstance(machine.state, Holding)
+
+
+@pytest.mark.parametrize(("now_ns", "same_clock"), [(LEASE_END, True), (LEASE_END + 10 * S, True), (5 * S, False)])
+def test_a_lease_that_may_be_over_is_let_go_after_a_restart(now_ns: int, same_clock: bool) -> None:
+    machine = restarted(provisional(), now_ns, same_clock=same_clock)
+    assert isinstance(machine.state, LetGo) and not machine.responsible
+    assert machine.step(HEARD, now_ns) == (Refused(Refusal.LEASE_OVER),)
+    last = now_ns + S + 220 * MS if not same_clock else SURE  # nothing said before may be taken for news
+    assert machine.step(PeerStatus(responsible=False, stamp_ns=last), last) == ()
+
+
+@pytest.mark.parametrize("same_clock", [True, False])
+def test_what_is_held_for_good_is_held_after_a_restart(same_clock: bool) -> None:
+    machine = restarted(holding(), 5 * S, same_clock=same_clock)
+    assert isinstance(machine.state, Holding) and machine.responsible
+
+
+@pytest.mark.parametrize("make", [joined, provisional, holding, let_go])
+def test_a_restored_state_is_written_down_as_it_was(make: Callable[[], ReceiverMachine]) -> None:
+    kept = record(make().state)
+    assert record(restored(CONFIG, kept, T0 + 1)) == kept
+
+
+def test_a_lease_longer_than_any_that_is_given_is_no_lease() -> None:
+    machine = joined()
+    longest = T0 + S + HEARD.uncertainty_ns
+    assert machine.step(replace(HEARD, lease_end_ns=longest + 1), T0) == (Refused(Refusal.LEASE_TOO_LONG),)
+    assert machine.step(replace(HEARD, lease_end_ns=longest), T0)[1] == TakeResponsibility(True)

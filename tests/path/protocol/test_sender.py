@@ -1,12 +1,23 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
 from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Confirm
 from path.observations import MissReason
-from path.protocol.sender import AwaitingAccept, HandedOver, Idle, Offering, SenderMachine, TakenBack, Verifying
+from path.protocol.sender import (
+    AwaitingAccept,
+    HandedOver,
+    Idle,
+    Offering,
+    SenderMachine,
+    TakenBack,
+    Verifying,
+    record,
+    restored,
+)
 from path.protocol.values import (
     AbortRequested,
     AgreementComplete,
@@ -16,12 +27,13 @@ from path.protocol.values import (
     Offer,
     Outcome,
     PeerStatus,
-    PersistEpoch,
+    Persist,
     ProtocolConfig,
     Refusal,
     Refused,
     Release,
     Send,
+    SenderRecord,
     Settled,
     TakeResponsibility,
     Tick,
@@ -42,7 +54,7 @@ TAKE_BACK = T0 + 1 * S + 5 * MS
 
 def offering() -> SenderMachine:
     machine = SenderMachine(CONFIG)
-    assert machine.step(Offer(7, 3), T0) == (PersistEpoch(1),)
+    assert machine.step(Offer(7, 3), T0) == (Persist(SenderRecord(1)),)
     return machine
 
 
@@ -70,7 +82,8 @@ def test_it_is_responsible_until_the_agreement_and_releases_before_it_commits() 
     assert machine.step(Heard(CANDIDATE), T0) == ()
     assert machine.responsible and isinstance(machine.state, Verifying)
     actions = machine.step(AGREED, T0)
-    assert actions == (PersistEpoch(1, released=True), Release(), Send(Commit(7, 1, 3, 99, T0 + S, T0)))
+    released = SenderRecord(1, "released", LIVE, 99, T0 + S, TAKE_BACK)
+    assert actions == (Persist(released), Release(), Send(Commit(7, 1, 3, 99, T0 + S, T0)))
     assert not machine.responsible
 
 
@@ -92,7 +105,8 @@ def test_commit_is_repeated_with_one_lease_until_it_ends() -> None:
 def test_an_accept_is_final_and_every_accept_is_confirmed() -> None:
     machine = awaiting()
     confirm = replace(CONFIRM, stamp_ns=T0 + 1)
-    assert machine.step(Heard(ACCEPT), T0 + 1) == (Send(confirm), Ended(Outcome.HANDED_OVER))
+    kept = Persist(SenderRecord(1, "handed_over", LIVE, 99, 0, TAKE_BACK))
+    assert machine.step(Heard(ACCEPT), T0 + 1) == (kept, Send(confirm), Ended(Outcome.HANDED_OVER))
     assert not machine.responsible
     for late in (T0 + 2, TAKE_BACK + 100 * S):
         actions = machine.step(Heard(ACCEPT), late)
@@ -107,7 +121,7 @@ def test_it_takes_back_only_after_lease_end_and_uncertainty() -> None:
     machine.step(Tick(), TAKE_BACK - 1)
     assert not machine.responsible
     actions = machine.step(Tick(), TAKE_BACK)
-    assert actions == (PersistEpoch(2), TakeResponsibility(False), Ended(Outcome.TAKEN_BACK))
+    assert actions == (Persist(SenderRecord(2)), TakeResponsibility(False), Ended(Outcome.TAKEN_BACK))
     assert machine.responsible and machine.live == replace(LIVE, epoch=2)
 
 
@@ -126,7 +140,8 @@ def test_after_taking_back_it_verifies_again_in_the_new_epoch_only() -> None:
     assert machine.step(AGREED, TAKE_BACK) == (Refused(Refusal.LOWER_EPOCH),)
     assert machine.step(Heard(CANDIDATE), TAKE_BACK) == (Refused(Refusal.LOWER_EPOCH),)
     actions = machine.step(replace(AGREED, epoch=2, nonce=5), TAKE_BACK)
-    assert actions[0] == PersistEpoch(2, released=True)
+    second = replace(LIVE, epoch=2)
+    assert actions[0] == Persist(SenderRecord(2, "released", second, 5, TAKE_BACK + 1 * S, TAKE_BACK + 1 * S + 5 * MS))
     assert machine.step(Heard(ACCEPT), TAKE_BACK + 1) == (Refused(Refusal.LOWER_EPOCH),)
 
 
@@ -178,14 +193,14 @@ def test_deadlines_end_in_timeout_and_responsible() -> None:
     actions = machine.step(AGREED, T0 + 20 * S)
     assert actions[1:] == (Ended(Outcome.TIMEOUT), Refused(Refusal.WRONG_STATE))
     assert machine.responsible
-    assert machine.step(Offer(8, 3), T0 + 21 * S) == (PersistEpoch(2),)
+    assert machine.step(Offer(8, 3), T0 + 21 * S) == (Persist(SenderRecord(2)),)
 
 
 def test_an_abort_before_the_commit_ends_it_at_once() -> None:
     machine = verifying()
     told = (Send(Abort(7, 1, AbortReason.PILOT, T0)), Ended(Outcome.ABORTED, AbortReason.PILOT))
     assert machine.step(AbortRequested(AbortReason.PILOT), T0) == told
-    assert machine.state == Idle(1, responsible=True)
+    assert machine.state == Idle(1)
     machine = verifying()
     abort = Abort(7, 1, AbortReason.TARGET_LOST, 5)
     assert machine.step(Heard(replace(abort, epoch=0)), T0) == (Refused(Refusal.WRONG_HANDOFF),)
@@ -235,24 +250,64 @@ def test_a_link_that_comes_back_settles_what_was_unconfirmed() -> None:
     assert machine.step(holds, TAKE_BACK + 5 * S) == (Settled(Outcome.HANDED_OVER),)
 
 
+def restarted(machine: SenderMachine, now_ns: int, *, same_clock: bool = True) -> SenderMachine:
+    """With what the machine would have written down."""
+    kept = record(machine.state)
+    return SenderMachine(CONFIG, restored(CONFIG, kept, now_ns, same_clock=same_clock))
+
+
 def test_epochs_survive_restarts() -> None:
-    assert SenderMachine(CONFIG, epoch=41).step(Offer(7, 3), T0) == (PersistEpoch(42),)
+    machine = restarted(verifying(), T0)
+    assert machine.responsible and machine.live is None
+    assert machine.step(Offer(7, 3), T0) == (Persist(SenderRecord(2)),)
 
 
-def test_after_a_restart_with_the_target_given_away_it_claims_nothing() -> None:
-    machine = SenderMachine(CONFIG, epoch=41, released=True)
-    assert not machine.responsible
-    assert machine.step(Offer(7, 3), T0) == (Refused(Refusal.NOT_RESPONSIBLE),)
+def test_what_was_released_is_committed_again_after_a_restart_and_taken_back_in_time() -> None:
+    machine = restarted(awaiting(), T0 + 500 * MS)
+    assert not machine.responsible and machine.live == LIVE
+    commit = Commit(7, 1, 3, 99, T0 + 1 * S, T0 + 500 * MS)
+    assert machine.step(Tick(), T0 + 500 * MS) == (Send(commit),)
+    assert machine.step(Tick(), TAKE_BACK - 1) == ()
+    assert TakeResponsibility(False) in machine.step(Tick(), TAKE_BACK)
+    assert restarted(awaiting(), TAKE_BACK + 1).wake_ns == TAKE_BACK
+
+
+def test_what_was_withdrawn_stays_withdrawn_after_a_restart() -> None:
+    machine = awaiting()
+    machine.step(AbortRequested(AbortReason.PILOT), T0 + 1)
+    machine = restarted(machine, T0 + 2)
+    (answer,) = machine.step(Heard(ACCEPT), T0 + 3)
+    assert isinstance(answer, Send) and isinstance(answer.message, Abort)
+
+
+def test_after_a_reboot_the_lease_is_waited_for_anew_and_never_promised_again() -> None:
+    machine = restarted(awaiting(), 5 * S, same_clock=False)
+    longest = round((CONFIG.lease_s + CONFIG.max_uncertainty_s) * S)
+    assert machine.step(Tick(), 5 * S + longest - 1) == () and not machine.responsible
+    assert TakeResponsibility(False) in machine.step(Tick(), 5 * S + longest)
+
+
+@pytest.mark.parametrize("same_clock", [True, False])
+def test_what_was_handed_over_stays_so_after_a_restart_and_is_still_confirmed(same_clock: bool) -> None:
+    machine = restarted(handed_over(), T0 + 300 * MS, same_clock=same_clock)
+    assert isinstance(machine.state, HandedOver) and not machine.responsible
+    assert machine.step(Heard(ACCEPT), T0 + 400 * MS) == (Send(Confirm(7, 1, 3, 99, T0 + 400 * MS)),)
+
+
+@pytest.mark.parametrize("make", [offering, verifying, awaiting, handed_over])
+def test_a_restored_state_is_written_down_as_it_was(make: Callable[[], SenderMachine]) -> None:
+    kept = record(make().state)
+    assert record(restored(CONFIG, kept, T0 + 1)) == kept
 
 
 def test_epochs_do_not_wrap() -> None:
-    machine = SenderMachine(CONFIG, epoch=65534)
+    machine = SenderMachine(CONFIG, Idle(65534))
     assert machine.step(Offer(7, 3), T0) == (Refused(Refusal.EPOCHS_EXHAUSTED),)
-    machine = SenderMachine(CONFIG, epoch=65533)
+    machine = SenderMachine(CONFIG, Idle(65533))
     machine.step(Offer(7, 3), T0)
     machine.step(Heard(replace(CANDIDATE, epoch=65534)), T0)
     machine.step(replace(AGREED, epoch=65534), T0)
-    assert PersistEpoch(65535) in machine.step(Tick(), TAKE_BACK)
+    assert Persist(SenderRecord(65535)) in machine.step(Tick(), TAKE_BACK)
     machine.step(VerifyAgain(), TAKE_BACK)
     assert machine.step(replace(AGREED, epoch=65535), TAKE_BACK) == (Refused(Refusal.EPOCHS_EXHAUSTED),)
     assert machine.responsible

@@ -1,0 +1,151 @@
+"""A small world around the two protocol machines, in which everything that can go wrong may go wrong at any moment.
+
+One tick is one nanosecond of the machines. Instants are kept relative to the present of the sender's clock, so that the
+same situation at another time is the same state: what is reachable is finite, and all of it is explored.
+
+What the world may do at any moment:
+
+- deliver any packet that was ever sent: at once, later (delay, reordering), again (duplication) or never (loss).
+  Nothing is ever taken off the link: any number of packets is in flight, and a lost one is one that never arrives;
+- let a tick pass, in which the receiver's clock runs slow, right or fast, always within the uncertainty that both sides
+  have been told; either program may notice the time late, by up to the guard;
+- both drones say all the time what they say all the time (Targets, Candidates, Status), and that too is kept;
+- complete an agreement, report one of another epoch or of another object, let a pilot abort on either side;
+- kill either program between any two of its actions, and start it again, at once or at any later time, with what it had
+  written down; on a clock that goes on, or on another one after a reboot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+from path.messages import Accept, Candidate, Commit, Confirm, Message, Role, Status, Target
+from path.observations import MissReason
+from path.protocol.values import Handoff, ProtocolConfig
+
+TICK_S = 1e-9
+HANDOFF_ID, TARGET_ID, OTHER_ID = 1, 1, 2
+UNREAD = -1
+STATUS_AGE = -3  # ticks after which a delayed Status is dropped, as the link drops what is stale
+ORIGIN = (0.0, 0.0, 0.0)
+DOWN = (0.0, 0.0, 1.0)
+
+Side = Literal["sender", "receiver"]
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """How large a world is explored; times in ticks.
+
+    Attributes:
+        crashes, aborts: how often each may happen; ``attempts``: how often the sender begins.
+        uncertainty: bound on the difference of the clocks, which wanders within it, by a tick a tick.
+        lease, retry, guard, settle, offer, handoff: as of the protocol.
+    """
+
+    crashes: int = 0
+    aborts: int = 0
+    attempts: int = 1
+    uncertainty: int = 1
+    lease: int = 5
+    retry: int = 2
+    guard: int = 1
+    settle: int = 2
+    offer: int = 4
+    handoff: int = 6
+
+    @property
+    def config(self) -> ProtocolConfig:
+        return ProtocolConfig(
+            offer_s=self.offer * TICK_S,
+            handoff_s=self.handoff * TICK_S,
+            lease_s=self.lease * TICK_S,
+            retry_s=self.retry * TICK_S,
+            guard_s=self.guard * TICK_S,
+            settle_s=self.settle * TICK_S,
+            max_uncertainty_s=self.uncertainty * TICK_S,
+        )
+
+    @property
+    def longest_gap(self) -> int:
+        """L2: nobody is responsible for longer than lease and clock uncertainty, and the lateness of a program."""
+        return self.lease + self.uncertainty + self.guard
+
+    @property
+    def past(self) -> int:
+        """Instants longer ago than this are all alike: no comparison of the machines tells them apart any more."""
+        return 2 * self.uncertainty + self.guard + 1 - STATUS_AGE
+
+
+class Packet(NamedTuple):
+    to: Side
+    message: Message
+
+
+class World(NamedTuple):
+    """One situation: numbers of interned values, see ``Effects``. All instants are relative to the sender's clock.
+
+    Attributes:
+        packets: on the link, a bit each.
+        skew: the receiver's clock less the sender's.
+        sender_kept, receiver_kept: what each has on disk; ``UNREAD`` when it can crash no more.
+        agreed: the epoch in which the agreement was complete; 0 before.
+        alone: ticks since somebody was responsible; no higher than one above the longest that is allowed.
+    """
+
+    sender: int
+    receiver: int
+    skew: int
+    packets: int
+    crashes: int
+    aborts: int
+    attempts: int
+    sender_kept: int
+    receiver_kept: int
+    agreed: int
+    alone: int
+
+
+def packet_later(packet: Packet, past: int) -> Packet | None:
+    """A tick later; only instants that a machine looks at age. None for a Status that is too old to be told apart."""
+    message = packet.message
+    if isinstance(message, Commit):
+        return Packet(packet.to, replace(message, lease_end_ns=max(message.lease_end_ns - 1, -past)))
+    if isinstance(message, Status):
+        aged = replace(message, stamp_ns=message.stamp_ns - 1)
+        return Packet(packet.to, aged) if aged.stamp_ns > STATUS_AGE else None
+    return packet
+
+
+def target(live: Handoff) -> Target:
+    return Target(live.handoff_id, live.epoch, live.target_id, 0, 0, ORIGIN, DOWN, 0.0)
+
+
+def candidate(live: Handoff) -> Candidate:
+    return Candidate(
+        live.handoff_id, live.epoch, live.target_id, 0, 0, 0, None, MissReason.NO_CANDIDATE, ORIGIN,
+        (1.0, 0.0, 0.0, 0.0), 0.0,
+    )  # fmt: skip
+
+
+def status(role: Role, responsible: bool, stamp: int) -> Status:
+    return Status(role, stamp, ORIGIN, ORIGIN, 0.0, 0, responsible, True, 1.0)
+
+
+def unstamped(message: Message) -> Message:
+    """Without the stamps that no machine looks at: packets that say the same are the same."""
+    return message if isinstance(message, Status | Target | Candidate) else replace(message, stamp_ns=0)
+
+
+def misdirected(message: Message, scope: Scope) -> tuple[Message, ...]:
+    """The same word about another handoff, object or commit, and a lease that nobody gives: nothing may follow (S6).
+
+    A Target begins an attempt and a first Commit brings its nonce: another is as good.
+    """
+    if not isinstance(message, Candidate | Commit | Accept | Confirm):
+        return ()
+    wrong = (replace(message, handoff_id=HANDOFF_ID + 1), replace(message, target_id=OTHER_ID))
+    if isinstance(message, Commit):
+        return (*wrong, replace(message, lease_end_ns=scope.lease + 2 * scope.uncertainty + 1))
+    return (*wrong, replace(message, nonce=message.nonce + 1)) if isinstance(message, Accept | Confirm) else wrong

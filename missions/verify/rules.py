@@ -1,0 +1,94 @@
+"""What a machine's actions may be, in their order: S2 to S5 of the hand-over, on one step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from path.messages import Commit
+from path.protocol import receiver, sender
+from path.protocol.values import Actions, CommitHeard, ReceiverEvent, Release, Send, TakeResponsibility
+
+
+@dataclass(frozen=True, slots=True)
+class Dead:
+    """A program that does not run, and what is remembered of it: its epoch (S2), and whether it handed over (S4)."""
+
+    epoch: int
+    handed_over: bool = False
+
+
+def used_epoch(state: sender.SenderState | Dead) -> int:
+    """The sender's last epoch."""
+    return state.epoch if isinstance(state, sender.Idle | Dead) else state.live.epoch
+
+
+def lowest_epoch(state: receiver.ReceiverState | Dead) -> int:
+    """The lowest epoch that the receiver may still take. Not asked of the machine: it may be the one that is wrong."""
+    if isinstance(state, Dead):
+        return state.epoch
+    if isinstance(state, receiver.Observing):
+        return state.floor
+    return state.live.epoch + isinstance(state, receiver.LetGo)
+
+
+def sender_rules(before: sender.SenderState, after: sender.SenderState, actions: Actions, uncertainty: int) -> str:
+    """S2: each attempt has an epoch of its own. S4: it releases before it says so, and takes back only after lease and
+    uncertainty."""
+    begins = isinstance(after, sender.Offering) and not isinstance(before, sender.Offering)
+    if used_epoch(after) < used_epoch(before) + begins:
+        return "S2"
+    responsible = sender.is_responsible(before)
+    for action in actions:
+        match action:
+            case Release():
+                responsible = False
+            case TakeResponsibility():
+                responsible = True
+                if not isinstance(before, sender.AwaitingAccept) or before.commit.lease_end_ns + uncertainty > 0:
+                    return "S4"
+            case Send(Commit()) if responsible:
+                return "S4"
+            case _:
+                pass
+    return "" if responsible == sender.is_responsible(after) else "S1"
+
+
+def across_rules(
+    was: sender.SenderState | Dead,
+    now: sender.SenderState | Dead,
+    held: receiver.ReceiverState | Dead,
+    holds: receiver.ReceiverState | Dead,
+) -> str:
+    """S2: no epoch ever falls. S4: who handed over never takes back. Be it across a restart."""
+    if used_epoch(now) < used_epoch(was) or lowest_epoch(holds) < lowest_epoch(held):
+        return "S2"
+    gave = was.handed_over if isinstance(was, Dead) else isinstance(was, sender.HandedOver)
+    return "S4" if gave and responsible_sender(now) else ""
+
+
+def responsible_sender(state: sender.SenderState | Dead) -> bool:
+    return not isinstance(state, Dead) and sender.is_responsible(state)
+
+
+def responsible_receiver(state: receiver.ReceiverState | Dead) -> bool:
+    return not isinstance(state, Dead) and receiver.is_responsible(state)
+
+
+def receiver_rules(
+    before: receiver.ReceiverState, after: receiver.ReceiverState, event: ReceiverEvent, actions: Actions
+) -> str:
+    """S2, S3: it takes over only on a COMMIT of an epoch it still takes, before the end of its lease."""
+    responsible = receiver.is_responsible(before)
+    for action in actions:
+        match action:
+            case Release():
+                responsible = False
+            case TakeResponsibility(provisional=True):
+                responsible = True
+                if not isinstance(event, CommitHeard) or event.commit.lease_end_ns <= 0:
+                    return "S3"
+                if before.live is None or event.commit.epoch < lowest_epoch(before):
+                    return "S2"
+            case _:
+                pass
+    return "" if responsible == receiver.is_responsible(after) else "S1"
