@@ -145,3 +145,10 @@ class VerifyOptions:
 
     jobs: int = 0
     """Processes at a time; 0: one per core."""
+
+    wire: int = 0
+    """Throw this many forged, altered and repeated packets at the link instead: 10000000 take three minutes on two
+    cores."""
+
+    seed: int = 0
+    """Seed of the forged packets."""

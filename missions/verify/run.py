@@ -14,6 +14,7 @@ from drivers.clock import stopwatch_ns
 from drivers.interfaces import PartError
 from missions.options import VerifyOptions
 from missions.trials.work import Work, open_work
+from missions.verify import wire
 from missions.verify.explore import Covering, Exact, Exploration, explore
 from missions.verify.model import Scope
 from missions.verify.mutants import MUTANTS, SMALL, caught
@@ -71,12 +72,16 @@ class Tried:
 
 
 def run(options: VerifyOptions) -> int:
-    """Returns 0 when every invariant holds in every world and every mutant was caught. Raises PartError."""
+    """Returns 0 when nothing is wrong: every invariant holds in every world and every mutant was caught, or no forged
+    packet was taken. Raises PartError.
+    """
     folder = options.out or Path("verify") / datetime.now().strftime("%Y%m%d-%H%M%S")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PartError(f"cannot make {folder}: {error.strerror}", "name another folder with --out") from error
+    if options.wire:
+        return _run_wire(options, folder)
     jobs = QUICK if options.quick else FULL
     began = stopwatch_ns()
     with open_work(options.jobs) as work:
@@ -87,6 +92,16 @@ def run(options: VerifyOptions) -> int:
     show(explored, tried, wall_s, sys.stdout)
     sys.stdout.write(f"summary: {folder / SUMMARY}\n")
     return 0 if summary["holds"] else EXIT_BROKEN
+
+
+def _run_wire(options: VerifyOptions, folder: Path) -> int:
+    with open_work(options.jobs) as work:
+        figures = wire.summary(wire.fuzz(options.wire, options.seed, work))
+    whole = {"holds": wire.sound(figures), "seed": options.seed, **figures}
+    (folder / SUMMARY).write_text(json.dumps(whole, indent=2) + "\n")
+    wire.show(figures, sys.stdout)
+    sys.stdout.write(f"summary: {folder / SUMMARY}\n")
+    return 0 if whole["holds"] else EXIT_BROKEN
 
 
 def verify(work: Work, jobs: tuple[Job, ...]) -> tuple[list[Explored], list[Tried]]:

@@ -12,9 +12,10 @@ import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from random import Random
-from typing import Any
+from typing import Any, TextIO
 
 from rich.table import Table
 
@@ -22,6 +23,7 @@ from drivers.clock import busy_ns
 from drivers.wire import KEY_LENGTH, Codec, Drop
 from drivers.wire_fields import FROM_WIRE
 from drivers.wire_units import OutOfRange
+from missions.report import show as tell
 from missions.trials.work import Work
 from missions.verify.forger import Forger
 from path.messages import Candidate, Message, Ping, Pong, Role, Status, Target
@@ -221,14 +223,24 @@ def sound(figures: dict[str, Any]) -> bool:
     return figures["accepted_or_raised"] == 0 and figures["genuine_lost"] == 0
 
 
-def table(figures: dict[str, Any]) -> Table:
+def show(figures: dict[str, Any], stream: TextIO) -> None:
     """For a person: what was sent, and what stopped it."""
-    shown = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-    for title, justify in (("forged", "left"), ("packets", "right"), ("dropped as", "left"), ("packets ", "right")):
-        shown.add_column(title, justify=justify)  # type: ignore[arg-type]
-    ways, reasons = list(figures["by_way"].items()), list(figures["by_reason"].items())
-    for k in range(max(len(ways), len(reasons))):
-        way, sent = ways[k] if k < len(ways) else ("", None)
-        reason, count = reasons[k] if k < len(reasons) else ("", None)
-        shown.add_row(way, "" if sent is None else f"{sent:,}", reason, "" if count is None else f"{count:,}")
-    return shown
+    rows = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    rows.add_column("forged")
+    rows.add_column("packets", justify="right")
+    rows.add_column("dropped as")
+    rows.add_column("packets", justify="right")
+    for (way, sent), (reason, count) in zip_longest(
+        figures["by_way"].items(), figures["by_reason"].items(), fillvalue=("", None)
+    ):
+        rows.add_row(way, "" if sent is None else f"{sent:,}", reason, "" if count is None else f"{count:,}")
+    stream.write("\n")
+    tell(rows, stream)
+    for failure in figures["failures"]:
+        stream.write(f"TAKEN OR RAISED: {failure}\n")
+    stream.write(
+        f"\n{figures['packets']:,} packets: {figures['accepted_or_raised']} taken or raised; "
+        f"{figures['genuine']:,} of the true peer between them, {figures['genuine_lost']} lost; "
+        f"{figures['packets_per_s'] or 0.0:,.0f} decoded a second and core; "
+        f"memory grew by {figures['grown_kib']:,.0f} KiB\n"
+    )

@@ -95,3 +95,12 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(PartError, match="cannot make"):
         run.run(VerifyOptions(out=tmp_path / "file" / "sub"))
+
+
+def test_the_wire_is_fuzzed_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run.run(VerifyOptions(out=tmp_path, wire=2_000, seed=4, jobs=1)) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["holds"] and summary["seed"] == 4 and summary["packets"] >= 2_000
+    shown = capsys.readouterr().out
+    assert "sent once more" in shown and "bad_signature" in shown
+    assert "0 taken or raised" in shown and "0 lost" in shown
