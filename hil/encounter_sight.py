@@ -237,12 +237,13 @@ def sees(lens, x, y, z):
 
 
 @kernel
-def sender_sees(first, last, eyes, flown, depths, holes, times, R_n_c, t_n_c, lens, follower, own):
+def sender_sees(first, last, eyes, flown, depths, holes, times, lost_s, R_n_c, t_n_c, lens, follower, own):
     """D1's frames ``first`` to ``last``: its detector, its follower, its depth camera.
 
     Args:
         holes: (n,) whether nothing is measured on objects.
-        times: (n,) s. R_n_c, t_n_c: the camera as D1 believes it to be, (n, 3, 3) and (n, 3); lens: as it believes.
+        times: (n,) s. lost_s: a target that was not seen for longer is given up.
+        R_n_c, t_n_c: the camera as D1 believes it to be, (n, 3, 3) and (n, 3); lens: as it believes.
         follower: (FOLLOWER_SIZE,), changed.
         own: (n, OWN_COLUMNS), filled.
     """
@@ -258,7 +259,7 @@ def sender_sees(first, last, eyes, flown, depths, holes, times, R_n_c, t_n_c, le
         sigma = predicted(follower, times[k], point)
         x, y, z = _in_camera(R_n_c[k], t_n_c[k], point)
         visible, u, v = sees(lens, x, y, z)
-        if not visible:
+        if not visible or (follower[BEGUN] and times[k] - follower[AT] > lost_s):
             continue
         gate_m, scale = _gate(follower, sigma, times[k]), lens[0] / z
         unseen = times[k] - follower[AT] > _UNSEEN_S

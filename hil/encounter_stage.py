@@ -127,7 +127,7 @@ class Stage:
         self._lens_1 = lens_row(self.believed.camera_1)
         self._filled = [0, 0]
         self._follower: Array | None = None
-        self._limit_s = attempt.limit_s
+        self._limit_s, self._lost_s = attempt.limit_s, believed.mission.deadlines.target_coast_s
         self._prepare(min(HORIZON_S, attempt.limit_s))
 
     def _timed(self, limit_s: float, latency: tuple[float, float], frozen: Array, rng: np.random.Generator) -> Timed:
@@ -218,8 +218,8 @@ class Stage:
         seen, (sender, receiver) = self.seen, self.frames
         first, last = self._filled[0], int(np.searchsorted(sender.taken_s, until_s))
         sender_sees(
-            first, last, self._eyes_1, self.flown_1, self._depths, self._holes, self._times_1, self._R_n_c1,
-            self._t_n_c1, self._lens_1, self._follower, seen.own,
+            first, last, self._eyes_1, self.flown_1, self._depths, self._holes, self._times_1, self._lost_s,
+            self._R_n_c1, self._t_n_c1, self._lens_1, self._follower, seen.own,
         )  # fmt: skip
         self._filled[0] = max(first, last)
         first, last = self._filled[1], int(np.searchsorted(receiver.taken_s, until_s))

@@ -109,7 +109,7 @@ class TrialOptions:
     """Run one of the paper's experiments, or all of them, and hold what comes out against the paper."""
 
     name: Annotated[TrialName, tyro.conf.Positional]
-    """Which trial; `all` runs every one and makes one page, in about twenty minutes on two cores."""
+    """Which trial; `all` runs every one and makes one page, in about a quarter of an hour on two cores."""
 
     out: OutFolder = None
     """Folder for the page, summary.json and the pictures; trials/<time>-<name> by default."""

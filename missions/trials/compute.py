@@ -114,7 +114,7 @@ def _budget_findings(timings: Mapping[str, Timings], rng: np.random.Generator) -
         us = timings[size].us[name]
         ours = statistic(us) / MS
         low, high = bootstrap(us, statistic, rng)
-        interval, goal = f"{low / MS:.3f}–{high / MS:.3f}", f"≤ {goal_ms:g}"
+        interval, goal = f"{low / MS:.3f} to {high / MS:.3f}", f"≤ {goal_ms:g}"
         note = why if ours > goal_ms else ""
         findings.append(
             Finding(f"{quantity}, {size}, ms", f"{ours:.3f}", interval, "", goal, verdict(ours <= goal_ms), note)
@@ -152,7 +152,7 @@ def _ratio_findings(ratios: Mapping[str, Mapping[str, Mapping[str, float]]]) -> 
                 Finding(
                     f"{TITLES[method]} / {COUNTED[counted]}, {size}, ratio",
                     f"{ratio['ratio']:.1f}",
-                    f"{ratio['low']:.1f}–{ratio['high']:.1f}",
+                    f"{ratio['low']:.1f} to {ratio['high']:.1f}",
                     "",
                     f"≥ {goal:g}",
                     verdict(ratio["ratio"] >= goal),
@@ -241,7 +241,7 @@ def _counted_table() -> Table:
 def _ratio_table(ratios: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table:
     rows = tuple(
         (size, TITLES[name.split("_vs_")[1]], COUNTED[name.split("_vs_")[0]], f"{r['ratio']:.1f}",
-         f"{r['low']:.1f}–{r['high']:.1f}")
+         f"{r['low']:.1f} to {r['high']:.1f}")
         for size, found in ratios.items()
         for name, r in found.items()
     )  # fmt: skip

@@ -281,4 +281,4 @@ def _notes(main: str) -> tuple[str, ...]:
 
 
 def _between(interval: tuple[float, float]) -> str:
-    return f"{interval[0]:.3f}–{interval[1]:.3f}"
+    return f"{interval[0]:.3f} to {interval[1]:.3f}"

@@ -122,7 +122,7 @@ def _size_findings(rates: dict[str, dict[str, float]], largest: int, traffic: Se
             Finding(
                 f"both ways at {hz} Hz, signed, all fields, kB/s",
                 f"{rate['bytes_per_s'] / 1000:.2f}",
-                f"{rate['least_second_b'] / 1000:.2f}–{rate['most_second_b'] / 1000:.2f} over its seconds; "
+                f"{rate['least_second_b'] / 1000:.2f} to {rate['most_second_b'] / 1000:.2f} over its seconds; "
                 f"{rate['untrimmed_bytes_per_s'] / 1000:.2f} with no byte cut off",
                 "≈ 12 (9–15), < 16 at 60 Hz" if hz == "60" else "≈ 12 (9–15)",
                 goal,
@@ -138,7 +138,7 @@ def _size_findings(rates: dict[str, dict[str, float]], largest: int, traffic: Se
 def _cost_findings(costs: dict[str, Times], rng: np.random.Generator) -> tuple[Finding, ...]:
     def found(quantity: str, name: str) -> Finding:
         low, high = bootstrap(costs[name], _median, rng)
-        return Finding(quantity, f"{_median(costs[name]):.1f}", f"{low:.1f}–{high:.1f}")
+        return Finding(quantity, f"{_median(costs[name]):.1f}", f"{low:.1f} to {high:.1f}")
 
     added = _both(costs, "signed") / _both(costs, "unsigned")
     low, high = bootstrap(added, _median, rng)
@@ -146,7 +146,7 @@ def _cost_findings(costs: dict[str, Times], rng: np.random.Generator) -> tuple[F
     return (
         found("encode and sign a packet, µs median", "encode_signed"),
         found("verify and decode a packet, µs median", "decode_signed"),
-        Finding("signed against unsigned, both ends, ratio", f"{_median(added):.2f}", f"{low:.2f}–{high:.2f}"),
+        Finding("signed against unsigned, both ends, ratio", f"{_median(added):.2f}", f"{low:.2f} to {high:.2f}"),
         Finding("one core at 60 Hz, a packet out and one in, per role", f"{share:.2f} %"),
     )
 
@@ -201,7 +201,7 @@ def _cost_table(costs: dict[str, Times], rng: np.random.Generator) -> Table:
     rows: list[tuple[str, ...]] = []
     for name, values in costs.items():
         low, high = bootstrap(values, _median, rng)
-        ends = f"{low:.1f}–{high:.1f}"
+        ends = f"{low:.1f} to {high:.1f}"
         rows.append((name.replace("_", ", "), f"{_median(values):.1f}", ends, f"{np.percentile(values, 99):.1f}"))
     return Table(
         f"Time per packet, µs (targets and candidates alike, mean of {PACKETS} each)",

@@ -149,7 +149,7 @@ def _range_findings(depths: list[AtDepth]) -> tuple[Finding, ...]:
         findings.append(
             Finding(
                 f"combined over 0.6–1.5 m, px RMS, depth error {title}",
-                f"{ends[0]:.2f}–{ends[1]:.2f}",
+                f"{ends[0]:.2f} to {ends[1]:.2f}",
                 f"{_between(low.interval(law))}; {_between(high.interval(law))}",
                 "12.75–21.57",
                 f"± {TOLERANCE_PX['range']} with the law stated" if law == "power_1.5" else "",
@@ -226,7 +226,7 @@ def _notes(marker: np.ndarray, count: int) -> tuple[str, ...]:
 
 
 def _between(interval: tuple[float, float]) -> str:
-    return f"{interval[0]:.2f}–{interval[1]:.2f}"
+    return f"{interval[0]:.2f} to {interval[1]:.2f}"
 
 
 def _draw(depths: list[AtDepth], path: Path) -> None:

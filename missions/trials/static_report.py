@@ -195,9 +195,9 @@ def _finding(
 ) -> Finding:
     value, (low, high) = figures.values[name], figures.intervals[name]
     if goal_m is None:
-        return Finding(quantity, _mm(value), f"{_mm(low)} … {_mm(high)}", paper, note=note)
+        return Finding(quantity, _mm(value), f"{_mm(low)} to {_mm(high)}", paper, note=note)
     reached = verdict(value <= goal_m)
-    return Finding(quantity, _mm(value), f"{_mm(low)} … {_mm(high)}", paper, f"≤ {1e3 * goal_m:.0f}", reached, note)
+    return Finding(quantity, _mm(value), f"{_mm(low)} to {_mm(high)}", paper, f"≤ {1e3 * goal_m:.0f}", reached, note)
 
 
 def _mm(metres: float | Array) -> str:
@@ -212,9 +212,9 @@ def methods_table(title: str, figures: Mapping[Method, Figures]) -> Table:
         target_low, target_high = f.intervals["target_mean_m"]
         return (
             METHOD_TITLES[method],
-            f"{_mm(v['d2_mean_m'])} ({_mm(low)} … {_mm(high)})", _mm(v["d2_median_m"]), _mm(v["d2_p95_m"]),
+            f"{_mm(v['d2_mean_m'])} ({_mm(low)} to {_mm(high)})", _mm(v["d2_median_m"]), _mm(v["d2_p95_m"]),
             _mm(v["d2_same_m"]), _mm(v["d2_facing_m"]),
-            f"{_mm(v['target_mean_m'])} ({_mm(target_low)} … {_mm(target_high)})",
+            f"{_mm(v['target_mean_m'])} ({_mm(target_low)} to {_mm(target_high)})",
             _mm(v["target_median_m"]), _mm(v["target_p95_m"]), f"{v['rotation_mean_deg']:.2f}",
             f"{f.flips}/{f.given}", f"{f.refused}/{f.given + f.refused}",
         )  # fmt: skip

@@ -124,7 +124,7 @@ def test_a_rig_without_beacons_is_refused(tmp_path: Path) -> None:
 
 def test_reflections_before_take_off_do_not_make_the_beacons_worse() -> None:
     rng = np.random.default_rng(3)
-    t = np.arange(60) * 0.25
+    t = np.linspace(0.0, 14.75, 60, dtype=np.float64)
     still = Trajectory(t, rng.normal(0.0, 0.02, (60, 3)))
     struck = still.p.copy()
     struck[20:25] += 0.7  # as long as the median over five positions follows it
