@@ -147,8 +147,7 @@ class VerifyOptions:
     """Processes at a time; 0: one per core."""
 
     wire: int = 0
-    """Throw this many forged, altered and repeated packets at the link instead: 10000000 take three minutes on two
-    cores."""
+    """Throw this many forged, altered and repeated packets at the link instead: 10000000 take about a minute."""
 
     seed: int = 0
     """Seed of the forged packets."""
