@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 from drivers.interfaces import Clock, LinkCounters, LinkError, Received
 from drivers.wire import UDP_IP_OVERHEAD, Codec, Drop, EncodeError
@@ -24,31 +24,61 @@ class LinkContext(Protocol):
     def clock(self) -> Clock: ...
 
 
-class Inbox:
-    """Messages that wait for one reader: the newest of each stream, and every one of the rest.
+Item = TypeVar("Item")
 
-    A Target, Candidate or Status that waits is replaced by a newer one, so that a slow reader sees the present and no
-    latency builds up. What the hand-over and the clocks say comes first, in its order.
+
+class Waiting(Generic[Item]):
+    """What waits for its turn: the newest of each stream, and every word of the rest up to a number.
+
+    A Target, Candidate or Status that waits is replaced by a newer one, so that no latency builds up. What the
+    hand-over and the clocks say comes first, in its order.
+
+    Args:
+        most: words that wait; then the oldest goes.
+        superseded, full: what is counted when a stream's message is replaced, and when the oldest word goes.
     """
 
-    def __init__(self, counters: LinkCounters) -> None:
+    def __init__(self, counters: LinkCounters, most: int, superseded: str, full: str) -> None:
         self._counters = counters
-        self._first: deque[Received] = deque()
-        self._newest: dict[type[Message], Received] = {}  # in the order of the oldest wait
+        self._most = most
+        self._reasons = superseded, full
+        self._first: deque[Item] = deque()
+        self._newest: dict[type[Message], Item] = {}  # in the order of the oldest wait
+
+    def __bool__(self) -> bool:
+        return bool(self._first or self._newest)
+
+    def put(self, kind: type[Message], item: Item) -> None:
+        superseded, full = self._reasons
+        if kind in STREAMS:
+            if kind in self._newest:
+                count(self._counters, superseded)
+            self._newest[kind] = item
+        else:
+            if len(self._first) >= self._most:
+                self._first.popleft()
+                count(self._counters, full)
+            self._first.append(item)
+
+    def pop(self) -> Item:
+        """The next one. Raises when there is none."""
+        return self._first.popleft() if self._first else self._newest.pop(next(iter(self._newest)))
+
+    def clear(self) -> None:
+        self._first.clear()
+        self._newest.clear()
+
+
+class Inbox:
+    """Messages that wait for one reader, who sees the present however slow it is."""
+
+    def __init__(self, counters: LinkCounters) -> None:
+        self._waiting = Waiting[Received](counters, MAX_WAITING, "superseded", "inbox_full")
         self._arrival = asyncio.Event()
         self._closed = False
 
     def put(self, received: Received) -> None:
-        kind = type(received.message)
-        if kind in STREAMS:
-            if kind in self._newest:
-                count(self._counters, "superseded")
-            self._newest[kind] = received
-        else:
-            if len(self._first) >= MAX_WAITING:
-                self._first.popleft()
-                count(self._counters, "inbox_full")
-            self._first.append(received)
+        self._waiting.put(type(received.message), received)
         self._arrival.set()
 
     async def get(self) -> Received:
@@ -56,10 +86,8 @@ class Inbox:
         while True:
             if self._closed:
                 raise LinkError("the link is closed")
-            if self._first:
-                return self._first.popleft()
-            if self._newest:
-                return self._newest.pop(next(iter(self._newest)))
+            if self._waiting:
+                return self._waiting.pop()
             self._arrival.clear()
             await self._arrival.wait()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -14,7 +13,7 @@ import serial
 
 from drivers.framing import Framer
 from drivers.interfaces import LinkCounters, LinkError, Received
-from drivers.link_end import STREAMS, LinkContext, LinkEnd, count
+from drivers.link_end import LinkContext, LinkEnd, Waiting, count
 from drivers.link_key import read_key, signing_time
 from drivers.wire import Codec
 from path.messages import Message
@@ -62,12 +61,10 @@ class SerialLink:
         self._config = config
         self._clock = context.clock
         self._role = context.role
-        self._end = LinkEnd(Codec(context.role, None), 0)
+        self._end, self._waiting = self._new_end(None)
         self._framer = Framer()
         self._port: serial.Serial | None = None
         self._open = False
-        self._first: deque[Message] = deque()
-        self._newest: dict[type[Message], Message] = {}
         self._left = b""  # of a packet that the port did not take whole
         self._free_s = 0.0  # when the bytes given to the port have left it
         self._timer: asyncio.TimerHandle | None = None
@@ -79,8 +76,7 @@ class SerialLink:
     async def __aenter__(self) -> Self:
         """Raises LinkError for a key that cannot be used and for a port that cannot be opened."""
         key_file = self._config.key_file
-        key = None if key_file is None else read_key(key_file)
-        self._end = LinkEnd(Codec(self._role, key, stamp=signing_time), 0)
+        self._end, self._waiting = self._new_end(None if key_file is None else read_key(key_file))
         self._open_port()
         self._open = True
         return self
@@ -99,21 +95,16 @@ class SerialLink:
         if self._port is None:
             count(self.counters, "port_lost")
             return
-        kind = type(message)
-        if kind in STREAMS:
-            if kind in self._newest:
-                count(self.counters, "superseded_unsent")
-            self._newest[kind] = message
-        else:
-            if len(self._first) >= MAX_WAITING:
-                self._first.popleft()
-                count(self.counters, "outbox_full")
-            self._first.append(message)
+        self._waiting.put(type(message), message)
         if self._timer is None:
             self._write()
 
     async def receive(self) -> Received:
         return await self._end.inbox.get()
+
+    def _new_end(self, key: bytes | None) -> tuple[LinkEnd, Waiting[Message]]:
+        end = LinkEnd(Codec(self._role, key, stamp=signing_time), 0)
+        return end, Waiting(end.counters, MAX_WAITING, "superseded_unsent", "outbox_full")
 
     def _open_port(self) -> None:
         config = self._config
@@ -162,7 +153,7 @@ class SerialLink:
         """Give the port what it has room for; come again when it has more."""
         self._timer = None
         loop = asyncio.get_running_loop()
-        while self._port is not None and (self._left or self._first or self._newest):
+        while self._port is not None and (self._left or self._waiting):
             wait_s = self._free_s - loop.time() - AHEAD_S
             if wait_s > 0.0:
                 self._timer = loop.call_later(wait_s, self._write)
@@ -184,13 +175,11 @@ class SerialLink:
 
     def _next_packet(self) -> bytes:
         """Signed only now, so that stamps are in the order of the air. Empty for what cannot be encoded."""
-        message = self._first.popleft() if self._first else self._newest.pop(next(iter(self._newest)))
-        return self._end.pack(message) or b""
+        return self._end.pack(self._waiting.pop()) or b""
 
     def _lost(self) -> None:
         """What waits would be old when the port is back."""
-        self._first.clear()
-        self._newest.clear()
+        self._waiting.clear()
         self._close_port()
         self._timer = asyncio.get_running_loop().call_later(REOPEN_S, self._reopen)
 

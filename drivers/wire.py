@@ -32,7 +32,7 @@ SYSTEM_ID = {Role.SENDER: dialect.PATH_ROLE_SENDER, Role.RECEIVER: dialect.PATH_
 COMPONENT_ID = dialect.MAV_COMP_ID_ONBOARD_COMPUTER
 
 _MARKER = bytes([dialect.PROTOCOL_MARKER_V2])
-HEADER_LENGTH = _HEADER = dialect.HEADER_LEN_V2
+HEADER_LENGTH = dialect.HEADER_LEN_V2
 _CRC = 2
 _SIGNATURE = dialect.MAVLINK_SIGNATURE_BLOCK_LEN
 _HASH = 6
@@ -125,8 +125,8 @@ class Codec:
             fault = self._forged_or_old(data)
             if fault is not None:
                 return fault
-        kind = dialect.mavlink_map[int.from_bytes(data[7:_HEADER], "little")]
-        values = kind.unpacker.unpack(data[_HEADER : _HEADER + data[1]].ljust(kind.unpacker.size, b"\0"))
+        kind = dialect.mavlink_map[int.from_bytes(data[7:HEADER_LENGTH], "little")]
+        values = kind.unpacker.unpack(data[HEADER_LENGTH : HEADER_LENGTH + data[1]].ljust(kind.unpacker.size, b"\0"))
         packet: Any = kind(*[values[place] for place in kind.orders])
         try:
             message = FROM_WIRE[kind](packet)
@@ -177,16 +177,16 @@ class Codec:
 
 def expected_length(header: bytes) -> int | None:
     """Length of the packet that begins with these bytes, at least ``HEADER_LENGTH``; None when it is none of ours."""
-    kind = dialect.mavlink_map.get(int.from_bytes(header[7:_HEADER], "little"))
+    kind = dialect.mavlink_map.get(int.from_bytes(header[7:HEADER_LENGTH], "little"))
     if header[:1] != _MARKER or header[2] & ~_SIGNED or kind not in FROM_WIRE or header[1] > kind.unpacker.size:
         return None
-    return _HEADER + header[1] + _CRC + (_SIGNATURE if header[2] else 0)
+    return _whole_length(header)
 
 
 def checksum_holds(packet: bytes) -> bool:
     """Whether a packet of its ``expected_length`` is undamaged, as far as its checksum tells."""
-    kind = dialect.mavlink_map[int.from_bytes(packet[7:_HEADER], "little")]
-    end = _HEADER + packet[1]
+    kind = dialect.mavlink_map[int.from_bytes(packet[7:HEADER_LENGTH], "little")]
+    end = HEADER_LENGTH + packet[1]
     return _crc(packet[1:end], kind.crc_extra) == int.from_bytes(packet[end : end + _CRC], "little")
 
 
@@ -209,14 +209,18 @@ def _crc(data: bytes, extra: int) -> int:
     return crc.crc
 
 
+def _whole_length(header: bytes) -> int:
+    return HEADER_LENGTH + header[1] + _CRC + (_SIGNATURE if header[2] else 0)
+
+
 def _shape(data: bytes) -> Drop | None:
     """Whether a datagram is exactly one MAVLink 2 packet, as far as its header tells."""
     size = len(data)
     if data[:1] != _MARKER or (size > 2 and data[2] & ~_SIGNED):
         return Drop.NOT_MAVLINK
-    if size < _HEADER + _CRC:
+    if size < HEADER_LENGTH + _CRC:
         return Drop.TRUNCATED
-    expected = _HEADER + data[1] + _CRC + (_SIGNATURE if data[2] else 0)
+    expected = _whole_length(data)
     if size != expected:
         return Drop.TRUNCATED if size < expected else Drop.WRONG_LENGTH
     return None
