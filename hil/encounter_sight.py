@@ -57,7 +57,7 @@ FOUND_COLUMNS = 6
 POSITION, VELOCITY, PP, PV, VV, AT, RIVAL, RIVAL_AT, BEGUN = 0, 3, 6, 7, 8, 9, 10, 11, 12
 FOLLOWER_SIZE = 13
 NOBODY = -1.0
-NOTHING, UNSURE = -1, -2  # instead of a row
+NOTHING = -1  # instead of a row
 
 
 class Eyes(NamedTuple):
@@ -188,30 +188,18 @@ def _rival(found, many, row):
 
 @kernel
 def _designated(found, many):
-    """Row of the target's own detection."""
+    """Row of the target's own detection, and no doubt about it."""
     for i in range(many):
         if found[i, WHOSE] == 0.0 and found[i, SCORE] >= MIN_SCORE:
-            return i
-    return NOTHING
-
-
-@kernel
-def _apart(found, many, u, v):
-    """How far the two detections nearest to a pixel are from each other."""
-    row = -1
-    first = np.inf
-    for i in range(many):
-        off = math.hypot(found[i, 0] + 0.5 * found[i, 2] - u, found[i, 1] + 0.5 * found[i, 3] - v)
-        if found[i, SCORE] >= MIN_SCORE and off < first:
-            first, row = off, i
-    return _rival(found, many, row)
+            return i, False
+    return NOTHING, False
 
 
 @kernel
 def _chosen(found, many, u, v, gate, alone):
-    """Row of the detection nearest to a pixel; ``NOTHING`` when none is in the gate, ``UNSURE`` when two are as near.
+    """Row of the detection nearest to a pixel, ``NOTHING`` when none is in the gate; whether another may be meant too.
 
-    ``alone``: there must be no other at all.
+    ``alone``: any other may.
     """
     first, second, row = np.inf, np.inf, -1
     for i in range(many):
@@ -223,8 +211,8 @@ def _chosen(found, many, u, v, gate, alone):
         elif off < second:
             second = off
     if row < 0 or first > gate:
-        return NOTHING
-    return UNSURE if (alone and second < np.inf) or first > _AMBIGUITY * second else row
+        return NOTHING, False
+    return row, (alone and second < np.inf) or first > _AMBIGUITY * second
 
 
 @kernel
@@ -268,13 +256,13 @@ def sender_sees(first, last, eyes, flown, depths, holes, times, lost_s, R_n_c, t
         region[0], region[1], region[2], region[3] = u - reach, v - reach, u + reach, v + reach
         count = _before(eyes, flown, k, things, ids, boxes, extents, frame)
         many = _boxes_of(eyes, flown.frame[k], count, ids, boxes, extents, region, seen, rows, found)
-        row = _chosen(found, many, u, v, gate, unseen) if follower[BEGUN] else _designated(found, many)
+        row, unsure = _chosen(found, many, u, v, gate, unseen) if follower[BEGUN] else _designated(found, many)
         if row != NOTHING:
-            rival = _apart(found, many, u, v) if row == UNSURE else _rival(found, many, row)
+            rival = _rival(found, many, row)
             if rival < np.inf and (rival / scale <= follower[RIVAL] or times[k] - follower[RIVAL_AT] > _RIVAL_S):
                 follower[RIVAL], follower[RIVAL_AT] = rival / scale, times[k]
-        if row < 0:
-            out[STATUS] = LOST if row == NOTHING else UNCLEAR
+        if row == NOTHING or unsure:
+            out[STATUS] = UNCLEAR if unsure else LOST
             continue
         out[STATUS], out[WHO] = SEEN, found[row, WHOSE]
         box = (found[row, 0], found[row, 1], found[row, 2], found[row, 3])
