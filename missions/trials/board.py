@@ -13,13 +13,14 @@ import numpy as np
 from missions.trials.board_file import Board
 from missions.trials.board_measure import Left, measure
 from missions.trials.corners_methods import OPENCV, PIXEL_CENTRE, TITLES
+from missions.trials.corners_score import calibration_text
 from missions.trials.statistics import Array, Interval, bootstrap, mean
 from missions.trials.trial import Table
 from path.geometry import Matrix
 from path.marker.detect import refine_corners
+from path.target import MAD_TO_SIGMA
 
 ENLARGED = 3
-ROBUST = 1.4826  # of a median absolute error, to be a standard deviation of a normal one
 BOARD_STREAM = 5
 BOARD_GOAL_PX = 0.10
 FINER_ORDER = 6
@@ -80,10 +81,7 @@ class OnBoard:
     @property
     def honesty(self) -> str:
         """The calibration as text, "" without one."""
-        if self.calibration is None or self.calibration_interval is None:
-            return ""
-        low, high = self.calibration_interval
-        return f"{self.calibration:.2f} ({low:.2f}–{high:.2f})"
+        return calibration_text(self.calibration, self.calibration_interval)
 
     def summary(self) -> dict[str, Any]:
         own: dict[str, Any] = {
@@ -166,7 +164,7 @@ def _score(board: Board, found: Corners, seed: int) -> OnBoard:
 
 
 def robust(errors_px: Array) -> float:
-    return ROBUST * float(np.median(np.abs(errors_px)))
+    return MAD_TO_SIGMA * float(np.median(np.abs(errors_px)))
 
 
 def _whitened(error_px: Matrix, covariance_px2: Matrix) -> float:

@@ -12,8 +12,8 @@ import numpy as np
 from missions.trials.corners_shots import Sample
 from missions.trials.statistics import RESAMPLES, Interval, wilson
 from path.geometry import Matrix, Vector
+from path.target import MAD_TO_SIGMA
 
-ROBUST = 1.4826  # of a median absolute error, to be a standard deviation of a normal one
 SCORE_STREAM = 3
 
 
@@ -43,10 +43,7 @@ class Score:
     @property
     def honesty(self) -> str:
         """The calibration as text, "" without one."""
-        if self.calibration is None or self.calibration_interval is None:
-            return ""
-        low, high = self.calibration_interval
-        return f"{self.calibration:.2f} ({low:.2f}–{high:.2f})"
+        return calibration_text(self.calibration, self.calibration_interval)
 
     def summary(self) -> dict[str, Any]:
         named: dict[str, Any] = {
@@ -60,6 +57,13 @@ class Score:
         if self.calibration is not None:
             named["calibration"] = self.calibration
         return named
+
+
+def calibration_text(calibration: float | None, interval: Interval | None) -> str:
+    """A mean squared error in units of what was stated, and its interval, as text; "" without one."""
+    if calibration is None or interval is None:
+        return ""
+    return f"{calibration:.2f} ({interval[0]:.2f}–{interval[1]:.2f})"
 
 
 def score(samples: Sequence[Sample], method: str, seed: int) -> Score | None:
@@ -81,7 +85,7 @@ def score(samples: Sequence[Sample], method: str, seed: int) -> Score | None:
         len(samples),
         math.sqrt(float(squares.mean())),
         (math.sqrt(low), math.sqrt(high)),
-        ROBUST * float(np.median(np.abs(errors))),
+        MAD_TO_SIGMA * float(np.median(np.abs(errors))),
         float(np.mean([_radial(e, true_px) for e, (true_px, _) in zip(errors, pairs, strict=True)])),
         len(pairs) / len(samples),
         wilson(len(pairs), len(samples)),

@@ -34,13 +34,13 @@ from missions.trials.trajectory import (
 )
 from missions.truth import Truth, truth_of
 from path.messages import Role
+from path.target import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
 SUBJECTS = ("d2", "target")
 WANDER_S = 8.0  # within this a vehicle's own position drifts by less than the beacons' noise
 RPE_S, RPE_M = 1.0, 1.0
-SIGMAS_PER_MAD = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +154,7 @@ def noise_at_rest(motions: Motions, heard: Heard, offset_s: float) -> tuple[floa
         if len(rest) > 3:
             off.append(np.abs(rest - np.median(rest, axis=0)).ravel())
     together = np.concatenate(off) if off else np.zeros(0)
-    return (SIGMAS_PER_MAD * float(np.median(together)), len(together)) if len(together) else (math.nan, 0)
+    return (MAD_TO_SIGMA * float(np.median(together)), len(together)) if len(together) else (math.nan, 0)
 
 
 def _against_beacons(pair: Pair, frame: Alignment, k: int, noise_m: float, factors: Array) -> Compared:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.rotation import exp
+from path.target import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 Turn = Literal["vertical", "any"]
@@ -298,7 +299,7 @@ def _scale(residuals: Array) -> float:
     """Robust standard deviation per axis."""
     if len(residuals) < 10:
         raise ValueError("too few samples lie on the curve")
-    return 1.4826 * float(np.median(np.abs(residuals))) + 1e-9
+    return MAD_TO_SIGMA * float(np.median(np.abs(residuals))) + 1e-9
 
 
 def _huber(residuals: Array, scale: float) -> Array:
