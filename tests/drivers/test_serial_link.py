@@ -6,8 +6,8 @@ import asyncio
 import os
 import time
 import tty
-from collections.abc import Callable, Coroutine
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,34 +15,8 @@ import pytest
 
 from drivers.interfaces import LinkError
 from drivers.serial_link import SerialLink
-from path.messages import Accept, Ping, Pong, Role, Status, Target
-
-TARGET = Target(1, 2, 3, 4, 50_000, (1.0, 2.0, 3.0), (0.0, 0.0, 1.0), 0.01)
-STATUS = Status(Role.SENDER, 50_000, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), 0.0, 3, True, True, 0.5)
-
-
-class WallClock:
-    def now_ns(self) -> int:
-        return time.monotonic_ns()
-
-
-@dataclass(frozen=True)
-class Context:
-    role: Role
-    clock: WallClock
-
-
-def run(test: Coroutine[Any, Any, None]) -> None:
-    async def bounded() -> None:
-        async with asyncio.timeout(20.0):
-            await test
-
-    asyncio.run(bounded())
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    while not condition():  # noqa: ASYNC110 (what is waited for is a counter)
-        await asyncio.sleep(0.001)
+from path.messages import Accept, Role, Target
+from tests.drivers.link_ends import STATUS, TARGET, Context, WallClock, introduce, run, until
 
 
 class Cable:
@@ -80,28 +54,12 @@ class Cable:
         self._ends = []
 
 
-@pytest.fixture
-def key_file(tmp_path: Path) -> Path:
-    path = tmp_path / "pair.key"
-    path.write_bytes(bytes(range(32)))
-    path.chmod(0o600)
-    return path
-
-
 def links(cable: Cable, key_file: Path | None, baud: int = 115_200) -> tuple[SerialLink, SerialLink]:
     one, other = (
         SerialLink(SerialLink.Config(str(name), baud, key_file, key_file is None), Context(role, WallClock()))
         for name, role in zip(cable.names, Role, strict=True)
     )
     return one, other
-
-
-async def introduce(one: SerialLink, other: SerialLink) -> None:
-    for asking, answering in ((one, other), (other, one)):
-        asking.send(Ping(1, 5))
-        assert (await answering.receive()).message == Ping(1, 5)
-        answering.send(Pong(1, 5, 6, 7))
-        assert (await asking.receive()).message == Pong(1, 5, 6, 7)
 
 
 def test_messages_cross_both_ways_signed(tmp_path: Path, key_file: Path) -> None:
@@ -121,7 +79,7 @@ def test_messages_cross_both_ways_signed(tmp_path: Path, key_file: Path) -> None
             assert sender.counters.dropped == receiver.counters.dropped == {}
         cable.unplug()
 
-    run(test())
+    run(test(), within_s=20.0)
 
 
 def test_noise_on_the_radio_is_counted_and_costs_only_what_it_hit(tmp_path: Path, key_file: Path) -> None:
@@ -136,7 +94,7 @@ def test_noise_on_the_radio_is_counted_and_costs_only_what_it_hit(tmp_path: Path
             assert receiver.counters.dropped["noise"] >= 1
         cable.unplug()
 
-    run(test())
+    run(test(), within_s=20.0)
 
 
 def test_a_slow_radio_carries_the_present(tmp_path: Path) -> None:
@@ -160,7 +118,7 @@ def test_a_slow_radio_carries_the_present(tmp_path: Path) -> None:
             assert sender.counters.dropped["superseded_unsent"] > 60
         cable.unplug()
 
-    run(test())
+    run(test(), within_s=20.0)
 
 
 def test_a_radio_that_is_unplugged_is_silence_and_may_come_back(tmp_path: Path, key_file: Path) -> None:
@@ -180,7 +138,7 @@ def test_a_radio_that_is_unplugged_is_silence_and_may_come_back(tmp_path: Path, 
             assert waiting.result().message == TARGET
         cable.unplug()
 
-    run(test())
+    run(test(), within_s=20.0)
 
 
 def _lost(link: SerialLink, message: Target | Accept) -> bool:
@@ -195,7 +153,7 @@ def test_a_port_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
             await link.__aenter__()
         assert "dialout" in error.value.remedy
 
-    run(test())
+    run(test(), within_s=20.0)
 
 
 @pytest.mark.parametrize(

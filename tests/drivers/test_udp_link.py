@@ -4,10 +4,8 @@ import asyncio
 import gc
 import socket
 import time
-from collections.abc import Coroutine
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,29 +14,8 @@ from drivers.link_end import MAX_WAITING
 from drivers.link_key import read_key, signing_time
 from drivers.udp_link import UdpLink, address_of
 from drivers.wire import Codec
-from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Message, Ping, Pong, Role, Status, Target
-
-TARGET = Target(1, 2, 3, 4, 50_000, (1.0, 2.0, 3.0), (0.0, 0.0, 1.0), 0.01)
-STATUS = Status(Role.SENDER, 50_000, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), 0.0, 3, True, True, 0.5)
-
-
-class WallClock:
-    def now_ns(self) -> int:
-        return time.monotonic_ns()
-
-
-@dataclass(frozen=True)
-class Context:
-    role: Role
-    clock: WallClock
-
-
-def run(test: Coroutine[Any, Any, None]) -> None:
-    async def bounded() -> None:
-        async with asyncio.timeout(10.0):
-            await test
-
-    asyncio.run(bounded(), debug=False)
+from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Message, Ping, Pong, Role
+from tests.drivers.link_ends import STATUS, TARGET, Context, WallClock, introduce, run, until
 
 
 def free_ports(number: int, family: int = socket.AF_INET) -> list[int]:
@@ -63,33 +40,11 @@ def pair(key_file: Path | None = None, host: str = "127.0.0.1") -> tuple[UdpLink
     return link(Role.SENDER, a, b, key_file), link(Role.RECEIVER, b, a, key_file)
 
 
-@pytest.fixture
-def key_file(tmp_path: Path) -> Path:
-    path = tmp_path / "pair.key"
-    path.write_bytes(bytes(range(32)))
-    path.chmod(0o600)
-    return path
-
-
 def sent_by_hand(data: bytes, to: str, port: int = 0) -> None:
     """One datagram, from a port of choice."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         one.bind(("127.0.0.1", port))
         one.sendto(data, address_of(to, "to"))
-
-
-async def until(condition: Any) -> None:
-    while not condition():  # noqa: ASYNC110 (what is waited for is a counter)
-        await asyncio.sleep(0.001)
-
-
-async def introduce(one: UdpLink, other: UdpLink) -> None:
-    """Each end proves itself by answering the other's ping."""
-    for asking, answering in ((one, other), (other, one)):
-        asking.send(Ping(1, 5))
-        assert (await answering.receive()).message == Ping(1, 5)
-        answering.send(Pong(1, 5, 6, 7))
-        assert (await asking.receive()).message == Pong(1, 5, 6, 7)
 
 
 @pytest.mark.parametrize("signed", [True, False])

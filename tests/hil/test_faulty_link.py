@@ -14,9 +14,9 @@ from drivers.interfaces import Link, LinkError, Received
 from drivers.udp_link import UdpLink
 from hil.faulty_link import FaultyChannel, LinkFaults, MemoryHub, MemoryLink, ProxySide, UdpFaultProxy
 from hil.virtual_time import run_virtual
-from path.messages import Accept, Ping, Pong, Role, Target
+from path.messages import Accept, Ping, Role
+from tests.drivers.link_ends import TARGET, introduce
 
-TARGET = Target(1, 2, 3, 4, 50_000, (1.0, 2.0, 3.0), (0.0, 0.0, 1.0), 0.01)
 CLEAN = LinkFaults()
 
 
@@ -50,15 +50,6 @@ def memory_pair(hub: MemoryHub, signed: bool = True) -> tuple[MemoryLink, Memory
 async def collect(link: Link, into: list[Received]) -> None:
     while True:
         into.append(await link.receive())
-
-
-async def introduce(one: MemoryLink, other: MemoryLink) -> None:
-    """Each end proves itself by answering the other's ping."""
-    for asking, answering in ((one, other), (other, one)):
-        asking.send(Ping(0, 0))
-        assert isinstance((await answering.receive()).message, Ping)
-        answering.send(Pong(0, 0, 0, 0))
-        assert isinstance((await asking.receive()).message, Pong)
 
 
 async def talk(faults: LinkFaults, seed: int = 1, messages: int = 400) -> tuple[list[Received], dict[str, int]]:
