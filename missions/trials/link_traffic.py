@@ -21,7 +21,7 @@ from drivers.wire import KEY_LENGTH, UDP_IP_OVERHEAD
 from flight.clocks import answer
 from flight.config import MissionConfig
 from flight.phases import Phase
-from missions.trials.work import Work
+from missions.work import Work
 from path.messages import (
     Abort,
     AbortReason,

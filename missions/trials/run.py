@@ -25,7 +25,7 @@ from missions.records import SUMMARY
 from missions.report import show
 from missions.trials.page import PAGE, Chapter, render_page
 from missions.trials.trial import Finding, TrialRequest, TrialResult, Verdict
-from missions.trials.work import open_work
+from missions.work import open_work
 
 NAMES: tuple[str, ...] = tuple(name for name in get_args(TrialName) if name != "all")
 EXIT_FAILED = 1

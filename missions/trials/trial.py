@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from drivers.interfaces import PartError
 from drivers.rig import Rig, import_factory
-from missions.trials.work import Work
+from missions.work import Work
 
 Verdict = Literal["met", "short", "measured"]
 

@@ -13,11 +13,11 @@ from typing import TextIO
 from drivers.clock import stopwatch_ns
 from drivers.interfaces import PartError
 from missions.options import VerifyOptions
-from missions.trials.work import Work, open_work
 from missions.verify import wire
 from missions.verify.explore import Covering, Exact, Exploration, explore
 from missions.verify.model import Scope
 from missions.verify.mutants import MUTANTS, SMALL, caught
+from missions.work import Work, open_work
 
 EXIT_BROKEN = 1
 SUMMARY = "summary.json"

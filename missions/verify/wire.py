@@ -24,8 +24,8 @@ from drivers.wire import KEY_LENGTH, Codec, Drop
 from drivers.wire_fields import FROM_WIRE
 from drivers.wire_units import OutOfRange
 from missions.report import show as tell
-from missions.trials.work import Work
 from missions.verify.forger import Forger
+from missions.work import Work
 from path.messages import Candidate, Message, Ping, Pong, Role, Status, Target
 
 CHUNK = 20_000  # packets forged in one piece of work

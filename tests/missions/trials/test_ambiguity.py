@@ -16,7 +16,7 @@ from missions.trials.ambiguity_stage import CAMERAS, MARKER_SIDE_M, Wanted
 from missions.trials.ambiguity_truth import Sight, shirt_box
 from missions.trials.ambiguity_variants import ORB_VARIANTS
 from missions.trials.trial import TrialRequest, TrialResult, trial_part
-from missions.trials.work import open_work
+from missions.work import open_work
 from path.baselines.orb import Orb
 from path.messages import Role
 from path.observations import Box

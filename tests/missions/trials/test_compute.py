@@ -10,7 +10,7 @@ from missions.trials.compute_film import PERIOD_NS, Film, camera_of, shoot_film
 from missions.trials.compute_path import GEOMETRY, SUMS, PathPair, Stopwatch
 from missions.trials.compute_rounds import Timings, one_thread
 from missions.trials.trial import TrialRequest, TrialResult
-from missions.trials.work import open_work
+from missions.work import open_work
 from path.messages import Role
 
 

@@ -16,7 +16,7 @@ from missions.trials.corners_methods import METHODS, OPENCV, Found
 from missions.trials.corners_score import score
 from missions.trials.corners_shots import Sample, Shooting, shoot
 from missions.trials.trial import TrialRequest, TrialResult
-from missions.trials.work import open_work
+from missions.work import open_work
 
 T_B_V = rig_library.load("sim-rendered").sender.mount.T_b_v
 

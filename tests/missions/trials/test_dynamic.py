@@ -21,7 +21,7 @@ from missions.trials.dynamic_flight import BEACON_LOG, Heard, Motions, load_beac
 from missions.trials.dynamic_judge import clock_of, noise_at_rest
 from missions.trials.trajectory import Trajectory
 from missions.trials.trial import TrialRequest, TrialResult
-from missions.trials.work import open_work
+from missions.work import open_work
 
 
 @pytest.fixture(scope="module")

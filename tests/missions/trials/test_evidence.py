@@ -12,7 +12,7 @@ from missions import rig_library
 from missions.trials.evidence import FORCED_WAYS, QUICK, SIDE_M, rate, reach_m, run
 from missions.trials.evidence_blocks import LAGS, Batch, Blocks, BlockTally, Decided, Told, correlation, play
 from missions.trials.trial import TrialRequest, TrialResult, trial_part
-from missions.trials.work import open_work
+from missions.work import open_work
 from path.config import MethodConfig
 from path.window import FramePair
 

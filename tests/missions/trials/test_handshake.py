@@ -34,7 +34,7 @@ from missions.trials.handshake_encounters import (
 from missions.trials.handshake_flights import FAULTS, agreement_s
 from missions.trials.handshake_flights import asked_for as flights_asked_for
 from missions.trials.trial import TrialRequest, TrialResult
-from missions.trials.work import open_work
+from missions.work import open_work
 from path.evidence import make_gate
 
 RIG = rig_library.load("sim-rendered")

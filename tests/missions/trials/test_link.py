@@ -11,7 +11,7 @@ from missions import rig_library
 from missions.trials import link
 from missions.trials.link_traffic import Packet, Traffic, extremes, flow
 from missions.trials.trial import TrialRequest, TrialResult
-from missions.trials.work import open_work
+from missions.work import open_work
 from path.messages import Role
 
 SECONDS = 1

@@ -7,7 +7,7 @@ import pytest
 from missions import rig_library
 from missions.trials.sensitivity import run
 from missions.trials.trial import TrialRequest, TrialResult
-from missions.trials.work import open_work
+from missions.work import open_work
 
 
 @pytest.fixture(scope="module")

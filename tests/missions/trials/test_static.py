@@ -38,7 +38,7 @@ from missions.trials.static_stage import (
 )
 from missions.trials.statistics import bootstrap
 from missions.trials.trial import TrialRequest, TrialResult, trial_part
-from missions.trials.work import open_work
+from missions.work import open_work
 from path.messages import Role
 from path.observations import Box, Depth, MarkerDetection
 

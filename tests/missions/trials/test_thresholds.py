@@ -17,7 +17,7 @@ from missions.trials.thresholds_choice import MAY_COST, PAPER_N, Shares, choose,
 from missions.trials.thresholds_grid import BINS, FRAMES, MAPPINGS, RIGHT, WRONG, Outcomes, Setting, grid, outcomes
 from missions.trials.thresholds_series import BESIDE, FAULT_NAMES, NEAR, ON, WAYS, Tried, true_attempts, wrong_attempts
 from missions.trials.trial import TrialRequest, TrialResult
-from missions.trials.work import open_work
+from missions.work import open_work
 from path.config import MethodConfig
 from path.window import AgreementWindow
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import pytest
 
 from drivers.wire import Codec, Drop
-from missions.trials.work import open_work
 from missions.verify.wire import Piece, fuzz, hardened, play, sound, summary
+from missions.work import open_work
 from path.messages import Message, Role
 
 

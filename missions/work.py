@@ -29,7 +29,7 @@ AHEAD = 3  # pieces submitted for each process, so that none waits and an interr
 
 
 class Work:
-    """Runs pieces of a trial. One pool of processes serves all of them, so that kernels are loaded once.
+    """Runs the pieces of something long. One pool of processes serves all of them, so that kernels are loaded once.
 
     Pieces are functions at module level with picklable arguments and results. Each must take its randomness from its
     arguments alone: results do not depend on the number of processes.

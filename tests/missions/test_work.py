@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from missions.trials.work import Bars, Work, open_work
+from missions.work import Bars, Work, open_work
 
 
 def square(x: int) -> int:
