@@ -90,7 +90,7 @@ def propagate(
     return pixel_covariance, math.sqrt(max(0.0, rows[2][2] + rows[3][3] + rows[4][4]) / 3.0)
 
 
-def depth_sigma(T_c2_v: Rigid, point_c: Vec3, covariance: Matrix, point_sigma_m: float) -> float:
+def range_sigma(T_c2_v: Rigid, point_c: Vec3, covariance: Matrix, point_sigma_m: float) -> float:
     """Standard deviation (m) of the point's depth along D2's optical axis; arguments as ``propagate``."""
     x, y = point_c[0] - T_c2_v[9], point_c[1] - T_c2_v[10]
     row = np.array((0.0, 0.0, 1.0, y, -x, 0.0))  # dX = dt + dw x q, as in ``propagate``
@@ -135,7 +135,7 @@ def predict(
     half_u = max(half_u + 0.5 * box_size_at_1m_px[0] / point_c[2], config.min_search_px)
     half_v = max(half_v + 0.5 * box_size_at_1m_px[1] / point_c[2], config.min_search_px)
     u, v = camera.project_point(point_c)
-    reach_m = TARGET_REACH_M + config.search_sigmas * depth_sigma(T_c2_v, point_c, covariance, point_sigma_m)
+    reach_m = TARGET_REACH_M + config.search_sigmas * range_sigma(T_c2_v, point_c, covariance, point_sigma_m)
     region = Region(
         u - half_u, v - half_v, u + half_u, v + half_v, max(0.0, point_c[2] - reach_m), point_c[2] + reach_m
     )

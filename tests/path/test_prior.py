@@ -13,7 +13,7 @@ from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Matrix, Pose
 from path.observations import Missed, MissReason
-from path.prior import TARGET_REACH_M, Prior, depth_sigma, predict, propagate
+from path.prior import TARGET_REACH_M, Prior, predict, propagate, range_sigma
 from path.rigid import rigid, transform
 from path.rotation import exp
 
@@ -147,7 +147,7 @@ def test_depth_has_the_covariance_of_the_pose(direction: np.ndarray) -> None:
         (exp(step * direction[3:]) @ POSE.R @ np.array(POINT) + POSE.t + step * direction[:3])[2]
         for step in (-1e-6, 1e-6)
     )
-    sigma_m = depth_sigma(rigid(POSE), (x, y, z), np.outer(direction, direction), 0.0)
+    sigma_m = range_sigma(rigid(POSE), (x, y, z), np.outer(direction, direction), 0.0)
     assert sigma_m == pytest.approx(abs(after - before) / 2e-6, abs=1e-6)
 
 
