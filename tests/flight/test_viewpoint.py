@@ -142,7 +142,7 @@ tilts = st.tuples(st.floats(-0.12, 0.12), st.floats(-0.12, 0.12)).map(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(scenes, st.sampled_from((CAMERA, BARREL)), st.floats(25.0, 65.0), st.none() | tilts)
 def test_every_viewpoint_keeps_every_rule(
     view: Scene, camera: CameraModel, pitch_deg: float, tilt_h: Floats | None
@@ -175,7 +175,7 @@ def test_the_mission_as_it_comes_has_a_viewpoint() -> None:
     assert forward < 0.0 and down < 0.0  # behind D1, and above
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(scenes)
 def test_a_scene_and_its_mirror_image_are_equally_good(view: Scene) -> None:
     """Nothing of the rules prefers a side, and a camera without distortion neither."""

@@ -278,7 +278,7 @@ def test_a_silent_vehicle_neither_sends_nor_hears(bench: Bench) -> None:
     assert not bench.drone.autopilot.armed  # what came during the silence is lost
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.binary(max_size=300), st.integers(0, 60), st.integers(0, 255))
 def test_noise_never_stops_it(bench: Bench, noise: bytes, at: int, byte: int) -> None:
     arm = bytearray(mavlink.MAVLink_command_long_message(SYSID, 1, 400, 0, *[1.0] * 7).pack(bench.mav))

@@ -275,7 +275,7 @@ def test_s6_a_role_that_claims_more_evidence_than_there_is() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from("aaaaaaaaawmsg"), st.integers(1, 50), st.floats(0.4, 1.0)), max_size=12))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_gate_and_monitors_never_differ(script: list[tuple[str, int, float]]) -> None:
     """Whatever comes in, in whatever order: what the gate completes is full for the monitors, and nothing else."""
     stream, index = Stream(), 0

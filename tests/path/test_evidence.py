@@ -247,7 +247,7 @@ def runs_of(stream: list[Event]) -> Iterator[tuple[int, list[Event]]]:
         yield event.tick, run
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(events())
 def test_complete_only_after_the_floors_and_enough_strong_pairs_without_a_miss(stream: list[Event]) -> None:
     gate, own = EvidenceGate(SMALL), SMALL.evidence
@@ -271,7 +271,7 @@ def evidence_blocks(gate: EvidenceGate) -> int:
     return next(n for n in range(1000) if evidence_of(n, SMALL.evidence) >= gate.evidence.reached - 1e-9)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(events())
 def test_what_is_refused_changes_nothing(stream: list[Event]) -> None:
     gate = EvidenceGate(SMALL)
@@ -281,7 +281,7 @@ def test_what_is_refused_changes_nothing(stream: list[Event]) -> None:
             assert (gate.count, gate.evidence, gate.complete) == before
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.floats(0.62, 1.0), min_size=10, max_size=60), st.data())
 def test_more_overlap_in_every_pair_never_takes_longer(ious: list[float], data: st.DataObject) -> None:
     """For streams all of whose pairs are strong enough; a single miss anywhere never makes it faster either."""

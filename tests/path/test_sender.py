@@ -403,7 +403,7 @@ def test_a_look_alike_beside_the_target_never_agrees() -> None:
     assert bench.count == 0
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**32 - 1),
     frames=st.integers(3, 24),

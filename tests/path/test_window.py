@@ -231,4 +231,4 @@ class AnyInput(RuleBasedStateMachine):
 
 
 TestAnyInput = AnyInput.TestCase
-TestAnyInput.settings = settings(max_examples=100, stateful_step_count=12, deadline=None)
+TestAnyInput.settings = settings(max_examples=100, stateful_step_count=12)

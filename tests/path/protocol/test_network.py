@@ -258,7 +258,7 @@ class Handovers(RuleBasedStateMachine):
                 pass
 
 
-Handovers.TestCase.settings = settings(max_examples=200, stateful_step_count=25, deadline=None)
+Handovers.TestCase.settings = settings(max_examples=200, stateful_step_count=25)
 TestHandovers = Handovers.TestCase
 
 
