@@ -23,7 +23,7 @@ def scale(a: Vec3, k: float) -> Vec3:
 
 
 def norm(a: Vec3) -> float:
-    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+    return math.hypot(*a)
 
 
 def limit(a: Vec3, longest: float) -> Vec3:
