@@ -7,6 +7,7 @@ it is bounded in time and leaves no process, port or thread behind.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from enum import Enum
 from types import TracebackType
@@ -83,6 +84,11 @@ class RecordStore(Protocol):
     def save(self, record: SenderRecord | ReceiverRecord) -> None:
         """On return it is safe from a crash of the program and of the computer. Raises StateError: then it may be
         either the old record or this one that is found later."""
+        ...
+
+    def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
+        """``save`` that does not wait for the disk: done, or failed with StateError, when ``save`` would have returned.
+        The next one may begin only then."""
         ...
 
 

@@ -12,6 +12,7 @@ import dataclasses
 import struct
 from collections.abc import Iterator, Mapping
 from io import FileIO
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self, cast
@@ -24,6 +25,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 from numpy.typing import NDArray
 
+MAGIC = b"\x89MCAP0\r\n"
 JPEG_QUALITY = 90
 BUFFER_BYTES = 1 << 16
 IMAGE_SCHEMA = "foxglove.CompressedImage"
@@ -170,6 +172,32 @@ def _encode_other(value: Any) -> Any:
     raise TypeError(f"cannot log a {type(value).__name__}")
 
 
+def new_part(folder: Path, name: str) -> Path:
+    """The file of a program's log: ``NAME.mcap``, after a restart ``NAME.2.mcap`` and so on. It is there from now on.
+
+    An earlier program's log is never written over; where nothing can be written the log will say so.
+    """
+    for number in count(1):
+        path = folder / (f"{name}.mcap" if number == 1 else f"{name}.{number}.mcap")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.open("xb").close()
+        except FileExistsError:
+            continue
+        except OSError:
+            pass
+        return path
+    raise AssertionError("numbers do not end")
+
+
+def parts(folder: Path, name: str) -> list[Path]:
+    """The logs that the programs of one role wrote into a folder, in their order."""
+    numbered = [(int(path.stem.rpartition(".")[2]), path) for path in folder.glob(f"{name}.*.mcap")
+                if path.stem.rpartition(".")[2].isdecimal()]  # fmt: skip
+    first = folder / f"{name}.mcap"
+    return [*([first] if first.is_file() else []), *(path for _, path in sorted(numbered))]
+
+
 @dataclasses.dataclass(frozen=True, slots=True)
 class LogRecord:
     topic: str
@@ -185,7 +213,10 @@ def read_log(path: Path) -> Iterator[LogRecord]:
         ValueError: when it is no MCAP file.
     """
     with path.open("rb") as file:
-        if file.read(8) != b"\x89MCAP0\r\n":
+        begin = file.read(len(MAGIC))
+        if begin != MAGIC:
+            if MAGIC.startswith(begin):
+                return  # the process was killed before it had written anything
             raise ValueError(f"{path} is not an MCAP file")
         topics: dict[int, str] = {}
         records = StreamReader(file, skip_magic=True).records

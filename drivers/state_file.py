@@ -5,6 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +37,11 @@ class MemoryStore:
 
     def save(self, record: SenderRecord | ReceiverRecord) -> None:
         self.kept = Kept(record, same_clock=True)
+
+    def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
+        saved = Future[None]()
+        _settle(saved, lambda: self.save(record))
+        return saved
 
 
 class StateFile:
@@ -97,6 +105,13 @@ class StateFile:
                 "make room on the disk, and see that this user may write there",
             ) from error
 
+    def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
+        """In a thread of its own, which ends with it: there are half a dozen in a mission."""
+        saved = Future[None]()
+        saved.set_running_or_notify_cancel()  # from here on nobody can take it back
+        threading.Thread(target=_settle, args=(saved, lambda: self.save(record)), name="state-file").start()
+        return saved
+
     def _whole(self, text: bytes) -> dict[str, Any]:
         try:
             content: Any = json.loads(text)
@@ -127,6 +142,15 @@ def boot_id() -> str:
 def _check(content: dict[str, Any]) -> str:
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(canonical.encode()).hexdigest()[:16]
+
+
+def _settle(saved: Future[None], save: Callable[[], None]) -> None:
+    try:
+        save()
+    except Exception as error:
+        saved.set_exception(error)
+    else:
+        saved.set_result(None)
 
 
 def _sync_folder(folder: Path) -> None:

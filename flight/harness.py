@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
-from drivers.interfaces import Log
+from drivers.interfaces import Log, RecordStore
 from drivers.rig import Rig
 from flight.outcome import Outcome
 from path.messages import Role
@@ -98,7 +98,14 @@ class RoleMain(Protocol):
     """One role's whole program, from opening its parts to the vehicle on the ground."""
 
     def __call__(
-        self, rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None
+        self,
+        rig: Rig,
+        role: Role,
+        log: Log,
+        emit: Emit,
+        stop: asyncio.Event,
+        harness: InProcess | None,
+        store: RecordStore,
     ) -> Awaitable[RoleResult]: ...
 
 
@@ -107,7 +114,7 @@ class FlightRequest:
     """One run.
 
     Attributes:
-        faults: as written by the user, ``NAME`` or ``NAME=VALUE``.
+        faults: as written by the user, ``NAME[=VALUE][@WHEN[+SECONDS]]``.
         role_main: for harnesses that run the roles in this process.
         role_command: the command line of one role, for harnesses that run them as processes.
     """

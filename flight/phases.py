@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import IntEnum
 
+from path.messages import Role
+
 
 class Phase(IntEnum):
     """Sent in every Status: the other drone waits for some of these."""
@@ -24,3 +26,13 @@ class Phase(IntEnum):
     @property
     def title(self) -> str:
         return self.name.lower().replace("_", "-")
+
+
+COURSE: dict[Role, tuple[Phase, ...]] = {
+    Role.SENDER: (Phase.PREFLIGHT, Phase.TAKE_OFF, Phase.ACQUIRE, Phase.FOLLOW, Phase.VERIFY, Phase.DEPART, Phase.LAND),
+    Role.RECEIVER: (
+        Phase.PREFLIGHT, Phase.WAITING, Phase.TAKE_OFF, Phase.STAND_OFF, Phase.SEARCH, Phase.APPROACH, Phase.VERIFY,
+        Phase.FOLLOW, Phase.DEPART, Phase.LAND,
+    ),
+}  # fmt: skip
+"""What each drone passes when all goes well, before it is done."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Protocol, Self, cast
@@ -59,13 +59,17 @@ class FaultyChannel:
     def __init__(self, seed: str, faults: LinkFaults) -> None:
         self.faults = faults
         self._random = random.Random(seed)
-        self._last_s = float("-inf")
+        self._last_s = self._out_until_s = float("-inf")
+
+    def interrupt(self, until_s: float) -> None:
+        """Nothing that is sent before passes."""
+        self._out_until_s = max(self._out_until_s, until_s)
 
     def arrivals(self, data: bytes, now_s: float) -> list[tuple[float, bytes]]:
         """When, on the clock of ``now_s``, and as what a packet arrives: never, once or twice."""
         faults, chance = self.faults, self._random.random
         arrivals: list[tuple[float, bytes]] = []
-        if chance() < faults.loss:
+        if chance() < faults.loss or now_s < self._out_until_s:
             return arrivals
         for _ in range(2 if chance() < faults.duplicate else 1):
             at_s = now_s + faults.delay_s + faults.jitter_s * chance()
@@ -92,6 +96,12 @@ class FaultyChannel:
         return bytes(damaged)
 
 
+def interrupt(channels: Iterable[FaultyChannel], seconds: float) -> None:
+    until_s = asyncio.get_running_loop().time() + seconds
+    for channel in channels:
+        channel.interrupt(until_s)
+
+
 class MemoryHub:
     """Both ends of the in-memory link, and the faults between them."""
 
@@ -112,6 +122,10 @@ class MemoryHub:
         for channel in self._channels.values():
             channel.faults = faults
 
+    def interrupt(self, seconds: float) -> None:
+        """Nothing that is sent within these seconds passes, either way."""
+        interrupt(self._channels.values(), seconds)
+
     def join(self, role: Role, end: MemoryLink) -> None:
         """Raises LinkError when the role is there already."""
         if role in self._ends:
@@ -124,6 +138,10 @@ class MemoryHub:
     def cut(self, role: Role) -> None:
         """From now on nothing comes from or gets to this role: its program is dead."""
         self._cut.add(role)
+
+    def mend(self, role: Role) -> None:
+        """Its program was started again."""
+        self._cut.discard(role)
 
     def carry(self, role: Role, data: bytes) -> None:
         """Take a packet of one role to the other."""
@@ -238,6 +256,10 @@ class UdpFaultProxy:
         self._faults = faults
         for channel in self._channels:
             channel.faults = faults
+
+    def interrupt(self, seconds: float) -> None:
+        """Nothing that is sent within these seconds passes, either way."""
+        interrupt(self._channels, seconds)
 
     async def __aenter__(self) -> Self:
         """Raises LinkError naming the port that is in use."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -47,6 +47,10 @@ class Monitors:
         elif topic == "/commit":
             self._on_commit(stamp_w_ns, record)
 
+    def on_death(self, role: Role) -> None:
+        """Its program does not run any more: it does nothing, until it is started again and says what it is."""
+        self._responsible[role] = False
+
     def on_truth(self, time_s: float, separation_m: float, both_in_air: bool) -> None:
         """True distance between the two bodies (S9); each excursion below the minimum counts once."""
         if not both_in_air:
@@ -57,14 +61,16 @@ class Monitors:
             self._violated("S9", time_s, f"separation {separation_m:.2f} m is below {self.min_separation_m:.2f} m")
         self._too_close = too_close
 
-    def on_offboard(self, role: Role, sessions: Iterable[OffboardSession], cut_off: bool) -> None:
+    def on_offboard(self, role: Role, sessions: Iterable[OffboardSession], cut_off_s: Sequence[float] = ()) -> None:
         """Setpoint gaps of one vehicle (S8).
 
         Args:
-            cut_off: the harness itself stopped the setpoints (a killed program, a dead link to the vehicle): then
-                a gap is no violation as long as the vehicle held and landed in time.
+            cut_off_s: when the harness itself stopped the setpoints (a killed program, a dead link to the vehicle):
+                then a gap is no violation as long as the vehicle held and landed in time. World's clock.
         """
         for session in sessions:
+            end_s = math.inf if session.end_s is None else session.end_s
+            cut_off = any(session.start_s <= at_s <= end_s for at_s in cut_off_s)
             longest = MAX_FAILSAFE_S if cut_off else MAX_SETPOINT_GAP_S
             if session.max_gap_s > longest:
                 self._violated("S8", session.start_s, f"{role.value}: {session.max_gap_s:.3f} s between setpoints")
@@ -108,10 +114,14 @@ class WatchedLog:
         self._role = role
         self._monitors = monitors
         self._offset_ns = offset_ns
+        self.ended = False  # the program was killed: what it does on its way out has not happened
 
     def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
+        if self.ended:
+            return
         self._monitors.on_record(self._role, topic, stamp_ns - self._offset_ns, record)
         self._log.write(topic, stamp_ns, record)
 
     def image(self, topic: str, stamp_ns: int, image: Any) -> None:
-        self._log.image(topic, stamp_ns, image)
+        if not self.ended:
+            self._log.image(topic, stamp_ns, image)

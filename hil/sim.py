@@ -10,25 +10,28 @@ import gc
 import signal
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
 from typing import Any
 
-from drivers.interfaces import FlightMode
-from drivers.log import McapLog
+from drivers.interfaces import PartError
+from drivers.log import McapLog, new_part
 from drivers.rig import Rig
+from drivers.state_file import MemoryStore
 from drivers.tables import decode_table
 from flight.config import MissionConfig
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, with_log
 from hil.capture import Freeze
 from hil.faults import Fault, FaultTrigger, parse_fault
 from hil.faulty_link import MemoryHub
+from hil.inject import inject_in_world, inject_on_link
 from hil.monitors import Monitors, WatchedLog
 from hil.preparation import prepare, starting
 from hil.truth_log import TruthLog
 from hil.virtual_time import run_virtual
 from hil.world import World, WorldConfig
 from path.messages import Role
+from path.protocol.values import ReceiverRecord, SenderRecord
 
 TRUTH_PERIOD_S = 0.04
 GROUND_PERIOD_S = 0.05  # while not both are in the air
@@ -45,6 +48,7 @@ class SimWorld:
         self.seed = seed
         self.frozen_cameras: dict[Role, Freeze] = {}
         self.silent_vehicles: set[Role] = set()
+        self.lost_vehicles: set[Role] = set()  # of these, those whose own link is cut
 
     @property
     def world(self) -> World:
@@ -75,18 +79,45 @@ def show_start(request: FlightRequest, what: str) -> None:
         request.emit(starting(role, what))
 
 
+class _Store(MemoryStore):
+    """The disk of one role, which outlives its programs."""
+
+    def __init__(self, saved: Callable[[str], None]) -> None:
+        super().__init__()
+        self._saved = saved
+        self.writable = True  # not by a program that was killed
+
+    def save(self, record: SenderRecord | ReceiverRecord) -> None:
+        if self.writable:
+            super().save(record)
+            self._saved(record.duty)
+
+
+@dataclass(slots=True)
+class _Program:
+    """One role's program, from its start to its end."""
+
+    log: McapLog
+    watched: WatchedLog
+    task: asyncio.Future[RoleResult]
+
+
 class _Flight:
     """One run in virtual time."""
 
     def __init__(self, request: FlightRequest, faults: list[Fault]) -> None:
         self._request = request
         self._rig = request.rig
-        self._faults = faults
         self._trigger = FaultTrigger(faults)
-        self._tasks: dict[Role, asyncio.Task[RoleResult]] = {}
+        self._stores = {role: _Store(lambda duty, role=role: self._on_duty(role, duty)) for role in Role}
+        self._programs: dict[Role, _Program] = {}
+        self._restarts: set[Role] = set()  # whose program is started again
+        self._coming: set[asyncio.Task[None]] = set()  # what is to happen later: faults, programs started again
+        self._cut_off: dict[Role, list[float]] = {role: [] for role in Role}
         self._stop = {role: asyncio.Event() for role in Role}
         self._interrupted = False
         self._killed: set[Role] = set()
+        self._started_again: set[Role] = set()
 
     async def run(self) -> dict[str, Any]:
         """The fields of the FlightReport, without the wall's."""
@@ -95,8 +126,7 @@ class _Flight:
         self._world = World(config, request.seed)
         self._parts = SimWorld(self._world, MemoryHub(request.seed), request.seed)
         self._monitors = Monitors(rig.method, min_separation_m(rig))
-        for fault in self._trigger.from_the_start():
-            self._inject(fault)
+        self._begin(self._trigger.from_the_start())
         _stop_on_signals(self._interrupt)
         with McapLog(request.out / "world.mcap", buffered=True) as log:
             truth = TruthLog(log)
@@ -109,26 +139,49 @@ class _Flight:
             return self._findings(truth, results)
 
     async def _fly_roles(self) -> dict[Role, RoleResult | None]:
-        request, offsets = self._request, clock_offsets(self._rig)
-        logs = {role: McapLog(request.out / f"{role.value}.mcap", role.value, buffered=True) for role in Role}
-        for role, log in logs.items():
-            watched = WatchedLog(log, role, self._monitors, offsets[role])
-            program = request.role_main(self._rig, role, watched, self._emit, self._stop[role], self._parts)
-            self._tasks[role] = asyncio.ensure_future(program)  # type: ignore[assignment]
+        end_s = asyncio.get_running_loop().time() + RUN_LIMIT_S
+        for role in Role:
+            self._start(role)
         try:
-            _, late = await asyncio.wait(self._tasks.values(), timeout=RUN_LIMIT_S)
-            if late:
-                self._interrupt()
-                await asyncio.wait(late)
-            for log in logs.values():
-                log.close()  # what waits in its buffer may still fail
-            return {
-                role: None if role in self._killed else with_log(task.result(), logs[role].failed)
-                for role, task in self._tasks.items()
-            }
+            while self._restarts or any(not program.task.done() for program in self._programs.values()):
+                flying = {program.task for program in self._programs.values() if not program.task.done()}
+                await self._until_one_ends(flying, end_s)
+            for program in self._programs.values():
+                program.log.close()  # what waits in its buffer may still fail
+            return {role: self._result(role, program) for role, program in self._programs.items()}
         finally:
-            for log in logs.values():
-                log.close()
+            for coming in self._coming:
+                coming.cancel()
+            for program in self._programs.values():
+                program.log.close()
+
+    def _result(self, role: Role, program: _Program) -> RoleResult | None:
+        """None for a program that died, or could not begin once more. Raises what ended it otherwise."""
+        if role in self._killed:
+            return None
+        if role in self._started_again and isinstance(program.task.exception(), PartError):
+            self._monitors.details.append(
+                f"the {role.value}'s program could not begin again: {program.task.exception()}"
+            )
+            return None
+        return with_log(program.task.result(), program.log.failed)
+
+    async def _until_one_ends(self, flying: set[asyncio.Future[RoleResult]], end_s: float) -> None:
+        """One program, or the wait for one that is started again; after the run's limit they are told to land."""
+        left_s = end_s - asyncio.get_running_loop().time()
+        if left_s <= 0.0:
+            self._interrupt()
+            await asyncio.wait({*flying, *self._coming})
+        else:
+            await asyncio.wait({*flying, *self._coming}, timeout=left_s, return_when=asyncio.FIRST_COMPLETED)
+
+    def _start(self, role: Role) -> None:
+        request = self._request
+        log = McapLog(new_part(request.out, role.value), role.value, buffered=True)
+        watched = WatchedLog(log, role, self._monitors, clock_offsets(self._rig)[role])
+        store = self._stores[role]
+        program = request.role_main(self._rig, role, watched, self._emit, self._stop[role], self._parts, store)
+        self._programs[role] = _Program(log, watched, asyncio.ensure_future(program))
 
     def _interrupt(self) -> None:
         self._interrupted = True
@@ -136,21 +189,77 @@ class _Flight:
             stop.set()
 
     def _emit(self, progress: Progress) -> None:
-        self._request.emit(progress)
-        for fault in self._trigger.on_progress(progress):
-            self._inject(fault)
+        if progress.role not in self._killed:
+            self._request.emit(progress)
+            self._begin(self._trigger.on_progress(progress))
+
+    def _on_duty(self, role: Role, duty: str) -> None:
+        self._begin(self._trigger.on_duty(role, duty))
+
+    def _begin(self, faults: list[Fault]) -> None:
+        for fault in faults:
+            if fault.after_s:
+                self._later(self._inject_later(fault))
+            else:
+                self._inject(fault)
+
+    def _later(self, what: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.ensure_future(what)
+        self._coming.add(task)
+        task.add_done_callback(self._coming.discard)
+
+    async def _inject_later(self, fault: Fault) -> None:
+        await asyncio.sleep(fault.after_s)
+        self._inject(fault)
 
     def _inject(self, fault: Fault) -> None:
-        inject(fault, self._world, self._parts)
+        parts, role = self._parts, fault.kind.role
+        inject_in_world(fault.name, role, self._world)
+        inject_on_link(fault.name, fault.value or 0.0, parts.hub)
+        if role is None:
+            return
+        if fault.name == "camera_freeze":
+            parts.frozen_cameras[role] = Freeze.SILENT
+        if fault.name == "fc_link_loss":
+            parts.lost_vehicles.add(role)
+            parts.silent_vehicles.add(role)
+        if fault.cuts_off is not None:
+            self._cut_off[role].append(asyncio.get_running_loop().time())
         if fault.kills is not None:
-            self._kill(fault.kills)
+            self._kill(role, fault.value)
 
-    def _kill(self, role: Role) -> None:
-        """The program ends without a word: nothing of what it does on the way out reaches anything."""
+    def _kill(self, role: Role, restart_s: float | None) -> None:
+        """The program ends without a word: nothing of what it does on the way out reaches anything.
+
+        It may be in the middle of writing its record down: that is on the disk, and nothing that follows is done.
+        """
+        program = self._programs[role]
+        if program.task.done() or role in self._killed:
+            return
         self._killed.add(role)
         self._parts.silent_vehicles.add(role)
         self._parts.hub.cut(role)
-        self._tasks[role].cancel()
+        self._stores[role].writable = False
+        program.watched.ended = True
+        self._monitors.on_death(role)
+        program.task.cancel()
+        if restart_s is not None and not self._interrupted:
+            self._restarts.add(role)
+            self._later(self._start_again(role, program, restart_s))
+
+    async def _start_again(self, role: Role, dead: _Program, after_s: float) -> None:
+        """With the old one's disk; its vehicle and the world have gone on."""
+        await asyncio.sleep(after_s)
+        await asyncio.wait([dead.task])
+        dead.log.close()
+        self._started_again.add(role)
+        self._restarts.discard(role)
+        self._killed.discard(role)
+        if role not in self._parts.lost_vehicles:
+            self._parts.silent_vehicles.discard(role)
+        self._parts.hub.mend(role)
+        self._stores[role].writable = True
+        self._start(role)
 
     async def _watch_truth(self, truth: TruthLog) -> None:
         loop, world = asyncio.get_running_loop(), self._world
@@ -169,10 +278,10 @@ class _Flight:
             await asyncio.sleep(0.1)
 
     def _findings(self, truth: TruthLog, results: dict[Role, RoleResult | None]) -> dict[str, Any]:
-        cut_off = {fault.cuts_off for fault in self._faults}
         for role in Role:
             truth.setpoint_gap(role, self._world)
-            self._monitors.on_offboard(role, self._world.drone(role).autopilot.offboard_sessions, role in cut_off)
+            sessions = self._world.drone(role).autopilot.offboard_sessions
+            self._monitors.on_offboard(role, sessions, self._cut_off[role])
         for detail in self._monitors.details:
             truth.violation(self._world.time_s, detail.partition(" ")[0], detail)
         return {
@@ -199,32 +308,6 @@ def min_separation_m(rig: Rig) -> float:
 def clock_offsets(rig: Rig) -> dict[Role, int]:
     """Role clock minus world clock in ns, as the rig sets the clocks of its roles apart."""
     return {role: round(float(rig.role(role).clock.options.get("offset_s", 0.0)) * 1e9) for role in Role}
-
-
-def inject(fault: Fault, world: World, parts: SimWorld) -> None:
-    """Switch a fault on. What ends a program is the harness's own business."""
-    role = fault.kind.role
-    match fault.name:
-        case "lookalike":
-            world.send_lookalike()
-        case "marker_hidden":
-            world.hide_marker(True)
-        case "depth_holes":
-            world.depth_holes(True)
-        case "link_loss":
-            parts.hub.faults = replace(parts.hub.faults, loss=fault.value)
-        case "link_delay":
-            parts.hub.faults = replace(parts.hub.faults, delay_s=fault.value, jitter_s=fault.value)
-        case "camera_freeze" if role is not None:
-            parts.frozen_cameras[role] = Freeze.SILENT
-        case "fc_link_loss" if role is not None:
-            parts.silent_vehicles.add(role)
-        case "pilot_takeover" if role is not None:
-            world.drone(role).autopilot.request_mode(world.time_s, FlightMode.OTHER, by_pilot=True)
-        case "battery_sag" if role is not None:
-            world.battery(role, 0.15)
-        case _:
-            pass
 
 
 def _stop_on_signals(stop: Callable[[], None]) -> None:

@@ -12,12 +12,12 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.log import LogRecord, read_log
+from drivers.log import LogRecord, parts, read_log
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, decode_event
 from hil.faults import Fault, FaultTrigger, parse_fault
 from hil.monitors import Monitors
@@ -29,6 +29,9 @@ WORLD_READY_S = 180.0  # the first start compiles the renderer
 RUN_LIMIT_S = 420.0
 LANDING_LIMIT_S = 45.0
 ROLE_EXIT_S = 60.0
+RECORD_POLL_S = 0.001
+
+StartRole = Callable[[Role], Awaitable[asyncio.subprocess.Process]]
 
 
 class HarnessFailure(Exception):
@@ -60,11 +63,8 @@ async def _fly(request: FlightRequest) -> FlightReport:
     failure = ""
     try:
         world = await _start_world(request, processes)
-        trigger = FaultTrigger(faults)
-        for fault in trigger.from_the_start():
-            await _inject(fault, world, {})
-        roles = {role: await _start_role(request, role, processes) for role in Role}
-        await _supervise(run, trigger, world, roles)
+        crew = _Crew(world, lambda role: _start_role(request, role, processes))
+        await _supervise(run, FaultTrigger(faults), crew)
         run.finished = await _finish_world(world)
     except HarnessFailure as error:
         failure = str(error)
@@ -118,7 +118,7 @@ def run_name() -> str:
 
 async def _spawn(command: Sequence[str], errors: Path) -> asyncio.subprocess.Process:
     """A child in a session of its own: Ctrl-C in the terminal reaches only this process, which then decides."""
-    with errors.open("wb") as stderr:
+    with errors.open("ab") as stderr:
         return await asyncio.create_subprocess_exec(
             *command,
             env={**os.environ, RUN_VARIABLE: run_name(), "PYTHONUNBUFFERED": "1"},
@@ -129,65 +129,128 @@ async def _spawn(command: Sequence[str], errors: Path) -> asyncio.subprocess.Pro
         )
 
 
-async def _supervise(
-    run: _Run,
-    trigger: FaultTrigger,
-    world: asyncio.subprocess.Process,
-    roles: dict[Role, asyncio.subprocess.Process],
-) -> None:
+class _Crew:
+    """The world's process and those of the roles, which may die and be started again."""
+
+    def __init__(self, world: asyncio.subprocess.Process, start: StartRole) -> None:
+        self.world = world
+        self.roles: dict[Role, asyncio.subprocess.Process] = {}
+        self._start = start
+        self._restart_s: dict[Role, float] = {}
+        self._coming: set[asyncio.Task[None]] = set()
+
+    async def start(self, role: Role) -> None:
+        self.roles[role] = await self._start(role)
+
+    def begin(self, faults: Sequence[Fault]) -> None:
+        for fault in faults:
+            task = asyncio.ensure_future(self._inject(fault))
+            self._coming.add(task)
+            task.add_done_callback(self._coming.discard)
+
+    async def _inject(self, fault: Fault) -> None:
+        if fault.after_s:
+            await asyncio.sleep(fault.after_s)
+        if fault.kills is not None:
+            process = self.roles[fault.kills]
+            if process.returncode is None:
+                process.kill()
+                if fault.value is not None:
+                    self._restart_s[fault.kills] = fault.value
+        await _tell(self.world, {"fault": fault.name, "value": fault.value or 0.0})
+
+    async def started_again(self, role: Role) -> bool:
+        """Once its program has ended: whether another one was started, as the fault that killed it wants."""
+        after_s = self._restart_s.pop(role, None)
+        if after_s is None:
+            return False
+        await asyncio.sleep(after_s)
+        await self.start(role)
+        return True
+
+    def stop(self) -> None:
+        """Gently: they land."""
+        self._restart_s.clear()
+        for process in self.roles.values():
+            if process.returncode is None:
+                process.send_signal(signal.SIGTERM)
+
+    async def close(self) -> None:
+        for task in self._coming:
+            task.cancel()
+        await asyncio.gather(*self._coming, return_exceptions=True)
+
+
+async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
     """Until both role programs have ended: pass on their events, switch faults, stop them when told to."""
     loop = asyncio.get_running_loop()
 
     def stop() -> None:
         run.interrupted = True
-        for process in roles.values():
-            if process.returncode is None:
-                process.send_signal(signal.SIGTERM)
+        crew.stop()
 
     async def listen(role: Role) -> None:
-        stream = roles[role].stdout
-        assert stream is not None
-        async for line in stream:
-            event = decode_event(line)
-            if isinstance(event, RoleResult):
-                run.results[role] = event
-            elif isinstance(event, Progress):
-                run.request.emit(event)
-                for fault in trigger.on_progress(event):
-                    await _inject(fault, world, roles)
-        await roles[role].wait()
+        while True:
+            process = crew.roles[role]
+            assert process.stdout is not None
+            async for line in process.stdout:
+                event = decode_event(line)
+                if isinstance(event, RoleResult):
+                    run.results[role] = event
+                elif isinstance(event, Progress):
+                    run.request.emit(event)
+                    crew.begin(trigger.on_progress(event))
+            await process.wait()
+            if run.interrupted or not await crew.started_again(role):
+                return
+
+    async def watch_record(role: Role) -> None:
+        """What a role writes down for a restart, as soon as it is there."""
+        file, seen = run.request.out / f"{role.value}.state.json", ""
+        while trigger.waits_for_duty(role):
+            duty = _duty(file)
+            if duty != seen:
+                seen = duty
+                crew.begin(trigger.on_duty(role, duty))
+            await asyncio.sleep(RECORD_POLL_S)
 
     async def watch_world() -> None:
-        assert world.stdout is not None
-        await world.stdout.readline()
+        assert crew.world.stdout is not None
+        await crew.world.stdout.readline()
         raise HarnessFailure("the world's process ended during the flight: see world.stderr.txt")
 
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop)
+    crew.begin(trigger.from_the_start())
+    for role in Role:
+        await crew.start(role)
     watcher = asyncio.create_task(watch_world())
-    listeners = asyncio.gather(*(listen(role) for role in roles))
+    readers = [asyncio.create_task(watch_record(role)) for role in Role]
+    listeners = asyncio.gather(*(listen(role) for role in Role))
     try:
         done, _ = await asyncio.wait([watcher, listeners], timeout=RUN_LIMIT_S, return_when=asyncio.FIRST_COMPLETED)
         if not done:
             stop()
             await asyncio.wait([listeners], timeout=ROLE_EXIT_S)
             raise HarnessFailure(f"the run did not end within {RUN_LIMIT_S:.0f} s")
-        if watcher in done:
-            watcher.result()
+        for task in done:
+            task.result()
     finally:
-        for task in (watcher, listeners):
-            task.cancel()
-        await asyncio.gather(watcher, listeners, return_exceptions=True)
+        beside = asyncio.gather(watcher, *readers)
+        for tasks in (beside, listeners):
+            tasks.cancel()
+        await asyncio.gather(beside, listeners, return_exceptions=True)
+        await crew.close()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.remove_signal_handler(number)
 
 
-async def _inject(
-    fault: Fault, world: asyncio.subprocess.Process, roles: dict[Role, asyncio.subprocess.Process]
-) -> None:
-    if fault.kills is not None:
-        roles[fault.kills].kill()
-    await _tell(world, {"fault": fault.name, "value": fault.value})
+def _duty(state_file: Path) -> str:
+    """What a role's record says; "" when there is none."""
+    try:
+        return str(json.loads(state_file.read_bytes())["record"]["duty"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
 
 
 async def _tell(process: asyncio.subprocess.Process, command: dict[str, Any]) -> None:
@@ -235,17 +298,26 @@ def _last_words(out: Path, role: Role) -> str:
     return " ".join(line.strip() for line in written if line.strip())[-300:]
 
 
+def _records(out: Path) -> Iterator[tuple[int, Role, LogRecord | None]]:
+    """What both roles logged, of all their programs; None where the log of one ends without an outcome: it died."""
+    for role in Role:
+        for part in parts(out, role.value):
+            newest_ns, ended = 0, False
+            for record in read_log(part):
+                newest_ns, ended = max(newest_ns, record.stamp_ns), ended or record.topic == "/outcome"
+                yield record.stamp_ns, role, record
+            if not ended:
+                yield newest_ns, role, None
+
+
 def _report(run: _Run, failure: str, wall_s: float) -> FlightReport:
     request, finished = run.request, run.finished or {}
     monitors = Monitors(request.rig.method, min_separation_m=0.0)
-    records: list[tuple[int, Role, LogRecord]] = []
-    for role in Role:
-        log = request.out / f"{role.value}.mcap"
-        if log.exists():
-            records += [(record.stamp_ns, role, record) for record in read_log(log)]
-    records.sort(key=lambda entry: entry[0])
-    for stamp_ns, role, record in records:
-        monitors.on_record(role, record.topic, stamp_ns, record.record)
+    for stamp_ns, role, record in sorted(_records(request.out), key=lambda entry: entry[0]):
+        if record is None:
+            monitors.on_death(role)
+        else:
+            monitors.on_record(role, record.topic, stamp_ns, record.record)
     violations = dict(monitors.violations)
     for name, count in finished.get("violations", {}).items():
         violations[name] = violations.get(name, 0) + count

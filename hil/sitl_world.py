@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from drivers.interfaces import FlightMode
 from drivers.log import McapLog
 from drivers.mavsdk_geodesy import LocalTangent
 from drivers.rig import Rig
@@ -31,7 +30,8 @@ from drivers.rig_file import load_rig
 from drivers.tables import decode_table
 from drivers.udp_link import address_of
 from hil.faults import FAULTS
-from hil.faulty_link import LinkFaults, ProxySide, UdpFaultProxy
+from hil.faulty_link import ProxySide, UdpFaultProxy
+from hil.inject import inject_in_world, inject_on_link
 from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.monitors import Monitors
 from hil.preparation import prepare
@@ -55,7 +55,7 @@ class LiveWorld:
     start_s: float
     lock: threading.Lock = field(default_factory=threading.Lock)
     frozen: set[Role] = field(default_factory=set[Role])
-    cut_off: set[Role] = field(default_factory=set[Role])
+    cut_off: dict[Role, list[float]] = field(default_factory=lambda: {role: [] for role in Role})
 
     def now_s(self) -> float:
         return time.monotonic() - self.start_s
@@ -191,37 +191,24 @@ class SitlWorld:
             self._inject(command["fault"], float(command["value"]))
 
     def _inject(self, name: str, value: float) -> None:
-        world, role = self._live.world, FAULTS[name].role
-        with self._live.lock:
-            match name:
-                case "lookalike":
-                    world.send_lookalike()
-                case "marker_hidden":
-                    world.hide_marker(True)
-                case "depth_holes":
-                    world.depth_holes(True)
-                case "link_loss":
-                    self._proxy.faults = LinkFaults(loss=value)
-                case "link_delay":
-                    self._proxy.faults = LinkFaults(delay_s=value, jitter_s=value)
-                case "camera_freeze" if role is not None:
-                    self._live.frozen.add(role)
-                case "fc_link_loss" if role is not None:
-                    self._vehicles[role].silent = True
-                case "pilot_takeover" if role is not None:
-                    world.drone(role).autopilot.request_mode(world.time_s, FlightMode.OTHER, by_pilot=True)
-                case "battery_sag" if role is not None:
-                    world.battery(role, 0.15)
-                case _:
-                    pass
-        if role is not None and (name.startswith("kill_") or name == "fc_link_loss"):
-            self._live.cut_off.add(role)
+        live, role = self._live, FAULTS[name].role
+        with live.lock:
+            inject_in_world(name, role, live.world)
+        inject_on_link(name, value, self._proxy)
+        if role is None:
+            return
+        if name == "camera_freeze":
+            live.frozen.add(role)
+        if name == "fc_link_loss":
+            self._vehicles[role].silent = True
+        if name.startswith("kill_") or name == "fc_link_loss":
+            live.cut_off[role].append(live.now_s())
 
     def _findings(self, truth: TruthLog) -> dict[str, Any]:
         live, monitors = self._live, self._monitors
         for role in Role:
             sessions = live.world.drone(role).autopilot.offboard_sessions
-            monitors.on_offboard(role, sessions, role in live.cut_off)
+            monitors.on_offboard(role, sessions, live.cut_off[role])
         for detail in monitors.details:
             truth.violation(live.world.time_s, detail.partition(" ")[0], detail)
         return {

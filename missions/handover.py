@@ -1,26 +1,30 @@
 """The hand-over protocol on a role's link: the machines decide, this carries out what they want done.
 
 What a machine wants written down is on the disk before anything that follows is done or sent, so that the program may
-die between any two lines of this file and be started again.
+die between any two lines of this file and be started again. Only the machine waits for the disk: what it is told
+meanwhile comes to it after, as if the link had been that much slower, and the drone is flown on.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any, Generic, TypeVar
 
 from drivers.interfaces import Kept, Received, RecordStore, StateError
 from flight.outcome import MissionEnd, Outcome, abort_reason
 from missions.session import Session
-from path.messages import AbortReason, Commit, Status
+from path.messages import AbortReason, Commit, Message, Status
 from path.protocol import receiver, sender
 from path.protocol.receiver import Holding, LetGo, Provisional, ReceiverMachine
-from path.protocol.sender import AwaitingAccept, HandedOver, SenderMachine
+from path.protocol.sender import AwaitingAccept, HandedOver, Idle, SenderMachine
 from path.protocol.values import (
     AbortRequested,
     Action,
+    Actions,
     AgreementComplete,
     CommitHeard,
     Ended,
@@ -31,6 +35,7 @@ from path.protocol.values import (
     PeerStatus,
     Persist,
     ProtocolConfig,
+    ReceiverEvent,
     ReceiverRecord,
     Refused,
     Release,
@@ -47,6 +52,8 @@ Machine = TypeVar("Machine", SenderMachine, ReceiverMachine)
 
 _TAKE = TakeResponsibility(provisional=True)
 _TICK_S = 0.1  # at the longest: an answer may have set a machine an earlier deadline
+_MAX_WAITING = 64  # messages while the disk is written to; what counts is said again
+_WRITTEN_S = 2.0  # wait for the disk before the program ends
 
 
 def protocol_config(session: Session) -> ProtocolConfig:
@@ -59,16 +66,15 @@ def protocol_config(session: Session) -> ProtocolConfig:
 
 
 class _Carrier:
-    """Carries out actions of a machine, in their order, and remembers what was decided."""
+    """Carries out actions of a machine, and remembers what was decided."""
 
-    def __init__(self, session: Session, store: RecordStore) -> None:
+    def __init__(self, session: Session) -> None:
         self.session = session
-        self.store = store
         self.ended: Ended | None = None
         self.settled: Settled | None = None
 
     def carry_out(self, action: Action) -> None:
-        """Raises StateError when it is to be written down and cannot be."""
+        """A record to be written down has been."""
         session = self.session
         match action:
             case Send(message):
@@ -77,7 +83,6 @@ class _Carrier:
                     self._log("/commit", target_id=message.target_id, epoch=message.epoch, nonce=message.nonce,
                               lease_end_ns=message.lease_end_ns)  # fmt: skip
             case Persist(record):
-                self.store.save(record)
                 self._log("/epoch", epoch=record.epoch, duty=record.duty)
             case TakeResponsibility(provisional):
                 session.set_responsible(True, provisional)
@@ -119,10 +124,14 @@ class _Handover(Generic[Machine]):
 
     def __init__(self, session: Session, store: RecordStore, machine: Machine, kept: Kept | None) -> None:
         self._session = session
+        self._store = store
         self._machine = machine
-        self._carrier = _Carrier(session, store)
+        self._carrier = _Carrier(session)
         self._kept = kept
         self._ticking = False
+        self._writing: asyncio.Task[None] | None = None
+        self._waiting: deque[Callable[[], Any]] = deque()  # events, made when their turn comes
+        self._done = machine.state  # the newest state all of whose actions were carried out
 
     async def resume(self) -> None:
         """Before anything else is begun, what a restart left undecided is decided, and the other drone answered.
@@ -135,9 +144,11 @@ class _Handover(Generic[Machine]):
         self._start_ticking()
         flying = self._session.vehicle.state.armed
         await _until(lambda: not self._undecided(flying), math.inf)
+        await self._written()
         if flying:
             raise MissionEnd(Outcome.RESTARTED, f"started again in the air, {self._kept.record.duty}")
         self._step(NewMission())
+        await self._written()
         self._carrier.ended = self._carrier.settled = None
 
     def _undecided(self, flying: bool) -> bool:
@@ -153,7 +164,20 @@ class _Handover(Generic[Machine]):
         alignment = self._session.alignment
         if alignment.ready:
             stamp_ns = alignment.to_own_ns(status.stamp_ns) - alignment.uncertainty_ns
-            self._step(PeerStatus(status.responsible, stamp_ns))
+            self._hear(lambda: PeerStatus(status.responsible, stamp_ns))
+
+    async def finish(self) -> None:
+        """Before the link is closed: what was said to a machine is carried out, if the disk lets it in time."""
+        try:
+            async with asyncio.timeout(_WRITTEN_S):
+                await self._written()
+        except (TimeoutError, StateError) as error:
+            self._session.say(str(error) or "the disk still writes what must survive a restart")
+
+    async def _written(self) -> None:
+        """Until nothing waits for the disk any more. Raises StateError."""
+        while self._writing is not None:
+            await asyncio.shield(self._writing)
 
     def _give_up(self, end: MissionEnd | None) -> None:
         if end is not None and self._machine.live is not None:
@@ -166,26 +190,65 @@ class _Handover(Generic[Machine]):
         """Let the machine know when time has brought something about, for ever."""
         while True:
             wake_ns, now_ns = self._machine.wake_ns, self._session.now_ns()
-            if wake_ns is not None and now_ns >= wake_ns:
+            if wake_ns is not None and now_ns >= wake_ns and self._writing is None:
                 self._step(Tick())
                 wake_ns = self._machine.wake_ns
             ahead_s = _TICK_S if wake_ns is None else (wake_ns - now_ns) * 1e-9
             await asyncio.sleep(min(max(ahead_s, 0.005), _TICK_S))
 
     def _step(self, event: Any) -> None:
-        """Raises StateError when the machine wants something written down that cannot be: nothing after it is done, and
-        when nothing before it was, the machine is where it was."""
-        before = self._machine.state
-        actions = self._machine.step(event, self._session.now_ns())
-        for number, action in enumerate(actions):
+        self._step_with(lambda: event)
+
+    def _hear(self, event: Callable[[], Any]) -> None:
+        """A message, made an event when its turn comes: until then the clocks may be known better."""
+        if len(self._waiting) < _MAX_WAITING:
+            self._step_with(event)
+
+    def _step_with(self, event: Callable[[], Any]) -> None:
+        """Now, or when what is being written down is on the disk.
+
+        Raises StateError when the machine wants something written down that cannot be: nothing after it is done, and
+        when nothing before it was, the machine is where it was. When that turns out later it ends the mission.
+        """
+        self._waiting.append(event)
+        self._go_through_waiting()
+
+    def _go_through_waiting(self) -> None:
+        while self._waiting and self._writing is None:
+            made, before = self._waiting.popleft()(), self._machine.state
+            self._carry_out(self._machine.step(made, self._session.now_ns()), 0, before)
+
+    def _carry_out(self, actions: Actions, begin: int, before: Any) -> None:
+        """Actions of a machine that was in the state ``before``, from one of them on."""
+        for number in range(begin, len(actions)):
+            action = actions[number]
             if action == _TAKE and self._too_late():
-                return  # it took too long to write down; the machine is about to let go
-            try:
-                self._carrier.carry_out(action)
-            except StateError:
-                if number == 0:
-                    self._machine.state = before  # type: ignore[assignment]  # of the same machine
-                raise
+                break  # it took too long to write down; the machine is about to let go
+            if isinstance(action, Persist):
+                saved = self._store.begin_save(action.record)
+                if not saved.done():
+                    self._writing = self._session.spawn(self._go_on(saved, actions, number, before))
+                    return
+                self._check(saved, number, before)
+            self._carrier.carry_out(action)
+        self._done = self._machine.state
+
+    async def _go_on(self, saved: Future[None], actions: Actions, number: int, before: Any) -> None:
+        """The rest of the actions once a record is on the disk, and then what was said to the machine meanwhile."""
+        await asyncio.wait([asyncio.wrap_future(saved)])
+        self._writing = None
+        self._check(saved, number, before)
+        self._carrier.carry_out(actions[number])
+        self._carry_out(actions, number + 1, before)
+        self._go_through_waiting()
+
+    def _check(self, saved: Future[None], number: int, before: Any) -> None:
+        """Raises StateError."""
+        error = saved.exception()
+        if error is not None:
+            if number == 0:
+                self._machine.state = before
+            raise error
 
     def _too_late(self) -> bool:
         """What was just taken within a lease is over already."""
@@ -204,6 +267,8 @@ class SenderHandover(_Handover[SenderMachine]):
             machine.state = sender.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
         store.save(sender.record(machine.state))
         super().__init__(session, store, machine, kept)
+        if kept is not None:  # on the ground a new mission begins: nobody tracks its target yet
+            session.set_responsible(machine.responsible and session.vehicle.state.armed)
 
     def _undecided(self, flying: bool) -> bool:
         state = self._machine.state
@@ -212,8 +277,7 @@ class SenderHandover(_Handover[SenderMachine]):
     @property
     def epoch(self) -> int:
         """Of the attempt under way; 0 before the first."""
-        live = self._machine.live
-        return live.epoch if live else 0
+        return 0 if isinstance(self._done, Idle) else self._done.live.epoch
 
     @property
     def released(self) -> bool:
@@ -234,12 +298,13 @@ class SenderHandover(_Handover[SenderMachine]):
             "the receiver did not let go of an earlier handoff's target",
         )
 
-    def offer(self) -> None:
-        """The target is tracked: this drone is responsible for it, and offers it."""
+    async def offer(self) -> None:
+        """The target is tracked: this drone is responsible for it, and offers it. Raises StateError."""
         session = self._session
         session.set_responsible(True)
         self._step(Offer(session.config.handoff_id, session.config.target_id))
         self._start_ticking()
+        await self._written()  # nothing is said in an epoch that a restart would begin once more
 
     def agreed(self, target_id: int) -> None:
         """The whole window agreed: release, then commit. Refused while the clocks are not known; may be said again."""
@@ -251,7 +316,7 @@ class SenderHandover(_Handover[SenderMachine]):
         self._step(AgreementComplete(self.epoch, target_id, session.entropy.getrandbits(32), uncertainty))
 
     def on_message(self, received: Received) -> None:
-        self._step(Heard(received.message))
+        self._hear(lambda: Heard(received.message))
 
     async def until_decided(self, timeout_s: float, verify_again: Callable[[], None]) -> None:
         """Until the target is handed over and it is known what became of that.
@@ -297,8 +362,8 @@ class ReceiverHandover(_Handover[ReceiverMachine]):
         store.save(receiver.record(machine.state))
         super().__init__(session, store, machine, kept)
         self._able = able
-        if machine.responsible:
-            session.set_responsible(True, isinstance(machine.state, Provisional))
+        if kept is not None:
+            session.set_responsible(machine.responsible, isinstance(machine.state, Provisional))
 
     def _undecided(self, flying: bool) -> bool:
         state = self._machine.state
@@ -306,8 +371,8 @@ class ReceiverHandover(_Handover[ReceiverMachine]):
 
     @property
     def live(self) -> Handoff | None:
-        """The attempt this drone takes part in."""
-        return self._machine.live
+        """The attempt this drone takes part in, once that is written down."""
+        return self._done.live
 
     @property
     def holds(self) -> bool:
@@ -322,14 +387,15 @@ class ReceiverHandover(_Handover[ReceiverMachine]):
         self._start_ticking()
 
     def on_message(self, received: Received) -> None:
-        message = received.message
+        self._hear(lambda: self._event(received.message))
+
+    def _event(self, message: Message) -> ReceiverEvent:
         if not isinstance(message, Commit):
-            self._step(Heard(message))
-            return
+            return Heard(message)
         alignment = self._session.alignment
         lease_end_ns = alignment.to_own_ns(message.lease_end_ns) if alignment.ready else None
         uncertainty = alignment.uncertainty_at(lease_end_ns) if lease_end_ns is not None else 0
-        self._step(CommitHeard(message, lease_end_ns, uncertainty, self._able()))
+        return CommitHeard(message, lease_end_ns, uncertainty, self._able())
 
     async def until_held(self, timeout_s: float) -> None:
         """Until this drone holds the target for good. Raises MissionEnd otherwise.

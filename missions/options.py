@@ -24,7 +24,9 @@ TrialName = Literal[
     "link",
     "compute",
 ]
-Faults = Annotated[tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE]"), tyro.conf.UseAppendAction]
+Faults = Annotated[
+    tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@MOMENT[+SECONDS]]"), tyro.conf.UseAppendAction
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,7 @@ class HandoffOptions:
     """Runs at a time with --seeds; 0: one per core. Rigs in real time fly one at a time."""
 
     fault: Faults = ()
-    """What is to go wrong, such as lookalike or link_loss=0.3; may be given several times."""
+    """What is to go wrong, such as lookalike, link_loss=0.3 or kill_sender=1@verify+2; may be given several times."""
 
     out: OutFolder = None
     """Folder for logs, summary and picture; runs/<time> by default."""

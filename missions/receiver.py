@@ -138,7 +138,9 @@ class Receiver:
         self._watching = False
         self._handover.end(end)
         back = from_heading((-_RETREAT_M, 0.0, 0.0), yaw_of(self._session.vehicle.state.q_n_b))
-        return await bring_down(self._session, end, back)
+        landed = await bring_down(self._session, end, back)
+        await self._handover.finish()
+        return landed
 
     def _peer(self) -> Status:
         peer = self._session.peer

@@ -1,6 +1,7 @@
 """What a run folder holds, and what the records in its logs mean: the contract between those who log and who report.
 
-    sender.mcap, receiver.mcap   one log per role, stamps of the role's own clock
+    sender.mcap, receiver.mcap   one log per role, stamps of the role's own clock; sender.2.mcap and so on of a role
+                                 whose program was started again
     world.mcap                   truth, at levels with a simulated world, stamps of the world's clock
     run.json                     what was asked for and what the harness saw (``RunFacts``)
     summary.json, run.png        made from the others by ``missions.report`` and ``missions.picture``
@@ -55,7 +56,7 @@ from typing import Any
 import msgspec
 
 from drivers.interfaces import PartError
-from drivers.log import LogRecord, read_log
+from drivers.log import LogRecord, parts, read_log
 from path.messages import Role
 
 SENDER_LOG, RECEIVER_LOG, WORLD_LOG = "sender.mcap", "receiver.mcap", "world.mcap"
@@ -114,25 +115,28 @@ def write_facts(folder: Path, facts: RunFacts) -> None:
 
 def load_run(folder: Path) -> Run:
     """Read a run folder; what is missing in it is empty. Raises RunFolderError when it holds no log at all."""
-    logs = {name: folder / name for name in (SENDER_LOG, RECEIVER_LOG, WORLD_LOG)}
-    if not any(path.is_file() for path in logs.values()):
+    names = (SENDER_LOG, RECEIVER_LOG, WORLD_LOG)
+    logs = [parts(folder, Path(name).stem) for name in names]
+    if not any(logs):
         raise RunFolderError(
-            f"{folder} is not the folder of a run: it holds none of {', '.join(logs)}",
+            f"{folder} is not the folder of a run: it holds none of {', '.join(names)}",
             "name the folder that `path-handoff handoff` printed, such as runs/20261104-101500",
         )
     try:
         facts = msgspec.json.decode((folder / FACTS).read_bytes(), type=RunFacts)
     except (OSError, msgspec.DecodeError):
         facts = None
-    return Run(facts, *(by_topic(path) for path in logs.values()))
+    return Run(facts, *(by_topic(*files) for files in logs))
 
 
-def by_topic(path: Path) -> dict[str, list[LogRecord]]:
-    """All records of a log by topic; empty when there is no such file. Raises RunFolderError for what is no log."""
+def by_topic(*paths: Path) -> dict[str, list[LogRecord]]:
+    """All records of a log's parts by topic; empty when there is no such file. Raises RunFolderError for what is no
+    log."""
     topics: dict[str, list[LogRecord]] = {}
     try:
-        for record in read_log(path):
-            topics.setdefault(record.topic, []).append(record)
+        for path in paths:
+            for record in read_log(path):
+                topics.setdefault(record.topic, []).append(record)
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:

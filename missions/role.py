@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+from drivers.log import parts
 from missions import rig_library
 from missions.handoff import new_folder
 from missions.options import ReceiverOptions, RoleOptions
@@ -23,5 +24,5 @@ def run(options: RoleOptions) -> int:
     with open_console(sys.stdout) as console:
         result = run_role(rig, role, folder, state, console.show, parent=False)
     sys.stdout.write(f"{role.value}: {result.outcome.label}: {result.detail or result.outcome.meaning}\n")
-    sys.stdout.write(f"log: {folder / role.value}.mcap\n")
+    sys.stdout.write(f"log: {parts(folder, role.value)[-1]}\n")
     return result.outcome.exit_code

@@ -8,10 +8,10 @@ import signal
 import sys
 from pathlib import Path
 
-from drivers.interfaces import Log
-from drivers.log import McapLog
+from drivers.interfaces import Log, RecordStore
+from drivers.log import McapLog, new_part
 from drivers.rig import Rig
-from drivers.state_file import MemoryStore, StateFile
+from drivers.state_file import StateFile
 from flight.harness import Emit, InProcess, Progress, RoleResult, encode_event, with_log
 from missions.receiver import run_receiver
 from missions.sender import run_sender
@@ -21,21 +21,27 @@ _MAINS = {Role.SENDER: run_sender, Role.RECEIVER: run_receiver}
 
 
 async def fly_role(
-    rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None
+    rig: Rig,
+    role: Role,
+    log: Log,
+    emit: Emit,
+    stop: asyncio.Event,
+    harness: InProcess | None,
+    store: RecordStore,
 ) -> RoleResult:
-    """The program of either role in the world's own process (``flight.harness.RoleMain``), which outlives it."""
-    return await _MAINS[role](rig, role, log, emit, stop, harness, MemoryStore())
+    """The program of either role in the world's own process (``flight.harness.RoleMain``)."""
+    return await _MAINS[role](rig, role, log, emit, stop, harness, store)
 
 
 def run_role(rig: Rig, role: Role, out: Path, state: Path, emit: Emit, parent: bool) -> RoleResult:
     """Fly one role to its end; SIGINT and SIGTERM land the vehicle. Raises PartError when a part cannot be opened.
 
     Args:
-        out: folder of the log.
+        out: folder of the log; a new part of it when there is one already.
         state: file of what the role has to know when it is started again.
         parent: events go to stdout as lines of JSON, and a closed stdin means that the parent is gone: stop.
     """
-    with McapLog(out / f"{role.value}.mcap", frame="c1" if role is Role.SENDER else "c2") as log:
+    with McapLog(new_part(out, role.value), frame="c1" if role is Role.SENDER else "c2") as log:
         result = asyncio.run(_run(rig, role, log, StateFile(state, role), _to_parent if parent else emit, parent))
         result = with_log(result, log.failed)
         if parent:

@@ -90,7 +90,7 @@ class Sender:
 
         session.enter(Phase.FOLLOW, "target acquired, waiting for the receiver")
         session.observing = True
-        self._handover.offer()
+        await self._handover.offer()
         self._begin_attempt()
         session.pilot.guidance = self._follow_target
         session.spawn(self._watch_peer())
@@ -126,7 +126,9 @@ class Sender:
             way_out: Vec3 = (0.0, 0.0, 0.0)
         else:
             way_out = from_heading((0.0, -self._receiver_side * self._config.depart_m, 0.0), self._heading_rad)
-        return await bring_down(self._session, end, way_out)
+        landed = await bring_down(self._session, end, way_out)
+        await self._handover.finish()
+        return landed
 
     def _first_place(self) -> Vec3:
         """From where the designated place is in view."""

@@ -266,11 +266,12 @@ class Session:
         }
         self.log.write("/link", self.now_ns(), record)
 
-    def spawn(self, task: Coroutine[Any, Any, None]) -> None:
-        """Run beside the course until the vehicle is down; how it ends, if it does, ends the course."""
+    def spawn(self, task: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        """Run beside the course until the vehicle is down; an error in it ends the course."""
         spawned = asyncio.create_task(task)
         self._spawned.append(spawned)
         spawned.add_done_callback(self._on_done)
+        return spawned
 
     def _on_done(self, task: asyncio.Task[None]) -> None:
         error = None if task.cancelled() else task.exception()
@@ -310,7 +311,8 @@ async def open_session(
     link: Link = await stack.enter_async_context(create(own.link, context))
     sight: Sight = await stack.enter_async_context(create(own.sight, context))
     vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
-    entropy = random.SystemRandom() if harness is None else random.Random(f"{role.value} {harness.seed}")
+    begin = f"{role.value} {context.clock.now_ns()}"  # a program started again does not draw the same numbers again
+    entropy = random.SystemRandom() if harness is None else random.Random(f"{begin} {harness.seed}")
     return Session(rig, role, config, log, emit, stop, (context.clock, vehicle, sight, link), entropy)
 
 
@@ -333,8 +335,7 @@ async def fly_course(session: Session, course: Course, recover: Recovery) -> Rol
             end = as_end(error) if error else None
         else:
             end = session.ended.result()
-            flown.cancel()
-            await asyncio.gather(flown, return_exceptions=True)
+            await _cancel(flown)
         if end is not None:
             session.say(str(end))
         try:
@@ -343,6 +344,7 @@ async def fly_course(session: Session, course: Course, recover: Recovery) -> Rol
             as_end(error)  # prints what nobody foresaw
             session.say(f"not landed by the script: {error}")
     finally:
+        await _cancel(flown)  # of a program that is itself cancelled nothing goes on
         await session.cancel_spawned()
     outcome, detail = (end.outcome, end.detail) if end else (Outcome.COMMITTED, "")
     session.log.write(
@@ -352,6 +354,11 @@ async def fly_course(session: Session, course: Course, recover: Recovery) -> Rol
     )
     session.enter(Phase.DONE, outcome.label)
     return RoleResult(session.role, outcome, detail, session.responsible, landed)
+
+
+async def _cancel(task: asyncio.Future[None]) -> None:
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
 
 
 def as_end(error: BaseException) -> MissionEnd:

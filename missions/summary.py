@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -229,12 +230,21 @@ def _link(run: Run, span: Verification | None) -> dict[str, Any]:
         window = [r for r in records if _verifying(run.role(role), r.stamp_ns)] if span else []
         rates[role.value] = _rate(window if len(window) > 1 else records)
     known = [rate for rate in rates.values() if rate is not None]
-    end = {role.value: last(run.role(role), "/link") for role in Role}
     return {
         "link_bytes_per_s": _rounded(sum(known), 1) if known else None,
         "link_sent_bytes_per_s": rates,
-        "link_dropped": {name: dict(r.record["dropped"]) if r else {} for name, r in end.items()},
+        "link_dropped": {role.value: _dropped(run.role(role).get("/link", ())) for role in Role},
     }
+
+
+def _dropped(records: Sequence[LogRecord]) -> dict[str, int]:
+    """By reason, of all programs of a role: each counts from nothing."""
+    ends = [*records[-1:], *(r for r, after in pairwise(records) if _anew(r, after))]
+    return dict(sum((Counter(r.record["dropped"]) for r in ends), Counter[str]()))
+
+
+def _anew(before: LogRecord, after: LogRecord) -> bool:
+    return after.record["packets_sent"] < before.record["packets_sent"]
 
 
 def _verifying(records: Records, stamp_ns: int) -> bool:
@@ -245,7 +255,8 @@ def _verifying(records: Records, stamp_ns: int) -> bool:
 def _rate(records: Sequence[LogRecord]) -> float | None:
     if len(records) < 2 or records[-1].stamp_ns <= records[0].stamp_ns:
         return None
-    sent = records[-1].record["bytes_sent"] - records[0].record["bytes_sent"]
+    steps = pairwise(records)
+    sent = sum(b.record["bytes_sent"] - (0 if _anew(a, b) else a.record["bytes_sent"]) for a, b in steps)
     return _rounded(sent / ((records[-1].stamp_ns - records[0].stamp_ns) * 1e-9), 1)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.log import LogRecord, McapLog, decode_image, read_log
+from drivers.log import LogRecord, McapLog, decode_image, new_part, parts, read_log
 
 
 class Colour(Enum):
@@ -130,3 +130,24 @@ def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"something else")
     with pytest.raises(ValueError, match="not an MCAP file"):
         list(read_log(tmp_path / "a.mcap"))
+
+
+def test_no_program_writes_over_the_log_of_an_earlier_one(tmp_path: Path) -> None:
+    for k in range(11):
+        with McapLog(new_part(tmp_path / "run", "sender")) as log:
+            log.write("/state", k, {"k": k})
+    (tmp_path / "run" / "sender.old.mcap").touch()
+    (tmp_path / "run" / "receiver.mcap").touch()
+    files = parts(tmp_path / "run", "sender")
+    assert [file.name for file in files[:2]] == ["sender.mcap", "sender.2.mcap"]
+    assert [record.stamp_ns for file in files for record in read_log(file)] == list(range(11))
+
+
+def test_a_program_killed_before_it_wrote_anything_leaves_a_log_of_nothing(tmp_path: Path) -> None:
+    assert list(read_log(new_part(tmp_path, "sender"))) == []
+
+
+def test_where_nothing_can_be_written_the_log_says_so(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    log = McapLog(new_part(tmp_path / "file", "sender"))
+    assert log.failed is not None

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -189,3 +190,25 @@ def test_memory_keeps_it_as_long_as_it_is_there() -> None:
     assert store.load() is None
     store.save(HOLDING)
     assert store.load() == Kept(HOLDING, same_clock=True)
+
+
+def test_what_is_saved_aside_is_on_the_disk_when_it_says_so(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = StateFile(path, Role.SENDER)
+    going, real = threading.Event(), os.fsync
+
+    def slow(number: int) -> None:
+        assert going.wait(10.0)
+        real(number)
+
+    monkeypatch.setattr(os, "fsync", slow)
+    saved = store.begin_save(RELEASED)
+    assert not saved.done() and not path.exists()
+    going.set()
+    saved.result(10.0)
+    assert store.load() == Kept(RELEASED, same_clock=True)
+
+
+def test_a_disk_that_is_full_is_told_to_whoever_waits(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(StateError, match="No space left"):
+        StateFile(path, Role.SENDER).begin_save(RELEASED).result(10.0)

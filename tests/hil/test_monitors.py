@@ -59,7 +59,7 @@ def test_a_good_run_violates_nothing(monitors: Monitors) -> None:
     for k in range(100):
         monitors.on_truth(k * 0.02, 1.2 + 0.1 * math.sin(k), both_in_air=True)
     for role in Role:
-        monitors.on_offboard(role, [OffboardSession(3.0, 0.06, 50.0, FlightMode.LAND)], cut_off=False)
+        monitors.on_offboard(role, [OffboardSession(3.0, 0.06, 50.0, FlightMode.LAND)])
     monitors.on_record(Role.SENDER, "/phase", 5, {"phase": "land"})
     assert dict(monitors.violations) == {}
     assert monitors.details == []
@@ -318,7 +318,7 @@ def test_s8_setpoint_gaps(
 ) -> None:
     end_s = None if ended_by is None else 9.0
     sessions = [OffboardSession(1.0, 0.05, 2.0, FlightMode.LAND), OffboardSession(3.0, gap_s, end_s, ended_by)]
-    monitors.on_offboard(Role.RECEIVER, sessions, cut_off)
+    monitors.on_offboard(Role.RECEIVER, sessions, [8.0] if cut_off else [])
     assert dict(monitors.violations) == ({"S8": 1} if violated else {})
     assert all("receiver" in detail for detail in monitors.details)
 

@@ -8,14 +8,15 @@ import os
 import signal
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from drivers.log import McapLog
+from drivers.log import McapLog, new_part
+from drivers.state_file import StateFile
 from drivers.udp_link import address_of
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, encode_event
 from flight.outcome import Outcome
@@ -24,6 +25,7 @@ from hil.faults import AT_COUNT, FaultTrigger, parse_fault
 from hil.sitl_world import proxy_sides
 from missions import rig_library
 from path.messages import Role
+from path.protocol.values import Handoff, ReceiverRecord
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +54,7 @@ with open({file!r}, "a") as file:
         file.write(line)
         file.flush()
 """
+Programs = Mapping[Role, str | Sequence[str]]
 UNTIL_STDIN_ENDS = "import sys; sys.stdin.read()"
 
 
@@ -81,14 +84,15 @@ class Stage:
         self.processes.append(process)
         return process
 
-    async def supervise(self, programs: dict[Role, str], faults: Sequence[str] = (), world: str = "") -> sitl._Run:
-        """One run to its end; ``world`` writes down what it is told."""
+    async def supervise(self, programs: Programs, faults: Sequence[str] = (), world: str = "") -> sitl._Run:
+        """One run to its end; ``world`` writes down what it is told. A role's programs start one after another."""
         run = sitl._Run(self.request)
         trigger = FaultTrigger([parse_fault(text) for text in faults])
+        left = {role: iter([own] if isinstance(own, str) else own) for role, own in programs.items()}
         try:
             world_process = await self.start("world", world or WRITES_DOWN.format(file=str(self.out / "told")))
-            roles = {role: await self.start(role.value, program) for role, program in programs.items()}
-            await sitl._supervise(run, trigger, world_process, roles)
+            crew = sitl._Crew(world_process, lambda role: self.start(role.value, next(left[role])))
+            await sitl._supervise(run, trigger, crew)
         finally:
             await sitl._kill(self.processes)
         return run
@@ -144,6 +148,31 @@ def test_a_fault_that_kills_kills_the_program_and_no_other(stage: Stage) -> None
     assert run.results == {Role.SENDER: result(Role.SENDER)}
     assert stage.processes[2].returncode == -signal.SIGKILL
     assert stage.told() == [{"fault": "kill_receiver", "value": 0.0}]
+
+
+def test_a_program_is_started_again_after_its_death(stage: Stage) -> None:
+    programs = {
+        Role.SENDER: [
+            saying(progress(Role.SENDER, AT_COUNT), then="import time; time.sleep(600)"),
+            saying(progress(Role.SENDER, AT_COUNT), result(Role.SENDER, Outcome.RESTARTED)),
+        ],
+        Role.RECEIVER: saying(result(Role.RECEIVER)),
+    }
+    run = asyncio.run(stage.supervise(programs, ["kill_sender=0.05"]))
+    assert run.results[Role.SENDER].outcome is Outcome.RESTARTED
+    assert [process.returncode for process in stage.processes].count(-signal.SIGKILL) == 1
+    assert stage.told() == [{"fault": "kill_sender", "value": 0.05}]
+
+
+def test_a_record_that_is_written_down_is_a_moment_too(stage: Stage) -> None:
+    """It is noticed on the disk: nobody but the file says so."""
+    provisional = StateFile(stage.out / "x", Role.RECEIVER)
+    provisional.save(ReceiverRecord(1, "provisional", Handoff(1, 1, 1)))
+    text, file = (stage.out / "x").read_text(), str(stage.out / "receiver.state.json")
+    writes = f"import time; open({file!r}, 'w').write({text!r}); time.sleep(600)"
+    programs = {Role.SENDER: saying(result(Role.SENDER)), Role.RECEIVER: writes}
+    run = asyncio.run(stage.supervise(programs, ["kill_receiver@provisional"]))
+    assert list(run.results) == [Role.SENDER]
 
 
 def test_a_world_that_dies_in_flight_is_the_harness_s_failure(stage: Stage) -> None:
@@ -235,10 +264,12 @@ def report(stage: Stage, failure: str = "", **changes: Any) -> FlightReport:
     return sitl._report(run, failure, 50.0)
 
 
-def log_responsibility(stage: Stage, role: Role, *changes: tuple[int, bool]) -> None:
-    with McapLog(stage.out / f"{role.value}.mcap") as log:
+def log_responsibility(stage: Stage, role: Role, *changes: tuple[int, bool], ended: bool = True) -> None:
+    with McapLog(new_part(stage.out, role.value)) as log:
         for stamp_ns, responsible in changes:
             log.write("/responsibility", stamp_ns, {"responsible": responsible, "provisional": False})
+        if ended:
+            log.write("/outcome", changes[-1][0] + 1, {"outcome": "committed"})
 
 
 def test_a_good_run_reports_no_violation(stage: Stage) -> None:
@@ -254,6 +285,15 @@ def test_the_logs_of_both_roles_are_judged_in_the_order_of_time(stage: Stage) ->
     """The receiver's log is read after the sender's; what counts is when it was written."""
     log_responsibility(stage, Role.SENDER, (10, True), (30, False))
     log_responsibility(stage, Role.RECEIVER, (20, True))
+    assert report(stage).violations == {"S1": 1}
+
+
+def test_the_logs_of_a_role_s_programs_are_judged_one_after_another(stage: Stage) -> None:
+    """A dead program is responsible for nothing; one that was started again is what it says."""
+    log_responsibility(stage, Role.SENDER, (10, True), ended=False)
+    log_responsibility(stage, Role.RECEIVER, (20, True))
+    assert report(stage).violations == {}
+    log_responsibility(stage, Role.SENDER, (30, True))
     assert report(stage).violations == {"S1": 1}
 
 

@@ -152,7 +152,7 @@ class Pair:
             session.spawn(session.pump())
             session.spawn(session.report())
         await until(lambda: all(session.alignment.ready for session in self.session.values()))
-        self.sender.offer()
+        await self.sender.offer()
         self.receiver.start()
         self.session[Role.SENDER].spawn(self.offer_targets())
         await asyncio.sleep(0.5)

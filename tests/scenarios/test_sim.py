@@ -130,3 +130,37 @@ def test_nothing_is_agreed_on_a_link_that_loses_nearly_everything(tmp_path: Path
     facts, _ = fly("sim", tmp_path, 1, "link_loss=0.97")
     assert facts.outcome not in ("committed", "monitor_violated", "harness_failed")
     assert facts.violations == {}
+
+
+@pytest.mark.parametrize(
+    ("fault", "outcome", "holder"),
+    [
+        ("kill_sender=1@preflight", "committed", Role.RECEIVER),
+        ("kill_receiver=1@waiting", "committed", Role.RECEIVER),
+        ("kill_sender=1@verify+3", "restarted", Role.SENDER),
+        ("kill_sender=0.3@released", "restarted", None),  # taken back by then, or accepted: both are right
+        ("kill_receiver=0.3@provisional", "restarted", None),
+        ("kill_sender=0.3@handed_over", "restarted", Role.RECEIVER),
+        ("kill_receiver=2@follow+1", "restarted", Role.RECEIVER),
+    ],
+)
+def test_a_program_that_is_killed_and_started_again_goes_by_what_it_wrote_down(
+    tmp_path: Path, fault: str, outcome: str, holder: Role | None
+) -> None:
+    facts, summary = fly("sim", tmp_path, 1, fault)
+    assert facts.outcome == outcome, facts.detail
+    assert facts.violations == {}
+    assert summary["wrong_handover"] is not True
+    assert [len(list(tmp_path.glob(f"{role.value}*.mcap"))) for role in Role].count(2) == 1
+    responsible = [role for role in Role if responsible_at_the_end(tmp_path, role)]
+    assert responsible == [holder] if holder else len(responsible) == 1
+    last = load_run(tmp_path).world["/truth"][-1].record
+    assert not last["sender"]["in_air"] and not last["receiver"]["in_air"]
+
+
+def test_what_a_link_does_to_packets_is_survived_together(tmp_path: Path) -> None:
+    faults = ("link_loss=0.1", "link_duplicate=0.3", "link_corrupt=0.1", "link_reorder=0.2", "link_jitter=0.02")
+    facts, summary = fly("sim", tmp_path, 3, *faults, "link_out=0.3@verify+2")
+    assert facts.violations == {}
+    assert facts.outcome == "committed", facts.detail
+    assert summary["link_dropped"]["sender"]["bad_crc"] > 10

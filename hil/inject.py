@@ -1,0 +1,59 @@
+"""Faults of the world and of the link, switched on. What ends or blinds a program is each harness's own business."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+from drivers.interfaces import FlightMode
+from hil.faulty_link import LinkFaults
+from hil.world import World
+from path.messages import Role
+
+SAGGED = 0.15
+
+_OF_LINK = {
+    "link_loss": ("loss",),
+    "link_delay": ("delay_s", "jitter_s"),
+    "link_jitter": ("jitter_s",),
+    "link_duplicate": ("duplicate",),
+    "link_corrupt": ("corrupt",),
+    "link_reorder": ("reorder",),
+}
+
+
+class FaultyLink(Protocol):
+    """The faults between the drones, both ways: ``hil.faulty_link.MemoryHub`` and ``UdpFaultProxy``."""
+
+    @property
+    def faults(self) -> LinkFaults: ...
+
+    @faults.setter
+    def faults(self, faults: LinkFaults, /) -> None: ...
+
+    def interrupt(self, seconds: float) -> None: ...
+
+
+def inject_in_world(name: str, role: Role | None, world: World) -> None:
+    """A fault of the world; any other changes nothing here."""
+    match name:
+        case "lookalike":
+            world.send_lookalike()
+        case "marker_hidden":
+            world.hide_marker(True)
+        case "depth_holes":
+            world.depth_holes(True)
+        case "pilot_takeover" if role is not None:
+            world.drone(role).autopilot.request_mode(world.time_s, FlightMode.OTHER, by_pilot=True)
+        case "battery_sag" if role is not None:
+            world.battery(role, SAGGED)
+        case _:
+            pass
+
+
+def inject_on_link(name: str, value: float, link: FaultyLink) -> None:
+    """A fault of the link beside those that are there already; any other changes nothing here."""
+    if name == "link_out":
+        link.interrupt(value)
+    elif name in _OF_LINK:
+        link.faults = replace(link.faults, **dict.fromkeys(_OF_LINK[name], value))
