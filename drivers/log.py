@@ -177,17 +177,16 @@ def new_part(folder: Path, name: str) -> Path:
 
     An earlier program's log is never written over; where nothing can be written the log will say so.
     """
-    for number in count(1):
-        path = folder / (f"{name}.mcap" if number == 1 else f"{name}.{number}.mcap")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.open("xb").close()
-        except FileExistsError:
-            continue
-        except OSError:
-            pass
-        return path
-    raise AssertionError("numbers do not end")
+    files = (folder / (f"{name}.mcap" if number == 1 else f"{name}.{number}.mcap") for number in count(1))
+    path = next(file for file in files if not file.exists())
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.open("xb").close()
+    except FileExistsError:
+        return new_part(folder, name) if path.exists() else path  # another program was quicker
+    except OSError:
+        pass
+    return path
 
 
 def parts(folder: Path, name: str) -> list[Path]:
