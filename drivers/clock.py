@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.rig import PartContext
@@ -23,6 +24,23 @@ class SystemClock:
 
     def now_ns(self) -> int:
         return time.monotonic_ns()
+
+
+def wall_offset_ns(now_ns: Callable[[], int]) -> int:
+    """The computer's wall clock (since 1970) minus another clock.
+
+    Both are read together; a reading during which the process was put aside is repeated.
+    """
+    best_gap, best = 1 << 62, 0
+    for _ in range(3):
+        before = now_ns()
+        wall_ns = time.time_ns()
+        after = now_ns()
+        if after - before < best_gap:
+            best_gap, best = after - before, wall_ns - (before + after) // 2
+        if best_gap < 20_000:
+            break
+    return best
 
 
 def stopwatch_ns() -> int:

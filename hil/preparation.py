@@ -28,9 +28,13 @@ def prepare(rig: Rig, say: Callable[[str], None]) -> None:
     world.advance(0.1)
     warm_up_marker()
     if any("camera" in rig.role(role).sight.options for role in Role):
-        from hil.render.renderer import warm_up as warm_up_renderer  # noqa: PLC0415 (sim needs no renderer)
+        from drivers.depth_registration import warm_up as warm_up_registration  # noqa: PLC0415 (sim needs none of these)
+        from hil.render.depth import warm_up as warm_up_depth  # noqa: PLC0415
+        from hil.render.renderer import warm_up as warm_up_renderer  # noqa: PLC0415
 
         warm_up_renderer(lambda stage, number, of: say(f"preparing the renderer: {stage}, {number} of {of}"))
+        warm_up_depth()
+        warm_up_registration()
     else:
         _look_once(rig, world.snapshot())
 

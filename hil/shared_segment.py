@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from drivers.interfaces import CameraError
 from path.messages import Role
 
-MAGIC = 0x5041_5448_4652_0001  # "PATHFR", version 1
+MAGIC = 0x5041_5448_4652_0002  # "PATHFR", version 2
 PREFIX = "path-camera-"
 HEADER_BYTES = 4096
 SLOT_HEADER_BYTES = 64
@@ -68,36 +68,46 @@ def writer_lives(segment: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where things are in a segment of ``slots`` frames."""
+    """Where things are in a segment of ``slots`` frames; sizes are (width, height) in px."""
 
-    width: int
-    height: int
-    depth: bool
+    color_size: tuple[int, int]
+    depth_size: tuple[int, int]
     slots: int
 
     @property
     def color_bytes(self) -> int:
-        return self.width * self.height * 3
+        return self.color_size[0] * self.color_size[1] * 3
+
+    @property
+    def depth_bytes(self) -> int:
+        return self.depth_size[0] * self.depth_size[1] * 2
+
+    @property
+    def depth_start(self) -> int:
+        return -(-(SLOT_HEADER_BYTES + self.color_bytes) // 64) * 64
 
     @property
     def slot_bytes(self) -> int:
-        used = SLOT_HEADER_BYTES + self.color_bytes + (self.width * self.height * 2 if self.depth else 0)
-        return -(-used // 4096) * 4096
+        return -(-(self.depth_start + self.depth_bytes) // 4096) * 4096
 
     @property
     def total_bytes(self) -> int:
         return HEADER_BYTES + self.slots * self.slot_bytes
 
+    def words(self) -> tuple[int, ...]:
+        """As in the segment's header, after the magic number."""
+        return *self.color_size, *self.depth_size, self.slots
+
 
 class Segment:
     """NumPy views into a mapped segment.
 
-    ``header``: magic, width, height, has depth, slots, newest sequence number (0: none yet).
+    ``header``: magic, colour width and height, depth width and height, slots, newest sequence number (0: none yet).
     ``slot_headers[i]``: 2 n - 1 while frame n is being written and 2 n once it is whole, stamp in ns of
     CLOCK_MONOTONIC.
     """
 
-    NEWEST = 5
+    NEWEST = 6
 
     def __init__(self, memory: mmap.mmap, layout: Layout) -> None:
         self.layout = layout
@@ -105,23 +115,21 @@ class Segment:
         self.header = np.frombuffer(memory, np.int64, 8)
         self.slot_headers: list[NDArray[np.int64]] = []
         self.colors: list[NDArray[np.uint8]] = []
-        self.depths: list[NDArray[np.uint16] | None] = []
-        shape = (layout.height, layout.width)
+        self.depths: list[NDArray[np.uint16]] = []
         for i in range(layout.slots):
             start = HEADER_BYTES + i * layout.slot_bytes
             self.slot_headers.append(np.frombuffer(memory, np.int64, 2, start))
-            pixels = start + SLOT_HEADER_BYTES
-            self.colors.append(np.frombuffer(memory, np.uint8, layout.color_bytes, pixels).reshape(*shape, 3))
-            depth_at = pixels + layout.color_bytes
-            self.depths.append(
-                np.frombuffer(memory, np.uint16, shape[0] * shape[1], depth_at).reshape(shape) if layout.depth else None
-            )
+            color = np.frombuffer(memory, np.uint8, layout.color_bytes, start + SLOT_HEADER_BYTES)
+            depth = np.frombuffer(memory, np.uint16, layout.depth_bytes // 2, start + layout.depth_start)
+            self.colors.append(color.reshape(*reversed(layout.color_size), 3))
+            self.depths.append(depth.reshape(*reversed(layout.depth_size)))
 
     def close(self) -> None:
-        """Drop the views, then the mapping (which would refuse to close under them)."""
+        """Drop the views, then the mapping; while somebody holds a frame's pixels, it stays for as long as these do."""
         self.header = np.zeros(0, np.int64)
         self.slot_headers, self.colors, self.depths = [], [], []
-        self._memory.close()
+        with suppress(BufferError):
+            self._memory.close()
 
 
 def map_segment(path: Path) -> Segment | None:
@@ -136,11 +144,11 @@ def map_segment(path: Path) -> Segment | None:
         memory = mmap.mmap(handle, 0, prot=mmap.PROT_READ)
     finally:
         os.close(handle)
-    magic, width, height, depth, slots = np.frombuffer(memory, np.int64, 5).tolist()
+    magic, width, height, depth_width, depth_height, slots = np.frombuffer(memory, np.int64, 6).tolist()
     if magic != MAGIC:
         memory.close()
         raise CameraError(f"{path} holds no camera frames of this version", "remove it and start again")
-    return Segment(memory, Layout(width, height, bool(depth), slots))
+    return Segment(memory, Layout((width, height), (depth_width, depth_height), slots))
 
 
 def bind(path: Path) -> socket.socket:

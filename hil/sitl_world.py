@@ -25,16 +25,19 @@ from urllib.parse import urlsplit
 
 from drivers.log import McapLog
 from drivers.mavsdk_geodesy import LocalTangent
-from drivers.rig import Rig
+from drivers.realsense import RealSenseConfig
+from drivers.rig import PartSpec, Rig, decode_part
 from drivers.rig_file import load_rig
-from drivers.tables import decode_table
+from drivers.tables import RigError, decode_table
 from drivers.udp_link import address_of
+from hil.d415 import T_COLOR_DEPTH, depth_camera
 from hil.faults import FAULTS
 from hil.faulty_link import ProxySide, UdpFaultProxy
 from hil.inject import inject_in_world, inject_on_link
 from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.monitors import Monitors
 from hil.preparation import prepare
+from hil.render.depth import DepthRenderer
 from hil.render.renderer import Renderer
 from hil.shared_camera import RUN_VARIABLE, SharedCameraWriter
 from hil.sim import down, min_separation_m
@@ -68,8 +71,10 @@ class CameraThread(threading.Thread):
         super().__init__(name=f"camera-{role.value}", daemon=True)
         own = rig.role(role)
         self._live, self._role, self._writer = live, role, writer
-        self._rate_hz = float(own.sight.options["camera"].get("rate_hz", 30.0))
+        camera = camera_config(rig, role)
+        self._rate_hz = float(camera.fps)
         self._renderer = Renderer(own.camera, own.mount.T_b_c, own.mount.T_b_v, rig.layout, seed=seed)
+        self._depth = DepthRenderer(self._renderer, depth_camera(*depth_size(rig, role)), T_COLOR_DEPTH)
         self.ending = threading.Event()
         self.rendered = 0
         self.left_out = 0
@@ -98,8 +103,8 @@ class CameraThread(threading.Thread):
             live.world.advance(max(live.now_s(), live.world.time_s))
             snapshot = live.world.snapshot()
         stamp_ns = round((live.start_s + snapshot.time_s) * 1e9)
-        color, depth = self._renderer.render(snapshot, self._role, frame)
-        self._writer.write(stamp_ns, color, depth)
+        color = self._renderer.render_color(snapshot, self._role, frame)
+        self._writer.write(stamp_ns, color, self._depth.render(snapshot, self._role, frame))
         self.rendered += 1
 
 
@@ -148,7 +153,9 @@ class SitlWorld:
 
     def _start_cameras(self, stack: AsyncExitStack) -> None:
         for role in Role:
-            writer = SharedCameraWriter(os.environ[RUN_VARIABLE], role, self._rig.role(role).camera)
+            color = self._rig.role(role).camera
+            size = color.width, color.height
+            writer = SharedCameraWriter(os.environ[RUN_VARIABLE], role, size, depth_size(self._rig, role))
             stack.enter_context(writer)
             camera = CameraThread(self._live, self._rig, role, writer, self._seed)
             self._cameras[role] = camera
@@ -218,6 +225,22 @@ class SitlWorld:
             "details": monitors.details,
             "frames": {r.value: {"rendered": c.rendered, "left_out": c.left_out} for r, c in self._cameras.items()},
         }
+
+
+def camera_config(rig: Rig, role: Role) -> RealSenseConfig:
+    """How the driver of a role is set. Raises RigError when it is another driver."""
+    sight = rig.role(role).sight
+    camera = PartSpec.from_table(sight.options.get("camera"), f"{sight.where}.camera", sight.base)
+    _, config = decode_part(camera)
+    if not isinstance(config, RealSenseConfig):
+        raise RigError([f"{camera.where}.factory: the world of level sitl draws for drivers.realsense:RealSense only"])
+    return config
+
+
+def depth_size(rig: Rig, role: Role) -> tuple[int, int]:
+    """Width and height that the driver asks the depth camera for."""
+    color = rig.role(role).camera
+    return camera_config(rig, role).depth_size or (color.width, color.height)
 
 
 def proxy_sides(rig: Rig) -> tuple[ProxySide, ProxySide]:

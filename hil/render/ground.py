@@ -141,3 +141,13 @@ def _tint(base, fine_gain, rough_gain, sky, lit, inverse_z, fine, rough, out):
         haze = min(inverse_z[c] * HAZE_M, ONE)
         value = lit * (base + fine_gain * fine[c] + rough_gain * rough[c])
         out[c] = np.uint8(INT(sky + haze * (value - sky) + HALF))
+
+
+@kernel
+def ground_depth(plane, ray_x, ray_y, inverse_z):
+    """1/z of the ground alone; 0 above the horizon."""
+    w0, w1, w2 = F(plane[2, 0]), F(plane[2, 1]), F(plane[2, 2])
+    for r in range(ray_x.shape[0]):
+        rx, ry, out = ray_x[r], ray_y[r], inverse_z[r]
+        for c in range(rx.size):
+            out[c] = max(w0 * rx[c] + w1 * ry[c] + w2, ZERO)

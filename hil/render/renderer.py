@@ -32,7 +32,7 @@ STAGES = 8
 
 
 @dataclass(frozen=True, slots=True)
-class _Lens:
+class Lens:
     """A camera's rays: per pixel centre, their derivatives by column and row, and bounds per column and row."""
 
     rays: tuple[NDArray[np.float32], ...]  # x, y, dx/du, dx/dv, dy/du, dy/dv, each (h, w)
@@ -69,9 +69,9 @@ class Renderer:
         noise = SensorNoise() if noise is None else noise
         height, width = camera.height, camera.width
         self._T_b_c = T_b_c
-        self._seed = seed
-        self._noise = noise
-        self._lens = _lens(camera)
+        self.seed = seed
+        self.noise = noise
+        self._lens = lens_of(camera)
         self._car, self._plain = car(), drone()
         self._marked = {hidden: marked_drone(T_b_v, layout, hidden=hidden) for hidden in (False, True)}
         self._taps = sensor.blur_taps(noise.blur_sigma_px)
@@ -96,21 +96,32 @@ class Renderer:
         """
         key = self.key(role, frame_seed)
         light, depth = self.draw(
-            snapshot.drones[role].T_w_b, self._bodies(snapshot, role), key, depth_holes=snapshot.depth_holes
+            snapshot.drones[role].T_w_b, self.bodies(snapshot, role), key, depth_holes=snapshot.depth_holes
         )
         return self.expose(light, key), depth
+
+    def render_color(self, snapshot: Snapshot, role: Role, frame_seed: int) -> NDArray[np.uint8]:
+        """The colour of ``render`` alone."""
+        key = self.key(role, frame_seed)
+        for _ in self._stages(self.T_w_c(snapshot, role), self.bodies(snapshot, role), key, None, False):
+            pass
+        return self.expose(self._image, key)
+
+    def T_w_c(self, snapshot: Snapshot, role: Role) -> Pose:
+        """Where the camera of ``role`` is."""
+        return snapshot.drones[role].T_w_b @ self._T_b_c
 
     def stages(self, snapshot: Snapshot, role: Role, frame_seed: int) -> Iterator[str]:
         """Do the work of one image, naming every stage before it starts."""
         key, depth = self.key(role, frame_seed), np.empty(self._inverse_z.shape, np.uint16)
-        T_w_c = snapshot.drones[role].T_w_b @ self._T_b_c
-        yield from self._stages(T_w_c, self._bodies(snapshot, role), key, depth, snapshot.depth_holes)
+        T_w_c = self.T_w_c(snapshot, role)
+        yield from self._stages(T_w_c, self.bodies(snapshot, role), key, depth, snapshot.depth_holes)
         yield "exposure"
         self.expose(self._image, key)
 
     def key(self, role: Role, frame_seed: int) -> int:
         """What selects the noise of one image."""
-        return sensor.mixed(self._seed, list(Role).index(role), frame_seed)
+        return sensor.mixed(self.seed, list(Role).index(role), frame_seed)
 
     def draw(
         self, T_w_b: Pose, bodies: Sequence[Body], key: int, *, depth_holes: bool = False
@@ -128,24 +139,24 @@ class Renderer:
 
     def expose(self, light: NDArray[np.uint8], key: int) -> NDArray[np.uint8]:
         """Image of the sensor, shape (h, w, 3), BGR, of what ``draw`` gave."""
-        noise = self._noise
+        noise = self.noise
         sensor.expose(
             light,
             self._taps,
             noise.read_sigma,
             noise.shot_gain,
             self._color_pool,
-            _offset(key, 2),
-            _offset(key, 3),
+            pool_offset(key, 2),
+            pool_offset(key, 3),
             self._rows,
             self._exposed,
         )
         return cv2.merge(tuple(self._exposed))  # pyright: ignore[reportReturnType]
 
     def _stages(
-        self, T_w_c: Pose, bodies: Sequence[Body], key: int, depth: NDArray[np.uint16], depth_holes: bool
+        self, T_w_c: Pose, bodies: Sequence[Body], key: int, depth: NDArray[np.uint16] | None, depth_holes: bool
     ) -> Iterator[str]:
-        """Draw, naming every stage before it starts; leaves the light in ``_image``."""
+        """Draw, naming every stage before it starts; leaves the light in ``_image``. No depth where it is None."""
         rays, view, pixel = self._lens.rays, self._lens.view, self._lens.pixel
         x, y, inverse_z, owner, edges, image = *rays[:2], self._inverse_z, self._owner, self._edges, self._image
         sun_c = T_w_c.R.T @ SUN_W
@@ -156,7 +167,7 @@ class Renderer:
         light = primitives.AMBIENT + primitives.DIFFUSE * SUN_W[2]
         draw_ground(plane, light, pixel, x, y, ground_pyramid(), self._rows, self._words, image, inverse_z)
         yield "primitives"
-        faces, tags, count, looks = _set_up(bodies, T_w_c.inverse(), sun_c, view)
+        faces, tags, count, looks = set_up(bodies, T_w_c.inverse(), sun_c, view)
         order = np.empty(count, np.int64)
         rotors = kernels.order_rotors(faces, tags, count, order)
         yield "visibility"
@@ -167,25 +178,12 @@ class Renderer:
         kernels.draw_rotors(faces, order, rotors, tags, x, y, inverse_z, edges, image)
         yield "edges"
         edge_pass.draw_edges(faces, tags, count, order, rotors, looks, plane[2], rays, SAMPLES, edges, image)
-        yield "depth"
-        noise = self._noise
-        sensor.measure_depth(
-            inverse_z,
-            owner,
-            tags,
-            depth_holes,
-            noise.depth_sigma_at_1m_m,
-            noise.min_depth_m,
-            noise.max_depth_m,
-            self._depth_pool,
-            _offset(key, 0),
-            _offset(key, 1),
-            depth,
-        )
-        sensor.punch_holes(inverse_z, edges, noise.depth_hole_rate, key >> 1, depth)
+        if depth is not None:
+            yield "depth"
+            sense_depth(inverse_z, owner, tags, edges, depth_holes, self.noise, self._depth_pool, key, depth)
 
-    def _bodies(self, snapshot: Snapshot, role: Role) -> list[Body]:
-        """Everything but the drone of ``role``."""
+    def bodies(self, snapshot: Snapshot, role: Role) -> list[Body]:
+        """Everything that the camera of ``role`` may see: all but its own drone."""
         marked = self._marked[snapshot.marker_hidden]
         drones = [
             flying(marked if other is Role.SENDER else self._plain, truth.T_w_b, truth.rotor_phase_rad, truth.armed)
@@ -195,12 +193,30 @@ class Renderer:
         return drones + [standing(self._car, thing.position_w_m, thing.yaw_rad) for thing in snapshot.objects]
 
 
-def _offset(key: int, number: int) -> int:
+def sense_depth(
+    inverse_z: NDArray[np.float32],
+    owner: NDArray[np.int16],
+    tags: NDArray[np.int64],
+    edges: NDArray[np.uint8],
+    hide_targets: bool,
+    noise: SensorNoise,
+    pool: NDArray[np.int8],
+    key: int,
+    depth: NDArray[np.uint16],
+) -> None:
+    """Fill ``depth`` with what a depth camera measures of 1/z: noise, limits, holes at steps."""
+    sigma, near, far = noise.depth_sigma_at_1m_m, noise.min_depth_m, noise.max_depth_m
+    row, column = pool_offset(key, 0), pool_offset(key, 1)
+    sensor.measure_depth(inverse_z, owner, tags, hide_targets, sigma, near, far, pool, row, column, depth)
+    sensor.punch_holes(inverse_z, edges, noise.depth_hole_rate, key >> 1, depth)
+
+
+def pool_offset(key: int, number: int) -> int:
     """Where the noise of an image begins in its pool."""
     return (key >> (8 * number)) % sensor.POOL_MARGIN
 
 
-def _set_up(
+def set_up(
     bodies: Sequence[Body], T_c_w: Pose, sun_c: Array, view: tuple[Array, Array, float]
 ) -> tuple[Array, NDArray[np.int64], int, _Looks]:
     """Primitives of the bodies, nearest body first, and the cells and shades that they show."""
@@ -251,7 +267,7 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
 
 
 @lru_cache(maxsize=3)
-def _lens(camera: CameraModel) -> _Lens:
+def lens_of(camera: CameraModel) -> Lens:
     """Shared: nobody changes it. It takes about a second at 1080p, and cameras often come in several renderers."""
     height, width = camera.height, camera.width
     columns, rows = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
@@ -266,7 +282,7 @@ def _lens(camera: CameraModel) -> _Lens:
     column_x = np.stack((np.minimum.accumulate(x.min(axis=0)[::-1])[::-1], np.maximum.accumulate(x.max(axis=0))))
     row_y = np.stack((np.minimum.accumulate(y.min(axis=1)[::-1])[::-1], np.maximum.accumulate(y.max(axis=1))))
     planes = tuple(np.ascontiguousarray(p, np.float32) for p in (x, y, x_column, x_row, y_column, y_row))
-    return _Lens(planes, (column_x, row_y, largest), float(np.sqrt(np.mean(x_column * y_row))))
+    return Lens(planes, (column_x, row_y, largest), float(np.sqrt(np.mean(x_column * y_row))))
 
 
 def _largest_singular_value(matrices: Array) -> float:

@@ -2,53 +2,25 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import subprocess
 import sys
 import threading
 import time
 import uuid
-from collections.abc import Callable, Generator, Iterable, Iterator
-from typing import Any
+from collections.abc import Generator, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError
-from drivers.rig import Mount, Origin, PartContext
-from hil.shared_camera import (
-    RUN_VARIABLE,
-    SharedCamera,
-    SharedCameraConfig,
-    SharedCameraWriter,
-)
+from hil.shared_camera import SharedCameraReader, SharedCameraWriter, SharedFrame
 from hil.shared_segment import folder, remove_abandoned, segment_path
-from path.camera import CameraModel
-from path.geometry import Pose
-from path.marker.layout import single_marker
 from path.messages import Role
 
-SMALL = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
-LEVEL = Pose(np.eye(3), np.zeros(3))
+SIZE, DEPTH_SIZE = (64, 48), (40, 30)
 PATIENCE_S = 10.0
-
-
-class OffsetClock:
-    """The monotonic clock, set apart."""
-
-    def __init__(self, offset_ns: int = 0) -> None:
-        self.offset_ns = offset_ns
-
-    def now_ns(self) -> int:
-        return time.monotonic_ns() + self.offset_ns
-
-
-def context(offset_ns: int = 0, camera: CameraModel = SMALL) -> PartContext:
-    return PartContext(
-        Role.RECEIVER, OffsetClock(offset_ns), camera, Mount(LEVEL, LEVEL), single_marker(), Origin(0.0, 0.0, 0.0)
-    )
 
 
 @pytest.fixture
@@ -61,181 +33,125 @@ def run() -> Iterator[str]:
     assert not left
 
 
-def write(writer: SharedCameraWriter, value: int, stamp_ns: int | None = None, camera: CameraModel = SMALL) -> None:
-    shape = (camera.height, camera.width)
-    stamp_ns = time.monotonic_ns() if stamp_ns is None else stamp_ns
-    writer.write(stamp_ns, np.full((*shape, 3), value % 251, np.uint8), np.full(shape, value % 251, np.uint16))
+def writer(run: str, size: tuple[int, int] = SIZE) -> SharedCameraWriter:
+    return SharedCameraWriter(run, Role.RECEIVER, size, DEPTH_SIZE)
 
 
-def write_all(writer: SharedCameraWriter, values: Iterable[int]) -> None:
+def reader(run: str, open_timeout_s: float = 5.0) -> SharedCameraReader:
+    return SharedCameraReader(run, Role.RECEIVER, open_timeout_s)
+
+
+def write(world: SharedCameraWriter, value: int, stamp_ns: int = 0, size: tuple[int, int] = SIZE) -> None:
+    color = np.full((size[1], size[0], 3), value % 251, np.uint8)
+    world.write(stamp_ns or time.monotonic_ns(), color, np.full(DEPTH_SIZE[::-1], value % 251, np.uint16))
+
+
+def write_all(world: SharedCameraWriter, values: Iterable[int]) -> None:
     for value in values:
-        write(writer, value)
+        write(world, value)
 
 
-def reader(run: str, offset_ns: int = 0, camera: CameraModel = SMALL, open_timeout_s: float = 5.0) -> SharedCamera:
-    return SharedCamera(SharedCameraConfig(run=run, open_timeout_s=open_timeout_s), context(offset_ns, camera))
+def value_of(frame: SharedFrame | None) -> int:
+    """What was written, when all of it is there."""
+    assert frame is not None
+    values = set(frame.color.ravel().tolist()) | set(frame.depth_mm.ravel().tolist())
+    assert len(values) == 1
+    return values.pop()
 
 
-def test_a_frame_comes_through_with_its_stamp_in_the_role_s_clock(run: str) -> None:
-    async def main() -> None:
-        with SharedCameraWriter(run, Role.RECEIVER, SMALL) as writer:
-            async with reader(run, offset_ns=7_000_000_000) as camera:
-                stamp_ns = time.monotonic_ns() - 3_000_000
-                write(writer, 42, stamp_ns)
-                frame = await camera.read(PATIENCE_S)
-        assert frame.color.shape == (48, 64, 3)
-        assert frame.depth_mm is not None
-        assert set(frame.color.ravel().tolist()) == set(frame.depth_mm.ravel().tolist()) == {42}
-        assert frame.stamp_ns == pytest.approx(stamp_ns + 7_000_000_000, abs=200_000)
-
-    asyncio.run(main())
+def test_a_frame_comes_through_whole_with_its_stamp_and_sizes(run: str) -> None:
+    with writer(run) as world, reader(run) as camera:
+        assert (camera.layout.color_size, camera.layout.depth_size) == (SIZE, DEPTH_SIZE)
+        write(world, 42, stamp_ns=123_456)
+        frame = camera.next(PATIENCE_S)
+        assert frame is not None
+        assert (frame.color.shape, frame.depth_mm.shape) == ((48, 64, 3), (30, 40))
+        assert (value_of(frame), frame.stamp_ns, camera.is_whole(frame)) == (42, 123_456, True)
 
 
 def test_the_newest_wins_none_is_given_twice_and_what_was_passed_over_is_counted(run: str) -> None:
-    async def main() -> None:
-        with SharedCameraWriter(run, Role.RECEIVER, SMALL) as writer:
-            write(writer, 1)  # before the reader came
-            async with reader(run) as camera:
-                write_all(writer, range(2, 13))
-                frame = await camera.read(PATIENCE_S)
-                assert frame.color[0, 0, 0] == 12
-                assert camera.skipped == 10
-                with pytest.raises(CameraError, match=r"no frame from .* for 0.02 s"):
-                    await camera.read(0.02)
-                write(writer, 13)
-                second = await camera.read(PATIENCE_S)
-                assert second.color[0, 0, 0] == 13
-                assert second.frame_id == frame.frame_id + 1
-                assert frame.color[0, 0, 0] == 12  # a copy: later frames leave it alone
-
-    asyncio.run(main())
+    with writer(run) as world:
+        write(world, 1)  # before the reader came
+        with reader(run) as camera:
+            write_all(world, range(2, 13))
+            first = camera.next(PATIENCE_S)
+            assert (value_of(first), camera.skipped) == (12, 10)
+            assert camera.next(0.02) is None
+            write(world, 13)
+            second = camera.next(PATIENCE_S)
+            assert value_of(second) == 13
+            assert first is not None and second is not None
+            assert second.number == first.number + 1
 
 
 def test_a_waiting_reader_is_woken(run: str) -> None:
-    async def main() -> None:
-        with SharedCameraWriter(run, Role.RECEIVER, SMALL) as writer:
-            async with reader(run) as camera:
-                waiting = asyncio.create_task(camera.read(PATIENCE_S))
-                await asyncio.sleep(0)
-                write(writer, 5)
-                assert (await waiting).color[0, 0, 0] == 5
-
-    asyncio.run(main())
+    with writer(run) as world, reader(run) as camera, ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(camera.next, PATIENCE_S)
+        write(world, 5)
+        assert value_of(waiting.result(PATIENCE_S)) == 5
 
 
-class Overtaken:
-    """A slot's pixels that the writer comes back to while they are copied."""
-
-    def __init__(self, pixels: NDArray[np.uint8], meanwhile: Callable[[], None]) -> None:
-        self.pixels, self.meanwhile = pixels, meanwhile
-
-    def copy(self) -> NDArray[np.uint8]:
-        torn = self.pixels.copy()
-        self.meanwhile()
-        torn[24:] = self.pixels[24:]
-        return torn
-
-
-def overtake(camera: SharedCamera, slot: int, meanwhile: Callable[[], None]) -> None:
-    assert camera._segment is not None
-    slots: list[Any] = camera._segment.colors
-    slots[slot] = Overtaken(slots[slot], meanwhile)
-
-
-def test_a_reader_that_was_overtaken_while_copying_takes_a_newer_frame(run: str) -> None:
-    async def main() -> None:
-        with SharedCameraWriter(run, Role.RECEIVER, SMALL) as writer:
-            async with reader(run) as camera:
-                write(writer, 1)
-                overtake(camera, 1, lambda: write_all(writer, range(2, 7)))
-                frame = await camera.read(PATIENCE_S)
-                assert frame.color.min() == frame.color.max() == 6
-
-    asyncio.run(main())
+def test_a_reader_that_was_overtaken_is_told(run: str) -> None:
+    with writer(run) as world, reader(run) as camera:
+        write(world, 1)
+        frame = camera.next(PATIENCE_S)
+        assert frame is not None
+        write_all(world, range(2, 5))
+        assert camera.is_whole(frame)
+        write_all(world, range(5, 7))
+        assert not camera.is_whole(frame)
+        assert value_of(camera.next(PATIENCE_S)) == 6
 
 
 def test_no_frame_is_torn_nor_out_of_order(run: str) -> None:
-    camera_model = CameraModel(320, 240, 300.0, 300.0, 160.0, 120.0)
     ending = threading.Event()
 
-    def keep_writing(writer: SharedCameraWriter) -> None:
+    def keep_writing(world: SharedCameraWriter) -> None:
         value = 0
         while not ending.is_set():
             value += 1
-            write(writer, value, camera=camera_model)
+            write(world, value, size=(320, 240))
 
-    async def main() -> None:
-        with SharedCameraWriter(run, Role.RECEIVER, camera_model) as writer:
-            thread = threading.Thread(target=keep_writing, args=(writer,))
-            async with reader(run, camera=camera_model) as camera:
-                thread.start()
-                try:
-                    last_id, last_stamp = 0, 0
-                    for _ in range(150):
-                        frame = await camera.read(PATIENCE_S)
-                        assert frame.depth_mm is not None
-                        expected = frame.frame_id % 251
-                        assert frame.color.min() == frame.color.max() == expected
-                        assert frame.depth_mm.min() == frame.depth_mm.max() == expected
-                        assert frame.frame_id > last_id
-                        assert frame.stamp_ns > last_stamp
-                        last_id, last_stamp = frame.frame_id, frame.stamp_ns
-                finally:
-                    ending.set()
-                    thread.join()
-
-    asyncio.run(main())
-
-
-def test_a_calibration_of_another_size_is_refused_with_both_sizes(run: str) -> None:
-    async def main() -> None:
-        large = reader(run, camera=CameraModel(640, 480, 600.0, 600.0, 320.0, 240.0))
-        refused = pytest.raises(CameraError, match=r"640x480 px .* 64x48 px")
-        with SharedCameraWriter(run, Role.RECEIVER, SMALL), refused:
-            await large.__aenter__()
-
-    asyncio.run(main())
+    with writer(run, (320, 240)) as world, reader(run) as camera:
+        thread = threading.Thread(target=keep_writing, args=(world,))
+        thread.start()
+        try:
+            last, whole = 0, 0
+            while whole < 150:
+                frame = camera.next(PATIENCE_S)
+                assert frame is not None
+                copy = frame.color.copy(), frame.depth_mm.copy()
+                if camera.is_whole(frame):
+                    whole += 1
+                    assert {plane.min() for plane in copy} == {plane.max() for plane in copy} == {frame.number % 251}
+                assert frame.number > last
+                last = frame.number
+        finally:
+            ending.set()
+            thread.join()
 
 
 def test_a_world_that_never_comes_is_an_error_after_a_bounded_wait(run: str) -> None:
-    async def main() -> None:
-        with pytest.raises(CameraError, match="no camera frames are published"):
-            async with reader(run, open_timeout_s=0.05):
-                pass
-
-    asyncio.run(main())
+    with pytest.raises(CameraError, match="no camera frames are published"), reader(run, open_timeout_s=0.05):
+        pass
 
 
 def test_two_writers_or_two_readers_of_one_name_are_refused(run: str) -> None:
-    async def main() -> None:
-        with SharedCameraWriter(run, Role.RECEIVER, SMALL) as writer:
-            with pytest.raises(CameraError, match="already being written"):
-                SharedCameraWriter(run, Role.RECEIVER, SMALL).__enter__()
-            async with reader(run) as camera:
-                with pytest.raises(CameraError, match="already has a reader"):
-                    async with reader(run):
-                        pass
-                write(writer, 3)
-                assert (await camera.read(PATIENCE_S)).color[0, 0, 0] == 3
-
-    asyncio.run(main())
-
-
-def test_without_a_run_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(RUN_VARIABLE, raising=False)
-    with pytest.raises(CameraError, match="no run is named") as caught:
-        SharedCamera(SharedCameraConfig(), context())
-    assert RUN_VARIABLE in caught.value.remedy
-    monkeypatch.setenv(RUN_VARIABLE, "somewhere")
-    SharedCamera(SharedCameraConfig(), context())
+    with writer(run) as world:
+        with pytest.raises(CameraError, match="already being written"):
+            writer(run).__enter__()
+        with reader(run) as camera:
+            with pytest.raises(CameraError, match="already has a reader"):
+                reader(run).__enter__()
+            write(world, 3)
+            assert value_of(camera.next(PATIENCE_S)) == 3
 
 
 WRITER = """
 import sys
 from hil.shared_camera import SharedCameraWriter
-from path.camera import CameraModel
 from path.messages import Role
-with SharedCameraWriter(sys.argv[1], Role.RECEIVER, CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)):
+with SharedCameraWriter(sys.argv[1], Role.RECEIVER, (64, 48), (40, 30)):
     print("up", flush=True)
     sys.stdin.read()
 """
@@ -263,15 +179,12 @@ def process(script: str, argument: str) -> Generator[subprocess.Popen[bytes]]:
 
 
 def test_a_killed_world_is_noticed_and_cleaned_up_after(run: str) -> None:
-    async def main() -> None:
-        with process(WRITER, run) as world:
-            async with reader(run) as camera:
-                world.kill()
-                world.communicate()
-                with pytest.raises(CameraError, match="the world process that writes it is gone"):
-                    await camera.read(0.02)
-
-    asyncio.run(main())
+    with process(WRITER, run) as world, reader(run) as camera:
+        assert camera.writer_lives
+        world.kill()
+        world.communicate()
+        assert camera.next(0.02) is None
+        assert not camera.writer_lives
     assert segment_path(run, Role.RECEIVER).exists()
     assert segment_path(run, Role.RECEIVER) in remove_abandoned()
     assert not segment_path(run, Role.RECEIVER).exists()
@@ -288,19 +201,16 @@ def test_what_a_living_world_writes_is_not_taken_for_abandoned(run: str) -> None
 def test_a_killed_reader_leaves_nothing_that_bars_the_next(run: str) -> None:
     socket_path = segment_path(run, Role.RECEIVER).with_name(f"{segment_path(run, Role.RECEIVER).name}.sock")
 
-    async def main() -> None:
-        with SharedCameraWriter(run, Role.RECEIVER, SMALL) as writer:
-            with process(SOCKET, str(socket_path)), pytest.raises(CameraError, match="already has a reader"):
-                await reader(run).__aenter__()
-            assert socket_path.exists()
-            write(writer, 1)
-            async with reader(run) as camera:
-                write(writer, 2)
-                assert (await camera.read(PATIENCE_S)).color[0, 0, 0] == 2
-
-    asyncio.run(main())
+    with writer(run) as world:
+        with process(SOCKET, str(socket_path)), pytest.raises(CameraError, match="already has a reader"):
+            reader(run).__enter__()
+        assert socket_path.exists()
+        write(world, 1)
+        with reader(run) as camera:
+            write(world, 2)
+            assert value_of(camera.next(PATIENCE_S)) == 2
 
 
 def test_too_few_slots_are_refused() -> None:
     with pytest.raises(ValueError, match="slots"):
-        SharedCameraWriter("x", Role.SENDER, SMALL, slots=2)
+        SharedCameraWriter("x", Role.SENDER, SIZE, DEPTH_SIZE, slots=2)

@@ -1,0 +1,238 @@
+"""The thread of a RealSense camera: device to frames, and again when the device comes back.
+
+Colour and depth come as they are taken, each with a stamp of its own; two that were taken together make a frame. Only
+the newest is kept. The thread ends when it is told to, when a device cannot come back, or when it did not in time.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drivers.clock import busy_ns, wall_offset_ns
+from drivers.depth_registration import DepthRegistration, warm_up
+from drivers.interfaces import CameraError, Clock, Frame
+from drivers.realsense_library import Kind, RawImage, RealSenseDevice, Streams
+from drivers.realsense_sources import DeviceSource
+from drivers.stamp_clock import Domain, Refused, StampClock, StampConfig
+from path.camera import CameraModel
+
+POLL_S = 0.1  # how soon the thread sees that it should end
+
+
+@dataclass(frozen=True, slots=True)
+class StreamConfig:
+    """
+    Attributes:
+        limits_m: depth that is believed.
+        record: folder for recordings; None records nothing.
+        silence_s: without a frame for so long, the device is closed and opened again.
+        reopen_s: for so long; then it is given up.
+        reopen_every_s: pause between two attempts.
+    """
+
+    streams: Streams
+    limits_m: tuple[float, float]
+    stamps: StampConfig
+    record: Path | None = None
+    silence_s: float = 1.0
+    reopen_s: float = 30.0
+    reopen_every_s: float = 0.5
+
+
+@dataclass(slots=True)
+class StreamCounters:
+    """What the thread did. Times are CPU time of it, in ns."""
+
+    opened: int = 0
+    frames: int = 0
+    replaced: int = 0  # by a newer one before anybody took them
+    unpaired: int = 0  # images without their other half
+    old: int = 0  # stamps that repeat or go back
+    clock: int = 0  # stamps that are not of this computer's time
+    take_ns: int = 0
+    register_ns: int = 0
+
+
+class Pairing:
+    """Finds colour and depth that were taken together. ``unpaired`` counts images that were passed over."""
+
+    def __init__(self, tolerance_ns: int) -> None:
+        self._tolerance_ns = tolerance_ns
+        self._waiting: dict[Kind, list[tuple[int, RawImage]]] = {"color": [], "depth": []}
+        self.unpaired = 0
+
+    def add(self, stamp_ns: int, image: RawImage) -> tuple[int, RawImage, RawImage] | None:
+        """Stamp of the colour image, colour, depth; None while one of them is to come. Stamps of a kind grow."""
+        other: Kind = "depth" if image.kind == "color" else "color"
+        own, others = self._waiting[image.kind], self._waiting[other]
+        while others and others[0][0] < stamp_ns - self._tolerance_ns:
+            others.pop(0)
+            self.unpaired += 1
+        if not others or others[0][0] > stamp_ns + self._tolerance_ns:
+            own.append((stamp_ns, image))
+            if len(own) > 2:
+                own.pop(0)
+                self.unpaired += 1
+            return None
+        self.unpaired += len(own)
+        own.clear()
+        other_ns, match = others.pop(0)
+        return (stamp_ns, image, match) if image.kind == "color" else (other_ns, match, image)
+
+
+class PairStream(threading.Thread):
+    """Runs until ``end``. ``on_news`` is called in this thread after every frame, every trouble and at the end."""
+
+    def __init__(
+        self, source: DeviceSource, config: StreamConfig, color: CameraModel, clock: Clock, on_news: Callable[[], None]
+    ) -> None:
+        super().__init__(name=source.name, daemon=True)
+        self._source, self._config, self._color, self._clock, self._on_news = source, config, color, clock, on_news
+        self._ending = threading.Event()
+        self._lock = threading.Lock()
+        self._newest: Frame | None = None
+        self._last_id = -1
+        self._tolerance_ns = round(0.5e9 / config.streams.fps)
+        self.counters = StreamCounters()
+        self.trouble: CameraError | None = None
+        self.ended = False
+
+    def take(self) -> Frame | None:
+        """The newest frame not yet taken."""
+        with self._lock:
+            frame, self._newest = self._newest, None
+            return frame
+
+    def end(self) -> None:
+        self._ending.set()
+
+    def run(self) -> None:
+        try:
+            warm_up()
+            self._run()
+        except Exception as error:
+            self.trouble = CameraError(f"{self._source.name}: {error!r}", "this is a fault of the program: report it")
+        finally:
+            self.ended = True
+            self._on_news()
+
+    def _run(self) -> None:
+        give_up_s = time.monotonic()
+        while not self._ending.is_set():
+            before = self.counters.frames
+            try:
+                self._use_device()
+            except CameraError as error:
+                self.trouble = error
+            if self._ending.is_set():
+                return
+            now_s = time.monotonic()
+            if self.counters.frames > before:
+                give_up_s = now_s + self._config.reopen_s
+            if not self._source.returns or now_s >= give_up_s:
+                return
+            self._on_news()
+            self._ending.wait(self._config.reopen_every_s)
+
+    def _use_device(self) -> None:
+        """One opening of the device, until it falls silent."""
+        config, device = self._config, None
+        try:
+            device = RealSenseDevice(self._source.open(), config.streams, self._recording())
+            self.counters.opened += 1
+            self._watch(device)
+        finally:
+            if device is not None:
+                device.close()
+            self._source.close()
+
+    def _recording(self) -> Path | None:
+        folder = self._config.record
+        if folder is None:
+            return None
+        stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{self._source.name.replace(' ', '-')}"
+        taken = {file.name for file in folder.glob(f"{stem}*")}
+        return folder / next(name for i in range(len(taken) + 1) if (name := f"{stem}-{i}.db3") not in taken)
+
+    def _watch(self, device: RealSenseDevice) -> None:
+        config = self._config
+        registration = DepthRegistration(
+            device.depth, self._color, device.T_color_depth, device.unit_m, config.limits_m
+        )
+        clocks: dict[Kind, StampClock] = {kind: StampClock(config.stamps) for kind in ("color", "depth")}
+        pairing = Pairing(self._tolerance_ns)
+        base: int | None = None
+        heard_s = framed_s = time.monotonic()
+        while not self._ending.is_set():
+            newest = None
+            for image in _waiting(device):
+                heard_s = time.monotonic()
+                pair = self._paired(image, clocks[image.kind], pairing)
+                self.counters.replaced += pair is not None and newest is not None
+                newest = pair or newest
+            now_s = time.monotonic()
+            if newest is not None:
+                stamp_ns, color, depth = newest
+                if base is None:
+                    base = max(self._last_id + 1 - color.number, 0)
+                self._publish(Frame(stamp_ns, base + color.number, *self._pixels(color, depth, registration)))
+                framed_s, self.trouble = now_s, None
+            elif device.at_end or now_s - framed_s > config.silence_s:
+                raise self._silent(now_s - framed_s, heard=now_s - heard_s < now_s - framed_s)
+
+    def _paired(self, image: RawImage, clock: StampClock, pairing: Pairing) -> tuple[int, RawImage, RawImage] | None:
+        now_ns = self._clock.now_ns()
+        domain = image.domain if self._source.live else Domain.HARDWARE
+        stamp_ns = clock.to_role(image.stamp_ns, domain, now_ns, wall_offset_ns(self._clock.now_ns))
+        if isinstance(stamp_ns, Refused):
+            if stamp_ns is Refused.OLD:
+                self.counters.old += 1
+            else:
+                self.counters.clock += 1
+            return None
+        before = pairing.unpaired
+        pair = pairing.add(stamp_ns, image)
+        self.counters.unpaired += pairing.unpaired - before
+        return pair
+
+    def _pixels(self, color: RawImage, depth: RawImage, registration: DepthRegistration):
+        start = busy_ns()
+        colors = np.array(color.pixels, np.uint8)  # the library's memory is used again
+        taken = busy_ns()
+        depths = registration.register(np.asarray(depth.pixels, np.uint16))
+        self.counters.take_ns += taken - start
+        self.counters.register_ns += busy_ns() - taken
+        return colors, depths
+
+    def _publish(self, frame: Frame) -> None:
+        with self._lock:
+            self.counters.replaced += self._newest is not None
+            self._newest, self._last_id = frame, frame.frame_id
+            self.counters.frames += 1
+        self._on_news()
+
+    def _silent(self, silent_s: float, *, heard: bool) -> CameraError:
+        name, counters = self._source.name, self.counters
+        if reason := self._source.missing():
+            return CameraError(f"{name} gives no frames: {reason}", "see whether it is plugged in")
+        if heard:
+            return CameraError(
+                f"{name} gives images, but none that belong together for {silent_s:.1f} s ({counters.old} with old "
+                f"stamps, {counters.clock} not of this computer's time, {counters.unpaired} without their other half)",
+                "see whether the computer's clock was set, and whether both streams run",
+            )
+        return CameraError(f"{name} gives no frames", "see whether its cable and port carry USB 3")
+
+
+def _waiting(device: RealSenseDevice) -> Iterator[RawImage]:
+    """All images that wait, or the first one to come."""
+    image = device.next(POLL_S)
+    while image is not None:
+        yield image
+        image = device.next(0.0)
