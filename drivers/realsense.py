@@ -83,8 +83,9 @@ class RealSense:
 
     def __init__(self, config: RealSenseConfig, context: PartContext) -> None:
         self._config, self._model, self._clock = config, context.camera, context.clock
-        self._source = _source(config, context)
+        self.source = _source(config, context)
         self._stream: PairStream | None = None
+        self._counters = StreamCounters()
         self._news = asyncio.Event()
 
     @property
@@ -93,8 +94,8 @@ class RealSense:
 
     @property
     def counters(self) -> StreamCounters:
-        """What was done since it was opened."""
-        return StreamCounters() if self._stream is None else self._stream.counters
+        """What was done since it was opened last."""
+        return self._counters
 
     async def __aenter__(self) -> Self:
         """Returns with the first frame there. Raises CameraError."""
@@ -107,7 +108,8 @@ class RealSense:
         stamps = StampConfig(latency_ns=round(config.latency_s * 1e9))
         limits_m = (config.min_depth_m, config.max_depth_m)
         settings = StreamConfig(streams, limits_m, stamps, config.record, config.silence_s, config.reopen_s)
-        self._stream = PairStream(self._source, settings, self._model, self._clock, lambda: _set(loop, self._news))
+        self._stream = PairStream(self.source, settings, self._model, self._clock, lambda: _set(loop, self._news))
+        self._counters = self._stream.counters
         self._stream.start()
         try:
             await self._first(self._stream)
@@ -129,7 +131,7 @@ class RealSense:
         """
         stream = self._stream
         if stream is None:
-            raise CameraError(f"{self._source.name} is not open", "open it with `async with`")
+            raise CameraError(f"{self.source.name} is not open", "open it with `async with`")
         try:
             async with asyncio.timeout(timeout_s):
                 while (frame := stream.take()) is None:
@@ -144,7 +146,7 @@ class RealSense:
     async def _first(self, stream: PairStream) -> None:
         try:
             async with asyncio.timeout(self._config.open_timeout_s):
-                while not stream.counters.frames:
+                while not stream.counters.pairs:
                     if stream.trouble is not None:
                         raise stream.trouble
                     self._news.clear()
@@ -153,7 +155,7 @@ class RealSense:
             raise self._lost(stream, f" in the first {self._config.open_timeout_s:g} s") from None
 
     def _lost(self, stream: PairStream, how_long: str) -> CameraError:
-        message, trouble = f"no frame from {self._source.name}{how_long}", stream.trouble
+        message, trouble = f"no frame from {self.source.name}{how_long}", stream.trouble
         if trouble is None:
             return CameraError(message, "see whether its cable and port carry USB 3")
         state = "given up" if stream.ended else "it is opened again meanwhile"
@@ -171,7 +173,7 @@ class RealSense:
                     await self._news.wait()
         except TimeoutError:
             raise CameraError(
-                f"{self._source.name} does not close within {CLOSE_S:g} s", "unplug it, and end this program"
+                f"{self.source.name} does not close within {CLOSE_S:g} s", "unplug it, and end this program"
             ) from None
         stream.join()
 

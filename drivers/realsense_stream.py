@@ -1,7 +1,8 @@
 """The thread of a RealSense camera: device to frames, and again when the device comes back.
 
-Colour and depth come as they are taken, each with a stamp of its own; two that were taken together make a frame. Only
-the newest is kept. The thread ends when it is told to, when a device cannot come back, or when it did not in time.
+Colour and depth come as they are taken, each with a stamp of its own; two that were taken together make a pair. Only
+the newest is kept, and it is made a frame when somebody takes it: what nobody sees costs next to nothing. The thread
+ends when it is told to, when a device cannot come back, or when it did not in time.
 """
 
 from __future__ import annotations
@@ -47,16 +48,29 @@ class StreamConfig:
 
 @dataclass(slots=True)
 class StreamCounters:
-    """What the thread did. Times are CPU time of it, in ns."""
+    """What was done. Times are CPU time of the thread that did it, in ns: of the stream's, and of who takes frames."""
 
     opened: int = 0
-    frames: int = 0
+    pairs: int = 0
+    frames: int = 0  # pairs that were taken
     replaced: int = 0  # by a newer one before anybody took them
     unpaired: int = 0  # images without their other half
     old: int = 0  # stamps that repeat or go back
     clock: int = 0  # stamps that are not of this computer's time
-    take_ns: int = 0
+    stream_ns: int = 0
+    copy_ns: int = 0
     register_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two images that were taken together; ``stamp_ns`` is that of colour, role clock."""
+
+    stamp_ns: int
+    frame_id: int
+    color: RawImage
+    depth: RawImage
+    registration: DepthRegistration
 
 
 class Pairing:
@@ -96,18 +110,28 @@ class PairStream(threading.Thread):
         self._source, self._config, self._color, self._clock, self._on_news = source, config, color, clock, on_news
         self._ending = threading.Event()
         self._lock = threading.Lock()
-        self._newest: Frame | None = None
+        self._newest: Pair | None = None
         self._last_id = -1
+        self._started_ns = 0
         self._tolerance_ns = round(0.5e9 / config.streams.fps)
         self.counters = StreamCounters()
         self.trouble: CameraError | None = None
         self.ended = False
 
     def take(self) -> Frame | None:
-        """The newest frame not yet taken."""
+        """The newest frame not yet taken; to be called by one thread."""
         with self._lock:
-            frame, self._newest = self._newest, None
-            return frame
+            pair, self._newest = self._newest, None
+        if pair is None:
+            return None
+        counters, start = self.counters, busy_ns()
+        color = np.array(pair.color.pixels, np.uint8)  # the library will use its memory again
+        copied = busy_ns()
+        depth_mm = pair.registration.register(np.asarray(pair.depth.pixels, np.uint16))
+        counters.copy_ns += copied - start
+        counters.register_ns += busy_ns() - copied
+        counters.frames += 1
+        return Frame(pair.stamp_ns, pair.frame_id, color, depth_mm)
 
     def end(self) -> None:
         self._ending.set()
@@ -115,6 +139,7 @@ class PairStream(threading.Thread):
     def run(self) -> None:
         try:
             warm_up()
+            self._started_ns = busy_ns()
             self._run()
         except Exception as error:
             self.trouble = CameraError(f"{self._source.name}: {error!r}", "this is a fault of the program: report it")
@@ -125,7 +150,7 @@ class PairStream(threading.Thread):
     def _run(self) -> None:
         give_up_s = time.monotonic()
         while not self._ending.is_set():
-            before = self.counters.frames
+            before = self.counters.pairs
             try:
                 self._use_device()
             except CameraError as error:
@@ -133,7 +158,7 @@ class PairStream(threading.Thread):
             if self._ending.is_set():
                 return
             now_s = time.monotonic()
-            if self.counters.frames > before:
+            if self.counters.pairs > before:
                 give_up_s = now_s + self._config.reopen_s
             if not self._source.returns or now_s >= give_up_s:
                 return
@@ -161,14 +186,13 @@ class PairStream(threading.Thread):
         return folder / next(name for i in range(len(taken) + 1) if (name := f"{stem}-{i}.db3") not in taken)
 
     def _watch(self, device: RealSenseDevice) -> None:
-        config = self._config
+        """Publish what comes. Raises CameraError when nothing does any more."""
+        limit_s, clocks = self._config.silence_s, self._clocks()
         registration = DepthRegistration(
-            device.depth, self._color, device.T_color_depth, device.unit_m, config.limits_m
+            device.depth, self._color, device.T_color_depth, device.unit_m, self._config.limits_m
         )
-        clocks: dict[Kind, StampClock] = {kind: StampClock(config.stamps) for kind in ("color", "depth")}
-        pairing = Pairing(self._tolerance_ns)
-        base: int | None = None
-        heard_s = framed_s = time.monotonic()
+        pairing, base = Pairing(self._tolerance_ns), None
+        heard_s = paired_s = time.monotonic()
         while not self._ending.is_set():
             newest = None
             for image in _waiting(device):
@@ -179,12 +203,16 @@ class PairStream(threading.Thread):
             now_s = time.monotonic()
             if newest is not None:
                 stamp_ns, color, depth = newest
-                if base is None:
+                if base is None:  # a device that was opened again may count from the beginning again
                     base = max(self._last_id + 1 - color.number, 0)
-                self._publish(Frame(stamp_ns, base + color.number, *self._pixels(color, depth, registration)))
-                framed_s, self.trouble = now_s, None
-            elif device.at_end or now_s - framed_s > config.silence_s:
-                raise self._silent(now_s - framed_s, heard=now_s - heard_s < now_s - framed_s)
+                self._publish(Pair(stamp_ns, base + color.number, color, depth, registration))
+                paired_s = now_s
+            elif device.at_end or now_s - paired_s > limit_s:
+                raise self._silent(now_s - paired_s, heard=now_s - heard_s < now_s - paired_s)
+            self.counters.stream_ns = busy_ns() - self._started_ns
+
+    def _clocks(self) -> dict[Kind, StampClock]:
+        return {kind: StampClock(self._config.stamps) for kind in ("color", "depth")}
 
     def _paired(self, image: RawImage, clock: StampClock, pairing: Pairing) -> tuple[int, RawImage, RawImage] | None:
         now_ns = self._clock.now_ns()
@@ -201,20 +229,11 @@ class PairStream(threading.Thread):
         self.counters.unpaired += pairing.unpaired - before
         return pair
 
-    def _pixels(self, color: RawImage, depth: RawImage, registration: DepthRegistration):
-        start = busy_ns()
-        colors = np.array(color.pixels, np.uint8)  # the library's memory is used again
-        taken = busy_ns()
-        depths = registration.register(np.asarray(depth.pixels, np.uint16))
-        self.counters.take_ns += taken - start
-        self.counters.register_ns += busy_ns() - taken
-        return colors, depths
-
-    def _publish(self, frame: Frame) -> None:
+    def _publish(self, pair: Pair) -> None:
         with self._lock:
             self.counters.replaced += self._newest is not None
-            self._newest, self._last_id = frame, frame.frame_id
-            self.counters.frames += 1
+            self._newest, self._last_id, self.trouble = pair, pair.frame_id, None
+            self.counters.pairs += 1
         self._on_news()
 
     def _silent(self, silent_s: float, *, heard: bool) -> CameraError:
