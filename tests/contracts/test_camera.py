@@ -127,7 +127,7 @@ def test_frames_that_stop_are_an_error_in_time_with_what_to_do(stage_of: StageOf
         async with stage.camera as camera:
             await camera.read(PATIENCE_S)
             stage.unplug()
-            error: CameraError | None = None
+            error, start_s = None, loop.time()
             async with asyncio.timeout(PATIENCE_S):
                 while error is None:  # what was under way may still come
                     start_s = loop.time()
