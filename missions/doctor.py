@@ -23,6 +23,7 @@ from missions.options import DoctorOptions
 EXIT_UNFIT = 4
 OPENCV = ("opencv-contrib-python-headless", "opencv-python-headless", "opencv-contrib-python", "opencv-python")
 SHM_MIB, DISK_MIB = 64, 500
+REALSENSE = "drivers.realsense:RealSense"
 
 State = Literal["ok", "note", "fault"]
 
@@ -58,7 +59,7 @@ def findings(rig: str) -> Iterator[Finding]:
     yield check_opencv()
     for name, module in (("MAVSDK", "mavsdk"), ("pymavlink", "pymavlink.dialects.v20.minimal"), ("numba", "numba")):
         yield _check_import(name, module)
-    yield check_realsense()
+    yield check_realsense(needed=uses(rig, REALSENSE))
     yield check_kernel_cache()
     yield check_room()
     yield from check_rig_file(rig)
@@ -103,11 +104,21 @@ def check_opencv() -> Finding:
     return Finding("ok", "OpenCV", detail)
 
 
-def check_realsense() -> Finding:
+def uses(rig: str, factory: str) -> bool:
+    """Whether a camera of the rig is of this kind; not when the rig cannot be read, which is said elsewhere."""
+    try:
+        loaded = rig_library.load(rig)
+    except RigError:
+        return False
+    cameras = [own.sight.options.get("camera", {}) for own in (loaded.sender, loaded.receiver)]
+    return any(camera.get("factory") == factory for camera in cameras)
+
+
+def check_realsense(*, needed: bool) -> Finding:
     try:
         module = import_realsense()
     except PartError as error:
-        return Finding("note", "RealSense", str(error), error.remedy)
+        return Finding("fault" if needed else "note", "RealSense", str(error), error.remedy)
     return Finding("ok", "RealSense", f"pyrealsense2 {getattr(module, '__version__', '')}")
 
 

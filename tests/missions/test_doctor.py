@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from drivers.interfaces import CameraError
 from missions import doctor
 from missions.options import DoctorOptions
 
@@ -34,6 +35,18 @@ def test_this_machine_has_what_the_tests_need() -> None:
         assert found[name].state == "ok", found[name]
     assert found["rig"].state == "fault"
     assert "no rig named 'no-such-rig'" in found["rig"].detail
+
+
+@pytest.mark.parametrize(("rig", "state"), [("sitl", "fault"), ("sim", "note")])
+def test_a_missing_camera_library_is_a_fault_where_it_is_needed(
+    monkeypatch: pytest.MonkeyPatch, rig: str, state: doctor.State
+) -> None:
+    def missing() -> None:
+        raise CameraError("pyrealsense2 cannot be used", "build librealsense")
+
+    monkeypatch.setattr(doctor, "import_realsense", missing)
+    finding = doctor.check_realsense(needed=doctor.uses(rig, doctor.REALSENSE))
+    assert (finding.state, finding.fix) == (state, "build librealsense")
 
 
 def test_an_opencv_with_windows_or_without_aruco_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
