@@ -86,19 +86,15 @@ def test_a_slanted_plane_is_where_the_calibration_says() -> None:
     assert abs(float(np.mean((out - expected)[seen]))) < 1.0
 
 
-def test_leaving_the_distortion_out_would_show() -> None:
-    """An edge near the corner: where the lens draws it, not where a pinhole would."""
-    scene = np.full((DEPTH.height, DEPTH.width), 3000, np.uint16)
-    scene[:, :30] = 800
-    with_lens, without = registered(scene), registered(scene, PLAIN)
-    row = 8
-    edges = [int(np.flatnonzero(image[row] > 2000)[0]) for image in (with_lens, without)]
-    x = (30 - 0.5 - DEPTH.cx) / DEPTH.fx
-    y = (row - DEPTH.cy) / DEPTH.fy
-    point = T_COLOR_DEPTH.apply(np.array([x * 0.8, y * 0.8, 0.8]))
-    u, _ = LENS.project_point((point[0], point[1], point[2]))
-    assert abs(edges[0] - u) < 12.0  # the near edge, and the shadow it casts
-    assert edges[0] != edges[1]
+def test_a_thing_near_the_corner_is_where_the_lens_draws_it() -> None:
+    scene = np.zeros((DEPTH.height, DEPTH.width), np.uint16)
+    scene[14:25, 20:31] = 800
+    ray = np.array([*DEPTH.ray(25.0, 19.0), 1.0])
+    x, y, z = (float(each) for each in T_COLOR_DEPTH.apply(0.8 * ray))
+    expected = np.array(LENS.project_point((x, y, z)))
+    rows, columns = np.nonzero(registered(scene))
+    assert np.hypot(*(np.array([columns.mean(), rows.mean()]) - expected)) < 0.5
+    assert np.hypot(*(np.array(PLAIN.project_point((x, y, z))) - expected)) > 2.0  # what leaving the lens out would do
 
 
 def test_what_is_nearer_hides_what_is_behind_it() -> None:
