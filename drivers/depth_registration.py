@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from path.camera import CameraModel
 from path.geometry import Pose
 
+NOTHING = 65535  # while the nearest is sought; 0 when done
 F, INT = np.float32, np.int32
 ZERO, HALF, ONE, TWO = F(0.0), F(0.5), F(1.0), F(2.0)
-NOTHING = 65535  # while the nearest is sought; 0 when done
 OVERLAP_PX = 0.1  # of neighbouring squares: depth noise moves them apart, and would leave gaps between them
 MAX_HALF_PX = 1.0  # so that a square covers at most two pixels each way
-NEAREST_MM = F(10.0)
+NEAREST_MM, LARGEST = F(10.0), F(NOTHING)
 
 
 class DepthRegistration:
@@ -43,24 +43,27 @@ class DepthRegistration:
             limits_m: nearest and farthest depth that is believed, along the depth camera's axis.
 
         Raises:
-            ValueError: the depth camera has pixels without a ray, or sees nothing of what the colour camera sees.
+            ValueError: depth that is not rectified, far coarser than colour, or of what the colour camera does not see.
         """
-        self._color = color
+        if any(depth.distortion):
+            raise ValueError(
+                f"distortion of the depth stream: {depth.distortion!r}; only rectified depth can be registered"
+            )
+        # The ray of a depth pixel, turned into the colour camera's frame, is linear in column and row.
+        linear = T_color_depth.R @ np.linalg.inv(depth.K)
         columns, rows = np.meshgrid(np.arange(depth.width, dtype=float), np.arange(depth.height, dtype=float))
-        rays = depth.rays(np.stack((columns.ravel(), rows.ravel()), axis=1))
-        if not np.isfinite(rays).all():
-            raise ValueError(f"distortion: {depth.distortion!r} leaves depth pixels without a ray")
-        turned = np.column_stack((rays, np.ones(len(rays)))) @ T_color_depth.R.T
-        if turned[:, 2].min() < 0.1:
+        rays = np.stack((columns, rows, np.ones_like(columns)), axis=2) @ linear.T
+        if rays[..., 2].min() < 0.1:
             raise ValueError("depth and colour camera look in different directions")
-        self._rays = np.ascontiguousarray(turned.T.reshape(3, depth.height, depth.width), np.float32)
+        self._color, self._linear = color, linear.astype(np.float32)
         self._t_mm = (T_color_depth.t * 1000.0).astype(np.float32)
         self._unit_mm = F(unit_m * 1000.0)
         self._limits_mm = F(limits_m[0] * 1000.0), F(limits_m[1] * 1000.0)
         self._lens = np.array([color.fx, color.fy, color.cx, color.cy, *color.distortion], np.float32)
         self._max_r2 = F(min(color.max_radius, 1e3) ** 2)
-        self._half = _half_px(depth, color, turned.reshape(depth.height, depth.width, 3))
-        self._cells = np.empty((5, depth.width), np.int32)
+        self._half = _half_px(depth, color, rays)
+        self._columns = np.arange(depth.width, dtype=np.float32)
+        self._cells = np.empty((4, depth.width), np.int32)
 
     def register(self, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
         """Depth of the colour image's pixels, z along the colour camera's axis in mm, 0 where there is none.
@@ -70,8 +73,8 @@ class DepthRegistration:
         """
         out = np.empty((self._color.height, self._color.width), np.uint16)
         cells, limits = self._cells, self._limits_mm
-        lens, rays, t_mm, unit_mm = self._lens, self._rays, self._t_mm, self._unit_mm
-        _register(depth, rays, t_mm, unit_mm, *limits, lens, self._max_r2, self._half, cells, out)
+        lens, linear, t_mm, unit_mm = self._lens, self._linear, self._t_mm, self._unit_mm
+        _register(depth, linear, self._columns, t_mm, unit_mm, *limits, lens, self._max_r2, self._half, cells, out)
         return out
 
 
@@ -93,53 +96,59 @@ def _half_px(depth: CameraModel, color: CameraModel, rays: NDArray[np.float64]) 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _place(measured, rays, r, t_mm, unit_mm, near, far, lens, max_r2, half, size, cells):
-    """Where a row of depth pixels lies in the colour image: ``cells`` int32 (5, w): left, right, top, bottom, z in mm.
+def _place(measured, linear, columns, r, t_mm, unit_mm, near, far, lens, max_r2, half, size, cells):
+    """Where a row of depth pixels lies in the colour image.
 
-    A loop without branches, so that it vectorises. z is NOTHING where there is no depth or it is not in the image.
+    A loop without branches, so that it vectorises. ``cells``, int32 (4, w): number of the first pixel, whether there is
+    a second one to its right, and one below, z in mm. z is NOTHING where there is no depth or it is not in the image.
     """
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
     k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
     tx, ty, tz, half_u, half_v = t_mm[0], t_mm[1], t_mm[2], half[0], half[1]
-    last_u, last_v = F(size[1] - 1), F(size[0] - 1)
-    ray_x, ray_y, ray_z = rays[0, r], rays[1, r], rays[2, r]
-    left, right, top, bottom, depth = cells[0], cells[1], cells[2], cells[3], cells[4]
+    last_u, last_v, width = F(size[1] - 1), F(size[0] - 1), F(size[1])
+    x1, y1, z1 = linear[0, 0], linear[1, 0], linear[2, 0]
+    x0, y0 = linear[0, 1] * F(r) + linear[0, 2], linear[1, 1] * F(r) + linear[1, 2]
+    z0 = linear[2, 1] * F(r) + linear[2, 2]
+    first, wide, high, depth = cells[0], cells[1], cells[2], cells[3]
     for c in range(measured.size):
-        d = F(measured[c]) * unit_mm
-        z = d * ray_z[c] + tz
+        d, column = F(measured[c]) * unit_mm, columns[c]
+        z = d * (z0 + z1 * column) + tz
         over = ONE / max(z, NEAREST_MM)
-        x, y = (d * ray_x[c] + tx) * over, (d * ray_y[c] + ty) * over
+        x, y = (d * (x0 + x1 * column) + tx) * over, (d * (y0 + y1 * column) + ty) * over
         r2 = x * x + y * y
         radial = ONE + r2 * (k1 + r2 * (k2 + r2 * k3))
         xy2 = TWO * x * y
         u = fx * (x * radial + p1 * xy2 + p2 * (r2 + TWO * x * x)) + cx
         v = fy * (y * radial + p1 * (r2 + TWO * y * y) + p2 * xy2) + cy
-        left[c] = INT(np.ceil(max(min(u, last_u + TWO) - half_u, ZERO)))
-        right[c] = INT(np.floor(min(max(u, -TWO) + half_u, last_u)))
-        top[c] = INT(np.ceil(max(min(v, last_v + TWO) - half_v, ZERO)))
-        bottom[c] = INT(np.floor(min(max(v, -TWO) + half_v, last_v)))
-        believed = (d >= near) & (d <= far) & (d > ZERO) & (z >= NEAREST_MM) & (z < NOTHING) & (r2 <= max_r2)
-        depth[c] = INT(z + HALF) if believed else NOTHING
+        left, right = np.ceil(max(u - half_u, ZERO)), np.floor(min(u + half_u, last_u))
+        top, bottom = np.ceil(max(v - half_v, ZERO)), np.floor(min(v + half_v, last_v))
+        inside = (left <= right) & (top <= bottom) & (r2 <= max_r2)
+        believed = inside & (d >= near) & (d <= far) & (d > ZERO) & (z >= NEAREST_MM) & (z < LARGEST)
+        first[c] = INT(top * width + left)  # exact: below 2^24
+        wide[c] = INT(right - left)
+        high[c] = INT(bottom - top)
+        depth[c] = INT(z + HALF) if believed else INT(NOTHING)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _register(depth, rays, t_mm, unit_mm, near, far, lens, max_r2, half, cells, out):
+def _register(depth, linear, columns, t_mm, unit_mm, near, far, lens, max_r2, half, cells, out):
     """Fill ``out``: the nearest of what falls on a pixel, 0 where nothing does."""
     out[:] = NOTHING
+    flat, width = out.reshape(-1), np.uint32(out.shape[1])
     for r in range(depth.shape[0]):
-        _place(depth[r], rays, r, t_mm, unit_mm, near, far, lens, max_r2, half, out.shape, cells)
+        _place(depth[r], linear, columns, r, t_mm, unit_mm, near, far, lens, max_r2, half, out.shape, cells)
         for c in range(depth.shape[1]):
-            left, right, top, bottom, z = cells[0, c], cells[1, c], cells[2, c], cells[3, c], np.uint16(cells[4, c])
-            if z == NOTHING or right < left or bottom < top:
+            z, n = np.uint16(cells[3, c]), np.uint32(cells[0, c])  # unsigned: no look whether it counts from the end
+            if z == NOTHING:
                 continue
-            # Unsigned: without a look whether an index counts from the end.
-            first, last, begin, end = np.uint32(top), np.uint32(bottom), np.uint32(left), np.uint32(right)
-            out[first, begin] = min(out[first, begin], z)
-            if begin != end:
-                out[first, end] = min(out[first, end], z)
-            if first != last:
-                out[last, begin] = min(out[last, begin], z)
-                out[last, end] = min(out[last, end], z)
+            flat[n] = min(flat[n], z)
+            if cells[1, c]:
+                flat[n + np.uint32(1)] = min(flat[n + np.uint32(1)], z)
+            if cells[2, c]:
+                n += width
+                flat[n] = min(flat[n], z)
+                if cells[1, c]:
+                    flat[n + np.uint32(1)] = min(flat[n + np.uint32(1)], z)
     for i in range(out.shape[0]):
         row = out[i]
         for j in range(row.size):

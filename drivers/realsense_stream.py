@@ -20,10 +20,11 @@ from drivers.depth_registration import DepthRegistration, warm_up
 from drivers.interfaces import CameraError, Clock, Frame
 from drivers.realsense_library import Kind, RawImage, RealSenseDevice, Streams
 from drivers.realsense_sources import DeviceSource
-from drivers.stamp_clock import Domain, Refused, StampClock, StampConfig
+from drivers.stamp_clock import Refused, StampClock, StampConfig, StampLine
 from path.camera import CameraModel
 
 POLL_S = 0.1  # how soon the thread sees that it should end
+PLAYBACK_AGE_NS = 50_000_000  # of a recording's frames when they come
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,31 +74,40 @@ class Pair:
     registration: DepthRegistration
 
 
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """An image, its stamp in its device's clock, growing with every image of its kind, and its arrival, role clock."""
+
+    stamp_ns: int
+    arrival_ns: int
+    image: RawImage
+
+
 class Pairing:
     """Finds colour and depth that were taken together. ``unpaired`` counts images that were passed over."""
 
     def __init__(self, tolerance_ns: int) -> None:
         self._tolerance_ns = tolerance_ns
-        self._waiting: dict[Kind, list[tuple[int, RawImage]]] = {"color": [], "depth": []}
+        self._waiting: dict[Kind, list[Taken]] = {"color": [], "depth": []}
         self.unpaired = 0
 
-    def add(self, stamp_ns: int, image: RawImage) -> tuple[int, RawImage, RawImage] | None:
-        """Stamp of the colour image, colour, depth; None while one of them is to come. Stamps of a kind grow."""
-        other: Kind = "depth" if image.kind == "color" else "color"
-        own, others = self._waiting[image.kind], self._waiting[other]
-        while others and others[0][0] < stamp_ns - self._tolerance_ns:
+    def add(self, taken: Taken) -> tuple[Taken, Taken] | None:
+        """Colour and depth; None while one of them is to come."""
+        kind = taken.image.kind
+        own, others = self._waiting[kind], self._waiting["depth" if kind == "color" else "color"]
+        while others and others[0].stamp_ns < taken.stamp_ns - self._tolerance_ns:
             others.pop(0)
             self.unpaired += 1
-        if not others or others[0][0] > stamp_ns + self._tolerance_ns:
-            own.append((stamp_ns, image))
+        if not others or others[0].stamp_ns > taken.stamp_ns + self._tolerance_ns:
+            own.append(taken)
             if len(own) > 2:
                 own.pop(0)
                 self.unpaired += 1
             return None
         self.unpaired += len(own)
         own.clear()
-        other_ns, match = others.pop(0)
-        return (stamp_ns, image, match) if image.kind == "color" else (other_ns, match, image)
+        other = others.pop(0)
+        return (taken, other) if kind == "color" else (other, taken)
 
 
 class PairStream(threading.Thread):
@@ -114,6 +124,7 @@ class PairStream(threading.Thread):
         self._last_id = -1
         self._started_ns = 0
         self._tolerance_ns = round(0.5e9 / config.streams.fps)
+        self._stamps = config.stamps if source.live else StampConfig(PLAYBACK_AGE_NS, follow=False)
         self.counters = StreamCounters()
         self.trouble: CameraError | None = None
         self.ended = False
@@ -187,47 +198,60 @@ class PairStream(threading.Thread):
 
     def _watch(self, device: RealSenseDevice) -> None:
         """Publish what comes. Raises CameraError when nothing does any more."""
-        limit_s, clocks = self._config.silence_s, self._clocks()
-        registration = DepthRegistration(
-            device.depth, self._color, device.T_color_depth, device.unit_m, self._config.limits_m
-        )
-        pairing, base = Pairing(self._tolerance_ns), None
+        limit_s, registration = self._config.silence_s, self._registration(device)
+        lines: dict[Kind, StampLine] = {"color": StampLine(), "depth": StampLine()}
+        clock, pairing, base = StampClock(self._stamps), Pairing(self._tolerance_ns), None
         heard_s = paired_s = time.monotonic()
         while not self._ending.is_set():
             newest = None
             for image in _waiting(device):
                 heard_s = time.monotonic()
-                pair = self._paired(image, clocks[image.kind], pairing)
+                pair = self._paired(image, lines[image.kind], pairing)
                 self.counters.replaced += pair is not None and newest is not None
                 newest = pair or newest
-            now_s = time.monotonic()
-            if newest is not None:
-                stamp_ns, color, depth = newest
+            stamp_ns = None if newest is None else self._mapped(newest[0], clock)
+            if newest is not None and stamp_ns is not None:
+                color, depth = (each.image for each in newest)
                 if base is None:  # a device that was opened again may count from the beginning again
                     base = max(self._last_id + 1 - color.number, 0)
                 self._publish(Pair(stamp_ns, base + color.number, color, depth, registration))
-                paired_s = now_s
-            elif device.at_end or now_s - paired_s > limit_s:
-                raise self._silent(now_s - paired_s, heard=now_s - heard_s < now_s - paired_s)
+                paired_s = heard_s
+            elif device.at_end or time.monotonic() - paired_s > limit_s:
+                raise self._silent(time.monotonic() - paired_s, heard=heard_s > paired_s)
             self.counters.stream_ns = busy_ns() - self._started_ns
 
-    def _clocks(self) -> dict[Kind, StampClock]:
-        return {kind: StampClock(self._config.stamps) for kind in ("color", "depth")}
+    def _registration(self, device: RealSenseDevice) -> DepthRegistration:
+        limits_m = self._config.limits_m
+        try:
+            return DepthRegistration(device.depth, self._color, device.T_color_depth, device.unit_m, limits_m)
+        except ValueError as error:
+            raise CameraError(
+                f"{self._source.name}: depth cannot be registered to colour: {error}",
+                "see whether the calibration is of this camera, and choose another depth_size",
+            ) from error
 
-    def _paired(self, image: RawImage, clock: StampClock, pairing: Pairing) -> tuple[int, RawImage, RawImage] | None:
-        now_ns = self._clock.now_ns()
-        domain = image.domain if self._source.live else Domain.HARDWARE
-        stamp_ns = clock.to_role(image.stamp_ns, domain, now_ns, wall_offset_ns(self._clock.now_ns))
-        if isinstance(stamp_ns, Refused):
-            if stamp_ns is Refused.OLD:
-                self.counters.old += 1
-            else:
-                self.counters.clock += 1
+    def _paired(self, image: RawImage, line: StampLine, pairing: Pairing) -> tuple[Taken, Taken] | None:
+        arrival_ns = self._clock.now_ns()
+        stamp_ns = line.next(image.stamp_ns, image.domain)
+        if stamp_ns is None:
+            self.counters.old += 1
             return None
         before = pairing.unpaired
-        pair = pairing.add(stamp_ns, image)
+        pair = pairing.add(Taken(stamp_ns, arrival_ns, image))
         self.counters.unpaired += pairing.unpaired - before
         return pair
+
+    def _mapped(self, color: Taken, clock: StampClock) -> int | None:
+        """The role's stamp of a pair; None, and counted, when there is none to be trusted."""
+        wall_ns = wall_offset_ns(self._clock.now_ns)
+        stamp_ns = clock.to_role(color.stamp_ns, color.image.domain, color.arrival_ns, wall_ns)
+        if not isinstance(stamp_ns, Refused):
+            return stamp_ns
+        if stamp_ns is Refused.OLD:
+            self.counters.old += 1
+        else:
+            self.counters.clock += 1
+        return None
 
     def _publish(self, pair: Pair) -> None:
         with self._lock:

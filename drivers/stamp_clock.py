@@ -39,65 +39,72 @@ class StampConfig:
         max_drift_ppm: largest rate by which the camera's clock and the role's may part.
         max_age_ns: a frame is no older than this when it arrives, by the wall clock.
         max_ahead_ns: nor is it from further in the future than this.
+        follow: False takes one offset from the first frame: the distances between stamps stay those of a recording.
     """
 
     latency_ns: int = 0
     max_drift_ppm: float = 100.0
     max_age_ns: int = 1_000_000_000
     max_ahead_ns: int = 5_000_000
+    follow: bool = True
+
+
+class StampLine:
+    """The stamps of one stream, without the new beginnings of a hardware counter."""
+
+    def __init__(self) -> None:
+        self._wrapped_ns = 0
+        self._newest_ns: int | None = None
+
+    def next(self, stamp_ns: int, domain: Domain) -> int | None:
+        """The stamp where it belongs; None when it repeats or goes back."""
+        newest_ns = self._newest_ns
+        if domain is Domain.HARDWARE:
+            if newest_ns is not None and stamp_ns + self._wrapped_ns < newest_ns - WRAP_NS // 2:
+                self._wrapped_ns += WRAP_NS
+            stamp_ns += self._wrapped_ns
+        if newest_ns is not None and stamp_ns <= newest_ns:
+            return None
+        self._newest_ns = stamp_ns
+        return stamp_ns
 
 
 class StampClock:
-    """Maps the stamps of one stream. No I/O and no clock of its own. ``refused`` counts by reason."""
+    """Maps the stamps of a ``StampLine``. No I/O and no clock of its own."""
 
     def __init__(self, config: StampConfig | None = None) -> None:
         self._config = config or StampConfig()
-        self._wrapped_ns = 0
-        self._stamp_ns: int | None = None
         self._offset_ns: int | None = None
         self._arrival_ns = 0
         self._mapped_ns: int | None = None
-        self.refused = dict.fromkeys(Refused, 0)
 
     def to_role(self, stamp_ns: int, domain: Domain, arrival_ns: int, wall_offset_ns: int) -> int | Refused:
-        """The stamp in the role's clock, never after the arrival, and always later than the one before.
+        """The stamp in the role's clock, always later than the one before; never after the arrival while it follows.
 
         Args:
-            stamp_ns: mid-exposure, in the clock of ``domain``.
+            stamp_ns: mid-exposure, in the clock of ``domain``; grows.
             arrival_ns: when the frame arrived, role clock.
             wall_offset_ns: wall clock minus role clock, now.
         """
-        if domain is Domain.HARDWARE:
-            stamp_ns = self._unwrapped(stamp_ns)
-        if self._stamp_ns is not None and stamp_ns <= self._stamp_ns:
-            return self._refuse(Refused.OLD)
-        self._stamp_ns = stamp_ns
-        if domain is Domain.HARDWARE:
+        if domain is Domain.HARDWARE or not self._config.follow:
             mapped = stamp_ns + self._bound(stamp_ns, arrival_ns) - self._config.latency_ns
         else:
             mapped = stamp_ns - wall_offset_ns
             if not -self._config.max_ahead_ns <= arrival_ns - mapped <= self._config.max_age_ns:
-                return self._refuse(Refused.CLOCK)
+                return Refused.CLOCK
             mapped = min(mapped, arrival_ns)
         if self._mapped_ns is not None and mapped <= self._mapped_ns:
-            return self._refuse(Refused.OLD)
+            return Refused.OLD
         self._mapped_ns = mapped
         return mapped
 
-    def _unwrapped(self, stamp_ns: int) -> int:
-        if self._stamp_ns is not None and stamp_ns + self._wrapped_ns < self._stamp_ns - WRAP_NS // 2:
-            self._wrapped_ns += WRAP_NS
-        return stamp_ns + self._wrapped_ns
-
     def _bound(self, stamp_ns: int, arrival_ns: int) -> int:
         """Role clock minus camera clock, from above."""
+        if self._offset_ns is not None and not self._config.follow:
+            return self._offset_ns
         offset = arrival_ns - stamp_ns
         if self._offset_ns is not None:
             drift = round((arrival_ns - self._arrival_ns) * self._config.max_drift_ppm * 1e-6)
             offset = min(offset, self._offset_ns + drift)
         self._offset_ns, self._arrival_ns = offset, arrival_ns
         return offset
-
-    def _refuse(self, reason: Refused) -> Refused:
-        self.refused[reason] += 1
-        return reason

@@ -49,7 +49,7 @@ class _Run:
 
 
 class SitlHarness:
-    """Real MAVSDK, real sockets, rendered frames through shared memory; the vehicles are the embedded ones."""
+    """Real MAVSDK, real sockets, rendered frames through pyrealsense2; the vehicles are the embedded ones."""
 
     def fly(self, request: FlightRequest) -> FlightReport:
         return asyncio.run(_fly(request))

@@ -129,6 +129,8 @@ def test_streams_that_do_not_fit_are_refused() -> None:
     fine = CameraModel(1280, 960, 1230.0, 1230.0, 640.0, 480.0)
     with pytest.raises(ValueError, match="finer depth stream"):
         DepthRegistration(DEPTH, fine, T_COLOR_DEPTH, UNIT_M, LIMITS_M)
+    with pytest.raises(ValueError, match="only rectified depth"):
+        DepthRegistration(replace(DEPTH, distortion=LENS.distortion), LENS, T_COLOR_DEPTH, UNIT_M, LIMITS_M)
     backwards = Pose(np.diag([-1.0, 1.0, -1.0]), np.zeros(3))
     with pytest.raises(ValueError, match="different directions"):
         DepthRegistration(DEPTH, LENS, backwards, UNIT_M, LIMITS_M)

@@ -150,7 +150,7 @@ def test_old_stamps_are_counted_and_not_given() -> None:
         assert (await newest(driver, feed)).stamp_ns == pytest.approx(stamp_ns, abs=MS)
         for back_ns in (0, 5 * MS):
             feed.give(stamp_ns - back_ns)
-        await until(lambda: driver.counters.old >= 4)
+        await until(lambda: driver.counters.old == 4)
         with pytest.raises(CameraError, match=r"no frame from bench D415 for 0.05 s"):
             await driver.read(0.05)
         await driver.__aexit__(None, None, None)
@@ -164,10 +164,10 @@ def test_a_reader_that_is_slow_gets_the_newest() -> None:
         with feed.running():
             driver = camera(feed)
             await driver.__aenter__()
-        for _ in range(5):
+        for _ in range(3):
             feed.give()
-        await until(lambda: driver.counters.replaced >= 5)
         await newest(driver, feed)
+        assert driver.counters.replaced > 0
         await driver.__aexit__(None, None, None)
 
     run(main())
@@ -270,6 +270,15 @@ def test_a_stream_that_the_device_does_not_have_is_refused_with_those_it_has() -
         other = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
         with pytest.raises(CameraError, match=r"no color stream of 64x48 px at 50 Hz; it has: 96x72 at 50"):
             await camera(Feed(), other, depth_size=[96, 72]).__aenter__()
+
+    run(main())
+
+
+def test_a_calibration_that_cannot_be_of_this_camera_is_refused() -> None:
+    async def main() -> None:
+        tele = CameraModel(COLOR.width, COLOR.height, 400.0, 400.0, COLOR.cx, COLOR.cy)
+        with pytest.raises(CameraError, match="depth cannot be registered to colour"):
+            await camera(Feed(), tele).__aenter__()
 
     run(main())
 
@@ -377,7 +386,7 @@ def test_what_was_recorded_comes_back_through_the_same_driver(tmp_path: Path) ->
         assert depth_mm is not None and before_mm is not None
         np.testing.assert_allclose(depth_mm, before_mm, rtol=0.0, atol=1.0)
     steps = [[frames[n].stamp_ns for n in both] for frames in (played, recorded)]
-    assert np.abs(np.diff(steps[0]) - np.diff(steps[1])).max() < 5 * MS
+    assert np.abs(np.diff(steps[0]) - np.diff(steps[1])).max() < 1 * MS
 
 
 def recording(feed: Feed, folder: Path) -> Any:
