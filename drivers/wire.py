@@ -89,7 +89,8 @@ class Codec:
         self._link_id = link_id
         self._sequence = 0
         self._newest = 0  # stamp, of those sent and received
-        self._streams: dict[int, int] = {}  # link id of the peer: newest stamp of a proven stream
+        self._streams: dict[int, int] = {}  # link id of the peer: newest stamp
+        self._proven: set[int] = set()  # link ids of streams that answered
         self._asked: deque[tuple[int, int]] = deque(maxlen=_ASKED)  # pings sent: nonce, instant
 
     def encode(self, message: Message) -> bytes:
@@ -132,7 +133,7 @@ class Codec:
             message = FROM_WIRE[kind](packet)
         except OutOfRange:
             return Drop.OUT_OF_RANGE
-        if self._signed and data[-_SIGNATURE] not in self._streams:
+        if self._signed and data[-_SIGNATURE] not in self._proven:
             return self._introduced(data, message)
         return message
 
@@ -148,16 +149,15 @@ class Codec:
         stamp = _stamp_of(data)
         self._newest = max(self._newest, stamp)
         newest = self._streams.get(data[-_SIGNATURE])
-        if newest is not None:
-            if stamp <= newest:
-                return Drop.REPLAYED
-            self._streams[data[-_SIGNATURE]] = stamp
+        if newest is not None and stamp <= newest:
+            return Drop.REPLAYED
+        self._streams[data[-_SIGNATURE]] = stamp
         return None
 
     def _introduced(self, data: bytes, message: Message) -> Message | Drop:
         """What is taken of a stream that is not proven; its answer proves it."""
         if isinstance(message, Pong) and (message.nonce, message.ping_sent_ns) in self._asked:
-            self._streams[data[-_SIGNATURE]] = _stamp_of(data)
+            self._proven.add(data[-_SIGNATURE])
             return message
         return message if isinstance(message, Ping) else Drop.UNPROVEN
 

@@ -117,6 +117,7 @@ class FlightRequest:
         faults: as written by the user, ``NAME[=VALUE][@WHEN[+SECONDS]]``.
         role_main: for harnesses that run the roles in this process.
         role_command: the command line of one role, for harnesses that run them as processes.
+        attack_command: of a program that floods the link; the harness adds what it has to know.
     """
 
     rig: Rig
@@ -126,6 +127,7 @@ class FlightRequest:
     role_main: RoleMain
     role_command: Callable[[Role], Sequence[str]]
     emit: Emit
+    attack_command: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,6 +64,10 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("link_corrupt", None, "must", "this share of the packets comes damaged", True),
         FaultKind("link_reorder", None, "must", "this share of the packets is overtaken by later ones", True),
         FaultKind("link_out", None, "must", "nothing passes for this many seconds, either way", False, LONGEST_S),
+        FaultKind(
+            "attack", None, "must", "a third process floods both drones with this many forged and repeated packets a "
+            "second", True, 20_000.0,
+        ),
         FaultKind("camera_freeze", Role.RECEIVER, "no", "the receiver's camera gives no new frames"),
         FaultKind(
             "kill_receiver", Role.RECEIVER, "may",

@@ -245,6 +245,7 @@ class UdpFaultProxy:
         self._faults = faults or LinkFaults()
         self._channels = [FaultyChannel(f"proxy {side} {seed}", self._faults) for side in (0, 1)]
         self._transports: list[asyncio.DatagramTransport] = []
+        self.overheard: Callable[[bytes, int], None] | None = None  # told each packet, and the side it is for
 
     @property
     def faults(self) -> LinkFaults:
@@ -282,11 +283,17 @@ class UdpFaultProxy:
     def forward(self, data: bytes, side: int, source: Address) -> None:
         """A datagram came in on a side: on to the end of the other. Strangers' are ignored."""
         if source == self._sides[side].end:
+            if self.overheard is not None:
+                self.overheard(data, 1 - side)
             self._channels[side].carry(data, lambda packet: self._out(1 - side, packet))
 
     def _out(self, side: int, data: bytes) -> None:
         if self._transports:
             self._transports[side].sendto(data, self._sides[side].end)
+
+    def inject(self, data: bytes, side: int) -> None:
+        """Into one side's end, as if the other drone had sent it: whoever is on the air can."""
+        self._out(side, data)
 
     async def _close(self) -> None:
         for transport in self._transports:

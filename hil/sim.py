@@ -22,7 +22,7 @@ from drivers.tables import decode_table
 from flight.config import MissionConfig
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, with_log
 from hil.capture import Freeze
-from hil.faults import Fault, FaultTrigger, parse_fault
+from hil.faults import Fault, FaultError, FaultTrigger, parse_fault
 from hil.faulty_link import MemoryHub
 from hil.inject import inject_in_world, inject_on_link
 from hil.monitors import Monitors, WatchedLog
@@ -64,6 +64,8 @@ class SimHarness:
 
     def fly(self, request: FlightRequest) -> FlightReport:
         faults = [parse_fault(text) for text in request.faults]
+        if any(fault.name == "attack" for fault in faults):
+            raise FaultError("fault attack needs real sockets", "fly it with --rig sitl, or a rig like it")
         prepare(request.rig, lambda what: show_start(request, what))
         start_s = time.perf_counter()
         gc.disable()  # nothing here lives in cycles, and collecting takes a tenth of the time

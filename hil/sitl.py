@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers.log import LogRecord, parts, read_log
+from drivers.rig import Rig
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, decode_event
-from hil.faults import Fault, FaultTrigger, parse_fault
+from hil.faults import Fault, FaultError, FaultTrigger, parse_fault
 from hil.monitors import Monitors
 from hil.preparation import starting
 from hil.shared_camera import RUN_VARIABLE
@@ -32,6 +33,7 @@ ROLE_EXIT_S = 60.0
 RECORD_POLL_S = 0.001
 
 StartRole = Callable[[Role], Awaitable[asyncio.subprocess.Process]]
+StartAttack = Callable[[float], Awaitable[asyncio.subprocess.Process]]
 
 
 class HarnessFailure(Exception):
@@ -57,13 +59,19 @@ class SitlHarness:
 
 async def _fly(request: FlightRequest) -> FlightReport:
     faults = [parse_fault(text) for text in request.faults]
+    if any(fault.name == "attack" for fault in faults):
+        _need_keys(request.rig)
     run = _Run(request)
     start_s = time.monotonic()
     processes: list[asyncio.subprocess.Process] = []
     failure = ""
     try:
-        world = await _start_world(request, processes)
-        crew = _Crew(world, lambda role: _start_role(request, role, processes))
+        world, air = await _start_world(request, processes)
+        crew = _Crew(
+            world,
+            lambda role: _start_role(request, role, processes),
+            lambda rate: _start_attack(request, rate, air, processes),
+        )
         await _supervise(run, FaultTrigger(faults), crew)
         run.finished = await _finish_world(world)
     except HarnessFailure as error:
@@ -73,9 +81,21 @@ async def _fly(request: FlightRequest) -> FlightReport:
     return _report(run, failure, time.monotonic() - start_s)
 
 
+def _need_keys(rig: Rig) -> None:
+    """Raises FaultError when the drones would believe anybody."""
+    for role in Role:
+        if "key_file" not in rig.role(role).link.options:
+            raise FaultError(
+                f"fault attack: {rig.where(f'{role.value}.link')} has no key_file, so that any packet is believed",
+                "copy the rig, make a key (head -c 32 /dev/urandom > pair.key && chmod 600 pair.key), and name it "
+                "there for both drones",
+            )
+
+
 async def _start_world(
     request: FlightRequest, processes: list[asyncio.subprocess.Process]
-) -> asyncio.subprocess.Process:
+) -> tuple[asyncio.subprocess.Process, int]:
+    """Its process, and the port on which it lets others on the air."""
     arguments = [str(request.rig.file), str(request.out), str(request.seed)]
     world = await _spawn([sys.executable, "-m", "hil.sitl_world", *arguments], request.out / "world.stderr.txt")
     processes.append(world)
@@ -84,7 +104,7 @@ async def _start_world(
             while True:
                 event = await _read_json(world)
                 if event.get("event") == "ready":
-                    return world
+                    return world, int(event.get("air", 0))
                 if event.get("event") == "warming":
                     for role in Role:
                         request.emit(starting(role, str(event["what"])))
@@ -101,6 +121,17 @@ async def _read_json(process: asyncio.subprocess.Process) -> dict[str, Any]:
         return json.loads(line)
     except ValueError:
         return {}
+
+
+async def _start_attack(
+    request: FlightRequest, rate: float, air: int, processes: list[asyncio.subprocess.Process]
+) -> asyncio.subprocess.Process:
+    """The third process: it knows where both drones listen, and hears and sends on the air."""
+    ends = [str(request.rig.role(role).link.options["bind"]) for role in (Role.SENDER, Role.RECEIVER)]
+    arguments = [f"{rate:g}", str(air), *ends, str(request.seed), str(request.out)]
+    process = await _spawn([*request.attack_command, *arguments], request.out / "attack.stderr.txt")
+    processes.append(process)
+    return process
 
 
 async def _start_role(
@@ -132,8 +163,9 @@ async def _spawn(command: Sequence[str], errors: Path) -> asyncio.subprocess.Pro
 class _Crew:
     """The world's process and those of the roles, which may die and be started again."""
 
-    def __init__(self, world: asyncio.subprocess.Process, start: StartRole) -> None:
+    def __init__(self, world: asyncio.subprocess.Process, start: StartRole, attack: StartAttack) -> None:
         self.world = world
+        self._attack = attack
         self.roles: dict[Role, asyncio.subprocess.Process] = {}
         self._start = start
         self._restart_s: dict[Role, float] = {}
@@ -157,6 +189,8 @@ class _Crew:
                 process.kill()
                 if fault.value is not None:
                     self._restart_s[fault.kills] = fault.value
+        if fault.name == "attack":
+            await self._attack(fault.value or 0.0)
         await _tell(self.world, {"fault": fault.name, "value": fault.value or 0.0})
 
     async def started_again(self, role: Role) -> bool:

@@ -30,6 +30,7 @@ from drivers.rig import PartSpec, Rig, decode_part
 from drivers.rig_file import load_rig
 from drivers.tables import RigError, decode_table
 from drivers.udp_link import address_of
+from hil.air import Air
 from hil.d415 import T_COLOR_DEPTH, depth_camera
 from hil.faults import FAULTS
 from hil.faulty_link import ProxySide, UdpFaultProxy
@@ -135,7 +136,8 @@ class SitlWorld:
             truth.scene(rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
             self._start_cameras(stack)
             asyncio.get_running_loop().add_reader(sys.stdin.fileno(), self._on_command)
-            say({"event": "ready"})
+            air = await stack.enter_async_context(Air(self._proxy))
+            say({"event": "ready", "air": air.port})
             await self._step_until_finished(truth)
             for role in Role:
                 truth.setpoint_gap(role, live.world)

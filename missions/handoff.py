@@ -113,7 +113,8 @@ def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) 
             "--console", "events",
         ]  # fmt: skip
 
-    report = harness.fly(FlightRequest(rig, out, seed, tuple(faults), fly_role, command, emit))
+    attack = [sys.executable, "-m", "missions.verify.attack"]
+    report = harness.fly(FlightRequest(rig, out, seed, tuple(faults), fly_role, command, emit, attack))
     outcome, detail = judge(report)
     facts = RunFacts(
         rig=rig.name,

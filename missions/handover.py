@@ -132,6 +132,8 @@ class _Handover(Generic[Machine]):
         self._writing: asyncio.Task[None] | None = None
         self._waiting: deque[Callable[[], Any]] = deque()  # events, made when their turn comes
         self._done = machine.state  # the newest state all of whose actions were carried out
+        if kept is not None:  # the log of a program that was started again begins with what it found
+            session.log.write("/epoch", session.now_ns(), {"epoch": kept.record.epoch, "duty": kept.record.duty})
 
     async def resume(self) -> None:
         """Before anything else is begun, what a restart left undecided is decided, and the other drone answered.

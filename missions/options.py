@@ -23,6 +23,7 @@ TrialName = Literal[
     "thresholds",
     "link",
     "compute",
+    "processes",
 ]
 Faults = Annotated[
     tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@MOMENT[+SECONDS]]"), tyro.conf.UseAppendAction
@@ -111,7 +112,8 @@ class TrialOptions:
     """Run one of the paper's experiments, or all of them, and hold what comes out against the paper."""
 
     name: Annotated[TrialName, tyro.conf.Positional]
-    """Which trial; `all` runs every one and makes one page, in about a quarter of an hour on two cores."""
+    """Which trial; `all` runs every one but `processes`, which flies in real time, and makes one page, in about a
+    quarter of an hour on two cores."""
 
     out: OutFolder = None
     """Folder for the page, summary.json and the pictures; trials/<time>-<name> by default."""

@@ -310,6 +310,18 @@ def test_a_recording_tells_a_restarted_side_nothing() -> None:
     assert {again.decode(data) for data in recorded} == {Drop.REPLAYED}
 
 
+def test_a_recorded_ping_is_heard_once_and_never_after_a_true_one() -> None:
+    """Each would be answered, and a flood of them would fill the air while the peer is away."""
+    sender, _ = pair()
+    recorded = [sender.encode(Ping(number, number)) for number in range(3)]
+    again = Codec(Role.RECEIVER, KEY)
+    assert again.decode(recorded[1]) == Ping(1, 1)
+    assert [again.decode(data) for data in (*recorded[:2], recorded[1])] == [Drop.REPLAYED] * 3
+    assert again.decode(recorded[2]) == Ping(2, 2)
+    assert again.decode(sender.encode(Ping(9, 9))) == Ping(9, 9)
+    assert {again.decode(data) for data in recorded} == {Drop.REPLAYED}
+
+
 def test_two_sides_that_restart_at_once_find_each_other() -> None:
     sender, receiver = Codec(Role.SENDER, KEY), Codec(Role.RECEIVER, KEY)
     for first, second in ((sender, receiver), (receiver, sender)):

@@ -91,7 +91,11 @@ class Stage:
         left = {role: iter([own] if isinstance(own, str) else own) for role, own in programs.items()}
         try:
             world_process = await self.start("world", world or WRITES_DOWN.format(file=str(self.out / "told")))
-            crew = sitl._Crew(world_process, lambda role: self.start(role.value, next(left[role])))
+            crew = sitl._Crew(
+                world_process,
+                lambda role: self.start(role.value, next(left[role])),
+                lambda rate: self.start("attack", f"print({rate})"),
+            )
             await sitl._supervise(run, trigger, crew)
         finally:
             await sitl._kill(self.processes)
