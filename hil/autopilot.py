@@ -78,6 +78,11 @@ class Autopilot:
         return self.battery <= self.config.low_battery
 
     @property
+    def newest_setpoint_s(self) -> float:
+        """When it came; minus infinity before the first."""
+        return self._setpoint_s
+
+    @property
     def setpoint_gap_s(self) -> float:
         """Longest time between setpoints in any OFFBOARD session so far."""
         return max((session.max_gap_s for session in self.offboard_sessions), default=0.0)

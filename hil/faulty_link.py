@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Protocol, Self, cast
@@ -100,6 +100,11 @@ def interrupt(channels: Iterable[FaultyChannel], seconds: float) -> None:
     until_s = asyncio.get_running_loop().time() + seconds
     for channel in channels:
         channel.interrupt(until_s)
+
+
+def faulty_channel(seed: str, faults: Mapping[str, float]) -> FaultyChannel:
+    """For whoever knows the faults by name only. Raises ValueError, and TypeError for a name that there is not."""
+    return FaultyChannel(seed, LinkFaults(**faults))
 
 
 class MemoryHub:

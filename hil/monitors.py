@@ -12,21 +12,29 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.interfaces import Log
+from flight.config import GuardConfig
 from hil.agreed_pairs import AgreedPairs
 from hil.autopilot_values import OffboardSession
+from hil.lease_monitor import LeaseMonitor
+from hil.script_monitor import ScriptMonitor
 from path.config import MethodConfig
 from path.messages import Role
 
 MAX_SETPOINT_GAP_S = 0.2
 MAX_FAILSAFE_S = 1.0
+LEASES = frozenset({"/responsibility", "/commit", "/epoch", "/decision"})
 
 
 @dataclass(slots=True)
 class Monitors:
-    """S1, S5, S6, S8 and S9. Stamps are of the world's clock."""
+    """S1 to S10, L1 and L2. Stamps are of the world's clock.
+
+    S1, S5, S6, S8 and S9 are here; S2, S3, S4, L1 and L2 in ``leases``; S7 and S10 in ``scripts``.
+    """
 
     method: MethodConfig
     min_separation_m: float
+    guard: GuardConfig = field(default_factory=GuardConfig)
     violations: Counter[str] = field(default_factory=Counter[str])
     details: list[str] = field(default_factory=list[str])
     closest_m: float = math.inf
@@ -35,21 +43,34 @@ class Monitors:
     _agreed: AgreedPairs = field(init=False)
     _committed: set[int] = field(default_factory=set[int])
 
+    leases: LeaseMonitor = field(init=False)
+    scripts: ScriptMonitor = field(init=False)
+
     def __post_init__(self) -> None:
         self._agreed = AgreedPairs(self.method)
+        self.leases = LeaseMonitor(self._violated)
+        self.scripts = ScriptMonitor(self._violated, self.guard)
 
     def on_record(self, role: Role, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
         """One record of a role's log."""
-        if topic == "/responsibility":
-            self._on_responsibility(role, stamp_w_ns, bool(record["responsible"]))
+        if topic == "/frame":
+            self.scripts.on_frame(role, stamp_w_ns * 1e-9)
         elif topic == "/agreement":
             self._on_agreement(stamp_w_ns, record)
-        elif topic == "/commit":
-            self._on_commit(stamp_w_ns, record)
+        elif topic == "/phase":
+            self.scripts.on_phase(role, stamp_w_ns * 1e-9, str(record["phase"]))
+        elif topic in LEASES:
+            self.leases.on_record(role, topic, stamp_w_ns, record)
+            if topic == "/responsibility":
+                self._on_responsibility(role, stamp_w_ns, bool(record["responsible"]))
+            elif topic == "/commit":
+                self._on_commit(stamp_w_ns, record)
 
     def on_death(self, role: Role) -> None:
         """Its program does not run any more: it does nothing, until it is started again and says what it is."""
         self._responsible[role] = False
+        self.leases.on_death(role)
+        self.scripts.on_death(role)
 
     def on_truth(self, time_s: float, separation_m: float, both_in_air: bool) -> None:
         """True distance between the two bodies (S9); each excursion below the minimum counts once."""
@@ -119,7 +140,10 @@ class WatchedLog:
     def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
         if self.ended:
             return
-        self._monitors.on_record(self._role, topic, stamp_ns - self._offset_ns, record)
+        seen = record
+        if topic == "/commit":  # the one record with another instant of the role's clock in it
+            seen = {**record, "lease_end_ns": record["lease_end_ns"] - self._offset_ns}
+        self._monitors.on_record(self._role, topic, stamp_ns - self._offset_ns, seen)
         self._log.write(topic, stamp_ns, record)
 
     def image(self, topic: str, stamp_ns: int, image: Any) -> None:

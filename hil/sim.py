@@ -27,6 +27,7 @@ from hil.faulty_link import MemoryHub
 from hil.inject import inject_in_world, inject_on_link
 from hil.monitors import Monitors, WatchedLog
 from hil.preparation import prepare, starting
+from hil.script_monitor import vehicles_of
 from hil.truth_log import TruthLog
 from hil.virtual_time import run_virtual
 from hil.world import World, WorldConfig
@@ -35,6 +36,7 @@ from path.protocol.values import ReceiverRecord, SenderRecord
 
 TRUTH_PERIOD_S = 0.04
 GROUND_PERIOD_S = 0.05  # while not both are in the air
+VEHICLES_EVERY = 5  # looks at the truth
 RUN_LIMIT_S = 400.0
 LANDING_LIMIT_S = 45.0
 
@@ -127,7 +129,8 @@ class _Flight:
         config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
         self._world = World(config, request.seed)
         self._parts = SimWorld(self._world, MemoryHub(request.seed), request.seed)
-        self._monitors = Monitors(rig.method, min_separation_m(rig))
+        mission = mission_config(rig)
+        self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
         self._begin(self._trigger.from_the_start())
         _stop_on_signals(self._interrupt)
         with McapLog(request.out / "world.mcap", buffered=True) as log:
@@ -264,11 +267,14 @@ class _Flight:
         self._start(role)
 
     async def _watch_truth(self, truth: TruthLog) -> None:
-        loop, world = asyncio.get_running_loop(), self._world
+        loop, world, ticks = asyncio.get_running_loop(), self._world, 0
         while True:
             world.advance(loop.time())
             truth.truth(world)
             self._monitors.on_truth(world.time_s, world.separation_m, world.both_in_air)
+            ticks += 1
+            if ticks % VEHICLES_EVERY == 0:
+                self._monitors.scripts.on_truth(world.time_s, vehicles_of(world, self._rig))
             await asyncio.sleep(TRUTH_PERIOD_S if world.both_in_air else GROUND_PERIOD_S)
 
     async def _until_landed(self) -> None:
@@ -302,9 +308,9 @@ def down(world: World, role: Role) -> bool:
     return drone.on_ground and not drone.autopilot.armed
 
 
-def min_separation_m(rig: Rig) -> float:
-    """The distance between the bodies that monitor S9 holds the mission to."""
-    return decode_table(rig.mission, MissionConfig, rig.where("[mission]")).separation.minimum_m
+def mission_config(rig: Rig) -> MissionConfig:
+    """Has the limits that the monitors hold the mission to."""
+    return decode_table(rig.mission, MissionConfig, rig.where("[mission]"))
 
 
 def clock_offsets(rig: Rig) -> dict[Role, int]:

@@ -40,8 +40,9 @@ from hil.monitors import Monitors
 from hil.preparation import prepare
 from hil.render.depth import DepthRenderer
 from hil.render.renderer import Renderer
+from hil.script_monitor import vehicles_of
 from hil.shared_camera import RUN_VARIABLE, SharedCameraWriter
-from hil.sim import down, min_separation_m
+from hil.sim import VEHICLES_EVERY, down, mission_config
 from hil.truth_log import TruthLog
 from hil.world import World, WorldConfig
 from path.messages import Role
@@ -116,7 +117,8 @@ class SitlWorld:
         config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
         self._rig, self._out, self._seed = rig, out, seed
         self._live = LiveWorld(World(config, seed), 0.0)
-        self._monitors = Monitors(rig.method, min_separation_m(rig))
+        mission = mission_config(rig)
+        self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
         self._finish_within_s: float | None = None
         self._vehicles: dict[Role, MavlinkVehicle] = {}
         self._cameras: dict[Role, CameraThread] = {}
@@ -175,6 +177,8 @@ class SitlWorld:
                 if steps % TRUTH_STEPS == 0:
                     truth.truth(live.world)
                     self._monitors.on_truth(now_s, live.world.separation_m, live.world.both_in_air)
+                if steps % (TRUTH_STEPS * VEHICLES_EVERY) == 0:  # the roles' phases are in their logs: no S7 here
+                    self._monitors.scripts.on_truth(now_s, vehicles_of(live.world, self._rig))
             if self._finish_within_s is not None:
                 asked_s = now_s if asked_s is None else asked_s
                 landed = all(down(live.world, role) for role in Role)

@@ -10,6 +10,7 @@ from typing import Annotated
 import tyro
 
 from missions.options import (
+    CampaignOptions,
     DoctorOptions,
     HandoffOptions,
     ReceiverOptions,
@@ -29,6 +30,7 @@ MODULES: dict[type[object], str] = {
     ReportOptions: "report",
     TrialOptions: "trials.run",
     VerifyOptions: "verify.run",
+    CampaignOptions: "campaign.run",
 }
 """Each has ``run(options) -> exit code``."""
 
@@ -45,6 +47,7 @@ examples:
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field
   path-handoff trial sensitivity              an experiment of the paper, run again
   path-handoff verify                         whatever the link does: never two responsible
+  path-handoff campaign --runs 10000          thousands of hand-overs under faults, by seed
 """
 
 Command = (
@@ -56,6 +59,7 @@ Command = (
     | Annotated[ReportOptions, tyro.conf.subcommand("report")]
     | Annotated[TrialOptions, tyro.conf.subcommand("trial")]
     | Annotated[VerifyOptions, tyro.conf.subcommand("verify")]
+    | Annotated[CampaignOptions, tyro.conf.subcommand("campaign")]
 )
 
 

@@ -12,6 +12,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from typing import Any, Generic, TypeVar
 
 from drivers.interfaces import Kept, Received, RecordStore, StateError
@@ -51,7 +52,7 @@ from path.protocol.values import Outcome as Decision
 Machine = TypeVar("Machine", SenderMachine, ReceiverMachine)
 
 _TAKE = TakeResponsibility(provisional=True)
-_TICK_S = 0.1  # at the longest: an answer may have set a machine an earlier deadline
+_TICK_S = 0.1  # at the longest
 _MAX_WAITING = 64  # messages while the disk is written to; what counts is said again
 _WRITTEN_S = 2.0  # wait for the disk before the program ends
 
@@ -131,6 +132,7 @@ class _Handover(Generic[Machine]):
         self._ticking = False
         self._writing: asyncio.Task[None] | None = None
         self._waiting: deque[Callable[[], Any]] = deque()  # events, made when their turn comes
+        self._moved = asyncio.Event()  # the machine's next deadline
         self._done = machine.state  # the newest state all of whose actions were carried out
         if kept is not None:  # the log of a program that was started again begins with what it found
             session.log.write("/epoch", session.now_ns(), {"epoch": kept.record.epoch, "duty": kept.record.duty})
@@ -145,15 +147,19 @@ class _Handover(Generic[Machine]):
             return
         self._start_ticking()
         flying = self._session.vehicle.state.armed
-        await _until(lambda: not self._undecided(flying), math.inf)
+        await _until(lambda: not self.undecided(flying), math.inf)
         await self._written()
         if flying:
             raise MissionEnd(Outcome.RESTARTED, f"started again in the air, {self._kept.record.duty}")
-        self._step(NewMission())
+        self.begin_anew()
         await self._written()
-        self._carrier.ended = self._carrier.settled = None
 
-    def _undecided(self, flying: bool) -> bool:
+    def begin_anew(self) -> None:
+        """On the ground, with nothing undecided: what an earlier mission gave away or held is over."""
+        self._carrier.ended = self._carrier.settled = None
+        self._step(NewMission())
+
+    def undecided(self, flying: bool) -> bool:
         """Something is still to come of an earlier handoff; in the air, also whether it is orphaned."""
         raise NotImplementedError
 
@@ -161,6 +167,20 @@ class _Handover(Generic[Machine]):
         if not self._ticking:
             self._ticking = True
             self._session.spawn(self._tick())
+
+    @property
+    def state(self) -> Any:
+        """The machine's, for whoever watches it; ``carried_out`` is the newest one whose actions all were."""
+        return self._machine.state
+
+    @property
+    def carried_out(self) -> Any:
+        return self._done
+
+    @property
+    def wake_ns(self) -> int | None:
+        """When time next brings something about, own clock."""
+        return self._machine.wake_ns
 
     def on_status(self, status: Status) -> None:
         alignment = self._session.alignment
@@ -189,14 +209,22 @@ class _Handover(Generic[Machine]):
                 self._session.say(str(error))
 
     async def _tick(self) -> None:
-        """Let the machine know when time has brought something about, for ever."""
+        """Time for the machine, for ever. A deadline that an event has just set is not slept through."""
         while True:
-            wake_ns, now_ns = self._machine.wake_ns, self._session.now_ns()
-            if wake_ns is not None and now_ns >= wake_ns and self._writing is None:
-                self._step(Tick())
-                wake_ns = self._machine.wake_ns
-            ahead_s = _TICK_S if wake_ns is None else (wake_ns - now_ns) * 1e-9
-            await asyncio.sleep(min(max(ahead_s, 0.005), _TICK_S))
+            wait_s = self.tick()
+            self._moved.clear()
+            with suppress(TimeoutError):
+                async with asyncio.timeout(wait_s):
+                    await self._moved.wait()
+
+    def tick(self) -> float:
+        """Let the machine know when time has brought something about; how long to wait before it is asked again, s."""
+        wake_ns, now_ns = self._machine.wake_ns, self._session.now_ns()
+        if wake_ns is not None and now_ns >= wake_ns and self._writing is None:
+            self._step(Tick())
+            wake_ns = self._machine.wake_ns
+        ahead_s = _TICK_S if wake_ns is None else (wake_ns - now_ns) * 1e-9
+        return min(max(ahead_s, 0.005), _TICK_S)
 
     def _step(self, event: Any) -> None:
         self._step_with(lambda: event)
@@ -217,8 +245,11 @@ class _Handover(Generic[Machine]):
 
     def _go_through_waiting(self) -> None:
         while self._waiting and self._writing is None:
-            made, before = self._waiting.popleft()(), self._machine.state
-            self._carry_out(self._machine.step(made, self._session.now_ns()), 0, before)
+            made, before, wake_ns = self._waiting.popleft()(), self._machine.state, self._machine.wake_ns
+            actions = self._machine.step(made, self._session.now_ns())
+            if self._machine.wake_ns != wake_ns:
+                self._moved.set()
+            self._carry_out(actions, 0, before)
 
     def _carry_out(self, actions: Actions, begin: int, before: Any) -> None:
         """Actions of a machine that was in the state ``before``, from one of them on."""
@@ -229,15 +260,21 @@ class _Handover(Generic[Machine]):
             if isinstance(action, Persist):
                 saved = self._store.begin_save(action.record)
                 if not saved.done():
-                    self._writing = self._session.spawn(self._go_on(saved, actions, number, before))
+                    self._writing = self._when_written(saved, lambda n=number: self._go_on(saved, actions, n, before))
                     return
                 self._check(saved, number, before)
             self._carrier.carry_out(action)
         self._done = self._machine.state
 
-    async def _go_on(self, saved: Future[None], actions: Actions, number: int, before: Any) -> None:
+    def _when_written(self, saved: Future[None], go_on: Callable[[], None]) -> asyncio.Task[None]:
+        async def wait() -> None:
+            await asyncio.wait([asyncio.wrap_future(saved)])
+            go_on()
+
+        return self._session.spawn(wait())
+
+    def _go_on(self, saved: Future[None], actions: Actions, number: int, before: Any) -> None:
         """The rest of the actions once a record is on the disk, and then what was said to the machine meanwhile."""
-        await asyncio.wait([asyncio.wrap_future(saved)])
         self._writing = None
         self._check(saved, number, before)
         self._carrier.carry_out(actions[number])
@@ -272,7 +309,7 @@ class SenderHandover(_Handover[SenderMachine]):
         if kept is not None:  # on the ground a new mission begins: nobody tracks its target yet
             session.set_responsible(machine.responsible and session.vehicle.state.armed)
 
-    def _undecided(self, flying: bool) -> bool:
+    def undecided(self, flying: bool) -> bool:
         state = self._machine.state
         return isinstance(state, AwaitingAccept) or (flying and isinstance(state, HandedOver) and not state.settled)
 
@@ -302,11 +339,15 @@ class SenderHandover(_Handover[SenderMachine]):
 
     async def offer(self) -> None:
         """The target is tracked: this drone is responsible for it, and offers it. Raises StateError."""
+        self.begin_offer()
+        await self._written()  # nothing is said in an epoch that a restart would begin once more
+
+    def begin_offer(self) -> None:
+        """``offer``, without waiting for the disk."""
         session = self._session
         session.set_responsible(True)
         self._step(Offer(session.config.handoff_id, session.config.target_id))
         self._start_ticking()
-        await self._written()  # nothing is said in an epoch that a restart would begin once more
 
     def agreed(self, target_id: int) -> None:
         """The whole window agreed: release, then commit. Refused while the clocks are not known; may be said again."""
@@ -319,6 +360,11 @@ class SenderHandover(_Handover[SenderMachine]):
 
     def on_message(self, received: Received) -> None:
         self._hear(lambda: Heard(received.message))
+
+    def verify_again(self) -> None:
+        """After taking back: once more, in the new epoch."""
+        self._carrier.ended = None
+        self._step(VerifyAgain())
 
     async def until_decided(self, timeout_s: float, verify_again: Callable[[], None]) -> None:
         """Until the target is handed over and it is known what became of that.
@@ -339,8 +385,7 @@ class SenderHandover(_Handover[SenderMachine]):
                 break
             if decision is not Decision.TAKEN_BACK:
                 raise MissionEnd(_ENDS.get(decision, Outcome.PEER_ABORTED), decision.value)
-            carrier.ended = None
-            self._step(VerifyAgain())
+            self.verify_again()
             verify_again()
         await _until(lambda: carrier.settled is not None, math.inf)
         if carrier.settled is None or carrier.settled.outcome is not Decision.HANDED_OVER:
@@ -367,7 +412,7 @@ class ReceiverHandover(_Handover[ReceiverMachine]):
         if kept is not None:
             session.set_responsible(machine.responsible, isinstance(machine.state, Provisional))
 
-    def _undecided(self, flying: bool) -> bool:
+    def undecided(self, flying: bool) -> bool:
         state = self._machine.state
         return isinstance(state, Provisional) or (flying and isinstance(state, LetGo) and not state.settled)
 

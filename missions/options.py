@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from missions.campaign.levels import LevelName
+
 RigName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
 OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 FileName = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
@@ -155,3 +157,40 @@ class VerifyOptions:
 
     seed: int = 0
     """Seed of the forged packets."""
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignOptions:
+    """Fly many hand-overs under faults, each by its own seed, and hold every one to S1-S10, L1 and L2.
+
+    levels: none (a good link), lossy (10-30 % loss, 50 ms jitter, duplicates, reordering), harsh (30-50 % loss, 200 ms
+    jitter, damage, outages, programs killed and started again, clocks at their drift), hostile (also clocks that are
+    set, forged and repeated packets, pilots, a receiver that does not see the target). See docs/campaign.md.
+    """
+
+    program: Literal["machines", "roles"] = "machines"
+    """machines: both protocol machines, real messages; roles: both whole role programs."""
+
+    runs: int = 1000
+    """How many runs, shared out among the levels."""
+
+    faults: Annotated[tuple[LevelName, ...], tyro.conf.arg(metavar="LEVEL ...")] = ()
+    """The levels of faults; all of them by default."""
+
+    seed: int = 0
+    """Seed of the campaign: with level and number it makes a run what it is."""
+
+    only: Annotated[int | None, tyro.conf.arg(metavar="NUMBER")] = None
+    """Fly this run alone and tell its story: how a failure is looked at."""
+
+    out: OutFolder = None
+    """Folder of the results, gone on with when it has some; campaigns/<time>-<program> by default."""
+
+    jobs: int = 0
+    """Processes at a time; 0: one per core."""
+
+    cluster: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    """A Dask scheduler that does the work instead, such as tcp://192.168.1.5:8786."""
+
+    rig: RigName = "sim"
+    """The rig that is flown, of level sim."""

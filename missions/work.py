@@ -8,7 +8,8 @@ import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from threading import Thread
 from typing import TextIO, TypeVar
 
 from rich.console import Console
@@ -53,7 +54,17 @@ class Work:
         with self._bars.bar(what, len(items)) as advance:
             if self._jobs == 1 or len(items) <= 1:
                 return list(_stepped(map(piece, items), advance))
-            return self._on_all_cores(piece, items, advance)
+            results = dict(self._on_all_cores(piece, items, advance))
+            return [results[index] for index in range(len(items))]
+
+    def stream(self, what: str, piece: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+        """The results as they come, for what is kept at once. Raises as ``map``."""
+        with self._bars.bar(what, len(items)) as advance:
+            if self._jobs == 1:
+                yield from _stepped(map(piece, items), advance)
+            else:
+                for _, result in self._on_all_cores(piece, items, advance):
+                    yield result
 
     def steps(self, what: str, items: Sequence[Item]) -> Iterator[Item]:
         """The items one by one, with a bar: work that must stay in this process, such as timings."""
@@ -62,24 +73,24 @@ class Work:
 
     def _on_all_cores(
         self, piece: Callable[[Item], Result], items: Sequence[Item], advance: Callable[[], None]
-    ) -> list[Result]:
+    ) -> Iterator[tuple[int, Result]]:
         if self._pool is None:
             self._pool = ProcessPoolExecutor(self._jobs, mp_context=get_context("spawn"), initializer=_quiet_worker)
-        results: dict[int, Result] = {}
         running: dict[Future[Result], int] = {}
         waiting = iter(enumerate(items))
+        left = len(items)
         try:
-            while len(results) < len(items):
+            while left:
                 while len(running) < AHEAD * self._jobs and (following := next(waiting, None)) is not None:
                     index, item = following
                     running[self._pool.submit(piece, item)] = index
                 for done in wait(running, return_when=FIRST_COMPLETED).done:
-                    results[running.pop(done)] = done.result()
+                    left -= 1
+                    yield running.pop(done), done.result()
                     advance()
         finally:
-            for left in running:
-                left.cancel()
-        return [results[index] for index in range(len(items))]
+            for future in running:
+                future.cancel()
 
     def close(self) -> None:
         """Ends the processes; those that still work finish their piece."""
@@ -134,9 +145,18 @@ def open_work(jobs: int, stream: TextIO | None = None) -> Generator[Work, None, 
 def _quiet_worker() -> None:
     """Ctrl-C is the parent's to handle; libraries shall not start threads on top of one process a core."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
     import cv2  # noqa: PLC0415 (only workers need it here)
 
     cv2.setNumThreads(1)
+
+
+def _end_with_parent() -> None:
+    """A parent that was killed shuts no pool down; its processes would work on for nobody."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _stepped(items: Iterable[Item], advance: Callable[[], None]) -> Iterator[Item]:

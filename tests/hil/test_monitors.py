@@ -42,7 +42,14 @@ def judge(monitors: Monitors, *records: dict[str, Any]) -> None:
 
 
 def commit(monitors: Monitors, target_id: int = 1) -> None:
-    monitors.on_record(Role.SENDER, "/commit", 10 * PERIOD_NS, {"target_id": target_id, "epoch": 1})
+    give(monitors, 10 * PERIOD_NS, target_id=target_id)
+
+
+def give(monitors: Monitors, stamp_ns: int, epoch: int = 1, target_id: int = 1, **changes: Any) -> None:
+    """Release and COMMIT, as the sender logs them."""
+    monitors.on_record(Role.SENDER, "/epoch", stamp_ns, {"epoch": epoch, "duty": "released"})
+    record = {"target_id": target_id, "epoch": epoch, "nonce": 7, "lease_end_ns": stamp_ns + 1_500_000_000}
+    monitors.on_record(Role.SENDER, "/commit", stamp_ns, {**record, **changes})
 
 
 def responsible(monitors: Monitors, role: Role, is_so: bool) -> None:
@@ -205,8 +212,7 @@ class Stream:
             self.pair(index, iou)
 
     def commit(self, **changes: Any) -> dict[str, int]:
-        record = {"target_id": 1, "epoch": self.epoch, **changes}
-        self.monitors.on_record(Role.SENDER, "/commit", 10, record)
+        give(self.monitors, 10, **{"epoch": self.epoch, **changes})
         return dict(self.monitors.violations)
 
 

@@ -313,3 +313,27 @@ def test_a_status_says_who_is_responsible(rig: Any) -> None:
     pair = fly(rig, course)
     newest = {role: kinds(pair.link[role].sent, Status)[-1] for role in Role}
     assert [cast(Status, newest[role]).responsible for role in Role] == [False, True]
+
+
+# --- time --------------------------------------------------------------------------------------------------------
+
+
+def test_a_lease_taken_at_its_very_end_is_let_go_in_time(rig: Any) -> None:
+    """The receiver's program must not sleep through a deadline that the COMMIT has just set."""
+    ends_ns: list[int] = []
+
+    async def course(pair: Pair) -> None:
+        pair.able = False
+        for link in pair.link.values():
+            link.lost = lambda _: pair.receiver.holds  # then it hears no more, and has only the time
+        pair.sender.agreed(1)
+        await asyncio.sleep(protocol_config(pair.session[Role.SENDER]).lease_s - 0.1)
+        pair.able = True
+        await until(lambda: pair.receiver.holds)
+        ends_ns.append(pair.receiver.state.lease_end_ns - pair.session[Role.RECEIVER].now_ns())
+        ends_ns[0] += round(asyncio.get_running_loop().time() * 1e9)
+        await until(lambda: pair.responsible() == {Role.SENDER: True, Role.RECEIVER: False})
+
+    pair = fly(rig, course)
+    let_go = [at_s for at_s, topic, _ in pair.log[Role.RECEIVER].entries if topic == "/responsibility"][-1]
+    assert -1e-6 <= let_go - ends_ns[0] * 1e-9 < 0.02
