@@ -196,7 +196,7 @@ class Judge:
         epoch = used_epoch(state) if role is Role.SENDER else lowest_epoch(state)
         if epoch < self._highest[role]:
             self._violated("S2", f"the {role.value} is in epoch {epoch}, after {self._highest[role]}")
-        if not _is_what_it_says(program, state):
+        if program.writing is None and not _is_what_it_says(program, state):
             self._violated("S1", f"the {role.value} is not what its machine is")
         self._overdue(program, state)
         self._gap()
@@ -295,4 +295,5 @@ def _is_what_it_says(program: Program, state: Any) -> bool:
     if program.responsible == receiver.is_responsible(state):
         return True
     # what was written down too late is not taken, and about to be let go
-    return not program.responsible and program.now_ns() >= state.lease_end_ns
+    late = isinstance(state, receiver.Provisional) and program.now_ns() >= state.lease_end_ns
+    return not program.responsible and late

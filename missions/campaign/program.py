@@ -170,7 +170,8 @@ class Program:
             return None
         try:
             result = do()
-            self._course()
+            if self.writing is None:  # the course waits for the disk
+                self._course()
         except Killed:
             world.killed(self)
         world.judge.after(self)
