@@ -140,6 +140,8 @@ class FlightReport:
         violations: number of violations by monitor name; empty when all held.
         simulated_s, wall_s: duration of the run on the mission's clock and on the wall.
         failure: why the harness itself failed; empty when it did not.
+        figures: what the monitors timed, in s by name: "commit_s", from COMMIT to the sender's decision, and "gap_s",
+            the longest time with nobody responsible; without what did not happen.
     """
 
     results: Mapping[Role, RoleResult | None]
@@ -150,6 +152,7 @@ class FlightReport:
     interrupted: bool = False
     failure: str = ""
     notes: Sequence[str] = field(default_factory=tuple)
+    figures: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 class Harness(Protocol):

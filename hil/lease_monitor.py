@@ -49,6 +49,12 @@ class LeaseMonitor:
     _awaited: bool = False
     _alone_s: float | None = None
 
+    @property
+    def figures(self) -> dict[str, float]:
+        """What was timed, in s."""
+        timed = {"commit_s": self.decision_s, "gap_s": self.gap_s}
+        return {name: value for name, value in timed.items() if value is not None}
+
     def on_record(self, role: Role, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
         now_s = stamp_w_ns * 1e-9
         if topic == "/epoch":

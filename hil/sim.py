@@ -299,6 +299,7 @@ class _Flight:
             "simulated_s": self._world.time_s,
             "interrupted": self._interrupted,
             "notes": tuple(self._monitors.details),
+            "figures": self._monitors.leases.figures,
         }
 
 

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 from drivers.interfaces import Kept, Received, RecordStore, StateError
@@ -260,7 +261,7 @@ class _Handover(Generic[Machine]):
             if isinstance(action, Persist):
                 saved = self._store.begin_save(action.record)
                 if not saved.done():
-                    self._writing = self._when_written(saved, lambda n=number: self._go_on(saved, actions, n, before))
+                    self._writing = self._when_written(saved, partial(self._go_on, saved, actions, number, before))
                     return
                 self._check(saved, number, before)
             self._carrier.carry_out(action)

@@ -8,4 +8,6 @@ BOUNDS: dict[tuple[str, str], float] = {
     ("machines", "decided_s"): DECISION_BOUND_S,
     ("machines", "commit_s"): COMMIT_BOUND_S,
     ("machines", "gap_s"): GAP_BOUND_S,
+    ("roles", "commit_s"): COMMIT_BOUND_S,
+    ("roles", "gap_s"): GAP_BOUND_S,
 }

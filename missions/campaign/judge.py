@@ -76,8 +76,9 @@ class Judge:
     def begun(self, program: Program, state: Any) -> None:
         """The sender began an attempt."""
         epoch = used_epoch(state)
-        if epoch in self._epochs or epoch <= max(self._epochs, default=0):
-            self._violated("S2", f"an attempt in epoch {epoch}, after {max(self._epochs)}")
+        last = max(self._epochs, default=0)
+        if epoch <= last:
+            self._violated("S2", f"an attempt in epoch {epoch}, after {last}")
         self._epochs.add(epoch)
         self._since[Role.SENDER] = (epoch, self._world.now_s)
         self._anew = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -35,7 +35,7 @@ class RunLine:
     outcome: str
     violations: tuple[str, ...] = ()
     beyond: tuple[str, ...] = ()
-    figures: Mapping[str, float] = msgspec.field(default_factory=dict[str, float])
+    figures: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 class Results:

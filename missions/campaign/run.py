@@ -14,7 +14,7 @@ from typing import Protocol
 
 from drivers.interfaces import PartError
 from missions import rig_library
-from missions.campaign import machine_runs
+from missions.campaign import machine_runs, role_runs
 from missions.campaign.levels import LEVELS, LevelName
 from missions.campaign.results import Results, RunLine
 from missions.campaign.summary import draw_outcomes, summarize, table
@@ -58,7 +58,10 @@ class Kind:
     at_a_time: int
 
 
-KINDS: dict[str, Kind] = {"machines": Kind(machine_runs.fly, machine_runs.replay, 100)}
+KINDS: dict[str, Kind] = {
+    "machines": Kind(machine_runs.fly, machine_runs.replay, 100),
+    "roles": Kind(role_runs.fly, role_runs.replay, 1),
+}
 
 
 def run(options: CampaignOptions) -> int:
@@ -84,7 +87,7 @@ def run(options: CampaignOptions) -> int:
         ]
         try:
             with _workers(options) as workers:
-                for lines in workers.stream(f"{kind.at_a_time} runs each", kind.fly, orders):
+                for lines in workers.stream(_what(kind.at_a_time), kind.fly, orders):
                     results.add(lines)
         except KeyboardInterrupt:
             sys.stdout.write(f"\n{len(results.lines)} of {options.runs} runs are done and kept in {folder}\n")
@@ -128,6 +131,10 @@ def _workers(options: CampaignOptions) -> AbstractContextManager[Workers]:
     from missions.campaign.cluster import open_cluster  # noqa: PLC0415 (an extra that few install)
 
     return open_cluster(options.cluster)
+
+
+def _what(at_a_time: int) -> str:
+    return "runs" if at_a_time == 1 else f"{at_a_time} runs each"
 
 
 def _pieces(numbers: Sequence[int], size: int) -> Iterator[Sequence[int]]:
