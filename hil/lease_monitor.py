@@ -47,6 +47,7 @@ class LeaseMonitor:
     _responsible: dict[Role, bool] = field(default_factory=lambda: dict.fromkeys(Role, False))
     _lease: _Lease | None = None
     _awaited: bool = False
+    _died: bool = False  # the sender, since the newest COMMIT that it lived to log
     _alone_s: float | None = None
 
     @property
@@ -72,7 +73,7 @@ class LeaseMonitor:
         self._duty[role] = ""  # it may have written down what it did not live to say
         self._alone_s = None
         if role is Role.SENDER:
-            self._awaited = False
+            self._awaited, self._died = False, True
 
     def _on_epoch(self, role: Role, now_s: float, epoch: int, duty: str) -> None:
         if epoch < self._highest[role]:
@@ -85,6 +86,7 @@ class LeaseMonitor:
     def _on_commit(self, now_s: float, epoch: int, end_s: float) -> None:
         if self._responsible[Role.SENDER] or self._duty[Role.SENDER] not in ("released", ""):
             self.violated("S4", now_s, "COMMIT before the release was written down and done")
+        self._died = False
         if self._lease is None or self._lease.epoch != epoch:
             self._lease = _Lease(epoch, now_s, end_s)
             self._awaited = True
@@ -106,7 +108,8 @@ class LeaseMonitor:
 
     def _took_over(self, now_s: float) -> None:
         if self._lease is None or self._lease.epoch != self._highest[Role.RECEIVER]:
-            self.violated("S3", now_s, "taken over without a COMMIT of this epoch")
+            if not self._died:
+                self.violated("S3", now_s, "taken over without a COMMIT of this epoch")
         elif now_s >= self._lease.end_s:
             self.violated("S3", now_s, f"taken over {now_s - self._lease.end_s:.3f} s after the lease's end")
 
