@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,7 @@ def test_a_cluster_does_what_the_cores_do(tmp_path: Path) -> None:
         with open_cluster(cluster.scheduler_address, io.StringIO()) as work:
             assert sorted(work.stream("squares", square, range(20))) == [number * number for number in range(20)]
         here, there = tmp_path / "here", tmp_path / "there"
-        told = {"runs": 4, "faults": ("none",)}
-        assert run(CampaignOptions(**told, jobs=1, out=here)) == 0
-        assert run(CampaignOptions(**told, cluster=cluster.scheduler_address, out=there)) == 0
+        told = CampaignOptions(runs=4, faults=("none",), jobs=1)
+        assert run(replace(told, out=here)) == 0
+        assert run(replace(told, out=there, cluster=cluster.scheduler_address)) == 0
     assert (here / "runs.jsonl").read_text() == (there / "runs.jsonl").read_text()

@@ -18,7 +18,7 @@ CALM = replace(draw(0, "none", 1), disk_s=0.0, late_s=0.0, agree_s=1.0, wrong=Fa
 
 def story(plan: Plan) -> list[tuple[float, str, str]]:
     told: list[tuple[float, str, str]] = []
-    Machines(plan, faulty_channel, lambda *event: told.append(event)).run()
+    Machines(plan, faulty_channel, lambda at_s, who, what: told.append((at_s, who, what))).run()
     return told
 
 
