@@ -29,8 +29,8 @@ class DeviceSource(Protocol):
         """A device nobody else uses. Bounded in time. Raises CameraError with what was found instead."""
         ...
 
-    def missing(self) -> str:
-        """Why it gives no frames, as far as that is known; empty when it is there."""
+    def missing(self) -> CameraError | None:
+        """Why it gives no frames and what to do, as far as that is known; None when it is there."""
         ...
 
     def close(self) -> None:
@@ -74,9 +74,10 @@ class UsbSource:
         self._serial = serial_of(matching[0])  # the same again after it was unplugged
         return matching[0]
 
-    def missing(self) -> str:
-        there = self._serial in [serial_of(device) for device in self._query()]
-        return "" if there else "it is no longer connected"
+    def missing(self) -> CameraError | None:
+        if self._serial in [serial_of(device) for device in self._query()]:
+            return None
+        return CameraError("it is no longer connected", "see whether its cable holds, and plug it in again")
 
     def close(self) -> None:
         pass
@@ -98,8 +99,8 @@ class RecordingSource:
     def open(self) -> Any:
         return load_recording(self._file)
 
-    def missing(self) -> str:
-        return "it has ended"
+    def missing(self) -> CameraError:
+        return CameraError("it has ended", "play a longer one, or play it again")
 
     def close(self) -> None:
         pass

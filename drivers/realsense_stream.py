@@ -18,7 +18,7 @@ import numpy as np
 from drivers.clock import busy_ns, wall_offset_ns
 from drivers.depth_registration import DepthRegistration, warm_up
 from drivers.interfaces import CameraError, Clock, Frame
-from drivers.realsense_library import Kind, RawImage, RealSenseDevice, Streams
+from drivers.realsense_library import QUEUE_FRAMES, Kind, RawImage, RealSenseDevice, Streams
 from drivers.realsense_sources import DeviceSource
 from drivers.stamp_clock import Refused, StampClock, StampConfig, StampLine
 from path.camera import CameraModel
@@ -214,7 +214,8 @@ class PairStream(threading.Thread):
                 color, depth = (each.image for each in newest)
                 if base is None:  # a device that was opened again may count from the beginning again
                     base = max(self._last_id + 1 - color.number, 0)
-                self._publish(Pair(stamp_ns, base + color.number, color, depth, registration))
+                frame_id = max(base + color.number, self._last_id + 1)
+                self._publish(Pair(stamp_ns, frame_id, color, depth, registration))
                 paired_s = heard_s
             elif device.at_end or time.monotonic() - paired_s > limit_s:
                 raise self._silent(time.monotonic() - paired_s, heard=heard_s > paired_s)
@@ -261,21 +262,23 @@ class PairStream(threading.Thread):
         self._on_news()
 
     def _silent(self, silent_s: float, *, heard: bool) -> CameraError:
-        name, counters = self._source.name, self.counters
-        if reason := self._source.missing():
-            return CameraError(f"{name} gives no frames: {reason}", "see whether it is plugged in")
+        counters = self.counters
+        if (missing := self._source.missing()) is not None:
+            return missing
         if heard:
             return CameraError(
-                f"{name} gives images, but none that belong together for {silent_s:.1f} s ({counters.old} with old "
+                f"it gives images, but none that belong together for {silent_s:.1f} s ({counters.old} with old "
                 f"stamps, {counters.clock} not of this computer's time, {counters.unpaired} without their other half)",
                 "see whether the computer's clock was set, and whether both streams run",
             )
-        return CameraError(f"{name} gives no frames", "see whether its cable and port carry USB 3")
+        return CameraError("it is there, but silent", "see whether its cable and port carry USB 3")
 
 
 def _waiting(device: RealSenseDevice) -> Iterator[RawImage]:
-    """All images that wait, or the first one to come."""
+    """All images that wait, or the first one to come; no more than the queue holds."""
     image = device.next(POLL_S)
-    while image is not None:
+    for _ in range(QUEUE_FRAMES):
+        if image is None:
+            return
         yield image
         image = device.next(0.0)

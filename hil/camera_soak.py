@@ -88,8 +88,8 @@ class BenchDevice:
         self._thread.start()
         return software.device
 
-    def missing(self) -> str:
-        return ""
+    def missing(self) -> None:
+        pass
 
     def close(self) -> None:
         if self._thread is not None:

@@ -84,8 +84,10 @@ class SoftwareD415:
         self._feeder.start()
         return device.device
 
-    def missing(self) -> str:
-        return "" if self._reader.writer_lives else "the world process that writes them is gone: see its log"
+    def missing(self) -> CameraError | None:
+        if self._reader.writer_lives:
+            return None
+        return CameraError("the world process that draws its frames is gone", "see why it ended in its log")
 
     def close(self) -> None:
         if self._feeder is None:

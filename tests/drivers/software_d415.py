@@ -62,8 +62,8 @@ class Feed:
         self.software = SoftwareDevice(COLOR, DEPTH, T_COLOR_DEPTH, FPS, self.clock, f"bench-{self.opened}")
         return self.software.device
 
-    def missing(self) -> str:
-        return "" if self.plugged else "its cable was pulled"
+    def missing(self) -> CameraError | None:
+        return None if self.plugged else CameraError("its cable was pulled", "plug it in")
 
     def close(self) -> None:
         self.software = None
