@@ -7,6 +7,7 @@ ends when it is told to, when a device cannot come back, or when it did not in t
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -192,7 +193,7 @@ class PairStream(threading.Thread):
         folder = self._config.record
         if folder is None:
             return None
-        stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{self._source.name.replace(' ', '-')}"
+        stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{re.sub('[^A-Za-z0-9]+', '-', self._source.name)}"
         taken = {file.name for file in folder.glob(f"{stem}*")}
         return folder / next(name for i in range(len(taken) + 1) if (name := f"{stem}-{i}.db3") not in taken)
 
