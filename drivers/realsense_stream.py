@@ -167,6 +167,8 @@ class PairStream(threading.Thread):
                 self._use_device()
             except CameraError as error:
                 self.trouble = error
+            except RuntimeError as error:  # all that librealsense ever raises, such as on a device that was pulled out
+                self.trouble = CameraError(f"librealsense says: {error}", "plug it in again, or into another port")
             if self._ending.is_set():
                 return
             now_s = time.monotonic()

@@ -232,6 +232,30 @@ def test_an_unplugged_camera_is_named_and_comes_back() -> None:
     run(main())
 
 
+def test_what_the_library_raises_while_the_camera_is_gone_does_not_end_the_driver() -> None:
+    class Flaky(Feed):
+        failures = 0
+
+        def open(self) -> Any:
+            if self.opened == 1 and self.failures < 2:
+                self.failures += 1
+                raise RuntimeError("failed to set power state")
+            return super().open()
+
+    async def main() -> None:
+        feed = Flaky()
+        with feed.running():
+            async with camera(feed, silence_s=0.05) as driver:
+                feed.plugged = False
+                await refused(driver, 0.1, "its cable was pulled|failed to set power state")
+                feed.plugged = True
+                await until(lambda: driver.counters.opened == 2)
+                await driver.read(PATIENCE_S)
+        assert feed.failures == 2
+
+    run(main())
+
+
 def test_a_camera_that_does_not_come_back_is_given_up() -> None:
     async def main() -> None:
         feed = Feed()
