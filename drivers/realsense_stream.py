@@ -21,7 +21,7 @@ from drivers.depth_registration import DepthRegistration, warm_up
 from drivers.interfaces import CameraError, Clock, Frame
 from drivers.realsense_library import QUEUE_FRAMES, Kind, RawImage, RealSenseDevice, Streams
 from drivers.realsense_sources import DeviceSource
-from drivers.stamp_clock import Refused, StampClock, StampConfig, StampLine
+from drivers.stamp_clock import Domain, Refused, StampClock, StampConfig, StampLine
 from path.camera import CameraModel
 
 POLL_S = 0.1  # how soon the thread sees that it should end
@@ -50,8 +50,13 @@ class StreamConfig:
 
 @dataclass(slots=True)
 class StreamCounters:
-    """What was done. Times are CPU time of the thread that did it, in ns: of the stream's, and of who takes frames."""
+    """What was done. ``*_ns`` are CPU time of the thread that did it: of the stream's, and of who takes frames.
 
+    ``domain`` is whose clock stamps the frames, ``age_ns`` how old the newest pair was when it arrived.
+    """
+
+    domain: Domain | None = None
+    age_ns: int = 0
     opened: int = 0
     pairs: int = 0
     frames: int = 0  # pairs that were taken
@@ -250,6 +255,7 @@ class PairStream(threading.Thread):
         wall_ns = wall_offset_ns(self._clock.now_ns)
         stamp_ns = clock.to_role(color.stamp_ns, color.image.domain, color.arrival_ns, wall_ns)
         if not isinstance(stamp_ns, Refused):
+            self.counters.domain, self.counters.age_ns = color.image.domain, color.arrival_ns - stamp_ns
             return stamp_ns
         if stamp_ns is Refused.OLD:
             self.counters.old += 1

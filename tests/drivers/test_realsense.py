@@ -27,7 +27,9 @@ MS = 1_000_000
 
 
 def camera(source: Any, model: CameraModel = COLOR, **options: Any) -> RealSense:
-    made = RealSense(decode_table({"fps": FPS, **options}, RealSenseConfig, "test"), context(model))
+    made = RealSense(
+        decode_table({"fps": FPS, "silence_s": PATIENCE_S, **options}, RealSenseConfig, "test"), context(model)
+    )
     made.source = source
     return made
 
@@ -101,6 +103,8 @@ def test_the_stamp_is_of_the_middle_of_the_exposure() -> None:
         feed.give(stamp_ns)
         frame = await newest(driver, feed)
         assert frame.stamp_ns == pytest.approx(stamp_ns, abs=0.5 * MS)
+        assert driver.counters.domain is Domain.GLOBAL
+        assert driver.counters.age_ns > 29 * MS
         await driver.__aexit__(None, None, None)
 
     run(main())
@@ -220,11 +224,10 @@ def test_an_unplugged_camera_is_named_and_comes_back() -> None:
             async with camera(feed, silence_s=0.1) as driver:
                 last = await driver.read(PATIENCE_S)
                 feed.plugged = False
-                start_s = time.monotonic()
+                opened = driver.counters.opened
                 await refused(driver, 0.4, r"bench D415.*(pulled|plugged).*opened again")
-                assert time.monotonic() - start_s < 2.0
                 feed.number, feed.plugged = 0, True  # it counts from the beginning again
-                await until(lambda: driver.counters.opened == 2)
+                await until(lambda: driver.counters.opened > opened)
                 after = await driver.read(PATIENCE_S)
                 assert after.frame_id > last.frame_id
                 assert after.stamp_ns > last.stamp_ns
@@ -249,7 +252,7 @@ def test_what_the_library_raises_while_the_camera_is_gone_does_not_end_the_drive
                 feed.plugged = False
                 await refused(driver, 0.1, "its cable was pulled|failed to set power state")
                 feed.plugged = True
-                await until(lambda: driver.counters.opened == 2)
+                await until(lambda: driver.counters.opened > 1)
                 await driver.read(PATIENCE_S)
         assert feed.failures == 2
 
@@ -266,7 +269,7 @@ def test_a_camera_that_does_not_come_back_is_given_up() -> None:
                 start_s = time.monotonic()
                 with pytest.raises(CameraError, match="given up"):
                     await driver.read(60.0)
-                assert time.monotonic() - start_s < 1.0
+                assert time.monotonic() - start_s < PATIENCE_S
 
     run(main())
 
