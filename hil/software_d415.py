@@ -27,13 +27,13 @@ class SoftwareD415Config:
         fps: that the device offers, of both streams.
         clock: whose clock stamps the frames.
         run: names the run whose world writes the frames; by default the one in $PATH_HANDOFF_RUN.
-        open_timeout_s: how long to wait for the world.
+        open_timeout_s: how long to wait for the world; less than the driver waits for its own end.
     """
 
     fps: int = 50
     clock: Literal["global_time", "hardware_clock", "system_time"] = "global_time"
     run: str = ""
-    open_timeout_s: float = 8.0
+    open_timeout_s: float = 4.0
 
 
 class SoftwareD415:
