@@ -195,7 +195,11 @@ class Frame:
 
 
 class Camera(Part, Protocol):
-    """A calibrated camera. ``read`` gives the newest frame not yet given, waiting at most ``timeout_s``."""
+    """A calibrated camera. ``read`` gives the newest frame not yet given, waiting at most ``timeout_s``.
+
+    One that knows its serial number once it is open says so in an attribute ``serial``, and is then held against the
+    calibration's.
+    """
 
     @property
     def model(self) -> CameraModel: ...

@@ -10,6 +10,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.calibration_file import check_serial, check_size
 from drivers.depth_mask import without_elsewhere
 from drivers.depth_pieces import DepthSlice
 from drivers.freshness import Freshness
@@ -55,6 +56,7 @@ class PixelSight:
         self._camera: Camera = create(config.camera, context)
         self._detector: Detector = create(config.detector, context)
         self._layout = context.layout
+        self._calibrated_serial = context.camera_serial
         self._freshness = Freshness(config.max_old_frames)
 
     @property
@@ -67,7 +69,13 @@ class PixelSight:
         return self._camera.model
 
     async def __aenter__(self) -> Self:
-        await self._camera.__aenter__()
+        """Opens the camera. Raises CameraError, also when it is not the one that the calibration is of."""
+        camera = await self._camera.__aenter__()
+        try:
+            check_serial(self._calibrated_serial, getattr(camera, "serial", ""), "camera")
+        except CameraError:
+            await self._camera.__aexit__(None, None, None)
+            raise
         return self
 
     async def __aexit__(
@@ -153,9 +161,5 @@ def _whole_of(part: Detection, found: Sequence[Detection]) -> Detection | None:
 
 def _check_size(frame: Frame, model: CameraModel) -> None:
     for kind, image in (("colour", frame.color), ("depth", frame.depth_mm)):
-        if image is not None and image.shape[:2] != (model.height, model.width):
-            raise CameraError(
-                f"the calibration is for {model.width}x{model.height} px but the {kind} frames are "
-                f"{image.shape[1]}x{image.shape[0]} px",
-                "use the calibration of this stream, or set the stream to the calibrated size",
-            )
+        if image is not None:
+            check_size((model.width, model.height), (image.shape[1], image.shape[0]), f"{kind} stream")

@@ -82,6 +82,7 @@ class PartContext:
     """What a part may know of its role besides its own options.
 
     ``harness`` is the in-process substitute world at the sim levels (parts of ``hil`` cast it), else None.
+    ``camera_serial``: as in ``RoleRig``.
     """
 
     role: Role
@@ -91,11 +92,12 @@ class PartContext:
     layout: MarkerLayout
     origin: Origin
     harness: object | None = None
+    camera_serial: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class RoleRig:
-    """One drone of the rig."""
+    """One drone of the rig. ``camera_serial``: of the camera that ``camera`` is the calibration of, "" if not known."""
 
     vehicle: PartSpec
     sight: PartSpec
@@ -103,6 +105,7 @@ class RoleRig:
     clock: PartSpec
     camera: CameraModel
     mount: Mount
+    camera_serial: str = ""
 
     @property
     def parts(self) -> tuple[PartSpec, ...]:
@@ -177,5 +180,7 @@ class _NoClock:
 def part_context(rig: Rig, role: Role, harness: object | None = None) -> PartContext:
     """The context of one role's parts, with its clock made. Raises RigError."""
     own = rig.role(role)
-    early = PartContext(role, _NoClock(), own.camera, own.mount, rig.layout, rig.origin, harness)
+    early = PartContext(
+        role, _NoClock(), own.camera, own.mount, rig.layout, rig.origin, harness, camera_serial=own.camera_serial
+    )
     return dataclasses.replace(early, clock=create(own.clock, early))

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from drivers.calibration_file import CalibrationError, check_serial
 from drivers.rig import PartSpec, Rig, decode_part, import_factory
 from drivers.tables import Problems, RigError
 from path.messages import Role
@@ -19,11 +20,13 @@ def check_rig(rig: Rig) -> None:
     """Check all that can be checked without touching hardware. Raises RigError with every problem found.
 
     Factories import and take their options, files that are named exist, no two parts share a port, system id, interface
-    or device, the two links point at each other, and the harness (its ``check_rig(rig)``, when it has one) agrees.
+    or device, cameras are those that their calibrations are of, the two links point at each other, and the harness (its
+    ``check_rig(rig)``, when it has one) agrees.
     """
     problems = Problems()
     configs = _decode_parts(rig, problems)
     _check_exclusive(configs, problems)
+    _check_serials(rig, configs, problems)
     if rig.harness is None:
         _check_mirrored(rig, configs, problems)
     else:
@@ -79,6 +82,18 @@ def _check_exclusive(configs: Mapping[str, Any], problems: Problems) -> None:
             if key in used:
                 problems.add(f"{where}.{name}", f"{value!r} is already used by {used[key]}; each needs its own")
             used.setdefault(key, f"{where.partition(': ')[2]}.{name}")
+
+
+def _check_serials(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> None:
+    """A camera whose serial number is written must be the one its calibration is of."""
+    for role in Role:
+        own = rig.role(role)
+        for where, config in configs.items():
+            serial = getattr(config, "serial", "") if where.startswith(own.sight.where) else ""
+            try:
+                check_serial(own.camera_serial, str(serial or ""), rig.where(f"{role.value}.camera"))
+            except CalibrationError as error:
+                problems.add(f"{where}.serial", str(error))
 
 
 def _resource(name: str, value: Any) -> tuple[str, str]:

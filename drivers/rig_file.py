@@ -13,92 +13,60 @@ harness = "hil.sitl:Sitl"            # left out in the field
 factory = "drivers.mavsdk_vehicle:MavsdkVehicle"
 [sender.sight], [sender.link], [sender.clock], [sender.camera], [sender.mount.camera], [sender.mount.marker]
 [receiver. ...]                      # the same, without mount.marker
+
+A camera may be ``calibration = "d1.camera.toml"`` instead of its numbers, and so may ``[sender.mount.marker]``.
 """
 
 from __future__ import annotations
 
-import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from drivers.calibration_file import CalibrationError, CameraTable, MountCalibration, read_camera
+from drivers.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, axis_turn
 from drivers.rig import Level, Mount, Origin, PartSpec, Rig, RoleRig
 from drivers.tables import RigError, decode_table, suggestion
 from path.camera import CameraModel
 from path.config import MethodConfig
-from path.geometry import Matrix, Pose
+from path.geometry import Pose
 from path.marker.layout import Marker, MarkerLayout
-
-Vec3 = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class _Camera:
-    """Intrinsics from a calibration at exactly this stream size; distortion is Brown–Conrady k1 k2 p1 p2 k3."""
+    """Intrinsics, written out or from a file. ``serial``: of the camera they are of, "" when it is not known."""
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, float, float, float, float]
+    model: CameraModel
+    serial: str
 
-    def __post_init__(self) -> None:
-        if self.width <= 0 or self.height <= 0:
-            raise ValueError(f"the image size {self.width}x{self.height} must be positive")
-        if self.fx <= 0 or self.fy <= 0:
-            raise ValueError("fx and fy must be positive")
-        if not (0 <= self.cx < self.width and 0 <= self.cy < self.height):
-            raise ValueError(
-                f"the principal point ({self.cx:g}, {self.cy:g}) is outside {self.width}x{self.height}: "
-                "this calibration is of another stream size"
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class _CameraMount:
-    """Camera looking forward along body x, turned by roll, then pitched down, then yawed."""
-
-    position_b_m: Vec3
-    pitch_down_deg: float
-    roll_deg: float = 0.0
-    yaw_deg: float = 0.0
-
-    def pose(self) -> Pose:
-        forward = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # columns: x right, y down, z ahead
-        turn = _turn(self.roll_deg, -self.pitch_down_deg, self.yaw_deg)
-        return Pose(turn @ forward, np.array(self.position_b_m))
-
-
-@dataclass(frozen=True, slots=True)
-class _MarkerMount:
-    """Marker plate facing backwards, turned by roll, then tilted up, then yawed."""
-
-    position_b_m: Vec3
-    tilt_up_deg: float
-    roll_deg: float = 0.0
-    yaw_deg: float = 0.0
-
-    def pose(self) -> Pose:
-        backward = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # columns: x right, y up, z out
-        turn = _turn(self.roll_deg, -self.tilt_up_deg, self.yaw_deg)
-        return Pose(turn @ backward, np.array(self.position_b_m))
+    @classmethod
+    def from_table(cls, table: Any, where: str, base: Path | None) -> _Camera:
+        """Used by ``decode_table``. Raises RigError."""
+        try:
+            if isinstance(table, Mapping) and "calibration" in table:
+                file = read_camera(decode_table(table, CalibrationName, where, base).calibration)
+                return cls(file.camera.model(), file.serial)
+            return cls(decode_table(table, CameraTable, where, base).model(), "")
+        except CalibrationError as error:
+            raise RigError([f"{where}.calibration: {error}"], error.remedy) from error
+        except ValueError as error:
+            raise RigError([f"{where}: {error}"]) from error
 
 
 @dataclass(frozen=True, slots=True)
 class _SenderMount:
-    camera: _CameraMount
-    marker: _MarkerMount
+    camera: CameraMount
+    marker: MarkerPlace
 
 
 @dataclass(frozen=True, slots=True)
 class _ReceiverMount:
-    camera: _CameraMount
+    camera: CameraMount
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +85,7 @@ class _Marker:
     def marker(self) -> Marker:
         """Raises ValueError for a marker that cannot be."""
         roll, pitch, yaw = self.rpy_deg
-        turn = _axis(1, yaw) @ _axis(0, pitch) @ _axis(2, roll)
+        turn = axis_turn(1, yaw) @ axis_turn(0, pitch) @ axis_turn(2, roll)
         return Marker(self.id, self.side_m, self.side_sigma_m, Pose(turn, np.array(self.position_v_m)))
 
 
@@ -159,23 +127,35 @@ class _RigTable:
 
     def __post_init__(self) -> None:
         self.layout()
+        if self.sender.mount.marker.calibrated is not None:
+            _check_mount(self.sender.mount.marker.calibrated, self)
 
     def layout(self) -> MarkerLayout:
         """Raises ValueError for a layout that cannot be."""
         return MarkerLayout(tuple(m.marker() for m in self.markers), self.marker_dictionary)
 
 
-def _axis(axis: int, angle_deg: float) -> Matrix:
-    a = math.radians(angle_deg)
-    c, s = math.cos(a), math.sin(a)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    R = np.eye(3)
-    R[i, i], R[i, j], R[j, i], R[j, j] = c, -s, s, c
-    return R
+def _check_mount(mount: MountCalibration, rig: _RigTable) -> None:
+    """Raises ValueError when a mount is of other markers or another camera, or less sure than the method is told."""
+    here = "sender.mount.marker.calibration"
+    printed, calibrated = {m.id: m.side_m for m in rig.markers}, {m.id: m.side_m for m in mount.markers}
+    if printed.keys() != calibrated.keys() or any(abs(printed[i] - calibrated[i]) > 1e-6 for i in printed):
+        raise ValueError(f"{here}: it is of the markers {_shown(calibrated)}, this rig has {_shown(printed)}")
+    if mount.serial and rig.sender.camera.serial and mount.serial != rig.sender.camera.serial:
+        raise ValueError(
+            f"{here}: it is of the camera with serial number {mount.serial}, "
+            f"sender.camera.calibration of {rig.sender.camera.serial}"
+        )
+    position_m, angle_deg = mount.largest_sigmas
+    if position_m > rig.method.mount_sigma_m * 1.001 or angle_deg > rig.method.mount_sigma_deg * 1.001:
+        raise ValueError(
+            f"method: mount_sigma_m = {rig.method.mount_sigma_m:g} and mount_sigma_deg = "
+            f"{rig.method.mount_sigma_deg:g} promise more than {here} has: {position_m:.2g} m and {angle_deg:.2g} deg"
+        )
 
 
-def _turn(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Matrix:
-    return _axis(2, yaw_deg) @ _axis(1, pitch_deg) @ _axis(0, roll_deg)
+def _shown(markers: Mapping[int, float]) -> str:
+    return ", ".join(f"{i} ({1000.0 * side:g} mm)" for i, side in sorted(markers.items()))
 
 
 def find_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Path:
@@ -203,7 +183,7 @@ def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise RigError([f"{path.name}: {error}"]) from error
     written = decode_table(table, _RigTable, path.name, path.parent)
-    T_b_v = written.sender.mount.marker.pose()
+    T_b_v = written.sender.mount.marker.pose(written.sender.mount.camera.pose())
     return Rig(
         name=written.name,
         description=written.description,
@@ -222,7 +202,7 @@ def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
 
 
 def _role_rig(written: _Sender | _Receiver, T_b_v: Pose) -> RoleRig:
-    c = written.camera
-    camera = CameraModel(c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.distortion)
-    mount = Mount(written.mount.camera.pose(), T_b_v)
-    return RoleRig(written.vehicle, written.sight, written.link, written.clock, camera, mount)
+    mount, camera = Mount(written.mount.camera.pose(), T_b_v), written.camera
+    return RoleRig(
+        written.vehicle, written.sight, written.link, written.clock, camera.model, mount, camera_serial=camera.serial
+    )

@@ -38,6 +38,21 @@ class Thing:
     variant: int = 0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedBoard:
+    """A flat printed board. Its frame: x right and y down as printed, z away from who reads it.
+
+    Attributes:
+        T_w_o: the board's frame, origin at the top-left corner of the print, to the world.
+        side_m: of one cell of the print.
+        print_shades: uint8 (rows, columns), one a cell, 255 white paper and 0 ink.
+    """
+
+    T_w_o: Pose
+    side_m: float
+    print_shades: NDArray[np.uint8]
+
+
 @dataclass(frozen=True, slots=True)
 class Stage:
     """What there is at one instant.
@@ -52,6 +67,7 @@ class Stage:
     things: tuple[Thing, ...] = ()
     rotor_phase_rad: float = 0.0
     marker_hidden: bool = False
+    boards: tuple[PlacedBoard, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

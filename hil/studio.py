@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.studio import DepthNoise, Imaging, Printing, Shot, Stage, StudioSetup, Thing
+from drivers.studio import DepthNoise, Imaging, PlacedBoard, Printing, Shot, Stage, StudioSetup, Thing
 from hil.camera_pipeline import develop, is_plain
-from hil.render.bodies import Body, flying, standing
+from hil.render.bodies import Body, flying, lying, standing
 from hil.render.people import person
 from hil.render.prints import marker_print
 from hil.render.renderer import Renderer
-from hil.render.scene import ROTOR, Model, car, drone, marked_drone
+from hil.render.scene import ROTOR, Model, car, drone, marked_drone, printed_board
 from hil.render.sensor import SensorNoise, mixed
 from path.geometry import Pose
 from path.marker.texture import cells
@@ -101,7 +101,7 @@ class Studio:
             for other, T_w_b in stage.T_w_b.items()
             if other is not role
         ]
-        return drones + _standing(stage.things)
+        return drones + _standing(stage.things) + [_board(board) for board in stage.boards]
 
 
 def _standing(things: Sequence[Thing]) -> list[Body]:
@@ -109,6 +109,10 @@ def _standing(things: Sequence[Thing]) -> list[Body]:
         standing(CAR if thing.kind == "car" else person(thing.variant), thing.position_w_m, thing.yaw_rad)
         for thing in things
     ]
+
+
+def _board(board: PlacedBoard) -> Body:
+    return lying(printed_board(board.print_shades, board.side_m), board.T_w_o)
 
 
 def _sensor_noise(imaging: Imaging, depth: DepthNoise) -> SensorNoise:

@@ -11,6 +11,7 @@ import tyro
 
 from missions.options import (
     CampaignOptions,
+    CalibrateOptions,
     DoctorOptions,
     HandoffOptions,
     ReceiverOptions,
@@ -31,6 +32,7 @@ MODULES: dict[type[object], str] = {
     TrialOptions: "trials.run",
     VerifyOptions: "verify.run",
     CampaignOptions: "campaign.run",
+    CalibrateOptions: "calibrate.run",
 }
 """Each has ``run(options) -> exit code``."""
 
@@ -45,6 +47,7 @@ examples:
   path-handoff handoff --fault link_loss=0.3  what happens when things go wrong
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field
+  path-handoff calibrate camera --images views --out d1.camera.toml
   path-handoff trial sensitivity              an experiment of the paper, run again
   path-handoff verify                         whatever the link does: never two responsible
   path-handoff campaign --runs 10000          thousands of hand-overs under faults, by seed
@@ -60,6 +63,7 @@ Command = (
     | Annotated[TrialOptions, tyro.conf.subcommand("trial")]
     | Annotated[VerifyOptions, tyro.conf.subcommand("verify")]
     | Annotated[CampaignOptions, tyro.conf.subcommand("campaign")]
+    | Annotated[CalibrateOptions, tyro.conf.subcommand("calibrate")]
 )
 
 

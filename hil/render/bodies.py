@@ -38,6 +38,11 @@ def flying(model: Model, T_w_b: Pose, rotor_phase_rad: float, turning: bool) -> 
     )
 
 
+def lying(model: Model, T_w_o: Pose) -> Body:
+    """Something that neither moves nor is tracked, at any pose."""
+    return Body(model, T_w_o, STILL, target=False)
+
+
 def standing(model: Model, position_w_m: tuple[float, float, float], yaw_rad: float) -> Body:
     """A car or a person, upright. ``yaw_rad``: counter-clockwise from east."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)

@@ -112,6 +112,16 @@ def drone() -> Model:
     return model_of(_airframe())
 
 
+def printed_board(shades: NDArray[np.uint8], side_m: float) -> Model:
+    """A flat print of square cells: origin at its top-left corner, x right, y down, z away from the viewer.
+
+    ``shades``: (rows, columns) of the paper, 255 is white and 0 ink.
+    """
+    rows, columns = shades.shape
+    e1, e2 = np.array([columns * side_m, 0.0, 0.0]), np.array([0.0, rows * side_m, 0.0])
+    return model_of([Face(np.zeros(3), e1, e2, PAPER, PRINT, INK, shades)])
+
+
 def marked_drone(T_b_v: Pose, layout: MarkerLayout, *, hidden: bool, prints: Sequence[NDArray[np.uint8]] = ()) -> Model:
     """A quadrotor that carries the plates of a marker layout.
 

@@ -1,0 +1,194 @@
+"""``path-handoff calibrate camera``: views, what is wrong with them, the camera, and how sure it is."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from drivers.calibration_file import CalibrationError, CameraCalibration, CameraTable, Quality, write_calibration
+from drivers.interfaces import PartError
+from drivers.rig import PartSpec, create, decode_part, part_context
+from drivers.rig_file import load_rig
+from missions.calibrate.board import board_of
+from missions.calibrate.collect import Collected, Look, from_camera, from_images, from_recording
+from missions.calibrate.diagnose import what_else
+from missions.calibrate.picture import draw_calibration
+from missions.options import CalibrateCameraOptions
+from missions.rig_list import FOLDER
+from missions.work import Bars
+from path.calibration.board import Board
+from path.calibration.intrinsics import PARAMETERS, Intrinsics, NotSolvable, solve_intrinsics
+from path.calibration.judge import (
+    BadSet,
+    Fault,
+    SetLimits,
+    coverage,
+    judge_solution,
+    judge_views,
+    sharp_enough,
+    tilts_deg,
+)
+from path.messages import Role
+
+LIMITS = SetLimits()
+
+
+class BadViews(CalibrationError):
+    """A set of views that no calibration should be made from. ``faults`` has every reason."""
+
+    def __init__(self, faults: Sequence[Fault]) -> None:
+        found = "\n".join(f"{fault.reason.value}: {fault.found}" for fault in faults)
+        super().__init__(f"these views are refused\n{found}", "\n       ".join(fault.fix for fault in faults))
+        self.faults = tuple(faults)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """A calibration that may be used. ``looks``: of ``solution.views``, in their order."""
+
+    solution: Intrinsics
+    looks: tuple[Look, ...]
+
+
+def calibrate_camera(options: CalibrateCameraOptions, out: TextIO) -> int:
+    """The command. Raises PartError: what was asked wrongly, or BadViews."""
+    board = board_of(options)
+    collected, source = _collect(options, board, out)
+    out.write(f"{_found(collected)} of {len(collected.looks)} images show the board ({board.text})\n")
+    picture = options.out.with_suffix(".png")
+    try:
+        done = calibrate(collected, board)
+    except BadViews:
+        draw_calibration(collected, None, picture)
+        out.write(f"{picture}: what there is\n")
+        raise
+    solution = done.solution
+    calibration = _file_of(solution, collected, board, options.serial or collected.serial, source)
+    write_calibration(options.out, calibration)
+    draw_calibration(collected, solution, picture)
+    _report(done, calibration, out)
+    out.write(f"\n{options.out}: name it in a rig, [sender.camera] or [receiver.camera]: calibration\n{picture}\n")
+    return 0
+
+
+def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) -> Calibrated:
+    """The camera from what was collected. Raises BadViews with all that is wrong."""
+    sizes = Counter(look.size for look in collected.looks)
+    if len(sizes) > 1:
+        found = ", ".join(f"{count} of {width}x{height} px" for (width, height), count in sizes.most_common())
+        raise BadViews([Fault(BadSet.MIXED_SIZES, f"images of different sizes: {found}",
+                              "put the images of one stream into a folder of their own")])  # fmt: skip
+    seen = [look for look in collected.looks if look.view is not None]
+    if not seen:
+        found, fix = what_else(collected.sample, board)
+        raise BadViews([Fault(BadSet.NO_BOARD, found, fix)])
+    views = [look.view for look in seen if look.view is not None]
+    sharp = sharp_enough(views, limits)
+    faults: list[Fault] = []
+    blurred = [look.name for look, good in zip(seen, sharp, strict=True) if not good]
+    looks = [look for look, good in zip(seen, sharp, strict=True) if good]
+    views = [view for view, good in zip(views, sharp, strict=True) if good]
+    size = next(iter(sizes))
+    faults += judge_views(views, size, limits)
+    if blurred and len(views) < limits.min_views:
+        faults.append(Fault(BadSet.BLURRED, f"{len(blurred)} views are blurred, such as {blurred[0]}",
+                            "hold board and camera still, give more light or a shorter exposure"))  # fmt: skip
+    if len(views) < 4:
+        raise BadViews(faults)
+    try:
+        solution = solve_intrinsics(views, board, size)
+    except NotSolvable as error:
+        fault = Fault(BadSet.NOT_SOLVABLE, f"no camera fits these views: {error}", "is the board the one you named?")
+        raise BadViews([*faults, fault]) from error
+    faults += judge_solution(solution, limits)
+    if faults:
+        raise BadViews(faults)
+    return Calibrated(solution, tuple(looks))
+
+
+def _found(collected: Collected) -> int:
+    return sum(look.view is not None for look in collected.looks)
+
+
+def _collect(options: CalibrateCameraOptions, board: Board, out: TextIO) -> tuple[Collected, str]:
+    named = [name for name in ("images", "video", "rig") if getattr(options, name)]
+    if len(named) != 1:
+        raise PartError(
+            f"expected one of --images, --video and --rig, found {', '.join(named) or 'none'}",
+            "say where the views of the board come from",
+        )
+    bars = Bars(sys.stderr if out is sys.stdout else out)
+    if options.images is not None:
+        return from_images(options.images, board, bars), str(options.images)
+    if options.video is not None:
+        return from_recording(options.video, board, options.views, bars), str(options.video)
+    return _from_rig(options, board, out), f"{options.role} of {options.rig}"
+
+
+def _from_rig(options: CalibrateCameraOptions, board: Board, out: TextIO) -> Collected:
+    """Views of a rig's camera. Its calibration in the rig may be of anything: it is not used."""
+    rig = load_rig(options.rig, [FOLDER])
+    role = Role(options.role)
+    _, sight = decode_part(rig.role(role).sight)
+    spec = getattr(sight, "camera", None)
+    if not isinstance(spec, PartSpec):
+        raise PartError(f"{rig.role(role).sight.where}: it has no camera of its own", "name a rig with real cameras")
+    camera = create(spec, part_context(rig, role))
+    folder = options.out.with_suffix("")
+    out.write(f"show the board to the {role.value}'s camera; views are kept in {folder}\n")
+
+    def say(line: str) -> None:
+        out.write(f"{line}\n")
+        out.flush()
+
+    return asyncio.run(from_camera(camera, board, options.views, options.seconds, folder, say))
+
+
+def _file_of(solution: Intrinsics, collected: Collected, board: Board, serial: str, source: str) -> CameraCalibration:
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = solution.values
+    views = [look.view for look in collected.looks if look.view is not None]
+    return CameraCalibration(
+        kind="camera",
+        version=1,
+        made=datetime.now(UTC).isoformat(timespec="seconds"),
+        serial=serial,
+        source=Path(source).name or source,
+        board=board.text,
+        camera=CameraTable(*solution.size, fx, fy, cx, cy, (k1, k2, p1, p2, k3)),
+        standard_errors=dict(zip(PARAMETERS, solution.sigmas, strict=True)),
+        quality=Quality(
+            rms_px=round(solution.rms_px, 5),
+            held_out_px=round(solution.held_out_px, 5),
+            views=len(solution.views),
+            corners=sum(len(view.ids) for view in solution.views),
+            coverage=round(float((coverage(views, solution.size) > 0).mean()), 3),
+        ),
+    )
+
+
+def _report(done: Calibrated, calibration: CameraCalibration, out: TextIO) -> None:
+    solution, quality = done.solution, calibration.quality
+    out.write(f"\n{'view':<28}{'corners':>8}{'left out':>9}{'blur px':>9}{'tilt deg':>10}{'dist m':>8}"
+              f"{'rms px':>9}{'held out':>10}\n")  # fmt: skip
+    tilts = tilts_deg(solution)
+    for look, view, tilt in zip(done.looks, solution.views, tilts, strict=True):
+        assert look.view is not None
+        out.write(
+            f"{look.name[:27]:<28}{len(view.ids):>8}{view.outliers:>9}{look.view.blur_px:>9.2f}"
+            f"{np.hypot(*tilt):>10.0f}{view.distance_m:>8.2f}{view.rms_px:>9.3f}{view.held_out_px:>10.3f}\n"
+        )
+    out.write("\n")
+    for name, value, sigma in zip(PARAMETERS, solution.values, solution.sigmas, strict=True):
+        out.write(f"{name:<4}{value:>14.{3 if abs(value) > 10 else 6}f}  +- {sigma:.2g}\n")
+    out.write(
+        f"\nrms {quality.rms_px:.3f} px; of views that were left out {quality.held_out_px:.3f} px "
+        f"({quality.corners} corners in {quality.views} views, {100 * quality.coverage:.0f} % of the image)\n"
+    )

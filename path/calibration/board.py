@@ -1,0 +1,216 @@
+"""Flat calibration boards, chessboard and ChArUco: their corners, their print, and how they are found in an image.
+
+Frame ``o`` of a board: origin at the top-left corner of the top-left square as printed, x right, y down, z away from
+who reads it. Squares are counted, not inner corners, for both patterns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from path.calibration.saddles import refine_saddles
+from path.marker.layout import DICTIONARIES
+from path.marker.texture import dictionary_of
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Pattern = Literal["charuco", "chessboard"]
+
+FINEST_SQUARE = 64  # cells that a square of a print may be divided into
+CLEAR = 0.85  # share of the distance to the next thing printed that the fit of a corner may look at
+FEWEST_CORNERS = 6  # on a board below it there is nothing to find
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A printed board.
+
+    Attributes:
+        pattern: "charuco" or "chessboard".
+        columns, rows: squares along x and y.
+        square_m: side of a square, as measured on the print.
+        marker_m: side of the black frame of a ChArUco board's markers.
+        dictionary: of these markers.
+
+    Raises:
+        ValueError: naming the field that cannot be right.
+    """
+
+    pattern: Pattern
+    columns: int
+    rows: int
+    square_m: float
+    marker_m: float = 0.0
+    dictionary: str = "DICT_4X4_50"
+
+    def __post_init__(self) -> None:
+        if min(self.columns, self.rows) < 3 or (self.columns - 1) * (self.rows - 1) < FEWEST_CORNERS:
+            raise ValueError(f"squares: {self.columns}x{self.rows} has fewer than {FEWEST_CORNERS} inner corners")
+        if not 0.0 < self.square_m < 10.0:
+            raise ValueError(f"square_m: {self.square_m!r} is not a length in metres")
+        if self.pattern == "chessboard":
+            return
+        if not 0.3 * self.square_m <= self.marker_m <= 0.95 * self.square_m:
+            raise ValueError(f"marker_m: {self.marker_m!r} is not 0.3 to 0.95 of square_m = {self.square_m!r}")
+        if self.dictionary not in DICTIONARIES:
+            raise ValueError(f"dictionary: {self.dictionary!r} is none of {', '.join(DICTIONARIES)}")
+        if self.columns * self.rows // 2 > DICTIONARIES[self.dictionary][1]:
+            raise ValueError(f"dictionary: {self.dictionary} has too few markers for {self.columns}x{self.rows}")
+
+    @property
+    def corners_o(self) -> Array:
+        """Inner corners, shape (n, 3), metres, row by row."""
+        x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
+        return np.stack((x.ravel(), y.ravel(), np.zeros(x.size)), axis=1).astype(np.float64) * self.square_m
+
+    @property
+    def text(self) -> str:
+        """How messages name it."""
+        size = f"{self.columns}x{self.rows} squares of {1000.0 * self.square_m:g} mm"
+        return f"chessboard, {size}" if self.pattern == "chessboard" else f"ChArUco, {size}, {self.dictionary}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardView:
+    """A board found in one image.
+
+    Attributes:
+        ids: (n,) indices into ``Board.corners_o``.
+        corners_px: (n, 2). ``sigma_px``: (n,) standard deviation per axis that the image's noise leaves.
+        blur_px: standard deviation of the blur across the edges, the larger one of the two directions, median.
+    """
+
+    ids: NDArray[np.int64]
+    corners_px: Array
+    sigma_px: Array
+    blur_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundCorners:
+    """What OpenCV finds, before refinement. ``clear_px``: (n,) how far around a corner only its four squares are."""
+
+    ids: NDArray[np.int64]
+    corners_px: Array
+    clear_px: Array
+
+
+def find_board(grey: Image, board: Board) -> BoardView | None:
+    """Find a board and refine its corners (``path.calibration.saddles``); None when it is not there.
+
+    ``grey``: uint8 (h, w), as the lens gives it. Of a ChArUco board any part is enough, of a chessboard the whole.
+    """
+    found = find_corners(grey, board)
+    if found is None:
+        return None
+    edges = _edge_directions(found, board)
+    if edges is None:
+        return None
+    saddles = refine_saddles(grey, found.corners_px, edges, found.clear_px)
+    good = saddles.good
+    if int(good.sum()) < FEWEST_CORNERS:
+        return None
+    return BoardView(
+        found.ids[good], saddles.corners_px[good], saddles.sigma_px[good], float(np.median(saddles.blur_px[good]))
+    )
+
+
+def find_corners(grey: Image, board: Board) -> FoundCorners | None:
+    """The corners as OpenCV gives them."""
+    if board.pattern == "chessboard":
+        flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+        found, corners = cv2.findChessboardCornersSB(grey, (board.columns - 1, board.rows - 1), flags=flags)
+        ids = np.arange((board.columns - 1) * (board.rows - 1))
+        if not found:
+            return None
+    else:
+        corners, ids, _, _ = _charuco_detector(board).detectBoard(grey)
+        if ids is None or corners is None:  # pyright: ignore[reportUnnecessaryComparison]
+            return None
+    ids, points = np.asarray(ids, np.int64).ravel(), np.asarray(corners, np.float64).reshape(-1, 2)
+    if len(ids) < FEWEST_CORNERS or not _spans_a_plane(ids, board):
+        return None
+    share = 0.5
+    if board.pattern == "charuco":  # the nearest other thing is a corner of a marker, along the diagonal
+        share = min(share, np.sqrt(0.5) * (1.0 - board.marker_m / board.square_m))
+    return FoundCorners(ids, points, CLEAR * share * _pitch_px(points, ids, board))
+
+
+def other_size(grey: Image) -> tuple[int, int] | None:
+    """About how many columns and rows of squares a chessboard in an image has; None when there is none."""
+    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
+    found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
+    return (int(meta.shape[1]) + 1, int(meta.shape[0]) + 1) if found else None
+
+
+def print_cells(board: Board) -> tuple[Image, float]:
+    """The print with a white border of one square: shades (rows, columns), and the side of one cell in metres.
+
+    The board's origin is one square right of and below the print's corner.
+
+    Raises:
+        ValueError: the markers do not divide the squares into at most ``FINEST_SQUARE`` cells.
+    """
+    if board.pattern == "chessboard":
+        squares = np.indices((board.rows, board.columns)).sum(axis=0) % 2
+        return np.pad((255 * squares).astype(np.uint8), 1, constant_values=255), board.square_m
+    bits = DICTIONARIES[board.dictionary][0] + 2
+    ratio = board.marker_m / board.square_m
+    for cells in range(bits, FINEST_SQUARE + 1):
+        marker = ratio * cells
+        whole = round(marker)
+        if abs(marker - whole) < 1e-6 * cells and whole % bits == 0 and (cells - whole) % 2 == 0:
+            image = _charuco_board(board).generateImage((board.columns * cells, board.rows * cells), marginSize=0)
+            return np.pad(np.asarray(image, np.uint8), cells, constant_values=255), board.square_m / cells
+    raise ValueError(f"marker_m: {board.marker_m!r} has no common cell with square_m = {board.square_m!r}")
+
+
+@lru_cache(maxsize=8)
+def _charuco_board(board: Board) -> cv2.aruco.CharucoBoard:
+    size = (board.columns, board.rows)
+    return cv2.aruco.CharucoBoard(size, board.square_m, board.marker_m, dictionary_of(board.dictionary))
+
+
+@lru_cache(maxsize=8)
+def _charuco_detector(board: Board) -> cv2.aruco.CharucoDetector:
+    return cv2.aruco.CharucoDetector(_charuco_board(board))
+
+
+def _spans_a_plane(ids: NDArray[np.int64], board: Board) -> bool:
+    columns, rows = ids % (board.columns - 1), ids // (board.columns - 1)
+    return len(np.unique(columns)) >= 2 and len(np.unique(rows)) >= 2
+
+
+def _homography(found: FoundCorners, board: Board) -> Array | None:
+    H, _ = cv2.findHomography(board.corners_o[found.ids, :2] / board.square_m, found.corners_px)
+    return None if H is None else np.asarray(H, np.float64)  # pyright: ignore[reportUnnecessaryComparison]
+
+
+def _edge_directions(found: FoundCorners, board: Board) -> Array | None:
+    """Directions of the board's x and y at every corner in the image, (n, 2, 2): [:, 0] along x; unit vectors."""
+    H = _homography(found, board)
+    if H is None:
+        return None
+    at = board.corners_o[found.ids, :2] / board.square_m
+    p = np.column_stack((at, np.ones(len(at)))) @ H.T
+    along = [(H[:2, k] - (p[:, :2] / p[:, 2:]) * H[2, k]) / p[:, 2:] for k in (0, 1)]
+    return np.stack([d / np.linalg.norm(d, axis=1, keepdims=True) for d in along], axis=1)
+
+
+def _pitch_px(points: Array, ids: NDArray[np.int64], board: Board) -> Array:
+    """Distance to the nearest neighbour on the grid, per corner; the smallest one of all where it has none."""
+    width = board.columns - 1
+    grid = np.full((board.rows + 1, board.columns + 1, 2), np.nan)
+    rows, columns = ids // width + 1, ids % width + 1
+    grid[rows, columns] = points
+    steps = [np.linalg.norm(grid[rows + dr, columns + dc] - points, axis=1)
+             for dr, dc in ((0, 1), (0, -1), (1, 0), (-1, 0))]  # fmt: skip
+    nearest = np.where(np.isnan(steps), np.inf, steps).min(axis=0)
+    known = nearest[np.isfinite(nearest)]
+    return np.where(np.isfinite(nearest), nearest, known.min() if len(known) else 0.0)

@@ -1,0 +1,228 @@
+"""Intrinsics of a camera from views of a board: solved by OpenCV, held against views that were left out.
+
+Errors are of corners in the image, rms over corners of their distance in px (both axes together), as OpenCV counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from path.calibration.board import Board, BoardView
+from path.camera import CameraModel, Coefficients
+from path.geometry import Pose
+
+Array = NDArray[np.float64]
+
+FOLDS = 8
+PRECISE = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-10)
+OUTLIER = 6.0  # times the robust spread of all corners: such a corner is left out
+MOST_OUTLIERS = 0.2  # of the corners of a view
+MAD_TO_SIGMA = 1.4826
+PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+
+
+class NotSolvable(Exception):
+    """The views do not determine a camera."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolvedView:
+    """One view as the solution sees it.
+
+    Attributes:
+        T_c_o: board to camera.
+        errors_px: (n, 2), image minus model. ``ids``: of its corners, outliers left out; ``outliers``: how many.
+        held_out_px: rms when the camera was solved without this view and only its pose was fitted.
+        distance_m: of the middle of what is seen of the board, along the optical axis.
+    """
+
+    T_c_o: Pose
+    ids: NDArray[np.int64]
+    corners_px: Array
+    errors_px: Array
+    outliers: int
+    held_out_px: float
+    distance_m: float
+
+    @property
+    def rms_px(self) -> float:
+        return rms(self.errors_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Intrinsics:
+    """A solved camera.
+
+    Attributes:
+        values: of ``PARAMETERS``. ``camera``: the same as a model; None when they are none that can be inverted.
+        sigmas: standard errors of ``PARAMETERS``, the larger of OpenCV's own and of a jackknife over groups of views.
+        rms_px, held_out_px: over all corners; held out: as ``SolvedView.held_out_px``.
+    """
+
+    size: tuple[int, int]
+    values: tuple[float, ...]
+    camera: CameraModel | None
+    camera_problem: str
+    sigmas: tuple[float, ...]
+    views: tuple[SolvedView, ...]
+    rms_px: float
+    held_out_px: float
+
+
+def rms(errors_px: Array) -> float:
+    """Root of the mean squared distance of errors (n, 2)."""
+    return math.sqrt(float((errors_px**2).sum(axis=1).mean())) if len(errors_px) else math.nan
+
+
+def solve_intrinsics(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> Intrinsics:
+    """Solve for the camera; corners that are far off are left out once, and the rest solved again.
+
+    Args:
+        views: at least three.
+        size: width and height of the images.
+
+    Raises:
+        NotSolvable: OpenCV finds no camera.
+    """
+    ids, corners = [view.ids for view in views], [view.corners_px for view in views]
+    matrix, lens, _, _ = _solve(ids, corners, board, size)
+    errors = [_refit(matrix, lens, board.corners_o[i], c)[1] for i, c in zip(ids, corners, strict=True)]
+    lengths = np.linalg.norm(np.concatenate(errors), axis=1)
+    limit = OUTLIER * MAD_TO_SIGMA * float(np.median(lengths))
+    kept = [_near(matrix, lens, board.corners_o[i], c, limit) for i, c in zip(ids, corners, strict=True)]
+    ids = [i[k] for i, k in zip(ids, kept, strict=True)]
+    corners = [c[k] for c, k in zip(corners, kept, strict=True)]
+    matrix, lens, stated, _ = _solve(ids, corners, board, size, (matrix, lens))
+    held_out, jackknife = _folds(ids, corners, board, size, (matrix, lens))
+    solved: list[SolvedView] = []
+    for i, c, k, out in zip(ids, corners, kept, held_out, strict=True):
+        pose, left = _refit(matrix, lens, board.corners_o[i], c)
+        distance_m = float(pose.apply(board.corners_o[i]).mean(axis=0)[2])
+        solved.append(SolvedView(pose, i, c, left, int((~k).sum()), rms(out), distance_m))
+    values = _values(matrix, lens)
+    camera, problem = _model(values, size)
+    return Intrinsics(
+        size,
+        tuple(float(v) for v in values),
+        camera,
+        problem,
+        tuple(float(s) for s in np.fmax(stated, jackknife)),
+        tuple(solved),
+        rms(np.concatenate([view.errors_px for view in solved])),
+        rms(np.concatenate(held_out)),
+    )
+
+
+def left_by(camera: CameraModel, views: Sequence[BoardView], board: Board) -> float:
+    """What a given camera leaves of views when only their poses are fitted, rms in px: with the true one, the noise."""
+    matrix, lens = _matrices(camera)
+    return rms(np.concatenate([_refit(matrix, lens, board.corners_o[v.ids], v.corners_px)[1] for v in views]))
+
+
+def board_pose(camera: CameraModel, board: Board, view: BoardView) -> tuple[Pose, Array]:
+    """``T_c_o`` of one view, and what it leaves, (n, 2) px. Raises NotSolvable."""
+    return _refit(*_matrices(camera), board.corners_o[view.ids], view.corners_px)
+
+
+def _matrices(camera: CameraModel) -> tuple[Array, Array]:
+    matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+    return matrix, np.array(camera.distortion)
+
+
+def _solve(
+    ids: Sequence[NDArray[np.int64]],
+    corners: Sequence[Array],
+    board: Board,
+    size: tuple[int, int],
+    guess: tuple[Array, Array] | None = None,
+) -> tuple[Array, Array, Array, float]:
+    """Camera matrix, distortion (5,), standard errors of ``PARAMETERS``, rms."""
+    points = [board.corners_o[i].astype(np.float32) for i in ids]
+    images = [c.astype(np.float32) for c in corners]
+    flags = 0 if guess is None else cv2.CALIB_USE_INTRINSIC_GUESS
+    matrix, lens = (np.eye(3), np.zeros(5)) if guess is None else (guess[0].copy(), guess[1].copy())
+    try:
+        left, matrix, lens, _, _, sigmas, _, _ = cv2.calibrateCameraExtended(
+            points, images, size, matrix, lens, flags=flags, criteria=PRECISE
+        )
+    except cv2.error as error:
+        raise NotSolvable(str(error).strip()) from error
+    matrix, lens = np.asarray(matrix, np.float64), np.asarray(lens, np.float64).ravel()[:5]
+    if not (np.isfinite(matrix).all() and np.isfinite(lens).all() and min(matrix[0, 0], matrix[1, 1]) > 0.0):
+        raise NotSolvable("the solution is not finite")
+    return matrix, lens, np.asarray(sigmas, np.float64).ravel()[: len(PARAMETERS)], float(left)
+
+
+def _folds(
+    ids: Sequence[NDArray[np.int64]],
+    corners: Sequence[Array],
+    board: Board,
+    size: tuple[int, int],
+    guess: tuple[Array, Array],
+) -> tuple[list[Array], Array]:
+    """Errors of each view under a camera solved without it; jackknife standard errors of ``PARAMETERS``."""
+    count = len(ids)
+    folds = min(FOLDS, count)
+    held_out: list[Array] = [np.empty((0, 2))] * count
+    found: list[Array] = []
+    for fold in range(folds):
+        rest = [k for k in range(count) if k % folds != fold]
+        if len(rest) < 3:
+            continue
+        matrix, lens, _, _ = _solve([ids[k] for k in rest], [corners[k] for k in rest], board, size, guess)
+        found.append(_values(matrix, lens))
+        for k in range(fold, count, folds):
+            held_out[k] = _refit(matrix, lens, board.corners_o[ids[k]], corners[k])[1]
+    if len(found) < 2:
+        return held_out, np.full(len(PARAMETERS), np.nan)
+    spread = np.stack(found) - np.mean(found, axis=0)
+    return held_out, np.sqrt((len(found) - 1) / len(found) * (spread**2).sum(axis=0))
+
+
+def _near(matrix: Array, lens: Array, points_o: Array, corners_px: Array, limit_px: float) -> NDArray[np.bool_]:
+    """Which corners of a view fit it: the worst is left out, one at a time, as it pulls the others off."""
+    kept = np.ones(len(corners_px), np.bool_)
+    for _ in range(int(MOST_OUTLIERS * len(corners_px))):
+        lengths = np.linalg.norm(_refit(matrix, lens, points_o[kept], corners_px[kept])[1], axis=1)
+        worst = int(np.argmax(lengths))
+        if lengths[worst] <= limit_px:
+            break
+        kept[np.flatnonzero(kept)[worst]] = False
+    return kept
+
+
+def _refit(matrix: Array, lens: Array, points_o: Array, corners_px: Array) -> tuple[Pose, Array]:
+    """Pose of a view under a given camera, and what is left. Raises NotSolvable."""
+    try:
+        done, rotation, translation = cv2.solvePnP(points_o, corners_px, matrix, lens, flags=cv2.SOLVEPNP_IPPE)
+        if done:
+            rotation, translation = cv2.solvePnPRefineLM(
+                points_o, corners_px, matrix, lens, rotation, translation, PRECISE
+            )
+    except cv2.error as error:
+        raise NotSolvable(str(error).strip()) from error
+    if not done:
+        raise NotSolvable("a view has no pose")
+    seen, _ = cv2.projectPoints(points_o, rotation, translation, matrix, lens)
+    R, _ = cv2.Rodrigues(rotation)
+    pose = Pose(np.asarray(R, np.float64), np.asarray(translation, np.float64).ravel())
+    return pose, corners_px - np.asarray(seen, np.float64).reshape(-1, 2)
+
+
+def _values(matrix: Array, lens: Array) -> Array:
+    return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *lens])
+
+
+def _model(values: Array, size: tuple[int, int]) -> tuple[CameraModel | None, str]:
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = (float(v) for v in values)
+    lens: Coefficients = (k1, k2, p1, p2, k3)
+    try:
+        return CameraModel(*size, fx, fy, cx, cy, lens), ""
+    except ValueError as error:
+        return None, str(error)
