@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from missions.calibrate.camera import BadViews, calibrate
 from missions.calibrate.collect import Chooser, Collected, Look
 from missions.calibrate.run import run
 from missions.options import CalibrateBoardOptions, CalibrateCameraOptions, CalibrateOptions
+from missions.rig_list import FOLDER
 from path.calibration.board import Board
 from path.calibration.judge import BadSet
 from tests.path.calibration.rendered import CAMERA, CHARUCO, CHESSBOARD, Held, grey, photographs, poses, seen
@@ -48,6 +50,34 @@ def test_images_become_a_calibration_and_a_picture(folder: Path, tmp_path: Path)
     assert 0.0 < written.standard_errors["fx"] < 1.0
     assert "of views that were left out" in text
     assert cv2.imread(str(out.with_suffix(".png"))) is not None
+
+
+@pytest.mark.parametrize("way", ["video", "rig"])
+def test_a_recording_and_a_running_camera_give_chosen_views(folder: Path, tmp_path: Path, way: str) -> None:
+    """Each view is held for two frames, 0.2 s apart; the rig's camera plays the same folder."""
+    film = tmp_path / "film"
+    film.mkdir()
+    for number in range(14):
+        for again in range(2):
+            shutil.copy(folder / f"view-{number}.png", film / f"{10 + 0.2 * (2 * number + again):.1f}.png")
+    options = CalibrateCameraOptions(video=film, views=13, out=tmp_path / "c.toml")
+    if way == "rig":
+        rig = tmp_path / "rig.toml"
+        text = (FOLDER / "sim-rendered.toml").read_text("utf-8").replace(
+            'factory = "hil.rendered_camera:RenderedCamera"\nrate_hz = 50.0',
+            'factory = "drivers.recorded_camera:RecordedCamera"\nfile = "film"\npace = "fast"\nserial = "0815"',
+            1,
+        )  # fmt: skip
+        rig.write_text(text, "utf-8")
+        options = replace(options, video=None, rig=str(rig), views=40)
+    text = command(options)
+    written = read_camera(tmp_path / "c.toml")
+    assert written.quality.views == (13 if way == "video" else 14)
+    assert written.camera.fx == pytest.approx(CAMERA.fx, rel=1e-3)
+    if way == "rig":  # it ended with the recording; what it gave was kept, and its serial number known
+        assert len(list((tmp_path / "c").glob("view-*.png"))) == 14
+        assert written.serial == "0815"
+        assert "view 14/40" in text
 
 
 def collected(held: Held, count: int, **change: float) -> Collected:
