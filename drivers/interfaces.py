@@ -247,7 +247,11 @@ class Sight(Part, Protocol):
 
 
 class Detector(Protocol):
-    """Finds target-like objects in an image, from its pixels alone."""
+    """Finds target-like objects in an image, from its pixels alone.
+
+    One with an attribute ``whole_image`` that is true is shown every image once, as it is; other ones may be shown an
+    image from which depth has cut what is nearer or farther than what is looked for.
+    """
 
     def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]: ...
 

@@ -132,6 +132,9 @@ class PixelView:
             return detector.detect(frame.color, region)
         near_m = region.near_m - DEPTH_SIGMAS * depth_sigma(region.near_m, self._method)
         far_m = region.far_m + DEPTH_SIGMAS * depth_sigma(region.far_m, self._method)
+        if getattr(detector, "whole_image", False):
+            found = detector.detect(frame.color, region)
+            return [each for each in found if (z := self.depth(each.box)) is None or near_m <= z.z_m <= far_m]
         depths = DepthSlice(frame.depth_mm, (near_m, far_m), self._method.depth_sigma_at_1m_m)
         shown = without_elsewhere(frame.color, depths.depth_mm, depths.limits_m, depths.sigma_at_1m_m, region)
         cut = depths.united(detector.detect(shown, region))

@@ -15,6 +15,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
+from drivers.onnx_model import open_session
 from path.baselines.features import Distance, Image, Keypoints
 
 SIDE_PX = 640
@@ -77,17 +78,7 @@ class XFeat:
 
 def _session(weights: Path, threads: int) -> onnxruntime.InferenceSession:
     """The network, checked. Raises PartError."""
-    if not weights.is_file():
-        raise PartError(f"{weights}: there is no such file; expected the weights of XFeat", REMEDY)
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    options.log_severity_level = 4
-    try:
-        session = onnxruntime.InferenceSession(str(weights), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's exceptions share no base of their own
-        reason = str(error).splitlines()[0]
-        raise PartError(f"{weights}: expected a network in ONNX, found a file that cannot be read: {reason}") from error
+    session = open_session(weights, threads, REMEDY)
     found = tuple(_shape(each) for each in session.get_inputs()), tuple(_shape(each) for each in session.get_outputs())
     if found != ((INPUT,), OUTPUTS):
         raise PartError(

@@ -65,11 +65,12 @@ class StubDetector:
     def __init__(self, config: StubConfig, context: PartContext) -> None:
         self.asked: list[Region | None] = []
         self.shown: list[NDArray[np.uint8]] = []
+        self.box = Box(1.0, 2.0, 3.0, 4.0)
 
     def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]:
         self.asked.append(region)
         self.shown.append(image)
-        return (Detection(Box(1.0, 2.0, 3.0, 4.0), 0.5),)
+        return (Detection(self.box, 0.5),)
 
 
 class Clock:
@@ -286,3 +287,26 @@ def test_markers_are_found_in_the_pixels(corners: str) -> None:
 def test_a_rig_that_names_no_detector_is_refused() -> None:
     with pytest.raises(RigError, match="missing key 'detector'"):
         decode_table({"camera": table()["camera"]}, PixelSightConfig, "rig.toml: sender.sight")
+
+
+def test_a_detector_that_wants_the_whole_image_is_asked_once_and_depth_judges_its_boxes() -> None:
+    made, camera, detector = sight()
+    detector.box = Box(40.0, 30.0, 60.0, 50.0)
+    setattr(detector, "whole_image", True)  # noqa: B010 (the stub has no such attribute)
+    camera.frames = [frame(1)]
+    view = view_of(made)
+    at_2_m, elsewhere = Region(0.0, 0.0, 160.0, 120.0, 1.5, 2.5), Region(0.0, 0.0, 160.0, 120.0, 3.0, 4.0)
+    depth_mm = camera_frame_depth(view)
+    depth_mm[:] = 2000
+    assert len(view.targets(at_2_m)) == 1
+    assert len(view.targets(elsewhere)) == 0
+    depth_mm[:] = 0  # not known to be elsewhere
+    assert len(view.targets(elsewhere)) == 1
+    assert len(detector.asked) == 3
+    assert all(np.array_equal(shown, view.image()) for shown in detector.shown)
+
+
+def camera_frame_depth(view: PixelView) -> NDArray[np.uint16]:
+    depth_mm = view._frame.depth_mm
+    assert depth_mm is not None
+    return depth_mm

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from drivers import xfeat
 from drivers.interfaces import PartError
 from drivers.xfeat import XFeat
 from path.baselines.matching import MatchConfig, match
+from tests.drivers.onnx_graphs import identity_network
 
 BESIDE = sorted(Path(__file__).parents[3].glob("*/models/xfeat.onnx"))
 needs_weights = pytest.mark.skipif(not BESIDE, reason="no models/xfeat.onnx beside the repository")
@@ -20,32 +20,6 @@ needs_weights = pytest.mark.skipif(not BESIDE, reason="no models/xfeat.onnx besi
 @pytest.fixture(scope="module")
 def network() -> XFeat:
     return XFeat(BESIDE[0])
-
-
-def field(number: int, content: bytes | int | str) -> bytes:
-    """One field of a protobuf message."""
-    if isinstance(content, int):
-        return varint(number << 3) + varint(content)
-    raw = content.encode() if isinstance(content, str) else content
-    return varint(number << 3 | 2) + varint(len(raw)) + raw
-
-
-def varint(value: int) -> bytes:
-    out = b""
-    while value > 127:
-        out += bytes([value & 127 | 128])
-        value >>= 7
-    return out + bytes([value])
-
-
-def identity_network(shape: Sequence[int]) -> bytes:
-    """An ONNX model with one input and one output of a shape."""
-    sides = b"".join(field(1, field(1, side)) for side in shape)
-    kind = field(1, field(1, 1) + field(2, sides))
-    node = field(1, "x") + field(2, "y") + field(4, "Identity")
-    graph = field(1, node) + field(2, "g") + field(11, field(1, "x") + field(2, kind))
-    graph += field(12, field(1, "y") + field(2, kind))
-    return field(1, 8) + field(7, graph) + field(8, field(1, "") + field(2, 13))
 
 
 def test_a_missing_file_is_refused_with_where_to_get_it(tmp_path: Path) -> None:

@@ -1,0 +1,65 @@
+"""From what a network of the YOLOX family says about its grid cells to boxes (Ge et al. 2021, arXiv:2107.08430).
+
+Box coordinates here are of edges in the network's input: a pixel with index i covers i to i + 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+
+STRIDES = (8, 16, 32)
+MOST_KEPT = 300  # boxes that suppression looks at, the best
+
+
+def grid(height: int, width: int, strides: tuple[int, ...] = STRIDES) -> tuple[Floats, Floats]:
+    """Cells of all levels in the order of the output: their indices (n, 2), column first, and their strides (n, 1)."""
+    cells: list[Floats] = []
+    steps: list[Floats] = []
+    for stride in strides:
+        columns, rows = np.meshgrid(np.arange(width // stride), np.arange(height // stride))
+        cells.append(np.stack((columns.ravel(), rows.ravel()), axis=1).astype(np.float32))
+        steps.append(np.full((columns.size, 1), stride, np.float32))
+    return np.concatenate(cells), np.concatenate(steps)
+
+
+def decode(raw: Floats, cells: Floats, steps: Floats, scored: NDArray[np.bool_], least: float) -> tuple[Floats, ...]:
+    """Boxes that score at least ``least``.
+
+    Args:
+        raw: (n, 5 + classes): offset of the centre in cells, logarithm of the size in cells, objectness, classes.
+        cells, steps: as ``grid`` gives them.
+        scored: (classes,), which of them are looked for.
+
+    Returns:
+        Centre and size (m, 4) as x, y, w, h in px of the input; scores (m,): objectness times the best class that is
+        looked for; and that class (m,). What is not finite is left out.
+    """
+    classes = np.flatnonzero(scored)
+    best = classes[np.argmax(raw[:, 5:][:, classes], axis=1)]
+    scores = raw[:, 4] * raw[np.arange(len(raw)), 5 + best]
+    keep = np.flatnonzero(scores >= least)
+    keep = keep[np.argsort(-scores[keep], kind="stable")][:MOST_KEPT]
+    part = raw[keep]
+    with np.errstate(over="ignore"):
+        boxes = np.concatenate(((part[:, :2] + cells[keep]) * steps[keep], np.exp(part[:, 2:4]) * steps[keep]), axis=1)
+    finite = np.isfinite(boxes).all(axis=1)
+    return boxes[finite], scores[keep][finite], best[keep][finite].astype(np.float32)
+
+
+def suppress(boxes: Floats, scores: Floats, classes: Floats, most_iou: float) -> NDArray[np.int64]:
+    """Indices of boxes (m, 4) kept, best first: none overlaps a better one of its class by more than ``most_iou``."""
+    low, high = boxes[:, :2] - 0.5 * boxes[:, 2:], boxes[:, :2] + 0.5 * boxes[:, 2:]
+    areas = boxes[:, 2] * boxes[:, 3]
+    left = np.argsort(-scores, kind="stable")
+    kept: list[int] = []
+    while len(left):
+        first, rest = int(left[0]), left[1:]
+        kept.append(first)
+        shared = np.minimum(high[first], high[rest]) - np.maximum(low[first], low[rest])
+        both = np.prod(np.maximum(shared, 0.0), axis=1)
+        overlap = both / np.maximum(areas[first] + areas[rest] - both, 1e-9)
+        left = rest[(overlap <= most_iou) | (classes[rest] != classes[first])]
+    return np.array(kept, np.int64)
