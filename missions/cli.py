@@ -12,6 +12,7 @@ import tyro
 from missions.options import (
     CampaignOptions,
     CalibrateOptions,
+    DetectOptions,
     DoctorOptions,
     HandoffOptions,
     ReceiverOptions,
@@ -33,6 +34,7 @@ MODULES: dict[type[object], str] = {
     VerifyOptions: "verify.run",
     CampaignOptions: "campaign.run",
     CalibrateOptions: "calibrate.run",
+    DetectOptions: "detect",
 }
 """Each has ``run(options) -> exit code``."""
 
@@ -48,6 +50,7 @@ examples:
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field
   path-handoff calibrate camera --images views --out d1.camera.toml
+  path-handoff detect film.mp4 --model yolox.onnx --classes car
   path-handoff trial sensitivity              an experiment of the paper, run again
   path-handoff verify                         whatever the link does: never two responsible
   path-handoff campaign --runs 10000          thousands of hand-overs under faults, by seed
@@ -64,6 +67,7 @@ Command = (
     | Annotated[VerifyOptions, tyro.conf.subcommand("verify")]
     | Annotated[CampaignOptions, tyro.conf.subcommand("campaign")]
     | Annotated[CalibrateOptions, tyro.conf.subcommand("calibrate")]
+    | Annotated[DetectOptions, tyro.conf.subcommand("detect")]
 )
 
 

@@ -288,3 +288,35 @@ class CalibrateOptions:
         | Annotated[CalibrateMountOptions, tyro.conf.subcommand("mount")]
         | Annotated[CalibrateBoardOptions, tyro.conf.subcommand("board")]
     )
+
+
+@dataclass(frozen=True, slots=True)
+class DetectOptions:
+    """Try a detector on a recording: what it finds, and how long it takes."""
+
+    frames: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|DIR")]
+    """Video file, folder of images, or .mcap log."""
+
+    rig: RigName = "sitl"
+    """Rig whose detector is tried, unless --model names one."""
+
+    role: Literal["sender", "receiver"] = "sender"
+    """Whose detector of the rig."""
+
+    model: FileName = None
+    """Model of the YOLOX family (ONNX), instead of the rig's detector."""
+
+    classes: tuple[str, ...] = ()
+    """What to look for with --model, such as `car truck`; everything by default."""
+
+    min_score: float = 0.3
+    """With --model: what scores less is not found."""
+
+    tracker: Literal["none", "csrt", "kcf", "mosse"] = "none"
+    """Follow with this tracker between detections."""
+
+    every: int = 5
+    """With --tracker: detect in every n-th frame."""
+
+    out: OutFolder = None
+    """Folder for boxes.csv and for the frames with their boxes drawn; nothing is written by default."""
