@@ -18,6 +18,7 @@ TrialName = Literal[
     "sensitivity",
     "static",
     "corners",
+    "calibration",
     "dynamic",
     "ambiguity",
     "handshake",

@@ -42,7 +42,7 @@ from tests.path.calibration.rendered import LEVEL, grey, placed
 BOARD = Board("charuco", 7, 5, 0.050, 0.035, "DICT_5X5_50")
 OTHER = CameraModel(800, 600, 705.0, 706.0, 396.0, 302.0, (0.1, -0.2, 0.0003, -0.0004, 0.08))
 NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-PAIRS = 12
+PAIRS = 10
 
 
 class Truth(NamedTuple):

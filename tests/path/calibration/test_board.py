@@ -20,7 +20,7 @@ MOTION = replace(IDEAL, motion_px=(4.0, 2.0))
 )
 def test_corners_are_where_they_are(board: Board, imaging: Imaging, worst_px: float, blur_px: float) -> None:
     """Also through sharpening, gamma and JPEG, and along a motion: the corner of a chessboard is symmetric."""
-    where = list(poses(board, Held(reach=0.15), 3, 5))
+    where = list(poses(board, Held(reach=0.15), 2, 5))
     errors: list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = []
     stated: list[float] = []
     for T_c_o, color in zip(where, photographs(board, where, 2, imaging), strict=True):
@@ -35,7 +35,7 @@ def test_corners_are_where_they_are(board: Board, imaging: Imaging, worst_px: fl
         stated.append(float((view.sigma_px**2).mean()))
         assert view.blur_px == pytest.approx(blur_px, rel=0.25)
     error = np.concatenate(errors)
-    assert len(error) > 0.8 * 3 * len(board.corners_o)
+    assert len(error) > 0.8 * 2 * len(board.corners_o)
     assert np.sqrt((error**2).mean()) < worst_px
     assert np.abs(error.mean(axis=0)).max() < 0.2 * worst_px  # OpenCV's own corners are off by 0.004 px here
     assert 0.5 < np.mean(stated) / (error**2).mean() < 25.0  # never too sure
