@@ -93,6 +93,11 @@ class RealSense:
         return self._model
 
     @property
+    def serial(self) -> str:
+        """Of the connected camera; "" of a recording or another source."""
+        return self.source.serial if isinstance(self.source, UsbSource) else ""
+
+    @property
     def counters(self) -> StreamCounters:
         """What was done since it was opened last."""
         return self._counters

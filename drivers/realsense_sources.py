@@ -48,6 +48,11 @@ class UsbSource:
         self._serial, self._query = serial, query
 
     @property
+    def serial(self) -> str:
+        """Of the camera, once it was found; "" before."""
+        return self._serial
+
+    @property
     def name(self) -> str:
         return f"RealSense {self._serial}" if self._serial else "RealSense"
 

@@ -97,7 +97,7 @@ class RecordedCamera:
     async def __aenter__(self) -> Self:
         """Raises CameraError when the recording cannot be played, or is not of the calibration's size."""
         recording = open_recording(self._config.file, self._config.options())
-        self._frames = _played(recording, self._config.loop)
+        self._frames, self._peeked, self._given = _played(recording, self._config.loop), None, 0
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
         try:
             self._coming = self._thread.submit(self._fetch)
@@ -127,7 +127,7 @@ class RecordedCamera:
         ready = self._coming.result()
         if ready is None:
             raise RecordingEnded(
-                f"{self._config.file}: the recording ended after {self._given} frames",
+                f"no frame from {self._config.file}: the recording ended after {self._given} frames",
                 "loop = true plays it again and again",
             )
         if self._config.pace == "real":
@@ -146,7 +146,7 @@ class RecordedCamera:
         if wait_s > timeout_s:
             await asyncio.sleep(max(timeout_s, 0.0))
             raise CameraError(
-                f"{self._config.file}: no frame for {timeout_s:g} s; the next one comes after {wait_s:.3f} s",
+                f"no frame from {self._config.file} for {timeout_s:g} s; the next one comes after {wait_s:.3f} s",
                 "the recording has a gap there",
             )
         if wait_s > 0.0:

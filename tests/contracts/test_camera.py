@@ -1,4 +1,4 @@
-"""What every Camera does, whatever is behind it: the rendered one, a D415 in software, a recording of it."""
+"""What every Camera does, whatever is behind it: the rendered one, a D415 in software, a recording of it, images."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from drivers.interfaces import Camera, CameraError, Frame
 from drivers.realsense import RealSense, RealSenseConfig
+from drivers.recorded_camera import RecordedCamera, RecordedCameraConfig
 from hil.capture import Freeze
 from hil.rendered_camera import RenderedCamera, RenderedCameraConfig
 from hil.snapshot import DroneTruth, Snapshot
@@ -73,7 +75,19 @@ async def recording(folder: Path) -> AsyncGenerator[Stage]:
     yield Stage(camera, lambda: None)  # it ends by itself
 
 
-CAMERAS = pytest.mark.parametrize("stage_of", [rendered, realsense, recording])
+@asynccontextmanager
+async def images(folder: Path) -> AsyncGenerator[Stage]:
+    depth = folder / "depth"
+    depth.mkdir()
+    for number in range(3 * FRAMES):
+        name = f"{10.0 + number / FPS:.6f}.png"
+        cv2.imwrite(str(folder / name), np.full((COLOR.height, COLOR.width, 3), 9 * number, np.uint8))
+        cv2.imwrite(str(depth / name), np.full((COLOR.height, COLOR.width), 1000 + number, np.uint16))
+    camera = RecordedCamera(RecordedCameraConfig(folder, depth=depth), context())
+    yield Stage(camera, lambda: None)  # it ends by itself
+
+
+CAMERAS = pytest.mark.parametrize("stage_of", [rendered, realsense, recording, images])
 StageOf = Callable[[Path], contextlib.AbstractAsyncContextManager[Stage]]
 
 

@@ -110,7 +110,7 @@ def test_a_gap_longer_than_the_wait_is_no_frame(folder: Path) -> None:
         for _ in range(3):
             await camera.read(0.5)
         begin = asyncio.get_running_loop().time()
-        with pytest.raises(CameraError, match=r"no frame for 0.5 s; the next one comes after 0.8"):
+        with pytest.raises(CameraError, match=r"no frame from .* for 0.5 s; the next one comes after 0.8"):
             await camera.read(0.5)
         assert asyncio.get_running_loop().time() - begin == pytest.approx(0.5)
         assert taken([await camera.read(0.5)]) == [(3, 1.0, 140)]  # it comes all the same
