@@ -30,7 +30,7 @@ class TrackedDetectorConfig:
     """
     Attributes:
         detector: the part that finds things.
-        tracker: "csrt" (accurate), "kcf" (faster), "mosse" (fastest, keeps the size).
+        tracker: "csrt" (accurate), "kcf" (faster), "mosse" (keeps the size, gives up often).
         every: the detector looks at every n-th frame.
         min_similarity: correlation, -1..1, of a track's looks with those at its last detection.
         max_growth: factor of a box's side to that at its last detection, or the other way round.

@@ -31,7 +31,7 @@ CONDITIONS: Mapping[str, Imaging] = {
     "realistic_video": REALISTIC_VIDEO,
     "motion": replace(IDEAL, motion_px=(4.0, 2.0)),
 }
-SETS, VIEWS = 4, 20
+SETS, VIEWS = 2, 20
 QUICK_SETS, QUICK_VIEWS = 1, 13
 FOCAL_GOAL, HELD_OUT_GOAL = 0.001, 0.10
 BAD: Mapping[str, tuple[Held, int, BadSet]] = {
