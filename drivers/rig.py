@@ -106,10 +106,12 @@ class RoleRig:
     camera: CameraModel
     mount: Mount
     camera_serial: str = ""
+    guard: PartSpec | None = None  # the guard's own way to the vehicle, in a process of its own
 
     @property
     def parts(self) -> tuple[PartSpec, ...]:
-        return self.clock, self.vehicle, self.sight, self.link
+        every = self.clock, self.vehicle, self.sight, self.link
+        return every if self.guard is None else (*every, self.guard)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ harness = "hil.sitl:Sitl"            # left out in the field
 [sender.vehicle]                     # a part: its factory, and the options of its Config
 factory = "drivers.mavsdk_vehicle:MavsdkVehicle"
 [sender.sight], [sender.link], [sender.clock], [sender.camera], [sender.mount.camera], [sender.mount.marker]
+[sender.guard]                       # may be left out: the guard's own link to the vehicle
 [receiver. ...]                      # the same, without mount.marker
 
 A camera may be ``calibration = "d1.camera.toml"`` instead of its numbers, and so may ``[sender.mount.marker]``.
@@ -97,6 +98,7 @@ class _Sender:
     clock: PartSpec
     camera: _Camera
     mount: _SenderMount
+    guard: PartSpec | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,7 @@ class _Receiver:
     clock: PartSpec
     camera: _Camera
     mount: _ReceiverMount
+    guard: PartSpec | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,3 +209,7 @@ def _role_rig(written: _Sender | _Receiver, T_b_v: Pose) -> RoleRig:
     return RoleRig(
         written.vehicle, written.sight, written.link, written.clock, camera.model, mount, camera_serial=camera.serial
     )
+    c = written.camera
+    camera = CameraModel(c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.distortion)
+    mount = Mount(written.mount.camera.pose(), T_b_v)
+    return RoleRig(written.vehicle, written.sight, written.link, written.clock, camera, mount, written.guard)

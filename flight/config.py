@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from flight.guard_rules import GuardRules
+
 
 @dataclass(frozen=True, slots=True)
 class TargetDesignation:
@@ -74,6 +76,7 @@ class Deadlines:
     """Every wait of a mission is bounded; what a deadline ends in is the outcome's name."""
 
     armable_s: float = 45.0
+    guard_s: float = 15.0
     peer_s: float = 60.0
     take_off_s: float = 30.0
     acquire_s: float = 10.0  # what was pointed at does not wait for ever
@@ -114,4 +117,5 @@ class MissionConfig:
     separation: SeparationConfig = field(default_factory=SeparationConfig)
     rendezvous: RendezvousConfig = field(default_factory=RendezvousConfig)
     guard: GuardConfig = field(default_factory=GuardConfig)
+    guard_process: GuardRules = field(default_factory=GuardRules)
     deadlines: Deadlines = field(default_factory=Deadlines)

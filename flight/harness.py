@@ -118,6 +118,7 @@ class FlightRequest:
         role_main: for harnesses that run the roles in this process.
         role_command: the command line of one role, for harnesses that run them as processes.
         attack_command: of a program that floods the link; the harness adds what it has to know.
+        guard_command: the same of its guard.
     """
 
     rig: Rig
@@ -128,6 +129,7 @@ class FlightRequest:
     role_command: Callable[[Role], Sequence[str]]
     emit: Emit
     attack_command: Sequence[str] = ()
+    guard_command: Callable[[Role], Sequence[str]] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from flight.config import MissionConfig
 from flight.guard import check_vehicle
 from flight.guidance import Anchor, slew
 from flight.outcome import MissionEnd, Outcome
+from flight.under_guard import UnderGuard
 from path.rotation import yaw_of
 
 Guidance = Callable[[VehicleState], VelocitySetpoint]
@@ -20,14 +21,18 @@ MAX_ACCEL_MPS2 = 0.8  # a camera that is fixed to the body tilts with every acce
 class Pilot:
     """Flies a vehicle in offboard control. ``guidance`` may be exchanged at any time; it must not block."""
 
-    def __init__(self, vehicle: Vehicle, clock: Clock, config: MissionConfig, log: Log) -> None:
+    def __init__(
+        self, vehicle: Vehicle, clock: Clock, config: MissionConfig, log: Log, guard: UnderGuard | None = None
+    ) -> None:
         self._vehicle = vehicle
+        self._guard = guard
         self._clock = clock
         self._config = config
         self._log = log
         self._last = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
         self.guidance: Guidance = self._stay
         self.in_control = False
+        self.setpoints = 0  # sent since the beginning
         self.overridden = False  # somebody else changed the mode: nothing may be commanded any more
 
     def _stay(self, state: VehicleState) -> VelocitySetpoint:
@@ -63,9 +68,12 @@ class Pilot:
         while self.in_control:
             now_ns = self._clock.now_ns()
             state = self._vehicle.state
+            if self._guard is not None:
+                self._guard.check_hand()  # first: that the guard changed the mode says more than that it was changed
             check_vehicle(state, now_ns, self._config.guard, FlightMode.OFFBOARD)
             self._last = slew(self._last, self.guidance(state), period_s, MAX_ACCEL_MPS2)
             self._vehicle.fly(self._last)
+            self.setpoints += 1
             self._log.write(
                 "/setpoint", now_ns, {"velocity_n_mps": self._last.velocity_n_mps, "yaw_rad": self._last.yaw_rad}
             )

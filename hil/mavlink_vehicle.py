@@ -5,9 +5,7 @@ It has no thread and no clock: whoever steps the world calls ``pump`` at 200-250
 
 from __future__ import annotations
 
-import contextlib
 import math
-import socket
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,18 +16,16 @@ from pymavlink.dialects.v20 import common as mavlink
 from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.mavsdk_geodesy import LocalTangent
 from hil.autopilot import Ack
+from hil.mavlink_channel import Address, Channel
 from hil.mavlink_messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, Drone, Flight
 from hil.mavlink_parameters import Parameters
 from path.messages import Vec3
 from path.rotation import yaw_of
 
-Address = tuple[str, int]
-
 ACCEPTED, DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
 UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
 NOT_NOW = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 FORCE_MAGIC = 21196.0
-PHASE_TOLERANCE_S = 1e-3
 
 # POSITION_TARGET_TYPEMASK
 IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW = 0b111, 0b111000, 1 << 10
@@ -43,11 +39,13 @@ class MavlinkVehicleConfig:
         sysid: its MAVLink system id.
         remote: where MAVSDK listens (``udpin``).
         bind: its own address; port 0 takes a free one.
+        second: where a second ground station or companion listens, on a port of its own with streams of its own.
     """
 
     sysid: int
     remote: Address
     bind: Address = ("127.0.0.1", 0)
+    second: Address | None = None
 
 
 class MavlinkVehicle:
@@ -64,13 +62,11 @@ class MavlinkVehicle:
         self._drone = drone
         self._tangent = tangent
         self._local_origin_n_m: Vec3 | None = None
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self._socket.bind(config.bind)
+        self._channels = [Channel(config.bind, config.remote)]
+        if config.second is not None:
+            self._channels.append(Channel((config.bind[0], 0), config.second))
         self._mav: Any = mavlink.MAVLink(None, srcSystem=config.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         self._parameters = Parameters(drone.autopilot.config)
-        self._intervals_s = {message: 1.0 / rate for message, (_, rate) in STREAMS.items() if rate > 0.0}
-        self._due_s = dict.fromkeys(self._intervals_s, -math.inf)
         self._shown: tuple[FlightMode, bool] | None = None
         self._texts_sent = 0
         self.silent = False
@@ -83,73 +79,65 @@ class MavlinkVehicle:
             mavlink.MAV_CMD_NAV_LAND: lambda flight, _: self._request(flight, FlightMode.LAND),
             mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda flight, _: self._request(flight, FlightMode.RETURN),
             mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
-            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
         }
 
     @property
     def address(self) -> Address:
         """Where it listens itself, for a second ground station."""
-        return self._socket.getsockname()
+        return self._channels[0].address
 
     def close(self) -> None:
-        self._socket.close()
+        for channel in self._channels:
+            channel.close()
 
     def pump(self, now_s: float) -> None:
         """Take all that came in, act on it, send what is due. ``now_s`` is the time the drone was stepped to."""
         if self._local_origin_n_m is None:
             self._local_origin_n_m = self._drone.estimate.position_n_m
         flight = Flight(now_s, self._drone.autopilot, self._drone.estimate, self._tangent, self._local_origin_n_m)
-        self._receive(flight)
+        for channel in self._channels:
+            self._receive(flight, channel)
         if not self.silent:
             self._send_texts(flight)
             self._send_due(flight)
 
     # --- out ---
 
-    def _send(self, message: Any, to: Address | None = None) -> None:
+    def _send(self, channel: Channel, message: Any, to: Address | None = None) -> None:
         packet = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
-        with contextlib.suppress(BlockingIOError):  # a full buffer loses the packet, as a radio does
-            self._socket.sendto(packet, to or self._config.remote)
+        channel.send(packet, to)
 
     def _send_texts(self, flight: Flight) -> None:
         texts = flight.autopilot.status_texts
         while self._texts_sent < len(texts):
             text = texts[self._texts_sent]
             self._texts_sent += 1
-            self._send(mavlink.MAVLink_statustext_message(text.severity.value, text.text.encode()[:50]))
+            for channel in self._channels:
+                message = mavlink.MAVLink_statustext_message(text.severity.value, text.text.encode()[:50])
+                self._send(channel, message)
 
     def _send_due(self, flight: Flight) -> None:
         shown = flight.autopilot.mode, flight.autopilot.armed
-        if shown != self._shown:  # a change is told at once
-            self._shown = shown
-            self._due_s[mavlink.MAVLINK_MSG_ID_HEARTBEAT] = -math.inf
-        # By the estimate's time and not by ours: a stream as fast as the estimator then carries every estimate once,
-        # at once, instead of beating against it with up to a period of delay.
-        at_s = flight.estimate.time_s
-        for message, due_s in self._due_s.items():
-            if at_s < due_s - PHASE_TOLERANCE_S:
-                continue
-            interval_s = self._intervals_s[message]
-            # Keep the phase while on time; after a stall go on from here instead of catching up in a burst.
-            late = at_s - due_s > interval_s
-            self._due_s[message] = (at_s if late else due_s) + interval_s
-            self._send_message(flight, message)
+        changed = shown != self._shown  # a change is told at once
+        self._shown = shown
+        for channel in self._channels:
+            if changed:
+                channel.heartbeat_now()
+            # By the estimate's time and not by ours: a stream as fast as the estimator then carries every estimate
+            # once, at once, instead of beating against it with up to a period of delay.
+            for message in channel.due(flight.estimate.time_s):
+                self._send_message(flight, channel, message)
 
-    def _send_message(self, flight: Flight, message: int) -> bool:
+    def _send_message(self, flight: Flight, channel: Channel, message: int) -> None:
         made = STREAMS[message][0](flight)
         if made is not None:
-            self._send(made)
-        return made is not None
+            self._send(channel, made)
 
     # --- in ---
 
-    def _receive(self, flight: Flight) -> None:
-        while True:
-            try:
-                packet, sender = self._socket.recvfrom(2048)
-            except BlockingIOError:
-                return
+    def _receive(self, flight: Flight, channel: Channel) -> None:
+        for packet, sender in channel.packets():
             if self.silent:
                 continue
             for frame in _frames(packet):
@@ -157,7 +145,7 @@ class MavlinkVehicle:
                 if message is None:
                     self.malformed += 1
                 else:
-                    self._take(flight, message, sender)
+                    self._take(flight, message, channel, sender)
 
     def _decode(self, frame: bytearray) -> Any | None:
         """None for what is damaged or of an unknown id: then pymavlink has checked no CRC."""
@@ -167,7 +155,7 @@ class MavlinkVehicle:
             return None
         return message if message.get_msgId() in mavlink.mavlink_map else None
 
-    def _take(self, flight: Flight, message: Any, sender: Address) -> None:
+    def _take(self, flight: Flight, message: Any, channel: Channel, sender: Address) -> None:
         if self.tap is not None:
             self.tap(flight.now_s, message)
         if getattr(message, "target_system", self._config.sysid) not in (0, self._config.sysid):
@@ -177,10 +165,10 @@ class MavlinkVehicle:
         if kind == "SET_POSITION_TARGET_LOCAL_NED":
             self._setpoint(flight, message)
         elif kind in ("COMMAND_LONG", "COMMAND_INT"):
-            self._command(flight, message, sender)
+            self._command(flight, message, channel, sender)
         elif kind.startswith("PARAM_"):
             for answer in self._parameters.answer(message):
-                self._send(answer, sender)
+                self._send(channel, answer, sender)
 
     def _setpoint(self, flight: Flight, message: Any) -> None:
         """Velocity, position by a proportional loop, or both, in MAV_FRAME_LOCAL_NED; the rest is ignored."""
@@ -198,12 +186,14 @@ class MavlinkVehicle:
         if not flight.autopilot.setpoint(flight.now_s, VelocitySetpoint((north, east, down), yaw)):
             self.malformed += 1
 
-    def _command(self, flight: Flight, message: Any, sender: Address) -> None:
+    def _command(self, flight: Flight, message: Any, channel: Channel, sender: Address) -> None:
         command = message.command
         after: int | None = None
         if command == mavlink.MAV_CMD_REQUEST_MESSAGE:
             after = _whole(message.param1)
             result = DENIED if after not in STREAMS else ACCEPTED
+        elif command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            result = _set_interval(flight, channel, message)
         elif command in self._commands:
             result = self._commands[command](flight, message)
         else:
@@ -211,9 +201,9 @@ class MavlinkVehicle:
         if after is not None and result == ACCEPTED and STREAMS[after][0](flight) is None:
             result = NOT_NOW
         to = message.get_srcSystem(), message.get_srcComponent()
-        self._send(mavlink.MAVLink_command_ack_message(command, result, 255, 0, *to), sender)
+        self._send(channel, mavlink.MAVLink_command_ack_message(command, result, 255, 0, *to), sender)
         if after is not None and result == ACCEPTED:
-            self._send_message(flight, after)
+            self._send_message(flight, channel, after)
 
     def _arm(self, flight: Flight, message: Any) -> int:
         arm = _whole(message.param1)
@@ -244,21 +234,12 @@ class MavlinkVehicle:
     def _request(self, flight: Flight, mode: FlightMode, by_pilot: bool = False) -> int:
         return _result(flight.autopilot.request_mode(flight.now_s, mode, by_pilot))
 
-    def _set_interval(self, flight: Flight, message: Any) -> int:
-        which, interval_us = _whole(message.param1), _whole(message.param2)
-        if which is None or interval_us is None or which not in STREAMS or interval_us < -1:
-            return DENIED
-        default_hz = STREAMS[which][1]
-        interval_s = interval_us * 1e-6 if interval_us > 0 else 1.0 / default_hz if default_hz > 0.0 else 0.0
-        if interval_us == -1 or interval_s == 0.0:
-            if which == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                return DENIED
-            self._intervals_s.pop(which, None)
-            self._due_s.pop(which, None)
-        else:
-            self._intervals_s[which] = interval_s
-            self._due_s[which] = flight.estimate.time_s
-        return ACCEPTED
+
+def _set_interval(flight: Flight, channel: Channel, message: Any) -> int:
+    which, interval_us = _whole(message.param1), _whole(message.param2)
+    if which is None or interval_us is None:
+        return DENIED
+    return ACCEPTED if channel.set_interval(which, interval_us, flight.estimate.time_s) else DENIED
 
 
 def _frames(packet: bytes) -> Iterator[bytearray]:

@@ -67,6 +67,9 @@ async def _fly(request: FlightRequest) -> FlightReport:
     failure = ""
     try:
         world, air = await _start_world(request, processes)
+        for role in Role:
+            if request.rig.role(role).guard is not None:
+                await _start_guard(request, role, processes)
         crew = _Crew(
             world,
             lambda role: _start_role(request, role, processes),
@@ -138,6 +141,15 @@ async def _start_role(
     request: FlightRequest, role: Role, processes: list[asyncio.subprocess.Process]
 ) -> asyncio.subprocess.Process:
     process = await _spawn(request.role_command(role), request.out / f"{role.value}.stderr.txt")
+    processes.append(process)
+    return process
+
+
+async def _start_guard(
+    request: FlightRequest, role: Role, processes: list[asyncio.subprocess.Process]
+) -> asyncio.subprocess.Process:
+    assert request.guard_command is not None  # of a rig with guards
+    process = await _spawn(request.guard_command(role), request.out / f"{role.value}.guard.stderr.txt")
     processes.append(process)
     return process
 

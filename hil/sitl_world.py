@@ -148,11 +148,13 @@ class SitlWorld:
     def _vehicle(self, role: Role) -> MavlinkVehicle:
         rig = self._rig
         options = rig.role(role).vehicle.options
-        url = urlsplit(str(options["url"]))
-        remote = (url.hostname or "127.0.0.1", url.port or 0)
+        guard = rig.role(role).guard
+        second = None if guard is None else _listener(str(guard.options["url"]))
         tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
         return MavlinkVehicle(
-            MavlinkVehicleConfig(sysid=int(options["sysid"]), remote=remote), self._live.world.drone(role), tangent
+            MavlinkVehicleConfig(int(options["sysid"]), _listener(str(options["url"])), second=second),
+            self._live.world.drone(role),
+            tangent,
         )
 
     def _start_cameras(self, stack: AsyncExitStack) -> None:
@@ -254,6 +256,12 @@ def proxy_sides(rig: Rig) -> tuple[ProxySide, ProxySide]:
     ends = [rig.role(role).link.options for role in (Role.SENDER, Role.RECEIVER)]
     sender, receiver = (ProxySide(address_of(end["peer"], "peer"), address_of(end["bind"], "bind")) for end in ends)
     return sender, receiver
+
+
+def _listener(url: str) -> tuple[str, int]:
+    """Where a MAVLink URL listens."""
+    parts = urlsplit(url)
+    return parts.hostname or "127.0.0.1", parts.port or 0
 
 
 @contextmanager

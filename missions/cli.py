@@ -14,6 +14,7 @@ from missions.options import (
     CalibrateOptions,
     DetectOptions,
     DoctorOptions,
+    GuardOptions,
     HandoffOptions,
     ReceiverOptions,
     ReportOptions,
@@ -27,6 +28,7 @@ MODULES: dict[type[object], str] = {
     HandoffOptions: "handoff",
     SenderOptions: "role",
     ReceiverOptions: "role",
+    GuardOptions: "guard",
     DoctorOptions: "doctor",
     RigsOptions: "rig_list",
     ReportOptions: "report",
@@ -51,6 +53,7 @@ examples:
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field
   path-handoff calibrate camera --images views --out d1.camera.toml
   path-handoff detect film.mp4 --model yolox.onnx --classes car
+  path-handoff guard --rig my-rig.toml        beside it: holds and lands when the script does not
   path-handoff trial sensitivity              an experiment of the paper, run again
   path-handoff verify                         whatever the link does: never two responsible
   path-handoff campaign --runs 10000          thousands of hand-overs under faults, by seed
@@ -60,6 +63,7 @@ Command = (
     Annotated[HandoffOptions, tyro.conf.subcommand("handoff")]
     | Annotated[SenderOptions, tyro.conf.subcommand("sender")]
     | Annotated[ReceiverOptions, tyro.conf.subcommand("receiver")]
+    | Annotated[GuardOptions, tyro.conf.subcommand("guard")]
     | Annotated[DoctorOptions, tyro.conf.subcommand("doctor")]
     | Annotated[RigsOptions, tyro.conf.subcommand("rigs")]
     | Annotated[ReportOptions, tyro.conf.subcommand("report")]

@@ -110,11 +110,18 @@ def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) 
     def command(role: Role) -> Sequence[str]:
         return [
             sys.executable, "-m", "missions.cli", role.value, "--rig", str(rig.file), "--out", str(out),
-            "--console", "events",
+            "--console", "events", "--guard", "expect" if rig.role(role).guard else "none",
+        ]  # fmt: skip
+
+    def guard_command(role: Role) -> Sequence[str]:
+        return [
+            sys.executable, "-m", "missions.cli", "guard", "--rig", str(rig.file), "--role", role.value,
+            "--out", str(out), "--console", "events",
         ]  # fmt: skip
 
     attack = [sys.executable, "-m", "missions.verify.attack"]
-    report = harness.fly(FlightRequest(rig, out, seed, tuple(faults), fly_role, command, emit, attack))
+    request = FlightRequest(rig, out, seed, tuple(faults), fly_role, command, emit, attack, guard_command)
+    report = harness.fly(request)
     outcome, detail = judge(report)
     facts = RunFacts(
         rig=rig.name,

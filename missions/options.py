@@ -75,6 +75,10 @@ class RoleOptions:
     state: FileName = None
     """File of what the role has to know when it is started again; in --out, or else in runs, by default."""
 
+    guard: Literal["start", "expect", "none"] = "start"
+    """start: begin the guard that the rig describes beside the role, unless one answers already; expect: it is begun
+    elsewhere, and nothing takes off without it; none: fly without a guard."""
+
 
 @dataclass(frozen=True, slots=True)
 class SenderOptions(RoleOptions):
@@ -84,6 +88,26 @@ class SenderOptions(RoleOptions):
 @dataclass(frozen=True, slots=True)
 class ReceiverOptions(RoleOptions):
     """Fly the receiver alone, as in the field: the sender runs on the other drone."""
+
+
+@dataclass(frozen=True, slots=True)
+class GuardOptions:
+    """Watch a vehicle on a link of its own; hold and land it when its script falls silent or a limit stays broken."""
+
+    rig: RigName
+    """A rig by name (see `path-handoff rigs`), or a rig's TOML file."""
+
+    role: Literal["sender", "receiver", "both"] = "both"
+    """Whose vehicle; both when one computer flies both."""
+
+    out: OutFolder = None
+    """Folder for the log; runs/<time> by default."""
+
+    while_flown: bool = False
+    """End by itself once the role's program is gone and its vehicle is down."""
+
+    console: Literal["auto", "events"] = "auto"
+    """events: started by another program; ends, as soon as nothing flies, when that closes this one's input."""
 
 
 @dataclass(frozen=True, slots=True)

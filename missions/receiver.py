@@ -256,7 +256,7 @@ class Receiver:
         relative = self._marker.predict(stamp_ns)
         if relative is not None:
             distance_m = norm(relative.marker_n_m)
-            session.shown.separation_m = distance_m
+            session.note_separation(distance_m)
             check_separation(distance_m, self._config.separation.minimum_m)
         unseen_s = self._marker.unseen_s(stamp_ns)
         if session.phase is not Phase.SEARCH and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:

@@ -23,6 +23,11 @@ def load(name_or_path: str) -> Rig:
     return rig
 
 
+def load_unchecked(name_or_path: str) -> Rig:
+    """The same, read but not checked: nothing of what the rig names is imported. Raises RigError."""
+    return load_rig(name_or_path, [FOLDER])
+
+
 def mission_of(rig: Rig) -> MissionConfig:
     """The rig's ``[mission]``. Raises RigError."""
     return decode_table(rig.mission, MissionConfig, rig.where("mission"))

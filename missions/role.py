@@ -6,6 +6,7 @@ import sys
 
 from drivers.log import parts
 from missions import rig_library
+from missions.guard_start import with_guard
 from missions.handoff import new_folder
 from missions.options import ReceiverOptions, RoleOptions
 from missions.progress import open_console
@@ -18,6 +19,7 @@ def run(options: RoleOptions) -> int:
     role = Role.RECEIVER if isinstance(options, ReceiverOptions) else Role.SENDER
     rig = rig_library.load(options.rig)
     folder = new_folder(options.out)
+    rig = with_guard(rig, role, options.guard, folder)
     state = options.state or (options.out or folder.parent) / f"{role.value}.state.json"
     if options.console == "events":
         return run_role(rig, role, folder, state, lambda _: None, parent=True).outcome.exit_code

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import math
 import random
 import sys
 import traceback
@@ -14,6 +15,8 @@ from typing import Any
 
 import cv2
 
+from drivers.guard_interfaces import NOWHERE, Beat, Script
+from drivers.guard_line import UdpGuardLine
 from drivers.interfaces import (
     CameraError,
     Clock,
@@ -34,6 +37,7 @@ from flight.harness import Emit, InProcess, Progress, RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
+from flight.under_guard import UnderGuard
 from path.marker.warm_up import warm_up
 from path.messages import Ping, Pong, Role, Status
 from path.rotation import yaw_of
@@ -42,6 +46,8 @@ from path.window import Evidence
 _POLL_S = 0.05
 _PROGRESS_PERIOD_S = 0.2
 _STATE_PERIOD_S = 0.1
+_BEAT_PERIOD_S = 0.05
+_PEER_PLACE_S = 1.0  # where the other drone was longer ago is not where it is
 
 
 def _ignore(_: object) -> None:
@@ -73,7 +79,11 @@ class Session:
         stop: asyncio.Event,
         parts: tuple[Clock, Vehicle, Sight, Link],
         entropy: random.Random,
+        guard: UnderGuard | None = None,
     ) -> None:
+        self.guard = guard
+        self.script = Script.IDLE
+        self._measured_m = math.nan
         self.rig = rig
         self.role = role
         self.own: RoleRig = rig.role(role)
@@ -82,7 +92,7 @@ class Session:
         self.stop = stop
         self.entropy = entropy
         self.clock, self.vehicle, self.sight, self.link = parts
-        self.pilot = Pilot(self.vehicle, self.clock, config, log)
+        self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
         self.alignment = ClockAlignment()
         self.phase = Phase.PREFLIGHT
         self.shown = Shown()
@@ -127,6 +137,43 @@ class Session:
     async def skip_frames(self) -> None:
         """Let frames pass: following alone needs only ``follow_hz`` of them a second."""
         await asyncio.sleep(0.8 / self.config.follow_hz)
+
+    # --- under guard ---------------------------------------------------------------------------------------------
+
+    def note_separation(self, distance_m: float) -> None:
+        """Between the two bodies, as it was just measured."""
+        self.shown.separation_m = self._measured_m = distance_m
+
+    def beat(self) -> Beat:
+        """What the guard is told: once each, a measured distance is told once."""
+        script = self.script
+        if self.pilot.overridden:
+            script = Script.LET_GO
+        elif self.pilot.in_control:
+            script = Script.CONTROL
+        measured_m, self._measured_m = self._measured_m, math.nan
+        near = self.peer is not None and self.peer_silence_s() < _PEER_PLACE_S
+        place = self.peer.position_n_m if self.peer is not None and near else NOWHERE
+        return Beat(script, self.pilot.setpoints, measured_m, place)
+
+    async def confirm_guard(self) -> None:
+        """Before a command that moves the vehicle. Raises MissionEnd when the guard has it, or there is none."""
+        if self.guard is not None:
+            await self.guard.confirm(self.beat())
+
+    async def keep_guard(self) -> None:
+        """Beat for ever. The course ends when the guard took the flying vehicle from the script, or is gone."""
+        while self.guard is not None:
+            beat = self.beat()
+            self.guard.beat(beat)
+            self.guard.look()
+            try:
+                if beat.script in (Script.CLIMB, Script.CONTROL):
+                    self.guard.check()
+            except MissionEnd as end:
+                if not self.ended.done():
+                    self.ended.set_result(end)
+            await asyncio.sleep(_BEAT_PERIOD_S)
 
     # --- what the others see -------------------------------------------------------------------------------------
 
@@ -313,7 +360,11 @@ async def open_session(
     vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
     begin = f"{role.value} {context.clock.now_ns()}"  # a program started again does not draw the same numbers again
     entropy = random.SystemRandom() if harness is None else random.Random(f"{begin} {harness.seed}")
-    return Session(rig, role, config, log, emit, stop, (context.clock, vehicle, sight, link), entropy)
+    guard: UnderGuard | None = None
+    if own.guard is not None and harness is None:
+        line = await stack.enter_async_context(UdpGuardLine(str(own.guard.options["bind"]), context.clock))
+        guard = UnderGuard(line, context.clock, config.guard_process)
+    return Session(rig, role, config, log, emit, stop, (context.clock, vehicle, sight, link), entropy, guard)
 
 
 async def fly_course(session: Session, course: Course, recover: Recovery) -> RoleResult:
@@ -323,7 +374,7 @@ async def fly_course(session: Session, course: Course, recover: Recovery) -> Rol
     decides the outcome. What was spawned goes on until the vehicle is down: the pilot keeps flying, and the other
     drone keeps hearing from this one.
     """
-    for task in (session.pump(), session.report(), session.log_state(), session.stopped()):
+    for task in (session.pump(), session.report(), session.log_state(), session.stopped(), session.keep_guard()):
         session.spawn(task)
     flown = asyncio.ensure_future(course())
     end: MissionEnd | None = None
@@ -346,6 +397,8 @@ async def fly_course(session: Session, course: Course, recover: Recovery) -> Rol
     finally:
         await _cancel(flown)  # of a program that is itself cancelled nothing goes on
         await session.cancel_spawned()
+        if session.guard is not None:
+            session.guard.beat(session.beat())  # the last word on whose the vehicle is
     outcome, detail = (end.outcome, end.detail) if end else (Outcome.COMMITTED, "")
     session.log.write(
         "/outcome",

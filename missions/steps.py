@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import asyncio
 
+from drivers.guard_interfaces import Script
 from drivers.interfaces import FlightMode, VehicleError
 from flight.guidance import Anchor, Vec3, add, norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
+from flight.under_guard import UnderGuard
 from missions.session import Session
 from path.rotation import yaw_of
 
 _FIRST_FRAME_S = 10.0
 _SETTLED_M = 0.35
 _SCRIPT_LET_GO = frozenset({Outcome.PILOT_OVERRIDE})
+_DISARM_POLL_S = 0.1
 _NO_MANOEUVRE = frozenset({Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcome.GUARD, Outcome.CRASHED})
 
 
@@ -23,6 +26,10 @@ async def preflight(session: Session) -> None:
     deadlines = session.config.deadlines
     await session.sight.view(_FIRST_FRAME_S)
     await session.vehicle.wait_armable(deadlines.armable_s)
+    guard = session.guard
+    if guard is not None:
+        what = "the guard's process did not answer and see the vehicle"
+        await session.until(lambda: guard.watching, deadlines.guard_s, Outcome.GUARD_LOST, what)
     await session.until(
         lambda: session.peer is not None, deadlines.peer_s, Outcome.PEER_LOST, "the other drone was not heard"
     )
@@ -34,8 +41,12 @@ async def preflight(session: Session) -> None:
 async def take_off(session: Session, height_m: float) -> None:
     """Arm, climb, take control. Refusals end the mission: no motion command is sent twice."""
     session.enter(Phase.TAKE_OFF)
+    session.script = Script.CLIMB
+    await session.confirm_guard()
     await session.vehicle.arm()
+    await session.confirm_guard()
     await session.vehicle.take_off(height_m, session.config.deadlines.take_off_s)
+    await session.confirm_guard()
     await session.pilot.take_control()
     session.spawn(session.pilot.run())
 
@@ -45,9 +56,10 @@ async def bring_down(session: Session, end: MissionEnd | None, way_out_n_m: Vec3
 
     A pilot who took over keeps the vehicle; a vehicle that is lost or refuses is not flown any farther.
     """
-    pilot = session.pilot
-    if end is not None and end.outcome in _SCRIPT_LET_GO:
+    pilot, guard = session.pilot, session.guard
+    if end is not None and end.outcome in _SCRIPT_LET_GO and not (guard and guard.taken):
         pilot.let_go()
+        session.script = Script.LET_GO
         return False
     if not session.vehicle.state.armed:
         pilot.let_go()
@@ -56,16 +68,36 @@ async def bring_down(session: Session, end: MissionEnd | None, way_out_n_m: Vec3
         session.enter(Phase.DEPART)
         await _depart(session, way_out_n_m)
     pilot.let_go()
+    if guard is not None and guard.taken:
+        return await _leave_to_guard(session, guard)
     if pilot.overridden or session.vehicle.state.mode is FlightMode.OTHER:
         session.say("the pilot flies: the script does not land")
+        session.script = Script.LET_GO
         return False
+    return await _land(session)
+
+
+async def _land(session: Session) -> bool:
     session.enter(Phase.LAND)
+    session.script = Script.LANDING
     try:
         await session.vehicle.land(session.config.deadlines.land_s)
     except VehicleError as error:
         session.say(f"landing not confirmed: {error}")
         return False
+    session.script = Script.IDLE
     return True
+
+
+async def _leave_to_guard(session: Session, guard: UnderGuard) -> bool:
+    """Send nothing more, and stay until the guard has brought the vehicle down; whether it has."""
+    session.script = Script.LET_GO
+    session.enter(Phase.LAND, f"the guard has the vehicle: {guard.taken}")
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + session.config.deadlines.land_s
+    while session.vehicle.state.armed and loop.time() < end_s:  # noqa: ASYNC110 (telemetry has no event)
+        await asyncio.sleep(_DISARM_POLL_S)
+    return not session.vehicle.state.armed
 
 
 async def _depart(session: Session, way_out_n_m: Vec3) -> None:

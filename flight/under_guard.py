@@ -1,0 +1,85 @@
+"""The role's side of its guard: it beats, hears who has the vehicle, and flies only while it is watched."""
+
+from __future__ import annotations
+
+import asyncio
+
+from drivers.guard_interfaces import Answer, Beat, GuardLine, Hand
+from drivers.interfaces import Clock
+from flight.guard_rules import GuardRules
+from flight.outcome import MissionEnd, Outcome
+
+_POLL_S = 0.01
+_FRESH_S = 0.5  # a guard that lives answers within a tick
+
+
+class UnderGuard:
+    """``taken``: the guard has the vehicle, until it is disarmed; nothing may be commanded any more."""
+
+    def __init__(self, line: GuardLine, clock: Clock, rules: GuardRules) -> None:
+        self._line, self._clock, self._rules = line, clock, rules
+        self._checked_ns = clock.now_ns()
+        self._since_ns = self._checked_ns  # nothing can have been heard while this program did not run
+        self.taken = ""  # why, once it is
+
+    @property
+    def watching(self) -> bool:
+        """The guard answers, and sees the vehicle."""
+        return not self._missing(self._newest())
+
+    def beat(self, beat: Beat) -> None:
+        self._line.beat(beat)
+
+    def look(self) -> Answer | None:
+        """Take what the guard said; the newest of it."""
+        answer = self._newest()
+        if answer is not None and answer.hand is Hand.GUARD and not self.taken:
+            self.taken = answer.reason
+        return answer
+
+    def check_hand(self) -> None:
+        """Raise MissionEnd when the vehicle is not the script's any more."""
+        answer = self.look()
+        if self.taken:
+            raise MissionEnd(Outcome.GUARD, f"the guard took the vehicle: {self.taken}")
+        if answer is not None and answer.hand is Hand.OTHER:
+            raise MissionEnd(Outcome.PILOT_OVERRIDE, answer.reason)
+
+    def check(self) -> None:
+        """Raise MissionEnd when the vehicle is not the script's any more, or nobody watches it."""
+        self.check_hand()
+        missing = self._missing(self._newest())
+        if missing:
+            raise MissionEnd(Outcome.GUARD_LOST, missing)
+
+    async def confirm(self, beat: Beat) -> None:
+        """Before anything moves: ask, and wait for an answer that is younger than the question.
+
+        A program that slept does not go on where it was: what happened meanwhile is in that answer. Raises MissionEnd.
+        """
+        asked_ns = self._clock.now_ns()
+        end_s = asyncio.get_running_loop().time() + _FRESH_S
+        self._line.beat(beat)
+        while asyncio.get_running_loop().time() < end_s:
+            newest = self._line.answer()
+            if newest is not None and newest[0] > asked_ns:
+                break
+            await asyncio.sleep(_POLL_S)
+        self.check()
+
+    def _newest(self) -> Answer | None:
+        now_ns = self._clock.now_ns()
+        if (now_ns - self._checked_ns) * 1e-9 > 0.5 * self._rules.answer_age_s:
+            self._since_ns = now_ns
+        self._checked_ns = now_ns
+        newest = self._line.answer()
+        if newest is None:
+            return None
+        self._since_ns = max(self._since_ns, newest[0])
+        return newest[1]
+
+    def _missing(self, answer: Answer | None) -> str:
+        silent_s = (self._clock.now_ns() - self._since_ns) * 1e-9
+        if answer is None or silent_s > self._rules.answer_age_s:
+            return f"the guard does not answer at {self._line.name}"
+        return "" if answer.sees else "the guard does not see the vehicle on its own link"
