@@ -208,12 +208,13 @@ def _watch(
 def _somebody_else(state: GuardState, view: GuardView, heard: Heard, now_ns: int, rules: GuardRules) -> bool:
     """Whether the mode is not the script's doing.
 
-    A dead program's mode may have become HOLD by the autopilot's own failsafe: there is nobody to leave it to.
+    A dead program's vehicle may be held by the autopilot's own failsafe: there is nobody to leave it to. One that comes
+    down without a script comes down by somebody's will.
     """
-    if view.mode is FlightMode.OTHER or (view.mode in _DOWN and heard.script is not Script.LANDING):
-        return True
-    lives = _s(now_ns - heard.beat_ns) <= rules.beat_age_s
-    return lives and state.odd_ns is not None and _s(now_ns - state.odd_ns) > rules.mode_grace_s
+    if _s(now_ns - heard.beat_ns) > rules.beat_age_s:
+        return view.mode is FlightMode.OTHER or view.mode in _DOWN
+    odd_s = 0.0 if state.odd_ns is None else _s(now_ns - state.odd_ns)
+    return view.mode is FlightMode.OTHER or odd_s > rules.mode_grace_s
 
 
 def _since(before_ns: int | None, now_ns: int) -> int:

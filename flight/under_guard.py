@@ -10,7 +10,6 @@ from flight.guard_rules import GuardRules
 from flight.outcome import MissionEnd, Outcome
 
 _POLL_S = 0.01
-_FRESH_S = 0.5  # a guard that lives answers within a tick
 
 
 class UnderGuard:
@@ -58,12 +57,11 @@ class UnderGuard:
         A program that slept does not go on where it was: what happened meanwhile is in that answer. Raises MissionEnd.
         """
         asked_ns = self._clock.now_ns()
-        end_s = asyncio.get_running_loop().time() + _FRESH_S
+        end_s = asyncio.get_running_loop().time() + self._rules.answer_age_s
         self._line.beat(beat)
-        while asyncio.get_running_loop().time() < end_s:
-            newest = self._line.answer()
-            if newest is not None and newest[0] > asked_ns:
-                break
+        while (newest := self._line.answer()) is None or newest[0] <= asked_ns:
+            if asyncio.get_running_loop().time() > end_s:
+                raise MissionEnd(Outcome.GUARD_LOST, f"the guard does not answer at {self._line.name}")
             await asyncio.sleep(_POLL_S)
         self.check()
 

@@ -144,8 +144,14 @@ class Session:
         """Between the two bodies, as it was just measured."""
         self.shown.separation_m = self._measured_m = distance_m
 
+    def set_script(self, script: Script) -> None:
+        """What the script is about to do with the vehicle; the guard knows it before the vehicle does."""
+        self.script = script
+        if self.guard is not None:
+            self.guard.beat(self.beat())
+
     def beat(self) -> Beat:
-        """What the guard is told: once each, a measured distance is told once."""
+        """What the guard is told; a measured distance once."""
         script = self.script
         if self.pilot.overridden:
             script = Script.LET_GO

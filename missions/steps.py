@@ -41,7 +41,7 @@ async def preflight(session: Session) -> None:
 async def take_off(session: Session, height_m: float) -> None:
     """Arm, climb, take control. Refusals end the mission: no motion command is sent twice."""
     session.enter(Phase.TAKE_OFF)
-    session.script = Script.CLIMB
+    session.set_script(Script.CLIMB)
     await session.confirm_guard()
     await session.vehicle.arm()
     await session.confirm_guard()
@@ -59,7 +59,7 @@ async def bring_down(session: Session, end: MissionEnd | None, way_out_n_m: Vec3
     pilot, guard = session.pilot, session.guard
     if end is not None and end.outcome in _SCRIPT_LET_GO and not (guard and guard.taken):
         pilot.let_go()
-        session.script = Script.LET_GO
+        session.set_script(Script.LET_GO)
         return False
     if not session.vehicle.state.armed:
         pilot.let_go()
@@ -72,26 +72,26 @@ async def bring_down(session: Session, end: MissionEnd | None, way_out_n_m: Vec3
         return await _leave_to_guard(session, guard)
     if pilot.overridden or session.vehicle.state.mode is FlightMode.OTHER:
         session.say("the pilot flies: the script does not land")
-        session.script = Script.LET_GO
+        session.set_script(Script.LET_GO)
         return False
     return await _land(session)
 
 
 async def _land(session: Session) -> bool:
     session.enter(Phase.LAND)
-    session.script = Script.LANDING
+    session.set_script(Script.LANDING)
     try:
         await session.vehicle.land(session.config.deadlines.land_s)
     except VehicleError as error:
         session.say(f"landing not confirmed: {error}")
         return False
-    session.script = Script.IDLE
+    session.set_script(Script.IDLE)
     return True
 
 
 async def _leave_to_guard(session: Session, guard: UnderGuard) -> bool:
     """Send nothing more, and stay until the guard has brought the vehicle down; whether it has."""
-    session.script = Script.LET_GO
+    session.set_script(Script.LET_GO)
     session.enter(Phase.LAND, f"the guard has the vehicle: {guard.taken}")
     loop = asyncio.get_running_loop()
     end_s = loop.time() + session.config.deadlines.land_s

@@ -1,0 +1,127 @@
+"""A flying embedded vehicle with two MAVLink ports, and what a hung role's MAVSDK would go on sending to the first."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from drivers.interfaces import FlightMode, VelocitySetpoint
+from drivers.mavsdk_geodesy import LocalTangent
+from drivers.rig import Origin
+from hil.autopilot import AutopilotConfig
+from hil.estimator import EstimatorConfig, WindConfig
+from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
+from hil.world import World, WorldConfig
+from path.messages import Role
+
+SYSID = 1
+ORIGIN = Origin(47.3977, 8.5456, 488.0)
+# Its own failsafe for setpoints is as good as off: whatever happens is the guard's doing.
+QUICK = AutopilotConfig(
+    settle_s=0.2, spool_s=0.1, climb_mps=1.5, land_mps=1.0, touchdown_mps=0.8, land_disarm_s=0.2, offboard_loss_s=300.0
+)
+LIMIT_S = 30.0
+STEP_S = 0.005
+SETPOINT_STEPS = 10  # 20 Hz
+FORWARD = VelocitySetpoint((0.05, 0.0, 0.0), 0.0)
+
+
+class Bench:
+    """Stepped by a thread; everything that touches the world takes ``lock``."""
+
+    def __init__(self) -> None:
+        exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
+        self.world = World(WorldConfig(WindConfig(0.0, gust_mps=0.0), exact, autopilot=QUICK), seed=1)
+        self.drone = self.world.drone(Role.SENDER)
+        self.lock = threading.Lock()
+        self.ground = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.ground.bind(("127.0.0.1", 0))
+        self.ground.setblocking(False)
+        self.port = free_port()
+        tangent = LocalTangent(ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.altitude_m)
+        config = MavlinkVehicleConfig(SYSID, self.ground.getsockname(), second=("127.0.0.1", self.port))
+        self.vehicle = MavlinkVehicle(config, self.drone, tangent)
+        self.vehicle.tap = lambda _, message: self.wire.append(message)
+        self.wire: list[Any] = []
+        self.repeating = True  # setpoints, as MAVSDK's own thread does whatever Python does
+        self._mav: Any = mavlink.MAVLink(None, srcSystem=245, srcComponent=190)
+
+    @property
+    def autopilot(self) -> Any:
+        return self.drone.autopilot
+
+    def run(self, stop: threading.Event) -> None:
+        start_s, steps = time.monotonic(), 0
+        while not stop.wait(STEP_S):
+            steps += 1
+            with self.lock:
+                self.world.advance(time.monotonic() - start_s)
+                self.vehicle.pump(self.world.time_s)
+            if self.repeating and steps % SETPOINT_STEPS == 0:
+                self._setpoint()
+            self._drain()
+
+    def _setpoint(self) -> None:
+        north, east, down = FORWARD.velocity_n_mps
+        message = mavlink.MAVLink_set_position_target_local_ned_message(
+            0, SYSID, 1, 1, 2503, 0, 0, 0, north, east, down, 0, 0, 0, FORWARD.yaw_rad, 0
+        )
+        self.ground.sendto(message.pack(self._mav), self.vehicle.address)
+
+    def _drain(self) -> None:
+        while True:
+            try:
+                self.ground.recv(2048)
+            except BlockingIOError:
+                return
+
+    def in_air(self) -> None:
+        """Armed, climbed, in offboard control."""
+        until(lambda: self.autopilot.armable)
+        with self.lock:
+            now_s = self.world.time_s
+            assert self.autopilot.request_arm(now_s, True).accepted
+            assert self.autopilot.request_takeoff(now_s, 1.0).accepted
+        until(lambda: self.autopilot.mode is FlightMode.HOLD and not self.autopilot.landed)
+        self.select(FlightMode.OFFBOARD)
+
+    def select(self, mode: FlightMode, by_pilot: bool = False) -> None:
+        with self.lock:
+            assert self.autopilot.request_mode(self.world.time_s, mode, by_pilot).accepted
+
+    def commands(self, *numbers: int) -> list[int]:
+        """Commands that reached the vehicle, of these numbers, in order."""
+        return [m.command for m in self.wire if m.get_type() == "COMMAND_LONG" and m.command in numbers]
+
+
+@contextmanager
+def bench() -> Generator[Bench]:
+    own, stop = Bench(), threading.Event()
+    thread = threading.Thread(target=own.run, args=(stop,))
+    thread.start()
+    try:
+        yield own
+    finally:
+        stop.set()
+        thread.join()
+        own.vehicle.close()
+        own.ground.close()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + LIMIT_S
+    while not condition():
+        assert time.monotonic() < end_s, "a condition did not come true"
+        time.sleep(0.005)
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
