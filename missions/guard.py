@@ -23,8 +23,8 @@ from flight.config import MissionConfig
 from flight.guard_rules import Act, GuardState, Stage
 from flight.guard_watch import GuardWatch, watch
 from missions import rig_library
-from missions.handoff import new_folder
 from missions.options import GuardOptions
+from missions.run_folder import new_folder
 from path.messages import Role
 
 EXIT_GAVE_UP = 5

@@ -8,7 +8,6 @@ import signal
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from datetime import datetime
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from missions.progress import open_console, open_tally
 from missions.records import SUMMARY, RunFacts, load_run, write_facts
 from missions.report import make_report, series_table, show, summarize_many
 from missions.role_process import fly_role
+from missions.run_folder import new_folder
 from missions.summary import summarize
 from path.messages import Role
 
@@ -79,16 +79,6 @@ def _fly_seed(rig_file: str, seed: int, faults: Sequence[str], folder: Path) -> 
     summary = summarize(load_run(own))
     (own / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
     return summary
-
-
-def new_folder(out: Path | None) -> Path:
-    """The folder of a run, made; ``runs/<time>`` by default. Raises PartError."""
-    folder = out or Path("runs") / datetime.now().strftime("%Y%m%d-%H%M%S")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise PartError(f"cannot make {folder}: {error.strerror}", "name another folder with --out") from error
-    return folder
 
 
 def harness_of(rig: Rig) -> Harness:

@@ -7,10 +7,10 @@ import sys
 from drivers.log import parts
 from missions import rig_library
 from missions.guard_start import with_guard
-from missions.handoff import new_folder
 from missions.options import ReceiverOptions, RoleOptions
 from missions.progress import open_console
 from missions.role_process import run_role
+from missions.run_folder import new_folder
 from path.messages import Role
 
 

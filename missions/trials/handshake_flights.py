@@ -9,8 +9,9 @@ from typing import Any
 
 from drivers.rig import Rig
 from missions import rig_library
-from missions.handoff import fly_once, new_folder
+from missions.handoff import fly_once
 from missions.records import Run, last, load_run
+from missions.run_folder import new_folder
 from missions.summary import judged_pairs, summarize
 from path.config import GateKind
 

@@ -19,10 +19,10 @@ from rich.text import Text
 
 from drivers.interfaces import PartError
 from missions import rig_library
-from missions.handoff import new_folder
 from missions.options import TrialName, TrialOptions
 from missions.records import SUMMARY
 from missions.report import show
+from missions.run_folder import new_folder
 from missions.trials.page import PAGE, Chapter, render_page
 from missions.trials.trial import Finding, TrialRequest, TrialResult, Verdict
 from missions.work import open_work

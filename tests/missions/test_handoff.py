@@ -17,8 +17,9 @@ from drivers.rig import Rig
 from flight.harness import FlightReport, FlightRequest, RoleResult
 from flight.outcome import Outcome
 from missions import rig_library
-from missions.handoff import fly_once, harness_of, judge, new_folder
+from missions.handoff import fly_once, harness_of, judge
 from missions.records import FACTS
+from missions.run_folder import new_folder
 from path.messages import Role
 
 BOTH_DOWN = dict.fromkeys(Role, True)
