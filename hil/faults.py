@@ -27,6 +27,7 @@ class FaultKind:
 
     Attributes:
         role: whom it concerns; None for both, and then "when" is of the sender's course.
+        own: only where programs are processes of their own.
         value: whether it is a quantity (``link_loss=0.3``), and whether that may be left out.
     """
 
@@ -36,6 +37,7 @@ class FaultKind:
     meaning: str
     whole_run: bool = False
     most: float = 1.0
+    own: bool = False
 
     @property
     def followed(self) -> Role:
@@ -77,6 +79,18 @@ FAULTS: dict[str, FaultKind] = {
             "kill_sender", Role.SENDER, "may",
             "the sender's program dies without a word, and is started again so many seconds later", most=LONGEST_S,
         ),
+        FaultKind("stop_receiver", Role.RECEIVER, "no", "the receiver's program stands still for good", own=True),
+        FaultKind("stop_sender", Role.SENDER, "no", "the sender's program stands still for good", own=True),
+        FaultKind(
+            "stall_receiver", Role.RECEIVER, "must", "the receiver's program stands still for so many seconds",
+            most=LONGEST_S, own=True,
+        ),
+        FaultKind(
+            "stall_sender", Role.SENDER, "must", "the sender's program stands still for so many seconds",
+            most=LONGEST_S, own=True,
+        ),
+        FaultKind("guard_death", Role.SENDER, "no", "the sender's guard dies without a word", own=True),
+        FaultKind("no_failsafe", None, "no", "the autopilots fly on when setpoints stop, as some are delivered", True),
         FaultKind("fc_link_loss", Role.RECEIVER, "no", "the receiver's flight controller falls silent"),
         FaultKind("pilot_takeover", Role.RECEIVER, "no", "the receiver's pilot changes the mode"),
         FaultKind("battery_sag", Role.SENDER, "no", "the sender's battery drops to 15 %"),
@@ -112,9 +126,14 @@ class Fault:
         return self.kind.role if self.name.startswith("kill_") else None
 
     @property
+    def stops(self) -> Role | None:
+        """The role whose program this fault stops where it is."""
+        return self.kind.role if self.name.startswith(("stop_", "stall_")) else None
+
+    @property
     def cuts_off(self) -> Role | None:
         """The role whose vehicle gets no more setpoints because of this fault."""
-        return self.kind.role if self.kills or self.name == "fc_link_loss" else None
+        return self.kind.role if self.kills or self.stops or self.name == "fc_link_loss" else None
 
 
 class FaultTrigger:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Protocol
 
@@ -45,6 +46,10 @@ def inject_in_world(name: str, role: Role | None, world: World) -> None:
             world.depth_holes(True)
         case "pilot_takeover" if role is not None:
             world.drone(role).autopilot.request_mode(world.time_s, FlightMode.OTHER, by_pilot=True)
+        case "no_failsafe":
+            for drone in Role:
+                autopilot = world.drone(drone).autopilot
+                autopilot.config = replace(autopilot.config, offboard_loss_s=math.inf)
         case "battery_sag" if role is not None:
             world.battery(role, SAGGED)
         case _:

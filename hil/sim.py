@@ -68,6 +68,9 @@ class SimHarness:
         faults = [parse_fault(text) for text in request.faults]
         if any(fault.name == "attack" for fault in faults):
             raise FaultError("fault attack needs real sockets", "fly it with --rig sitl, or a rig like it")
+        for fault in faults:
+            if fault.kind.own:
+                raise FaultError(f"fault {fault.name} needs programs of their own", "use a rig of level sitl")
         prepare(request.rig, lambda what: show_start(request, what))
         start_s = time.perf_counter()
         gc.disable()  # nothing here lives in cycles, and collecting takes a tenth of the time

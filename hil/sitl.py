@@ -31,6 +31,7 @@ RUN_LIMIT_S = 420.0
 LANDING_LIMIT_S = 45.0
 ROLE_EXIT_S = 60.0
 RECORD_POLL_S = 0.001
+STOPPED_S = 20.0
 
 StartRole = Callable[[Role], Awaitable[asyncio.subprocess.Process]]
 StartAttack = Callable[[float], Awaitable[asyncio.subprocess.Process]]
@@ -67,14 +68,14 @@ async def _fly(request: FlightRequest) -> FlightReport:
     failure = ""
     try:
         world, air = await _start_world(request, processes)
-        for role in Role:
-            if request.rig.role(role).guard is not None:
-                await _start_guard(request, role, processes)
         crew = _Crew(
             world,
             lambda role: _start_role(request, role, processes),
             lambda rate: _start_attack(request, rate, air, processes),
         )
+        for role in Role:
+            if request.rig.role(role).guard is not None:
+                crew.guards[role] = await _start_guard(request, role, processes)
         await _supervise(run, FaultTrigger(faults), crew)
         run.finished = await _finish_world(world)
     except HarnessFailure as error:
@@ -178,6 +179,7 @@ class _Crew:
     def __init__(self, world: asyncio.subprocess.Process, start: StartRole, attack: StartAttack) -> None:
         self.world = world
         self._attack = attack
+        self.guards: dict[Role, asyncio.subprocess.Process] = {}
         self.roles: dict[Role, asyncio.subprocess.Process] = {}
         self._start = start
         self._restart_s: dict[Role, float] = {}
@@ -195,15 +197,27 @@ class _Crew:
     async def _inject(self, fault: Fault) -> None:
         if fault.after_s:
             await asyncio.sleep(fault.after_s)
+        at_ns = time.monotonic_ns()
         if fault.kills is not None:
             process = self.roles[fault.kills]
             if process.returncode is None:
                 process.kill()
                 if fault.value is not None:
                     self._restart_s[fault.kills] = fault.value
-        if fault.name == "attack":
+        elif fault.name == "attack":
             await self._attack(fault.value or 0.0)
-        await _tell(self.world, {"fault": fault.name, "value": fault.value or 0.0})
+        elif fault.stops is not None:
+            _signal(self.roles[fault.stops], signal.SIGSTOP)
+        elif fault.name == "guard_death" and Role.SENDER in self.guards:
+            _signal(self.guards[Role.SENDER], signal.SIGKILL)
+        await _tell(self.world, {"fault": fault.name, "value": fault.value or 0.0, "at_ns": at_ns})
+        if fault.stops is not None:
+            await self._go_on(self.roles[fault.stops], fault.value)
+
+    async def _go_on(self, process: asyncio.subprocess.Process, after_s: float | None) -> None:
+        """What was stopped goes on; what was not to, is ended when its vehicle is long down: the run must end too."""
+        await asyncio.sleep(STOPPED_S if after_s is None else after_s)
+        _signal(process, signal.SIGKILL if after_s is None else signal.SIGCONT)
 
     async def started_again(self, role: Role) -> bool:
         """Once its program has ended: whether another one was started, as the fault that killed it wants."""
@@ -289,6 +303,11 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
         await crew.close()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.remove_signal_handler(number)
+
+
+def _signal(process: asyncio.subprocess.Process, number: signal.Signals) -> None:
+    if process.returncode is None:
+        process.send_signal(number)
 
 
 def _duty(state_file: Path) -> str:

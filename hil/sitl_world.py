@@ -134,7 +134,7 @@ class SitlWorld:
                 self._vehicles[role] = self._vehicle(role)
                 stack.callback(self._vehicles[role].close)
             live.start_s = time.monotonic()
-            truth = TruthLog(log, round(live.start_s * 1e9))
+            truth = self._truth = TruthLog(log, round(live.start_s * 1e9))
             truth.scene(rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
             self._start_cameras(stack)
             asyncio.get_running_loop().add_reader(sys.stdin.fileno(), self._on_command)
@@ -176,6 +176,7 @@ class SitlWorld:
                 live.world.advance(max(now_s, live.world.time_s))
                 for vehicle in self._vehicles.values():
                     vehicle.pump(live.world.time_s)
+                truth.modes(live.world)
                 if steps % TRUTH_STEPS == 0:
                     truth.truth(live.world)
                     self._monitors.on_truth(now_s, live.world.separation_m, live.world.both_in_air)
@@ -203,10 +204,11 @@ class SitlWorld:
         if "finish" in command:
             self._finish_within_s = float(command["finish"])
         else:
-            self._inject(command["fault"], float(command["value"]))
+            self._inject(command["fault"], float(command["value"]), int(command.get("at_ns", time.monotonic_ns())))
 
-    def _inject(self, name: str, value: float) -> None:
+    def _inject(self, name: str, value: float, at_ns: int) -> None:
         live, role = self._live, FAULTS[name].role
+        self._truth.fault(name, at_ns)
         with live.lock:
             inject_in_world(name, role, live.world)
         inject_on_link(name, value, self._proxy)
@@ -216,7 +218,7 @@ class SitlWorld:
             live.frozen.add(role)
         if name == "fc_link_loss":
             self._vehicles[role].silent = True
-        if name.startswith("kill_") or name == "fc_link_loss":
+        if name.startswith(("kill_", "stop_", "stall_")) or name == "fc_link_loss":
             live.cut_off[role].append(live.now_s())
 
     def _findings(self, truth: TruthLog) -> dict[str, Any]:

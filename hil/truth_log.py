@@ -20,6 +20,7 @@ class TruthLog:
     def __init__(self, log: Log, epoch_ns: int = 0) -> None:
         self._log = log
         self._epoch_ns = epoch_ns
+        self._shown: dict[Role, tuple[str, bool]] = {}
 
     def scene(self, rig: Rig, min_separation_m: float, clock_offset_ns: Mapping[Role, int]) -> None:
         """What does not change: once, first."""
@@ -42,6 +43,20 @@ class TruthLog:
         }
         record["objects"] = [[o.object_id, *o.position_w_m, o.yaw_rad] for o in snapshot.objects]
         self._log.write("/truth", self._epoch_ns + round(world.time_s * 1e9), record)
+
+    def modes(self, world: World) -> None:
+        """What both autopilots do, whenever it changes."""
+        for role in Role:
+            autopilot = world.drone(role).autopilot
+            shown = autopilot.mode.value, autopilot.armed
+            if self._shown.get(role) != shown:
+                self._shown[role] = shown
+                record = {"role": role.value, "mode": autopilot.mode.value, "armed": autopilot.armed}
+                self._log.write("/autopilot", self._epoch_ns + round(world.time_s * 1e9), record)
+
+    def fault(self, name: str, at_ns: int) -> None:
+        """A fault that began, at an instant of the log's own stamps."""
+        self._log.write("/fault", at_ns, {"fault": name})
 
     def setpoint_gap(self, role: Role, world: World) -> None:
         """The longest time between two setpoints of a vehicle in offboard control."""

@@ -55,6 +55,10 @@ def _say(line: str) -> None:
 
 def run(options: GuardOptions) -> int:
     """Watch until told to end; 0, or EXIT_GAVE_UP when a vehicle did not land. Raises PartError."""
+    if options.measure:
+        from missions.guard_measure import measure  # noqa: PLC0415 (what it needs is far larger than a guard)
+
+        return measure(options)
     rig = rig_library.load_unchecked(options.rig)
     config = rig_library.mission_of(rig)
     roles = tuple(Role) if options.role == "both" else (Role(options.role),)

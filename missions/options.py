@@ -109,6 +109,12 @@ class GuardOptions:
     console: Literal["auto", "events"] = "auto"
     """events: started by another program; ends, as soon as nothing flies, when that closes this one's input."""
 
+    measure: bool = False
+    """Fly a mission for each way a program can fail in each phase; print how soon its vehicle is held, and down."""
+
+    case: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORD"), tyro.conf.UseAppendAction] = ()
+    """With --measure: only cases with this word in them, such as kill_sender or @verify; may be given several times."""
+
 
 @dataclass(frozen=True, slots=True)
 class DoctorOptions:

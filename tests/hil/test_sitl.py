@@ -102,7 +102,9 @@ class Stage:
         return run
 
     def told(self) -> list[Any]:
-        return [json.loads(line) for line in (self.out / "told").read_text().splitlines()]
+        """What the world was told, apart from when."""
+        told = [json.loads(line) for line in (self.out / "told").read_text().splitlines()]
+        return [{name: value for name, value in command.items() if name != "at_ns"} for command in told]
 
 
 @pytest.fixture
@@ -177,6 +179,41 @@ def test_a_record_that_is_written_down_is_a_moment_too(stage: Stage) -> None:
     programs = {Role.SENDER: saying(result(Role.SENDER)), Role.RECEIVER: writes}
     run = asyncio.run(stage.supervise(programs, ["kill_receiver@provisional"]))
     assert list(run.results) == [Role.SENDER]
+
+
+STANDS_STILL = """
+import time
+begun_s = last_s = time.monotonic()
+while last_s - begun_s < 60.0:
+    time.sleep(0.01)
+    now_s = time.monotonic()
+    if now_s - last_s > 0.4:  # it slept longer than it meant to
+        break
+    last_s = now_s
+print(LAST, flush=True)
+"""
+
+
+def test_a_program_that_stalls_goes_on_afterwards(stage: Stage) -> None:
+    programs = {
+        Role.SENDER: f"LAST = {encode_event(result(Role.SENDER))!r}\n"
+        + saying(progress(Role.SENDER, AT_COUNT), then=STANDS_STILL),
+        Role.RECEIVER: saying(result(Role.RECEIVER)),
+    }
+    run = asyncio.run(stage.supervise(programs, ["stall_sender=0.5"]))
+    assert set(run.results) == set(Role)
+    assert stage.told() == [{"fault": "stall_sender", "value": 0.5}]
+
+
+def test_a_program_that_is_stopped_for_good_is_ended_at_last(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sitl, "STOPPED_S", 0.2)
+    programs = {
+        Role.SENDER: saying(progress(Role.SENDER, AT_COUNT), then="import time; time.sleep(600)"),
+        Role.RECEIVER: saying(result(Role.RECEIVER)),
+    }
+    run = asyncio.run(stage.supervise(programs, ["stop_sender"]))
+    assert set(run.results) == {Role.RECEIVER}
+    assert [process.returncode for process in stage.processes].count(-signal.SIGKILL) == 1
 
 
 def test_a_world_that_dies_in_flight_is_the_harness_s_failure(stage: Stage) -> None:
