@@ -165,12 +165,12 @@ class GuardWatch:
         self._log.write("/guard_view", now_ns, record)
 
 
-async def watch(guards: tuple[GuardWatch, ...], until: asyncio.Event) -> None:
+async def watch(guards: tuple[GuardWatch, ...], until: asyncio.Event, tick_s: float = TICK_S) -> None:
     """Tick until told to end and nothing is flown by a script or held by a guard any more."""
     loop = asyncio.get_running_loop()
     due_s = loop.time()
     while not until.is_set() or any(guard.needed for guard in guards):
         for guard in guards:
             guard.tick()
-        due_s = max(due_s + TICK_S, loop.time())
+        due_s = max(due_s + tick_s, loop.time())
         await asyncio.sleep(due_s - loop.time())

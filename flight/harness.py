@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
+from drivers.guard_interfaces import GuardLine
 from drivers.interfaces import Log, RecordStore
 from drivers.rig import Rig
 from flight.outcome import Outcome
@@ -91,6 +92,10 @@ class InProcess(Protocol):
     @property
     def seed(self) -> int:
         """Whatever is drawn by chance is drawn from it, so that a run can be repeated."""
+        ...
+
+    def guard_line(self, role: Role) -> GuardLine:
+        """A program's way to its role's guard, in a rig with one."""
         ...
 
 

@@ -10,16 +10,18 @@ import gc
 import signal
 import threading
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from drivers.guard_interfaces import GuardLine
 from drivers.interfaces import PartError
 from drivers.log import McapLog, new_part
-from drivers.rig import Rig
+from drivers.rig import Rig, create, part_context
 from drivers.state_file import MemoryStore
 from drivers.tables import decode_table
 from flight.config import MissionConfig
+from flight.guard_watch import GuardWatch, watch
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, with_log
 from hil.capture import Freeze
 from hil.faults import Fault, FaultError, FaultTrigger, parse_fault
@@ -28,6 +30,7 @@ from hil.inject import inject_in_world, inject_on_link
 from hil.monitors import Monitors, WatchedLog
 from hil.preparation import prepare, starting
 from hil.script_monitor import vehicles_of
+from hil.sim_guard import TICK_S, MemoryBeatLine
 from hil.truth_log import TruthLog
 from hil.virtual_time import run_virtual
 from hil.world import World, WorldConfig
@@ -51,6 +54,11 @@ class SimWorld:
         self.frozen_cameras: dict[Role, Freeze] = {}
         self.silent_vehicles: set[Role] = set()
         self.lost_vehicles: set[Role] = set()  # of these, those whose own link is cut
+        self.beat_lines: dict[Role, MemoryBeatLine] = {}  # of the roles that have a guard
+
+    def guard_line(self, role: Role) -> GuardLine:
+        """A program's way to its role's guard."""
+        return self.beat_lines[role].role_end()
 
     @property
     def world(self) -> World:
@@ -135,16 +143,31 @@ class _Flight:
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
         self._begin(self._trigger.from_the_start())
+        self._monitors = Monitors(rig.method, min_separation_m(rig))
         _stop_on_signals(self._interrupt)
         with McapLog(request.out / "world.mcap", buffered=True) as log:
-            truth = TruthLog(log)
+            guarding = [asyncio.create_task(guard) for guard in self._guards()]
+            truth = self._truth = TruthLog(log)
             truth.scene(rig, self._monitors.min_separation_m, clock_offsets(rig))
-            watch = asyncio.create_task(self._watch_truth(truth))
+            self._begin(self._trigger.from_the_start())
+            watching = asyncio.create_task(self._watch_truth(truth))
             results = await self._fly_roles()
             await self._until_landed()
-            watch.cancel()
-            await asyncio.gather(watch, return_exceptions=True)
+            for task in (watching, *guarding):
+                task.cancel()
+            await asyncio.gather(watching, *guarding, return_exceptions=True)
             return self._findings(truth, results)
+
+    def _guards(self) -> Iterator[Coroutine[Any, Any, None]]:
+        """The guards of the roles that have one; they outlive the roles' programs."""
+        config = decode_table(self._rig.mission, MissionConfig, self._rig.where("[mission]"))
+        for role in Role:
+            spec = self._rig.role(role).guard
+            if spec is not None:
+                context = part_context(self._rig, role, self._parts)
+                line = self._parts.beat_lines[role] = MemoryBeatLine(context.clock)
+                log = McapLog(self._request.out / f"{role.value}.guard.mcap", buffered=True)
+                yield _keep_watch(GuardWatch(create(spec, context), line, context.clock, config, log), log)
 
     async def _fly_roles(self) -> dict[Role, RoleResult | None]:
         end_s = asyncio.get_running_loop().time() + RUN_LIMIT_S
@@ -222,6 +245,7 @@ class _Flight:
 
     def _inject(self, fault: Fault) -> None:
         parts, role = self._parts, fault.kind.role
+        self._truth.fault(fault.name, round(self._world.time_s * 1e9))
         inject_in_world(fault.name, role, self._world)
         inject_on_link(fault.name, fault.value or 0.0, parts.hub)
         if role is None:
@@ -247,6 +271,8 @@ class _Flight:
         self._killed.add(role)
         self._parts.silent_vehicles.add(role)
         self._parts.hub.cut(role)
+        if role in self._parts.beat_lines:
+            self._parts.beat_lines[role].cut()
         self._stores[role].writable = False
         program.watched.ended = True
         self._monitors.on_death(role)
@@ -274,6 +300,7 @@ class _Flight:
         while True:
             world.advance(loop.time())
             truth.truth(world)
+            truth.modes(world)
             self._monitors.on_truth(world.time_s, world.separation_m, world.both_in_air)
             ticks += 1
             if ticks % VEHICLES_EVERY == 0:
@@ -304,6 +331,11 @@ class _Flight:
             "notes": tuple(self._monitors.details),
             "figures": self._monitors.leases.figures,
         }
+
+
+async def _keep_watch(guard: GuardWatch, log: McapLog) -> None:
+    with log:
+        await watch((guard,), asyncio.Event(), TICK_S)
 
 
 def down(world: World, role: Role) -> bool:

@@ -27,8 +27,8 @@ from path.messages import Role
 
 KINDS = {"kill": "", "stop": "", "stall": "=5"}
 MOMENTS = {
-    Role.SENDER: ("take-off+2", "acquire+1.5", "follow+3", "verify+3", "depart+1", "land+1"),
-    Role.RECEIVER: ("take-off+2", "stand-off+3", "search", "approach+2", "verify+3", "follow+2", "depart+1", "land+1"),
+    Role.SENDER: ("take-off+2", "acquire+1.5", "follow+3", "verify+1", "depart+1", "land+1"),
+    Role.RECEIVER: ("take-off+2", "stand-off+3", "search", "approach+1", "verify+1", "follow+1", "depart+1", "land+1"),
 }
 ORDER = {phase.title: int(phase) for phase in Phase}
 HOLD_LIMIT_S = 1.0

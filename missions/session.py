@@ -15,7 +15,7 @@ from typing import Any
 
 import cv2
 
-from drivers.guard_interfaces import NOWHERE, Beat, Script
+from drivers.guard_interfaces import NOWHERE, Beat, GuardLine, Script
 from drivers.guard_line import UdpGuardLine
 from drivers.interfaces import (
     CameraError,
@@ -367,9 +367,10 @@ async def open_session(
     begin = f"{role.value} {context.clock.now_ns()}"  # a program started again does not draw the same numbers again
     entropy = random.SystemRandom() if harness is None else random.Random(f"{begin} {harness.seed}")
     guard: UnderGuard | None = None
-    if own.guard is not None and harness is None:
-        line = await stack.enter_async_context(UdpGuardLine(str(own.guard.options["bind"]), context.clock))
-        guard = UnderGuard(line, context.clock, config.guard_process)
+    if own.guard is not None:
+        bind = str(own.guard.options.get("bind", ""))
+        line: GuardLine = UdpGuardLine(bind, context.clock) if harness is None else harness.guard_line(role)
+        guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
     return Session(rig, role, config, log, emit, stop, (context.clock, vehicle, sight, link), entropy, guard)
 
 

@@ -1,0 +1,28 @@
+"""Real processes: a sender's program that stands still in the air, and its guard."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from drivers.log import read_log
+from missions import rig_library
+from missions.handoff import fly_once
+
+
+def test_a_program_that_stalls_in_the_air_finds_its_vehicle_in_the_guards_hand(tmp_path: Path) -> None:
+    """Whatever it had been about to do, it does not do: the vehicle was held, and is landed."""
+    faults = ("no_failsafe", "stall_sender=3@take-off+1")
+    facts = fly_once(rig_library.load("sitl"), 0, faults, tmp_path, lambda _: None)
+    assert facts.outcome == "guard", facts.detail
+    assert "the guard took the vehicle: no sign of life" in facts.detail
+    assert facts.violations == {}
+    taken = [r.record for r in read_log(tmp_path / "sender.guard.mcap") if r.topic == "/guard"]
+    assert [(record["stage"], record["act"]) for record in taken][:2] == [("holding", "hold"), ("landing", "land")]
+    (end,) = [r.record for r in read_log(tmp_path / "sender.mcap") if r.topic == "/outcome"]
+    assert end["landed"]
+    modes = [
+        r.record["mode"]
+        for r in read_log(tmp_path / "world.mcap")
+        if r.topic == "/autopilot" and r.record["role"] == "sender" and r.record["armed"]
+    ]
+    assert modes[-3:] == ["takeoff", "hold", "land"]
