@@ -27,6 +27,7 @@ def check_rig(rig: Rig) -> None:
     configs = _decode_parts(rig, problems)
     _check_exclusive(configs, problems)
     _check_serials(rig, configs, problems)
+    _check_guards(rig, configs, problems)
     if rig.harness is None:
         _check_mirrored(rig, configs, problems)
     else:
@@ -103,6 +104,16 @@ def _resource(name: str, value: Any) -> tuple[str, str]:
     if name in ("url", "bind") and local:
         return "port", text.rpartition(":")[2]
     return ("device" if name in ("device", "url") else name), text
+
+
+def _check_guards(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> None:
+    """A guard that watches another vehicle than the one that is flown guards nothing."""
+    for role in Role:
+        own = rig.role(role)
+        watched = getattr(configs.get(own.guard.where), "vehicle_sysid", None) if own.guard else None
+        flown = getattr(configs.get(own.vehicle.where), "sysid", None)
+        if own.guard and watched is not None and flown is not None and watched != flown:
+            problems.add(f"{own.guard.where}.vehicle_sysid", f"{watched} is not the vehicle that is flown, {flown}")
 
 
 def _check_mirrored(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> None:

@@ -21,6 +21,7 @@ from drivers.log import read_log
 from hil.autopilot_values import OffboardSession
 from missions import rig_library
 from missions.cli import main
+from missions.guard import guard_of
 from missions.guard_start import with_guard
 from missions.rig_list import FOLDER
 from path.messages import Role
@@ -135,14 +136,17 @@ def test_a_guard_that_is_told_to_end_stays_until_the_vehicle_is_down_and_leaves_
         assert own.commands(*HOLD_OR_LAND) == [176]
 
 
-def test_a_rig_without_a_guard_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_rig_whose_guard_cannot_be_a_program_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["guard", "--rig", "sim", "--out", str(tmp_path)])
     assert ended.value.code == 3
-    assert "[sender.guard]" in capsys.readouterr().err
+    assert "needs the simulated world in the same process" in capsys.readouterr().err
+    bare = with_guard(rig_library.load_unchecked("sitl"), Role.SENDER, "none", tmp_path)
+    with pytest.raises(PartError, match=r"has no \[sender\.guard\]"):
+        guard_of(bare, Role.SENDER)
 
 
-def test_a_second_guard_of_the_same_vehicle_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_second_guard_of_the_same_vehicle_is_refused(tmp_path: Path) -> None:
     with bench() as own:
         port = free_port()
         file = rig_file(tmp_path, own, port)
@@ -161,3 +165,14 @@ def test_a_second_guard_of_the_same_vehicle_is_refused(tmp_path: Path, capsys: p
         assert not (tmp_path / "sender.guard.txt").exists()
         assert with_guard(rig, Role.RECEIVER, "none", tmp_path).receiver.guard is None
         assert with_guard(rig, Role.RECEIVER, "expect", tmp_path) is rig
+
+
+def test_a_guard_of_another_vehicle_is_refused(tmp_path: Path) -> None:
+    text = (FOLDER / "sitl.toml").read_text()
+    file = tmp_path / "rig.toml"
+    file.write_text(text.replace("vehicle_sysid = 1", "vehicle_sysid = 7"))
+    with pytest.raises(PartError, match=r"sender\.guard\.vehicle_sysid: 7 is not the vehicle that is flown, 1"):
+        rig_library.load(str(file))
+    file.write_text(text.replace("127.0.0.1:14551", "127.0.0.1:14541"))
+    with pytest.raises(PartError, match="already used"):
+        rig_library.load(str(file))
