@@ -4,7 +4,7 @@
     1520331200,5,4.102,1.733,1.498,92
 
 Stamps are of the beacon system's own clock, positions in its own frame (z up, rotated about the vertical and shifted
-against any other). A driver for the hardware fills the same records.
+against any other); no quality: the system did not rate it. ``drivers.marvelmind`` gives the same values live.
 """
 
 from __future__ import annotations
@@ -15,31 +15,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.interfaces import PartError
+from drivers.interfaces import BeaconError, BeaconFix
 from path.messages import Vec3
 
 COLUMNS = ("stamp_ns", "address", "x_m", "y_m", "z_m", "quality")
-
-
-class BeaconLogError(PartError):
-    """A file that is no beacon log."""
-
-
-@dataclass(frozen=True, slots=True)
-class BeaconFix:
-    """One position of one mobile beacon.
-
-    Attributes:
-        stamp_ns: of the beacon system's clock.
-        address: of the beacon.
-        position_m: in the beacon system's frame.
-        quality: 0..100, as the system rates it.
-    """
-
-    stamp_ns: int
-    address: int
-    position_m: Vec3
-    quality: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +34,8 @@ class BeaconTruth:
     """What a harness that makes beacons up knows of them, for judging how a trial did; no trial may estimate with it.
 
     Attributes:
-        offset_s: world clock minus beacon stamp at the middle of the log, latency included: a position that comes late
-            is one that is stamped late.
+        offset_s: world clock minus the listener's at the middle of the log; that the way over the wire makes stamps
+            late is not in it.
         yaw_rad, origin_m: a point of the world is ``Rz(yaw) p + origin`` in the beacons' frame.
         noise: what is wrong with the beacons, in words: (quantity, value).
     """
@@ -74,28 +53,30 @@ def write_beacons(file: Path, fixes: Iterable[BeaconFix]) -> None:
         rows.writerow(COLUMNS)
         for fix in fixes:
             x, y, z = fix.position_m
-            rows.writerow((fix.stamp_ns, fix.address, f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", f"{fix.quality:.0f}"))
+            quality = "" if math.isnan(fix.quality) else f"{fix.quality:.0f}"
+            rows.writerow((fix.stamp_ns, fix.address, f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", quality))
 
 
 def read_beacons(file: Path) -> list[BeaconFix]:
-    """All positions of a log, in its order. Raises BeaconLogError naming the line, OSError."""
+    """All positions of a log, in its order. Raises BeaconError naming the line, OSError."""
     with file.open(newline="", encoding="utf-8", errors="replace") as lines:
         rows = csv.reader(lines)
         header = next(rows, [])
         if tuple(name.strip() for name in header) != COLUMNS:
-            raise BeaconLogError(f"{file}: the first line is {','.join(header)!r}", f"it must be {','.join(COLUMNS)}")
+            raise BeaconError(f"{file}: the first line is {','.join(header)!r}", f"it must be {','.join(COLUMNS)}")
         return [_fix(file, number, row) for number, row in enumerate(rows, 2) if row]
 
 
 def _fix(file: Path, number: int, row: list[str]) -> BeaconFix:
     try:
-        stamp, address, *rest = row
-        x, y, z, quality = map(float, rest)
-        fix = BeaconFix(int(stamp), int(address), (x, y, z), quality)
+        stamp, address, *rest, quality = row
+        x, y, z = map(float, rest)
+        rated = float(quality) if quality.strip() else None
+        fix = BeaconFix(int(stamp), int(address), (x, y, z), math.nan if rated is None else rated)
     except ValueError as error:
-        raise BeaconLogError(
+        raise BeaconError(
             f"{file}, line {number}: {','.join(row)!r} is no position of a beacon", f"write {','.join(COLUMNS)}"
         ) from error
-    if not math.isfinite(x + y + z + quality):
-        raise BeaconLogError(f"{file}, line {number}: a number is not finite", "leave such lines out")
+    if not math.isfinite(x + y + z + (rated or 0.0)):
+        raise BeaconError(f"{file}, line {number}: a number is not finite", "leave such lines out")
     return fix

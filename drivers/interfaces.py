@@ -6,6 +6,7 @@ it is bounded in time and leaves no process, port or thread behind.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.camera import CameraModel
-from path.messages import Message
+from path.messages import Message, Vec3
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 from path.protocol.values import ReceiverRecord, SenderRecord
 
@@ -40,6 +41,10 @@ class CameraError(PartError):
 
 class LinkError(PartError):
     """The link to the other drone cannot be opened or used."""
+
+
+class BeaconError(PartError):
+    """The beacons give no positions, or their records are none."""
 
 
 class StateError(PartError):
@@ -285,6 +290,37 @@ class Link(Part, Protocol):
     def send(self, message: Message) -> None: ...
 
     async def receive(self) -> Received: ...
+
+
+# --- beacons ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class BeaconFix:
+    """One position of one mobile beacon.
+
+    Attributes:
+        stamp_ns: its instant, by the beacon system's clock.
+        address: of the beacon.
+        position_m: in the beacon system's frame: z up, turned about the vertical and shifted against any other.
+        quality: 0..100, as the system rates it; NaN when it does not.
+        host_ns: the same instant by the clock of the computer that listens; None in records that do not have it. It
+            is late by what the system does not know of its own delay.
+    """
+
+    stamp_ns: int
+    address: int
+    position_m: Vec3
+    quality: float = math.nan
+    host_ns: int | None = None
+
+
+class Beacons(Part, Protocol):
+    """Positions of beacons as a system or a record gives them, each once, in the order they came."""
+
+    async def read(self, timeout_s: float) -> BeaconFix | None:
+        """The next position; None at the end of a record. Raises BeaconError when none came in time, saying why."""
+        ...
 
 
 # --- log -------------------------------------------------------------------------------------------------------

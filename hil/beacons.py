@@ -1,26 +1,32 @@
-"""An ultrasonic positioning system around a run that was flown in simulation: beacons on both drones and the target.
+"""An ultrasonic positioning system in a simulated world: beacons on both drones and on the target, and what they send.
 
-What a system of this kind gets wrong is put onto the truth of the run's log: noise, a static warp of its frame (its
-stationary beacons are surveyed by themselves), reflections, drop-outs, latency, a clock and a frame of its own.
+What a system of this kind gets wrong is put onto the truth: noise, a static warp of its frame (its stationary beacons
+are surveyed by themselves), reflections, drop-outs, a clock and a frame of its own, and a serial line that delays,
+damages, cuts and adds bytes. The bytes are Marvelmind's; who listens parses them as it would the real ones.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.beacon_log import BeaconFix, BeaconTruth, Mounted, write_beacons
+from drivers.beacon_log import BeaconTruth, Mounted
+from drivers.beacon_record import BeaconRecorder
 from drivers.log import read_log
+from hil import marvelmind_bytes as sent
 from path.messages import Vec3
 from path.rotation import R_from_quat, R_from_rpy, normalized
 
 Array = NDArray[np.float64]
+
+EPOCH_S = 3600.0  # of all clocks: they have been on for a while
+PORT = "modem"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +40,13 @@ class BeaconConfig:
         reflection_rate, reflection_m: share of the positions at which a row of wrong ones begins (1 to 3 of them), and
             how far off these are; two thirds of them are rated poorly by the system itself.
         drop_rate, gap_rate, gap_s: single positions missing; gaps, per second, and how long they last.
-        latency_s, jitter_s: how much later than its instant a position is stamped.
-        clock_offset_s: of the system's clock, evenly within plus and minus this; ``drift_ppm`` likewise.
+        latency_s, jitter_s: from the ultrasound to the frame, which says it.
+        stamp_jitter_s: of the stamped instant itself: ranges to several beacons are not taken at one instant.
+        wire_s, wire_jitter_s: least way from the frame to the listener, and the mean of what comes on top.
+        late_rate, late_s: share of the frames that the line holds back, and for how long at most.
+        damage_rate: share of the frames that are cut, have a bit turned, or have noise before them, each.
+        clock_offset_s: of the system's and of the listener's clock, evenly within plus and minus this.
+        drift_ppm: of both, likewise.
     """
 
     rate_hz: float = 8.0
@@ -49,6 +60,12 @@ class BeaconConfig:
     gap_s: float = 1.0
     latency_s: float = 0.06
     jitter_s: float = 0.01
+    stamp_jitter_s: float = 0.01
+    wire_s: float = 0.0015
+    wire_jitter_s: float = 0.001
+    late_rate: float = 0.005
+    late_s: float = 0.15
+    damage_rate: float = 0.003
     clock_offset_s: float = 20.0
     drift_ppm: float = 20.0
 
@@ -67,50 +84,169 @@ class BeaconConfig:
                 "missing positions",
                 f"{100 * self.drop_rate:g} %, and gaps of {self.gap_s:g} s, {60 * self.gap_rate:g} a minute",
             ),
-            ("latency", f"{1e3 * self.latency_s:g} ms, jitter {1e3 * self.jitter_s:g} ms"),
-            ("the beacons' clock", f"off by up to {self.clock_offset_s:g} s, drifts by up to {self.drift_ppm:g} ppm"),
+            ("age of a position", f"{1e3 * self.latency_s:g} ms, jitter {1e3 * self.jitter_s:g} ms; its frame says it"),
+            ("stamp of a position", f"in whole ms, jitter {1e3 * self.stamp_jitter_s:g} ms"),
+            (
+                "serial line",
+                f"{1e3 * self.wire_s:g} ms and {1e3 * self.wire_jitter_s:g} ms more on average, "
+                f"{100 * self.late_rate:g} % of the frames held back by up to {1e3 * self.late_s:g} ms; "
+                f"{100 * self.damage_rate:g} % each cut, with a wrong bit, after noise",
+            ),
+            (
+                "clocks of the beacons and of who listens",
+                f"off by up to {self.clock_offset_s:g} s, drift by up to {self.drift_ppm:g} ppm",
+            ),
             ("the beacons' frame", "turned about the vertical by any angle, shifted by up to 10 m"),
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Bytes that reach the listener together, at an instant of the world."""
+
+    arrives_s: float
+    data: bytes
+
+
+@dataclass(slots=True)
+class _Beacon:
+    """One mobile beacon: what it is in the middle of."""
+
+    silent_until_s: float = -math.inf
+    wrong: list[tuple[Vec3, float]] = field(default_factory=list[tuple[Vec3, float]])  # to come, with their quality
+
+
+class BeaconSystem:
+    """Beacons by name, as they take turns. One seed gives one history for the same places.
+
+    Attributes:
+        frame: (R, origin): a point of the world is ``R p + origin`` in the system's frame.
+        listener_offset_s: the listener's clock minus the world's, at the world's ``drift_from_s``.
+    """
+
+    def __init__(
+        self, config: BeaconConfig, seed: int, addresses: Mapping[str, int], drift_from_s: float = 0.0
+    ) -> None:
+        self._config, self._rng = config, np.random.default_rng([seed, 0xBEAC])
+        self._addresses = dict(addresses)
+        rng = self._rng
+        self._clock_s, self.listener_offset_s = EPOCH_S + rng.uniform(-1.0, 1.0, 2) * config.clock_offset_s
+        self._drift, self._listener_drift = 1e-6 * config.drift_ppm * rng.uniform(-1.0, 1.0, 2)
+        self._drift_from_s = drift_from_s
+        self.yaw_rad = float(rng.uniform(-math.pi, math.pi))
+        self.origin_m: Array = rng.uniform(-10.0, 10.0, 3)
+        self._R = R_from_rpy(0.0, 0.0, self.yaw_rad)
+        self._warp = _Warp(config, rng)
+        self._beacons = {name: _Beacon() for name in addresses}
+        self._line_free_s = -math.inf
+        self._turns = 0
+
+    def turns(self, begin_s: float) -> Iterator[tuple[float, str]]:
+        """Instants of ultrasound and whose, without end."""
+        names = list(self._addresses)
+        step_s = 1.0 / (self._config.rate_hz * len(names))
+        turn = 0
+        while True:
+            yield begin_s + turn * step_s, names[turn % len(names)]
+            turn += 1
+
+    def listener_s(self, world_s: float) -> float:
+        """The listener's clock at an instant of the world."""
+        return world_s + self.listener_offset_s + self._listener_drift * (world_s - self._drift_from_s)
+
+    def hear(self, name: str, time_s: float, place_w: Array) -> Chunk:
+        """One turn of one beacon: what the line brings because of it, perhaps nothing of use.
+
+        Args:
+            time_s: instant of the ultrasound, by the world.
+            place_w: (3,) where the beacon truly is.
+        """
+        config, rng = self._config, self._rng
+        latency_s = max(0.0, config.latency_s + config.jitter_s * rng.standard_normal())
+        data = b"".join(self._damaged(each) for each in self._frames(name, time_s, place_w, latency_s))
+        late_s = rng.uniform(0.0, config.late_s) if rng.random() < config.late_rate else 0.0
+        way_s = config.wire_s + rng.exponential(config.wire_jitter_s) + late_s
+        self._line_free_s = max(self._line_free_s, time_s + latency_s + way_s)  # bytes do not overtake each other
+        return Chunk(self._line_free_s, data)
+
+    def _frames(self, name: str, time_s: float, place_w: Array, latency_s: float) -> Iterator[bytes]:
+        address = self._addresses[name]
+        shown_s = time_s + self._clock_s + self._drift * (time_s - self._drift_from_s)
+        stamp_ms = math.floor(1e3 * (shown_s + self._config.stamp_jitter_s * self._rng.standard_normal()))
+        self._turns += 1
+        shown = self._shown(self._beacons[name], time_s, place_w)
+        if shown is not None:
+            place, quality = shown
+            yield sent.quality(address, round(quality))
+            yield sent.position(stamp_ms, address, place, round(1e3 * latency_s))
+        yield sent.imu(stamp_ms, self._rng.bytes(18))
+        if self._turns % 24 == 1:
+            yield sent.telemetry(3.9, -60)
+            yield sent.stationary({k: (4.0 * (k % 2), 4.0 * (k // 2), 2.0) for k in range(1, 5)})
+
+    def _shown(self, beacon: _Beacon, time_s: float, place_w: Array) -> tuple[Vec3, float] | None:
+        """The position as the system has it, and its quality; None when it has none."""
+        config, rng = self._config, self._rng
+        if rng.random() < config.gap_rate / config.rate_hz:
+            beacon.silent_until_s = time_s + config.gap_s
+        if rng.random() < config.reflection_rate and not beacon.wrong:
+            off_m = tuple((config.reflection_m * rng.standard_normal(3)).tolist())
+            quality = rng.uniform(20.0, 70.0) if rng.random() < 2.0 / 3.0 else math.nan
+            beacon.wrong = [(off_m, quality)] * int(rng.integers(1, 4))
+        noise_m, quality = rng.normal(0.0, config.noise_m, 3), float(np.clip(rng.normal(92.0, 4.0), 0.0, 100.0))
+        off_m, poor = beacon.wrong.pop() if beacon.wrong else ((0.0, 0.0, 0.0), math.nan)
+        if rng.random() < config.drop_rate or time_s < beacon.silent_until_s:
+            return None
+        place = place_w + self._warp.at(place_w[None])[0] + noise_m + off_m
+        x, y, z = (self._R @ place + self.origin_m).tolist()
+        return (x, y, z), quality if math.isnan(poor) else poor
+
+    def _damaged(self, frame: bytes) -> bytes:
+        rng = self._rng
+        what = int(rng.random() / self._config.damage_rate) if self._config.damage_rate > 0.0 else 3
+        if what == 0:
+            return frame[: int(rng.integers(1, len(frame)))]
+        if what == 1:
+            bit = int(rng.integers(0, 8 * len(frame)))
+            return (int.from_bytes(frame, "little") ^ (1 << bit)).to_bytes(len(frame), "little")
+        if what == 2:
+            return rng.bytes(int(rng.integers(1, 40))) + frame
+        return frame
+
+
 def listen(world_log: Path, file: Path, seed: int, mounted: Mapping[str, Mounted]) -> BeaconTruth:
-    """Write what the beacons of a run would have logged; returns what is true of them.
+    """Write what somebody with a computer of his own would have recorded of the beacons during a run.
 
     Args:
+        file: of the record (``drivers.beacon_record``).
         mounted: by body: "sender", "receiver" (lever in the body, FRD) or "target" (in the frame of an object).
+
+    Returns:
+        What is true of the beacons.
 
     Raises:
         ValueError: the log holds no truth.
         OSError: a file cannot be read or written.
     """
-    config, rng = BeaconConfig(), np.random.default_rng([seed, 0xBEAC])
+    config = BeaconConfig()
     stamps_s, paths = _paths(world_log, mounted)
-    offset_s, drift = rng.uniform(-config.clock_offset_s, config.clock_offset_s), rng.uniform(-1.0, 1.0)
-    yaw, origin = rng.uniform(-math.pi, math.pi), rng.uniform(-10.0, 10.0, 3)
-    warp = _Warp(config, rng)
-    middle_s = 0.5 * (stamps_s[0] + stamps_s[-1])
-    c, s = math.cos(yaw), math.sin(yaw)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    epoch_s = 3600.0  # of the system's clock: it has been on for a while
-    fixes: list[BeaconFix] = []
-    for turn, (name, path) in enumerate(paths.items()):
-        begin_s = stamps_s[0] + turn / len(paths) / config.rate_hz
-        instants = np.arange(begin_s, stamps_s[-1], 1.0 / config.rate_hz)
-        places = np.column_stack([np.interp(instants, stamps_s, path[:, k]) for k in range(3)])
-        places = places + warp.at(places) + rng.normal(0.0, config.noise_m, places.shape)
-        quality = np.clip(rng.normal(92.0, 4.0, len(instants)), 0.0, 100.0)
-        _reflect(places, quality, config, rng)
-        kept = rng.random(len(instants)) >= config.drop_rate
-        for gap_s in instants[rng.random(len(instants)) < config.gap_rate / config.rate_hz]:
-            kept &= (instants < gap_s) | (instants > gap_s + config.gap_s)
-        late = config.latency_s + config.jitter_s * rng.standard_normal(len(instants))
-        shown_s = instants + late - offset_s + 1e-6 * config.drift_ppm * drift * (instants - middle_s) + epoch_s
-        for k in np.flatnonzero(kept):
-            x, y, z = (R @ places[k] + origin).tolist()
-            fixes.append(BeaconFix(round(shown_s[k] * 1e9), mounted[name].address, (x, y, z), float(quality[k])))
-    write_beacons(file, sorted(fixes, key=lambda fix: (fix.stamp_ns, fix.address)))
-    x, y, z = origin.tolist()
-    return BeaconTruth(offset_s - config.latency_s - epoch_s, yaw, (x, y, z), config.table)
+    addresses = {name: own.address for name, own in mounted.items()}
+    system = BeaconSystem(config, seed, addresses, 0.5 * float(stamps_s[0] + stamps_s[-1]))
+    recorder = BeaconRecorder(file, 0.0)
+    for time_s, name in system.turns(float(stamps_s[0])):
+        if time_s > stamps_s[-1]:
+            break
+        place_w = np.array([np.interp(time_s, stamps_s, paths[name][:, k]) for k in range(3)])
+        chunk = system.hear(name, time_s, place_w)
+        recorder.write(PORT, round(1e9 * system.listener_s(chunk.arrives_s)), chunk.data)
+    recorder.close()
+    return truth_of(system, config)
+
+
+def truth_of(system: BeaconSystem, config: BeaconConfig) -> BeaconTruth:
+    """What a trial may be judged by."""
+    x, y, z = system.origin_m.tolist()
+    return BeaconTruth(-float(system.listener_offset_s), system.yaw_rad, (x, y, z), config.table)
 
 
 class _Warp:
@@ -129,15 +265,6 @@ class _Warp:
         """(n, 3) for places (n, 3)."""
         angles = (places @ self._waves.T)[:, :, None] + self._phases
         return self._scale * np.sin(angles).sum(axis=1)
-
-
-def _reflect(places: Array, quality: Array, config: BeaconConfig, rng: np.random.Generator) -> None:
-    """Put rows of reflections into the positions."""
-    for begin in np.flatnonzero(rng.random(len(places)) < config.reflection_rate):
-        row = slice(begin, begin + int(rng.integers(1, 4)))
-        places[row] += config.reflection_m * rng.standard_normal(3)
-        if rng.random() < 2.0 / 3.0:
-            quality[row] = rng.uniform(20.0, 70.0)
 
 
 def _paths(world_log: Path, mounted: Mapping[str, Mounted]) -> tuple[Array, dict[str, Array]]:

@@ -14,7 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.beacon_log import BeaconFix, BeaconTruth, Mounted, read_beacons
+from drivers.beacon_log import BeaconTruth, Mounted
+from drivers.beacon_record import read_any
+from drivers.interfaces import BeaconFix
 from drivers.log import LogRecord
 from drivers.rig import Rig, import_factory
 from missions.handoff import fly_once
@@ -30,7 +32,7 @@ BEACONS = {
     "receiver": Mounted(6, (0.0, 0.0, -0.05)),
     "target": Mounted(7, (-0.03, 0.0, 0.17)),  # on its roof
 }
-BEACON_LOG = "beacons.csv"
+BEACON_LOG = "beacons.mcap"
 TARGET_MPS = 0.45
 VERIFY_S = 20.0  # of agreement before the hand-over, so that there is something to compare
 FOLLOW_S = 1.0
@@ -164,7 +166,8 @@ def _rms_speed(records: Mapping[str, Sequence[LogRecord]]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """The beacons' log by body, without what is plainly wrong: by the beacons' clock, s, in their frame."""
+    """The beacons' log by body, without what is plainly wrong: by the clock of who listened (the beacons' own in a log
+    without it), s, in their frame."""
 
     paths: Mapping[str, Trajectory]
     fixes: int
@@ -173,20 +176,28 @@ class Heard:
 
 def load_beacons(file: Path) -> Heard:
     """Poorly rated positions and jumps are left out, and counted."""
-    fixes = read_beacons(file)
+    fixes = read_any(file)
+    return heard_of(fixes)
+
+
+def heard_of(fixes: Sequence[BeaconFix]) -> Heard:
     paths = {name: _clean([fix for fix in fixes if fix.address == own.address]) for name, own in BEACONS.items()}
     return Heard(paths, len(fixes), len(fixes) - sum(len(path.t) for path in paths.values()))
 
 
 def _clean(fixes: Sequence[BeaconFix]) -> Trajectory:
-    rated = sorted((fix for fix in fixes if fix.quality >= MIN_QUALITY), key=lambda fix: fix.stamp_ns)
-    t, p = np.array([fix.stamp_ns for fix in rated]) * 1e-9, np.array([fix.position_m for fix in rated])
+    rated = sorted((fix for fix in fixes if not fix.quality < MIN_QUALITY), key=_instant_ns)
+    t, p = np.array([_instant_ns(fix) for fix in rated]) * 1e-9, np.array([fix.position_m for fix in rated])
     half = MEDIAN_OVER // 2
     padded = np.pad(p, ((half, half), (0, 0)), mode="edge")
     median = np.median(np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_OVER, axis=0), axis=2)
     fine = np.linalg.norm(p - median, axis=1) < JUMP_M
     fine[1:] &= np.diff(t) > 0.0
     return Trajectory(t[fine], p[fine])
+
+
+def _instant_ns(fix: BeaconFix) -> int:
+    return fix.stamp_ns if fix.host_ns is None else fix.host_ns
 
 
 def between(of: Trajectory, base: Trajectory) -> tuple[Trajectory, Array]:

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.beacon_log import BeaconFix, BeaconTruth, Mounted, read_beacons
+from drivers.beacon_log import BeaconTruth, Mounted
+from drivers.beacon_record import read_any
+from drivers.interfaces import BeaconFix
 from drivers.log import McapLog
 from hil.beacons import BeaconConfig, listen
 from path.rotation import R_from_rpy, quat_from_R
@@ -36,15 +38,15 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[BeaconFix], Be
                 "objects": [[3, 9.0, 9.0, 0.0, 0.0], [0, 4.0, 5.0, 0.0, np.pi]],
             }
             log.write("/truth", k * 40_000_000, record)
-    truth = listen(folder / "world.mcap", folder / "beacons.csv", 3, MOUNTED)
-    return read_beacons(folder / "beacons.csv"), truth
+    truth = listen(folder / "world.mcap", folder / "beacons.mcap", 3, MOUNTED)
+    return read_any(folder / "beacons.mcap"), truth
 
 
 def of(heard: tuple[list[BeaconFix], BeaconTruth], address: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Instants of the world, places in the world, quality."""
     fixes, truth = [fix for fix in heard[0] if fix.address == address], heard[1]
     p = (np.array([fix.position_m for fix in fixes]) - truth.origin_m) @ R_from_rpy(0.0, 0.0, truth.yaw_rad)
-    return np.array([fix.stamp_ns for fix in fixes]) * 1e-9 + truth.offset_s, p, np.array([f.quality for f in fixes])
+    return np.array([fix.host_ns for fix in fixes]) * 1e-9 + truth.offset_s, p, np.array([f.quality for f in fixes])
 
 
 def test_rate_and_gaps_are_as_stated(heard: tuple[list[BeaconFix], BeaconTruth]) -> None:
@@ -98,4 +100,4 @@ def test_a_log_without_truth_is_refused(tmp_path: Path) -> None:
     with McapLog(tmp_path / "world.mcap") as log:
         log.write("/scene", 0, {"target_id": 0})
     with pytest.raises(ValueError, match="no truth"):
-        listen(tmp_path / "world.mcap", tmp_path / "beacons.csv", 1, MOUNTED)
+        listen(tmp_path / "world.mcap", tmp_path / "beacons.mcap", 1, MOUNTED)

@@ -1,0 +1,63 @@
+"""What Marvelmind's beacons send, byte by byte: written from the document, apart from the driver that reads it."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+
+from path.messages import Vec3
+
+UNAVAILABLE, ANOTHER, NO_ANGLE = 0x01, 0x40, 0x2000  # another: not the beacon that is connected
+
+
+def checksum(data: bytes) -> int:
+    """CRC-16/MODBUS bit by bit."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
+    return crc
+
+
+def frame(code: int, body: bytes) -> bytes:
+    told = bytes((0xFF, 0x47)) + code.to_bytes(2, "little") + bytes((len(body),)) + body
+    return told + checksum(told).to_bytes(2, "little")
+
+
+def position(stamp_ms: int, address: int, place_m: Vec3 | None, age_ms: int, flags: int = ANOTHER) -> bytes:
+    """Code 0x0011, mm. Without a place the system has lost the beacon."""
+    x, y, z = (round(1e3 * each) for each in place_m or (0.0, 0.0, 0.0))
+    flags |= 0 if place_m is not None else UNAVAILABLE
+    told = struct.pack("<IiiiBBHH", stamp_ms % (1 << 32), x, y, z, flags, address, NO_ANGLE, age_ms)
+    return frame(0x0011, told)
+
+
+def position_cm(stamp_ms: int, address: int, place_m: Vec3, age_ms: int = 0) -> bytes:
+    """Code 0x0001, of older firmware."""
+    x, y, z = (round(1e2 * each) for each in place_m)
+    return frame(0x0001, struct.pack("<IhhhBBHH", stamp_ms, x, y, z, ANOTHER, address, NO_ANGLE, age_ms))
+
+
+def position_nt(stamp_ms: int, address: int, place_m: Vec3, age_ms: int = 0) -> bytes:
+    """Code 0x0081, with a stamp of 64 bits."""
+    x, y, z = (round(1e3 * each) for each in place_m)
+    return frame(0x0081, struct.pack("<QiiiBBHH", stamp_ms, x, y, z, ANOTHER, address, NO_ANGLE, age_ms))
+
+
+def quality(address: int, percent: int) -> bytes:
+    return frame(0x0007, bytes((address, percent)) + bytes(14))
+
+
+def telemetry(battery_v: float, rssi_dbm: int) -> bytes:
+    return frame(0x0006, struct.pack("<Hb13x", round(1e3 * battery_v), rssi_dbm))
+
+
+def imu(stamp_ms: int, readings: bytes) -> bytes:
+    """Code 0x0003: nine raw readings of two bytes each."""
+    return frame(0x0003, readings[:18] + bytes(6) + struct.pack("<I4x", stamp_ms % (1 << 32)))
+
+
+def stationary(places_m: Mapping[int, Vec3]) -> bytes:
+    told = (struct.pack("<Biiix", address, *(round(1e3 * e) for e in place)) for address, place in places_m.items())
+    return frame(0x0012, bytes((len(places_m),)) + b"".join(told))
