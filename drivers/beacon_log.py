@@ -15,6 +15,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from drivers.interfaces import BeaconError, BeaconFix
 from path.messages import Vec3
 
@@ -27,6 +29,10 @@ class Mounted:
 
     address: int
     lever_m: Vec3
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.address <= 255:
+            raise ValueError(f"address: {self.address} is not within 0..255")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +50,21 @@ class BeaconTruth:
     yaw_rad: float
     origin_m: Vec3
     noise: tuple[tuple[str, str], ...]
+
+
+def write_truth(file: Path, truth: BeaconTruth) -> None:
+    """Raises OSError."""
+    file.write_bytes(msgspec.json.format(msgspec.json.encode(truth)))
+
+
+def read_truth(file: Path) -> BeaconTruth | None:
+    """None when there is no such file: nobody knows. Raises BeaconError for one that is something else, OSError."""
+    try:
+        return msgspec.json.decode(file.read_bytes(), type=BeaconTruth)
+    except FileNotFoundError:
+        return None
+    except msgspec.MsgspecError as error:
+        raise BeaconError(f"{file}: {error}", "it is the harness's own file: leave it as it was written") from error
 
 
 def write_beacons(file: Path, fixes: Iterable[BeaconFix]) -> None:

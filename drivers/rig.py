@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from drivers.beacon_log import Mounted
 from drivers.interfaces import Clock
 from drivers.tables import RigError, decode_table, suggestion
 from path.camera import CameraModel
@@ -96,6 +97,30 @@ class PartContext:
 
 
 @dataclass(frozen=True, slots=True)
+class Reference:
+    """The ultrasonic system that trials in flight measure against: its beacons, and who listens to them.
+
+    Attributes:
+        sender, receiver: with the lever in the drone's body (FRD).
+        target: with the lever in the target's frame, x ahead and z up.
+        beacons: a part that is a ``drivers.interfaces.Beacons``; None where a harness makes their records up.
+    """
+
+    sender: Mounted
+    receiver: Mounted
+    target: Mounted
+    beacons: PartSpec | None = None
+
+    def __post_init__(self) -> None:
+        if len({own.address for own in self.mounted.values()}) < 3:
+            raise ValueError("two beacons have the same address")
+
+    @property
+    def mounted(self) -> dict[str, Mounted]:
+        return {"sender": self.sender, "receiver": self.receiver, "target": self.target}
+
+
+@dataclass(frozen=True, slots=True)
 class RoleRig:
     """One drone of the rig. ``camera_serial``: of the camera that ``camera`` is the calibration of, "" if not known."""
 
@@ -118,7 +143,7 @@ class RoleRig:
 class Rig:
     """A whole rig. ``mission`` and ``world`` stay tables: who uses them decodes them with ``decode_table``.
 
-    ``trials`` names what trials measure against, ``module:name`` by purpose.
+    ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None without beacons.
     """
 
     name: str
@@ -134,6 +159,7 @@ class Rig:
     sender: RoleRig
     receiver: RoleRig
     file: Path
+    reference: Reference | None = None
 
     def role(self, role: Role) -> RoleRig:
         return self.sender if role is Role.SENDER else self.receiver

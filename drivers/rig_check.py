@@ -52,6 +52,8 @@ def _decode_parts(rig: Rig, problems: Problems) -> dict[str, Any]:
     for role in Role:
         for spec in rig.role(role).parts:
             _check_part(spec, configs, problems)
+    if rig.reference is not None and rig.reference.beacons is not None:
+        _check_part(rig.reference.beacons, configs, problems)
     return configs
 
 

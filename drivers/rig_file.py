@@ -8,6 +8,7 @@ harness = "hil.sitl:Sitl"            # left out in the field
 [mission]                            # decoded by the missions
 [world]                              # decoded by the harness
 [trials]                             # what trials measure against: studio = "hil.studio:Studio", ...
+[reference.sender], .receiver, .target   # beacons that trials measure against; [reference.beacons] is who listens
 [[markers]]                          # the marker layout on the sender, in frame v
 [sender.vehicle]                     # a part: its factory, and the options of its Config
 factory = "drivers.mavsdk_vehicle:MavsdkVehicle"
@@ -31,6 +32,7 @@ import numpy as np
 from drivers.calibration_file import CalibrationError, CameraTable, MountCalibration, read_camera
 from drivers.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, axis_turn
 from drivers.rig import Level, Mount, Origin, PartSpec, Rig, RoleRig
+from drivers.rig import Level, Mount, Origin, PartSpec, Reference, Rig, RoleRig
 from drivers.tables import RigError, decode_table, suggestion
 from path.camera import CameraModel
 from path.config import MethodConfig
@@ -127,6 +129,7 @@ class _RigTable:
     mission: dict[str, Any] = field(default_factory=dict[str, Any])
     world: dict[str, Any] = field(default_factory=dict[str, Any])
     trials: dict[str, str] = field(default_factory=dict[str, str])
+    reference: Reference | None = None
 
     def __post_init__(self) -> None:
         self.layout()
@@ -201,6 +204,7 @@ def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
         sender=_role_rig(written.sender, T_b_v),
         receiver=_role_rig(written.receiver, T_b_v),
         file=path,
+        reference=written.reference,
     )
 
 

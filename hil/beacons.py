@@ -8,7 +8,7 @@ damages, cuts and adds bytes. The bytes are Marvelmind's; who listens parses the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.beacon_log import BeaconTruth, Mounted
-from drivers.beacon_record import BeaconRecorder
 from drivers.log import read_log
 from hil import marvelmind_bytes as sent
 from path.messages import Vec3
@@ -214,11 +213,13 @@ class BeaconSystem:
         return frame
 
 
-def listen(world_log: Path, file: Path, seed: int, mounted: Mapping[str, Mounted]) -> BeaconTruth:
-    """Write what somebody with a computer of his own would have recorded of the beacons during a run.
+def listen(
+    world_log: Path, hear: Callable[[str, int, bytes], object], seed: int, mounted: Mapping[str, Mounted]
+) -> BeaconTruth:
+    """Let somebody with a computer of his own hear what the beacons would have sent during a run.
 
     Args:
-        file: of the record (``drivers.beacon_record``).
+        hear: called with (port, arrival_ns, bytes), by the listener's clock, in order.
         mounted: by body: "sender", "receiver" (lever in the body, FRD) or "target" (in the frame of an object).
 
     Returns:
@@ -226,20 +227,19 @@ def listen(world_log: Path, file: Path, seed: int, mounted: Mapping[str, Mounted
 
     Raises:
         ValueError: the log holds no truth.
-        OSError: a file cannot be read or written.
+        OSError: it cannot be read.
     """
     config = BeaconConfig()
     stamps_s, paths = _paths(world_log, mounted)
     addresses = {name: own.address for name, own in mounted.items()}
     system = BeaconSystem(config, seed, addresses, 0.5 * float(stamps_s[0] + stamps_s[-1]))
-    recorder = BeaconRecorder(file, 0.0)
     for time_s, name in system.turns(float(stamps_s[0])):
         if time_s > stamps_s[-1]:
             break
         place_w = np.array([np.interp(time_s, stamps_s, paths[name][:, k]) for k in range(3)])
         chunk = system.hear(name, time_s, place_w)
-        recorder.write(PORT, round(1e9 * system.listener_s(chunk.arrives_s)), chunk.data)
-    recorder.close()
+        if chunk.data:
+            hear(PORT, round(1e9 * system.listener_s(chunk.arrives_s)), chunk.data)
     return truth_of(system, config)
 
 

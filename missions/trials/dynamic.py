@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from missions import rig_library
 from missions.trials import dynamic_report as report
-from missions.trials.dynamic_flight import VERIFY_S, FlightOrder, Flown, fly, moving
-from missions.trials.dynamic_judge import SUBJECTS, Compared, Judged, judge
+from missions.trials.dynamic_flight import VERIFY_S, FlightOrder, Flown, fly, moving, reference_of
+from missions.trials.dynamic_judge import SUBJECTS, Compared, Judged, judge, true_places
 from missions.trials.dynamic_pictures import draw_coast, draw_errors, draw_map
 from missions.trials.statistics import RESAMPLES, Interval
 from missions.trials.trial import Picture, TrialRequest, TrialResult, trial_part
@@ -37,9 +37,10 @@ QUICK_VERIFY_S = 8.0
 
 def run(request: TrialRequest) -> TrialResult:
     trial_part(request.rig, "beacons")
+    reference_of(request.rig)
     rig = request.rig
     if request.quick:  # the geometric sight instead of rendered frames: the same mission, seconds instead of minutes
-        rig = replace(rig_library.load(QUICK_LEVEL), trials=rig.trials)
+        rig = replace(rig_library.load(QUICK_LEVEL), trials=rig.trials, reference=rig.reference)
     flights = 1 if request.quick else FLIGHTS
     rig = moving(rig, QUICK_VERIFY_S if request.quick else VERIFY_S)
     orders = [
@@ -50,8 +51,8 @@ def run(request: TrialRequest) -> TrialResult:
     judged = request.work.map("flights judged", judge, [(each, rig) for each in flown])
     rng = np.random.default_rng([request.seed, 2])
     summary = _summary(judged, rng)
-    for draw, file in ((draw_map, "map.png"), (draw_errors, "errors.png")):
-        draw(judged[0], request.out / file)
+    draw_map(judged[0], request.out / "map.png", true_places(judged[0]))
+    draw_errors(judged[0], request.out / "errors.png", judged[0].truth)
     draw_coast(judged, request.out / "coast.png")
     estimator = request.part("estimator")(**rig.world.get("estimator", {}))
     return TrialResult(

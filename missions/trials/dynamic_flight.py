@@ -15,24 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.beacon_log import BeaconTruth, Mounted
-from drivers.beacon_record import read_any
-from drivers.interfaces import BeaconFix
+from drivers.beacon_record import BeaconRecorder
+from drivers.interfaces import BeaconFix, PartError
 from drivers.log import LogRecord
-from drivers.rig import Rig, import_factory
+from drivers.rig import Reference, Rig, import_factory
 from missions.handoff import fly_once
-from missions.records import WORLD_LOG, Run, load_run
+from missions.records import WORLD_LOG, Run
 from missions.trials.trajectory import Trajectory
 from path.geometry import Pose
 from path.rotation import R_from_quat, normalized
 
 Array = NDArray[np.float64]
 
-BEACONS = {
-    "sender": Mounted(5, (0.0, 0.0, -0.05)),  # on the drone's back
-    "receiver": Mounted(6, (0.0, 0.0, -0.05)),
-    "target": Mounted(7, (-0.03, 0.0, 0.17)),  # on its roof
-}
-BEACON_LOG = "beacons.mcap"
+BEACON_RECORD, BEACON_LIST, BEACON_TRUTH = "beacons.mcap", "beacons.csv", "beacons.truth.json"
 TARGET_MPS = 0.45
 VERIFY_S = 20.0  # of agreement before the hand-over, so that there is something to compare
 FOLLOW_S = 1.0
@@ -81,8 +76,21 @@ def fly(order: FlightOrder) -> Flown:
     order.folder.mkdir(parents=True, exist_ok=True)
     facts = fly_once(order.rig, order.seed, (), order.folder, lambda _: None)
     listen = import_factory(order.beacons, order.rig.where("trials.beacons"))
-    truth = listen(order.folder / WORLD_LOG, order.folder / BEACON_LOG, order.seed, BEACONS)
+    recorder = BeaconRecorder(order.folder / BEACON_RECORD, 0.0)
+    truth = listen(order.folder / WORLD_LOG, recorder.write, order.seed, reference_of(order.rig).mounted)
+    recorder.close()
     return Flown(order.folder, order.seed, facts.outcome, facts.simulated_s, truth)
+
+
+def reference_of(rig: Rig) -> Reference:
+    """Raises PartError for a rig without beacons."""
+    if rig.reference is None:
+        raise PartError(
+            f"{rig.where('[reference]')}: missing table",
+            "say which beacon is on which body: [reference.sender], [reference.receiver] and [reference.target], each "
+            "with address and lever_m (docs/beacons.md)",
+        )
+    return rig.reference
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +114,7 @@ class Motions:
 
 def load_motions(run: Run, rig: Rig) -> Motions:
     """Read from the logs of the roles alone."""
-    levers = {name: np.array(mounted.lever_m) for name, mounted in BEACONS.items()}
+    levers = {name: np.array(mounted.lever_m) for name, mounted in reference_of(rig).mounted.items()}
     states = run.receiver["/state"]
     offsets = [r.record["clock_offset_ns"] for r in run.receiver["/link"]]  # D1's clock minus D2's, by their pings
     offset_ns = int(np.median([offset for offset in offsets if offset is not None]))
@@ -174,19 +182,16 @@ class Heard:
     refused: int
 
 
-def load_beacons(file: Path) -> Heard:
+def heard_of(fixes: Sequence[BeaconFix], mounted: Mapping[str, Mounted]) -> Heard:
     """Poorly rated positions and jumps are left out, and counted."""
-    fixes = read_any(file)
-    return heard_of(fixes)
-
-
-def heard_of(fixes: Sequence[BeaconFix]) -> Heard:
-    paths = {name: _clean([fix for fix in fixes if fix.address == own.address]) for name, own in BEACONS.items()}
+    paths = {name: _clean([fix for fix in fixes if fix.address == own.address]) for name, own in mounted.items()}
     return Heard(paths, len(fixes), len(fixes) - sum(len(path.t) for path in paths.values()))
 
 
 def _clean(fixes: Sequence[BeaconFix]) -> Trajectory:
     rated = sorted((fix for fix in fixes if not fix.quality < MIN_QUALITY), key=_instant_ns)
+    if len(rated) < MEDIAN_OVER:
+        return Trajectory(np.zeros(0), np.zeros((0, 3)))
     t, p = np.array([_instant_ns(fix) for fix in rated]) * 1e-9, np.array([fix.position_m for fix in rated])
     half = MEDIAN_OVER // 2
     padded = np.pad(p, ((half, half), (0, 0)), mode="edge")
@@ -207,7 +212,3 @@ def between(of: Trajectory, base: Trajectory) -> tuple[Trajectory, Array]:
     after = np.clip(np.searchsorted(base.t, of.t[known]), 1, len(base.t) - 1)
     share = (of.t[known] - base.t[after - 1]) / (base.t[after] - base.t[after - 1])
     return Trajectory(of.t[known], (of.p - at_base)[known]), 1.0 + share**2 + (1.0 - share) ** 2
-
-
-def load(flown: Flown) -> tuple[Run, Heard]:
-    return load_run(flown.folder), load_beacons(flown.folder / BEACON_LOG)

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.beacon_log import BeaconTruth
+from drivers.beacon_record import read_any
 from drivers.rig import Rig
 from missions.records import Run, load_run
 from missions.summary import target_error_m
 from missions.trials.dynamic_coast import Coasts, coasts
 from missions.trials.dynamic_flight import (
-    BEACON_LOG,
+    BEACON_RECORD,
     Flown,
     Heard,
     Motions,
     between,
-    load_beacons,
+    heard_of,
     load_motions,
+    reference_of,
 )
 from missions.trials.trajectory import (
     Alignment,
@@ -65,64 +68,79 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """A flight: how the records lie to each other, and how far apart they are.
+class Measured:
+    """A session as its records alone give it: how they lie to each other, and how far apart they are.
 
     Attributes:
         clock: the beacons' clock and frame against what both vehicles believe of their own motion.
         frame, free: their frame against PATH's trajectories: about the vertical, and by any rotation.
-        offset_error_s, yaw_error_rad: of ``clock`` and ``frame``, judged by the harness.
         noise_m: of a beacon position per axis, from its spread before anything moved.
-        beacons, truth: by subject.
+        beacons: by subject.
     """
 
-    flown: Flown
     heard: Heard
     motions: Motions
     clock: Alignment
     frame: Alignment
     free: Alignment
-    offset_error_s: float
-    yaw_error_rad: float
     noise_m: float
     noise_samples: int
     beacons: dict[str, Compared]
+
+
+@dataclass(frozen=True, slots=True)
+class Judged(Measured):
+    """The same, judged by the harness.
+
+    Attributes:
+        offset_error_s, yaw_error_rad: of ``clock`` and ``frame``.
+        truth: by subject.
+    """
+
+    flown: Flown
+    offset_error_s: float
+    yaw_error_rad: float
     truth: dict[str, Compared]
     coasts: Coasts
 
 
-def judge(order: tuple[Flown, Rig]) -> Judged:
-    """Everything the trial says of one flight."""
-    flown, rig = order
-    run, heard = load_run(flown.folder), load_beacons(flown.folder / BEACON_LOG)
+def measure(run: Run, heard: Heard, rig: Rig, seed: int) -> Measured:
+    """Everything that the records say. Raises ValueError when they are too short or have nothing in common."""
     motions = load_motions(run, rig)
-    rng = np.random.default_rng([flown.seed, 1])
+    rng = np.random.default_rng([seed, 1])
     clock = clock_of(motions, heard, rng)
     pairs, noise_factors = pairs_of(motions, heard)
     frame = align(pairs, clock.offset_s, rng, fit_offset=False)
     free = align(pairs, clock.offset_s, rng, fit_offset=False, turn="any")
     noise_m, samples = noise_at_rest(motions, heard, clock.offset_s)
+    beacons = {
+        name: _against_beacons(pair, frame, k, noise_m, noise_factors[k])
+        for k, (name, pair) in enumerate(zip(SUBJECTS, pairs, strict=True))
+    }
+    return Measured(heard, motions, clock, frame, free, noise_m, samples, beacons)
+
+
+def judge(order: tuple[Flown, Rig]) -> Judged:
+    """Everything the trial says of one flight."""
+    flown, rig = order
+    run = load_run(flown.folder)
+    heard = heard_of(read_any(flown.folder / BEACON_RECORD), reference_of(rig).mounted)
+    measured = measure(run, heard, rig, flown.seed)
     truth = truth_of(run.world)
     assert truth is not None, "trials are flown where there is truth"
-    offset_ns = truth.scene.clock_offset_ns[Role.RECEIVER]
     return Judged(
+        *(getattr(measured, part.name) for part in fields(measured)),
         flown=flown,
-        heard=heard,
-        motions=motions,
-        clock=clock,
-        frame=frame,
-        free=free,
-        offset_error_s=clock.offset_s - flown.beacons.offset_s - offset_ns * 1e-9,
-        yaw_error_rad=_yaw_error(frame, flown.beacons),
-        noise_m=noise_m,
-        noise_samples=samples,
-        beacons={
-            name: _against_beacons(pair, frame, k, noise_m, noise_factors[k])
-            for k, (name, pair) in enumerate(zip(SUBJECTS, pairs, strict=True))
-        },
-        truth=_against_truth(run, truth, motions),
+        offset_error_s=offset_error_s(measured, flown.beacons, truth),
+        yaw_error_rad=_yaw_error(measured.frame, flown.beacons),
+        truth=against_truth(run, truth, measured.motions),
         coasts=coasts(run, rig, truth),
     )
+
+
+def offset_error_s(measured: Measured, beacons: BeaconTruth, truth: Truth) -> float:
+    """Of the offset between the receiver's clock and the listener's, as the harness set them."""
+    return measured.clock.offset_s - beacons.offset_s - truth.scene.clock_offset_ns[Role.RECEIVER] * 1e-9
 
 
 def clock_of(motions: Motions, heard: Heard, rng: np.random.Generator) -> Alignment:
@@ -170,7 +188,7 @@ def _against_beacons(pair: Pair, frame: Alignment, k: int, noise_m: float, facto
     )
 
 
-def _against_truth(run: Run, truth: Truth, motions: Motions) -> dict[str, Compared]:
+def against_truth(run: Run, truth: Truth, motions: Motions) -> dict[str, Compared]:
     """D2's camera in ``v``; the very point of the target that D1 measured, in D2's camera frame."""
     seen = [r for r in run.receiver["/marker"] if r.record["position_v_m"] is not None]
     t = np.array([r.stamp_ns for r in seen]) * 1e-9
@@ -191,6 +209,13 @@ def _against_truth(run: Run, truth: Truth, motions: Motions) -> dict[str, Compar
 def _yaw_error(frame: Alignment, beacons: BeaconTruth) -> float:
     """The truth turns ENU; ``u`` is north, west, up. What D1's heading errs is in it."""
     return math.remainder(frame.yaw_rad - beacons.yaw_rad - 0.5 * math.pi, 2.0 * math.pi)
+
+
+def true_places(judged: Judged) -> Callable[[str, Array], Array]:
+    """Where a body truly was in the beacons' frame, (n, 3), at instants of the receiver's clock."""
+    truth = truth_of(load_run(judged.flown.folder).world)
+    assert truth is not None
+    return lambda name, t: true_path(truth, name, judged.flown.beacons, t)
 
 
 def true_path(truth: Truth, name: str, beacons: BeaconTruth, t: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from missions.palette import COUNT, DIM, FAULT, NEEDED, ROLE
-from missions.records import load_run
-from missions.trials.dynamic_judge import SUBJECTS, Judged, pairs_of, true_path
-from missions.truth import truth_of
+from missions.trials.dynamic_judge import SUBJECTS, Compared, Judged, Measured, pairs_of
 from path.messages import Role
 
 Array = NDArray[np.float64]
@@ -24,17 +22,20 @@ LABELS = {"sender": "D1", "receiver": "D2", "target": "target"}
 OF = {"d2": "receiver", "target": "target"}
 
 
-def draw_map(judged: Judged, file: Path) -> None:
-    """From above: what beacons, PATH and the truth say, in the beacons' frame and around D1."""
+def draw_map(judged: Measured, file: Path, true_place: Callable[[str, Array], Array] | None = None) -> None:
+    """From above: what beacons and PATH say, in the beacons' frame and around D1.
+
+    Args:
+        true_place: where a body truly was in the beacons' frame, (n, 3), at instants of the receiver's clock.
+    """
     figure = Figure(figsize=(13.0, 6.2), layout="constrained")
     left, right = figure.subplots(1, 2)
-    truth = truth_of(load_run(judged.flown.folder).world)
-    assert truth is not None
     t = np.arange(judged.motions.d2.t[0], judged.motions.d2.t[-1], 0.05)
     for name, path in judged.heard.paths.items():
         near = (path.t + judged.clock.offset_s >= t[0]) & (path.t + judged.clock.offset_s <= t[-1])
         left.plot(*path.p[near, :2].T, ".", ms=3, color=COLORS[name], alpha=0.45)
-        left.plot(*true_path(truth, name, judged.flown.beacons, t)[:, :2].T, color=NEEDED, lw=0.8)
+        if true_place is not None:
+            left.plot(*true_place(name, t)[:, :2].T, color=NEEDED, lw=0.8)
     d1 = judged.motions.own_1.at(t) @ judged.clock.R.T + judged.clock.shifts[1]
     left.plot(*d1[:, :2].T, color=COLORS["sender"], lw=1.8, label="D1, own estimate")
     for k, name in enumerate(SUBJECTS):
@@ -43,7 +44,8 @@ def draw_map(judged: Judged, file: Path) -> None:
         place = d1 + seen + judged.frame.shifts[k]
         left.plot(*place[:, :2].T, color=COLORS[OF[name]], lw=1.8, label=f"{LABELS[OF[name]]}, PATH from there")
     left.plot([], [], ".", color=DIM, label="beacons")
-    left.plot([], [], color=NEEDED, lw=0.8, label="truth")
+    if true_place is not None:
+        left.plot([], [], color=NEEDED, lw=0.8, label="truth")
     left.set_title("In the beacons' frame, while D2 saw the marker", loc="left", fontsize=10)
     pairs, _ = pairs_of(judged.motions, judged.heard)
     for k, (name, pair) in enumerate(zip(SUBJECTS, pairs, strict=True)):
@@ -62,22 +64,22 @@ def draw_map(judged: Judged, file: Path) -> None:
     _save(figure, file)
 
 
-def draw_errors(judged: Judged, file: Path) -> None:
-    """Errors over time of both trajectories."""
+def draw_errors(judged: Measured, file: Path, truth: Mapping[str, Compared] | None = None) -> None:
+    """Errors over time of both trajectories, against the beacons and, where it is known, the truth."""
     figure = Figure(figsize=(11.0, 6.0), layout="constrained")
     start = float(judged.motions.d2.t[0])
     for axes, name in zip(np.atleast_1d(figure.subplots(2, 1, sharex=True)), SUBJECTS, strict=True):
-        _draw_error(axes, judged, name, start)
+        _draw_error(axes, judged.beacons[name], None if truth is None else truth[name], name, start)
     figure.axes[-1].set_xlabel("s since the marker was first seen")
     _save(figure, file)
 
 
-def _draw_error(axes: Axes, judged: Judged, name: str, start_s: float) -> None:
-    beacons, truth = judged.beacons[name], judged.truth[name]
+def _draw_error(axes: Axes, beacons: Compared, truth: Compared | None, name: str, start_s: float) -> None:
     color = COLORS[OF[name]]
     axes.plot(beacons.t - start_s, 1e3 * beacons.error_m, ".", ms=4, color=DIM, label="against the beacons")
     axes.axhline(1e3 * beacons.expected_m, color=FAULT, lw=1.0, ls="--", label="rms from the beacons' noise alone")
-    axes.plot(truth.t - start_s, 1e3 * truth.error_m, ".", ms=2, color=color, label="against the truth")
+    if truth is not None:
+        axes.plot(truth.t - start_s, 1e3 * truth.error_m, ".", ms=2, color=color, label="against the truth")
     axes.set_yscale("log")
     axes.set_ylim(0.1, 300.0)
     axes.set_ylabel("mm")

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from drivers.beacon_log import BeaconTruth, Mounted
-from drivers.beacon_record import read_any
+from drivers.beacon_record import BeaconRecorder
 from drivers.interfaces import BeaconFix
 from drivers.log import McapLog
+from drivers.marvelmind_stream import MarvelmindStream
 from hil.beacons import BeaconConfig, listen
 from path.rotation import R_from_rpy, quat_from_R
 
@@ -38,8 +39,13 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[BeaconFix], Be
                 "objects": [[3, 9.0, 9.0, 0.0, 0.0], [0, 4.0, 5.0, 0.0, np.pi]],
             }
             log.write("/truth", k * 40_000_000, record)
-    truth = listen(folder / "world.mcap", folder / "beacons.mcap", 3, MOUNTED)
-    return read_any(folder / "beacons.mcap"), truth
+    stream, fixes = MarvelmindStream(), list[BeaconFix]()
+
+    def hear(port: str, arrival_ns: int, data: bytes) -> None:
+        fixes.extend(stream.feed(port, arrival_ns, data))
+
+    truth = listen(folder / "world.mcap", hear, 3, MOUNTED)
+    return fixes, truth
 
 
 def of(heard: tuple[list[BeaconFix], BeaconTruth], address: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -92,7 +98,9 @@ def test_the_same_seed_gives_the_same_log(tmp_path: Path) -> None:
                 "/truth", k * 40_000_000, {"sender": still, "receiver": still, "objects": [[0, 1.0, 1.0, 0.0, 0.0]]}
             )
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        listen(tmp_path / "world.mcap", tmp_path / name, seed, MOUNTED)
+        recorder = BeaconRecorder(tmp_path / name, 0.0)
+        listen(tmp_path / "world.mcap", recorder.write, seed, MOUNTED)
+        recorder.close()
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes() != (tmp_path / "c").read_bytes()
 
 
@@ -100,4 +108,4 @@ def test_a_log_without_truth_is_refused(tmp_path: Path) -> None:
     with McapLog(tmp_path / "world.mcap") as log:
         log.write("/scene", 0, {"target_id": 0})
     with pytest.raises(ValueError, match="no truth"):
-        listen(tmp_path / "world.mcap", tmp_path / "beacons.mcap", 1, MOUNTED)
+        listen(tmp_path / "world.mcap", MarvelmindStream().feed, 1, MOUNTED)

@@ -11,18 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.beacon_log import write_beacons
+from drivers.beacon_log import Mounted
 from drivers.beacon_record import read_any
 from drivers.interfaces import BeaconFix, PartError
 from missions import rig_library
 from missions.records import load_run
 from missions.trials import dynamic
 from missions.trials.dynamic import blocks_interval
-from missions.trials.dynamic_flight import BEACON_LOG, Heard, Motions, heard_of, load_beacons, load_motions, moving
+from missions.trials.dynamic_flight import BEACON_RECORD, Heard, Motions, heard_of, load_motions, moving, reference_of
 from missions.trials.dynamic_judge import clock_of, noise_at_rest
 from missions.trials.trajectory import Trajectory
 from missions.trials.trial import TrialRequest, TrialResult
 from missions.work import open_work
+
+MOUNTED = {name: Mounted(k, (0.0, 0.0, 0.0)) for name, k in (("sender", 5), ("receiver", 6), ("target", 7))}
 
 
 @pytest.fixture(scope="module")
@@ -71,17 +73,18 @@ def test_report_and_pictures_are_there(result: TrialResult, out: Path) -> None:
 
 def records(out: Path) -> tuple[Motions, Heard]:
     folder = out / "flight-1"
-    return load_motions(load_run(folder), moving(rig_library.load("sim"))), load_beacons(folder / BEACON_LOG)
+    rig = moving(rig_library.load("sim-rendered"))
+    return load_motions(load_run(folder), rig), heard_of(read_any(folder / BEACON_RECORD), reference_of(rig).mounted)
 
 
 def test_a_clock_set_wrong_by_0_3_s_is_found_out_on_a_flight(result: TrialResult, out: Path) -> None:
     """To 10 ms."""
     motions, heard = records(out)
-    fixes = read_any(out / "flight-1" / BEACON_LOG)
+    fixes = read_any(out / "flight-1" / BEACON_RECORD)
     late = [replace(fix, host_ns=fix.host_ns + 300_000_000) for fix in fixes if fix.host_ns is not None]
     assert len(late) == len(fixes)
     right = clock_of(motions, heard, np.random.default_rng(0))
-    wrong = clock_of(motions, heard_of(late), np.random.default_rng(0))
+    wrong = clock_of(motions, heard_of(late, MOUNTED), np.random.default_rng(0))
     assert right.offset_s - wrong.offset_s == pytest.approx(0.3, abs=0.01)
     assert right.offset_s == result.summary["time_offset_s"][0]
 
@@ -98,12 +101,11 @@ def test_what_is_estimated_does_not_know_the_truth(out: Path) -> None:
     assert other.scales_m == pytest.approx(one.scales_m, rel=1e-2)
 
 
-def test_jumps_and_poor_fixes_are_refused(tmp_path: Path) -> None:
+def test_jumps_and_poor_fixes_are_refused() -> None:
     fixes = [BeaconFix(k * 125_000_000, a, (0.01 * k, 0.0, 1.0), 90.0) for k in range(40) for a in (5, 6, 7)]
     fixes[30] = replace(fixes[30], position_m=(5.0, 0.0, 1.0))
     fixes[61] = replace(fixes[61], quality=40.0)
-    write_beacons(tmp_path / "b.csv", fixes)
-    heard = load_beacons(tmp_path / "b.csv")
+    heard = heard_of(fixes, MOUNTED)
     assert (heard.fixes, heard.refused) == (120, 2)
     assert max(float(path.p[:, 0].max()) for path in heard.paths.values()) < 1.0
 
