@@ -28,7 +28,7 @@ class MarvelmindConfig:
         ports: one each for beacons that are connected by themselves, one alone for a modem or for a beacon that streams
             all; such as ``/dev/serial/by-id/usb-...``, which stays the same when it is plugged in again.
         baud: 500000 is what the beacons' own UART starts with; over USB any will do.
-        latency_s: from the ultrasound to the frame, of firmware whose frames do not say how old they are.
+        latency_s: from the ultrasound to the frame at least, of firmware whose frames do not say how old they are.
         reopen_s: a port that vanished must be back within this.
     """
 

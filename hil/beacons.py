@@ -84,7 +84,7 @@ class BeaconConfig:
                 f"{100 * self.drop_rate:g} %, and gaps of {self.gap_s:g} s, {60 * self.gap_rate:g} a minute",
             ),
             ("age of a position", f"{1e3 * self.latency_s:g} ms, jitter {1e3 * self.jitter_s:g} ms; its frame says it"),
-            ("stamp of a position", f"in whole ms, jitter {1e3 * self.stamp_jitter_s:g} ms"),
+            ("stamp of a position", f"in whole ms, {1e3 * self.stamp_jitter_s:g} ms from the instant it stands for"),
             (
                 "serial line",
                 f"{1e3 * self.wire_s:g} ms and {1e3 * self.wire_jitter_s:g} ms more on average, "
@@ -172,12 +172,13 @@ class BeaconSystem:
         address = self._addresses[name]
         shown_s = time_s + self._clock_s + self._drift * (time_s - self._drift_from_s)
         stamp_ms = math.floor(1e3 * (shown_s + self._config.stamp_jitter_s * self._rng.standard_normal()))
+        age_ms = math.floor(1e3 * (shown_s + latency_s)) - stamp_ms  # of the stamp: what the system itself can know
         self._turns += 1
         shown = self._shown(self._beacons[name], time_s, place_w)
         if shown is not None:
             place, quality = shown
             yield sent.quality(address, round(quality))
-            yield sent.position(stamp_ms, address, place, round(1e3 * latency_s))
+            yield sent.position(stamp_ms, address, place, max(1, age_ms))
         yield sent.imu(stamp_ms, self._rng.bytes(18))
         if self._turns % 24 == 1:
             yield sent.telemetry(3.9, -60)
