@@ -20,6 +20,7 @@ import msgspec
 from drivers.interfaces import BeaconError, BeaconFix
 from path.messages import Vec3
 
+TRUTH_FILE = "beacons.truth.json"
 COLUMNS = ("stamp_ns", "address", "x_m", "y_m", "z_m", "quality")
 
 

@@ -44,7 +44,11 @@ class LinkError(PartError):
 
 
 class BeaconError(PartError):
-    """The beacons give no positions, or their records are none."""
+    """The beacons give no positions, or their records are none. ``final``: reading again is of no use."""
+
+    def __init__(self, message: str, remedy: str = "", *, final: bool = False) -> None:
+        super().__init__(message, remedy)
+        self.final = final
 
 
 class StateError(PartError):

@@ -176,6 +176,7 @@ class Marvelmind:
                 raise BeaconError(
                     f"serial port {port.name} is gone for {now_s - port.lost_s:.1f} s: {port.why}",
                     "plug the beacon in again, or see why its power went",
+                    final=True,
                 )
 
     def _silence(self, timeout_s: float) -> BeaconError:

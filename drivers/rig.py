@@ -104,14 +104,18 @@ class Reference:
         sender, receiver: with the lever in the drone's body (FRD).
         target: with the lever in the target's frame, x ahead and z up.
         beacons: a part that is a ``drivers.interfaces.Beacons``; None where a harness makes their records up.
+        telemetry_late_s: what the vehicles' states, stamped on arrival, are late by as far as it is known.
     """
 
     sender: Mounted
     receiver: Mounted
     target: Mounted
     beacons: PartSpec | None = None
+    telemetry_late_s: float = 0.0
 
     def __post_init__(self) -> None:
+        if not 0.0 <= self.telemetry_late_s <= 0.5:
+            raise ValueError("telemetry_late_s must be within 0 and 0.5 s")
         if len({own.address for own in self.mounted.values()}) < 3:
             raise ValueError("two beacons have the same address")
 

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 import tempfile
 import threading
 import tty
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.beacon_log import TRUTH_FILE, write_truth
 from drivers.interfaces import BeaconError
 from drivers.marvelmind import Marvelmind, MarvelmindConfig
-from drivers.rig import PartContext
-from hil.beacons import BeaconSystem, Chunk
+from drivers.rig import PartContext, Rig
+from hil.beacons import BeaconConfig, BeaconSystem, Chunk, truth_of
 from hil.shared_camera import RUN_VARIABLE
+from hil.snapshot import Snapshot
+from path.messages import Role
+from path.rotation import R_from_rpy
 
 Array = NDArray[np.float64]
 
@@ -48,7 +52,7 @@ class SerialCable:
     def send(self, data: bytes) -> None:
         """What nobody reads in time is lost, as on a wire."""
         if self._ends is not None:
-            with contextlib.suppress(BlockingIOError):
+            with suppress(BlockingIOError):
                 os.write(self._ends[0], data)
 
     def unplug(self) -> None:
@@ -93,6 +97,44 @@ class BeaconThread(threading.Thread):
     def end(self) -> None:
         self._ending.set()
         self.join()
+
+
+@contextmanager
+def open_beacons(
+    rig: Rig, seed: int, out: Path, now_s: Callable[[], float], snapshot: Callable[[], Snapshot]
+) -> Generator[None, None, None]:
+    """Beacons behind this run's own serial port, when the rig's driver is the one that looks there; else nothing.
+
+    Args:
+        out: folder for what is true of them.
+        now_s: the world's time; ``snapshot`` is the world at that time.
+    """
+    reference = rig.reference
+    if reference is None or reference.beacons is None or not reference.beacons.factory.startswith(f"{__name__}:"):
+        yield
+        return
+    config = BeaconConfig()
+    system = BeaconSystem(config, seed, {name: own.address for name, own in reference.mounted.items()})
+    mounted = reference.mounted
+
+    def place(name: str) -> Array:
+        world, lever_m = snapshot(), np.array(mounted[name].lever_m)
+        if name == "target":
+            target = world.objects[0]
+            return np.array(target.position_w_m) + R_from_rpy(0.0, 0.0, target.yaw_rad) @ lever_m
+        return world.drones[Role(name)].T_w_b.apply(lever_m)
+
+    # who listens does so by this computer's clock, as the roles do
+    write_truth(out / TRUTH_FILE, replace(truth_of(system, config), offset_s=0.0))
+    cable = SerialCable(link_of(os.environ[RUN_VARIABLE]))
+    cable.plug()
+    beacons = BeaconThread(system, cable, now_s, place)
+    beacons.start()
+    try:
+        yield
+    finally:
+        beacons.end()
+        cable.unplug()
 
 
 def link_of(run: str) -> Path:

@@ -32,6 +32,7 @@ from drivers.tables import RigError, decode_table
 from drivers.udp_link import address_of
 from hil.air import Air
 from hil.d415 import T_COLOR_DEPTH, depth_camera
+from hil.beacon_pty import open_beacons
 from hil.faults import FAULTS
 from hil.faulty_link import ProxySide, UdpFaultProxy
 from hil.inject import inject_in_world, inject_on_link
@@ -43,6 +44,8 @@ from hil.render.renderer import Renderer
 from hil.script_monitor import vehicles_of
 from hil.shared_camera import RUN_VARIABLE, SharedCameraWriter
 from hil.sim import VEHICLES_EVERY, down, mission_config
+from hil.sim import down, min_separation_m
+from hil.snapshot import Snapshot
 from hil.truth_log import TruthLog
 from hil.world import World, WorldConfig
 from path.messages import Role
@@ -137,6 +140,7 @@ class SitlWorld:
             truth = self._truth = TruthLog(log, round(live.start_s * 1e9))
             truth.scene(rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
             self._start_cameras(stack)
+            stack.enter_context(open_beacons(rig, self._seed, self._out, live.now_s, self._snapshot))
             asyncio.get_running_loop().add_reader(sys.stdin.fileno(), self._on_command)
             air = await stack.enter_async_context(Air(self._proxy))
             say({"event": "ready", "air": air.port})
@@ -166,6 +170,12 @@ class SitlWorld:
             camera = CameraThread(self._live, self._rig, role, writer, self._seed)
             self._cameras[role] = camera
             stack.enter_context(_running(camera))
+
+    def _snapshot(self) -> Snapshot:
+        live = self._live
+        with live.lock:
+            live.world.advance(max(live.now_s(), live.world.time_s))
+            return live.world.snapshot()
 
     async def _step_until_finished(self, truth: TruthLog) -> None:
         """Physics and both vehicles at 200 Hz, until told to finish and both are down, or that takes too long."""

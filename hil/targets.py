@@ -34,7 +34,10 @@ CROSSING_GAP_M = 0.45  # to every other object
 
 @dataclass(frozen=True, slots=True)
 class TargetConfig:
-    """The target waits at ``start_m`` until ``start_time_s``, then drives, never leaving ``radius_m`` around it."""
+    """The target waits at ``start_m`` until ``start_time_s``, then drives, never leaving ``radius_m`` around it.
+
+    ``to_and_fro_s``: period of driving ahead and back along the loop, ``speed_mps`` being the fastest; 0: always ahead.
+    """
 
     start_m: Point = (0.0, 4.0)
     start_time_s: float = 20.0
@@ -42,10 +45,11 @@ class TargetConfig:
     radius_m: float = 4.0
     loop_bearing_deg: float = 90.0  # from the start to the middle of the loop, counter-clockwise from east
     loop_bearing_sigma_deg: float = 20.0
+    to_and_fro_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (self.speed_mps >= 0.0 and self.radius_m >= 1.0 and self.start_time_s >= 0.0):
-            raise ValueError("speed_mps and start_time_s must not be negative, radius_m at least 1")
+        if not (self.speed_mps >= 0.0 and self.radius_m >= 1.0 and min(self.start_time_s, self.to_and_fro_s) >= 0.0):
+            raise ValueError("speed_mps, start_time_s and to_and_fro_s must not be negative, radius_m at least 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,11 +146,15 @@ class Traffic:
         )
 
     def _driven(self, time_s: float) -> tuple[float, float]:
-        """How far along the loop everything has driven, and how fast it drives: a smooth start, then steadily."""
+        """How far along the loop everything has driven, and how fast: a smooth start, then steadily, or to and fro."""
         since = (time_s - self._config.start_time_s) / RAMP_S
         speed = self._config.speed_mps
         if since <= 0.0:
             return 0.0, 0.0
+        if self._config.to_and_fro_s > 0.0:
+            turn = 2.0 * math.pi / self._config.to_and_fro_s
+            angle = turn * (time_s - self._config.start_time_s)
+            return speed / turn * (1.0 - math.cos(angle)), speed * math.sin(angle)
         if since < 1.0:
             return speed * RAMP_S * (since**3 - 0.5 * since**4), speed * (3.0 * since**2 - 2.0 * since**3)
         return speed * RAMP_S * (since - 0.5), speed

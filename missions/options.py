@@ -30,6 +30,7 @@ TrialName = Literal[
 ]
 Faults = Annotated[
     tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@MOMENT[+SECONDS]]"), tyro.conf.UseAppendAction
+    "beacon",
 ]
 
 
@@ -147,6 +148,7 @@ class TrialOptions:
     name: Annotated[TrialName, tyro.conf.Positional]
     """Which trial; `all` runs every one but `processes`, which flies in real time, and makes one page, in about a
     quarter of an hour on two cores."""
+    """Which trial; `all` runs every one but `beacon` and makes one page, in about a quarter of an hour on two cores."""
 
     out: OutFolder = None
     """Folder for the page, summary.json and the pictures; trials/<time>-<name> by default."""
@@ -160,11 +162,17 @@ class TrialOptions:
     jobs: int = 0
     """Processes at a time; 0: one per core."""
 
-    rig: RigName = "sim-rendered"
-    """The rig whose harness knows the truth."""
+    rig: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    """The rig; by default sim-rendered, whose harness knows the truth, and `dynamic` for the trial `beacon`."""
 
     xfeat: FileName = None
     """Weights of XFeat (ONNX), for the trials that compare with it; without them XFeat is left out."""
+
+    logs: OutFolder = None
+    """Folder with the logs of a session, for `beacon`: it is judged as if it were flown now."""
+
+    seconds: float = 0.0
+    """How long `beacon` records where the drones are flown from their own computers; 0: until Ctrl-C."""
 
     board: FileName = None
     """TOML file that describes a photograph of a marker board, for `corners`; without it no photograph is measured."""

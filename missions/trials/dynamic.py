@@ -20,7 +20,7 @@ from missions.trials import dynamic_report as report
 from missions.trials.dynamic_flight import VERIFY_S, FlightOrder, Flown, fly, moving, reference_of
 from missions.trials.dynamic_judge import SUBJECTS, Compared, Judged, judge, true_places
 from missions.trials.dynamic_pictures import draw_coast, draw_errors, draw_map
-from missions.trials.statistics import RESAMPLES, Interval
+from missions.trials.statistics import blocks_interval
 from missions.trials.trial import Picture, TrialRequest, TrialResult, trial_part
 
 Array = NDArray[np.float64]
@@ -147,17 +147,6 @@ def _spread(errors: Array) -> dict[str, Any]:
 
 def _rms(values: Array | Sequence[float]) -> float:
     return math.sqrt(float(np.mean(np.square(values))))
-
-
-def blocks_interval(values: Array, groups: NDArray[np.int64], rng: np.random.Generator) -> Interval:
-    """95 % interval of the mean of values (n,), whole groups (n,) drawn together; (nan, nan) without any."""
-    if not len(values):
-        return math.nan, math.nan
-    _, member = np.unique(groups, return_inverse=True)
-    sums, counts = np.bincount(member, values), np.bincount(member)
-    draws = rng.integers(0, len(sums), (RESAMPLES, len(sums)))
-    low, high = np.percentile(sums[draws].sum(axis=1) / counts[draws].sum(axis=1), (2.5, 97.5))
-    return float(low), float(high)
 
 
 def _coast(judged: Sequence[Judged], after_s: float, rng: np.random.Generator) -> dict[str, Any]:

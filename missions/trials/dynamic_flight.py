@@ -27,7 +27,7 @@ from path.rotation import R_from_quat, normalized
 
 Array = NDArray[np.float64]
 
-BEACON_RECORD, BEACON_LIST, BEACON_TRUTH = "beacons.mcap", "beacons.csv", "beacons.truth.json"
+BEACON_RECORD, BEACON_LIST = "beacons.mcap", "beacons.csv"
 TARGET_MPS = 0.45
 VERIFY_S = 20.0  # of agreement before the hand-over, so that there is something to compare
 FOLLOW_S = 1.0
@@ -132,9 +132,10 @@ def load_motions(run: Run, rig: Rig) -> Motions:
         for r in _stamped_by_capture(run.receiver.get("/candidate", ()))
         if r.record["point_v_m"] is not None and r.stamp_ns in R_n_v
     ]
+    late_ns = round(reference_of(rig).telemetry_late_s * 1e9)
     return Motions(
-        own=_by_own_estimate(states, levers["receiver"], 0),
-        own_1=_by_own_estimate(run.sender["/state"], levers["sender"], offset_ns),
+        own=_by_own_estimate(states, levers["receiver"], late_ns),
+        own_1=_by_own_estimate(run.sender["/state"], levers["sender"], offset_ns + late_ns),
         still_until_s=armed * 1e-9,
         d2=_trajectory(d2),
         target=_trajectory(target),
@@ -143,7 +144,7 @@ def load_motions(run: Run, rig: Rig) -> Motions:
 
 
 def _by_own_estimate(states: Sequence[LogRecord], lever_b: Array, offset_ns: int) -> Trajectory:
-    """``offset_ns``: of the log's clock from the receiver's."""
+    """``offset_ns``: of the log's stamps from the receiver's clock."""
     return _trajectory(
         [(r.stamp_ns - offset_ns, np.array(r.record["position_n_m"]) + _R(r.record["q_n_b"]) @ lever_b) for r in states]
     )

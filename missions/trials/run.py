@@ -29,6 +29,9 @@ from missions.work import open_work
 
 IN_REAL_TIME = ("processes",)  # minutes that no core shortens: only when it is asked for
 NAMES: tuple[str, ...] = tuple(name for name in get_args(TrialName) if name not in ("all", *IN_REAL_TIME))
+NAMES: tuple[str, ...] = tuple(name for name in get_args(TrialName) if name not in ("all", "beacon"))
+"""All that ``all`` runs: ``beacon`` is one session, ``dynamic`` several of the same."""
+RIG = "sim-rendered"
 EXIT_FAILED = 1
 STYLE: dict[Verdict, str] = {"met": "green", "short": "red", "measured": ""}
 
@@ -39,21 +42,24 @@ def run(options: TrialOptions) -> int:
     Raises:
         PartError: for what was asked wrongly. With ``all``, a trial that fails is shown on the page, and the rest run.
     """
-    rig = rig_library.load(options.rig)
+    whole = options.name == "all"
+    names = NAMES if whole else (options.name,)
+    trials = {name: importlib.import_module(f"missions.trials.{name}") for name in names}
+    rig = rig_library.load(options.rig or rig_of(options.name))
     for option, file in (("--xfeat", options.xfeat), ("--board", options.board)):
         if file is not None and not file.is_file():
             raise PartError(f"{option} {file}: no such file", f"name a file that exists, or leave {option} out")
-    whole = options.name == "all"
-    names = NAMES if whole else (options.name,)
     folder = new_folder(options.out or Path("trials") / f"{datetime.now():%Y%m%d-%H%M%S}-{options.name}")
     chapters: list[Chapter] = []
     with open_work(options.jobs, sys.stdout) as work:
         for number, name in enumerate(names, 1):
             own = new_folder(folder / name) if whole else folder
-            trial = importlib.import_module(f"missions.trials.{name}")
+            trial = trials[name]
             sys.stdout.write(f"\n{f'[{number}/{len(names)}] ' if whole else ''}{trial.TITLE}\n")
             sys.stdout.flush()
-            request = TrialRequest(rig, own, options.seed, options.quick, work, options.xfeat, options.board)
+            request = TrialRequest(
+                rig, own, options.seed, options.quick, work, options.xfeat, options.board, options.logs, options.seconds
+            )
             begun, result, error = datetime.now(), None, ""
             try:
                 result = trial.run(request)
@@ -78,7 +84,7 @@ def run(options: TrialOptions) -> int:
 def command(options: TrialOptions, name: str) -> str:
     """The command line that runs one trial again as it was run here."""
     words = ["path-handoff", "trial", name, "--seed", str(options.seed)]
-    if options.rig != "sim-rendered":
+    if options.rig is not None and options.rig != rig_of(name):
         words += ["--rig", options.rig]
     if options.quick:
         words.append("--quick")
@@ -86,7 +92,14 @@ def command(options: TrialOptions, name: str) -> str:
         words += ["--xfeat", str(options.xfeat)]
     if options.board is not None and name == "corners":
         words += ["--board", str(options.board)]
+    if options.logs is not None and name == "beacon":
+        words += ["--logs", str(options.logs)]
     return shlex.join(words)
+
+
+def rig_of(name: str) -> str:
+    """The rig of a trial when none is named."""
+    return "dynamic" if name == "beacon" else RIG
 
 
 def findings_table(findings: Sequence[Finding]) -> Table:

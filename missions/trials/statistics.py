@@ -100,3 +100,14 @@ def _binomial_tail(events: int, trials: int, rate: float) -> float:
         ways = math.lgamma(trials + 1) - math.lgamma(k + 1) - math.lgamma(trials - k + 1)
         total += math.exp(ways + k * log_p + (trials - k) * log_q)
     return total
+
+
+def blocks_interval(values: Array, groups: NDArray[np.int64], rng: np.random.Generator) -> Interval:
+    """95 % interval of the mean of values (n,), whole groups (n,) drawn together; (nan, nan) without any."""
+    if not len(values):
+        return math.nan, math.nan
+    _, member = np.unique(groups, return_inverse=True)
+    sums, counts = np.bincount(member, values), np.bincount(member)
+    draws = rng.integers(0, len(sums), (RESAMPLES, len(sums)))
+    low, high = np.percentile(sums[draws].sum(axis=1) / counts[draws].sum(axis=1), (2.5, 97.5))
+    return float(low), float(high)

@@ -114,6 +114,8 @@ def coarse_offset(curve: Trajectory, samples: Trajectory) -> float:
 
 def _speeds(motion: Trajectory) -> tuple[float, Array]:
     """Start, and mean speed over ``BASE_S`` on a grid; the middle of three, against single wrong positions."""
+    if len(motion.t) < 3:
+        return 0.0, np.zeros(0)
     middle = motion.p.copy()
     middle[1:-1] = np.median(np.stack([motion.p[:-2], motion.p[1:-1], motion.p[2:]]), axis=0)
     smooth = Trajectory(motion.t, middle)
@@ -185,7 +187,8 @@ class _Problem:
         self._turn: Turn = turn
         self.parts = [slice(int(a), int(b)) for a, b in pairwise(np.cumsum([0, *(len(p.samples.t) for p in pairs)]))]
         t = np.concatenate([pair.samples.t for pair in pairs])
-        self.blocks = blocks_of(t)
+        # what wanders is alike for as long
+        self.blocks = blocks_of(t, max([BLOCK_S, *(pair.wander_s for pair in pairs if pair.wander_s is not None)]))
         self._hats = [_hats(pair.samples.t, pair.wander_s) for pair in pairs]
         first = 1 + len(self._axes)
         self._columns = [

@@ -32,6 +32,8 @@ class TrialRequest:
         work: runs pieces on all cores, and shows how far they are.
         xfeat: weights of XFeat (ONNX), None when not named.
         board: TOML file that describes a photograph of a marker board, None when not named.
+        logs: folder of a session to be judged instead of flying one, None when not named.
+        seconds: how long to record where nothing is flown; 0: until Ctrl-C.
     """
 
     rig: Rig
@@ -41,6 +43,8 @@ class TrialRequest:
     work: Work
     xfeat: Path | None = None
     board: Path | None = None
+    logs: Path | None = None
+    seconds: float = 0.0
 
     def part(self, name: str) -> Any:
         """The class or function that the rig's ``[trials]`` table names. Raises PartError when it names none."""

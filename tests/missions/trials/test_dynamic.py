@@ -17,9 +17,9 @@ from drivers.interfaces import BeaconFix, PartError
 from missions import rig_library
 from missions.records import load_run
 from missions.trials import dynamic
-from missions.trials.dynamic import blocks_interval
 from missions.trials.dynamic_flight import BEACON_RECORD, Heard, Motions, heard_of, load_motions, moving, reference_of
 from missions.trials.dynamic_judge import clock_of, noise_at_rest
+from missions.trials.statistics import blocks_interval
 from missions.trials.trajectory import Trajectory
 from missions.trials.trial import TrialRequest, TrialResult
 from missions.work import open_work
