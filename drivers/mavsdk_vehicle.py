@@ -15,6 +15,7 @@ from drivers.mavsdk_geodesy import LocalTangent
 from drivers.mavsdk_modes import ARDUPILOT, CUSTOM_MODE_ENABLED, PX4, AutopilotKind
 from drivers.mavsdk_session import ACCEPTED, ARM_DISARM, RESULTS, Session, SessionConfig
 from drivers.mavsdk_telemetry import Telemetry
+from drivers.mavsdk_vision import VisionConfig, VisionFeed
 from drivers.rig import PartContext
 
 # MAV_CMD
@@ -48,6 +49,7 @@ class MavsdkVehicleConfig:
         mode_timeout_s: from an accepted command until telemetry shows it.
         heartbeat_timeout_s: any wait ends with an error when the newest heartbeat is older.
         take_off_tolerance_m: height error at which a take-off is over.
+        vision: a beacon's positions for an autopilot without GPS.
     """
 
     url: str
@@ -63,6 +65,7 @@ class MavsdkVehicleConfig:
     heartbeat_timeout_s: float = 1.5
     take_off_tolerance_m: float = 0.3
     offboard_lead_s: float = 0.3
+    vision: VisionConfig | None = None
 
     def __post_init__(self) -> None:
         for name in ("sysid", "own_sysid"):
@@ -99,6 +102,8 @@ class MavsdkVehicle:
         self._clock = self._telemetry.clock
         self._session = Session(session, self._telemetry)
         self._kind: AutopilotKind = PX4
+        self._vision = config.vision and VisionFeed(config.vision, context, self._session, self._telemetry)
+        self._feeding: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
         try:
@@ -110,6 +115,9 @@ class MavsdkVehicle:
                     f"no attitude from vehicle {config.sysid} on {config.url} in {config.connect_timeout_s:g} s",
                     "is the link fast enough for telemetry_hz?",
                 )
+            if self._vision is not None:
+                self._feeding = asyncio.create_task(self._vision.run())
+                self._feeding.add_done_callback(_log_failure)
         except BaseException:
             await self._session.close()
             raise
@@ -118,6 +126,9 @@ class MavsdkVehicle:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
+        if self._feeding is not None:
+            self._feeding.cancel()
+            await asyncio.gather(self._feeding, return_exceptions=True)
         await self._session.close()
 
     @property
@@ -318,3 +329,9 @@ class MavsdkVehicle:
         while True:
             self.fly(setpoint)
             await asyncio.sleep(0.05)
+
+
+def _log_failure(feeding: asyncio.Task[None]) -> None:
+    """The vehicle goes on as its autopilot decides when the positions stop; that they did must not go unseen."""
+    if not feeding.cancelled() and feeding.exception() is not None:
+        _log.error("external vision has ended: %s", feeding.exception())

@@ -35,8 +35,8 @@ def findings(summary: Mapping[str, Any]) -> tuple[Finding, ...]:
             goal="10",
             verdict=verdict(abs(summary["time_offset_error_s"]) <= OFFSET_GOAL_S),
             note="from both vehicles' own records: their positions wander, so that only motion within seconds tells. "
-            "The target drives round a loop, every place is passed in one direction, and a warp of the beacons' frame then "
-            "looks like an offset: over 30 such flights it erred by 11 ms rms about its mean, twice what is claimed",
+            "The target drives round a loop, each place is passed in one direction, and a warp of the beacons' frame "
+            "then looks like an offset: over 30 such flights it erred by 11 ms rms about its mean, twice the claim",
         )
     ]
     for name in SUBJECTS:
