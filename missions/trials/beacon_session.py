@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Protocol, Self, runtime_checkable
 
 from drivers.beacon_log import TRUTH_FILE, BeaconTruth, read_truth, write_truth
 from drivers.beacon_record import BeaconRecorder, read_any
@@ -94,6 +94,13 @@ def _hear_afterwards(rig: Rig, seed: int, folder: Path) -> list[BeaconFix]:
     return fixes
 
 
+@runtime_checkable
+class _HasBytes(Protocol):
+    """Beacons on ports; what comes from a file is on record already."""
+
+    on_bytes: Callable[[str, int, bytes], None] | None
+
+
 class Listener:
     """Listens to beacons in a thread of its own, as a flight takes this one; entered and left around the flight.
 
@@ -105,7 +112,9 @@ class Listener:
     def __init__(self, rig: Rig, spec: PartSpec, file: Path) -> None:
         context = replace(part_context(rig, Role.RECEIVER), clock=SystemClock(SystemClockConfig(), None))  # type: ignore[arg-type]
         self._beacons: Beacons = create(spec, context)
-        self._recorder = BeaconRecorder(file, float(spec.options.get("latency_s", 0.0)))
+        self._file = file
+        self._partial = file.with_name(f"{file.name}.part")  # a flight clears its folder of earlier logs
+        self._recorder = BeaconRecorder(self._partial, float(spec.options.get("latency_s", 0.0)))
         self._stop = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._listen()), name="listener", daemon=True)
         self.fixes: list[BeaconFix] = []
@@ -122,12 +131,16 @@ class Listener:
         self._stop.set()
         self._thread.join()
         self._recorder.close()
+        if isinstance(self._beacons, _HasBytes):
+            self._partial.replace(self._file)
+        else:
+            self._partial.unlink()
         if error is None and not self.fixes:
             raise BeaconError("; ".join(self.notes) or "no position of a beacon was heard", "docs/beacons.md")
 
     async def _listen(self) -> None:
-        if hasattr(self._beacons, "on_bytes"):  # a part with ports; what comes from a file is on record already
-            setattr(self._beacons, "on_bytes", self._recorder.write)  # noqa: B010
+        if isinstance(self._beacons, _HasBytes):
+            self._beacons.on_bytes = self._recorder.write
         try:
             async with self._beacons as beacons:
                 while not self._stop.is_set() and await self._heard(beacons):

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import io
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drivers.beacon_log import write_beacons
 from drivers.beacon_record import read_any
-from drivers.interfaces import PartError
+from drivers.interfaces import BeaconError, PartError
 from drivers.log import McapLog, read_log
+from drivers.rig import PartSpec
+from hil.beacon_pty import BeaconThread, SerialCable
+from hil.beacons import BeaconConfig, BeaconSystem
 from missions import rig_library
 from missions.trials import beacon
-from missions.trials.beacon_session import load_session
+from missions.trials.beacon_session import Listener, load_session
 from missions.trials.trial import TrialRequest, TrialResult
 from missions.work import open_work
 
@@ -110,3 +115,33 @@ def test_a_rig_without_beacons_is_refused(tmp_path: Path) -> None:
 
 def test_the_summary_is_json(live: tuple[Path, TrialResult]) -> None:
     assert json.loads(json.dumps(live[1].summary))["positions"] > 500
+
+
+def test_a_listener_on_a_real_port_keeps_what_it_hears(tmp_path: Path) -> None:
+    """Through pyserial, in real time, while something else clears the folder of logs as a flight does at its start."""
+    cable = SerialCable(tmp_path / "hedge")
+    cable.plug()
+    rig = rig_library.load("dynamic")
+    spec = PartSpec("drivers.marvelmind:Marvelmind", {"ports": [str(cable.link)]}, "test")
+    system, seconds = BeaconSystem(BeaconConfig(), 1, {"sender": 5, "receiver": 6, "target": 7}), time.monotonic
+    thread = BeaconThread(system, cable, seconds, lambda _: np.zeros(3))
+    with Listener(rig, spec, tmp_path / "beacons.mcap") as listener:
+        for left in tmp_path.glob("*.mcap"):
+            left.unlink()
+        thread.start()
+        end_s = seconds() + 10.0
+        while len(listener.fixes) < 20 and seconds() < end_s:
+            time.sleep(0.01)
+        thread.end()
+    cable.unplug()
+    assert len(listener.fixes) >= 20
+    assert repr(read_any(tmp_path / "beacons.mcap")) == repr(listener.fixes)
+    late_ns = [(fix.host_ns or 0) - seconds() * 1e9 for fix in listener.fixes]
+    assert max(late_ns) < 0.0
+
+
+def test_beacons_that_stay_silent_are_named(tmp_path: Path) -> None:
+    rig = rig_library.load("dynamic")
+    spec = PartSpec("drivers.marvelmind:Marvelmind", {"ports": [str(tmp_path / "none")]}, "test")
+    with pytest.raises(BeaconError, match=r"serial port .*none"), Listener(rig, spec, tmp_path / "beacons.mcap"):
+        pass
