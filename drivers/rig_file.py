@@ -31,7 +31,6 @@ import numpy as np
 
 from drivers.calibration_file import CalibrationError, CameraTable, MountCalibration, read_camera
 from drivers.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, axis_turn
-from drivers.rig import Level, Mount, Origin, PartSpec, Rig, RoleRig
 from drivers.rig import Level, Mount, Origin, PartSpec, Reference, Rig, RoleRig
 from drivers.tables import RigError, decode_table, suggestion
 from path.camera import CameraModel

@@ -142,8 +142,6 @@ class _Flight:
         self._parts = SimWorld(self._world, MemoryHub(request.seed), request.seed)
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
-        self._begin(self._trigger.from_the_start())
-        self._monitors = Monitors(rig.method, min_separation_m(rig))
         _stop_on_signals(self._interrupt)
         with McapLog(request.out / "world.mcap", buffered=True) as log:
             guarding = [asyncio.create_task(guard) for guard in self._guards()]

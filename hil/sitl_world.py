@@ -31,8 +31,8 @@ from drivers.rig_file import load_rig
 from drivers.tables import RigError, decode_table
 from drivers.udp_link import address_of
 from hil.air import Air
-from hil.d415 import T_COLOR_DEPTH, depth_camera
 from hil.beacon_pty import open_beacons
+from hil.d415 import T_COLOR_DEPTH, depth_camera
 from hil.faults import FAULTS
 from hil.faulty_link import ProxySide, UdpFaultProxy
 from hil.inject import inject_in_world, inject_on_link
@@ -44,7 +44,6 @@ from hil.render.renderer import Renderer
 from hil.script_monitor import vehicles_of
 from hil.shared_camera import RUN_VARIABLE, SharedCameraWriter
 from hil.sim import VEHICLES_EVERY, down, mission_config
-from hil.sim import down, min_separation_m
 from hil.snapshot import Snapshot
 from hil.truth_log import TruthLog
 from hil.world import World, WorldConfig

@@ -10,8 +10,8 @@ from typing import Annotated
 import tyro
 
 from missions.options import (
-    CampaignOptions,
     CalibrateOptions,
+    CampaignOptions,
     DetectOptions,
     DoctorOptions,
     GuardOptions,

@@ -27,10 +27,10 @@ TrialName = Literal[
     "link",
     "compute",
     "processes",
+    "beacon",
 ]
 Faults = Annotated[
     tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@MOMENT[+SECONDS]]"), tyro.conf.UseAppendAction
-    "beacon",
 ]
 
 

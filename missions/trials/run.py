@@ -27,10 +27,8 @@ from missions.trials.page import PAGE, Chapter, render_page
 from missions.trials.trial import Finding, TrialRequest, TrialResult, Verdict
 from missions.work import open_work
 
-IN_REAL_TIME = ("processes",)  # minutes that no core shortens: only when it is asked for
-NAMES: tuple[str, ...] = tuple(name for name in get_args(TrialName) if name not in ("all", *IN_REAL_TIME))
-NAMES: tuple[str, ...] = tuple(name for name in get_args(TrialName) if name not in ("all", "beacon"))
-"""All that ``all`` runs: ``beacon`` is one session, ``dynamic`` several of the same."""
+NAMES: tuple[str, ...] = tuple(name for name in get_args(TrialName) if name not in ("all", "processes", "beacon"))
+"""All that ``all`` runs: ``processes`` takes minutes that no core shortens, and ``beacon`` is one of ``dynamic``'s."""
 RIG = "sim-rendered"
 EXIT_FAILED = 1
 STYLE: dict[Verdict, str] = {"met": "green", "short": "red", "measured": ""}
