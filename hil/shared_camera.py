@@ -47,12 +47,19 @@ class SharedCameraWriter:
     """The world's end: publishes frames of one role's camera. One writer a name; a context manager."""
 
     def __init__(
-        self, run: str, role: Role, color_size: tuple[int, int], depth_size: tuple[int, int], *, slots: int = 4
+        self,
+        run: str,
+        role: Role,
+        color_size: tuple[int, int],
+        depth_size: tuple[int, int],
+        fps: int,
+        *,
+        slots: int = 4,
     ) -> None:
         if slots < 4:
             raise ValueError(f"slots: {slots} is below 4, so that a slow reader would be overtaken at once")
         self._path = segment_path(run, role)
-        self._layout = Layout(color_size, depth_size, slots)
+        self._layout = Layout(color_size, depth_size, fps, slots)
         self._sequence = 0
         self._segment: Segment | None = None
         self._handle = -1
@@ -69,7 +76,7 @@ class SharedCameraWriter:
         os.ftruncate(self._handle, self._layout.total_bytes)
         memory = mmap.mmap(self._handle, self._layout.total_bytes)
         self._segment = Segment(memory, self._layout)
-        self._segment.header[:7] = (MAGIC, *self._layout.words(), 0)
+        self._segment.header[:8] = (MAGIC, *self._layout.words(), 0)
         new.replace(self._path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)

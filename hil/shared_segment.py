@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from drivers.interfaces import CameraError
 from path.messages import Role
 
-MAGIC = 0x5041_5448_4652_0002  # "PATHFR", version 2
+MAGIC = 0x5041_5448_4652_0003  # "PATHFR", version 3
 PREFIX = "path-camera-"
 HEADER_BYTES = 4096
 SLOT_HEADER_BYTES = 64
@@ -68,10 +68,11 @@ def writer_lives(segment: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where things are in a segment of ``slots`` frames; sizes are (width, height) in px."""
+    """Where things are in a segment of ``slots`` frames; sizes are (width, height) in px. ``fps``: what is aimed at."""
 
     color_size: tuple[int, int]
     depth_size: tuple[int, int]
+    fps: int
     slots: int
 
     @property
@@ -96,18 +97,18 @@ class Layout:
 
     def words(self) -> tuple[int, ...]:
         """As in the segment's header, after the magic number."""
-        return *self.color_size, *self.depth_size, self.slots
+        return *self.color_size, *self.depth_size, self.fps, self.slots
 
 
 class Segment:
     """NumPy views into a mapped segment.
 
-    ``header``: magic, colour width and height, depth width and height, slots, newest sequence number (0: none yet).
+    ``header``: magic, colour width and height, depth width and height, fps, slots, newest sequence number (0: none).
     ``slot_headers[i]``: 2 n - 1 while frame n is being written and 2 n once it is whole, stamp in ns of
     CLOCK_MONOTONIC.
     """
 
-    NEWEST = 6
+    NEWEST = 7
 
     def __init__(self, memory: mmap.mmap, layout: Layout) -> None:
         self.layout = layout
@@ -144,11 +145,11 @@ def map_segment(path: Path) -> Segment | None:
         memory = mmap.mmap(handle, 0, prot=mmap.PROT_READ)
     finally:
         os.close(handle)
-    magic, width, height, depth_width, depth_height, slots = np.frombuffer(memory, np.int64, 6).tolist()
+    magic, width, height, depth_width, depth_height, fps, slots = np.frombuffer(memory, np.int64, 7).tolist()
     if magic != MAGIC:
         memory.close()
         raise CameraError(f"{path} holds no camera frames of this version", "remove it and start again")
-    return Segment(memory, Layout((width, height), (depth_width, depth_height), slots))
+    return Segment(memory, Layout((width, height), (depth_width, depth_height), fps, slots))
 
 
 def bind(path: Path) -> socket.socket:

@@ -164,7 +164,8 @@ class SitlWorld:
         for role in Role:
             color = self._rig.role(role).camera
             size = color.width, color.height
-            writer = SharedCameraWriter(os.environ[RUN_VARIABLE], role, size, depth_size(self._rig, role))
+            fps = camera_config(self._rig, role).fps
+            writer = SharedCameraWriter(os.environ[RUN_VARIABLE], role, size, depth_size(self._rig, role), fps)
             stack.enter_context(writer)
             camera = CameraThread(self._live, self._rig, role, writer, self._seed)
             self._cameras[role] = camera

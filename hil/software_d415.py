@@ -24,13 +24,11 @@ POLL_S = 0.1
 class SoftwareD415Config:
     """
     Attributes:
-        fps: that the device offers, of both streams.
         clock: whose clock stamps the frames.
         run: names the run whose world writes the frames; by default the one in $PATH_HANDOFF_RUN.
         open_timeout_s: how long to wait for the world; less than the driver waits for its own end.
     """
 
-    fps: int = 50
     clock: Literal["global_time", "hardware_clock", "system_time"] = "global_time"
     run: str = ""
     open_timeout_s: float = 4.0
@@ -73,7 +71,7 @@ class SoftwareD415:
                 color,
                 depth_camera(*layout.depth_size),
                 T_COLOR_DEPTH,
-                self._config.fps,
+                layout.fps,
                 DeviceClock(Domain(self._config.clock)),
                 f"software-{self._context.role.value}",
             )

@@ -19,7 +19,7 @@ from hil.shared_camera import SharedCameraReader, SharedCameraWriter, SharedFram
 from hil.shared_segment import folder, remove_abandoned, segment_path
 from path.messages import Role
 
-SIZE, DEPTH_SIZE = (64, 48), (40, 30)
+SIZE, DEPTH_SIZE, FPS = (64, 48), (40, 30), 50
 PATIENCE_S = 10.0
 
 
@@ -34,7 +34,7 @@ def run() -> Iterator[str]:
 
 
 def writer(run: str, size: tuple[int, int] = SIZE) -> SharedCameraWriter:
-    return SharedCameraWriter(run, Role.RECEIVER, size, DEPTH_SIZE)
+    return SharedCameraWriter(run, Role.RECEIVER, size, DEPTH_SIZE, FPS)
 
 
 def reader(run: str, open_timeout_s: float = 5.0) -> SharedCameraReader:
@@ -61,7 +61,7 @@ def value_of(frame: SharedFrame | None) -> int:
 
 def test_a_frame_comes_through_whole_with_its_stamp_and_sizes(run: str) -> None:
     with writer(run) as world, reader(run) as camera:
-        assert (camera.layout.color_size, camera.layout.depth_size) == (SIZE, DEPTH_SIZE)
+        assert (camera.layout.color_size, camera.layout.depth_size, camera.layout.fps) == (SIZE, DEPTH_SIZE, FPS)
         write(world, 42, stamp_ns=123_456)
         frame = camera.next(PATIENCE_S)
         assert frame is not None
@@ -151,7 +151,7 @@ WRITER = """
 import sys
 from hil.shared_camera import SharedCameraWriter
 from path.messages import Role
-with SharedCameraWriter(sys.argv[1], Role.RECEIVER, (64, 48), (40, 30)):
+with SharedCameraWriter(sys.argv[1], Role.RECEIVER, (64, 48), (40, 30), 50):
     print("up", flush=True)
     sys.stdin.read()
 """
@@ -213,4 +213,4 @@ def test_a_killed_reader_leaves_nothing_that_bars_the_next(run: str) -> None:
 
 def test_too_few_slots_are_refused() -> None:
     with pytest.raises(ValueError, match="slots"):
-        SharedCameraWriter("x", Role.SENDER, SIZE, DEPTH_SIZE, slots=2)
+        SharedCameraWriter("x", Role.SENDER, SIZE, DEPTH_SIZE, FPS, slots=2)

@@ -35,12 +35,12 @@ def run() -> Iterator[str]:
 
 
 def driver(run: str, **options: Any) -> RealSense:
-    source = PartSpec("hil.software_d415:SoftwareD415", {"fps": FPS, "run": run, **options}, "test: source")
+    source = PartSpec("hil.software_d415:SoftwareD415", {"run": run, **options}, "test: source")
     return RealSense(RealSenseConfig(source=source, fps=FPS, depth_size=DEPTH_SIZE, silence_s=0.2), context())
 
 
 def world(run: str) -> SharedCameraWriter:
-    return SharedCameraWriter(run, Role.SENDER, (COLOR.width, COLOR.height), DEPTH_SIZE)
+    return SharedCameraWriter(run, Role.SENDER, (COLOR.width, COLOR.height), DEPTH_SIZE, FPS)
 
 
 def draw(writer: SharedCameraWriter, value: int) -> int:
@@ -100,7 +100,7 @@ def test_a_world_that_is_gone_is_said(run: str) -> None:
 
 def test_a_world_that_draws_another_size_is_refused(run: str) -> None:
     async def main() -> None:
-        other = SharedCameraWriter(run, Role.SENDER, (64, 48), DEPTH_SIZE)
+        other = SharedCameraWriter(run, Role.SENDER, (64, 48), DEPTH_SIZE, FPS)
         with other, pytest.raises(CameraError, match=r"is for 96x72 px but the world draws 64x48 px"):
             await driver(run).__aenter__()
 
