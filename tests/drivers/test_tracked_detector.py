@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from drivers import tracked_detector
 from drivers.opencv_tracker import BoxTracker, TrackerKind
 from drivers.rig import Mount, Origin, PartContext
 from drivers.tables import RigError, decode_table
@@ -114,6 +115,35 @@ def test_what_looks_different_is_not_believed() -> None:
     assert detector.counters.lost + detector.counters.changed_looks + detector.counters.changed_size == 1
     assert detector.detect(image, None) == []  # and with nothing to follow it is asked each time
     assert oracle.asked == 3
+
+
+class Stuck:
+    """A tracker that is sure of itself: what it follows stays where it was, or grows."""
+
+    grows = 1.0
+
+    def __init__(self, kind: TrackerKind, image: Image, box: Box) -> None:
+        self._box = box
+
+    def update(self, image: Image) -> Box:
+        return Box(self._box.x, self._box.y, self.grows * self._box.w, self._box.h)
+
+
+@pytest.mark.parametrize(("grows", "counter"), [(1.0, "changed_looks"), (1.6, "changed_size")])
+def test_a_tracker_that_is_sure_is_checked_all_the_same(
+    monkeypatch: pytest.MonkeyPatch, grows: float, counter: str
+) -> None:
+    monkeypatch.setattr(tracked_detector, "BoxTracker", Stuck)
+    detector, oracle = made(every=100)
+    image, true = scene(100, 100)
+    oracle.answer = [true]
+    detector.detect(image, None)
+    detector.detect(image, None)
+    assert oracle.asked == 1
+    monkeypatch.setattr(Stuck, "grows", grows)
+    detector.detect(np.asarray(GROUND, np.uint8) if grows == 1.0 else image, None)
+    assert oracle.asked == 2
+    assert getattr(detector.counters, counter) == 1
 
 
 def test_what_left_the_search_region_is_asked_for_again() -> None:
