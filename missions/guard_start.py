@@ -12,6 +12,8 @@ from drivers.guard_line import is_taken
 from drivers.rig import Rig
 from path.messages import Role
 
+_begun: list[subprocess.Popen[bytes]] = []  # held: they may go on longer than this program
+
 How = Literal["start", "expect", "none"]
 
 
@@ -33,5 +35,7 @@ def with_guard(rig: Rig, role: Role, how: How, folder: Path) -> Rig:
             "--out", str(folder), "--while-flown",
         ]  # fmt: skip
         with (folder / f"{role.value}.guard.txt").open("ab") as said:
-            subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True)
+            _begun.append(
+                subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True)
+            )
     return rig

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from drivers.guard_line import UdpGuardLine
 from drivers.interfaces import FlightMode, PartError
 from drivers.log import read_log
 from hil.autopilot_values import OffboardSession
-from missions import rig_library
+from missions import guard_start, rig_library
 from missions.cli import main
 from missions.guard import guard_of
 from missions.guard_start import with_guard
@@ -134,6 +135,26 @@ def test_a_guard_that_is_told_to_end_stays_until_the_vehicle_is_down_and_leaves_
         assert process.wait(LIMIT_S) == 0  # nothing is left to do, and it had been told
         assert own.autopilot.mode is FlightMode.OTHER
         assert own.commands(*HOLD_OR_LAND) == [176]
+
+
+def test_a_role_s_guard_begins_beside_it_and_ends_by_itself(tmp_path: Path) -> None:
+    with bench() as own:
+        port, stop = free_port(), threading.Event()
+        rig = rig_library.load_unchecked(str(rig_file(tmp_path, own, port)))
+        assert with_guard(rig, Role.SENDER, "start", tmp_path) is rig
+        (process,) = guard_start._begun
+        role = FakeRole(f"127.0.0.1:{port}")
+        thread = threading.Thread(target=role.run, args=(stop,))
+        thread.start()
+        try:
+            until(lambda: role.hand is Hand.FREE)
+            assert os.getsid(process.pid) != os.getsid(0)  # Ctrl-C and Ctrl-Z are not for it
+        finally:
+            stop.set()
+            thread.join()
+        assert process.wait(LIMIT_S) == 0
+        guard_start._begun.clear()
+    assert "watching vehicle 1" in (tmp_path / "sender.guard.txt").read_text()
 
 
 def test_a_rig_whose_guard_cannot_be_a_program_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
