@@ -31,6 +31,7 @@ BEACON_RECORD, BEACON_LIST = "beacons.mcap", "beacons.csv"
 TARGET_MPS = 0.45
 VERIFY_S = 20.0  # of agreement before the hand-over, so that there is something to compare
 FOLLOW_S = 1.0
+STEADY_S = 1.0
 R_U_N = np.diag([1.0, -1.0, -1.0])
 
 MIN_QUALITY = 75.0
@@ -145,9 +146,28 @@ def load_motions(run: Run, rig: Rig) -> Motions:
 
 def _by_own_estimate(states: Sequence[LogRecord], lever_b: Array, offset_ns: int) -> Trajectory:
     """``offset_ns``: of the log's stamps from the receiver's clock."""
-    return _trajectory(
-        [(r.stamp_ns - offset_ns, np.array(r.record["position_n_m"]) + _R(r.record["q_n_b"]) @ lever_b) for r in states]
-    )
+    t = np.array([r.stamp_ns - offset_ns for r in states]) * 1e-9
+    p, v = (np.array([r.record[name] for r in states]) for name in ("position_n_m", "velocity_n_mps"))
+    levers = np.array([_R(r.record["q_n_b"]) @ lever_b for r in states])
+    return Trajectory(t, (steadied(t, p, v) + levers) @ R_U_N.T)
+
+
+def steadied(t: Array, p: Array, v: Array, over_s: float = STEADY_S) -> Array:
+    """Positions (n, 3) whose quick changes are those of the velocities (n, 3), and whose slow ones are their own.
+
+    Positions of a navigation filter jitter and jump within a second, its velocities do not. What the positions have
+    beyond the integrated velocities is taken as a line within ``over_s`` of each instant, to both sides alike: nothing
+    is delayed.
+    """
+    driven = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)[:, None], axis=0)])
+    weights = np.exp(-np.abs(t[:, None] - t) / over_s)
+    weights /= weights.sum(axis=1, keepdims=True)
+    middle = weights @ t
+    leaning = weights * (t - middle[:, None])
+    spread = np.sum(leaning * t, axis=1)[:, None]
+    beyond = p - driven
+    slope = leaning @ beyond / np.maximum(spread, 1e-9)
+    return driven + weights @ beyond + slope * (t - middle)[:, None]
 
 
 def _stamped_by_capture(records: Sequence[LogRecord]) -> list[LogRecord]:

@@ -42,7 +42,7 @@ from path.target import MAD_TO_SIGMA
 Array = NDArray[np.float64]
 
 SUBJECTS = ("d2", "target")
-WANDER_S = 8.0  # within this a vehicle's own position drifts by less than the beacons' noise
+WANDER_S = 4.0  # within this a vehicle's own position drifts by less than the beacons' noise
 RPE_S, RPE_M = 1.0, 1.0
 
 
