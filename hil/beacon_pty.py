@@ -68,12 +68,16 @@ class BeaconThread(threading.Thread):
     """Lets the beacons take their turns in real time, and sends what comes of it when it is due."""
 
     def __init__(
-        self, system: BeaconSystem, cable: SerialCable, now_s: Callable[[], float], place: Callable[[str], Array]
+        self,
+        system: BeaconSystem,
+        cable: SerialCable,
+        now_s: Callable[[], float],
+        place: Callable[[str], tuple[float, Array]],
     ) -> None:
         """
         Args:
             now_s: the world's time.
-            place: where a beacon is now, (3,), by its name.
+            place: by its name, where a beacon is now, (3,), and when that is: a busy computer comes late to a turn.
         """
         super().__init__(name="beacons", daemon=True)
         self._system, self._cable, self._now_s, self._place = system, cable, now_s, place
@@ -92,7 +96,7 @@ class BeaconThread(threading.Thread):
                 if self._ending.wait(wait_s):
                     return
             if turn_s > now_s - 0.05:  # what a stalled computer missed is left out
-                due.append(self._system.hear(name, turn_s, self._place(name)))
+                due.append(self._system.hear(name, *self._place(name)))
 
     def end(self) -> None:
         self._ending.set()
@@ -117,12 +121,14 @@ def open_beacons(
     system = BeaconSystem(config, seed, {name: own.address for name, own in reference.mounted.items()})
     mounted = reference.mounted
 
-    def place(name: str) -> Array:
+    def place(name: str) -> tuple[float, Array]:
         world, lever_m = snapshot(), np.array(mounted[name].lever_m)
         if name == "target":
             target = world.objects[0]
-            return np.array(target.position_w_m) + R_from_rpy(0.0, 0.0, target.yaw_rad) @ lever_m
-        return world.drones[Role(name)].T_w_b.apply(lever_m)
+            place_w = np.array(target.position_w_m) + R_from_rpy(0.0, 0.0, target.yaw_rad) @ lever_m
+        else:
+            place_w = world.drones[Role(name)].T_w_b.apply(lever_m)
+        return world.time_s, place_w
 
     # who listens does so by this computer's clock, as the roles do
     write_truth(out / TRUTH_FILE, replace(truth_of(system, config), offset_s=0.0))
