@@ -29,7 +29,7 @@ from path.rotation import R_from_rpy
 
 Array = NDArray[np.float64]
 
-APPEARS_S = 60.0  # a world that is warmed up first
+APPEARS_S = 180.0  # a world that is warmed up first; the harness gives it up before
 POLL_S = 0.05
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -26,7 +27,6 @@ from missions.trials.dynamic_flight import BEACON_LIST, BEACON_RECORD, reference
 from path.messages import Role
 
 SILENT_S = 2.0  # without a position before it is said
-OPEN_S = 60.0  # for the ports, a simulated world's among them
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +116,7 @@ class Listener:
         self._partial = file.with_name(f"{file.name}.part")  # a flight clears its folder of earlier logs
         self._recorder = BeaconRecorder(self._partial, float(spec.options.get("latency_s", 0.0)))
         self._stop = threading.Event()
+        self._running: tuple[asyncio.AbstractEventLoop, asyncio.Task[None]] | None = None
         self._thread = threading.Thread(target=lambda: asyncio.run(self._listen()), name="listener", daemon=True)
         self.fixes: list[BeaconFix] = []
         self.notes: list[str] = []
@@ -129,6 +130,10 @@ class Listener:
     ) -> None:
         """Raises BeaconError when not one position was heard, or the record is not whole."""
         self._stop.set()
+        if self._running is not None:
+            loop, task = self._running
+            with suppress(RuntimeError):  # it has ended by itself
+                loop.call_soon_threadsafe(task.cancel)
         self._thread.join()
         self._recorder.close()
         if isinstance(self._beacons, _HasBytes):
@@ -139,6 +144,9 @@ class Listener:
             raise BeaconError("; ".join(self.notes) or "no position of a beacon was heard", "docs/beacons.md")
 
     async def _listen(self) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._running = asyncio.get_running_loop(), task
         if isinstance(self._beacons, _HasBytes):
             self._beacons.on_bytes = self._recorder.write
         try:
@@ -147,6 +155,9 @@ class Listener:
                     pass
         except PartError as error:
             self.notes.append(str(error))
+        except asyncio.CancelledError:
+            if not self._stop.is_set():
+                raise
 
     async def _heard(self, beacons: Beacons) -> bool:
         """One more position, or one more silence, which is noted once; False at the end of a record."""
