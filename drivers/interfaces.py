@@ -65,6 +65,27 @@ class Part(Protocol):
     ) -> None: ...
 
 
+class Capability(Enum):
+    """What a mission may need of a part. A part that lacks some says so in ``lacks``, a set of these.
+
+    Attributes:
+        GEOFENCE: the vehicle keeps a fence of its own.
+        GLOBAL_POSITION: its position does not drift.
+        PILOT_OVERRIDE: a pilot can take it over by remote control.
+        RANGE: the camera's frames tell how far away a box is.
+    """
+
+    GEOFENCE = "geofence"
+    GLOBAL_POSITION = "global_position"
+    PILOT_OVERRIDE = "pilot_override"
+    RANGE = "range"
+
+
+def lacking(part: object) -> frozenset[Capability]:
+    """What a part says that it cannot do."""
+    return getattr(part, "lacks", frozenset[Capability]())
+
+
 class Clock(Protocol):
     """One drone's clock. Every stamp a role makes or compares is of this clock."""
 
@@ -125,6 +146,7 @@ class VehicleState:
         velocity_n_mps: NED.
         q_n_b: attitude wxyz, body FRD to NED.
         heartbeat_ns: arrival of the newest heartbeat, role clock.
+        position_sigma_m: horizontal standard deviation per axis, where the driver itself has to reckon the position.
     """
 
     stamp_ns: int
@@ -137,6 +159,7 @@ class VehicleState:
     armable: bool
     mode: FlightMode
     battery: float
+    position_sigma_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from types import TracebackType
 from typing import Literal, Self
 
@@ -14,18 +15,21 @@ from drivers.calibration_file import check_serial, check_size
 from drivers.depth_mask import without_elsewhere
 from drivers.depth_pieces import DepthSlice
 from drivers.freshness import Freshness
-from drivers.interfaces import Camera, CameraError, Detector, Frame
+from drivers.interfaces import Camera, CameraError, Capability, Detector, Frame, lacking
 from drivers.rig import PartContext, PartSpec, create
 from path.agreement import iou
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.marker.detect import detect_markers
 from path.marker.layout import MarkerLayout
+from path.monocular import TargetSize, monocular_range
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 from path.target import depth_sigma, registered_depth
 
 Corners = Literal["photometric", "subpix"]
+Ranging = Callable[[Box], Depth | None]
 DEPTH_SIGMAS = 2.0  # of the depth camera's own noise
+RANGE_SIGMAS = 3.0  # of a range by the target's size
 UNCUT_IOU, CUT_SCORE = 0.85, 0.5  # of a box with the same before depth cut something off; of a piece that looks whole
 
 
@@ -36,6 +40,7 @@ class PixelSightConfig:
         camera, detector: parts by name.
         corners: how marker corners are refined.
         method: of the method's settings, those about depth.
+        target: size of the target, for a camera without depth: how far away it is, is taken from its box.
         max_old_frames: this many frames in a row with an old or repeated stamp are a fault of the camera's clock.
     """
 
@@ -43,6 +48,7 @@ class PixelSightConfig:
     detector: PartSpec
     corners: Corners = "photometric"
     method: MethodConfig = field(default_factory=MethodConfig)
+    target: TargetSize | None = None
     max_old_frames: int = 30
 
 
@@ -57,6 +63,8 @@ class PixelSight:
         self._detector: Detector = create(config.detector, context)
         self._layout = context.layout
         self._calibrated_serial = context.camera_serial
+        size = config.target
+        self._ranging = None if size is None else partial(monocular_range, camera=context.camera, size=size)
         self._freshness = Freshness(config.max_old_frames)
 
     @property
@@ -67,6 +75,12 @@ class PixelSight:
     @property
     def model(self) -> CameraModel:
         return self._camera.model
+
+    @property
+    def lacks(self) -> frozenset[Capability]:
+        """What the camera lacks, but for ranges that the target's size gives."""
+        of_camera = lacking(self._camera)
+        return of_camera if self._ranging is None else of_camera - {Capability.RANGE}
 
     async def __aenter__(self) -> Self:
         """Opens the camera. Raises CameraError, also when it is not the one that the calibration is of."""
@@ -92,13 +106,13 @@ class PixelSight:
         frame = await self._freshness.next(self._camera.read, timeout_s)
         _check_size(frame, self.model)
         config = self._config
-        return PixelView(frame, self.model, self._layout, self._detector, config.method, config.corners)
+        return PixelView(frame, self.model, self._layout, self._detector, config.method, config.corners, self._ranging)
 
 
 class PixelView:
     """Implements ``drivers.interfaces.View`` on one frame. Every question is answered from the pixels when asked."""
 
-    __slots__ = ("_corners", "_detector", "_frame", "_layout", "_method", "_model")
+    __slots__ = ("_corners", "_detector", "_frame", "_layout", "_method", "_model", "_ranging")
 
     def __init__(
         self,
@@ -108,10 +122,12 @@ class PixelView:
         detector: Detector,
         method: MethodConfig,
         corners: Corners = "photometric",
+        ranging: Ranging | None = None,
     ) -> None:
         self._frame, self._model, self._layout = frame, model, layout
         self._detector, self._method = detector, method
         self._corners: Corners = corners
+        self._ranging = ranging  # in place of a depth stream
 
     @property
     def stamp_ns(self) -> int:
@@ -128,8 +144,10 @@ class PixelView:
         them in the image, at another depth, is cut off; what is left of other things by that is odd in shape.
         """
         frame, detector = self._frame, self._detector
-        if region is None or region.any_depth or frame.depth_mm is None:
+        if region is None or region.any_depth:
             return detector.detect(frame.color, region)
+        if frame.depth_mm is None:
+            return [each for each in detector.detect(frame.color, region) if self._may_be_within(region, each.box)]
         near_m = region.near_m - DEPTH_SIGMAS * depth_sigma(region.near_m, self._method)
         far_m = region.far_m + DEPTH_SIGMAS * depth_sigma(region.far_m, self._method)
         if getattr(detector, "whole_image", False):
@@ -148,12 +166,22 @@ class PixelView:
         return detect_markers(self._frame.color, region, self._layout, self._model, refine=self._corners)
 
     def depth(self, box: Box) -> Depth | None:
-        """Robust depth over a box (``path.target.registered_depth``); None without a depth stream."""
+        """Robust depth over a box (``path.target.registered_depth``); without a depth stream, by the target's size."""
         depth_mm = self._frame.depth_mm
-        return None if depth_mm is None else registered_depth(depth_mm, box, self._method)
+        if depth_mm is not None:
+            return registered_depth(depth_mm, box, self._method)
+        return None if self._ranging is None else self._ranging(box)
 
     def image(self) -> NDArray[np.uint8]:
         return self._frame.color
+
+    def _may_be_within(self, region: Region, box: Box) -> bool:
+        """Whether a target in this box can be as far away as the region says; yes where that is not known."""
+        depth = None if self._ranging is None else self._ranging(box)
+        if depth is None:
+            return True
+        reach_m = RANGE_SIGMAS * depth.sigma_m
+        return region.near_m - reach_m <= depth.z_m <= region.far_m + reach_m
 
 
 def _whole_of(part: Detection, found: Sequence[Detection]) -> Detection | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from flight.guard_rules import GuardRules
+from drivers.interfaces import Capability
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +98,7 @@ class Deadlines:
 class MissionConfig:
     """One handoff mission, both roles."""
 
+    needs: tuple[Capability, ...] = ()  # of the vehicle and the sight, besides what the course itself needs
     handoff_id: int = 1
     target_id: int = 1
     heading_deg: float = 0.0  # of the sender's approach to the target

@@ -45,6 +45,10 @@ from hil.script_monitor import vehicles_of
 from hil.shared_camera import RUN_VARIABLE, SharedCameraWriter
 from hil.sim import VEHICLES_EVERY, down, mission_config
 from hil.snapshot import Snapshot
+from hil.sim import down, min_separation_m
+from hil.tello_emulator import TelloEmulator
+from hil.tello_video import TelloVideo
+from hil.tello_world import is_tello, tello_of
 from hil.truth_log import TruthLog
 from hil.world import World, WorldConfig
 from path.messages import Role
@@ -68,17 +72,23 @@ class LiveWorld:
         return time.monotonic() - self.start_s
 
 
+FrameWriter = SharedCameraWriter | TelloVideo
+
+
 class CameraThread(threading.Thread):
     """Renders one drone's camera at its rate and publishes the frames. A late frame is left out, and counted."""
 
-    def __init__(self, live: LiveWorld, rig: Rig, role: Role, writer: SharedCameraWriter, seed: int) -> None:
+    def __init__(self, live: LiveWorld, rig: Rig, role: Role, writer: FrameWriter, seed: int) -> None:
         super().__init__(name=f"camera-{role.value}", daemon=True)
         own = rig.role(role)
         self._live, self._role, self._writer = live, role, writer
-        camera = camera_config(rig, role)
-        self._rate_hz = float(camera.fps)
         self._renderer = Renderer(own.camera, own.mount.T_b_c, own.mount.T_b_v, rig.layout, seed=seed)
-        self._depth = DepthRenderer(self._renderer, depth_camera(*depth_size(rig, role)), T_COLOR_DEPTH)
+        self._depth: DepthRenderer | None = None
+        if isinstance(writer, TelloVideo):
+            self._rate_hz = writer.rate_hz
+        else:
+            self._rate_hz = float(camera_config(rig, role).fps)
+            self._depth = DepthRenderer(self._renderer, depth_camera(*depth_size(rig, role)), T_COLOR_DEPTH)
         self.ending = threading.Event()
         self.rendered = 0
         self.left_out = 0
@@ -108,7 +118,10 @@ class CameraThread(threading.Thread):
             snapshot = live.world.snapshot()
         stamp_ns = round((live.start_s + snapshot.time_s) * 1e9)
         color = self._renderer.render_color(snapshot, self._role, frame)
-        self._writer.write(stamp_ns, color, self._depth.render(snapshot, self._role, frame))
+        if self._depth is not None:
+            self._writer.write(stamp_ns, color, self._depth.render(snapshot, self._role, frame))
+        elif isinstance(self._writer, TelloVideo):
+            self._writer.write(stamp_ns, color)
         self.rendered += 1
 
 
@@ -122,7 +135,8 @@ class SitlWorld:
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
         self._finish_within_s: float | None = None
-        self._vehicles: dict[Role, MavlinkVehicle] = {}
+        self._vehicles: dict[Role, MavlinkVehicle | TelloEmulator] = {}
+        self._videos: dict[Role, TelloVideo] = {}
         self._cameras: dict[Role, CameraThread] = {}
 
     async def run(self) -> None:
@@ -148,8 +162,12 @@ class SitlWorld:
                 truth.setpoint_gap(role, live.world)
             say(self._findings(truth))
 
-    def _vehicle(self, role: Role) -> MavlinkVehicle:
+    def _vehicle(self, role: Role) -> MavlinkVehicle | TelloEmulator:
         rig = self._rig
+        if is_tello(rig.role(role).vehicle):
+            world = self._live.world
+            emulator, self._videos[role] = tello_of(rig, role, world.drone(role), world.config, self._seed)
+            return emulator
         options = rig.role(role).vehicle.options
         guard = rig.role(role).guard
         second = None if guard is None else _listener(str(guard.options["url"]))
@@ -167,6 +185,7 @@ class SitlWorld:
             fps = camera_config(self._rig, role).fps
             writer = SharedCameraWriter(os.environ[RUN_VARIABLE], role, size, depth_size(self._rig, role), fps)
             stack.enter_context(writer)
+            writer = stack.enter_context(self._videos.get(role) or self._shared_camera(role))
             camera = CameraThread(self._live, self._rig, role, writer, self._seed)
             self._cameras[role] = camera
             stack.enter_context(_running(camera))
@@ -176,6 +195,10 @@ class SitlWorld:
         with live.lock:
             live.world.advance(max(live.now_s(), live.world.time_s))
             return live.world.snapshot()
+    def _shared_camera(self, role: Role) -> SharedCameraWriter:
+        color = self._rig.role(role).camera
+        size = color.width, color.height
+        return SharedCameraWriter(os.environ[RUN_VARIABLE], role, size, depth_size(self._rig, role))
 
     async def _step_until_finished(self, truth: TruthLog) -> None:
         """Physics and both vehicles at 200 Hz, until told to finish and both are down, or that takes too long."""
@@ -187,6 +210,8 @@ class SitlWorld:
                 for vehicle in self._vehicles.values():
                     vehicle.pump(live.world.time_s)
                 truth.modes(live.world)
+                for video in self._videos.values():
+                    video.pump(live.start_s + live.world.time_s)
                 if steps % TRUTH_STEPS == 0:
                     truth.truth(live.world)
                     self._monitors.on_truth(now_s, live.world.separation_m, live.world.both_in_air)
@@ -234,7 +259,9 @@ class SitlWorld:
     def _findings(self, truth: TruthLog) -> dict[str, Any]:
         live, monitors = self._live, self._monitors
         for role in Role:
-            sessions = live.world.drone(role).autopilot.offboard_sessions
+            vehicle = self._vehicles[role]
+            by_sticks = isinstance(vehicle, TelloEmulator)
+            sessions = vehicle.sessions if by_sticks else live.world.drone(role).autopilot.offboard_sessions
             monitors.on_offboard(role, sessions, live.cut_off[role])
         for detail in monitors.details:
             truth.violation(live.world.time_s, detail.partition(" ")[0], detail)

@@ -6,11 +6,13 @@ import asyncio
 
 from drivers.guard_interfaces import Script
 from drivers.interfaces import FlightMode, VehicleError
+from drivers.interfaces import Capability, FlightMode, VehicleError, lacking
 from flight.guidance import Anchor, Vec3, add, norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.under_guard import UnderGuard
 from missions.session import Session
+from path.messages import Role
 from path.rotation import yaw_of
 
 _FIRST_FRAME_S = 10.0
@@ -23,6 +25,7 @@ _NO_MANOEUVRE = frozenset({Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcom
 async def preflight(session: Session) -> None:
     """Camera gives frames, vehicle is armable, the other drone is heard and its clock known. Nothing moves before."""
     session.enter(Phase.PREFLIGHT)
+    check_capabilities(session)
     deadlines = session.config.deadlines
     await session.sight.view(_FIRST_FRAME_S)
     await session.vehicle.wait_armable(deadlines.armable_s)
@@ -36,6 +39,17 @@ async def preflight(session: Session) -> None:
     await session.until(
         lambda: session.alignment.ready, deadlines.peer_s, Outcome.CLOCK_FAULT, "the clocks were not aligned"
     )
+
+
+def check_capabilities(session: Session) -> None:
+    """Raise MissionEnd(UNFIT) when a part lacks what the course or the rig's ``needs`` ask of it."""
+    needed = set(session.config.needs)
+    if session.role is Role.SENDER:
+        needed.add(Capability.RANGE)  # it has to say where the target is
+    for name, part in (("vehicle", session.vehicle), ("sight", session.sight)):
+        missing = sorted(each.value for each in needed & lacking(part))
+        if missing:
+            raise MissionEnd(Outcome.UNFIT, f"the {session.role.value}'s {name} has no {', '.join(missing)}")
 
 
 async def take_off(session: Session, height_m: float) -> None:
