@@ -141,6 +141,11 @@ class TelloVehicle:
         return self._state
 
     @property
+    def link(self) -> TelloLink:
+        """To the drone; VehicleError while it is closed."""
+        return self._open_link()
+
+    @property
     def position_sigma_m(self) -> float:
         """How well the horizontal position is known by now, per axis."""
         return self._reckoning.position_sigma_m

@@ -184,12 +184,18 @@ class TelloCamera:
         return Frame(arrival_ns - round(self._config.latency_s * 1e9), number, image, None)
 
     def _silent(self, timeout_s: float) -> CameraError:
-        message = f"no video frame from {self._config.host} for {timeout_s:g} s"
-        if self._reader is not None and self._reader.failure is not None:
-            return CameraError(f"{message}: {self._reader.failure!r}", "start again; see docs/tello.md")
-        if self._reader is not None and self._reader.damaged:
-            message += f", {self._reader.damaged} damaged ones"
-        return CameraError(message, "is the drone near, and its Wi-Fi free of others? docs/tello.md")
+        return CameraError(
+            f"no video frame from {self._config.host} for {timeout_s:g} s, {self._trouble()}",
+            "is the drone near, and its Wi-Fi free of others? docs/tello.md",
+        )
+
+    def _trouble(self) -> str:
+        reader = self._reader
+        if reader is None:
+            return "the camera is closed"
+        if reader.failure is not None:
+            return f"the stream has ended: {reader.failure}"
+        return f"{reader.damaged} damaged ones"
 
     def _on_frame(self, image: NDArray[np.uint8]) -> None:
         """On the reader's thread."""
@@ -220,7 +226,7 @@ class TelloCamera:
             if time.monotonic() > end_s:
                 got = f"{self._count} frames" if self._count else "no frame"
                 raise CameraError(
-                    f"the video of {self._config.host} is not steady: {got} in {CATCH_UP_S:g} s",
+                    f"the video of {self._config.host} is not steady: {got} in {CATCH_UP_S:g} s, {self._trouble()}",
                     "is the drone near, and its Wi-Fi free of others? docs/tello.md",
                 )
             await asyncio.sleep(POLL_S)

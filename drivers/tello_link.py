@@ -200,8 +200,6 @@ class TelloLink:
 
     def on_state(self, fields: dict[str, Any]) -> None:
         """On the library's thread; must not raise there."""
-        if not fields:
-            return
         report = read_report(fields, self.clock.now_ns())
         if report is None:
             self.bad_reports += 1

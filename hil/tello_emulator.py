@@ -215,7 +215,7 @@ class TelloEmulator:
 
     def _take_off(self, sender: Address) -> str | None:
         autopilot = self._drone.autopilot
-        if not autopilot.landed or self._pending_takeoff:
+        if not autopilot.landed or self._waiting is not None:
             return "error"
         if self.faults.motor_fault:
             return "error Motor stop"
