@@ -14,6 +14,8 @@ from path.messages import Role
 
 EXCLUSIVE = ("url", "bind", "sysid", "interface", "device", "serial")
 """Options of a part that name something only one part of a rig may use."""
+OF_ROLE = ("host", "state_port", "video_port", "interface", "serial", "namespace")
+"""Options that all parts of one role may share, when they mean the same drone, and nothing of the other role."""
 
 
 def check_rig(rig: Rig) -> None:
@@ -58,8 +60,11 @@ def _decode_parts(rig: Rig, problems: Problems) -> dict[str, Any]:
 
 
 def _exclusive(config: Any) -> list[tuple[str, Any]]:
-    named = [(f.name, getattr(config, f.name)) for f in dataclasses.fields(config) if f.name in EXCLUSIVE]
-    return [(name, value) for name, value in named if value not in (None, "")]
+    """The options of a part that occupy something. In a network namespace of its own a role has its own ports."""
+    apart = bool(getattr(config, "namespace", ""))
+    named = [(f.name, getattr(config, f.name)) for f in dataclasses.fields(config) if f.name in (*EXCLUSIVE, *OF_ROLE)]
+    taken = [(name, value) for name, value in named if value not in (None, "")]
+    return [(name, value) for name, value in taken if not (apart and name in ("host", "state_port", "video_port"))]
 
 
 def _check_part(spec: PartSpec, configs: dict[str, Any], problems: Problems) -> None:
@@ -80,8 +85,12 @@ def _check_part(spec: PartSpec, configs: dict[str, Any], problems: Problems) -> 
 def _check_exclusive(configs: Mapping[str, Any], problems: Problems) -> None:
     used: dict[tuple[str, str], str] = {}
     for where, config in configs.items():
+        role = where.partition(": ")[2].partition(".")[0]
         for name, value in _exclusive(config):
             key = _resource(name, value)
+            one_drone = hasattr(config, "host") and name in OF_ROLE
+            if key in used and one_drone and used[key].partition(".")[0] == role:
+                continue  # vehicle and camera of one drone
             if key in used:
                 problems.add(f"{where}.{name}", f"{value!r} is already used by {used[key]}; each needs its own")
             used.setdefault(key, f"{where.partition(': ')[2]}.{name}")
@@ -102,6 +111,8 @@ def _check_serials(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> 
 def _resource(name: str, value: Any) -> tuple[str, str]:
     """What an option occupies. Two listeners on one UDP port collide whatever their addresses say."""
     text = str(value)
+    if name in ("state_port", "video_port"):
+        return "port", text
     local = name == "bind" or text.startswith(("udpin://", "tcpin://"))
     if name in ("url", "bind") and local:
         return "port", text.rpartition(":")[2]
