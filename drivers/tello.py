@@ -29,6 +29,7 @@ OFF_GROUND_M = 0.35
 CLIMB_GAIN_HZ, CLIMB_MPS = 1.0, 0.5
 SETTLED_MPS = 0.25
 LAND_TRIES = 3
+BLIND_LAND_S = 0.2
 HOLD_TIMES = 3  # datagrams without an answer, so said again
 KEEP_ALIVE_S = 4.0  # of the 15 s of silence after which it lands
 YAW_GAIN_HZ = 1.5
@@ -252,40 +253,53 @@ class TelloVehicle:
         self._sticks((north, east, down), max(-limit, min(limit, turn_dps)))
 
     async def hold(self) -> None:
-        self._check_alive()
         for _ in range(HOLD_TIMES):
             self._centre()
             await asyncio.sleep(RC_PERIOD_S)
+        self._check_alive()
         self._set_mode(FlightMode.HOLD)
 
     async def land(self, timeout_s: float) -> None:
+        """Said again when nothing comes of it, and said blindly when the drone is not heard any more."""
         if not self._flying:
             self._check_alive()  # that it is not flying must be news
             return
-        link = self._open_link()
         self._centre()
         self._set_mode(FlightMode.LAND)
         end_s = time.monotonic() + timeout_s
-        heard: str | None = None
-        for _ in range(LAND_TRIES):  # it ends motion: it may be said again
-            answering = asyncio.create_task(
-                link.ask("land", min(self._config.answer_s, end_s - time.monotonic()), True)
-            )
-            try:
-                await self._until(lambda answering=answering: answering.done() or self._landed(), timeout_s)
-            finally:
-                if not answering.done():
-                    answering.cancel()
-                    await asyncio.gather(answering, return_exceptions=True)
-            heard = answering.result() if not answering.cancelled() else "ok"
-            if self._landed() or (heard is not None and heard.lower() == "ok") or self._sinking():
-                break
-        if not await self._until(self._landed, max(0.5, end_s - time.monotonic())):
+        try:
+            heard = await self._say_land(end_s)
+            down = await self._until(self._landed, max(0.5, end_s - time.monotonic()))
+        except VehicleError:
+            for _ in range(LAND_TRIES):
+                self._open_link().send("land")
+                await asyncio.sleep(BLIND_LAND_S)
+            raise
+        if not down:
             raise VehicleError(
                 f"not on the ground {timeout_s:g} s after the landing began; {said(heard)}", "take it by hand"
             )
         self._flying = False
         self._set_mode(FlightMode.HOLD)
+
+    async def _say_land(self, end_s: float) -> str | None:
+        """Until it says ok, sinks, or has been told often enough; what it said. A landing is answered at its end."""
+        heard: str | None = None
+        for _ in range(LAND_TRIES):
+            patience_s = max(0.1, min(self._config.answer_s, end_s - time.monotonic()))
+            answering = asyncio.create_task(self._open_link().ask("land", patience_s, urgent=True))
+            try:
+                await self._until(lambda answering=answering: answering.done() or self._landed(), 2.0 * patience_s)
+            finally:
+                if not answering.done():
+                    answering.cancel()
+                await asyncio.gather(answering, return_exceptions=True)
+            if answering.cancelled():
+                return None  # it is down already
+            heard = answering.result()
+            if (heard is not None and heard.lower() == "ok") or self._sinking():
+                break
+        return heard
 
     def emergency(self) -> None:
         """Stop the motors, wherever it is: it falls. No script calls this."""
@@ -362,7 +376,7 @@ class TelloVehicle:
         return True
 
     async def _keep_alive(self) -> None:
-        """Say something while nobody else does, but only while the drone holds: never in place of a script that flies."""
+        """Say something while nobody else does, but only while it holds: never in place of a script that flies."""
         while True:
             await asyncio.sleep(KEEP_ALIVE_S / 4.0)
             link = self._open_link()

@@ -26,7 +26,8 @@ from drivers.tello_link import TelloAddress, TelloLink, link_to, said
 from path.camera import CameraModel
 
 FPS_NAMES: dict[int, str] = {30: "high", 15: "middle", 5: "low"}
-OPEN_S = 8.0  # djitellopy gives up after 5
+PROBE_S = 12.0  # for djitellopy to recognise the stream, which takes some 40 frames; its own 5 s are too few at 5 Hz
+OPEN_S = PROBE_S + 3.0
 COMMAND_S = 3.0
 STALL_US = 1_500_000  # silence for so long ends the reader's thread; long before, no frame is an error
 CLOSE_S = 3.0
@@ -252,6 +253,7 @@ class TelloCamera:
 
     async def _open_reader(self, link: TelloLink) -> _Reader:
         """The library's constructor waits for the stream, so it runs in a thread, and that is waited for."""
+        link.tello.__class__.FRAME_GRAB_TIMEOUT = PROBE_S
         address = f"{link.tello.get_udp_video_address()}?timeout={STALL_US}&overrun_nonfatal=1"
         opened: list[_Reader | BaseException] = []
 

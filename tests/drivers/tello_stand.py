@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import threading
 import time
@@ -64,22 +65,22 @@ class Stand:
         return self.emulator.received[word]
 
 
-def wait_for(condition: Callable[[], bool], what: str, limit_s: float = 10.0) -> None:
+async def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:
+    """Poll for a condition; TimeoutError when it does not come true."""
     end_s = time.monotonic() + limit_s
     while not condition():
-        assert time.monotonic() < end_s, f"never: {what}"
-        time.sleep(0.005)
+        if time.monotonic() > end_s:
+            raise TimeoutError
+        await asyncio.sleep(0.01)
 
 
 @contextmanager
-def emulated(
-    config: dict[str, Any] | None = None, rate_hz: float = 0.0, speed: float = 1.0, video: dict[str, Any] | None = None
-) -> Generator[Stand]:
-    """One Tello; its time runs ``speed`` times as fast as ours. With a rate its camera films a field that changes with every frame."""
+def emulated(config: dict[str, Any] | None = None, rate_hz: float = 0.0, speed: float = 1.0) -> Generator[Stand]:
+    """One Tello; its time runs ``speed`` times as fast as ours. With a rate its camera films a clock."""
     world = World(WorldConfig(), seed=3)
     host = next_host()
     drone = world.drone(Role.SENDER)
-    camera = TelloVideo(TelloVideoConfig(CAMERA.width, CAMERA.height, rate_hz or 30.0, **(video or {})))
+    camera = TelloVideo(TelloVideoConfig(CAMERA.width, CAMERA.height, rate_hz or 30.0))
     emulator = TelloEmulator(TelloEmulatorConfig(host, **(config or {})), drone, camera)
     stand = Stand(emulator, camera, drone, {"host": host, "state_port": STATE_PORT, "video_port": free_port()})
     emulator.tap = lambda _, text: stand.heard.append(text)

@@ -18,19 +18,13 @@ from drivers.interfaces import FlightMode, VehicleError, VelocitySetpoint
 from drivers.tello import TelloVehicle, TelloVehicleConfig
 from drivers.tello_link import TelloAddress, TelloLink, check_namespace, check_ports, check_route
 from path.rotation import yaw_of
-from tests.drivers.tello_stand import STATE_PORT, Stand, context, emulated, free_port, next_host
+from tests.drivers.tello_stand import STATE_PORT, Stand, context, emulated, free_port, next_host, until
 
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
 
 
 def vehicle(stand: Stand, **options: Any) -> TelloVehicle:
     return TelloVehicle(TelloVehicleConfig(**stand.address, **options), context())
-
-
-async def until(condition: Any, limit_s: float = 5.0) -> None:
-    async with asyncio.timeout(limit_s):
-        while not condition():
-            await asyncio.sleep(0.01)
 
 
 def test_a_flight_from_take_off_to_landing() -> None:
@@ -157,10 +151,8 @@ def test_when_state_packets_stop_every_wait_ends_and_the_age_is_told() -> None:
             assert time.monotonic() - start_s < 3.0
             assert drone.state.stamp_ns - stamp_ns < 3e8  # not made to look younger than it is
             assert drone.state.armed  # nobody has seen it land
-        assert stand.count("land") >= 1  # it was told to, and does
-        async with asyncio.timeout(10.0):
-            while not stand.drone.on_ground:
-                await asyncio.sleep(0.02)
+        assert stand.count("land") >= 3  # it was told to, and does
+        await until(lambda: stand.drone.on_ground, 10.0)
 
     with emulated(speed=4.0) as stand:
         asyncio.run(unplugged(stand))
@@ -223,7 +215,8 @@ def test_it_is_kept_awake_while_it_holds_and_not_while_a_script_flies_it(monkeyp
 
 
 def refusal(stand: Stand | None = None, **options: Any) -> VehicleError:
-    address = stand.address if stand is not None else {"host": next_host(), "state_port": STATE_PORT}
+    nobody: dict[str, Any] = {"host": next_host(), "state_port": STATE_PORT}
+    address = nobody if stand is None else stand.address
     drone = TelloVehicle(TelloVehicleConfig(**{**address, **options}), context())
 
     async def open_it() -> None:
