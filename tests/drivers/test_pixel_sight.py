@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import cv2
@@ -13,15 +14,16 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.depth_mask import GREY
-from drivers.interfaces import CameraError, Frame
+from drivers.interfaces import CameraError, Capability, Frame
 from drivers.pixel_sight import PixelSight, PixelSightConfig, PixelView
-from drivers.rig import Mount, Origin, PartContext
+from drivers.rig import Mount, Origin, PartContext, PartSpec
 from drivers.tables import RigError, decode_table
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
+from path.monocular import TargetSize, monocular_range
 from path.observations import Box, Detection, Region
 
 CAMERA = CameraModel(160, 120, 200.0, 200.0, 79.5, 59.5)
@@ -310,3 +312,48 @@ def camera_frame_depth(view: PixelView) -> NDArray[np.uint16]:
     depth_mm = view._frame.depth_mm
     assert depth_mm is not None
     return depth_mm
+# --- a camera without depth --------------------------------------------------------------------------------------
+
+
+SIZE = TargetSize(apparent_m=0.3, sigma=0.1)
+
+
+class NoDepth(StubCamera):
+    lacks = frozenset({Capability.RANGE})
+
+
+def flat_view(boxes: Sequence[Box], size: TargetSize | None) -> PixelView:
+    class Finding(StubDetector):
+        def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]:
+            return [Detection(box, 0.9) for box in boxes]
+
+    image = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
+    finding = Finding(StubConfig(), CONTEXT)
+    ranging = None if size is None else partial(monocular_range, camera=CAMERA, size=size)
+    return PixelView(Frame(1, 1, image, None), CAMERA, single_marker(), finding, MethodConfig(), ranging=ranging)
+
+
+def test_without_depth_the_target_s_size_gives_the_range() -> None:
+    box = Box(40.0, 40.0, 30.0, 30.0)
+    depth = flat_view([box], SIZE).depth(box)
+    assert depth is not None
+    assert depth.z_m == pytest.approx(2.0)
+    assert flat_view([box], None).depth(box) is None
+
+
+def test_what_can_only_be_elsewhere_by_its_size_is_left_out() -> None:
+    near, far = Box(20.0, 20.0, 60.0, 60.0), Box(100.0, 60.0, 15.0, 15.0)  # 1 m and 4 m
+    view = flat_view([near, far], SIZE)
+    asked = Region(0.0, 0.0, 160.0, 120.0, near_m=0.7, far_m=1.3)
+    assert [each.box for each in view.targets(asked)] == [near]
+    assert [each.box for each in view.targets(Region(0.0, 0.0, 160.0, 120.0))] == [near, far]
+    assert [each.box for each in flat_view([near, far], None).targets(asked)] == [near, far]
+
+
+@pytest.mark.parametrize(("size", "lacks"), [(None, {Capability.RANGE}), (SIZE, set[Capability]())])
+def test_a_sight_lacks_what_its_camera_lacks_but_for_ranges_by_size(
+    size: TargetSize | None, lacks: set[Capability]
+) -> None:
+    camera = PartSpec(f"{__name__}:NoDepth", {}, "test: camera")
+    detector = PartSpec(f"{__name__}:StubDetector", {}, "test: detector")
+    assert PixelSight(PixelSightConfig(camera, detector, target=size), CONTEXT).lacks == lacks

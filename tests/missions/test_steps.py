@@ -10,14 +10,22 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.interfaces import CameraError, FlightMode, LinkCounters, VehicleError, VehicleState, VelocitySetpoint
+from drivers.interfaces import (
+    CameraError,
+    Capability,
+    FlightMode,
+    LinkCounters,
+    VehicleError,
+    VehicleState,
+    VelocitySetpoint,
+)
 from flight.config import Deadlines, MissionConfig
 from flight.guidance import Vec3, add, norm, scale
 from flight.outcome import MissionEnd, Outcome
 from hil.virtual_time import run_virtual
 from missions import rig_library
 from missions.session import Session
-from missions.steps import bring_down, preflight, take_off
+from missions.steps import bring_down, check_capabilities, preflight, take_off
 from path.messages import Pong, Role, Status
 
 HOME = VehicleState(
@@ -169,6 +177,25 @@ def test_preflight_names_what_did_not_come(rig: Any, heard: bool, outcome: Outco
             bench.hear_the_peer()
         assert (await ended(preflight(bench.session))).outcome is outcome
         assert bench.vehicle.done == ["wait_armable"]
+
+    virtual(main())
+
+
+def test_a_part_that_lacks_what_is_needed_is_refused_before_anything_else(rig: Any) -> None:
+    async def refused(bench: Bench) -> MissionEnd:
+        end = await ended(preflight(bench.session))
+        assert bench.vehicle.done == []
+        return end
+
+    async def main() -> None:
+        bench = Bench(rig)
+        setattr(bench.sight, "lacks", frozenset({Capability.RANGE}))  # noqa: B010 (no field of it)
+        assert str(await refused(bench)) == "unfit: the sender's sight has no range"
+        bench = Bench(rig)
+        setattr(bench.vehicle, "lacks", frozenset({Capability.GEOFENCE, Capability.PILOT_OVERRIDE}))  # noqa: B010
+        check_capabilities(bench.session)
+        bench.session.config = replace(CONFIG, needs=(Capability.GEOFENCE,))
+        assert str(await refused(bench)) == "unfit: the sender's vehicle has no geofence"
 
     virtual(main())
 
