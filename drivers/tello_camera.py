@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError, Capability, Frame, VehicleError
 from drivers.rig import PartContext
-from drivers.tello_link import TelloAddress, TelloLink, link_to, said
+from drivers.tello_address import TelloAddress
+from drivers.tello_link import TelloLink, link_to, said
 from path.camera import CameraModel
 
 FPS_NAMES: dict[int, str] = {30: "high", 15: "middle", 5: "low"}

@@ -114,6 +114,7 @@ class MissionConfig:
     depart_m: float = 2.5
     search_hz: float = 10.0  # looks at the whole image for the marker
     attitude_sigma_deg: float = 0.6  # of either vehicle's roll and pitch, for the gravity prior
+    attitude_wander_deg: float = 0.25  # how much more either attitude errs at one time than at another
     target: TargetDesignation = field(default_factory=TargetDesignation)
     follow: FollowConfig = field(default_factory=FollowConfig)
     separation: SeparationConfig = field(default_factory=SeparationConfig)

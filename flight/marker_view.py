@@ -62,7 +62,7 @@ class MarkerView:
             max_sigma_m=method.max_pose_sigma_m,
         )
         self._filter = RelativeFilter(
-            RelativeSettings(coast_s=mission.deadlines.marker_coast_s),
+            _relative_settings(mission),
             lever_c_m=mount.T_b_c.R.T @ mount.T_b_c.t,
             lever_v_m=mount.T_b_v.R.T @ mount.T_b_v.t,
         )
@@ -130,6 +130,15 @@ class MarkerView:
         u, v = self._camera.project_point((x, y, z))
         half_px = self._camera.fx * (self._reach_m + 3.0 * relative.sigma_m) / z + 12.0
         return Region(u - half_px, v - half_px, u + half_px, v + half_px)
+
+
+def _relative_settings(mission: MissionConfig) -> RelativeSettings:
+    usual, wander_rad = RelativeSettings(), math.radians(mission.attitude_wander_deg)
+    return RelativeSettings(
+        tilt_wander_rad=wander_rad,
+        yaw_wander_rad=max(usual.yaw_wander_rad, wander_rad),
+        coast_s=mission.deadlines.marker_coast_s,
+    )
 
 
 def levelled(gravity_v: Vec3, R_b_v: Matrix, yaw_rad: float = 0.0) -> Matrix:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from drivers.rig import PartSpec, Rig, decode_part
-from drivers.tello import TelloVehicleConfig
 from drivers.tello_camera import TelloCameraConfig
+from drivers.tello_config import TelloVehicleConfig
 from hil.tello_emulator import TelloEmulator, TelloEmulatorConfig
 from hil.tello_video import TelloVideo, TelloVideoConfig
 from hil.world import SimDrone, WorldConfig

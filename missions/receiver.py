@@ -70,6 +70,8 @@ class Receiver:
         self._config: MissionConfig = config
         self._camera = rig.receiver.camera
         self._eye = Eye(session.vehicle, rig.receiver.mount)
+        x, y, z = rig.sender.mount.T_v_c.t.tolist()
+        self._sender_eye_v: Vec3 = (x, y, z)
         self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config)
         self._handover = ReceiverHandover(session, store, self._able)
         self._cycle: ReceiverCycle | None = None
@@ -315,6 +317,7 @@ class Receiver:
                 handoff_id=live.handoff_id,
                 epoch=live.epoch,
                 target_id=live.target_id,
+                sender=(session.rig.sender.camera, self._sender_eye_v),
             )
         assert self._cycle is not None
         missed = self._cycle.on_target(target, session.alignment.to_own_ns(target.capture_ns), session.now_ns())

@@ -8,6 +8,7 @@ from typing import Literal
 
 BoxMapping = Literal["center", "corner"]
 GateKind = Literal["consecutive", "evidence"]
+TargetError = Literal["point", "ray"]
 
 WHOLE = ("hold_frames", "min_depth_pixels", "track_length", "block_pairs", "min_pairs")
 FRACTIONS = ("tau_min", "tau_max", "depth_center_fraction", "min_depth_valid")
@@ -81,6 +82,9 @@ class MethodConfig:
         pixel_sigma_px: noise of a box centre.
         mount_sigma_m, mount_sigma_deg: uncertainty of ``T_v_c1``, per axis.
         target_center_sigma_m: how far apart the two cameras' box centres are on the body of the target.
+        target_error: the standard deviation that D1 sends is the target's in every direction ("point"), or, where D1's
+            range is much worse than its bearing (ranges by the target's size), only along D1's line of sight ("ray");
+            across it D2 then takes what pixels and mounting give.
         clock_sigma_s: uncertainty of a capture instant between the drones.
         relative_speed_mps: speed of the target in ``v`` that this uncertainty is multiplied with.
         relative_accel_mps2: acceleration of the target in ``v`` that the extrapolation does not know of.
@@ -118,6 +122,7 @@ class MethodConfig:
     mount_sigma_m: float = 0.002
     mount_sigma_deg: float = 0.2
     target_center_sigma_m: float = 0.05
+    target_error: TargetError = "point"
     clock_sigma_s: float = 0.005
     relative_speed_mps: float = 1.0
     relative_accel_mps2: float = 3.0
@@ -134,10 +139,12 @@ class MethodConfig:
         """Raises ValueError naming the first field that cannot be right, and what is allowed."""
         if self.box_mapping not in ("center", "corner"):
             raise ValueError(f'box_mapping: {self.box_mapping!r} is neither "center" nor "corner"')
+        if self.target_error not in ("point", "ray"):
+            raise ValueError(f'target_error: {self.target_error!r} is neither "point" nor "ray"')
         if self.gate not in ("consecutive", "evidence"):
             raise ValueError(f'gate: {self.gate!r} is neither "consecutive" nor "evidence"')
         for each in fields(self):
-            if each.name not in ("box_mapping", "gate", "evidence"):
+            if each.name not in ("box_mapping", "gate", "target_error", "evidence"):
                 _check(each.name, getattr(self, each.name))
         for low, high in (
             ("tau_min", "tau_max"),

@@ -55,15 +55,34 @@ class Prior:
         return (vv * du * du - 2.0 * uv * du * dv + uu * dv * dv) / (uu * vv - uv * uv)
 
 
+@dataclass(frozen=True, slots=True)
+class Ray:
+    """D1's line of sight to the target: along it the range is uncertain, across it the target is better known.
+
+    Attributes:
+        direction_v: unit vector in the marker frame.
+        across_sigma_m: standard deviation per axis across it, time errors included.
+    """
+
+    direction_v: Vec3
+    across_sigma_m: float
+
+
 def propagate(
-    camera: CameraModel, T_c2_v: Rigid, point_c: Vec3, covariance: Matrix, point_sigma_m: float, pixel_sigma_px: float
+    camera: CameraModel,
+    T_c2_v: Rigid,
+    point_c: Vec3,
+    covariance: Matrix,
+    point_sigma_m: float,
+    pixel_sigma_px: float,
+    ray: Ray | None = None,
 ) -> tuple[Covariance2, float]:
     """Covariance of the projected point, and the standard deviation per axis (m) of D2's position in ``v``.
 
     Args:
         point_c: the target's point in D2's camera frame, m.
         covariance: of ``T_c2_v``, (6, 6), see the module.
-        point_sigma_m: of the target's point, per axis.
+        point_sigma_m: of the target's point, per axis; along ``ray`` only, when there is one.
         pixel_sigma_px: of a detector's box centre.
     """
     a, b, c, d, e, f = camera.project_point_jacobian(point_c)
@@ -81,11 +100,17 @@ def propagate(
         )
     )
     rows = (jacobian @ covariance @ jacobian.T).tolist()
-    point, pixel = point_sigma_m * point_sigma_m, pixel_sigma_px * pixel_sigma_px
+    point, along, pixel = point_sigma_m * point_sigma_m, 0.0, pixel_sigma_px * pixel_sigma_px
+    du = dv = 0.0
+    if ray is not None:
+        ahead = transform(T_c2_v, ray.direction_v)
+        rx, ry, rz = ahead[0] - tx, ahead[1] - ty, ahead[2] - tz
+        du, dv = a * rx + b * ry + c * rz, d * rx + e * ry + f * rz
+        along, point = point - ray.across_sigma_m**2, ray.across_sigma_m**2
     pixel_covariance = (
-        rows[0][0] + point * (a * a + b * b + c * c) + pixel,
-        rows[0][1] + point * (a * d + b * e + c * f),
-        rows[1][1] + point * (d * d + e * e + f * f) + pixel,
+        rows[0][0] + point * (a * a + b * b + c * c) + along * du * du + pixel,
+        rows[0][1] + point * (a * d + b * e + c * f) + along * du * dv,
+        rows[1][1] + point * (d * d + e * e + f * f) + along * dv * dv + pixel,
     )
     return pixel_covariance, math.sqrt(max(0.0, rows[2][2] + rows[3][3] + rows[4][4]) / 3.0)
 
@@ -106,6 +131,7 @@ def predict(
     target_sequence: int,
     config: MethodConfig,
     box_size_at_1m_px: tuple[float, float] = (0.0, 0.0),
+    ray: Ray | None = None,
 ) -> Prior | Missed:
     """The prior of the target's box centre in D2's image.
 
@@ -115,6 +141,7 @@ def predict(
         point_sigma_m: its standard deviation per axis, time errors included.
         box_size_at_1m_px: width and height the target's box would have at a depth of 1 m, when known; the region grows
             by half of what that is at the target's depth.
+        ray: D1's line of sight, when ``point_sigma_m`` is the range's alone.
 
     Returns:
         Missed PRIOR_OUTSIDE when D2 cannot see the point, POSE_UNCERTAIN when the pose or the prior is too uncertain to
@@ -126,7 +153,9 @@ def predict(
     if not camera.sees(point_c):
         return Missed(MissReason.PRIOR_OUTSIDE)
     sigma_m = math.hypot(point_sigma_m, config.target_center_sigma_m)
-    (uu, uv, vv), pose_sigma_m = propagate(camera, T_c2_v, point_c, covariance, sigma_m, config.pixel_sigma_px)
+    if ray is not None:
+        ray = Ray(ray.direction_v, min(sigma_m, math.hypot(ray.across_sigma_m, config.target_center_sigma_m)))
+    (uu, uv, vv), pose_sigma_m = propagate(camera, T_c2_v, point_c, covariance, sigma_m, config.pixel_sigma_px, ray)
     if not (math.isfinite(pose_sigma_m + uu + uv + vv) and uu * vv > uv * uv):
         return Missed(MissReason.NON_FINITE)
     half_u, half_v = config.search_sigmas * math.sqrt(uu), config.search_sigmas * math.sqrt(vv)

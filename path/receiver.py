@@ -13,9 +13,10 @@ from path.config import MethodConfig
 from path.geometry import Matrix, Pose
 from path.messages import Candidate, Target, Vec3
 from path.observations import Detection, Missed, MissReason
-from path.prior import Prior, predict
+from path.prior import Prior, Ray, predict
 from path.rigid import inverse_as_quat, rigid
 from path.rotation import IDENTITY
+from path.target import across_sigma
 from path.timeline import Sample, Track
 from path.window import serial_difference
 
@@ -31,12 +32,21 @@ class ReceiverCycle:
     """
 
     def __init__(
-        self, camera: CameraModel, config: MethodConfig, *, handoff_id: int, epoch: int, target_id: int
+        self,
+        camera: CameraModel,
+        config: MethodConfig,
+        *,
+        handoff_id: int,
+        epoch: int,
+        target_id: int,
+        sender: tuple[CameraModel, Vec3] | None = None,
     ) -> None:
+        """``sender``: D1's camera and its place in the marker frame, for ``target_error = "ray"``."""
         self.misses: Counter[MissReason] = Counter()
         self.found = 0
         self._camera = camera
         self._config = config
+        self._sender = sender
         self._identity = (handoff_id, epoch, target_id)
         self._track = Track(config.track_length, config.max_bracket_s)
         self._last: tuple[int, int] | None = None  # frame id and stamp of the newest answered frame
@@ -108,16 +118,31 @@ class ReceiverCycle:
             sigma_m, beyond_s = newest.values[6], (stamp_ns - newest.stamp_ns) / 1e9
         skew_m = config.clock_sigma_s * config.relative_speed_mps
         drift_m = 0.5 * config.relative_accel_mps2 * beyond_s * beyond_s
+        point_v = values[0], values[1], values[2]
         return predict(
             self._camera,
             rigid(T_c2_v),
             covariance,
-            (values[0], values[1], values[2]),
+            point_v,
             math.hypot(sigma_m, skew_m, drift_m),
             newest.frame & 0xFFFF,
             config,
             self._box_size_at_1m_px,
+            self._ray(point_v, math.hypot(skew_m, drift_m)),
         )
+
+    def _ray(self, point_v: Vec3, moved_sigma_m: float) -> Ray | None:
+        """D1's line of sight to the target, when its errors are to be told apart along it and across it."""
+        if self._sender is None or self._config.target_error == "point":
+            return None
+        camera, eye_v = self._sender
+        x, y, z = (p - q for p, q in zip(point_v, eye_v, strict=True))
+        distance_m = math.sqrt(x * x + y * y + z * z)
+        if distance_m <= 0.0:
+            return None
+        across_m = across_sigma(camera, distance_m, self._config)
+        across_m = math.hypot(across_m, self._config.mount_sigma_m, moved_sigma_m)
+        return Ray((x / distance_m, y / distance_m, z / distance_m), across_m)
 
     def candidate(
         self, frame_id: int, stamp_ns: int, detections: Sequence[Detection], prior: Prior | Missed

@@ -95,6 +95,12 @@ def locate(camera: CameraModel, T_v_c1: Rigid, box: Box, depth: Depth, config: M
     return TargetPoint(transform(T_v_c1, point_c), depth.z_m, point_sigma(camera, point_c, depth.sigma_m, config))
 
 
+def across_sigma(camera: CameraModel, distance_m: float, config: MethodConfig) -> float:
+    """Standard deviation in m of a target across the line of sight: pixel noise, and the mounting's angle."""
+    pixels = config.pixel_sigma_px / min(camera.fx, camera.fy)
+    return distance_m * math.hypot(pixels, math.radians(config.mount_sigma_deg))
+
+
 def point_sigma(camera: CameraModel, point_c: Vec3, depth_sigma_m: float, config: MethodConfig) -> float:
     """Standard deviation in m of the point in ``v`` in its least certain direction.
 

@@ -15,8 +15,10 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import FlightMode, VehicleError, VelocitySetpoint
-from drivers.tello import TelloVehicle, TelloVehicleConfig
-from drivers.tello_link import TelloAddress, TelloLink, check_namespace, check_ports, check_route
+from drivers.tello import TelloVehicle
+from drivers.tello_address import TelloAddress, check_namespace, check_ports, check_route
+from drivers.tello_config import TelloVehicleConfig
+from drivers.tello_link import TelloLink
 from path.rotation import yaw_of
 from tests.drivers.tello_stand import STATE_PORT, Stand, context, emulated, free_port, next_host, until
 
@@ -263,7 +265,7 @@ def test_a_port_that_somebody_else_has() -> None:
         other.bind(("", 0))
         port = other.getsockname()[1]
         with pytest.raises(VehicleError, match=f"video_port: UDP port {port} is in use") as caught:
-            check_ports(TelloAddress(state_port=STATE_PORT, video_port=port))
+            check_ports(TelloAddress(state_port=STATE_PORT, video_port=port), STATE_PORT)
     assert "ss -lunp" in caught.value.remedy
 
 

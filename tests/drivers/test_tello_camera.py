@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import CameraError, Capability, Frame
-from drivers.tello import TelloVehicle, TelloVehicleConfig
+from drivers.tello import TelloVehicle
 from drivers.tello_camera import TelloCamera, TelloCameraConfig
+from drivers.tello_config import TelloVehicleConfig
 from tests.drivers.tello_stand import (
     CAMERA,
     Stand,

@@ -13,7 +13,7 @@ from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Matrix, Pose
 from path.observations import Missed, MissReason
-from path.prior import TARGET_REACH_M, Prior, predict, propagate, range_sigma
+from path.prior import TARGET_REACH_M, Prior, Ray, predict, propagate, range_sigma
 from path.rigid import rigid, transform
 from path.rotation import exp
 
@@ -161,3 +161,31 @@ def test_the_region_reaches_as_far_away_as_the_target_can_be() -> None:
     assert isinstance(wide, Prior)
     assert wide.region.far_m > far_m + CONFIG.search_sigmas * 0.03
     assert not wide.region.any_depth
+
+
+# --- a range that is worse than the bearing ----------------------------------------------------------------------
+
+
+def test_a_range_error_moves_the_prior_along_the_line_of_sight_only() -> None:
+    direction = np.array([0.8, -0.1, 0.6])
+    direction /= np.linalg.norm(direction)
+    ray = Ray((float(direction[0]), float(direction[1]), float(direction[2])), 0.005)
+    T_c2_v, pose = rigid(POSE), covariance(1e-9, 1e-9)
+    (uu, uv, vv), _ = propagate(CAMERA, T_c2_v, transform(T_c2_v, POINT), pose, 0.02, 0.0, ray)
+    rng = np.random.default_rng(5)
+    along, across = rng.normal(0.0, 0.02, 40_000), rng.normal(0.0, 0.005, (40_000, 3))
+    across -= np.outer(across @ direction, direction)
+    points = np.array(POINT) + np.outer(along, direction) + across
+    pixels = CAMERA.project(POSE.apply(points))
+    sampled = np.cov(pixels.T)
+    assert (uu, uv, vv) == pytest.approx((sampled[0, 0], sampled[0, 1], sampled[1, 1]), rel=0.05)
+    (even_uu, _, even_vv), _ = propagate(CAMERA, T_c2_v, transform(T_c2_v, POINT), pose, 0.02, 0.0)
+    assert uu * vv - uv * uv < 0.3 * even_uu * even_vv
+
+
+def test_across_it_the_target_is_never_less_certain_than_along_it() -> None:
+    far_off = prior_of(ray=Ray((0.0, 0.0, 1.0), 5.0))
+    plain = prior_of()
+    assert isinstance(far_off, Prior)
+    assert isinstance(plain, Prior)
+    assert far_off.covariance_px2 == pytest.approx(plain.covariance_px2)

@@ -243,3 +243,20 @@ def test_the_region_grows_by_the_box_once_one_was_found() -> None:
     answer(receiver, 1, [detection(*first.pixel, w=100.0)], first)
     second = sound_prior(receiver)
     assert second.region.x0 == pytest.approx(first.region.x0 - 50.0)
+
+
+def test_a_range_by_size_widens_the_search_along_the_sender_s_line_of_sight_only() -> None:
+    config = replace(CONFIG, target_error="ray")
+
+    def spread(config: MethodConfig, beside_m: float) -> float:
+        """Area of the prior's ellipse, with D1's camera so far beside D2's."""
+        eye_v = tuple((POSE.inverse().apply(np.array([beside_m, 0.0, 0.0]))).tolist())
+        sender = (CAMERA, (eye_v[0], eye_v[1], eye_v[2]))
+        receiver = ReceiverCycle(CAMERA, config, handoff_id=1, epoch=2, target_id=3, sender=sender)
+        for i in range(5):
+            feed(receiver, target(i, sigma_m=0.15))
+        uu, uv, vv = sound_prior(receiver).covariance_px2
+        return math.sqrt(uu * vv - uv * uv)
+
+    assert spread(config, 0.8) < 0.5 * spread(CONFIG, 0.8)
+    assert spread(config, 0.0) < 0.2 * spread(CONFIG, 0.0)  # D2 looks along it: the range does not matter
