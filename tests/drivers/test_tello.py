@@ -91,7 +91,7 @@ def test_a_refused_take_off_is_told_in_the_drone_s_words_and_not_said_again() ->
         assert stand.count("land") == 0
 
     with emulated() as stand:
-        stand.emulator.faults.motor_fault = True
+        stand.emulator.flight.motor_fault = True
         asyncio.run(refused(stand))
 
 

@@ -179,9 +179,9 @@ def test_a_take_off_is_answered_when_it_hovers_and_a_landing_when_the_motors_sta
 
 def test_what_keeps_it_on_the_ground_is_said(bench: Bench) -> None:
     bench.enter()
-    bench.emulator.faults.motor_fault = True
+    bench.emulator.flight.motor_fault = True
     assert bench.ask("takeoff") == "error Motor stop"
-    bench.emulator.faults.motor_fault = False
+    bench.emulator.flight.motor_fault = False
     bench.world.battery(Role.SENDER, 0.05)
     bench.advance(0.1)
     assert bench.ask("takeoff") == "error Auto land"
