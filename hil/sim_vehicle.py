@@ -144,11 +144,14 @@ class SimVehicle:
             self._state = None
 
     def _take(self, telemetry: Telemetry, arrival_ns: int) -> None:
+        self._take_heartbeat(telemetry, arrival_ns)
+        self._newest, self._newest_ns = telemetry, arrival_ns
+        self._history.add(arrival_ns, telemetry.estimate.q_n_b)
+
+    def _take_heartbeat(self, telemetry: Telemetry, arrival_ns: int) -> None:
         beats = math.floor(telemetry.time_s / self._config.heartbeat_s + 1e-6)
         if beats > self._beats:
             self._beat, self._beats, self._beat_ns = telemetry, beats, arrival_ns
-        self._newest, self._newest_ns = telemetry, arrival_ns
-        self._history.add(arrival_ns, telemetry.estimate.q_n_b)
         self._taken_s = telemetry.time_s
 
     def _combined(self) -> VehicleState:

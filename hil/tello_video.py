@@ -87,7 +87,10 @@ class TelloVideo:
             self._socket.setblocking(False)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
             self._socket.bind((host, 0))
-            self._encoder, self._to, self._encoded = self._new_encoder(), to, 0
+            config = self._config
+            rate_hz = max(1, round(config.rate_hz / self._step))
+            self._encoder = new_encoder(config.width, config.height, rate_hz, config.bit_rate)
+            self._to, self._encoded = to, 0
 
     def stop(self) -> None:
         with self._lock:
@@ -142,17 +145,22 @@ class TelloVideo:
             self._socket.close()
             self._socket = None
 
-    def _new_encoder(self) -> Any:
-        config = self._config
-        rate = max(1, round(config.rate_hz / self._step))
-        encoder: Any = av.CodecContext.create("libx264", "w")
-        encoder.width, encoder.height, encoder.pix_fmt = config.width, config.height, "yuv420p"
-        encoder.time_base, encoder.framerate = Fraction(1, rate), Fraction(rate, 1)
-        encoder.bit_rate = config.bit_rate
-        encoder.thread_count = 1
-        encoder.options = {
-            "preset": "ultrafast", "tune": "zerolatency", "profile": "main",
-            "x264-params": f"keyint={rate}:min-keyint={rate}:scenecut=0:repeat-headers=1:annexb=1:threads=1"
-            f":vbv-maxrate={config.bit_rate // 1000}:vbv-bufsize={config.bit_rate // 2000}",
-        }  # fmt: skip
-        return encoder
+
+def new_encoder(width: int, height: int, rate_hz: int, bit_rate: int) -> Any:
+    """An H.264 encoder without look-ahead that repeats key frame and parameter sets once a second."""
+    encoder: Any = av.CodecContext.create("libx264", "w")
+    encoder.width, encoder.height, encoder.pix_fmt = width, height, "yuv420p"
+    encoder.time_base, encoder.framerate = Fraction(1, rate_hz), Fraction(rate_hz, 1)
+    encoder.bit_rate = bit_rate
+    encoder.thread_count = 1  # the same bytes on every machine
+    x264 = {
+        "keyint": rate_hz, "min-keyint": rate_hz, "scenecut": 0, "repeat-headers": 1, "annexb": 1, "threads": 1,
+        "vbv-maxrate": bit_rate // 1000, "vbv-bufsize": bit_rate // 2000,
+    }  # fmt: skip
+    encoder.options = {
+        "preset": "ultrafast",
+        "tune": "zerolatency",
+        "profile": "main",
+        "x264-params": ":".join(f"{name}={value}" for name, value in x264.items()),
+    }
+    return encoder

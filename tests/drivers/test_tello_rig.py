@@ -11,6 +11,7 @@ from drivers.rig_file import load_rig
 from drivers.tables import RigError
 from missions import rig_library
 from missions.rig_list import FOLDER
+from path.messages import Role
 
 TEXT = (FOLDER / "sitl-tello.toml").read_text("utf-8")
 
@@ -64,3 +65,16 @@ def test_one_namespace_for_both_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(RigError, match="'tello-1' is already used by sender"):
         check_rig(load_rig(path))
+
+
+def test_both_rigs_of_tellos_fly_the_same_mission_with_the_same_eyes() -> None:
+    real, virtual = rig_library.load("sitl-tello"), rig_library.load("sim-tello")
+    assert virtual.method == real.method
+    assert virtual.mission == real.mission
+    assert virtual.layout == real.layout
+    for role in Role:
+        assert virtual.role(role).camera == real.role(role).camera
+        for table in ("target", "detector"):
+            assert virtual.role(role).sight.options[table] == real.role(role).sight.options[table]
+        for name in ("north_m", "east_m", "heading_deg"):
+            assert virtual.role(role).vehicle.options.get(name) == real.role(role).vehicle.options.get(name)
