@@ -118,10 +118,10 @@ class CameraThread(threading.Thread):
             snapshot = live.world.snapshot()
         stamp_ns = round((live.start_s + snapshot.time_s) * 1e9)
         color = self._renderer.render_color(snapshot, self._role, frame)
-        if self._depth is not None:
-            self._writer.write(stamp_ns, color, self._depth.render(snapshot, self._role, frame))
-        elif isinstance(self._writer, TelloVideo):
+        if isinstance(self._writer, TelloVideo):
             self._writer.write(stamp_ns, color)
+        elif self._depth is not None:
+            self._writer.write(stamp_ns, color, self._depth.render(snapshot, self._role, frame))
         self.rendered += 1
 
 
