@@ -30,6 +30,7 @@ _UNSEEN_REACH_M = 2.0
 _AMBIGUITY = 0.6
 _CLEARLY_NEARER = 1.5
 _MIN_DESCENT = 0.2  # per metre along the optical axis
+_COARSE_M = 0.12  # a range that is no better is estimated, not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +120,7 @@ def acquire(
         depth = view.depth(detection.box)
         if depth is None:
             continue
-        position = to_local(point_in_camera(detection.box, depth.z_m, camera), T_n_c)
+        position = place(detection.box, depth, camera, T_n_c, place_n_m[2])
         seen.append((norm(subtract(position, place_n_m)), Sighting(detection.box, depth), position))
     seen.sort(key=lambda item: item[0])
     if not seen or seen[0][0] > radius_m:
@@ -135,7 +136,8 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     The object must be where the track predicts it, and clearly nearer to there than anything that looks alike. Where
     such a thing was seen beside it, the gate does not reach it, however long the object is missed; and an object that
     was out of sight for a while is taken again only when nothing else is about.
-    Without depth it is taken to be as high as it was, so that the drone keeps following while the frame is a miss.
+    Without depth, or with a range that is only estimated, it is taken to be as high as it was: so the drone keeps
+    following while the frame is a miss, and does not follow a range that changes with the target's heading.
     """
     predicted_n, sigma_m = track.predict(view.stamp_ns)
     x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
@@ -159,10 +161,23 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     if depth is None:
         measured = _at_height(chosen.box, camera, T_n_c, track.position_n_m[2])
     else:
-        measured = to_local(point_in_camera(chosen.box, depth.z_m, camera), T_n_c)
+        measured = place(chosen.box, depth, camera, T_n_c, track.position_n_m[2])
     if measured is not None:
         track.update(measured, view.stamp_ns)
     return Sighting(chosen.box, depth)
+
+
+def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3:
+    """Where a box's object is, in ``n``: by its depth, or where its ray comes down to a height, where that is better.
+
+    Args:
+        down_m: of the object, when it stands on the ground that the drone measures its own height from.
+    """
+    if depth.sigma_m > _COARSE_M:
+        on_ground = _at_height(box, camera, T_n_c, down_m)
+        if on_ground is not None:
+            return on_ground
+    return to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
 
 
 def _at_height(box: Box, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3 | None:

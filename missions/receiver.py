@@ -20,7 +20,7 @@ from flight.marker_view import MarkerFix, MarkerView, Motion
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.rendezvous import Rendezvous
-from flight.tracking import Sighting, TargetTrack, follow, point_in_camera, to_local
+from flight.tracking import Sighting, TargetTrack, follow, place
 from flight.viewpoint import NoViewpoint
 from missions.handover import ReceiverHandover
 from missions.journal import box_record, candidate_record, marker_miss_record, marker_record, motion_record
@@ -29,7 +29,7 @@ from missions.session import Session, fly_course, open_session
 from missions.steps import bring_down, preflight, take_off
 from path.geometry import Matrix, Pose
 from path.messages import Candidate, Role, Status, Target
-from path.observations import Missed, MissReason
+from path.observations import Depth, Missed, MissReason
 from path.prior import Prior
 from path.protocol.values import Handoff
 from path.receiver import ReceiverCycle
@@ -267,9 +267,8 @@ class Receiver:
     def _note_found(self, view: View, T_n_c: Pose, candidate: Candidate, prior: Prior) -> None:
         """Keep the target's own position ready, so that following can begin in the frame that hands it over."""
         assert candidate.box is not None
-        depth = view.depth(candidate.box)
-        z_m = prior.depth_m if depth is None else depth.z_m
-        position = to_local(point_in_camera(candidate.box, z_m, self._camera), T_n_c)
+        depth = view.depth(candidate.box) or Depth(prior.depth_m, 0.0)
+        position = place(candidate.box, depth, self._camera, T_n_c, -self._config.target.height_m)
         if self._track is None:
             self._track = TargetTrack(position, view.stamp_ns)
         else:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from flight.guidance import Vec3, norm, subtract
-from flight.tracking import MIN_SCORE, Sighting, TargetTrack, acquire, follow, point_in_camera, to_local
+from flight.tracking import MIN_SCORE, Sighting, TargetTrack, acquire, follow, place, point_in_camera, to_local
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.observations import Box, Depth, Detection, MarkerDetection, MissReason, Region
@@ -275,3 +275,20 @@ def test_the_filter_is_as_sure_as_it_may_be(seed: int) -> None:
     assert 0.005 < sigma_m < 0.05
     north, east, down = (velocity * 2.0).tolist()
     assert norm(subtract(at, (north, east, down))) < 6.0 * sigma_m
+
+
+# --- ranges that are only estimated ------------------------------------------------------------------------------
+
+
+def test_an_estimated_range_gives_way_to_the_height_that_is_known() -> None:
+    box = FakeView([PLACE]).boxes()[0]
+    wrong = 1.2 * FakeView._seen(PLACE)[1]
+    assert place(box, Depth(wrong, 0.3), CAMERA, T_N_C, PLACE[2]) == pytest.approx(PLACE, abs=1e-6)
+    measured = place(box, Depth(wrong, 0.02), CAMERA, T_N_C, PLACE[2])
+    assert math.dist(measured, PLACE) == pytest.approx(0.2 / 1.2 * wrong, rel=0.01)
+
+
+def test_an_estimated_range_is_all_there_is_for_what_is_level_with_the_camera() -> None:
+    level = Pose(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([0.0, 0.0, -2.0]))
+    box = Box(290.0, 220.0, 60.0, 40.0)  # around the principal point
+    assert place(box, Depth(3.0, 0.3), CAMERA, level, 0.0) == pytest.approx((3.0, 0.0, -2.0), abs=0.01)
