@@ -24,6 +24,7 @@ from mavsdk.plugins.telemetry import Telemetry as TelemetryPlugin
 
 from drivers.interfaces import VehicleError
 from drivers.mavsdk_modes import KINDS, AutopilotKind
+from drivers.mavsdk_parameters import ParameterAccess
 from drivers.mavsdk_port import PortLock
 from drivers.mavsdk_telemetry import AUTOPILOT_COMPONENT, Telemetry
 
@@ -63,6 +64,7 @@ class Session:
         self._mavsdk: Any = None
         self._direct: Any = None
         self._plugin: Any = None  # held here: when it is collected, its subscriptions end without a word
+        self.parameters: ParameterAccess | None = None  # while open
         self._lock: PortLock | None = None
         self._start_s = time.monotonic()
 
@@ -87,6 +89,7 @@ class Session:
             await asyncio.sleep(POLL_S)
         kind = self._identify()
         self._telemetry.kind = kind
+        self.parameters = ParameterAccess(system)
         self._plugin = TelemetryPlugin(system)
         self._telemetry.subscribe(self._plugin, self._direct)
         return kind
@@ -94,6 +97,7 @@ class Session:
     async def close(self) -> None:
         """Idempotent and bounded. MAVSDK's threads and the port are gone afterwards."""
         mavsdk, self._mavsdk, self._direct, self._plugin = self._mavsdk, None, None, None
+        self.parameters = None
         try:
             if mavsdk is not None:
                 await _destroy(mavsdk)

@@ -96,8 +96,9 @@ class ThreadClock:
 class Telemetry:
     """Slots, their handlers, and ``state`` made of them. Handlers run on MAVSDK's thread."""
 
-    def __init__(self, sysid: int, clock: Clock, tangent: LocalTangent) -> None:
+    def __init__(self, sysid: int, clock: Clock, tangent: LocalTangent, height_from_home: bool = False) -> None:
         self._sysid = sysid
+        self._height_from_home = height_from_home
         self.clock = ThreadClock(clock)
         self._tangent = tangent
         self._history = StateHistory()
@@ -233,8 +234,12 @@ class Telemetry:
         self.battery = min(max(percent / 100.0, 0.0), 1.0) if math.isfinite(percent) else None
 
     def _on_position(self, position: Any) -> None:
-        n_m = self._tangent.to_ned(position.latitude_deg, position.longitude_deg, position.absolute_altitude_m)
-        self.position = Position(self.clock.now_ns(), n_m, float(position.relative_altitude_m))
+        north, east, down = self._tangent.to_ned(
+            position.latitude_deg, position.longitude_deg, position.absolute_altitude_m
+        )
+        above_home_m = float(position.relative_altitude_m)
+        n_m = (north, east, -above_home_m if self._height_from_home else down)
+        self.position = Position(self.clock.now_ns(), n_m, above_home_m)
 
     def _on_velocity(self, ned: Any) -> None:
         velocity = ned.velocity

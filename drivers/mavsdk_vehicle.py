@@ -6,13 +6,14 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Literal, Self
 
 from drivers.interfaces import FlightMode, VehicleError, VehicleState, VelocitySetpoint
 from drivers.mavsdk_geodesy import LocalTangent
 from drivers.mavsdk_modes import ARDUPILOT, CUSTOM_MODE_ENABLED, PX4, AutopilotKind
+from drivers.mavsdk_parameters import Difference, differences
 from drivers.mavsdk_session import ACCEPTED, ARM_DISARM, RESULTS, Session, SessionConfig
 from drivers.mavsdk_telemetry import Telemetry
 from drivers.mavsdk_vision import VisionConfig, VisionFeed
@@ -50,6 +51,10 @@ class MavsdkVehicleConfig:
         heartbeat_timeout_s: any wait ends with an error when the newest heartbeat is older.
         take_off_tolerance_m: height error at which a take-off is over.
         vision: a beacon's positions for an autopilot without GPS.
+        height_from: ``sea_level``: the altitude it says against the origin's. ``home``: what it says to be above its
+            home, which must then lie at the origin's altitude. Two GPS differ by metres in altitude, two barometers
+            that started on the same ground by decimetres.
+        parameters: of the autopilot, without which a companion-driven flight is not safe; checked before arming.
     """
 
     url: str
@@ -66,6 +71,8 @@ class MavsdkVehicleConfig:
     take_off_tolerance_m: float = 0.3
     offboard_lead_s: float = 0.3
     vision: VisionConfig | None = None
+    height_from: Literal["sea_level", "home"] = "sea_level"
+    parameters: dict[str, float] = field(default_factory=dict[str, float])
 
     def __post_init__(self) -> None:
         for name in ("sysid", "own_sysid"):
@@ -88,7 +95,7 @@ class MavsdkVehicle:
         self._config = config
         origin = context.origin
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
-        self._telemetry = Telemetry(config.sysid, context.clock, tangent)
+        self._telemetry = Telemetry(config.sysid, context.clock, tangent, config.height_from == "home")
         session = SessionConfig(
             url=config.url,
             sysid=config.sysid,
@@ -138,7 +145,27 @@ class MavsdkVehicle:
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
         return self._telemetry.attitude_at(stamp_ns)
 
+    async def parameter_differences(self) -> tuple[Difference, ...]:
+        """What is not as the rig's ``parameters`` want it. Raises VehicleError."""
+        access, wanted = self._session.parameters, self._config.parameters
+        if access is None:
+            raise VehicleError(f"{self._config.url} is not open", "enter the vehicle with `async with` first")
+        return differences(wanted, await access.read(wanted))
+
+    async def set_parameter(self, difference: Difference) -> None:
+        """Make one parameter what the rig wants, and confirm it. Raises VehicleError."""
+        access = self._session.parameters
+        if access is None:
+            raise VehicleError(f"{self._config.url} is not open", "enter the vehicle with `async with` first")
+        await access.write(difference)
+
     async def wait_armable(self, timeout_s: float) -> None:
+        wrong = await self.parameter_differences()
+        if wrong:
+            raise VehicleError(
+                f"vehicle {self._config.sysid} is not set for this flight: {'; '.join(map(str, wrong))}",
+                "look at `path-handoff doctor --rig RIG`; `--set-parameters` there sets them",
+            )
         telemetry = self._telemetry
         start_ns = self._clock.now_ns()
 

@@ -19,11 +19,14 @@ from typing import Any
 
 from drivers.log import LogRecord, parts, read_log
 from drivers.rig import Rig
+from drivers.tables import decode_table
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, decode_event
+from hil.autopilot_process import binary_of
 from hil.faults import Fault, FaultError, FaultTrigger, parse_fault
 from hil.monitors import Monitors
 from hil.preparation import starting
 from hil.shared_camera import RUN_VARIABLE
+from hil.world import WorldConfig
 from path.messages import Role
 
 WORLD_READY_S = 180.0  # the first start compiles the renderer
@@ -52,9 +55,15 @@ class _Run:
 
 
 class SitlHarness:
-    """Real MAVSDK, real sockets, rendered frames through pyrealsense2; the vehicles are the embedded ones."""
+    """Real MAVSDK, real sockets, rendered frames through pyrealsense2; vehicles embedded, or real autopilots."""
 
     def fly(self, request: FlightRequest) -> FlightReport:
+        """Raises PartError when the rig needs an autopilot that was not named."""
+        config = decode_table(request.rig.world, WorldConfig, request.rig.where("[world]"))
+        for role in Role:
+            simulator = config.simulator(role)
+            if simulator is not None and not simulator.url:
+                binary_of(simulator.kind)
         return asyncio.run(_fly(request))
 
 
@@ -122,9 +131,12 @@ async def _read_json(process: asyncio.subprocess.Process) -> dict[str, Any]:
     if not line:
         raise HarnessFailure(f"the world's process ended (exit code {await process.wait()}): see world.stderr.txt")
     try:
-        return json.loads(line)
+        event = json.loads(line)
     except ValueError:
         return {}
+    if event.get("event") == "failed":
+        raise HarnessFailure(str(event["what"]))
+    return event
 
 
 async def _start_attack(
@@ -275,9 +287,8 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
             await asyncio.sleep(RECORD_POLL_S)
 
     async def watch_world() -> None:
-        assert crew.world.stdout is not None
-        await crew.world.stdout.readline()
-        raise HarnessFailure("the world's process ended during the flight: see world.stderr.txt")
+        while True:
+            await _read_json(crew.world)
 
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop)

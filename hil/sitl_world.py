@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from drivers.interfaces import PartError
 from drivers.log import McapLog
 from drivers.mavsdk_geodesy import LocalTangent
 from drivers.realsense import RealSenseConfig
@@ -32,9 +33,11 @@ from drivers.tables import RigError, decode_table
 from drivers.udp_link import address_of
 from hil.air import Air
 from hil.beacon_pty import open_beacons
+from hil.autopilot_process import SimulatorBroken
 from hil.d415 import T_COLOR_DEPTH, depth_camera
 from hil.faults import FAULTS
 from hil.faulty_link import ProxySide, UdpFaultProxy
+from hil.followed_world import FollowedWorld, SimulatedVehicle, start_simulators
 from hil.inject import inject_in_world, inject_on_link
 from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.monitors import Monitors
@@ -130,13 +133,14 @@ class SitlWorld:
 
     def __init__(self, rig: Rig, out: Path, seed: int) -> None:
         config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
-        self._rig, self._out, self._seed = rig, out, seed
+        self._rig, self._out, self._seed, self._config = rig, out, seed, config
         self._live = LiveWorld(World(config, seed), 0.0)
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
         self._finish_within_s: float | None = None
         self._vehicles: dict[Role, MavlinkVehicle | TelloEmulator] = {}
         self._videos: dict[Role, TelloVideo] = {}
+        self._vehicles: dict[Role, MavlinkVehicle | SimulatedVehicle] = {}
         self._cameras: dict[Role, CameraThread] = {}
 
     async def run(self) -> None:
@@ -151,6 +155,14 @@ class SitlWorld:
                 stack.callback(self._vehicles[role].close)
             live.start_s = time.monotonic()
             truth = self._truth = TruthLog(log, round(live.start_s * 1e9))
+            if self._config.sender_simulator is None:
+                for role in Role:
+                    self._vehicles[role] = self._vehicle(role)
+                    stack.callback(self._vehicles[role].close)
+                live.start_s = time.monotonic()
+            else:
+                await self._start_simulators(stack)
+            truth = TruthLog(log, round(live.start_s * 1e9))
             truth.scene(rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
             self._start_cameras(stack)
             stack.enter_context(open_beacons(rig, self._seed, self._out, live.now_s, self._snapshot))
@@ -177,6 +189,22 @@ class SitlWorld:
             self._live.world.drone(role),
             tangent,
         )
+
+    async def _start_simulators(self, stack: AsyncExitStack) -> None:
+        """Real autopilots fly the drones: the world then follows what their simulators say is true."""
+        live, simulated = self._live, dict[Role, SimulatedVehicle]()
+        for role in Role:
+            config = self._config.simulator(role)
+            assert config is not None
+            simulated[role] = SimulatedVehicle(self._rig, role, config, self._config, self._out)
+            stack.callback(simulated[role].close)
+        say({"event": "warming", "what": "waiting until the autopilots' simulators can be armed"})
+        await start_simulators(simulated)
+        self._vehicles.update(simulated)
+        live.world = FollowedWorld(self._config, self._seed, simulated)
+        live.start_s = time.monotonic()
+        for vehicle in simulated.values():
+            vehicle.epoch_s = live.start_s
 
     def _start_cameras(self, stack: AsyncExitStack) -> None:
         for role in Role:
@@ -321,7 +349,11 @@ def say(event: dict[str, Any]) -> None:
 def main() -> None:
     rig_file, out, seed = sys.argv[1:]
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when this process ends
-    asyncio.run(SitlWorld(load_rig(rig_file), Path(out), int(seed)).run())
+    try:
+        asyncio.run(SitlWorld(load_rig(rig_file), Path(out), int(seed)).run())
+    except (SimulatorBroken, PartError) as error:
+        say({"event": "failed", "what": str(error)})
+        sys.exit(1)
 
 
 if __name__ == "__main__":

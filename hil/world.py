@@ -16,6 +16,7 @@ import numpy as np
 
 from drivers.interfaces import FlightMode
 from hil.autopilot import Autopilot, AutopilotConfig, Estimate
+from hil.autopilot_process import SimulatorConfig
 from hil.dynamics import (
     COMMAND_SIZE,
     CONTACT,
@@ -62,13 +63,20 @@ class WorldConfig:
     look_alikes: LookAlikeConfig = field(default_factory=LookAlikeConfig)
     sender_home: HomeConfig = field(default_factory=HomeConfig)
     receiver_home: HomeConfig = field(default_factory=lambda: HomeConfig((1.5, -3.0)))
+    sender_simulator: SimulatorConfig | None = None
+    receiver_simulator: SimulatorConfig | None = None
 
     def __post_init__(self) -> None:
         if math.dist(self.sender_home.position_m, self.receiver_home.position_m) < 1.0:
             raise ValueError("sender_home and receiver_home must be at least 1 m apart")
+        if (self.sender_simulator is None) != (self.receiver_simulator is None):
+            raise ValueError("either both drones have a simulator of their own, or none")
 
     def home(self, role: Role) -> HomeConfig:
         return self.sender_home if role is Role.SENDER else self.receiver_home
+
+    def simulator(self, role: Role) -> SimulatorConfig | None:
+        return self.sender_simulator if role is Role.SENDER else self.receiver_simulator
 
 
 class Telemetry(NamedTuple):
@@ -210,7 +218,7 @@ class World:
     def snapshot(self) -> Snapshot:
         """The truth at ``time_s``; between two physics steps the drones are carried on by their velocities."""
         if self._snapshot is None:
-            late_s = self.time_s - self._step / STEP_HZ
+            late_s = self._late_s()
             poses = np.empty((len(ROLES), 12))
             poses_w(self._states, late_s, poses)
             drones = {
@@ -223,6 +231,10 @@ class World:
             objects = self._traffic.at(self.time_s)
             self._snapshot = Snapshot(self.time_s, drones, objects, self._marker_hidden, self._depth_holes)
         return self._snapshot
+
+    def _late_s(self) -> float:
+        """From the time of the state rows to ``time_s``."""
+        return self.time_s - self._step / STEP_HZ
 
     # --- faults ---
 

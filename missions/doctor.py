@@ -8,41 +8,31 @@ import shutil
 import socket
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
-from typing import Literal, TextIO
+from typing import TextIO
 
 from drivers.interfaces import PartError
 from drivers.realsense_import import import_realsense
 from drivers.rig_check import local_ports
 from drivers.tables import RigError
 from missions import rig_library
+from missions.doctor_vehicle import check_vehicle
+from missions.findings import Finding
 from missions.options import DoctorOptions
+from path.messages import Role
 
 EXIT_UNFIT = 4
 OPENCV = ("opencv-contrib-python-headless", "opencv-python-headless", "opencv-contrib-python", "opencv-python")
 SHM_MIB, DISK_MIB = 64, 500
 REALSENSE = "drivers.realsense:RealSense"
 
-State = Literal["ok", "note", "fault"]
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """``note``: a flight is possible, something else is not."""
-
-    state: State
-    name: str
-    detail: str
-    fix: str = ""
-
 
 def run(options: DoctorOptions, out: TextIO | None = None) -> int:
     """Show every finding as it is found; returns 0, or EXIT_UNFIT when a fault is among them."""
     stream = out or sys.stdout
     faults = 0
-    for finding in findings(options.rig):
+    for finding in asked(options):
         faults += finding.state == "fault"
         stream.write(f"{finding.state:<6} {finding.name:<14} {finding.detail}\n")
         if finding.fix:
@@ -50,6 +40,16 @@ def run(options: DoctorOptions, out: TextIO | None = None) -> int:
         stream.flush()
     stream.write("ready to fly\n" if not faults else f"{faults} fault{'s' if faults > 1 else ''}: not ready to fly\n")
     return EXIT_UNFIT if faults else 0
+
+
+def asked(options: DoctorOptions) -> Iterator[Finding]:
+    """This machine and the rig; then a vehicle, when one was named. Raises PartError for what was asked wrongly."""
+    if options.set_parameters and options.vehicle == "none":
+        raise PartError("whose parameters?", "add --vehicle sender or --vehicle receiver")
+    yield from findings(options.rig)
+    if options.vehicle != "none":
+        rig = rig_library.load(options.rig)
+        yield from check_vehicle(rig, Role(options.vehicle), options.set_parameters, Path("runs") / "parameters")
 
 
 def findings(rig: str) -> Iterator[Finding]:

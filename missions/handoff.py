@@ -31,6 +31,7 @@ _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
 
 def run(options: HandoffOptions) -> int:
     """``path-handoff handoff``; returns the run's exit code. Raises PartError for what was asked wrongly."""
+    name_simulators(options)
     rig = rig_library.load(options.rig)
     harness_of(rig)
     folder = new_folder(options.out)
@@ -40,6 +41,13 @@ def run(options: HandoffOptions) -> int:
         facts = fly_once(rig, options.seed, options.fault, folder, console.show)
     make_report(folder, options.picture, sys.stdout)
     return facts.exit_code
+
+
+def name_simulators(options: HandoffOptions) -> None:
+    """For the harness and its processes: what runs the autopilots of the rigs that fly real ones."""
+    for variable, binary in (("PATH_PX4", options.px4), ("PATH_ARDUPILOT", options.ardupilot)):
+        if binary is not None:
+            os.environ[variable] = str(binary.resolve())
 
 
 def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:

@@ -59,6 +59,12 @@ class HandoffOptions:
     picture: bool = True
     """Draw run.png at the end."""
 
+    px4: FileName = None
+    """PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too."""
+
+    ardupilot: FileName = None
+    """ArduCopter's SITL binary, for the rigs that fly it; PATH_ARDUPILOT names it too."""
+
 
 @dataclass(frozen=True, slots=True)
 class RoleOptions:
@@ -123,6 +129,12 @@ class DoctorOptions:
 
     rig: RigName = "sitl"
     """The rig to check: its file, its parts, its ports."""
+
+    vehicle: Literal["none", "sender", "receiver"] = "none"
+    """Connect to this role's vehicle as well, and compare its parameters with the rig's. Nothing moves."""
+
+    set_parameters: bool = False
+    """Set the vehicle's parameters to what the rig wants; what they were is kept in runs/parameters."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -211,6 +211,16 @@ def test_a_flight_from_arming_to_landing() -> None:
         again.bind(("127.0.0.1", bench.port))  # the port is free again
 
 
+def test_height_may_be_reckoned_from_home() -> None:
+    async def fly(bench: Bench) -> None:
+        async with bench.vehicle(height_from="home") as vehicle:
+            await vehicle.wait_armable(LIMIT_S)
+            assert vehicle.state.position_n_m[2] == pytest.approx(0.0, abs=0.02)  # its origin is 0.1 m over the ground
+
+    with px4() as bench:
+        asyncio.run(fly(bench))
+
+
 async def square_leg(vehicle: MavsdkVehicle, north: float, east: float) -> None:
     """Fly 0.3 m in one direction, by the vehicle's own telemetry."""
     n, e, _ = vehicle.state.position_n_m

@@ -13,6 +13,7 @@ import pytest
 
 from drivers.interfaces import CameraError
 from missions import doctor
+from missions.findings import Finding, State
 from missions.options import DoctorOptions
 
 
@@ -21,8 +22,8 @@ def gives(value: Any) -> Callable[[str], Any]:
 
 
 @pytest.mark.parametrize(("state", "code"), [("ok", 0), ("note", 0), ("fault", doctor.EXIT_UNFIT)])
-def test_only_faults_make_a_machine_unfit(monkeypatch: pytest.MonkeyPatch, state: doctor.State, code: int) -> None:
-    monkeypatch.setattr(doctor, "findings", gives([doctor.Finding(state, "thing", "is so", "do this")]))
+def test_only_faults_make_a_machine_unfit(monkeypatch: pytest.MonkeyPatch, state: State, code: int) -> None:
+    monkeypatch.setattr(doctor, "findings", gives([Finding(state, "thing", "is so", "do this")]))
     out = io.StringIO()
     assert doctor.run(DoctorOptions("sim"), out) == code
     assert "thing" in out.getvalue()
