@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from flight.guard_rules import GuardRules
 from drivers.interfaces import Capability
+from flight.guard_rules import GuardRules
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,8 +28,8 @@ class Outcome(Enum):
     CLOCK_FAULT = ("clock_fault", 24, "the drones' clocks could not be aligned")
     APPROACH_FAILED = ("approach_failed", 25, "the planned viewpoint was not reached in time")
     STATE_LOST = ("state_lost", 26, "what must survive a restart could not be written: disk full?")
-    GUARD_LOST = ("guard_lost", 28, "the guard's process does not answer, or does not see the vehicle")
     UNFIT = ("unfit", 27, "a part of the rig cannot do what the mission needs")
+    GUARD_LOST = ("guard_lost", 28, "the guard's process does not answer, or does not see the vehicle")
     INTERRUPTED = ("interrupted", 30, "stopped by Ctrl-C or SIGTERM")
     CRASHED = ("crashed", 31, "the role's program died")
     RESTARTED = (

@@ -32,8 +32,8 @@ from drivers.rig_file import load_rig
 from drivers.tables import RigError, decode_table
 from drivers.udp_link import address_of
 from hil.air import Air
-from hil.beacon_pty import open_beacons
 from hil.autopilot_process import SimulatorBroken
+from hil.beacon_pty import open_beacons
 from hil.d415 import T_COLOR_DEPTH, depth_camera
 from hil.faults import FAULTS
 from hil.faulty_link import ProxySide, UdpFaultProxy
@@ -48,7 +48,6 @@ from hil.script_monitor import vehicles_of
 from hil.shared_camera import RUN_VARIABLE, SharedCameraWriter
 from hil.sim import VEHICLES_EVERY, down, mission_config
 from hil.snapshot import Snapshot
-from hil.sim import down, min_separation_m
 from hil.tello_emulator import TelloEmulator
 from hil.tello_video import TelloVideo
 from hil.tello_world import is_tello, tello_of
@@ -138,9 +137,8 @@ class SitlWorld:
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
         self._finish_within_s: float | None = None
-        self._vehicles: dict[Role, MavlinkVehicle | TelloEmulator] = {}
+        self._vehicles: dict[Role, MavlinkVehicle | TelloEmulator | SimulatedVehicle] = {}
         self._videos: dict[Role, TelloVideo] = {}
-        self._vehicles: dict[Role, MavlinkVehicle | SimulatedVehicle] = {}
         self._cameras: dict[Role, CameraThread] = {}
 
     async def run(self) -> None:
@@ -150,11 +148,6 @@ class SitlWorld:
         async with AsyncExitStack() as stack:
             log = stack.enter_context(McapLog(self._out / "world.mcap"))
             self._proxy = await stack.enter_async_context(UdpFaultProxy(*proxy_sides(rig), self._seed))
-            for role in Role:
-                self._vehicles[role] = self._vehicle(role)
-                stack.callback(self._vehicles[role].close)
-            live.start_s = time.monotonic()
-            truth = self._truth = TruthLog(log, round(live.start_s * 1e9))
             if self._config.sender_simulator is None:
                 for role in Role:
                     self._vehicles[role] = self._vehicle(role)
@@ -162,7 +155,7 @@ class SitlWorld:
                 live.start_s = time.monotonic()
             else:
                 await self._start_simulators(stack)
-            truth = TruthLog(log, round(live.start_s * 1e9))
+            truth = self._truth = TruthLog(log, round(live.start_s * 1e9))
             truth.scene(rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
             self._start_cameras(stack)
             stack.enter_context(open_beacons(rig, self._seed, self._out, live.now_s, self._snapshot))
@@ -208,11 +201,6 @@ class SitlWorld:
 
     def _start_cameras(self, stack: AsyncExitStack) -> None:
         for role in Role:
-            color = self._rig.role(role).camera
-            size = color.width, color.height
-            fps = camera_config(self._rig, role).fps
-            writer = SharedCameraWriter(os.environ[RUN_VARIABLE], role, size, depth_size(self._rig, role), fps)
-            stack.enter_context(writer)
             writer = stack.enter_context(self._videos.get(role) or self._shared_camera(role))
             camera = CameraThread(self._live, self._rig, role, writer, self._seed)
             self._cameras[role] = camera
@@ -223,10 +211,11 @@ class SitlWorld:
         with live.lock:
             live.world.advance(max(live.now_s(), live.world.time_s))
             return live.world.snapshot()
+
     def _shared_camera(self, role: Role) -> SharedCameraWriter:
         color = self._rig.role(role).camera
-        size = color.width, color.height
-        return SharedCameraWriter(os.environ[RUN_VARIABLE], role, size, depth_size(self._rig, role))
+        size, fps = (color.width, color.height), camera_config(self._rig, role).fps
+        return SharedCameraWriter(os.environ[RUN_VARIABLE], role, size, depth_size(self._rig, role), fps)
 
     async def _step_until_finished(self, truth: TruthLog) -> None:
         """Physics and both vehicles at 200 Hz, until told to finish and both are down, or that takes too long."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 
 from drivers.guard_interfaces import Script
-from drivers.interfaces import FlightMode, VehicleError
 from drivers.interfaces import Capability, FlightMode, VehicleError, lacking
 from flight.guidance import Anchor, Vec3, add, norm, subtract
 from flight.outcome import MissionEnd, Outcome

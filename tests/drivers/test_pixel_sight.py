@@ -312,6 +312,8 @@ def camera_frame_depth(view: PixelView) -> NDArray[np.uint16]:
     depth_mm = view._frame.depth_mm
     assert depth_mm is not None
     return depth_mm
+
+
 # --- a camera without depth --------------------------------------------------------------------------------------
 
 
