@@ -40,7 +40,7 @@ def test_this_machine_has_what_the_tests_need() -> None:
 
 @pytest.mark.parametrize(("rig", "state"), [("sitl", "fault"), ("sim", "note")])
 def test_a_missing_camera_library_is_a_fault_where_it_is_needed(
-    monkeypatch: pytest.MonkeyPatch, rig: str, state: doctor.State
+    monkeypatch: pytest.MonkeyPatch, rig: str, state: State
 ) -> None:
     def missing() -> None:
         raise CameraError("pyrealsense2 cannot be used", "build librealsense")
