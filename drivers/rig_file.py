@@ -210,7 +210,14 @@ def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
 def _role_rig(written: _Sender | _Receiver, T_b_v: Pose) -> RoleRig:
     mount, camera = Mount(written.mount.camera.pose(), T_b_v), written.camera
     return RoleRig(
-        written.vehicle, written.sight, written.link, written.clock, camera.model, mount, camera_serial=camera.serial
+        vehicle=written.vehicle,
+        sight=written.sight,
+        link=written.link,
+        clock=written.clock,
+        camera=camera.model,
+        mount=mount,
+        camera_serial=camera.serial,
+        guard=written.guard,
     )
     c = written.camera
     camera = CameraModel(c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.distortion)

@@ -98,7 +98,7 @@ class LeaseMonitor:
                 self._took_back(now_s)
             elif provisional:
                 self._took_over(now_s)
-        self._on_gap(role, now_s)
+        self._on_gap(role, before, now_s)
 
     def _took_back(self, now_s: float) -> None:
         if self._duty[Role.SENDER] == "handed_over":
@@ -122,7 +122,7 @@ class LeaseMonitor:
         if waited_s > DECISION_S:
             self.violated("L1", now_s, f"decided {waited_s:.2f} s after the COMMIT, the bound is {DECISION_S:.2f} s")
 
-    def _on_gap(self, role: Role, now_s: float) -> None:
+    def _on_gap(self, role: Role, before: bool, now_s: float) -> None:
         """From the sender's release until somebody is responsible again."""
         if any(self._responsible.values()):
             if self._alone_s is not None:
@@ -132,5 +132,5 @@ class LeaseMonitor:
                     self.violated(
                         "L2", now_s, f"nobody was responsible for {alone_s:.2f} s, the bound is {GAP_S:.2f} s"
                     )
-        elif role is Role.SENDER and self._alone_s is None:
+        elif role is Role.SENDER and before:
             self._alone_s = now_s

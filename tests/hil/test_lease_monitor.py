@@ -148,3 +148,11 @@ def test_a_program_that_died_is_not_waited_for() -> None:
     story.monitors.on_death(D1)
     story.take_back(9.0)
     assert story.found == {}
+
+
+def test_a_program_that_begins_again_before_it_tracks_anything_leaves_no_gap() -> None:
+    story = Story()
+    story.monitors.on_death(D1)
+    story.holds(D1, 1.0, False)
+    story.holds(D1, 9.8, True)
+    assert story.found == {}
