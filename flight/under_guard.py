@@ -10,6 +10,7 @@ from flight.guard_rules import GuardRules
 from flight.outcome import MissionEnd, Outcome
 
 _POLL_S = 0.01
+_BY_A_VEHICLE = (Outcome.VEHICLE_REFUSED, Outcome.VEHICLE_LOST)
 
 
 class UnderGuard:
@@ -35,6 +36,13 @@ class UnderGuard:
         if answer is not None and answer.hand is Hand.GUARD and not self.taken:
             self.taken = answer.reason
         return answer
+
+    def behind(self, end: MissionEnd) -> MissionEnd:
+        """What is behind a mission's end: a vehicle that the guard took refuses, or is not heard by who stood still."""
+        self.look()
+        if self.taken and end.outcome in _BY_A_VEHICLE:
+            return MissionEnd(Outcome.GUARD, f"the guard took the vehicle: {self.taken}")
+        return end
 
     def check_hand(self) -> None:
         """Raise MissionEnd when the vehicle is not the script's any more."""

@@ -394,6 +394,8 @@ async def fly_course(session: Session, course: Course, recover: Recovery) -> Rol
         else:
             end = session.ended.result()
             await _cancel(flown)
+        if end is not None and session.guard is not None:
+            end = session.guard.behind(end)
         if end is not None:
             session.say(str(end))
         try:

@@ -84,9 +84,11 @@ def signed_rig(name: str, folder: Path) -> str:
     key, file = folder / "pair.key", folder / f"{name}-signed.toml"
     key.write_bytes(os.urandom(KEY_LENGTH))
     key.chmod(0o600)
-    lines = rig_library.load(name).file.read_text("utf-8").splitlines()
-    signed = [line + f'\nkey_file = "{key.name}"' if line.startswith("bind = ") else line for line in lines]
-    file.write_text("\n".join(signed) + "\n", "utf-8")
+    text = rig_library.load(name).file.read_text("utf-8")
+    for role in Role:
+        link = f"[{role.value}.link]\n"
+        text = text.replace(link, f'{link}key_file = "{key.name}"\n')
+    file.write_text(text, "utf-8")
     return str(file)
 
 

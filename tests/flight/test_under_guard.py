@@ -158,3 +158,16 @@ def test_a_guard_that_does_not_answer_keeps_everything_on_the_ground() -> None:
         assert caught.value.outcome is Outcome.GUARD_LOST
 
     virtual(main())
+
+
+def test_a_vehicle_that_refuses_because_the_guard_has_it_is_the_guard_s_doing() -> None:
+    async def main() -> None:
+        line = FakeLine()
+        guard = UnderGuard(line, LoopClock(), RULES)
+        refused, lost = MissionEnd(Outcome.VEHICLE_REFUSED, "denied"), MissionEnd(Outcome.PEER_LOST, "silent")
+        assert guard.behind(refused) is refused
+        line.say(Answer(True, Hand.GUARD, "no sign of life"))
+        assert guard.behind(refused).outcome is Outcome.GUARD
+        assert guard.behind(lost) is lost
+
+    virtual(main())

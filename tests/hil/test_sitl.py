@@ -181,9 +181,11 @@ def test_a_record_that_is_written_down_is_a_moment_too(stage: Stage) -> None:
     assert list(run.results) == [Role.SENDER]
 
 
-STANDS_STILL = """
+RUNS = """
 import time
 begun_s = last_s = time.monotonic()
+"""
+STANDS_STILL = """
 while last_s - begun_s < 60.0:
     time.sleep(0.01)
     now_s = time.monotonic()
@@ -196,7 +198,7 @@ print(LAST, flush=True)
 
 def test_a_program_that_stalls_goes_on_afterwards(stage: Stage) -> None:
     programs = {
-        Role.SENDER: f"LAST = {encode_event(result(Role.SENDER))!r}\n"
+        Role.SENDER: f"LAST = {encode_event(result(Role.SENDER))!r}\n{RUNS}"
         + saying(progress(Role.SENDER, AT_COUNT), then=STANDS_STILL),
         Role.RECEIVER: saying(result(Role.RECEIVER)),
     }
