@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -49,6 +50,12 @@ class ParameterAccess:
 
     def __init__(self, system: Any) -> None:
         self._plugin: Any = Param(system)
+        self._in_use = threading.Lock()
+
+    def destroy(self) -> None:
+        """End the plugin, once the call that it is in has returned: cancelling the reader does not end that."""
+        with self._in_use:
+            self._plugin.destroy()
 
     async def read(self, names: Iterable[str]) -> dict[str, float | None]:
         """Values by the names asked for, None for one that the vehicle does not have. Raises VehicleError."""
@@ -59,11 +66,12 @@ class ParameterAccess:
         await asyncio.to_thread(self._write, difference.name, difference.wanted)
 
     def _read_known(self, name: str) -> float | None:
-        for known in (name, *RENAMED.get(name, ())):
-            found = self._read(known)
-            if found is not None:
-                return found[0]
-        return None
+        with self._in_use:
+            for known in (name, *RENAMED.get(name, ())):
+                found = self._read(known)
+                if found is not None:
+                    return found[0]
+            return None
 
     def _read(self, name: str) -> tuple[float, bool] | None:
         """(value, whether it is a whole number)."""
@@ -80,19 +88,20 @@ class ParameterAccess:
         return None
 
     def _write(self, name: str, wanted: float) -> None:
-        for known in (name, *RENAMED.get(name, ())):
-            found = self._read(known)
-            if found is None:
-                continue
-            try:
-                if found[1]:
-                    self._plugin.set_param_int(known, round(wanted))
-                else:
-                    self._plugin.set_param_float(known, wanted)
-            except ParamError as error:
-                raise VehicleError(f"{known} = {wanted:g} was not taken: {error.result.name}") from error
-            after = self._read(known)
-            if after is None or not same(wanted, after[0]):
-                raise VehicleError(f"{known} was set to {wanted:g} and is {after and after[0]}")
-            return
-        raise VehicleError(f"the vehicle has no parameter {name}", "is it the right kind and version of autopilot?")
+        with self._in_use:
+            for known in (name, *RENAMED.get(name, ())):
+                found = self._read(known)
+                if found is None:
+                    continue
+                try:
+                    if found[1]:
+                        self._plugin.set_param_int(known, round(wanted))
+                    else:
+                        self._plugin.set_param_float(known, wanted)
+                except ParamError as error:
+                    raise VehicleError(f"{known} = {wanted:g} was not taken: {error.result.name}") from error
+                after = self._read(known)
+                if after is None or not same(wanted, after[0]):
+                    raise VehicleError(f"{known} was set to {wanted:g} and is {after and after[0]}")
+                return
+            raise VehicleError(f"the vehicle has no parameter {name}", "is it the right kind and version of autopilot?")

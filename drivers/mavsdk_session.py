@@ -63,7 +63,7 @@ class Session:
         self._telemetry = telemetry
         self._mavsdk: Any = None
         self._direct: Any = None
-        self._plugin: Any = None  # held here: when it is collected, its subscriptions end without a word
+        self._plugin: Any = None  # as the others: when it is collected, its subscriptions end without a word
         self.parameters: ParameterAccess | None = None  # while open
         self._lock: PortLock | None = None
         self._start_s = time.monotonic()
@@ -96,11 +96,11 @@ class Session:
 
     async def close(self) -> None:
         """Idempotent and bounded. MAVSDK's threads and the port are gone afterwards."""
-        mavsdk, self._mavsdk, self._direct, self._plugin = self._mavsdk, None, None, None
-        self.parameters = None
+        mavsdk, direct, plugin, parameters = self._mavsdk, self._direct, self._plugin, self.parameters
+        self._mavsdk = self._direct = self._plugin = self.parameters = None
         try:
             if mavsdk is not None:
-                await _destroy(mavsdk)
+                await _destroy([part for part in (parameters, plugin, direct, mavsdk) if part is not None])
         finally:
             _logging.discard(self)
             if not _logging:
@@ -238,9 +238,18 @@ class Session:
         return kind
 
 
-async def _destroy(mavsdk: Any) -> None:
-    """MAVSDK joins its threads here, and has been given no bound: so it is watched from outside."""
-    thread = threading.Thread(target=mavsdk.destroy, name="mavsdk-destroy", daemon=True)
+async def _destroy(parts: Sequence[Any]) -> None:
+    """In this order. MAVSDK joins its threads here, and has been given no bound: so it is watched from outside.
+
+    MAVSDK would end its plugins too, but not those that the garbage collector has come to know as unreachable: they
+    would be ended by it in another thread at the same time, which aborts the process.
+    """
+
+    def destroy() -> None:
+        for part in parts:
+            part.destroy()
+
+    thread = threading.Thread(target=destroy, name="mavsdk-destroy", daemon=True)
     thread.start()
     end_s = time.monotonic() + CLOSE_S
     while thread.is_alive():

@@ -1,10 +1,12 @@
 """The MAVSDK driver over loopback, in real time: against the embedded PX4-like vehicle and a scripted ArduCopter."""
 
 import asyncio
+import gc
 import math
 import socket
 import threading
 import time
+import weakref
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +14,7 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 import pytest
+from mavsdk.mavsdk import Mavsdk
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode, VehicleError, VelocitySetpoint
@@ -286,6 +289,69 @@ def test_the_pilot_and_a_lost_link_end_every_wait() -> None:
             endpoint.silent = False
             await until(lambda: LoopClock().now_ns() - vehicle.state.heartbeat_ns < 300_000_000)
             await vehicle.land(LIMIT_S)
+
+    with px4() as bench:
+        asyncio.run(fly(bench))
+
+
+# --- closing ---
+
+
+def test_closing_ends_the_plugins_before_mavsdk_however_the_garbage_collector_runs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A plugin that the collector ends in one thread while MAVSDK ends in another takes the process down."""
+    alive: list[bool] = []
+    destroy = Mavsdk.destroy
+
+    async def fly(bench: Bench) -> None:
+        async with bench.vehicle() as vehicle:
+            session = vehicle._session
+            assert session.parameters is not None
+            plugins = [weakref.ref(plugin) for plugin in (session._plugin, session._direct, session.parameters._plugin)]
+
+            def collected_before(mavsdk: Mavsdk) -> None:
+                gc.collect()
+                alive.extend(plugin() is not None for plugin in plugins)
+                destroy(mavsdk)
+
+            monkeypatch.setattr(Mavsdk, "destroy", collected_before)
+
+    with px4() as bench:
+        asyncio.run(fly(bench))
+    assert alive == [True, True, True]
+
+
+def test_closing_waits_for_a_parameter_that_is_being_read() -> None:
+    """A read blocks in MAVSDK in a thread of its own, which cancelling does not end."""
+
+    async def fly(bench: Bench) -> None:
+        async with bench.vehicle() as vehicle:
+            session = vehicle._session
+            assert session.parameters is not None
+            plugin = session.parameters._plugin
+            get, reading, ended = plugin.get_param_int, threading.Event(), threading.Event()
+
+            def watched(name: str) -> int:
+                reading.set()
+                try:
+                    return get(name)
+                finally:
+                    ended.set()
+
+            plugin.get_param_int = watched
+            read = asyncio.create_task(session.parameters.read(["NOT_THERE"]))
+            await until(reading.is_set)
+            read.cancel()
+            destroyed_after_it: list[bool] = []
+            destroy = plugin.destroy
+
+            def watched_destroy() -> None:
+                destroyed_after_it.append(ended.is_set())
+                destroy()
+
+            plugin.destroy = watched_destroy
+        assert destroyed_after_it[0]
 
     with px4() as bench:
         asyncio.run(fly(bench))
