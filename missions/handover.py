@@ -368,7 +368,7 @@ class SenderHandover(_Handover[SenderMachine]):
         self._step(VerifyAgain())
 
     async def until_decided(self, timeout_s: float, verify_again: Callable[[], None]) -> None:
-        """Until the target is handed over and it is known what became of that.
+        """Until the receiver has accepted the target.
 
         An attempt that was committed and not accepted is taken back and verified again, as long as there is time.
         Raises MissionEnd otherwise.
@@ -383,11 +383,15 @@ class SenderHandover(_Handover[SenderMachine]):
             assert carrier.ended is not None
             decision = carrier.ended.outcome
             if decision is Decision.HANDED_OVER:
-                break
+                return
             if decision is not Decision.TAKEN_BACK:
                 raise MissionEnd(_ENDS.get(decision, Outcome.PEER_ABORTED), decision.value)
             self.verify_again()
             verify_again()
+
+    async def until_settled(self) -> None:
+        """After ``until_decided``: until it is known that the receiver holds the target, or that nobody can say."""
+        carrier = self._carrier
         await _until(lambda: carrier.settled is not None, math.inf)
         if carrier.settled is None or carrier.settled.outcome is not Decision.HANDED_OVER:
             raise MissionEnd(Outcome.ORPHANED, "the receiver did not say that it holds the target")

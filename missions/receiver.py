@@ -14,7 +14,7 @@ from drivers.rig import Rig
 from flight.config import MissionConfig
 from flight.eye import Eye
 from flight.guard import check_separation
-from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, subtract
+from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, norm, subtract
 from flight.harness import Emit, InProcess, RoleResult
 from flight.marker_view import MarkerFix, MarkerView, Motion
 from flight.outcome import MissionEnd, Outcome
@@ -139,8 +139,10 @@ class Receiver:
     async def recover(self, end: MissionEnd | None) -> bool:
         self._watching = False
         self._handover.end(end)
-        back = from_heading((-_RETREAT_M, 0.0, 0.0), yaw_of(self._session.vehicle.state.q_n_b))
-        landed = await bring_down(self._session, end, back)
+        state = self._session.vehicle.state
+        yaw_rad = yaw_of(state.q_n_b)
+        back = from_heading((-_RETREAT_M, 0.0, 0.0), yaw_rad)
+        landed = await bring_down(self._session, end, Anchor(add(state.position_n_m, back), yaw_rad))
         await self._handover.finish()
         return landed
 

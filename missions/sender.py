@@ -24,6 +24,7 @@ from path.agreement import Agreed
 from path.geometry import Matrix
 from path.messages import Candidate, Role, Target
 from path.observations import Missed, MissReason
+from path.rotation import yaw_of
 from path.sender import Pair, SenderCycle
 from path.window import Gate
 
@@ -66,6 +67,7 @@ class Sender:
         self._cycle: SenderCycle | None = None
         self._receiver_side = -1.0  # on which side of D1 the receiver stands: -1 left, 1 right
         self._candidates = 0
+        self._way_out: Anchor | None = None
         session.on_message = self._on_message
         session.on_status = self._handover.on_status
 
@@ -103,8 +105,10 @@ class Sender:
 
         session.enter(Phase.VERIFY)
         await self._handover.until_decided(deadlines.verify_s, self._begin_attempt)
-        session.observing = False
         session.say("handed over")
+        session.pilot.guidance = self._leave().hold  # not on behind the target: a receiver that died hangs beside it
+        await self._handover.until_settled()
+        session.observing = False
 
     def _begin_attempt(self) -> None:
         """A count of its own for every epoch."""
@@ -122,13 +126,18 @@ class Sender:
     async def recover(self, end: MissionEnd | None) -> bool:
         self._watching = False
         self._handover.end(end)
-        if self._track is None:
-            way_out: Vec3 = (0.0, 0.0, 0.0)
-        else:
-            way_out = from_heading((0.0, -self._receiver_side * self._config.depart_m, 0.0), self._heading_rad)
-        landed = await bring_down(self._session, end, way_out)
+        landed = await bring_down(self._session, end, self._leave())
         await self._handover.finish()
         return landed
+
+    def _leave(self) -> Anchor:
+        """Where to go before landing: away from the receiver, sideways, and the same place however often asked."""
+        if self._way_out is None:
+            state = self._session.vehicle.state
+            aside_m = 0.0 if self._track is None else -self._receiver_side * self._config.depart_m
+            aside = from_heading((0.0, aside_m, 0.0), self._heading_rad)
+            self._way_out = Anchor(add(state.position_n_m, aside), yaw_of(state.q_n_b))
+        return self._way_out
 
     def _first_place(self) -> Vec3:
         """From where the designated place is in view."""
@@ -139,8 +148,11 @@ class Sender:
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Stay behind and above the target, in the heading it was approached with."""
         assert self._track is not None
-        keep = self._config.follow
-        target, _ = self._track.predict(self._session.now_ns())
+        session, keep = self._session, self._config.follow
+        if session.phase is Phase.VERIFY and session.peer_silence_s() > self._config.guard.near_silence_s:
+            # the receiver may hang or sink where it was last, and the target may lead there
+            return VelocitySetpoint((0.0, 0.0, 0.0), self._heading_rad)
+        target, _ = self._track.predict(session.now_ns())
         down = self._config.target.height_m - keep.height_m
         place = add(target, from_heading((-keep.behind_m, 0.0, down), self._heading_rad))
         north, east, _ = self._track.velocity_n_mps
@@ -192,7 +204,7 @@ class Sender:
         session = self._session
         seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
         unseen_s = (view.stamp_ns - track.seen_ns) * 1e-9
-        if unseen_s > self._config.deadlines.target_coast_s:
+        if unseen_s > self._config.deadlines.target_coast_s and not self._handover.handed_over:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
         cycle = self._cycle
         if cycle is None:

@@ -6,13 +6,12 @@ import asyncio
 
 from drivers.guard_interfaces import Script
 from drivers.interfaces import Capability, FlightMode, VehicleError, lacking
-from flight.guidance import Anchor, Vec3, add, norm, subtract
+from flight.guidance import Anchor, norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.under_guard import UnderGuard
 from missions.session import Session
 from path.messages import Role
-from path.rotation import yaw_of
 
 _FIRST_FRAME_S = 10.0
 _SETTLED_M = 0.35
@@ -64,8 +63,8 @@ async def take_off(session: Session, height_m: float) -> None:
     session.spawn(session.pilot.run())
 
 
-async def bring_down(session: Session, end: MissionEnd | None, way_out_n_m: Vec3) -> bool:
-    """Leave the other drone's way, then land. Returns whether the script landed the vehicle.
+async def bring_down(session: Session, end: MissionEnd | None, way_out: Anchor) -> bool:
+    """Leave the other drone's way, to ``way_out``, then land. Returns whether the script landed the vehicle.
 
     A pilot who took over keeps the vehicle; a vehicle that is lost or refuses is not flown any farther.
     """
@@ -79,7 +78,7 @@ async def bring_down(session: Session, end: MissionEnd | None, way_out_n_m: Vec3
         return True
     if pilot.in_control and (end is None or end.outcome not in _NO_MANOEUVRE):
         session.enter(Phase.DEPART)
-        await _depart(session, way_out_n_m)
+        await _depart(session, way_out)
     pilot.let_go()
     if guard is not None and guard.taken:
         return await _leave_to_guard(session, guard)
@@ -113,14 +112,12 @@ async def _leave_to_guard(session: Session, guard: UnderGuard) -> bool:
     return not session.vehicle.state.armed
 
 
-async def _depart(session: Session, way_out_n_m: Vec3) -> None:
+async def _depart(session: Session, way_out: Anchor) -> None:
     """Fly the way out under guard; when that fails, what follows (landing) is still right."""
-    state = session.vehicle.state
-    anchor = Anchor(add(state.position_n_m, way_out_n_m), yaw_of(state.q_n_b))
-    session.pilot.guidance = anchor.hold
+    session.pilot.guidance = way_out.hold
     loop = asyncio.get_running_loop()
     end_s = loop.time() + session.config.deadlines.depart_s
     while session.pilot.in_control and loop.time() < end_s:
-        if norm(subtract(anchor.position_n_m, session.vehicle.state.position_n_m)) < _SETTLED_M:
+        if norm(subtract(way_out.position_n_m, session.vehicle.state.position_n_m)) < _SETTLED_M:
             return
         await asyncio.sleep(0.05)

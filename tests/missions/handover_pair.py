@@ -157,12 +157,16 @@ class Pair:
         self.session[Role.SENDER].spawn(self.offer_targets())
         await asyncio.sleep(0.5)
 
+    async def _sender_decides(self, timeout_s: float) -> None:
+        await self.sender.until_decided(timeout_s, self.verify_again)
+        await self.sender.until_settled()
+
     async def decide(self, timeout_s: float = 10.0, agree: bool = True) -> dict[Role, Outcome]:
         """Both sides to their decision: the outcome of each."""
         if agree:
             self.sender.agreed(1)
         decisions = {
-            Role.SENDER: self.sender.until_decided(timeout_s, self.verify_again),
+            Role.SENDER: self._sender_decides(timeout_s),
             Role.RECEIVER: self.receiver.until_held(2.0 * timeout_s),
         }
         ends = await asyncio.gather(*decisions.values(), return_exceptions=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -156,6 +157,17 @@ def test_a_program_that_is_killed_and_started_again_goes_by_what_it_wrote_down(
     assert responsible == [holder] if holder else len(responsible) == 1
     last = load_run(tmp_path).world["/truth"][-1].record
     assert not last["sender"]["in_air"] and not last["receiver"]["in_air"]
+
+
+def test_a_sender_that_handed_over_leaves_even_when_nothing_more_is_heard_of_the_receiver(tmp_path: Path) -> None:
+    """The target leads it towards where a receiver that died hangs in the air."""
+    facts, _ = fly("sim", tmp_path, 1, "link_out=4@handed_over+0.1", "kill_receiver=20@holding+0.1")
+    assert facts.violations == {}
+    world = load_run(tmp_path).world
+    killed_ns = next(each.stamp_ns for each in world["/fault"] if each.record["fault"] == "kill_receiver")
+    later = [each.record for each in world["/truth"] if 2.0e9 < each.stamp_ns - killed_ns < 2.5e9]
+    assert later
+    assert all(math.dist(each["sender"]["t"], each["receiver"]["t"]) > 1.5 for each in later)
 
 
 def test_what_a_link_does_to_packets_is_survived_together(tmp_path: Path) -> None:
