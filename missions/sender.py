@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import math
 from contextlib import AsyncExitStack
+from dataclasses import replace
 
 from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
 from drivers.rig import Rig
 from flight.config import MissionConfig
 from flight.eye import Eye
-from flight.guidance import Anchor, Vec3, add, close_in, from_heading, subtract
+from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, subtract
 from flight.harness import Emit, InProcess, RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
@@ -106,7 +107,7 @@ class Sender:
         session.enter(Phase.VERIFY)
         await self._handover.until_decided(deadlines.verify_s, self._begin_attempt)
         session.say("handed over")
-        session.pilot.guidance = self._leave().hold  # not on behind the target: a receiver that died hangs beside it
+        session.pilot.guidance = self._leave_watching  # not behind the target: a receiver that died hangs beside it
         await self._handover.until_settled()
         session.observing = False
 
@@ -160,6 +161,12 @@ class Sender:
             subtract(place, state.position_n_m), (north, east, 0.0), keep.gain_per_s, keep.max_speed_mps
         )
         return VelocitySetpoint(velocity, self._heading_rad)
+
+    def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
+        """Make room, the eyes still on the target: nobody has it for sure until the hand-over is settled."""
+        assert self._track is not None
+        target, _ = self._track.predict(self._session.now_ns())
+        return replace(self._leave().hold(state), yaw_rad=bearing(subtract(target, state.position_n_m)))
 
     # --- what runs beside the course -----------------------------------------------------------------------------
 
