@@ -20,7 +20,7 @@ from drivers.interfaces import (
     VelocitySetpoint,
 )
 from flight.config import Deadlines, MissionConfig
-from flight.guidance import Vec3, add, norm, scale
+from flight.guidance import Anchor, add, norm, scale, subtract
 from flight.outcome import MissionEnd, Outcome
 from hil.virtual_time import run_virtual
 from missions import rig_library
@@ -33,7 +33,7 @@ HOME = VehicleState(
 )
 STATUS = Status(Role.RECEIVER, 1, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), 0.0, 0, False, False, 0.8)
 CONFIG = MissionConfig(deadlines=Deadlines(peer_s=10.0, depart_s=8.0))
-WAY_OUT: Vec3 = (0.0, -2.0, 0.0)
+WAY_OUT = Anchor((0.0, -2.0, -1.5), 0.0)  # at the height that the tests take off to
 
 
 @pytest.fixture(scope="module")
@@ -252,7 +252,7 @@ def test_out_of_the_others_way_then_down(rig: Any, outcome: Outcome | None) -> N
         assert await bench.down(outcome)
         assert bench.log.phases == ["take-off", "depart", "land"]
         assert bench.vehicle.done[-1] == "land"
-        left = add(bench.vehicle.now.position_n_m, scale(add((0.0, 0.0, -1.5), WAY_OUT), -1.0))
+        left = subtract(bench.vehicle.now.position_n_m, WAY_OUT.position_n_m)
         assert norm(left) < 0.4
         assert not bench.session.pilot.in_control
 
