@@ -58,7 +58,7 @@ def _clock(run: Run, truth: Truth | None) -> Clock:
     starts = {role: start_ns(run, role) for role in Role}
     if truth is None:
         return lambda role, stamp_ns: (stamp_ns - starts[role]) * 1e-9
-    begin_ns = min(truth.to_world_ns(role, starts[role]) for role in Role if starts[role])
+    begin_ns = min((truth.to_world_ns(role, starts[role]) for role in Role if starts[role]), default=0)
     return lambda role, stamp_ns: (truth.to_world_ns(role, stamp_ns) - begin_ns) * 1e-9
 
 

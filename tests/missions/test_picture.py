@@ -54,3 +54,11 @@ def test_a_run_that_ended_on_the_ground_is_drawn_too(make_run: MakeRun) -> None:
     image = drawn(folder)
     assert pixels_of(image, PHASES["preflight"]) > 30
     assert pixels_of(image, COUNT) == 0
+
+
+def test_a_run_whose_programs_never_began_is_drawn_too(make_run: MakeRun) -> None:
+    folder = make_run()
+    for name in ("sender.mcap", "receiver.mcap"):
+        (folder / name).unlink()
+    image = drawn(folder)
+    assert pixels_of(image, PHASES["verify"]) == 0
