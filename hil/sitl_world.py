@@ -241,10 +241,8 @@ class SitlWorld:
                     return
             steps += 1
             await asyncio.sleep(max(0.0, steps * STEP_S - live.now_s()))
-            if live.now_s() > (steps + 2) * STEP_S:
-                steps = int(
-                    live.now_s() / STEP_S
-                )  # what was missed is stepped at once, not caught up with tick by tick
+            if live.now_s() > (steps + 2) * STEP_S:  # what was missed is stepped at once, not caught up tick by tick
+                steps = int(live.now_s() / STEP_S)
 
     def _on_command(self) -> None:
         line = sys.stdin.readline()
