@@ -24,6 +24,8 @@ def check_vehicle(state: VehicleState, now_ns: int, config: GuardConfig, command
     heartbeat_age_s = (now_ns - state.heartbeat_ns) * 1e-9
     if heartbeat_age_s > config.heartbeat_age_s:
         raise MissionEnd(Outcome.VEHICLE_LOST, f"no heartbeat for {heartbeat_age_s:.1f} s")
+    if not state.armed:  # some autopilots keep the mode then
+        raise MissionEnd(Outcome.PILOT_OVERRIDE, "the motors were stopped: the vehicle is no longer armed")
     if state.mode is not commanded:
         raise MissionEnd(Outcome.PILOT_OVERRIDE, f"mode is {state.mode.value}, the script flew {commanded.value}")
     north, east, down = state.position_n_m

@@ -21,7 +21,7 @@ class Outcome(Enum):
     CAMERA_LOST = ("camera_lost", 17, "the camera gave no new frame in time")
     VEHICLE_LOST = ("vehicle_lost", 18, "the flight controller's telemetry stopped")
     VEHICLE_REFUSED = ("vehicle_refused", 19, "the vehicle did not do what it was told")
-    PILOT_OVERRIDE = ("pilot_override", 20, "the pilot changed the mode: the script let go")
+    PILOT_OVERRIDE = ("pilot_override", 20, "the pilot changed the mode, or stopped the motors: the script let go")
     GUARD = ("guard", 21, "fence, battery or separation limit reached")
     ORPHANED = ("orphaned", 22, "the link died inside the hand-over: both observe, nobody is responsible")
     PEER_ABORTED = ("peer_aborted", 23, "the other drone ended the handoff")

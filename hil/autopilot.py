@@ -52,6 +52,7 @@ class Autopilot:
         self.landed = True
         self.battery = 1.0
         self.pilot_in_control = False
+        self.killed = False  # by the pilot's switch: the motors stand still until the next boot
         self.home_n_m: Vec3 | None = None
         self.reasons: tuple[str, ...] = ("starting",)
         self.status_texts: list[StatusText] = []
@@ -92,6 +93,13 @@ class Autopilot:
     def set_battery(self, fraction: float) -> None:
         """Charge left, 0..1 (a fault, or a harness that starts with a used battery)."""
         self.battery = min(1.0, max(0.0, fraction))
+
+    def kill(self, now_s: float) -> None:
+        """The pilot's kill switch: the motors stop at once, wherever the vehicle is. The mode stays as it was."""
+        self.killed, self.armed = True, False
+        if self.mode is FlightMode.OFFBOARD:
+            self.offboard_sessions[-1].end_s = now_s
+        self._say(now_s, Severity.CRITICAL, "Kill switch engaged")
 
     def request_arm(self, now_s: float, arm: bool, force: bool = False) -> Ack:
         """Arm or disarm. ``force`` is there because MAVLink has it: it skips no check and stops no motor in the air."""
@@ -210,6 +218,7 @@ class Autopilot:
         checks = (
             (now_s - self._boot_s < self._settle_s, "position estimate is settling"),
             (self._battery_low, "battery low"),
+            (self.killed, "kill switch engaged"),
             (bool(self.config.arming_fault), self.config.arming_fault),
         )
         self.reasons = tuple(reason for failed, reason in checks if failed)

@@ -93,6 +93,7 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("no_failsafe", None, "no", "the autopilots fly on when setpoints stop, as some are delivered", True),
         FaultKind("fc_link_loss", Role.RECEIVER, "no", "the receiver's flight controller falls silent"),
         FaultKind("pilot_takeover", Role.RECEIVER, "no", "the receiver's pilot changes the mode"),
+        FaultKind("motor_kill", Role.RECEIVER, "no", "the receiver's pilot stops the motors in the air"),
         FaultKind("battery_sag", Role.SENDER, "no", "the sender's battery drops to 15 %"),
     )
 }  # fmt: skip

@@ -46,6 +46,8 @@ def inject_in_world(name: str, role: Role | None, world: World) -> None:
             world.depth_holes(True)
         case "pilot_takeover" if role is not None:
             world.drone(role).autopilot.request_mode(world.time_s, FlightMode.OTHER, by_pilot=True)
+        case "motor_kill" if role is not None:
+            world.drone(role).autopilot.kill(world.time_s)
         case "no_failsafe":
             for drone in Role:
                 autopilot = world.drone(drone).autopilot

@@ -4,8 +4,9 @@ S7 is held as far as it can be measured: while the camera of a drone whose missi
 in its image, one such drone looks at its frames (a record of one, at most ``LOOKS_S`` old). A mission goes on from the
 moment a role follows the target, or searches for the other drone, until it departs, lands or its program dies.
 
-S10: once a pilot has the vehicle, no setpoint comes any more and no script changes the mode; below the battery's limit,
-or outside the fence, the mission ends. What was under way when it happened may still arrive.
+S10: once a pilot has the vehicle, no setpoint comes any more and no script changes the mode; once a pilot has stopped
+its motors, it is sent nothing and not armed again; below the battery's limit, or outside the fence, the mission ends.
+What was under way when it happened may still arrive.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ class VehicleTruth:
     """Of one vehicle, at an instant.
 
     Attributes:
+        killed: the pilot has stopped the motors.
         setpoint_s: when the newest setpoint arrived, world's clock.
         position_n_m: true, north, east, down.
         sees_target: the target's middle is in its camera's image.
@@ -45,6 +47,7 @@ class VehicleTruth:
     mode: FlightMode
     armed: bool
     pilot: bool
+    killed: bool
     battery: float
     low_battery: float
     setpoint_s: float
@@ -96,6 +99,7 @@ class ScriptMonitor:
         outside = outside or -down > limit.fence_height_m + FENCE_SLACK_M
         ruled = {
             "pilot": vehicle.armed and vehicle.pilot,
+            "kill": vehicle.killed,
             "battery": vehicle.armed and vehicle.battery < limit.min_battery,
             "fence": vehicle.armed and outside,
         }
@@ -117,6 +121,9 @@ class ScriptMonitor:
             mode = self._mode.setdefault(role, vehicle.mode)
             if vehicle.mode is not mode and vehicle.battery > vehicle.low_battery:
                 self._once("S10", now_s, f"the {who}'s script took the vehicle from its pilot: {vehicle.mode.value}")
+        elif reason == "kill":
+            if vehicle.armed or vehicle.setpoint_s > since_s + NOTICED_S:
+                self._once("S10", now_s, f"the {who}'s script flies a vehicle whose motors the pilot stopped")
         elif vehicle.mode is FlightMode.OFFBOARD and self._phase[role] not in ENDING and self._phase[role]:
             self._once("S10", now_s, f"the {who}'s mission goes on against its limit: {reason}")
 
@@ -141,6 +148,7 @@ def vehicles_of(world: World, rig: Rig) -> dict[Role, VehicleTruth]:
             mode=autopilot.mode,
             armed=autopilot.armed,
             pilot=autopilot.pilot_in_control,
+            killed=autopilot.killed,
             battery=autopilot.battery,
             low_battery=autopilot.config.low_battery,
             setpoint_s=autopilot.newest_setpoint_s,

@@ -35,6 +35,7 @@ def ago(seconds: float) -> int:
         (Outcome.VEHICLE_LOST, {"heartbeat_ns": ago(2.1)}, "no heartbeat for 2.1 s"),
         (Outcome.PILOT_OVERRIDE, {"mode": FlightMode.OTHER}, "mode is other, the script flew offboard"),
         (Outcome.PILOT_OVERRIDE, {"mode": FlightMode.HOLD}, "mode is hold"),
+        (Outcome.PILOT_OVERRIDE, {"armed": False}, "the motors were stopped"),
         (Outcome.GUARD, {"position_n_m": (10.1, 0.0, -1.0)}, "fence"),
         (Outcome.GUARD, {"position_n_m": (-7.2, -7.2, -1.0)}, "fence"),
         (Outcome.GUARD, {"position_n_m": (0.0, 0.0, -5.1)}, "height 5.1 m"),

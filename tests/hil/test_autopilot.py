@@ -11,6 +11,7 @@ from hil.autopilot import Ack, Autopilot, AutopilotConfig, Estimate
 from path.rotation import quat_from_rpy, yaw_of
 
 TICK_S = 0.02
+LEVEL = (1.0, 0.0, 0.0, 0.0)
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
 
 
@@ -338,3 +339,13 @@ def test_a_take_off_between_landing_and_disarming_is_not_cut_short() -> None:
     bench.run(3.0)
     assert bench.autopilot.armed
     assert bench.position[2] == pytest.approx(-1.0, abs=0.02)
+
+
+def test_a_kill_switch_stops_the_motors_in_the_air_and_nothing_starts_them_again() -> None:
+    bench = Bench().fly()
+    bench.autopilot.kill(bench.now_s)
+    command = bench.autopilot.step(bench.now_s, Estimate(bench.now_s, (0.0, 0.0, -1.5), (0.0, 0.0, 0.0), LEVEL), False)
+    assert not command.thrust_on
+    assert not bench.autopilot.armed
+    assert not bench.autopilot.request_arm(bench.now_s, True).accepted
+    assert bench.autopilot.status_texts[-1].text == "Arming denied: kill switch engaged"

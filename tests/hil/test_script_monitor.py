@@ -16,7 +16,7 @@ from path.config import MethodConfig
 from path.messages import Role
 
 D1, D2 = Role.SENDER, Role.RECEIVER
-FLYING = VehicleTruth(FlightMode.OFFBOARD, True, False, 0.9, 0.1, 0.0, (1.0, 0.0, -1.5), True)
+FLYING = VehicleTruth(FlightMode.OFFBOARD, True, False, False, 0.9, 0.1, 0.0, (1.0, 0.0, -1.5), True)
 
 
 @pytest.fixture
@@ -95,6 +95,18 @@ def test_s10_the_mode_changed_under_a_pilot(monitors: Monitors, scripts: ScriptM
     fly(scripts, 3.0, 4.0, pilot=True, mode=FlightMode.LAND, setpoint_s=0.0)
     assert dict(monitors.violations) == {"S10": 1}
     assert "from its pilot: land" in monitors.details[0]
+
+
+def test_s10_a_script_that_flies_on_with_its_motors_stopped(monitors: Monitors, scripts: ScriptMonitor) -> None:
+    fly(scripts, 0.0, 3.0, killed=True, armed=False, setpoint_s=1.0)
+    assert not monitors.violations
+    fly(scripts, 3.0, 4.0, killed=True, armed=False)
+    assert dict(monitors.violations) == {"S10": 1}
+
+
+def test_s10_a_script_that_arms_a_vehicle_whose_motors_were_stopped(monitors: Monitors, scripts: ScriptMonitor) -> None:
+    fly(scripts, 0.0, 3.0, killed=True, armed=True, setpoint_s=0.0)
+    assert dict(monitors.violations) == {"S10": 1}
 
 
 def test_the_truth_about_both_vehicles_before_take_off() -> None:

@@ -91,6 +91,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Pa
         ("kill_sender", "crashed"),
         ("fc_link_loss", "vehicle_lost"),
         ("pilot_takeover", "pilot_override"),
+        ("motor_kill", "pilot_override"),
         ("battery_sag", "guard"),
     ],
 )
