@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 from importlib import resources
 from pathlib import Path
@@ -31,6 +32,12 @@ def last_outcome(out: Path, role: Role) -> dict[str, Any]:
 def responsible_at_the_end(out: Path, role: Role) -> bool:
     records = load_run(out).role(role).get("/responsibility", ())
     return bool(records and records[-1].record["responsible"])
+
+
+def test_flights_in_one_process_leave_nothing_that_is_never_collected(tmp_path: Path) -> None:
+    before = gc.get_freeze_count()
+    fly("sim", tmp_path, 1, "kill_receiver@preflight")
+    assert gc.get_freeze_count() == before
 
 
 @pytest.mark.parametrize("seed", [1, 2])
