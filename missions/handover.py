@@ -135,8 +135,11 @@ class _Handover(Generic[Machine]):
         self._waiting: deque[Callable[[], Any]] = deque()  # events, made when their turn comes
         self._moved = asyncio.Event()  # the machine's next deadline
         self._done = machine.state  # the newest state all of whose actions were carried out
-        if kept is not None:  # the log of a program that was started again begins with what it found
-            session.log.write("/epoch", session.now_ns(), {"epoch": kept.record.epoch, "duty": kept.record.duty})
+
+    def _begin_log(self, made: SenderRecord | ReceiverRecord) -> None:
+        """The log of a program that was started again begins with what it made of the record that it found."""
+        if self._kept is not None:
+            self._carrier.carry_out(Persist(made))
 
     async def resume(self) -> None:
         """Before anything else is begun, what a restart left undecided is decided, and the other drone answered.
@@ -305,8 +308,10 @@ class SenderHandover(_Handover[SenderMachine]):
         if kept is not None:
             assert isinstance(kept.record, SenderRecord)
             machine.state = sender.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
-        store.save(sender.record(machine.state))
+        made = sender.record(machine.state)
+        store.save(made)
         super().__init__(session, store, machine, kept)
+        self._begin_log(made)
         if kept is not None:  # on the ground a new mission begins: nobody tracks its target yet
             session.set_responsible(machine.responsible and session.vehicle.state.armed)
 
@@ -411,8 +416,10 @@ class ReceiverHandover(_Handover[ReceiverMachine]):
         if kept is not None:
             assert isinstance(kept.record, ReceiverRecord)
             machine.state = receiver.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
-        store.save(receiver.record(machine.state))
+        made = receiver.record(machine.state)
+        store.save(made)
         super().__init__(session, store, machine, kept)
+        self._begin_log(made)
         self._able = able
         if kept is not None:
             session.set_responsible(machine.responsible, isinstance(machine.state, Provisional))

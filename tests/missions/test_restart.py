@@ -105,6 +105,8 @@ def test_a_receiver_killed_within_its_lease_holds_on_or_lets_go(rig: Any, down_s
         await asyncio.sleep(down_s)
         receiver = started(pair, rig, Role.RECEIVER, flying=True)
         assert pair.session[Role.RECEIVER].responsible == (down_s < 1.0)
+        told = pair.log[Role.RECEIVER].of("/epoch")[-1]["duty"]  # what it is now, not what it was
+        assert told == ("provisional" if down_s < 1.0 else "let_go")
         with pytest.raises(MissionEnd) as caught:
             await receiver.resume()
         assert caught.value.outcome is Outcome.RESTARTED
