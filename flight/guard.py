@@ -37,6 +37,6 @@ def check_vehicle(state: VehicleState, now_ns: int, config: GuardConfig, command
 
 
 def check_separation(distance_m: float, minimum_m: float) -> None:
-    """Raise MissionEnd when the measured distance between the drones is below the minimum (S9)."""
+    """Raise MissionEnd(TOO_CLOSE) when the measured distance between the drones is below the minimum (S9)."""
     if not distance_m >= minimum_m:
-        raise MissionEnd(Outcome.GUARD, f"separation {distance_m:.2f} m is below {minimum_m:.2f} m")
+        raise MissionEnd(Outcome.TOO_CLOSE, f"separation {distance_m:.2f} m is below {minimum_m:.2f} m")

@@ -22,7 +22,7 @@ class Outcome(Enum):
     VEHICLE_LOST = ("vehicle_lost", 18, "the flight controller's telemetry stopped")
     VEHICLE_REFUSED = ("vehicle_refused", 19, "the vehicle did not do what it was told")
     PILOT_OVERRIDE = ("pilot_override", 20, "the pilot changed the mode, or stopped the motors: the script let go")
-    GUARD = ("guard", 21, "fence, battery or separation limit reached")
+    GUARD = ("guard", 21, "fence or battery limit reached, or the guard took the vehicle")
     ORPHANED = ("orphaned", 22, "the link died inside the hand-over: both observe, nobody is responsible")
     PEER_ABORTED = ("peer_aborted", 23, "the other drone ended the handoff")
     CLOCK_FAULT = ("clock_fault", 24, "the drones' clocks could not be aligned")
@@ -30,6 +30,7 @@ class Outcome(Enum):
     STATE_LOST = ("state_lost", 26, "what must survive a restart could not be written: disk full?")
     UNFIT = ("unfit", 27, "a part of the rig cannot do what the mission needs")
     GUARD_LOST = ("guard_lost", 28, "the guard's process does not answer, or does not see the vehicle")
+    TOO_CLOSE = ("too_close", 29, "the drones came nearer to each other than their separation")
     INTERRUPTED = ("interrupted", 30, "stopped by Ctrl-C or SIGTERM")
     CRASHED = ("crashed", 31, "the role's program died")
     RESTARTED = (
@@ -65,6 +66,7 @@ _ABORT_REASONS = {
     Outcome.VEHICLE_REFUSED: AbortReason.VEHICLE,
     Outcome.PILOT_OVERRIDE: AbortReason.PILOT,
     Outcome.GUARD: AbortReason.GUARD,
+    Outcome.TOO_CLOSE: AbortReason.GUARD,
     Outcome.GUARD_LOST: AbortReason.GUARD,
 }
 

@@ -42,6 +42,7 @@ _RETREAT_M = 1.8
 _ABLE_S = 0.5
 _REPLAN_S = 0.5
 _PEER_POLL_S = 0.25
+_BY_MARKER = (Phase.APPROACH, Phase.VERIFY)
 
 
 async def run_receiver(
@@ -106,8 +107,9 @@ class Receiver:
 
         session.enter(Phase.STAND_OFF)
         session.pilot.guidance = self._rendezvous.to_stand_off
+        session.spawn(self._watch())
         await session.until(
-            lambda: self._rendezvous.at_stand_off(session.vehicle.state),
+            lambda: self._rendezvous.at_stand_off(session.vehicle.state) or self._near(),
             deadlines.stand_off_s,
             Outcome.APPROACH_FAILED,
             "the stand-off was not reached",
@@ -116,7 +118,6 @@ class Receiver:
         session.enter(Phase.SEARCH)
         self._rendezvous.begin_search()
         session.pilot.guidance = self._rendezvous.search
-        session.spawn(self._watch())
         await session.until(
             lambda: self._marker.fixes(session.now_ns()) >= _FIXES_TO_APPROACH,
             deadlines.search_s,
@@ -150,6 +151,13 @@ class Receiver:
         peer = self._session.peer
         assert peer is not None, "preflight waits for the sender's first Status"
         return peer
+
+    def _near(self) -> bool:
+        """By the marker already as near as the stand-off, which reported positions put farther on."""
+        session = self._session
+        now_ns = session.now_ns()
+        relative = self._marker.predict(now_ns) if self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH else None
+        return relative is not None and norm(relative.marker_n_m) < self._config.rendezvous.stand_off_m
 
     async def _arrive(self, timeout_s: float) -> None:
         """Until the camera is at the viewpoint, slow, for a while. Raises MissionEnd(APPROACH_FAILED)."""
@@ -263,7 +271,7 @@ class Receiver:
             session.note_separation(distance_m)
             check_separation(distance_m, self._config.separation.minimum_m)
         unseen_s = self._marker.unseen_s(stamp_ns)
-        if session.phase is not Phase.SEARCH and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
+        if session.phase in _BY_MARKER and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
             raise MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
 
     def _note_found(self, view: View, T_n_c: Pose, candidate: Candidate, prior: Prior) -> None:

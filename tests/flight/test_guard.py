@@ -74,10 +74,10 @@ def test_a_lost_vehicle_is_no_pilot() -> None:
 
 
 @pytest.mark.parametrize("distance_m", [0.69, 0.0, math.nan])
-def test_too_near_is_the_guard(distance_m: float) -> None:
+def test_too_near_has_a_name_of_its_own(distance_m: float) -> None:
     with pytest.raises(MissionEnd) as caught:
         check_separation(distance_m, 0.70)
-    assert caught.value.outcome is Outcome.GUARD
+    assert caught.value.outcome is Outcome.TOO_CLOSE
     assert "below 0.70 m" in caught.value.detail
 
 

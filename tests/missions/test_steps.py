@@ -244,7 +244,9 @@ def test_a_refusal_ends_the_take_off_and_nothing_is_tried_twice(rig: Any, refuse
 # --- the way down ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("outcome", [None, Outcome.NO_AGREEMENT, Outcome.TARGET_LOST, Outcome.INTERRUPTED])
+@pytest.mark.parametrize(
+    "outcome", [None, Outcome.NO_AGREEMENT, Outcome.TARGET_LOST, Outcome.TOO_CLOSE, Outcome.INTERRUPTED]
+)
 def test_out_of_the_others_way_then_down(rig: Any, outcome: Outcome | None) -> None:
     async def main() -> None:
         bench = Bench(rig)

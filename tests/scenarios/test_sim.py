@@ -55,6 +55,14 @@ def test_a_handoff_commits_and_breaks_no_rule(tmp_path: Path, seed: int) -> None
     assert responsible_at_the_end(tmp_path, Role.RECEIVER)
 
 
+def test_positions_that_put_the_stand_off_too_near_are_found_out_by_the_marker(tmp_path: Path) -> None:
+    """Both estimates err towards each other: the stand-off they make is 0.7 m from the sender."""
+    facts, summary = fly("sim", tmp_path, 987277702)
+    assert facts.outcome == "committed", facts.detail
+    assert facts.violations == {}
+    assert summary["min_separation_m"] > 0.9
+
+
 @pytest.mark.parametrize("faults", [(), ("link_loss=0.3",)])
 def test_the_gate_that_goes_by_evidence_commits_in_less_than_three_seconds(
     tmp_path: Path, faults: tuple[str, ...]
