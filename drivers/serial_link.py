@@ -62,6 +62,7 @@ class SerialLink:
         self._clock = context.clock
         self._role = context.role
         self._end, self._waiting = self._new_end(None)
+        self._end.inbox.close()
         self._framer = Framer()
         self._port: serial.Serial | None = None
         self._open = False
@@ -76,8 +77,9 @@ class SerialLink:
     async def __aenter__(self) -> Self:
         """Raises LinkError for a key that cannot be used and for a port that cannot be opened."""
         key_file = self._config.key_file
-        self._end, self._waiting = self._new_end(None if key_file is None else read_key(key_file))
+        key = None if key_file is None else read_key(key_file)
         self._open_port()
+        self._end, self._waiting = self._new_end(key)
         self._open = True
         return self
 
