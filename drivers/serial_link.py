@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import termios
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -112,7 +113,7 @@ class SerialLink:
         config = self._config
         try:
             port = serial.Serial(config.port, config.baud, timeout=0, write_timeout=0, exclusive=True)
-        except (serial.SerialException, ValueError, OSError) as error:
+        except (serial.SerialException, termios.error, ValueError, OSError) as error:
             raise LinkError(
                 f"serial port {config.port}: {error}",
                 "is the radio plugged in, the name right, and this user in the group of the port (dialout)?",

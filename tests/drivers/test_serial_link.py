@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import termios
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 
 from drivers.interfaces import LinkError
 from drivers.serial_link import SerialLink
@@ -96,3 +98,38 @@ def test_settings_that_cannot_be_are_refused(changes: dict[str, Any], named: str
     settings: dict[str, Any] = {"port": "/dev/null", "allow_unsigned": True}
     with pytest.raises(ValueError, match=named):
         SerialLink.Config(**(settings | changes))
+
+
+def test_a_port_that_vanishes_again_while_it_is_opened_is_tried_again(
+    tmp_path: Path, key_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """pyserial lets errors of the terminal's settings through as they are: no OSError."""
+    real, failed = serial.Serial, list[str]()
+
+    def flaps(port: str, *arguments: Any, **named: Any) -> serial.Serial:
+        if len(failed) < 2:
+            failed.append(port)
+            raise termios.error(5, "Input/output error")
+        return real(port, *arguments, **named)
+
+    async def test() -> None:
+        cable = Cable(tmp_path)
+        cable.plug()
+        sender, receiver = serial_links(cable, key_file)
+        async with sender, receiver:
+            cable.unplug()
+            await until(lambda: _lost(sender, TARGET) and _lost(receiver, Accept(1, 2, 3, 4, 5)))
+            monkeypatch.setattr("drivers.serial_link.serial.Serial", flaps)
+            cable.plug()
+            async with asyncio.timeout(5.0):
+                await introduce_at_last(sender, receiver)
+        cable.unplug()
+
+    run(test(), within_s=20.0)
+    assert len(failed) == 2
+
+
+async def introduce_at_last(one: SerialLink, other: SerialLink) -> None:
+    """Once both ports are open."""
+    await until(lambda: one._port is not None and other._port is not None)
+    await introduce(one, other)
