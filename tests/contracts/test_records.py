@@ -26,11 +26,17 @@ SECOND = SenderRecord(3, "released", Handoff(7, 3, 1), 0xFFFF_FFFF, 1 << 60, (1 
 
 # --- records that outlive the program ----------------------------------------------------------------------------
 
-STORES = pytest.mark.parametrize(
-    "store_of",
-    [lambda _: MemoryStore(), lambda folder: StateFile(folder / "sender.state.json", Role.SENDER)],
-    ids=["memory", "file"],
-)
+
+def memory(folder: Path) -> RecordStore:
+    del folder
+    return MemoryStore()
+
+
+def file(folder: Path) -> RecordStore:
+    return StateFile(folder / "sender.state.json", Role.SENDER)
+
+
+STORES = pytest.mark.parametrize("store_of", [memory, file])
 StoreOf = Callable[[Path], RecordStore]
 
 
@@ -55,16 +61,25 @@ def test_a_save_that_nobody_waits_for_is_done_when_it_says_so(store_of: StoreOf,
 
 # --- logs --------------------------------------------------------------------------------------------------------
 
-LOGS = pytest.mark.parametrize(
-    "log_of",
-    [
-        lambda folder: McapLog(folder / "a.mcap"),
-        lambda folder: McapLog(folder / "a.mcap", buffered=True),
-        lambda folder: McapLog(Path("/dev/full")),
-        McapLog,  # a folder is no file
-    ],
-    ids=["file", "buffered", "full", "unwritable"],
-)
+
+def at_once(folder: Path) -> McapLog:
+    return McapLog(folder / "a.mcap")
+
+
+def buffered(folder: Path) -> McapLog:
+    return McapLog(folder / "a.mcap", buffered=True)
+
+
+def full_disk(folder: Path) -> McapLog:
+    del folder
+    return McapLog(Path("/dev/full"))
+
+
+def no_file(folder: Path) -> McapLog:
+    return McapLog(folder)
+
+
+LOGS = pytest.mark.parametrize("log_of", [at_once, buffered, full_disk, no_file])
 BAD_IMAGES: list[Any] = [
     np.zeros((0, 0, 3), np.uint8),
     np.zeros((4, 0, 3), np.uint8),

@@ -10,7 +10,7 @@ import contextlib
 import math
 from collections.abc import Awaitable, Callable, Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -26,7 +26,7 @@ from hil.virtual_time import run_virtual
 from hil.world import SimDrone, World, WorldConfig
 from path.messages import Role
 from tests.drivers import tello_stand
-from tests.drivers.test_mavsdk_vehicle import CONTEXT, px4
+from tests.drivers.test_mavsdk_vehicle import CONTEXT, QUICK, px4
 from tests.hil.test_sim_vehicle import Harness
 from tests.hil.test_sim_vehicle import context as sim_context
 
@@ -98,7 +98,7 @@ def sim_tello() -> contextlib.AbstractContextManager[Stage]:
 
 @contextmanager
 def mavsdk() -> Generator[Stage]:
-    with px4() as bench:
+    with px4(replace(QUICK, offboard_loss_s=1.0), speed=3.0) as bench:
         yield Stage(
             bench.vehicle(),
             CONTEXT.clock,

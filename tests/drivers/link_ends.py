@@ -91,16 +91,21 @@ class Cable:
         except OSError:
             asyncio.get_running_loop().remove_reader(source)
 
+    def garble(self) -> None:
+        """From now on noise comes in place of what was sent."""
+        self._carry = lambda data: os.urandom(len(data))
+
     def inject(self, data: bytes) -> None:
         """What the other one's radio hears besides."""
         os.write(self._ends[1][0], data)
 
     def unplug(self) -> None:
-        for name, (radio, port) in zip(self.names, self._ends, strict=True):
+        for name in self.names:
+            name.unlink(missing_ok=True)
+        for radio, port in self._ends:
             asyncio.get_running_loop().remove_reader(radio)
             os.close(radio)
             os.close(port)
-            name.unlink(missing_ok=True)
         self._ends = []
 
 
