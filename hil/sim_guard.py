@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Protocol, Self, cast
 
@@ -46,21 +46,28 @@ class SimGuard:
         self._role, self._clock = context.role, context.clock
         self._seen: GuardView | None = None
         self._acked: bool | None = None
+        self._open = False
 
     @property
     def name(self) -> str:
         return f"the {self._role.value}'s simulated vehicle"
 
     async def __aenter__(self) -> Self:
+        self._open = True
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None: ...
+    ) -> None:
+        self._open = False
+
+    @property
+    def _reached(self) -> bool:
+        return self._open and self._role not in self._harness.lost_vehicles
 
     def view(self) -> GuardView | None:
-        if self._role in self._harness.lost_vehicles:
-            return self._seen
+        if not self._reached:
+            return self._seen and replace(self._seen, acked=self._acked)
         drone, now_ns = self._harness.world.drone(self._role), self._clock.now_ns()
         autopilot = drone.autopilot
         self._seen = GuardView(
@@ -83,7 +90,7 @@ class SimGuard:
 
     def _request(self, mode: FlightMode) -> None:
         self._acked = None
-        if self._role not in self._harness.lost_vehicles:
+        if self._reached:
             world = self._harness.world
             self._acked = world.drone(self._role).autopilot.request_mode(world.time_s, mode).accepted
 
