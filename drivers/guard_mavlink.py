@@ -116,12 +116,14 @@ class GuardMavlink:
         )
 
     def hold(self) -> None:
-        assert self._kind is not None  # who commands has seen the vehicle
+        if self._kind is None:
+            return  # it was never heard: there is nobody to command
         main, sub = self._kind.set_mode[FlightMode.HOLD]
         self._command(DO_SET_MODE, CUSTOM_MODE_ENABLED, main, sub)
 
     def land(self) -> None:
-        assert self._kind is not None
+        if self._kind is None:
+            return
         unset = math.nan if self._kind.unset is None else self._kind.unset
         self._command(NAV_LAND, 0.0, 0.0, 0.0, unset, unset, unset)
 

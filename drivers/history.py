@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from bisect import bisect_left
 
+from drivers.interfaces import VehicleError
 from path.messages import Quat
 from path.rotation import slerp
 
@@ -41,11 +42,11 @@ class StateHistory:
     def attitude_at(self, stamp_ns: int) -> Quat:
         """Attitude at a stamp, on the shorter arc between its neighbours; the nearest one when out of range.
 
-        Raises LookupError when nothing was added yet.
+        Raises VehicleError when nothing was added yet.
         """
         with self._lock:
             if not self._stamps:
-                raise LookupError("no attitude yet")
+                raise VehicleError("no attitude of the vehicle is known yet", "enter it with `async with` first")
             after = bisect_left(self._stamps, stamp_ns)
             if after == 0:
                 return self._attitudes[0]

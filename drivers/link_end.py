@@ -77,24 +77,24 @@ class Inbox:
     def __init__(self, counters: LinkCounters) -> None:
         self._waiting = Waiting[Received](counters, MAX_WAITING, "superseded", "inbox_full")
         self._arrival = asyncio.Event()
-        self._closed = False
+        self.closed = False
 
     def put(self, received: Received) -> None:
         self._waiting.put(type(received.message), received)
         self._arrival.set()
 
     async def get(self) -> Received:
-        """The next message. Raises LinkError once the link is closed."""
+        """The next message. Raises LinkError once the link is closed, and before it is open."""
         while True:
-            if self._closed:
-                raise LinkError("the link is closed")
+            if self.closed:
+                raise LinkError("the link is closed", "enter it with `async with` first")
             if self._waiting:
                 return self._waiting.pop()
             self._arrival.clear()
             await self._arrival.wait()
 
     def close(self) -> None:
-        self._closed = True
+        self.closed = True
         self._arrival.set()
 
 
@@ -117,6 +117,8 @@ class RateLimit:
 
 class LinkEnd:
     """Messages to counted packets and back. Whoever has the channel moves the packets.
+
+    A link makes one for each time that it is open, and one that is closed before the first.
 
     Args:
         codec: of this role.

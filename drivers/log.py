@@ -75,17 +75,15 @@ class McapLog:
         """One BGR image, shape (h, w, 3), as JPEG."""
         if self._writer is None:
             return
-        import cv2  # noqa: PLC0415 (a log without images does not need it)
-
-        done, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        if not done:
+        jpeg = _jpeg(image)
+        if jpeg is None:
             self.failed = self.failed or f"{topic}: the image could not be encoded"
             return
         record = {
             "timestamp": {"sec": stamp_ns // 1_000_000_000, "nsec": stamp_ns % 1_000_000_000},
             "frame_id": self._frame,
             "format": "jpeg",
-            "data": base64.b64encode(jpeg.tobytes()).decode("ascii"),
+            "data": base64.b64encode(jpeg).decode("ascii"),
         }
         self._write(topic, IMAGE_SCHEMA, stamp_ns, record)
 
@@ -116,7 +114,7 @@ class McapLog:
             self._writer.add_message(channel, stamp_ns, data, stamp_ns, count)
         except OSError as error:
             self._fail(error)
-        except (TypeError, ValueError, OverflowError) as error:  # this record only; others go on
+        except (TypeError, ValueError, OverflowError, RecursionError) as error:  # this record only; others go on
             self.failed = self.failed or f"{topic}: {error}"
 
     def _register(self, writer: Writer, topic: str, schema: str) -> int:
@@ -162,6 +160,16 @@ class _File:
             self._flush()
         finally:
             self._raw.close()
+
+
+def _jpeg(image: NDArray[np.uint8]) -> bytes | None:
+    import cv2  # noqa: PLC0415 (a log without images does not need it)
+
+    try:
+        done, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    except cv2.error:
+        return None
+    return jpeg.tobytes() if done else None
 
 
 def _encode_other(value: Any) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import termios
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -88,9 +89,12 @@ class Marvelmind:
         try:
             for port in self._ports:
                 self._open_port(port)
+                if port.name in self.stream.ports:
+                    self._take(port, self._clock.now_ns(), b"")  # what was cut when it was closed
         except BaseException:
             self._close()
             raise
+        self._waiting.clear()  # of the time before
         self._open = True
         return self
 
@@ -101,11 +105,11 @@ class Marvelmind:
 
     async def read(self, timeout_s: float) -> BeaconFix:
         """The oldest position not yet given. Raises BeaconError when none came in time or a port stays gone."""
-        if not self._open:
-            raise BeaconError("the beacons are not open", "enter them with `async with` first")
+        self._check_open()
         try:
             async with asyncio.timeout(timeout_s):
                 while not self._waiting:
+                    self._check_open()
                     self._check_ports()
                     self._news.clear()
                     await self._news.wait()
@@ -118,7 +122,7 @@ class Marvelmind:
     def _open_port(self, port: _Port) -> None:
         try:
             device = serial.Serial(port.name, self._config.baud, timeout=0, exclusive=True)
-        except (serial.SerialException, ValueError, OSError) as error:
+        except (serial.SerialException, termios.error, ValueError, OSError) as error:
             raise BeaconError(
                 f"serial port {port.name}: {error}",
                 "is the beacon plugged in and switched on, the name right, and this user in the group of the port "
@@ -169,6 +173,10 @@ class Marvelmind:
             port.timer = asyncio.get_running_loop().call_later(REOPEN_S, self._reopen, port)
         self._news.set()
 
+    def _check_open(self) -> None:
+        if not self._open:
+            raise BeaconError("the beacons are not open", "enter them with `async with` first")
+
     def _check_ports(self) -> None:
         now_s = asyncio.get_running_loop().time()
         for port in self._ports:
@@ -205,6 +213,7 @@ class Marvelmind:
         self._open = False
         for port in self._ports:
             self._close_port(port)
+        self._news.set()  # whoever waits is told
 
 
 def ailment_of(state: PortState | None) -> str:

@@ -160,6 +160,7 @@ class MavsdkVehicle:
         await access.write(difference)
 
     async def wait_armable(self, timeout_s: float) -> None:
+        self._session.check_alive()  # what it said before it fell silent counts no more
         wrong = await self.parameter_differences()
         if wrong:
             raise VehicleError(

@@ -35,7 +35,10 @@ class BoxTracker:
 
     def update(self, image: NDArray[np.uint8]) -> Box | None:
         """Where it is now; None when it was lost."""
-        found, box = self._tracker.update(image)
+        try:
+            found, box = self._tracker.update(image)
+        except cv2.error:  # an image that it cannot have come to from the last one
+            return None
         if not found:
             return None
         x, y, w, h = (float(side) for side in box)

@@ -123,7 +123,7 @@ class RecordedCamera:
             CameraError: the next frame is due later than that, or is damaged.
         """
         if self._thread is None or self._coming is None:
-            raise CameraError("the recorded camera was read before it was opened", "open it with `async with`")
+            raise CameraError("the recorded camera is not open", "open it with `async with`")
         ready = self._coming.result()
         if ready is None:
             raise RecordingEnded(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import termios
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -62,6 +63,7 @@ class SerialLink:
         self._clock = context.clock
         self._role = context.role
         self._end, self._waiting = self._new_end(None)
+        self._end.inbox.close()
         self._framer = Framer()
         self._port: serial.Serial | None = None
         self._open = False
@@ -76,8 +78,9 @@ class SerialLink:
     async def __aenter__(self) -> Self:
         """Raises LinkError for a key that cannot be used and for a port that cannot be opened."""
         key_file = self._config.key_file
-        self._end, self._waiting = self._new_end(None if key_file is None else read_key(key_file))
+        key = None if key_file is None else read_key(key_file)
         self._open_port()
+        self._end, self._waiting = self._new_end(key)
         self._open = True
         return self
 
@@ -110,7 +113,7 @@ class SerialLink:
         config = self._config
         try:
             port = serial.Serial(config.port, config.baud, timeout=0, write_timeout=0, exclusive=True)
-        except (serial.SerialException, ValueError, OSError) as error:
+        except (serial.SerialException, termios.error, ValueError, OSError) as error:
             raise LinkError(
                 f"serial port {config.port}: {error}",
                 "is the radio plugged in, the name right, and this user in the group of the port (dialout)?",

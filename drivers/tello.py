@@ -69,6 +69,7 @@ class TelloVehicle:
         )  # fmt: skip
         self._state: VehicleState | None = None
         self._mode = FlightMode.HOLD
+        self._armed = False  # by the script; a take-off uses it up
         self._flying = False  # from the moment a take-off is sent until the motors stand
         self._motors = (0, 0)  # the newest count of its clock of running motors, and when that changed, ns
         self._keeper: asyncio.Task[None] | None = None
@@ -86,6 +87,7 @@ class TelloVehicle:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
+        self._armed = False
         if self._keeper is not None:
             self._keeper.cancel()
             await asyncio.gather(self._keeper, return_exceptions=True)
@@ -162,6 +164,7 @@ class TelloVehicle:
     # --- commands ---
 
     async def wait_armable(self, timeout_s: float) -> None:
+        self._check_alive()  # what it said before it fell silent counts no more
         if await self._until(lambda: self.state.armable, timeout_s):
             return
         raise VehicleError(
@@ -170,15 +173,19 @@ class TelloVehicle:
         )
 
     async def arm(self) -> None:
-        """There is nothing to arm: the motors start with the take-off. Only checks that it is there."""
+        """There is nothing to tell it: its motors start with the take-off, which is refused until this was called."""
         self._check_alive()
         if self._flying:
-            raise VehicleError("the drone is in the air already")
+            raise VehicleError("the drone is in the air already", "land it first")
+        self._armed = True
 
     async def take_off(self, height_m: float, timeout_s: float) -> None:
         self._check_alive()
+        if not self._armed:
+            raise VehicleError("take-off refused: the drone is not armed", "arm first")
         if not (math.isfinite(height_m) and height_m > 0.0):
             raise VehicleError(f"take-off refused: height {height_m} m", "give a height above zero")
+        self._armed = False  # once
         end_s = time.monotonic() + timeout_s
         self._flying = True  # from here on it may be
         self._set_mode(FlightMode.TAKEOFF)
@@ -217,10 +224,14 @@ class TelloVehicle:
         self._sticks((north, east, down), max(-limit, min(limit, turn_dps)))
 
     async def hold(self) -> None:
+        """It does not answer to that; that it is still there must be news."""
+        sent_ns = self._now_ns()
         for _ in range(HOLD_TIMES):
             self._centre()
             await asyncio.sleep(RC_PERIOD_S)
-        self._check_alive()
+        while self.state.stamp_ns <= sent_ns:
+            self._check_alive()
+            await asyncio.sleep(POLL_S)
         self._set_mode(FlightMode.HOLD)
 
     async def land(self, timeout_s: float) -> None:

@@ -160,20 +160,25 @@ class TelloCamera:
         """The newest frame not yet given.
 
         Raises:
-            CameraError: none came within ``timeout_s``: the stream stopped, or all of it is damaged.
+            CameraError: none came within ``timeout_s``: the stream stopped, or all of it is damaged; or it is not open.
         """
-        if self._link is not None:
-            self._link.clock.follow()
+        self._open_link().clock.follow()
         try:
             async with asyncio.timeout(timeout_s):
                 while (frame := self._take_newest()) is None:
                     self._wake.clear()
                     await self._wake.wait()
+                    self._open_link()
         except TimeoutError:
             raise self._silent(timeout_s) from None
         return frame
 
     # --- inside ---
+
+    def _open_link(self) -> TelloLink:
+        if self._link is None:
+            raise CameraError("the Tello's camera is not open", "open it with `async with`")
+        return self._link
 
     def _take_newest(self) -> Frame | None:
         with self._lock:
@@ -194,7 +199,7 @@ class TelloCamera:
     def _trouble(self) -> str:
         reader = self._reader
         if reader is None:
-            return "the camera is closed"
+            return "the camera is being opened"
         if reader.failure is not None:
             return f"the stream has ended: {reader.failure}"
         return f"{reader.damaged} damaged ones"
@@ -285,6 +290,7 @@ class TelloCamera:
     async def _close(self) -> None:
         reader, link = self._reader, self._link
         self._reader = self._link = None
+        self._wake.set()  # whoever waits for a frame is told
         if reader is not None:
             reader.stop()
         try:

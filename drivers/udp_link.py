@@ -75,6 +75,7 @@ class UdpLink:
         self._role = context.role
         self._transport: asyncio.DatagramTransport | None = None
         self._end = self._new_end(None)
+        self._end.inbox.close()
 
     @property
     def counters(self) -> LinkCounters:
@@ -82,12 +83,13 @@ class UdpLink:
 
     async def __aenter__(self) -> Self:
         """Raises LinkError for a key that cannot be used and for a port that cannot be had."""
-        self._end = self._new_end(None if self._key_file is None else read_key(self._key_file))
+        end = self._new_end(None if self._key_file is None else read_key(self._key_file))
         loop = asyncio.get_running_loop()
         try:
             self._transport, _ = await loop.create_datagram_endpoint(lambda: _Socket(self), local_addr=self._bind)
         except OSError as error:
             raise open_error(self._bind, error) from error
+        self._end = end
         return self
 
     async def __aexit__(

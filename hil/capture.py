@@ -146,6 +146,8 @@ class CaptureTicker(Generic[T]):
         while self._under_way:
             self._under_way.popleft()[0].cancel()
         self._arrived = self._last = None
+        if self._waiting is not None and not self._waiting.done():
+            self._waiting.set_result(None)  # else nobody would tell it when its time is over
 
     def _schedule(self, loop: asyncio.AbstractEventLoop) -> None:
         index = max(self._timing.index_at_or_after(loop.time()), self._last_index + 1)

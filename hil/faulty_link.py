@@ -201,7 +201,9 @@ class MemoryLink:
         self._hub = cast("HubHarness", context.harness).hub
         self._role = context.role
         self._clock = context.clock
-        self._end = LinkEnd(Codec(context.role, bytes(KEY_LENGTH) if config.signed else None, stamp=_signing_time))
+        self._key = bytes(KEY_LENGTH) if config.signed else None
+        self._end = self._new_end()
+        self._end.inbox.close()
 
     @property
     def counters(self) -> LinkCounters:
@@ -209,15 +211,19 @@ class MemoryLink:
 
     async def __aenter__(self) -> Self:
         self._hub.join(self._role, self)
+        self._end = self._new_end()
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
-        self._hub.leave(self._role)
-        self._end.inbox.close()
+        if not self._end.inbox.closed:
+            self._hub.leave(self._role)
+            self._end.inbox.close()
 
     def send(self, message: Message) -> None:
+        if self._end.inbox.closed:
+            raise LinkError("the link is not open", "enter it with `async with` first")
         data = self._end.pack(message)
         if data is not None:
             self._hub.carry(self._role, data)
@@ -227,6 +233,9 @@ class MemoryLink:
 
     def on_packet(self, data: bytes) -> None:
         self._end.arrived(data, self._clock.now_ns())
+
+    def _new_end(self) -> LinkEnd:
+        return LinkEnd(Codec(self._role, self._key, stamp=_signing_time))
 
 
 def _signing_time() -> int:

@@ -80,6 +80,7 @@ class GeometricSight:
             name, config.timing(context.role), context.role, context.clock, harness, _keep
         )
         self._freshness = Freshness(config.max_old_frames)
+        self._open = False
 
     @property
     def model(self) -> CameraModel:
@@ -91,15 +92,19 @@ class GeometricSight:
         return self._freshness.dropped
 
     async def __aenter__(self) -> Self:
+        self._open = True
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._open = False
         self._ticker.close()
 
     async def view(self, timeout_s: float) -> GeometricView:
         """The newest view not yet given. Raises CameraError when none came in time."""
+        if not self._open:
+            raise CameraError("the geometric sight is not open", "open it with `async with`")
         return GeometricView(await self._freshness.next(self._ticker.next, timeout_s), self._sensor)
 
 

@@ -86,11 +86,12 @@ class RenderedCamera:
 
     async def read(self, timeout_s: float) -> Frame:
         """The newest frame not yet given. Raises CameraError when none was taken in time."""
+        if self._thread is None:
+            raise CameraError("the rendered camera is not open", "open it with `async with`")
         capture = await self._ticker.next(timeout_s)
         color, depth_mm = capture.content.result()
         return Frame(capture.stamp_ns, capture.frame_id, color, depth_mm)
 
     def _draw(self, snapshot: Snapshot, frame_id: int) -> Future[Any]:
-        if self._thread is None:
-            raise CameraError("the rendered camera was read before it was opened")
+        assert self._thread is not None, "nothing is captured before somebody reads"
         return self._thread.submit(self._renderer.render, snapshot, self._role, frame_id)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.guard_interfaces import GuardLine
+from drivers.guard_interfaces import GuardLine, Watched
 from drivers.interfaces import PartError
 from drivers.log import McapLog, new_part
 from drivers.rig import Rig, create, part_context
@@ -165,7 +165,8 @@ class _Flight:
                 context = part_context(self._rig, role, self._parts)
                 line = self._parts.beat_lines[role] = MemoryBeatLine(context.clock)
                 log = McapLog(self._request.out / f"{role.value}.guard.mcap", buffered=True)
-                yield _keep_watch(GuardWatch(create(spec, context), line, context.clock, config, log), log)
+                vehicle: Watched = create(spec, context)
+                yield _keep_watch(vehicle, GuardWatch(vehicle, line, context.clock, config, log), log)
 
     async def _fly_roles(self) -> dict[Role, RoleResult | None]:
         end_s = asyncio.get_running_loop().time() + RUN_LIMIT_S
@@ -331,9 +332,10 @@ class _Flight:
         }
 
 
-async def _keep_watch(guard: GuardWatch, log: McapLog) -> None:
-    with log:
-        await watch((guard,), asyncio.Event(), TICK_S)
+async def _keep_watch(vehicle: Watched, guard: GuardWatch, log: McapLog) -> None:
+    async with vehicle:
+        with log:
+            await watch((guard,), asyncio.Event(), TICK_S)
 
 
 def down(world: World, role: Role) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Protocol, Self, cast
 
@@ -46,21 +46,28 @@ class SimGuard:
         self._role, self._clock = context.role, context.clock
         self._seen: GuardView | None = None
         self._acked: bool | None = None
+        self._open = False
 
     @property
     def name(self) -> str:
         return f"the {self._role.value}'s simulated vehicle"
 
     async def __aenter__(self) -> Self:
+        self._open = True
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None: ...
+    ) -> None:
+        self._open = False
+
+    @property
+    def _reached(self) -> bool:
+        return self._open and self._role not in self._harness.lost_vehicles
 
     def view(self) -> GuardView | None:
-        if self._role in self._harness.lost_vehicles:
-            return self._seen
+        if not self._reached:
+            return self._seen and replace(self._seen, acked=self._acked)
         drone, now_ns = self._harness.world.drone(self._role), self._clock.now_ns()
         autopilot = drone.autopilot
         self._seen = GuardView(
@@ -83,15 +90,16 @@ class SimGuard:
 
     def _request(self, mode: FlightMode) -> None:
         self._acked = None
-        if self._role not in self._harness.lost_vehicles:
+        if self._reached:
             world = self._harness.world
             self._acked = world.drone(self._role).autopilot.request_mode(world.time_s, mode).accepted
 
 
 @dataclass(slots=True)
 class _Mailbox:
-    beat: tuple[int, Beat] | None = None
-    answer: tuple[int, Answer] | None = None
+    """The newest beat, its arrival and who sent it."""
+
+    beat: tuple[int, Beat, MemoryGuardLine] | None = None
 
 
 @dataclass(slots=True)
@@ -102,20 +110,24 @@ class MemoryGuardLine:
     _box: _Mailbox
     name: str = "this process"
     cut: bool = False
+    answered: tuple[int, Answer] | None = None
+    _open: bool = False
 
     async def __aenter__(self) -> Self:
+        self._open = True
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None: ...
+    ) -> None:
+        self._open = False
 
     def beat(self, beat: Beat) -> None:
-        if not self.cut:
-            self._box.beat = self.clock.now_ns(), beat
+        if self._open and not self.cut:
+            self._box.beat = self.clock.now_ns(), beat, self
 
     def answer(self) -> tuple[int, Answer] | None:
-        return self._box.answer
+        return self.answered
 
 
 @dataclass(slots=True)
@@ -125,6 +137,7 @@ class MemoryBeatLine:
     clock: Clock
     _box: _Mailbox = field(default_factory=_Mailbox)
     _newest: MemoryGuardLine | None = None
+    _from: MemoryGuardLine | None = None
 
     async def __aenter__(self) -> Self:
         return self
@@ -134,11 +147,15 @@ class MemoryBeatLine:
     ) -> None: ...
 
     def newest(self) -> tuple[int, Beat] | None:
-        beat, self._box.beat = self._box.beat, None
-        return beat
+        newest, self._box.beat = self._box.beat, None
+        if newest is None:
+            return None
+        arrival_ns, beat, self._from = newest
+        return arrival_ns, beat
 
     def answer(self, answer: Answer) -> None:
-        self._box.answer = self.clock.now_ns(), answer
+        if self._from is not None:
+            self._from.answered = self.clock.now_ns(), answer
 
     def role_end(self) -> MemoryGuardLine:
         """For a program that begins."""

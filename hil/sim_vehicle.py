@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Protocol, Self, cast
 
 from drivers.history import StateHistory
-from drivers.interfaces import FlightMode, VehicleError, VehicleState, VelocitySetpoint
+from drivers.interfaces import Capability, FlightMode, VehicleError, VehicleState, VelocitySetpoint
 from drivers.rig import PartContext
 from hil.autopilot import Ack, Autopilot
 from hil.world import Telemetry, World
@@ -72,6 +72,7 @@ class SimVehicle:
     """The Vehicle Protocol on a drone of ``hil.world``. Motion commands are sent once."""
 
     Config = SimVehicleConfig
+    lacks = frozenset({Capability.GEOFENCE})
 
     def __init__(self, config: SimVehicleConfig, context: PartContext) -> None:
         if context.harness is None:
@@ -90,9 +91,12 @@ class SimVehicle:
         self._beats = -1
         self._taken_s = self._pulled_s = -math.inf
         self._state: VehicleState | None = None
+        self._open = False
 
     async def __aenter__(self) -> Self:
+        self._open = True
         if not await self._poll(lambda: self._beat is not None, self._config.connect_timeout_s):
+            self._open = False
             raise VehicleError(
                 f"no heartbeat from the {self._role.value}'s vehicle in {self._config.connect_timeout_s:g} s",
                 "is its link cut by a fault?",
@@ -102,7 +106,8 @@ class SimVehicle:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
-        """Nothing is held open; without setpoints the autopilot holds, then lands."""
+        """Without setpoints the autopilot holds, then lands."""
+        self._open = False
 
     # --- telemetry ---
 
@@ -123,6 +128,8 @@ class SimVehicle:
 
     def _pull(self) -> None:
         """Take what has arrived since the last time."""
+        if not self._open:
+            return
         world = self._harness.world
         now_s = world.time_s
         if now_s == self._pulled_s:
@@ -157,7 +164,7 @@ class SimVehicle:
     def _combined(self) -> VehicleState:
         newest, beat = self._newest, self._beat
         if newest is None or beat is None:
-            raise VehicleError("the vehicle is not connected", "enter it with `async with` first")
+            raise _not_connected()
         estimate = newest.estimate
         return VehicleState(
             stamp_ns=self._newest_ns,
@@ -221,6 +228,8 @@ class SimVehicle:
             await asyncio.gather(stream, return_exceptions=True)
 
     def fly(self, setpoint: VelocitySetpoint) -> None:
+        if not self._open:
+            raise _not_connected()
         self._check(setpoint)
         world = self._harness.world
         if not self._silent:
@@ -251,6 +260,8 @@ class SimVehicle:
             raise VehicleError(f"setpoint not sent: {speed:.2f} m/s is above max_speed_mps = {limit:g}", "fly slower")
 
     def _check_alive(self) -> None:
+        if not self._open:
+            raise _not_connected()
         age_s = (self._clock.now_ns() - self.state.heartbeat_ns) * 1e-9
         if age_s > self._config.heartbeat_timeout_s:
             raise VehicleError(
@@ -311,3 +322,7 @@ class SimVehicle:
             if loop.time() >= end_s:
                 return False
             await asyncio.sleep(POLL_S)
+
+
+def _not_connected() -> VehicleError:
+    return VehicleError("the vehicle is not connected", "enter it with `async with` first")

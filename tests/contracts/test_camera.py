@@ -181,3 +181,37 @@ def test_it_can_be_opened_again(stage_of: StageOf, tmp_path: Path) -> None:
                 await camera.read(PATIENCE_S)
 
     run(stage_of, tmp_path, test)
+
+
+@CAMERAS
+def test_nobody_waits_for_a_frame_of_one_that_is_not_open(stage_of: StageOf, tmp_path: Path) -> None:
+    async def test(stage: Stage) -> None:
+        async def refused() -> None:
+            start_s = asyncio.get_running_loop().time()
+            with pytest.raises(CameraError, match="not open") as caught:
+                await stage.camera.read(PATIENCE_S)
+            assert caught.value.remedy
+            assert asyncio.get_running_loop().time() - start_s < 1.0
+
+        await refused()
+        async with stage.camera as camera:
+            await camera.read(PATIENCE_S)
+        await refused()
+
+    run(stage_of, tmp_path, test)
+
+
+@CAMERAS
+def test_closing_ends_a_wait(stage_of: StageOf, tmp_path: Path) -> None:
+    async def test(stage: Stage) -> None:
+        async with stage.camera as camera:
+            await camera.read(PATIENCE_S)
+            stage.unplug()
+            while await _error_of(camera, 0.15) is None:
+                pass
+            waiting = asyncio.create_task(_error_of(camera, 1.0))
+            await asyncio.sleep(0)
+        async with asyncio.timeout(PATIENCE_S):
+            assert await waiting is not None
+
+    run(stage_of, tmp_path, test)

@@ -5,6 +5,7 @@ import math
 import pytest
 
 from drivers.history import StateHistory
+from drivers.interfaces import VehicleError
 from path.rotation import quat_from_rpy, yaw_of
 
 
@@ -47,5 +48,5 @@ def test_forgets_the_oldest_and_keeps_the_newest() -> None:
 
 
 def test_says_so_when_empty() -> None:
-    with pytest.raises(LookupError):
+    with pytest.raises(VehicleError, match="no attitude"):
         StateHistory().attitude_at(0)

@@ -87,13 +87,13 @@ class Wire:
 
 
 @contextmanager
-def stepped(endpoint: Endpoint, world: World | None, wire: Wire) -> Generator[None]:
+def stepped(endpoint: Endpoint, world: World | None, wire: Wire, speed: float = 1.0) -> Generator[None]:
     stop = threading.Event()
 
     def run() -> None:
         start_s = time.monotonic()
         while not stop.wait(0.004):
-            now_s = time.monotonic() - start_s
+            now_s = speed * (time.monotonic() - start_s)
             if world is not None:
                 world.advance(now_s)
             endpoint.pump(now_s)
@@ -134,14 +134,15 @@ def vehicle_at(port: int, **options: Any) -> MavsdkVehicle:
 
 
 @contextmanager
-def px4(config: AutopilotConfig = QUICK) -> Generator[Bench]:
+def px4(config: AutopilotConfig = QUICK, speed: float = 1.0) -> Generator[Bench]:
+    """The vehicle's time runs ``speed`` times as fast as ours."""
     exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
     calm = WindConfig(0.0, gust_mps=0.0)
     world = World(WorldConfig(calm, exact, autopilot=config, sender_home=HOME), seed=1)
     wire, port, drone = Wire(), free_port(), world.drone(Role.SENDER)
     endpoint = MavlinkVehicle(MavlinkVehicleConfig(SYSID, ("127.0.0.1", port)), drone, TANGENT)
     endpoint.tap = wire.tap
-    with stepped(endpoint, world, wire):
+    with stepped(endpoint, world, wire, speed):
         yield Bench(endpoint, drone, wire, port)
 
 

@@ -13,8 +13,8 @@ from drivers.mavsdk_vision import VisionConfig, beacon_in_n
 from drivers.rig import PartSpec
 from hil import marvelmind_bytes as sent
 from hil.beacon_pty import SerialCable
-from tests.drivers.link_ends import run, until
-from tests.drivers.test_mavsdk_vehicle import ORIGIN, px4
+from tests.drivers.link_ends import run
+from tests.drivers.test_mavsdk_vehicle import LIMIT_S, ORIGIN, into_the_air, px4, until
 
 NOBODY = PartSpec("drivers.marvelmind:Marvelmind", {}, "test")
 
@@ -63,3 +63,27 @@ def test_positions_reach_the_autopilot_and_then_its_origin(tmp_path: Path) -> No
 
     run(test(), within_s=20.0)
     cable.unplug()
+
+
+def test_beacons_that_are_unplugged_in_the_air_are_named_and_the_vehicle_flies_on(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What the autopilot does without them is its own: the script keeps its telemetry and its commands."""
+    cable = SerialCable(tmp_path / "hedge")
+    cable.plug()
+    options = {"ports": [str(cable.link)], "reopen_s": 0.3}
+    vision = VisionConfig(PartSpec("drivers.marvelmind:Marvelmind", options, "test.vision.beacons"), 5)
+
+    async def test() -> None:
+        with px4(speed=3.0) as bench:
+            async with bench.vehicle(vision=vision) as vehicle:
+                await into_the_air(vehicle)
+                cable.send(bytes(range(200)) + sent.quality(5, 90) + sent.position(60, 5, (1.0, 2.0, 0.3), 20))
+                await until(lambda: bool(bench.wire.of("VISION_POSITION_ESTIMATE")))
+                cable.unplug()
+                await until(lambda: "is gone for" in caplog.text)
+                await vehicle.hold()
+                await vehicle.land(LIMIT_S)
+            assert bench.drone.on_ground
+
+    run(test(), within_s=30.0)

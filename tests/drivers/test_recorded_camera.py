@@ -198,7 +198,7 @@ def test_what_cannot_be_is_refused_by_name() -> None:
         decode_table(table, RecordedCameraConfig, "rig.toml: sender.sight.camera")
 
     async def unopened() -> None:
-        with pytest.raises(CameraError, match="before it was opened"):
+        with pytest.raises(CameraError, match="not open"):
             await RecordedCamera(RecordedCameraConfig(Path("x.mp4")), context()).read(1.0)
 
     run_virtual(unopened())

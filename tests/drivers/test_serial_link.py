@@ -3,90 +3,25 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import time
-import tty
-from collections.abc import Callable
+import termios
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 
 from drivers.interfaces import LinkError
 from drivers.serial_link import SerialLink
-from path.messages import Accept, Role, Target
-from tests.drivers.link_ends import STATUS, TARGET, Context, WallClock, introduce, run, until
-
-
-class Cable:
-    """Two ports, by names that stay, and what one writes the other reads, as ``carry`` says."""
-
-    def __init__(self, folder: Path, carry: Callable[[bytes], bytes] = lambda data: data) -> None:
-        self.names = [folder / "one", folder / "other"]
-        self._carry = carry
-        self._ends: list[tuple[int, int]] = []
-
-    def plug(self) -> None:
-        loop = asyncio.get_running_loop()
-        self._ends = [os.openpty() for _ in self.names]
-        for name, (radio, port) in zip(self.names, self._ends, strict=True):
-            tty.setraw(port)
-            name.unlink(missing_ok=True)
-            name.symlink_to(os.ttyname(port))
-            os.set_blocking(radio, False)
-        (one, _), (other, _) = self._ends
-        loop.add_reader(one, self._move, one, other)
-        loop.add_reader(other, self._move, other, one)
-
-    def _move(self, source: int, sink: int) -> None:
-        try:
-            os.write(sink, self._carry(os.read(source, 4096)))
-        except OSError:
-            asyncio.get_running_loop().remove_reader(source)
-
-    def unplug(self) -> None:
-        for name, (radio, port) in zip(self.names, self._ends, strict=True):
-            asyncio.get_running_loop().remove_reader(radio)
-            os.close(radio)
-            os.close(port)
-            name.unlink(missing_ok=True)
-        self._ends = []
-
-
-def links(cable: Cable, key_file: Path | None, baud: int = 115_200) -> tuple[SerialLink, SerialLink]:
-    one, other = (
-        SerialLink(SerialLink.Config(str(name), baud, key_file, key_file is None), Context(role, WallClock()))
-        for name, role in zip(cable.names, Role, strict=True)
-    )
-    return one, other
-
-
-def test_messages_cross_both_ways_signed(tmp_path: Path, key_file: Path) -> None:
-    async def test() -> None:
-        cable = Cable(tmp_path)
-        cable.plug()
-        sender, receiver = links(cable, key_file)
-        async with sender, receiver:
-            await introduce(sender, receiver)
-            sender.send(TARGET)
-            received = await receiver.receive()
-            assert received.message == TARGET
-            assert received.arrival_ns <= time.monotonic_ns()
-            receiver.send(Accept(1, 2, 3, 4, 5))
-            assert (await sender.receive()).message == Accept(1, 2, 3, 4, 5)
-            assert sender.counters.bytes_sent == receiver.counters.bytes_received
-            assert sender.counters.dropped == receiver.counters.dropped == {}
-        cable.unplug()
-
-    run(test(), within_s=20.0)
+from path.messages import Accept, Target
+from tests.drivers.link_ends import STATUS, TARGET, Cable, introduce, run, serial_links, until
 
 
 def test_noise_on_the_radio_is_counted_and_costs_only_what_it_hit(tmp_path: Path, key_file: Path) -> None:
     async def test() -> None:
         cable = Cable(tmp_path, carry=lambda data: b"\xfd\x00noise" + data)
         cable.plug()
-        sender, receiver = links(cable, key_file)
+        sender, receiver = serial_links(cable, key_file)
         async with sender, receiver:
             await introduce(sender, receiver)
             sender.send(TARGET)
@@ -103,7 +38,7 @@ def test_a_slow_radio_carries_the_present(tmp_path: Path) -> None:
     async def test() -> None:
         cable = Cable(tmp_path)
         cable.plug()
-        sender, receiver = links(cable, None, baud=9600)
+        sender, receiver = serial_links(cable, None, baud=9600)
         async with sender, receiver:
             for k in range(40):
                 sender.send(replace(TARGET, sequence=k))
@@ -125,7 +60,7 @@ def test_a_radio_that_is_unplugged_is_silence_and_may_come_back(tmp_path: Path, 
     async def test() -> None:
         cable = Cable(tmp_path)
         cable.plug()
-        sender, receiver = links(cable, key_file)
+        sender, receiver = serial_links(cable, key_file)
         async with sender, receiver:
             await introduce(sender, receiver)
             cable.unplug()
@@ -148,7 +83,7 @@ def _lost(link: SerialLink, message: Target | Accept) -> bool:
 
 def test_a_port_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
     async def test() -> None:
-        link, _ = links(Cable(tmp_path), None)
+        link, _ = serial_links(Cable(tmp_path), None)
         with pytest.raises(LinkError, match=r"serial port .*one") as error:
             await link.__aenter__()
         assert "dialout" in error.value.remedy
@@ -163,3 +98,38 @@ def test_settings_that_cannot_be_are_refused(changes: dict[str, Any], named: str
     settings: dict[str, Any] = {"port": "/dev/null", "allow_unsigned": True}
     with pytest.raises(ValueError, match=named):
         SerialLink.Config(**(settings | changes))
+
+
+def test_a_port_that_vanishes_again_while_it_is_opened_is_tried_again(
+    tmp_path: Path, key_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """pyserial lets errors of the terminal's settings through as they are: no OSError."""
+    real, failed = serial.Serial, list[str]()
+
+    def flaps(port: str, *arguments: Any, **named: Any) -> serial.Serial:
+        if len(failed) < 2:
+            failed.append(port)
+            raise termios.error(5, "Input/output error")
+        return real(port, *arguments, **named)
+
+    async def test() -> None:
+        cable = Cable(tmp_path)
+        cable.plug()
+        sender, receiver = serial_links(cable, key_file)
+        async with sender, receiver:
+            cable.unplug()
+            await until(lambda: _lost(sender, TARGET) and _lost(receiver, Accept(1, 2, 3, 4, 5)))
+            monkeypatch.setattr("drivers.serial_link.serial.Serial", flaps)
+            cable.plug()
+            async with asyncio.timeout(5.0):
+                await introduce_at_last(sender, receiver)
+        cable.unplug()
+
+    run(test(), within_s=20.0)
+    assert len(failed) == 2
+
+
+async def introduce_at_last(one: SerialLink, other: SerialLink) -> None:
+    """Once both ports are open."""
+    await until(lambda: one._port is not None and other._port is not None)
+    await introduce(one, other)

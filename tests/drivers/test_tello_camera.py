@@ -42,7 +42,10 @@ def readers() -> list[str]:
 
 def test_frames_are_new_stamped_and_whole_and_their_end_is_told() -> None:
     async def film(stand: Stand) -> None:
-        async with camera(stand) as seen:
+        seen = camera(stand)
+        with pytest.raises(CameraError, match="not open"):
+            await seen.read(5.0)
+        async with seen:
             assert Capability.RANGE in seen.lacks
             frames = [await seen.read(1.0) for _ in range(30)]
             check_frames(frames)
@@ -50,6 +53,11 @@ def test_frames_are_new_stamped_and_whole_and_their_end_is_told() -> None:
             await newest_only(seen)
             await damaged(stand, seen)
             await silent(stand, seen)
+            waiting = asyncio.create_task(seen.read(60.0))
+            await asyncio.sleep(0)
+        with pytest.raises(CameraError, match="not open"):
+            async with asyncio.timeout(5.0):
+                await waiting
         assert readers() == []
         assert stand.count("streamoff") == 1
 

@@ -4,30 +4,16 @@ import asyncio
 import gc
 import socket
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from drivers.interfaces import Link, LinkError, Received
-from drivers.link_end import MAX_WAITING
+from drivers.interfaces import LinkError, Received
 from drivers.link_key import read_key, signing_time
 from drivers.udp_link import UdpLink, address_of
 from drivers.wire import Codec
-from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Message, Ping, Pong, Role
-from tests.drivers.link_ends import STATUS, TARGET, Context, WallClock, introduce, run, until
-
-
-def free_ports(number: int, family: int = socket.AF_INET) -> list[int]:
-    host = "127.0.0.1" if family == socket.AF_INET else "::1"
-    sockets = [socket.socket(family, socket.SOCK_DGRAM) for _ in range(number)]
-    try:
-        for one in sockets:
-            one.bind((host, 0))
-        return [one.getsockname()[1] for one in sockets]
-    finally:
-        for one in sockets:
-            one.close()
+from path.messages import Accept, Ping, Pong, Role
+from tests.drivers.link_ends import TARGET, Context, WallClock, free_ports, introduce, run, until
 
 
 def link(role: Role, bind: str, peer: str, key_file: Path | None = None) -> UdpLink:
@@ -86,43 +72,6 @@ def test_ipv6() -> None:
     run(test())
 
 
-def test_a_slow_reader_sees_the_newest_of_each_stream_and_every_word_of_the_handover() -> None:
-    handshake: list[Message] = [
-        Commit(1, 2, 3, 4, 5, 6),
-        Commit(1, 2, 3, 4, 5, 7),
-        Ping(1, 2),
-        Confirm(1, 2, 3, 4, 5),
-        Abort(1, 2, AbortReason.PILOT, 5),
-    ]
-
-    async def test() -> None:
-        sender, receiver = pair()
-        async with sender, receiver:
-            for k in range(5):
-                sender.send(replace(TARGET, sequence=k))
-                sender.send(handshake[k])
-                sender.send(replace(STATUS, phase=k))
-            await until(lambda: receiver.counters.packets_received == 15)
-            got = [(await receiver.receive()).message for _ in range(7)]
-            assert got == [*handshake, replace(TARGET, sequence=4), replace(STATUS, phase=4)]
-            assert receiver.counters.dropped == {"superseded": 8}
-
-    run(test())
-
-
-def test_the_inbox_is_bounded() -> None:
-    async def test() -> None:
-        sender, receiver = pair()
-        async with sender, receiver:
-            for k in range(MAX_WAITING + 3):
-                sender.send(Ping(k, 0))
-                await until(lambda k=k: receiver.counters.packets_received == k + 1)
-            assert receiver.counters.dropped == {"inbox_full": 3}
-            assert (await receiver.receive()).message == Ping(3, 0)
-
-    run(test())
-
-
 def test_strangers_forgers_and_noise_are_dropped_by_reason(key_file: Path) -> None:
     async def test() -> None:
         a, b = (f"127.0.0.1:{port}" for port in free_ports(2))
@@ -145,18 +94,6 @@ def test_strangers_forgers_and_noise_are_dropped_by_reason(key_file: Path) -> No
             reasons = ("stranger", "not_mavlink", "unsigned", "bad_signature", "truncated", "replayed", "unproven")
             receiver.counters.dropped.pop("network_error", None)  # the ping, to a port that nobody has
             assert receiver.counters.dropped == dict.fromkeys(reasons, 1)
-
-    run(test())
-
-
-def test_what_cannot_be_encoded_is_counted_and_not_sent() -> None:
-    async def test() -> None:
-        sender, receiver = pair()
-        async with sender, receiver:
-            sender.send(replace(TARGET, point_v_m=(float("nan"), 0.0, 0.0)))
-            sender.send(TARGET)
-            assert (await receiver.receive()).message == TARGET
-            assert sender.counters.packets_sent == 1 and sender.counters.dropped == {"cannot_encode": 1}
 
     run(test())
 
@@ -212,19 +149,13 @@ def test_an_address_that_is_not_this_computers() -> None:
     run(test())
 
 
-def test_closing_frees_the_port_ends_a_waiting_reader_and_leaves_no_socket() -> None:
+def test_closing_frees_the_port_at_once_and_leaves_no_socket() -> None:
     async def test() -> None:
         sender, receiver = pair()
-        async with receiver:
-            async with sender:
-                waiting = asyncio.create_task(sender.receive())
-                await asyncio.sleep(0)
-            with pytest.raises(LinkError, match="closed"):
-                await waiting
-            with pytest.raises(LinkError, match="not open"):
-                sender.send(TARGET)
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                probe.bind(sender._bind)
+        async with receiver, sender:
+            pass
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(sender._bind)
 
     before = open_files()
     run(test())
@@ -286,8 +217,3 @@ def test_a_config_that_cannot_be_used_is_refused(bind: str, peer: str, problem: 
 
 def test_unsigned_flight_must_be_asked_for() -> None:
     assert UdpLink.Config("0.0.0.0:47001", "192.168.1.2:47001", allow_unsigned=True).key_file is None
-
-
-def test_it_is_a_link() -> None:
-    one: Link = pair()[0]
-    assert one.counters.packets_sent == 0

@@ -144,9 +144,8 @@ def test_coco_has_its_classes() -> None:
     assert (COCO[0], COCO[2], COCO[79]) == ("person", "car", "toothbrush")
 
 
-@needs_weights
-def test_the_real_network_answers_the_same_for_an_image_and_a_region_around_it() -> None:
-    """A drawn clock face: no photograph comes with the tests."""
+def clock_face() -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    """Drawn: no photograph comes with the tests."""
     image = np.full((480, 640, 3), 180, np.uint8)
     cv2.circle(image, (400, 240), 110, (250, 250, 250), -1)
     cv2.circle(image, (400, 240), 110, (20, 20, 20), 8)
@@ -156,6 +155,12 @@ def test_the_real_network_answers_the_same_for_an_image_and_a_region_around_it()
         cv2.putText(image, str(hour or 12), at, cv2.FONT_HERSHEY_SIMPLEX, 0.7, (20, 20, 20), 2)
     cv2.line(image, (400, 240), (400, 170), (20, 20, 20), 5)
     cv2.line(image, (400, 240), (450, 270), (20, 20, 20), 5)
+    return image
+
+
+@needs_weights
+def test_the_real_network_answers_the_same_for_an_image_and_a_region_around_it() -> None:
+    image = clock_face()
     detector = YoloxDetector(config(WEIGHTS[0], classes=("clock",), max_side_px=260.0))
     (whole,) = detector.detect(image, None)
     assert whole.box.center == pytest.approx((400.0, 240.0), abs=8.0)

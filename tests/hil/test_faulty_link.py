@@ -161,20 +161,6 @@ def test_faults_may_change_and_a_role_may_fall_silent() -> None:
     run_virtual(test())
 
 
-def test_a_slow_reader_sees_the_newest() -> None:
-    async def test() -> None:
-        sender, receiver = memory_pair(MemoryHub(1, CLEAN))
-        async with sender, receiver:
-            await introduce(sender, receiver)
-            for k in range(5):
-                sender.send(replace(TARGET, sequence=k))
-            await asyncio.sleep(0.1)
-            assert (await receiver.receive()).message == replace(TARGET, sequence=4)
-            assert receiver.counters.dropped == {"superseded": 4}
-
-    run_virtual(test())
-
-
 def test_the_link_needs_a_harness_and_one_end_for_each_role() -> None:
     with pytest.raises(LinkError, match="one process"):
         MemoryLink(MemoryLink.Config(), Context(Role.SENDER, LoopClock()))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -12,9 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import CameraError, Sight, View
-from drivers.pixel_sight import PixelSight, PixelSightConfig
 from drivers.rig import Mount, Origin, PartContext
-from drivers.tables import decode_table
 from hil import geometric_targets
 from hil.capture import Capture, Freeze
 from hil.geometric_scene import Array, CameraSetup
@@ -24,7 +21,6 @@ from hil.render.renderer import Renderer
 from hil.render.scene import car
 from hil.render.sensor import NOISE_FREE
 from hil.snapshot import DroneTruth, ObjectTruth, Snapshot
-from hil.virtual_time import run_virtual
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Pose
@@ -329,7 +325,7 @@ def test_what_goes_wrong_for_a_while_lasts_some_frames_at_its_rate() -> None:
     assert not np.array_equal(missed, odd)
 
 
-# --- both sights, one contract ---
+# --- a sight in a world; what it shares with others: tests/contracts/test_sight.py ---
 
 
 @dataclass
@@ -357,97 +353,6 @@ def context(harness: object | None) -> PartContext:
 
 def geometric_sight(harness: StubHarness) -> Sight:
     return GeometricSight(GeometricSightConfig(rate_hz=50.0), context(harness))
-
-
-def pixel_sight(harness: StubHarness) -> Sight:
-    table = {
-        "camera": {"factory": "hil.rendered_camera:RenderedCamera", "rate_hz": 50.0, "latency_s": 0.0},
-        "detector": {"factory": "drivers.color_detector:ColorDetector"},
-    }
-    return PixelSight(decode_table(table, PixelSightConfig, "rig.toml: sender.sight"), context(harness))
-
-
-Make = Callable[[StubHarness], Sight]
-both_sights = pytest.mark.parametrize("make", [geometric_sight, pixel_sight])
-
-
-def with_sight(make: Make, program: Callable[[Sight, StubHarness], Awaitable[None]]) -> None:
-    harness = StubHarness()
-
-    async def main() -> None:
-        async with make(harness) as sight:
-            await program(sight, harness)
-
-    run_virtual(main())
-
-
-@both_sights
-def test_views_come_at_the_rate_with_increasing_stamps(make: Make) -> None:
-    async def program(sight: Sight, _: StubHarness) -> None:
-        views = [await sight.view(0.5) for _k in range(10)]
-        stamps = [view.stamp_ns for view in views]
-        assert np.diff(stamps).tolist() == pytest.approx([20_000_000] * 9, abs=2)
-        assert np.diff([view.frame_id for view in views]).tolist() == [1] * 9
-        assert sight.model is CAMERA
-
-    with_sight(make, program)
-
-
-@both_sights
-def test_a_slow_reader_gets_a_view_no_older_than_a_frame(make: Make) -> None:
-    async def program(sight: Sight, _: StubHarness) -> None:
-        await sight.view(0.5)
-        await asyncio.sleep(0.333)
-        view = await sight.view(0.5)
-        assert LoopClock().now_ns() - view.stamp_ns <= 20_000_000
-
-    with_sight(make, program)
-
-
-@both_sights
-def test_a_silent_camera_is_an_error_in_the_time_given(make: Make) -> None:
-    async def program(sight: Sight, harness: StubHarness) -> None:
-        await sight.view(0.5)
-        harness.frozen_cameras[Role.SENDER] = Freeze.SILENT
-        start_ns = LoopClock().now_ns()
-        with pytest.raises(CameraError, match=r"no frame from .* for 0\.5 s"):
-            await sight.view(0.5)
-        assert LoopClock().now_ns() - start_ns == pytest.approx(500_000_000, abs=1_000_000)
-        harness.frozen_cameras.clear()
-        await sight.view(0.5)
-
-    with_sight(make, program)
-
-
-@both_sights
-def test_a_repeated_frame_is_never_given_twice(make: Make) -> None:
-    async def program(sight: Sight, harness: StubHarness) -> None:
-        await sight.view(0.5)
-        harness.frozen_cameras[Role.SENDER] = Freeze.REPEAT
-        with pytest.raises(CameraError):
-            await sight.view(0.3)
-        with pytest.raises(CameraError, match="no newer than the one before"):
-            await sight.view(2.0)
-
-    with_sight(make, program)
-
-
-@both_sights
-def test_a_view_answers_in_the_same_terms(make: Make) -> None:
-    async def program(sight: Sight, _: StubHarness) -> None:
-        view = await sight.view(0.5)
-        (target,) = view.targets(None)
-        assert values(target.box) == pytest.approx(bounds(moment(), Role.SENDER, thing(0, 0.1, 0.0)), abs=3.0)
-        assert target.score > 0.6
-        depth = view.depth(target.box)
-        assert depth is not None
-        assert depth.z_m == pytest.approx(2.0, abs=0.2)
-        assert not view.markers(None)
-        assert not view.targets(Region(0.0, 0.0, 20.0, 20.0))
-        image = view.image()
-        assert image is None or image.shape == (480, 640, 3)
-
-    with_sight(make, program)
 
 
 def test_after_warming_up_nothing_is_left_to_compile() -> None:

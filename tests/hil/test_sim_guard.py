@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 
 import pytest
 
-from drivers.guard_interfaces import Answer, Beat, Hand, Script
+from drivers.guard_interfaces import Beat, Script
 from drivers.interfaces import PartError
 from drivers.log import read_log
 from hil.sim_guard import MemoryBeatLine
@@ -57,17 +58,14 @@ def test_what_needs_a_process_is_refused(tmp_path: Path, fault: str) -> None:
 
 
 def test_of_a_dead_program_nothing_reaches_the_guard() -> None:
-    line = MemoryBeatLine(StillClock())
-    first = line.role_end()
-    first.beat(Beat(Script.CONTROL, 1))
-    newest = line.newest()
-    assert newest is not None and newest[1].setpoints == 1
-    line.cut()
-    first.beat(Beat(Script.LET_GO, 2))
-    assert line.newest() is None
-    second = line.role_end()
-    second.beat(Beat(Script.IDLE, 0))
-    newest = line.newest()
-    assert newest is not None and newest[1].script is Script.IDLE
-    line.answer(Answer(True, Hand.GUARD, "why"))
-    assert second.answer() == (7, Answer(True, Hand.GUARD, "why"))
+    async def main() -> None:
+        line = MemoryBeatLine(StillClock())
+        async with line.role_end() as first:
+            first.beat(Beat(Script.CONTROL, 1))
+            newest = line.newest()
+            assert newest is not None and newest[1].setpoints == 1
+            line.cut()
+            first.beat(Beat(Script.LET_GO, 2))
+            assert line.newest() is None
+
+    asyncio.run(main())

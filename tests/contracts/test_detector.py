@@ -1,0 +1,139 @@
+"""What every Detector does: by colour, by a network through onnxruntime, and by trackers between its detections.
+
+The small graph in place of a network finds bright cells; the real one is run where its weights are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from drivers.color_detector import ColorDetector, ColorDetectorConfig
+from drivers.interfaces import Detector
+from drivers.tables import decode_table
+from drivers.tracked_detector import TrackedDetector, TrackedDetectorConfig
+from drivers.yolox_detector import YoloxDetector, YoloxDetectorConfig
+from path.agreement import iou
+from path.observations import Box, Region
+from tests.drivers.onnx_graphs import bright_cells_network
+from tests.drivers.test_color_detector import drawn
+from tests.drivers.test_tracked_detector import CONTEXT
+from tests.drivers.test_yolox_detector import WEIGHTS, clock_face
+
+Image = NDArray[np.uint8]
+
+
+@dataclass
+class Stage:
+    """A detector, an image of one thing that it looks for with the thing's box, and one without."""
+
+    detector: Detector
+    image: Image
+    box: Box
+    empty: Image
+    min_iou: float = 0.9
+
+    @property
+    def region(self) -> Region:
+        """Around the thing's centre."""
+        x, y = self.box.center
+        return Region(x - 0.6 * self.box.w, y - 0.6 * self.box.h, x + 0.6 * self.box.w, y + 0.6 * self.box.h)
+
+
+def colored(detector: Detector) -> Stage:
+    return Stage(detector, drawn((200, 150, 120, 80)), Box(199.5, 149.5, 120, 80), drawn())
+
+
+def color(folder: Path) -> Stage:
+    del folder
+    return colored(ColorDetector(ColorDetectorConfig()))
+
+
+def tracked(folder: Path) -> Stage:
+    del folder
+    table = {"detector": {"factory": "drivers.color_detector:ColorDetector"}}
+    config = decode_table(table, TrackedDetectorConfig, "rig.toml: sender.sight.detector")
+    return colored(TrackedDetector(config, CONTEXT))
+
+
+def network(folder: Path) -> Stage:
+    detector = YoloxDetector(YoloxDetectorConfig(bright_cells_network(folder / "bright.onnx", 64, 3)))
+    image = np.zeros((96, 128, 3), np.uint8)
+    image[16:32, 48:64, 2] = 255
+    return Stage(detector, image, Box(47.5, 15.5, 16, 16), np.zeros((96, 128, 3), np.uint8), min_iou=0.2)
+
+
+def yolox(folder: Path) -> Stage:
+    del folder
+    if not WEIGHTS:
+        pytest.skip("no yolox_nano.onnx in $PATH_MODELS, or in models/ beside it")
+    detector = YoloxDetector(YoloxDetectorConfig(WEIGHTS[0], classes=("clock",)))
+    return Stage(detector, clock_face(), Box(286.0, 126.0, 228, 228), np.full((480, 640, 3), 180, np.uint8))
+
+
+DETECTORS = pytest.mark.parametrize("stage_of", [color, tracked, network, yolox])
+StageOf = Callable[[Path], Stage]
+
+
+@DETECTORS
+def test_what_is_there_is_found_in_the_image_s_own_pixels_and_nothing_where_nothing_is(
+    stage_of: StageOf, tmp_path: Path
+) -> None:
+    stage = stage_of(tmp_path)
+    assert not stage.detector.detect(stage.empty, None)
+    (found,) = stage.detector.detect(stage.image, None)
+    assert iou(found.box, stage.box) > stage.min_iou
+    assert 0.0 < found.score <= 1.0
+
+
+@DETECTORS
+def test_only_what_is_centred_in_the_region_is_given(stage_of: StageOf, tmp_path: Path) -> None:
+    stage = stage_of(tmp_path)
+    (found,) = stage.detector.detect(stage.image, stage.region)
+    assert stage.region.contains(*found.box.center)
+    assert iou(found.box, stage.box) > min(stage.min_iou, 0.8)
+    right = stage.box.x + stage.box.w
+    height, width = stage.image.shape[:2]
+    assert not stage.detector.detect(stage.image, Region(right + 5.0, 0.0, width, height))
+
+
+@DETECTORS
+def test_no_region_is_an_error(stage_of: StageOf, tmp_path: Path) -> None:
+    stage = stage_of(tmp_path)
+    height, width = stage.image.shape[:2]
+    for region in (
+        Region(width + 10.0, 0.0, width + 90.0, 50.0),  # beside the image
+        Region(-500.0, -500.0, -400.0, -400.0),
+        Region(1.0, 1.0, 1.2, 1.2),  # of less than a pixel
+        Region(width - 1.5, height - 1.5, width + 40.0, height + 40.0),
+    ):
+        assert not stage.detector.detect(stage.image, region)
+    (found,) = stage.detector.detect(stage.image, Region(-1e4, -1e4, 1e4, 1e4))
+    assert iou(found.box, stage.box) > stage.min_iou
+
+
+@DETECTORS
+def test_the_image_is_left_alone_and_the_same_one_gives_the_same(stage_of: StageOf, tmp_path: Path) -> None:
+    stage = stage_of(tmp_path)
+    before = stage.image.copy()
+    stage.image.setflags(write=False)
+    first, second = (stage.detector.detect(stage.image, None) for _ in range(2))
+    np.testing.assert_array_equal(stage.image, before)
+    assert len(first) == len(second) == 1
+    assert iou(first[0].box, second[0].box) > 0.95
+
+
+@DETECTORS
+def test_images_of_other_sizes_and_strides_are_taken(stage_of: StageOf, tmp_path: Path) -> None:
+    stage = stage_of(tmp_path)
+    (found,) = stage.detector.detect(np.asarray(stage.image[:, ::-1]), None)  # a view that is not contiguous
+    assert found.box.center[0] == pytest.approx(stage.image.shape[1] - 1 - stage.box.center[0], abs=6.0)
+    for size in ((64, 48), (48, 64), (1280, 720)):
+        other = np.asarray(cv2.resize(stage.empty, size), np.uint8)
+        assert not stage.detector.detect(other, None)
