@@ -124,6 +124,10 @@ class TelloCamera:
         return self._context.camera
 
     @property
+    def rate_hz(self) -> float:
+        return self._config.rate_hz
+
+    @property
     def stamp_sigma_s(self) -> float:
         return self._config.latency_sigma_s
 
