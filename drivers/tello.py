@@ -6,14 +6,16 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
 from drivers.history import StateHistory
 from drivers.interfaces import Capability, FlightMode, VehicleError, VehicleState, VelocitySetpoint
+from drivers.part_check import Finding
 from drivers.rig import PartContext
+from drivers.tello_check import drone_findings
 from drivers.tello_config import TelloVehicleConfig
 from drivers.tello_link import TelloLink, link_to, said
 from drivers.tello_state import DeadReckoning, Placement, TelloReport, quaternion
@@ -22,6 +24,7 @@ from path.rotation import wrapped
 
 POLL_S = 0.02
 RC_PERIOD_S = 0.05
+STATE_HZ = 10.0  # state packets, as the SDK says
 MOTORS_OFF_S = 1.6  # its clock of running motors counts whole seconds: not for so long, and they stand
 ON_GROUND_M = 0.25
 STATE_AGE_S = 1.0  # older, and any wait ends with an error
@@ -53,6 +56,7 @@ class TelloVehicle:
     """
 
     Config = TelloVehicleConfig
+    rate_hz = STATE_HZ
     lacks = frozenset({Capability.GEOFENCE, Capability.GLOBAL_POSITION, Capability.PILOT_OVERRIDE})
 
     def __init__(self, config: TelloVehicleConfig, context: PartContext) -> None:
@@ -94,6 +98,9 @@ class TelloVehicle:
             link, self._link = self._link, None
             link.on_report = None
             await link.release()
+
+    async def examine(self) -> Sequence[Finding]:
+        return await drone_findings(self._open_link())
 
     # --- state ---
 

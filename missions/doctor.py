@@ -12,6 +12,7 @@ from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 from typing import TextIO
 
+from drivers.computer_check import clock_finding, write_finding
 from drivers.interfaces import PartError
 from drivers.part_check import Finding
 from drivers.realsense_import import import_realsense
@@ -67,6 +68,9 @@ def asked(options: DoctorOptions, doing: Callable[[str], None]) -> Iterator[Find
     if not readable:
         return  # its parts are not known
     if options.role != "none":
+        doing("this computer: its disk and clock")
+        yield write_finding(Path("runs"))
+        yield clock_finding()
         for test in part_tests(rig_library.load(options.rig), Role(options.role)):
             doing(f"{test.name}: {test.doing}")
             yield from run_test(test)

@@ -11,6 +11,8 @@ from typing import Any
 from drivers.interfaces import PartError
 from drivers.part_check import Finding
 from drivers.rig import PartSpec, Rig, create, decode_part, part_context
+from missions.doctor_beacons import check_beacons
+from missions.doctor_guard import check_guard
 from missions.doctor_link import check_link
 from missions.doctor_sight import check_detector, check_sight
 from missions.doctor_vehicle import check_flyer
@@ -50,14 +52,27 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
     def link() -> AsyncIterator[Finding]:
         return check_link(create(own.link, context), context.clock)
 
+    def guard() -> AsyncIterator[Finding]:
+        assert own.guard is not None
+        return check_guard(create(own.guard, context))
+
+    def beacons() -> AsyncIterator[Finding]:
+        assert rig.reference is not None and rig.reference.beacons is not None
+        wanted = {who: mounted.address for who, mounted in rig.reference.mounted.items()}
+        return check_beacons(create(rig.reference.beacons, context), wanted, context.clock)
+
     found = detector_of(own.sight)
     if found is not None:
         yield PartTest(f"{role.value} detector", "its time for an image", partial(detector, *found))
-    behind: tuple[tuple[str, str, Findings], ...] = (
+    behind = [
         ("vehicle", "telemetry for 2 s", vehicle),
         ("sight", "frames for 2 s", sight),
         ("link", "pings for 2 s, up to 4 s of waiting for the other end", link),
-    )
+    ]
+    if own.guard is not None:
+        behind.insert(1, ("guard", "a heartbeat on its own link", guard))
+    if rig.reference is not None and rig.reference.beacons is not None:
+        behind.append(("beacons", "positions for 3 s", beacons))
     for name, doing, run in behind:
         yield PartTest(f"{role.value} {name}", doing, run if rig.harness is None else partial(_stood_in, rig.harness))
 
