@@ -17,7 +17,7 @@ from drivers.mavsdk_parameters import Difference, differences
 from drivers.mavsdk_session import ACCEPTED, ARM_DISARM, RESULTS, Session, SessionConfig
 from drivers.mavsdk_telemetry import Telemetry
 from drivers.mavsdk_vision import VisionConfig, VisionFeed
-from drivers.part_check import Finding
+from drivers.part_check import Finding, counted
 from drivers.rig import PartContext
 
 # MAV_CMD
@@ -147,17 +147,19 @@ class MavsdkVehicle:
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
         return self._telemetry.attitude_at(stamp_ns)
 
-    @property
-    def rate_hz(self) -> float:
-        return self._config.telemetry_hz
-
     async def examine(self) -> Sequence[Finding]:
-        """Which autopilot it is; what it waits for before it can be armed, in its own words."""
+        """Which autopilot it is, how often it tells what was asked of it, what it waits for before it can be armed."""
         telemetry = self._telemetry
         await self._session.command(REQUEST_MESSAGE, (AUTOPILOT_VERSION,), SAFE_TRIES)
         await self._session.until(lambda: telemetry.firmware is not None, self._config.command_timeout_s)
         firmware = "that does not tell its firmware" if telemetry.firmware is None else f"firmware {telemetry.firmware}"
         findings = [Finding("ok", "autopilot", f"{self._kind.name}, {firmware}, system id {self._config.sysid}")]
+        streams = {
+            "attitude": lambda: telemetry.attitude and telemetry.attitude.arrival_ns,
+            "position": lambda: telemetry.position and telemetry.position.arrival_ns,
+        }
+        fix = "a faster link (baud, radio), or a lower telemetry_hz in the rig"
+        findings += await counted(streams, self._config.telemetry_hz, fix)
         if missing := telemetry.missing():
             findings.append(Finding("note", "waits for", ", ".join(missing)))
         if texts := telemetry.texts_since(0)[-3:]:

@@ -7,9 +7,13 @@ as a firmware, whose clock stamps its frames or why a vehicle does not arm, it s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
+
+COUNT_S, POLL_S = 1.5, 0.002
+SLOW, MUCH_TOO_SLOW = 0.9, 0.5  # of the rate that was asked for
 
 State = Literal["ok", "note", "fault"]
 
@@ -44,3 +48,27 @@ async def examined(part: object) -> Sequence[Finding]:
 def rate_of(part: object) -> float | None:
     """How often a part is set to give something, Hz: its attribute ``rate_hz``; None when it has none."""
     return getattr(part, "rate_hz", None)
+
+
+async def counted(newest: Mapping[str, Callable[[], int | None]], wanted_hz: float, fix: str) -> Sequence[Finding]:
+    """How often each of some streams brings something new, against what was asked for.
+
+    Args:
+        newest: by the stream's name, when its newest came; None before.
+        fix: for those that are slow.
+    """
+    loop = asyncio.get_running_loop()
+    seen: dict[str, set[int | None]] = {name: set() for name in newest}
+    start_s = loop.time()
+    while (seconds := loop.time() - start_s) < COUNT_S:
+        for name, read in newest.items():
+            seen[name].add(read())
+        await asyncio.sleep(POLL_S)
+    return [rate_finding(name, (len(stamps) - 1) / seconds, wanted_hz, fix) for name, stamps in seen.items()]
+
+
+def rate_finding(name: str, found_hz: float, wanted_hz: float, fix: str) -> Finding:
+    detail = f"{found_hz:.1f} of {wanted_hz:g} a second"
+    if found_hz >= SLOW * wanted_hz:
+        return Finding("ok", name, detail)
+    return Finding("fault" if found_hz < MUCH_TOO_SLOW * wanted_hz else "note", name, detail, fix)

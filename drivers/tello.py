@@ -24,7 +24,6 @@ from path.rotation import wrapped
 
 POLL_S = 0.02
 RC_PERIOD_S = 0.05
-STATE_HZ = 10.0  # state packets, as the SDK says
 MOTORS_OFF_S = 1.6  # its clock of running motors counts whole seconds: not for so long, and they stand
 ON_GROUND_M = 0.25
 STATE_AGE_S = 1.0  # older, and any wait ends with an error
@@ -56,7 +55,6 @@ class TelloVehicle:
     """
 
     Config = TelloVehicleConfig
-    rate_hz = STATE_HZ
     lacks = frozenset({Capability.GEOFENCE, Capability.GLOBAL_POSITION, Capability.PILOT_OVERRIDE})
 
     def __init__(self, config: TelloVehicleConfig, context: PartContext) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from drivers.part_check import Finding
+from drivers.part_check import Finding, counted
 from drivers.tello_link import TelloLink
 
 ANSWER_S = 1.0
+STATE_HZ = 10.0  # of state packets, as the SDK says
 
 
 async def drone_findings(link: TelloLink) -> Sequence[Finding]:
@@ -16,9 +17,11 @@ async def drone_findings(link: TelloLink) -> Sequence[Finding]:
     findings = [_told("SDK", sdk), _told("serial", serial), _told("Wi-Fi", wifi, "signal to noise ")]
     if link.report is not None:
         findings.append(Finding("ok", "temperature", f"{link.report.hottest_c:.0f} degrees C at most"))
+    packets = {"state packets": lambda: link.report and link.report.arrival_ns}
+    findings += await counted(packets, STATE_HZ, "nearer to it, or another Wi-Fi channel")
     if link.bad_reports:
         fix = "see docs/tello.md for the firmwares that are known"
-        findings.append(Finding("note", "state packets", f"{link.bad_reports} could not be read", fix))
+        findings.append(Finding("note", "unreadable", f"{link.bad_reports} state packets", fix))
     return findings
 
 

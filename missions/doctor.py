@@ -184,12 +184,15 @@ def check_rig_file(name: str) -> Iterator[Finding]:
         return
     sizes = {f"{own.camera.width}x{own.camera.height}" for own in (rig.sender, rig.receiver)}
     yield Finding("ok", "rig", f"{rig.file}: level {rig.level}, cameras {' and '.join(sorted(sizes))}")
+    free: list[str] = []
     for port, option in sorted(local_ports(rig).items()):
         if _is_free(port):
-            yield Finding("ok", "port", f"{port} for {option}")
+            free.append(f"{port} for {option}")
         else:
             fix = "is another flight going on, or a ground station? End it, or name another port in the rig"
             yield Finding("fault", "port", f"{port} for {option} is in use", fix)
+    if free:
+        yield Finding("ok", "ports", ", ".join(free))
 
 
 def _is_free(port: int) -> bool:

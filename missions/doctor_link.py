@@ -105,7 +105,7 @@ def judged(exchange: Exchange, counters: LinkCounters) -> Iterator[Finding]:
         return
     trips_ms = np.array(list(exchange.trips_ms.values()))
     median, most = float(np.median(trips_ms)), float(trips_ms.max())
-    detail = f"{median:.1f} ms median, {most:.1f} ms at most, {len(trips_ms)} answers"
+    detail = f"{median:.1f} ms median, {most:.1f} ms at most"
     fix = "nearer together, another Wi-Fi channel, or a faster radio"
     yield Finding("note", "round trip", detail, fix) if median > SLOW_MS else Finding("ok", "round trip", detail)
     lost = exchange.lost

@@ -44,7 +44,7 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
         yield check_detector(create(spec, context), context.camera, rate_hz, context.clock)
 
     def vehicle() -> AsyncIterator[Finding]:
-        return check_flyer(create(own.vehicle, context), min_battery)
+        return check_flyer(create(own.vehicle, context), context.clock, min_battery)
 
     def sight() -> AsyncIterator[Finding]:
         return check_sight(create(own.sight, context), context.clock, layout)

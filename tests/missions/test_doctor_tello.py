@@ -26,19 +26,19 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_drone_that_is_well_answers_with_sdk_battery_and_state_packets_and_does_not_move() -> None:
     with emulated() as stand:
-        every = found(check_flyer(TelloVehicle(TelloVehicleConfig(**stand.address), context()), 0.2))
+        every = found(check_flyer(TelloVehicle(TelloVehicleConfig(**stand.address), context()), context().clock, 0.2))
         assert [word for word in MOTION if stand.count(word)] == []
     assert every["SDK"].detail == "30"
     assert every["serial"].detail == "0TQZH77ED00000"
     assert every["Wi-Fi"].detail == "signal to noise 90"
     for name in ("connects", "armed", "battery", "ready to arm", "temperature"):
         assert every[name].state == "ok", every
-    assert "of 10 a second" in every["telemetry"].detail
+    assert "of 10 a second" in every["state packets"].detail
 
 
 def test_an_early_firmware_cannot_have_other_ports() -> None:
     with emulated({"sdk3": False}) as stand:
-        every = found(check_flyer(TelloVehicle(TelloVehicleConfig(**stand.address), context()), 0.2))
+        every = found(check_flyer(TelloVehicle(TelloVehicleConfig(**stand.address), context()), context().clock, 0.2))
     assert every[""].state == "fault"  # other ports than the stock ones need SDK 3
     assert "SDK 3" in every[""].fix
 
@@ -62,6 +62,6 @@ def test_its_video_is_timed_from_the_first_frame_on() -> None:
 def test_a_drone_that_is_not_there_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.tello_link.COMMAND_S", 0.1)
     config = TelloVehicleConfig(host=next_host(), state_port=STATE_PORT, video_port=free_port())
-    every = found(check_flyer(TelloVehicle(config, context()), 0.2))
+    every = found(check_flyer(TelloVehicle(config, context()), context().clock, 0.2))
     assert list(every) == [""]
     assert "is the drone on" in every[""].fix
