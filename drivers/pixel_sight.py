@@ -97,7 +97,7 @@ class PixelSight:
         serial: str = getattr(self._camera, "serial", "")
         if self._calibrated_serial and serial:
             return Finding("ok", "calibration", f"is of this camera, serial {serial}")
-        silent = "the camera does not tell its serial number" if not serial else f"this camera is {serial}"
+        silent = f"this camera is {serial}" if serial else "it is not compared with the camera's"
         of = (
             f"is of serial {self._calibrated_serial}"
             if self._calibrated_serial

@@ -85,8 +85,8 @@ async def _frames(sight: Sight, clock: Clock, seconds: float) -> Sample:
 
 
 def rate(sample: Sample, wanted_hz: float | None) -> Finding:
-    """Frames a second by the camera's own count, against what the rig sets."""
-    found_hz = (sample.ids[-1] - sample.ids[0]) / sample.seconds
+    """Frames that came in a second, against what the rig sets."""
+    found_hz = (len(sample.ids) - 1) / sample.seconds
     if wanted_hz is None:
         return Finding("ok", "rate", f"{found_hz:.1f} frames a second")
     detail = f"{found_hz:.1f} of {wanted_hz:g} frames a second"
@@ -201,7 +201,8 @@ def _targets(sample: Sample, rate_hz: float | None, clock: Clock) -> Finding:
         counts.append(len(view.targets(None)))
         took_ms.append((clock.now_ns() - start_ns) * 1e-6)
     median = float(np.median(took_ms))
-    detail = f"{min(counts)} to {max(counts)} in each of {len(counts)} whole frames, {median:.1f} ms"
+    seen = f"{min(counts)} to {max(counts)}" if max(counts) else "none"
+    detail = f"{seen} in each of {len(counts)} whole frames, {median:.1f} ms"
     return _timed("targets", detail, median, rate_hz)
 
 

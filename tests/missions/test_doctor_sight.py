@@ -78,7 +78,7 @@ def test_what_is_not_as_it_should_be_is_said_with_its_fix() -> None:
         assert every[name].state == "note", every[name]
         assert words in every[name].detail
         assert every[name].fix
-    assert every["calibration"].detail.startswith("does not say of which camera")
+    assert every["calibration"].detail == "does not say of which camera it is; it is not compared with the camera's"
 
 
 def test_a_camera_that_is_silent_or_of_another_size_ends_the_test_with_its_reason() -> None:

@@ -18,6 +18,7 @@ MOTION = ("takeoff", "land", "rc", "emergency")
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.part_check.COUNT_S", 0.5)
     monkeypatch.setattr(doctor_vehicle, "SAMPLE_S", 0.6)
     monkeypatch.setattr(doctor_sight, "SETTLE_S", 0.1)
     monkeypatch.setattr("drivers.tello_camera.PACE_S", 0.4)

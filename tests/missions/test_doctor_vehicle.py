@@ -19,6 +19,7 @@ STATE = VehicleState(
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.part_check.COUNT_S", 0.5)
     for name, seconds in (("SAMPLE_S", 0.7), ("READY_S", 3.0)):
         monkeypatch.setattr(doctor_vehicle, name, seconds)
 
