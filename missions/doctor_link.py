@@ -15,7 +15,7 @@ from flight.clocks import ClockAlignment, answer
 from path.messages import Ping, Pong
 
 EVERY_S = 0.025
-WAIT_S, MEASURE_S, LAST_S = 4.0, 2.0, 0.5
+MEASURE_S, LAST_S = 2.0, 0.5
 LOSSY, MOSTLY_LOST = 0.05, 0.3
 SLOW_MS = 100.0
 DISTURBED = {
@@ -43,8 +43,11 @@ class Exchange:
         return 1.0 - len(self.trips_ms.keys() & self.sent) / max(len(self.sent), 1)
 
 
-async def check_link(link: Link, clock: Clock, wait_s: float = WAIT_S) -> AsyncIterator[Finding]:
+async def check_link(link: Link, clock: Clock, wait_s: float) -> AsyncIterator[Finding]:
     """Open, ping, answer pings, close. The other end may be a flight's or another ``doctor``'s, started meanwhile.
+
+    Args:
+        wait_s: for its first answer.
 
     Raises LinkError when the link cannot be opened.
     """

@@ -19,6 +19,7 @@ from missions.doctor_vehicle import check_flyer
 from missions.rig_library import mission_of
 from path.messages import Role
 
+WAIT_S = 4.0  # for the other end of the link
 LIMIT_S = 40.0  # every driver has bounds of its own, far below; this is for what has none
 
 Findings = Callable[[], AsyncIterator[Finding]]
@@ -50,7 +51,7 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
         return check_sight(create(own.sight, context), context.clock, layout)
 
     def link() -> AsyncIterator[Finding]:
-        return check_link(create(own.link, context), context.clock)
+        return check_link(create(own.link, context), context.clock, WAIT_S)
 
     def guard() -> AsyncIterator[Finding]:
         assert own.guard is not None

@@ -15,7 +15,7 @@ from missions import doctor_link
 from missions.doctor_link import Exchange, check_link, judged
 from path.messages import Pong, Role
 from tests.drivers.link_ends import Context, WallClock
-from tests.missions.doctor_findings import both, found
+from tests.missions.doctor_findings import LIMIT_S, both, found
 
 AHEAD_NS = 5_000_000_000
 
@@ -62,7 +62,7 @@ def test_two_ends_that_look_at_once_measure_each_other(key_file: Path) -> None:
     one, other = ports()
     ahead = AheadClock()
     sender, receiver = end(Role.SENDER, one, other, key_file), end(Role.RECEIVER, other, one, key_file, ahead)
-    found_both = asyncio.run(both(check_link(sender, WallClock()), check_link(receiver, ahead)))
+    found_both = asyncio.run(both(check_link(sender, WallClock(), LIMIT_S), check_link(receiver, ahead, LIMIT_S)))
     for findings, offset in zip(found_both, (5.0, -5.0), strict=True):
         every = named(findings)
         assert every["key"].state == every["clocks"].state == every["round trip"].state == "ok", every
@@ -96,11 +96,11 @@ def test_a_port_in_use_and_a_key_that_others_can_read_end_the_test(key_file: Pat
     one, other = ports()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", one))
-        every = found(check_link(end(Role.SENDER, one, other, None), WallClock()))
+        every = found(check_link(end(Role.SENDER, one, other, None), WallClock(), 0.1))
         assert every[""].state == "fault"
         assert "in use" in every[""].detail
     key_file.chmod(0o644)
-    every = found(check_link(end(Role.SENDER, one, other, key_file), WallClock()))
+    every = found(check_link(end(Role.SENDER, one, other, key_file), WallClock(), 0.1))
     assert every[""].state == "fault"
     assert every[""].fix == f"chmod 600 {key_file}"
 

@@ -16,7 +16,7 @@ import pytest
 
 from drivers.interfaces import CameraError
 from drivers.part_check import Finding
-from missions import doctor, doctor_link, rig_library
+from missions import doctor, doctor_parts, rig_library
 from missions.doctor_parts import PartTest, part_tests, run_test
 from missions.doctor_table import open_findings
 from missions.options import DoctorOptions
@@ -39,7 +39,7 @@ def test_behind_a_harness_only_what_needs_no_far_side_is_tested() -> None:
 
 
 def test_in_the_field_every_part_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor_link, "WAIT_S", 0.1)
+    monkeypatch.setattr(doctor_parts, "WAIT_S", 0.1)
     own, peer = ports()
     link = {"bind": f"127.0.0.1:{own}", "peer": f"127.0.0.1:{peer}"}
     options = {**SITL.sender.vehicle.options, "url": f"udpin://127.0.0.1:{own}", "connect_timeout_s": 0.1}
