@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 from drivers.interfaces import LinkError
+from drivers.part_check import Finding
 from drivers.wire import KEY_LENGTH
 
 SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01, the zero of MAVLink signing time
@@ -31,6 +32,15 @@ def read_key(path: Path) -> bytes:
         found = f"more than {KEY_LENGTH}" if len(key) > KEY_LENGTH else str(len(key))
         raise LinkError(f"key file {path} has {found} bytes, not {KEY_LENGTH}", make)
     return key
+
+
+def key_finding(path: Path | None) -> Finding:
+    """What is said of the key of a link that is open: a key that cannot be used was refused when it was opened."""
+    if path is None:
+        return Finding(
+            "note", "key", "none: packets are unsigned", "name a `key_file` unless nobody else can send to it"
+        )
+    return Finding("ok", "key", f"{path.name}, {KEY_LENGTH} bytes, readable by its owner alone")
 
 
 def signing_time() -> int:

@@ -6,7 +6,7 @@ import asyncio
 import os
 import termios
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -15,10 +15,12 @@ import serial
 
 from drivers.interfaces import BeaconError, BeaconFix, Clock
 from drivers.marvelmind_stream import MarvelmindStream, PortState
+from drivers.part_check import Finding
 from drivers.rig import PartContext
 
 READ_AT_ONCE = 4096
 REOPEN_S = 0.25
+MANY_DAMAGED = 0.02  # of the frames
 MAX_WAITING = 4096  # positions that nobody has read yet; the oldest are given up
 
 
@@ -117,6 +119,10 @@ class Marvelmind:
             raise self._silence(timeout_s) from None
         return self._waiting.popleft()
 
+    async def examine(self) -> Sequence[Finding]:
+        """What each port sent besides positions: damage, and the battery of what is connected."""
+        return [_port_finding(name, state) for name, state in self.stream.ports.items()]
+
     # --- inside ---
 
     def _open_port(self, port: _Port) -> None:
@@ -214,6 +220,17 @@ class Marvelmind:
         for port in self._ports:
             self._close_port(port)
         self._news.set()  # whoever waits is told
+
+
+def _port_finding(name: str, state: PortState) -> Finding:
+    counters = state.counters
+    frames = sum(counters.frames.values())
+    detail = f"{name}: {frames} frames, {counters.damaged} damaged, {counters.skipped} bytes of no frame"
+    if state.power is not None:
+        detail += f", battery {state.power.battery_v:.2f} V, radio {state.power.rssi_dbm} dBm"
+    if counters.damaged > MANY_DAMAGED * frames:
+        return Finding("note", "port", detail, "a shorter cable, the right baud, and no other program on this port")
+    return Finding("ok", "port", detail)
 
 
 def ailment_of(state: PortState | None) -> str:

@@ -114,11 +114,13 @@ class Telemetry:
         self.texts: tuple[Text, ...] = ()
         self.acks: dict[int, CommandAck] = {}
         self.parameter: Parameter | None = None
+        self.firmware: str | None = None
 
     def subscribe(self, telemetry: Any, direct: Any) -> None:
         """Take everything needed from MAVSDK's Telemetry and MavlinkDirect plugins."""
         direct.subscribe_message("COMMAND_ACK", self._guarded(self._on_ack))
         direct.subscribe_message("PARAM_VALUE", self._guarded(self._on_parameter))
+        direct.subscribe_message("AUTOPILOT_VERSION", self._guarded(self._on_version))
         telemetry.subscribe_status_text(self._guarded(self._on_text))
         telemetry.subscribe_health(self._guarded(self._on_health))
         telemetry.subscribe_in_air(self._guarded(self._on_in_air))
@@ -219,6 +221,11 @@ class Telemetry:
             fields = json.loads(message.fields_json)
             value = fields["param_value"]
             self.parameter = Parameter(str(fields["param_id"]), math.nan if value is None else float(value))
+
+    def _on_version(self, message: Any) -> None:
+        if message.system_id == self._sysid:
+            version = int(json.loads(message.fields_json)["flight_sw_version"])
+            self.firmware = ".".join(str(version >> shift & 0xFF) for shift in (24, 16, 8))
 
     def _on_text(self, text: Any) -> None:
         self.texts = (*self.texts[1 - KEPT_TEXTS :], Text(self.clock.now_ns(), int(text.type), str(text.text)))

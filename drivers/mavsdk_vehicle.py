@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Literal, Self
@@ -17,13 +17,15 @@ from drivers.mavsdk_parameters import Difference, differences
 from drivers.mavsdk_session import ACCEPTED, ARM_DISARM, RESULTS, Session, SessionConfig
 from drivers.mavsdk_telemetry import Telemetry
 from drivers.mavsdk_vision import VisionConfig, VisionFeed
+from drivers.part_check import Finding, counted
 from drivers.rig import PartContext
 
 # MAV_CMD
-NAV_LAND, NAV_TAKEOFF, DO_SET_MODE, SET_MESSAGE_INTERVAL = 21, 22, 176, 511
+NAV_LAND, NAV_TAKEOFF, DO_SET_MODE, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 21, 22, 176, 511, 512
 # Message ids, for SET_MESSAGE_INTERVAL
 HEARTBEAT, SYS_STATUS, GPS_RAW_INT, ATTITUDE_QUATERNION, LOCAL_POSITION_NED = 0, 1, 24, 31, 32
 GLOBAL_POSITION_INT, BATTERY_STATUS, HOME_POSITION, EXTENDED_SYS_STATE = 33, 147, 242, 245
+AUTOPILOT_VERSION = 148
 
 FRAME_LOCAL_NED = 1
 MASK_VELOCITY_YAW = 2503  # ignore position, acceleration and yaw rate (POSITION_TARGET_TYPEMASK)
@@ -144,6 +146,25 @@ class MavsdkVehicle:
 
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
         return self._telemetry.attitude_at(stamp_ns)
+
+    async def examine(self) -> Sequence[Finding]:
+        """Which autopilot it is, how often it tells what was asked of it, what it waits for before it can be armed."""
+        telemetry = self._telemetry
+        await self._session.command(REQUEST_MESSAGE, (AUTOPILOT_VERSION,), SAFE_TRIES)
+        await self._session.until(lambda: telemetry.firmware is not None, self._config.command_timeout_s)
+        firmware = "that does not tell its firmware" if telemetry.firmware is None else f"firmware {telemetry.firmware}"
+        findings = [Finding("ok", "autopilot", f"{self._kind.name}, {firmware}, system id {self._config.sysid}")]
+        streams = {
+            "attitude": lambda: telemetry.attitude and telemetry.attitude.arrival_ns,
+            "position": lambda: telemetry.position and telemetry.position.arrival_ns,
+        }
+        fix = "a faster link (baud, radio), or a lower telemetry_hz in the rig"
+        findings += await counted(streams, self._config.telemetry_hz, fix)
+        if missing := telemetry.missing():
+            findings.append(Finding("note", "waits for", ", ".join(missing)))
+        if texts := telemetry.texts_since(0)[-3:]:
+            findings.append(Finding("note", "says", " | ".join(texts)))
+        return findings
 
     async def parameter_differences(self) -> tuple[Difference, ...]:
         """What is not as the rig's ``parameters`` want it. Raises VehicleError."""

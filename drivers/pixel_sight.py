@@ -16,6 +16,7 @@ from drivers.depth_mask import without_elsewhere
 from drivers.depth_pieces import DepthSlice
 from drivers.freshness import Freshness
 from drivers.interfaces import Camera, CameraError, Capability, Detector, Frame, lacking
+from drivers.part_check import Finding, examined, rate_of
 from drivers.rig import PartContext, PartSpec, create
 from path.agreement import iou
 from path.camera import CameraModel
@@ -81,6 +82,29 @@ class PixelSight:
         """What the camera lacks, but for ranges that the target's size gives."""
         of_camera = lacking(self._camera)
         return of_camera if self._ranging is None else of_camera - {Capability.RANGE}
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Frames a second that the camera is set to; None when it does not say."""
+        return rate_of(self._camera)
+
+    async def examine(self) -> Sequence[Finding]:
+        """What the camera says of itself, and whether it is the calibrated one."""
+        return [*await examined(self._camera), self._serial()]
+
+    def _serial(self) -> Finding:
+        """Another camera than the calibrated one is refused when it is opened."""
+        serial: str = getattr(self._camera, "serial", "")
+        if self._calibrated_serial and serial:
+            return Finding("ok", "calibration", f"is of this camera, serial {serial}")
+        silent = f"this camera is {serial}" if serial else "it is not compared with the camera's"
+        of = (
+            f"is of serial {self._calibrated_serial}"
+            if self._calibrated_serial
+            else "does not say of which camera it is"
+        )
+        fix = "calibrate it: `path-handoff calibrate camera` writes the serial number down" if serial else ""
+        return Finding("note", "calibration", f"{of}; {silent}", fix)
 
     async def __aenter__(self) -> Self:
         """Opens the camera. Raises CameraError, also when it is not the one that the calibration is of."""

@@ -7,6 +7,7 @@ same for the three. See docs/cameras.md.
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,14 +15,16 @@ from types import TracebackType
 from typing import Self
 
 from drivers.interfaces import CameraError, Frame
-from drivers.realsense_library import Filter, Streams
+from drivers.part_check import Finding
+from drivers.realsense_library import Filter, Identity, Streams
 from drivers.realsense_sources import DeviceSource, RecordingSource, UsbSource
 from drivers.realsense_stream import PairStream, StreamConfig, StreamCounters
 from drivers.rig import PartContext, PartSpec, create
-from drivers.stamp_clock import StampConfig
+from drivers.stamp_clock import Domain, StampConfig
 from path.camera import CameraModel
 
 CLOSE_S = 5.0
+MANY_USELESS = 0.05  # of the images
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +105,17 @@ class RealSense:
         """What was done since it was opened last."""
         return self._counters
 
+    @property
+    def rate_hz(self) -> float:
+        return self._config.fps
+
+    async def examine(self) -> Sequence[Finding]:
+        """Which device it is, whose clock stamps its frames, and how many images were of no use."""
+        stream, counters = self._stream, self._counters
+        if stream is None or stream.identity is None or counters.domain is None:
+            raise CameraError(f"{self.source.name} has given no frame yet", "open it, and wait for one")
+        return (*_device(stream.identity), _stamped(counters.domain), _paired(counters))
+
     async def __aenter__(self) -> Self:
         """Returns with the first frame there. Raises CameraError."""
         loop = asyncio.get_running_loop()
@@ -181,6 +195,34 @@ class RealSense:
                 f"{self.source.name} does not close within {CLOSE_S:g} s", "unplug it, and end this program"
             ) from None
         stream.join()
+
+
+def _device(identity: Identity) -> Iterator[Finding]:
+    detail = f"{identity.name}, serial {identity.serial or 'not said'}, firmware {identity.firmware or 'not said'}"
+    if identity.recommended and identity.firmware != identity.recommended:
+        fix = "librealsense's rs-fw-update sets it; measure its latency again afterwards"
+        yield Finding("note", "device", f"{detail}, librealsense recommends {identity.recommended}", fix)
+    else:
+        yield Finding("ok", "device", detail)
+    if identity.usb.startswith(("1", "2")):
+        yield Finding("note", "USB", f"{identity.usb}: large images do not fit", "another port, and a cable for USB 3")
+    elif identity.usb:
+        yield Finding("ok", "USB", identity.usb)
+
+
+def _stamped(domain: Domain) -> Finding:
+    if domain is Domain.SYSTEM:
+        fix = "librealsense's kernel patches or its user-space backend give the frames' metadata"
+        return Finding("note", "stamped by", f"{domain.value}: the arrival, not the exposure", fix)
+    return Finding("ok", "stamped by", domain.value)
+
+
+def _paired(counters: StreamCounters) -> Finding:
+    detail = f"{counters.pairs}; {counters.unpaired} images alone, {counters.old + counters.clock} with a useless stamp"
+    if counters.unpaired + counters.old + counters.clock > MANY_USELESS * counters.pairs:
+        fix = "a USB 3 port of its own, and the computer's clock left alone"
+        return Finding("note", "pairs", detail, fix)
+    return Finding("ok", "pairs", detail)
 
 
 def _source(config: RealSenseConfig, context: PartContext) -> DeviceSource:

@@ -150,6 +150,24 @@ def described(device: Any) -> str:
     return f"{name} (serial {serial})"
 
 
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What a device says of itself; "" for what it does not say. ``recommended``: firmware, by this librealsense."""
+
+    name: str
+    serial: str
+    firmware: str
+    recommended: str
+    usb: str
+
+
+def identity_of(device: Any) -> Identity:
+    info = import_realsense().camera_info
+    keys = info.name, info.serial_number, info.firmware_version, info.recommended_firmware_version
+    said = [str(device.get_info(key)) if device.supports(key) else "" for key in (*keys, info.usb_type_descriptor)]
+    return Identity(*said)
+
+
 def serial_of(device: Any) -> str:
     key = import_realsense().camera_info.serial_number
     return str(device.get_info(key)) if device.supports(key) else ""

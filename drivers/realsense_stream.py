@@ -19,7 +19,7 @@ import numpy as np
 from drivers.clock import busy_ns, wall_offset_ns
 from drivers.depth_registration import DepthRegistration, warm_up
 from drivers.interfaces import CameraError, Clock, Frame
-from drivers.realsense_library import QUEUE_FRAMES, Kind, RawImage, RealSenseDevice, Streams
+from drivers.realsense_library import QUEUE_FRAMES, Identity, Kind, RawImage, RealSenseDevice, Streams, identity_of
 from drivers.realsense_sources import DeviceSource
 from drivers.stamp_clock import Domain, Refused, StampClock, StampConfig, StampLine
 from path.camera import CameraModel
@@ -134,6 +134,7 @@ class PairStream(threading.Thread):
         self.counters = StreamCounters()
         self.trouble: CameraError | None = None
         self.ended = False
+        self.identity: Identity | None = None  # of the device that was opened last
 
     def take(self) -> Frame | None:
         """The newest frame not yet taken; to be called by one thread."""
@@ -188,7 +189,9 @@ class PairStream(threading.Thread):
         """One opening of the device, until it falls silent."""
         config, device = self._config, None
         try:
-            device = RealSenseDevice(self._source.open(), config.streams, self._recording())
+            opened = self._source.open()
+            self.identity = identity_of(opened)
+            device = RealSenseDevice(opened, config.streams, self._recording())
             self.counters.opened += 1
             self._watch(device)
         finally:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import termios
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -15,7 +16,8 @@ import serial
 from drivers.framing import Framer
 from drivers.interfaces import LinkCounters, LinkError, Received
 from drivers.link_end import LinkContext, LinkEnd, Waiting, count
-from drivers.link_key import read_key, signing_time
+from drivers.link_key import key_finding, read_key, signing_time
+from drivers.part_check import Finding
 from drivers.wire import Codec
 from path.messages import Message
 
@@ -90,6 +92,9 @@ class SerialLink:
         self._open = False
         self._end.inbox.close()
         self._close_port()
+
+    async def examine(self) -> Sequence[Finding]:
+        return (key_finding(self._config.key_file),)
 
     def send(self, message: Message) -> None:
         """Now, or as soon as the radio has room; a stream's message waits until a newer one takes its place."""

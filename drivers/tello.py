@@ -6,14 +6,16 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
 from drivers.history import StateHistory
 from drivers.interfaces import Capability, FlightMode, VehicleError, VehicleState, VelocitySetpoint
+from drivers.part_check import Finding
 from drivers.rig import PartContext
+from drivers.tello_check import drone_findings
 from drivers.tello_config import TelloVehicleConfig
 from drivers.tello_link import TelloLink, link_to, said
 from drivers.tello_state import DeadReckoning, Placement, TelloReport, quaternion
@@ -96,6 +98,9 @@ class TelloVehicle:
             link, self._link = self._link, None
             link.on_report = None
             await link.release()
+
+    async def examine(self) -> Sequence[Finding]:
+        return await drone_findings(self._open_link())
 
     # --- state ---
 

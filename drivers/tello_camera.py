@@ -10,7 +10,7 @@ import asyncio
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -21,6 +21,7 @@ from djitellopy.tello import BackgroundFrameRead, TelloException  # type: ignore
 from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError, Capability, Frame, VehicleError
+from drivers.part_check import Finding
 from drivers.rig import PartContext
 from drivers.tello_address import TelloAddress
 from drivers.tello_link import TelloLink, link_to, said
@@ -124,6 +125,10 @@ class TelloCamera:
         return self._context.camera
 
     @property
+    def rate_hz(self) -> float:
+        return self._config.rate_hz
+
+    @property
     def stamp_sigma_s(self) -> float:
         return self._config.latency_sigma_s
 
@@ -131,6 +136,14 @@ class TelloCamera:
     def damaged(self) -> int:
         """Frames not given because the decoder found them damaged."""
         return self._reader.damaged if self._reader is not None else 0
+
+    async def examine(self) -> Sequence[Finding]:
+        config, damaged = self._config, self.damaged
+        way = f"{config.latency_s:g} s, give or take {config.latency_sigma_s:g}, as the rig says: not measured here"
+        if not damaged:
+            return (Finding("ok", "latency", way), Finding("ok", "damaged", "no frame"))
+        fix = "nearer to the drone, or another Wi-Fi channel"
+        return (Finding("ok", "latency", way), Finding("note", "damaged", f"{damaged} frames", fix))
 
     async def __aenter__(self) -> Self:
         self._loop = asyncio.get_running_loop()

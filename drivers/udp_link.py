@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import ipaddress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -12,7 +13,8 @@ from typing import Any, Self, cast
 
 from drivers.interfaces import LinkCounters, LinkError, Received
 from drivers.link_end import LinkContext, LinkEnd, count
-from drivers.link_key import read_key, signing_time
+from drivers.link_key import key_finding, read_key, signing_time
+from drivers.part_check import Finding
 from drivers.wire import UDP_IP_OVERHEAD, Codec
 from path.messages import Message
 
@@ -100,6 +102,9 @@ class UdpLink:
             self._transport.abort()
             self._transport = None
             await asyncio.sleep(0)  # the socket is closed in the loop's next turn
+
+    async def examine(self) -> Sequence[Finding]:
+        return (key_finding(self._key_file),)
 
     def send(self, message: Message) -> None:
         """One datagram, now or never: what the network cannot take at once is dropped, not queued."""

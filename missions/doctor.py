@@ -7,18 +7,21 @@ import os
 import shutil
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 from typing import TextIO
 
+from drivers.computer_check import clock_finding, write_finding
 from drivers.interfaces import PartError
+from drivers.part_check import Finding
 from drivers.realsense_import import import_realsense
 from drivers.rig_check import local_ports
 from drivers.tables import RigError
 from missions import rig_library
+from missions.doctor_parts import part_tests, run_test
+from missions.doctor_table import open_findings
 from missions.doctor_vehicle import check_vehicle
-from missions.findings import Finding
 from missions.options import DoctorOptions
 from path.messages import Role
 
@@ -31,23 +34,48 @@ REALSENSE = "drivers.realsense:RealSense"
 def run(options: DoctorOptions, out: TextIO | None = None) -> int:
     """Show every finding as it is found; returns 0, or EXIT_UNFIT when a fault is among them."""
     stream = out or sys.stdout
-    faults = 0
-    for finding in asked(options):
-        faults += finding.state == "fault"
-        stream.write(f"{finding.state:<6} {finding.name:<14} {finding.detail}\n")
-        if finding.fix:
-            stream.write(f"{'':<6} {'':<14} fix: {finding.fix}\n")
-        stream.flush()
-    stream.write("ready to fly\n" if not faults else f"{faults} fault{'s' if faults > 1 else ''}: not ready to fly\n")
+    with open_findings(stream) as shown:
+        for finding in asked(options, shown.doing):
+            shown.add(finding)
+    faults = sum(finding.state == "fault" for finding in shown.found)
+    stream.write(verdict(shown.found, tested=options.role != "none") + "\n")
     return EXIT_UNFIT if faults else 0
 
 
-def asked(options: DoctorOptions) -> Iterator[Finding]:
-    """This machine and the rig; then a vehicle, when one was named. Raises PartError for what was asked wrongly."""
+def verdict(found: Sequence[Finding], *, tested: bool) -> str:
+    """The last line. Of parts that were not tried nothing is promised."""
+    faults, notes = (sum(finding.state == state for finding in found) for state in ("fault", "note"))
+    if faults:
+        return f"{faults} fault{'s' if faults > 1 else ''}: not ready to fly"
+    besides = f", {notes} note{'s' if notes > 1 else ''}" if notes else ""
+    return (
+        f"ready to fly{besides}" if tested else f"ready{besides}; --role sender or --role receiver tests its parts too"
+    )
+
+
+def asked(options: DoctorOptions, doing: Callable[[str], None]) -> Iterator[Finding]:
+    """This machine and the rig, then what else was named. Raises PartError for what was asked wrongly.
+
+    Args:
+        doing: told what is measured now, before anything that takes seconds.
+    """
     if options.set_parameters and options.vehicle == "none":
         raise PartError("whose parameters?", "add --vehicle sender or --vehicle receiver")
-    yield from findings(options.rig)
+    readable = True
+    for finding in findings(options.rig):
+        readable = readable and (finding.name, finding.state) != ("rig", "fault")
+        yield finding
+    if not readable:
+        return  # its parts are not known
+    if options.role != "none":
+        doing("this computer: its disk and clock")
+        yield write_finding(Path("runs"))
+        yield clock_finding()
+        for test in part_tests(rig_library.load(options.rig), Role(options.role)):
+            doing(f"{test.name}: {test.doing}")
+            yield from run_test(test)
     if options.vehicle != "none":
+        doing(f"{options.vehicle} vehicle: its parameters")
         rig = rig_library.load(options.rig)
         yield from check_vehicle(rig, Role(options.vehicle), options.set_parameters, Path("runs") / "parameters")
 
@@ -156,12 +184,15 @@ def check_rig_file(name: str) -> Iterator[Finding]:
         return
     sizes = {f"{own.camera.width}x{own.camera.height}" for own in (rig.sender, rig.receiver)}
     yield Finding("ok", "rig", f"{rig.file}: level {rig.level}, cameras {' and '.join(sorted(sizes))}")
+    free: list[str] = []
     for port, option in sorted(local_ports(rig).items()):
         if _is_free(port):
-            yield Finding("ok", "port", f"{port} for {option}")
+            free.append(f"{port} for {option}")
         else:
             fix = "is another flight going on, or a ground station? End it, or name another port in the rig"
             yield Finding("fault", "port", f"{port} for {option} is in use", fix)
+    if free:
+        yield Finding("ok", "ports", ", ".join(free))
 
 
 def _is_free(port: int) -> bool:

@@ -130,6 +130,9 @@ class DoctorOptions:
     rig: RigName = "sitl"
     """The rig to check: its file, its parts, its ports."""
 
+    role: Literal["none", "sender", "receiver"] = "none"
+    """Test each part of this role too: open it, measure for some seconds, close it. Nothing moves, nothing is set."""
+
     vehicle: Literal["none", "sender", "receiver"] = "none"
     """Connect to this role's vehicle as well, and compare its parameters with the rig's. Nothing moves."""
 

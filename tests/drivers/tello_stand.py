@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
@@ -36,7 +37,16 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-STATE_PORT = free_port()
+def lasting_port() -> int:
+    """Free, and below those that the system hands out: it stays free until it is used, by a later test."""
+    for port in range(20_000 + os.getpid() % 10_000, 32_768):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+            probe.bind(("", port))
+            return port
+    raise OSError("no free port below 32768")
+
+
+STATE_PORT = lasting_port()
 """djitellopy listens on one for all drones of a process, from the first on."""
 
 

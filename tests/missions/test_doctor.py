@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import CameraError
+from drivers.part_check import Finding, State
 from missions import doctor
-from missions.findings import Finding, State
 from missions.options import DoctorOptions
 
 

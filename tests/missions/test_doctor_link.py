@@ -1,0 +1,117 @@
+"""The test of the link on real sockets: both ends at once, one alone, and ends that do not belong together."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.part_check import Finding
+from drivers.udp_link import UdpLink, UdpLinkConfig
+from missions import doctor_link
+from missions.doctor_link import Exchange, check_link, judged
+from path.messages import Pong, Role
+from tests.drivers.link_ends import Context, WallClock
+from tests.missions.doctor_findings import LIMIT_S, both, found
+
+AHEAD_NS = 5_000_000_000
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, seconds in (("MEASURE_S", 0.4), ("LAST_S", 0.2)):
+        monkeypatch.setattr(doctor_link, name, seconds)
+
+
+@pytest.fixture
+def key_file(tmp_path: Path) -> Path:
+    path = tmp_path / "pair.key"
+    path.write_bytes(bytes(range(32)))
+    path.chmod(0o600)
+    return path
+
+
+class AheadClock:
+    def now_ns(self) -> int:
+        return WallClock().now_ns() + AHEAD_NS
+
+
+def ports() -> tuple[int, int]:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        one.bind(("127.0.0.1", 0))
+        other.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1]), int(other.getsockname()[1])
+
+
+def end(role: Role, own: int, peer: int, key: Path | None, clock: Any = None) -> UdpLink:
+    config = UdpLinkConfig(f"127.0.0.1:{own}", f"127.0.0.1:{peer}", key)
+    return UdpLink(config, Context(role, clock or WallClock()))
+
+
+def named(findings: list[Finding]) -> dict[str, Finding]:
+    return {finding.name: finding for finding in findings}
+
+
+def test_two_ends_that_look_at_once_measure_each_other(key_file: Path) -> None:
+    one, other = ports()
+    ahead = AheadClock()
+    sender, receiver = end(Role.SENDER, one, other, key_file), end(Role.RECEIVER, other, one, key_file, ahead)
+    found_both = asyncio.run(both(check_link(sender, WallClock(), LIMIT_S), check_link(receiver, ahead, LIMIT_S)))
+    for findings, offset in zip(found_both, (5.0, -5.0), strict=True):
+        every = named(findings)
+        assert every["key"].state == every["clocks"].state == every["round trip"].state == "ok", every
+        assert every["loss"].state != "fault", every
+        told_s = float(every["clocks"].detail.split(" is ")[1].split(" s ")[0])
+        assert told_s == pytest.approx(offset, abs=0.02)
+
+
+def test_an_end_alone_is_a_note_and_says_what_is_known() -> None:
+    one, other = ports()
+    every = found(check_link(end(Role.SENDER, one, other, None), WallClock(), wait_s=0.2))
+    assert every["other end"].state == "note"
+    assert "nothing came" in every["other end"].detail
+    assert every["key"].state == "note"
+
+
+def test_another_key_at_the_other_end_is_a_fault(key_file: Path, tmp_path: Path) -> None:
+    one, other = ports()
+    wrong = tmp_path / "wrong.key"
+    wrong.write_bytes(bytes(32))
+    wrong.chmod(0o600)
+    ends = end(Role.SENDER, one, other, key_file), end(Role.RECEIVER, other, one, wrong)
+    for findings in asyncio.run(both(*(check_link(each, WallClock(), wait_s=0.3) for each in ends))):
+        every = named(findings)
+        assert every["packets"].state == "fault"
+        assert "bad_signature" in every["packets"].detail
+        assert every["other end"].state == "note"
+
+
+def test_a_port_in_use_and_a_key_that_others_can_read_end_the_test(key_file: Path) -> None:
+    one, other = ports()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", one))
+        every = found(check_link(end(Role.SENDER, one, other, None), WallClock(), 0.1))
+        assert every[""].state == "fault"
+        assert "in use" in every[""].detail
+    key_file.chmod(0o644)
+    every = found(check_link(end(Role.SENDER, one, other, key_file), WallClock(), 0.1))
+    assert every[""].state == "fault"
+    assert every[""].fix == f"chmod 600 {key_file}"
+
+
+@pytest.mark.parametrize(("answered", "state"), [(100, "ok"), (90, "note"), (60, "fault")])
+def test_losses_are_judged(answered: int, state: str) -> None:
+    exchange = Exchange(sent=set(range(1, 101)))
+    for nonce in range(1, answered + 1):
+        sent_ns = nonce * 25_000_000
+        exchange.trips_ms[nonce] = 2.0
+        exchange.alignment.on_pong(Pong(nonce, sent_ns, sent_ns + 1_000_000, sent_ns + 1_000_000), sent_ns + 2_000_000)
+    every = named(list(judged(exchange, doctor_link.LinkCounters())))
+    assert every["loss"].state == state
+    assert every["clocks"].state == "ok"
