@@ -111,4 +111,4 @@ def test_a_parameter_that_is_not_taken_is_a_fault(url: str, tmp_path: Path) -> N
 
 def test_setting_needs_to_know_whose() -> None:
     with pytest.raises(PartError, match="whose parameters"):
-        list(doctor.asked(DoctorOptions("sitl-px4", set_parameters=True)))
+        list(doctor.asked(DoctorOptions("sitl-px4", set_parameters=True), lambda _: None))
