@@ -272,7 +272,9 @@ class _Handover(Generic[Machine]):
 
     def _when_written(self, saved: Future[None], go_on: Callable[[], None]) -> asyncio.Task[None]:
         async def wait() -> None:
-            await asyncio.wait([asyncio.wrap_future(saved)])
+            written = asyncio.wrap_future(saved)
+            written.add_done_callback(_retrieve)
+            await asyncio.wait([written])
             go_on()
 
         return self._session.spawn(wait())
@@ -486,3 +488,9 @@ class ReceiverHandover(_Handover[ReceiverMachine]):
 
 
 _ENDS = {Decision.TIMEOUT: Outcome.NO_AGREEMENT}
+
+
+def _retrieve(written: asyncio.Future[Any]) -> None:
+    """The carrier looks at the outcome itself, unless the mission has ended by then: asyncio need not tell of it."""
+    if not written.cancelled():
+        written.exception()
