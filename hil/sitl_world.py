@@ -127,6 +127,26 @@ class CameraThread(threading.Thread):
         self.rendered += 1
 
 
+class CommandLines:
+    """Lines of JSON that come in on a file, each as soon as it is whole.
+
+    Not ``sys.stdin.readline``: of two lines that come at once it would keep the second to itself, and nothing more
+    comes in to be told of.
+    """
+
+    def __init__(self, file: int) -> None:
+        self._file = file
+        self._begun = b""
+
+    def read(self) -> list[dict[str, Any]] | None:
+        """What has come in since, when there is something to read; None at the end."""
+        data = os.read(self._file, 65536)
+        if not data:
+            return None
+        *lines, self._begun = (self._begun + data).split(b"\n")
+        return [json.loads(line) for line in lines]
+
+
 class SitlWorld:
     """One run's world: open it, run it, ask it for its findings."""
 
@@ -137,6 +157,7 @@ class SitlWorld:
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
         self._finish_within_s: float | None = None
+        self._commands = CommandLines(sys.stdin.fileno())
         self._vehicles: dict[Role, MavlinkVehicle | TelloEmulator | SimulatedVehicle] = {}
         self._videos: dict[Role, TelloVideo] = {}
         self._cameras: dict[Role, CameraThread] = {}
@@ -159,7 +180,7 @@ class SitlWorld:
             truth.scene(rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
             self._start_cameras(stack)
             stack.enter_context(open_beacons(rig, self._seed, self._out, live.now_s, self._snapshot))
-            asyncio.get_running_loop().add_reader(sys.stdin.fileno(), self._on_command)
+            asyncio.get_running_loop().add_reader(sys.stdin.fileno(), self._on_input)
             air = await stack.enter_async_context(Air(self._proxy))
             say({"event": "ready", "air": air.port})
             await self._step_until_finished(truth)
@@ -244,13 +265,16 @@ class SitlWorld:
             if live.now_s() > (steps + 2) * STEP_S:  # what was missed is stepped at once, not caught up tick by tick
                 steps = int(live.now_s() / STEP_S)
 
-    def _on_command(self) -> None:
-        line = sys.stdin.readline()
-        if not line:
+    def _on_input(self) -> None:
+        commands = self._commands.read()
+        if commands is None:
             asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
             self._finish_within_s = 0.0 if self._finish_within_s is None else self._finish_within_s
             return
-        command = json.loads(line)
+        for command in commands:
+            self._obey(command)
+
+    def _obey(self, command: dict[str, Any]) -> None:
         if "finish" in command:
             self._finish_within_s = float(command["finish"])
         else:

@@ -93,7 +93,7 @@ class Cable:
 
     def garble(self) -> None:
         """From now on noise comes in place of what was sent."""
-        self._carry = lambda data: os.urandom(len(data))
+        self._carry = _noise
 
     def inject(self, data: bytes) -> None:
         """What the other one's radio hears besides."""
@@ -115,3 +115,7 @@ def serial_links(cable: Cable, key_file: Path | None, baud: int = 115_200) -> tu
         for name, role in zip(cable.names, Role, strict=True)
     )
     return one, other
+
+
+def _noise(data: bytes) -> bytes:
+    return os.urandom(len(data))
