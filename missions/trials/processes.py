@@ -108,12 +108,17 @@ def _findings(what: str, came: Runs) -> tuple[Finding, ...]:
     two = max(one.duty.both_s for one in came)
     gap = max((one.duty.gap_s for one in came if not one.duty.orphaned), default=0.0)
     down = sum(one.landed for one in came)
+    broken = sum((Counter(one.violations) for one in came), Counter[str]())
     count, none_two = f"{len(came)} runs", verdict(two == 0.0)
     return (
         Finding(f"{what}: longest time with two responsible, s", f"{two:.3f}", count, goal="0", verdict=none_two),
         Finding(
             f"{what}: longest time with none that no dead program excuses, s", f"{gap:.2f}", count,
             goal=f"≤ {bound_s():.2f}", verdict=verdict(gap <= bound_s()),
+        ),
+        Finding(
+            f"{what}: monitors violated", ", ".join(sorted(broken)) or "none", count, goal="none",
+            verdict=verdict(not broken),
         ),
         Finding(
             f"{what}: both vehicles on the ground in the end", f"{down} of {len(came)}", goal="all",
