@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import AsyncExitStack
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,20 +37,18 @@ async def check_beacons(beacons: Beacons, wanted: Mapping[str, int], clock: Cloc
     Raises:
         BeaconError: its ports are there, but no position comes.
     """
-    try:
-        await beacons.__aenter__()
-    except BeaconError as error:
-        fix = f"on the computer that listens to them: {error.remedy}"
-        yield Finding("note", "", f"cannot be opened here: {error}", fix)
-        return
-    try:
+    async with AsyncExitStack() as stack:
+        try:
+            await stack.enter_async_context(beacons)
+        except BeaconError as error:
+            fix = f"on the computer that listens to them: {error.remedy}"
+            yield Finding("note", "", f"cannot be opened here: {error}", fix)
+            return
         heard = await _heard(beacons, clock)
         for finding in judged(heard, wanted):
             yield finding
         for own in await examined(beacons):
             yield own
-    finally:
-        await beacons.__aexit__(None, None, None)
 
 
 async def _heard(beacons: Beacons, clock: Clock) -> Heard:

@@ -124,7 +124,14 @@ class _Handover(Generic[Machine]):
     that cannot be written to is found before anything flies. Raises StateError.
     """
 
-    def __init__(self, session: Session, store: RecordStore, machine: Machine, kept: Kept | None) -> None:
+    def __init__(
+        self,
+        session: Session,
+        store: RecordStore,
+        machine: Machine,
+        kept: Kept | None,
+        made: SenderRecord | ReceiverRecord,
+    ) -> None:
         self._session = session
         self._store = store
         self._machine = machine
@@ -135,10 +142,8 @@ class _Handover(Generic[Machine]):
         self._waiting: deque[Callable[[], Any]] = deque()  # events, made when their turn comes
         self._moved = asyncio.Event()  # the machine's next deadline
         self._done = machine.state  # the newest state all of whose actions were carried out
-
-    def _begin_log(self, made: SenderRecord | ReceiverRecord) -> None:
-        """The log of a program that was started again begins with what it made of the record that it found."""
-        if self._kept is not None:
+        store.save(made)
+        if kept is not None:  # the log of a program that was started again begins with what it made of its record
             self._carrier.carry_out(Persist(made))
 
     async def resume(self) -> None:
@@ -310,10 +315,7 @@ class SenderHandover(_Handover[SenderMachine]):
         if kept is not None:
             assert isinstance(kept.record, SenderRecord)
             machine.state = sender.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
-        made = sender.record(machine.state)
-        store.save(made)
-        super().__init__(session, store, machine, kept)
-        self._begin_log(made)
+        super().__init__(session, store, machine, kept, sender.record(machine.state))
         if kept is not None:  # on the ground a new mission begins: nobody tracks its target yet
             session.set_responsible(machine.responsible and session.vehicle.state.armed)
 
@@ -418,10 +420,7 @@ class ReceiverHandover(_Handover[ReceiverMachine]):
         if kept is not None:
             assert isinstance(kept.record, ReceiverRecord)
             machine.state = receiver.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
-        made = receiver.record(machine.state)
-        store.save(made)
-        super().__init__(session, store, machine, kept)
-        self._begin_log(made)
+        super().__init__(session, store, machine, kept, receiver.record(machine.state))
         self._able = able
         if kept is not None:
             session.set_responsible(machine.responsible, isinstance(machine.state, Provisional))
