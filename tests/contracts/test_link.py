@@ -103,14 +103,6 @@ LINKS = pytest.mark.parametrize("stage_of", [udp, radio, memory])
 SIGNED = pytest.mark.parametrize("signed", [True, False], ids=["signed", "unsigned"])
 
 
-@pytest.fixture
-def key(tmp_path: Path) -> Path:
-    path = tmp_path / "pair.key"
-    path.write_bytes(bytes(range(32)))
-    path.chmod(0o600)
-    return path
-
-
 def on(stage: contextlib.AbstractAsyncContextManager[Stage], test: Callable[[Stage], Any]) -> None:
     async def main() -> None:
         async with stage as staged:
@@ -122,7 +114,7 @@ def on(stage: contextlib.AbstractAsyncContextManager[Stage], test: Callable[[Sta
 @LINKS
 @SIGNED
 def test_what_is_sent_arrives_equal_stamped_and_counted(
-    stage_of: StageOf, signed: bool, tmp_path: Path, key: Path
+    stage_of: StageOf, signed: bool, tmp_path: Path, key_file: Path
 ) -> None:
     async def test(stage: Stage) -> None:
         clock = WallClock()
@@ -140,12 +132,12 @@ def test_what_is_sent_arrives_equal_stamped_and_counted(
                 assert one.counters.bytes_sent == other.counters.bytes_received > 0
                 assert one.counters.dropped == {}
 
-    on(stage_of(tmp_path, key if signed else None), test)
+    on(stage_of(tmp_path, key_file if signed else None), test)
 
 
 @LINKS
 def test_a_slow_reader_gets_every_word_in_order_and_the_newest_of_each_stream(
-    stage_of: StageOf, tmp_path: Path, key: Path
+    stage_of: StageOf, tmp_path: Path, key_file: Path
 ) -> None:
     async def test(stage: Stage) -> None:
         async with stage.sender as sender, stage.receiver as receiver:
@@ -163,11 +155,11 @@ def test_a_slow_reader_gets_every_word_in_order_and_the_newest_of_each_stream(
             assert all(later.arrival_ns >= earlier.arrival_ns for earlier, later in pairwise(got[: len(WORDS)]))
             assert receiver.counters.dropped == {"superseded": 2 * len(WORDS) - 2}
 
-    on(stage_of(tmp_path, key), test)
+    on(stage_of(tmp_path, key_file), test)
 
 
 @LINKS
-def test_words_wait_for_their_reader_up_to_a_number(stage_of: StageOf, tmp_path: Path, key: Path) -> None:
+def test_words_wait_for_their_reader_up_to_a_number(stage_of: StageOf, tmp_path: Path, key_file: Path) -> None:
     async def test(stage: Stage) -> None:
         async with stage.sender as sender, stage.receiver as receiver:
             await introduce(sender, receiver)
@@ -178,13 +170,13 @@ def test_words_wait_for_their_reader_up_to_a_number(stage_of: StageOf, tmp_path:
             assert receiver.counters.dropped == {"inbox_full": 3}
             assert (await receiver.receive()).message == Ping(3, 0)
 
-    on(stage_of(tmp_path, key), test)
+    on(stage_of(tmp_path, key_file), test)
 
 
 @LINKS
 @SIGNED
 def test_garbage_is_counted_and_costs_no_message_after_it(
-    stage_of: StageOf, signed: bool, tmp_path: Path, key: Path
+    stage_of: StageOf, signed: bool, tmp_path: Path, key_file: Path
 ) -> None:
     async def test(stage: Stage) -> None:
         async with stage.sender as sender, stage.receiver as receiver:
@@ -195,11 +187,11 @@ def test_garbage_is_counted_and_costs_no_message_after_it(
             assert await heard(receiver, Ping(7, 7))
             assert sum(receiver.counters.dropped.values()) > 0
 
-    on(stage_of(tmp_path, key if signed else None), test)
+    on(stage_of(tmp_path, key_file if signed else None), test)
 
 
 @LINKS
-def test_what_does_not_fit_the_wire_is_counted_and_not_sent(stage_of: StageOf, tmp_path: Path, key: Path) -> None:
+def test_what_does_not_fit_the_wire_is_counted_and_not_sent(stage_of: StageOf, tmp_path: Path, key_file: Path) -> None:
     async def test(stage: Stage) -> None:
         async with stage.sender as sender, stage.receiver as receiver:
             await introduce(sender, receiver)
@@ -210,11 +202,11 @@ def test_what_does_not_fit_the_wire_is_counted_and_not_sent(stage_of: StageOf, t
             assert sender.counters.packets_sent == before + 1
             assert sender.counters.dropped == {"cannot_encode": 1}
 
-    on(stage_of(tmp_path, key), test)
+    on(stage_of(tmp_path, key_file), test)
 
 
 @LINKS
-def test_before_it_is_open_nothing_is_sent_and_nobody_waits(stage_of: StageOf, tmp_path: Path, key: Path) -> None:
+def test_before_it_is_open_nothing_is_sent_and_nobody_waits(stage_of: StageOf, tmp_path: Path, key_file: Path) -> None:
     async def test(stage: Stage) -> None:
         with pytest.raises(LinkError, match="not open"):
             stage.sender.send(TARGET)
@@ -222,12 +214,12 @@ def test_before_it_is_open_nothing_is_sent_and_nobody_waits(stage_of: StageOf, t
             await stage.sender.receive()
         assert stage.sender.counters.packets_sent == 0
 
-    on(stage_of(tmp_path, key), test)
+    on(stage_of(tmp_path, key_file), test)
 
 
 @LINKS
 def test_closing_wakes_the_reader_and_ends_sending_and_twice_is_once(
-    stage_of: StageOf, tmp_path: Path, key: Path
+    stage_of: StageOf, tmp_path: Path, key_file: Path
 ) -> None:
     async def test(stage: Stage) -> None:
         async with stage.receiver:
@@ -244,13 +236,13 @@ def test_closing_wakes_the_reader_and_ends_sending_and_twice_is_once(
             assert sender.counters.packets_sent == sent
             await sender.__aexit__(None, None, None)
 
-    on(stage_of(tmp_path, key), test)
+    on(stage_of(tmp_path, key_file), test)
 
 
 @LINKS
 @SIGNED
 def test_a_peer_that_is_gone_is_silence_and_it_may_come_back(
-    stage_of: StageOf, signed: bool, tmp_path: Path, key: Path
+    stage_of: StageOf, signed: bool, tmp_path: Path, key_file: Path
 ) -> None:
     async def test(stage: Stage) -> None:
         async with stage.sender as sender:
@@ -270,7 +262,7 @@ def test_a_peer_that_is_gone_is_silence_and_it_may_come_back(
                     receiver.send(Accept(1, 2, 3, 4, 5))
                     assert await heard(sender, Accept(1, 2, 3, 4, 5))
 
-    on(stage_of(tmp_path, key if signed else None), test)
+    on(stage_of(tmp_path, key_file if signed else None), test)
 
 
 async def heard(link: Link, message: Message) -> bool:

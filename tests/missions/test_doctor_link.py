@@ -26,14 +26,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(doctor_link, name, seconds)
 
 
-@pytest.fixture
-def key_file(tmp_path: Path) -> Path:
-    path = tmp_path / "pair.key"
-    path.write_bytes(bytes(range(32)))
-    path.chmod(0o600)
-    return path
-
-
 class AheadClock:
     def now_ns(self) -> int:
         return WallClock().now_ns() + AHEAD_NS
