@@ -82,6 +82,8 @@ class LeaseMonitor:
             self.violated("S2", now_s, f"taken over in epoch {epoch}, when {self._highest[Role.SENDER]} had begun")
         self._highest[role] = max(self._highest[role], epoch)
         self._duty[role] = duty
+        if duty == "idle":  # landed, and begins a new mission: what it had is over
+            self._alone_s = None
 
     def _on_commit(self, now_s: float, epoch: int, end_s: float) -> None:
         if self._responsible[Role.SENDER] or self._duty[Role.SENDER] not in ("released", ""):

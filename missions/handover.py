@@ -22,7 +22,7 @@ from missions.session import Session
 from path.messages import AbortReason, Commit, Message, Status
 from path.protocol import receiver, sender
 from path.protocol.receiver import Holding, LetGo, Provisional, ReceiverMachine
-from path.protocol.sender import AwaitingAccept, HandedOver, Idle, SenderMachine
+from path.protocol.sender import AwaitingAccept, HandedOver, Idle, Keeping, SenderMachine
 from path.protocol.values import (
     AbortRequested,
     Action,
@@ -326,7 +326,7 @@ class SenderHandover(_Handover[SenderMachine]):
     @property
     def epoch(self) -> int:
         """Of the attempt under way; 0 before the first."""
-        return 0 if isinstance(self._done, Idle) else self._done.live.epoch
+        return 0 if isinstance(self._done, Idle | Keeping) else self._done.live.epoch
 
     @property
     def released(self) -> bool:
@@ -348,15 +348,14 @@ class SenderHandover(_Handover[SenderMachine]):
         )
 
     async def offer(self) -> None:
-        """The target is tracked: this drone is responsible for it, and offers it. Raises StateError."""
+        """The target is tracked: this drone is responsible for it from now on, and offers it. Raises StateError."""
         self.begin_offer()
         await self._written()  # nothing is said in an epoch that a restart would begin once more
 
     def begin_offer(self) -> None:
         """``offer``, without waiting for the disk."""
-        session = self._session
-        session.set_responsible(True)
-        self._step(Offer(session.config.handoff_id, session.config.target_id))
+        config = self._session.config
+        self._step(Offer(config.handoff_id, config.target_id))
         self._start_ticking()
 
     def agreed(self, target_id: int) -> None:

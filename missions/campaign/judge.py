@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from missions.campaign.program import MISSION, OTHER_ID, Program
 from missions.verify.rules import lowest_epoch, used_epoch
-from path.messages import Accept, Commit, Message, Ping, Role, Target
+from path.messages import Accept, Commit, Message, Ping, Role
 from path.protocol import receiver, sender
 from path.protocol.values import Handoff, Outcome, ProtocolConfig, ReceiverRecord, SenderRecord
 
@@ -54,7 +54,8 @@ class Judge:
         self._issued: dict[tuple[int, int], _Issued] = {}  # by epoch and nonce
         self._committed_s: float | None = None
         self._accepted: set[int] = set()  # epochs in which the sender was given an ACCEPT
-        self._epochs: set[int] = set()
+        self._epochs: set[int] = set()  # of the sender's attempts
+        self._begun: int | None = None  # the epoch of one that is perhaps not on the disk yet: nothing is said in it
         self._highest = {Role.SENDER: 0, Role.RECEIVER: 0}
         self._since: dict[Role, tuple[int, float] | None] = {Role.SENDER: None, Role.RECEIVER: None}
         self._ends: dict[Role, list[tuple[Outcome, str | None]]] = {Role.SENDER: [], Role.RECEIVER: []}
@@ -75,13 +76,8 @@ class Judge:
 
     def begun(self, program: Program, state: Any) -> None:
         """The sender began an attempt."""
-        epoch = used_epoch(state)
-        last = max(self._epochs, default=0)
-        if epoch <= last:
-            self._violated("S2", f"an attempt in epoch {epoch}, after {last}")
-        self._epochs.add(epoch)
-        self._since[Role.SENDER] = (epoch, self._world.now_s)
-        self._anew = False
+        self._begun = used_epoch(state)
+        self._since[Role.SENDER] = (self._begun, self._world.now_s)
         del program
 
     def anew(self, program: Program) -> None:
@@ -92,7 +88,7 @@ class Judge:
     def died(self, program: Program) -> None:
         self._since[program.role] = None
         if program.role is Role.SENDER:
-            self._committed_s = None
+            self._committed_s = self._begun = None
         self._gap()
 
     def kept(self, program: Program, record: SenderRecord | ReceiverRecord) -> None:
@@ -172,11 +168,6 @@ class Judge:
     def heard(self, program: Program, before: Any, message: Message) -> None:
         """S4: an ACCEPT of what was committed, and not withdrawn, hands over."""
         if program.role is Role.RECEIVER:
-            live, since = program.handover.live, self._since[Role.RECEIVER]
-            if live is None or not isinstance(message, Target) or (since is not None and since[0] == live.epoch):
-                return
-            if isinstance(program.handover.carried_out, receiver.Observing):
-                self._since[Role.RECEIVER] = (live.epoch, self._world.now_s)
             return
         if isinstance(message, Accept) and isinstance(before, sender.AwaitingAccept) and before.withdrawn is None:
             same = (message.epoch, message.nonce) == (before.live.epoch, before.commit.nonce)
@@ -194,6 +185,7 @@ class Judge:
         if state is self._seen[role] and self._events % LOOK_EVERY:
             return  # of an event that changed nothing only time is left to judge, now and then
         self._seen[role] = state
+        self._begins(role, state)
         epoch = used_epoch(state) if role is Role.SENDER else lowest_epoch(state)
         if epoch < self._highest[role]:
             self._violated("S2", f"the {role.value} is in epoch {epoch}, after {self._highest[role]}")
@@ -201,6 +193,21 @@ class Judge:
             self._violated("S1", f"the {role.value} is not what its machine is")
         self._overdue(program, state)
         self._gap()
+
+    def _begins(self, role: Role, state: Any) -> None:
+        """An attempt is one once it is on the disk. S2: each has an epoch of its own."""
+        if role is Role.SENDER:
+            if self._begun is None or used_epoch(state) < self._begun:
+                return
+            last = max(self._epochs, default=0)
+            if self._begun <= last:
+                self._violated("S2", f"an attempt in epoch {self._begun}, after {last}")
+            self._epochs.add(self._begun)
+            self._begun, self._anew = None, False
+        elif isinstance(state, receiver.Observing) and state.live is not None:
+            since = self._since[role]
+            if since is None or since[0] != state.live.epoch:
+                self._since[role] = (state.live.epoch, self._world.now_s)
 
     def _overdue(self, program: Program, state: Any) -> None:
         """L1: everything that waits, ends."""
@@ -235,10 +242,11 @@ class Judge:
             if takes.settled is Outcome.TAKEN_BACK:
                 self._violated("L2", "an orphan that the receiver takes for well")
 
-    @staticmethod
-    def _nobody(gives: Any, takes: Any) -> bool:
+    def _nobody(self, gives: Any, takes: Any) -> bool:
         if gives is None or sender.is_responsible(gives):
             return False
+        if isinstance(gives, sender.Idle):  # before its first offer, or landed: of what it once had there is no word
+            return bool(self._epochs) and not self._anew
         if takes is None:
             return not isinstance(gives, sender.HandedOver)
         return not receiver.is_responsible(takes)
@@ -290,9 +298,11 @@ def _orphan(gives: Any, takes: Any) -> bool:
 
 
 def _is_what_it_says(program: Program, state: Any) -> bool:
-    """Whether a program's responsibility is its machine's. A sender may be idle before it tracks anything."""
+    """Whether a program's responsibility is its machine's. A sender that starts again on the ground tracks nothing."""
     if program.role is Role.SENDER:
-        return sender.is_responsible(state) or not program.responsible
+        if program.responsible == sender.is_responsible(state):
+            return True
+        return not program.responsible and isinstance(state, sender.Keeping) and not program.vehicle.state.armed
     if program.responsible == receiver.is_responsible(state):
         return True
     # what was written down too late is not taken, and about to be let go

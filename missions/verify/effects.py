@@ -127,7 +127,7 @@ class Effects:
             before = self.senders.values[state]
             assert not isinstance(before, Dead)
             after, actions = sender.step(self.config, before, event, 0)
-            broken = sender_rules(before, after, actions, self.scope.uncertainty)
+            broken = sender_rules(before, after, event, actions, self.scope.uncertainty)
             effect = self._by_sender[key] = self._effect("receiver", what, self.senders(after), actions, broken)
         return effect
 
@@ -222,7 +222,7 @@ class Effects:
             gives, takes = self.senders.values[state], self.receivers.values[held]
             if not isinstance(gives, Dead):
                 packets.append(Packet("receiver", status(Role.SENDER, sender.is_responsible(gives), 0)))
-                if not isinstance(gives, sender.Idle | sender.HandedOver):
+                if not isinstance(gives, sender.Idle | sender.Keeping | sender.HandedOver):
                     packets.append(Packet("receiver", target(gives.live)))
             if not isinstance(takes, Dead):
                 packets.append(Packet("sender", status(Role.RECEIVER, receiver.is_responsible(takes), skew)))

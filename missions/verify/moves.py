@@ -14,6 +14,7 @@ from path.protocol.values import (
     AbortRequested,
     AgreementComplete,
     Handoff,
+    NewMission,
     Offer,
     Outcome,
     ReceiverRecord,
@@ -47,7 +48,7 @@ class Moves:
         self._receivers = self.effects.receivers.values
 
     def start(self, skew: int) -> World:
-        """The sender is responsible and has begun nothing; the receiver observes."""
+        """Nothing has begun; the receiver observes."""
         effects, scope = self.effects, self.scope
         state, held = effects.senders(sender.Idle()), effects.receivers(receiver.Observing())
         kept, noted = effects.sender_records(SenderRecord()), effects.receiver_records(ReceiverRecord())
@@ -122,8 +123,8 @@ class Moves:
     def _nobody(self, world: World) -> bool:
         """Nobody is responsible, though whoever would have to be runs."""
         gives, takes = self.sender_of(world), self.receiver_of(world)
-        if isinstance(gives, Dead) or sender.is_responsible(gives):
-            return False
+        if isinstance(gives, Dead | sender.Idle) or sender.is_responsible(gives):
+            return False  # of a sender that is idle nothing is asked
         if isinstance(takes, Dead):
             return not isinstance(gives, sender.HandedOver)
         return not receiver.is_responsible(takes)
@@ -165,14 +166,23 @@ class Moves:
         state = self.sender_of(world)
         if world.attempts:
             begun = world._replace(attempts=world.attempts - 1)
-            if isinstance(state, sender.Idle | sender.TakenBack):
+            if isinstance(state, sender.Keeping | sender.TakenBack) or self._free(world):
                 yield from self._tell_sender(begun, Offer(HANDOFF_ID, TARGET_ID), "the sender offers the target")
             if isinstance(state, sender.TakenBack):
                 yield from self._tell_sender(begun, VerifyAgain(), "the sender verifies again")
+        if isinstance(state, sender.Keeping | sender.TakenBack | sender.HandedOver):
+            yield from self._tell_sender(world, NewMission(), "the sender has landed, and begins a new mission")
         if isinstance(state, sender.Verifying):
             yield from self._agreements(world, state.live)
         if world.aborts:
             yield from self._tell_sender(world._replace(aborts=world.aborts - 1), _PILOT, "a pilot takes the sender")
+
+    def _free(self, world: World) -> bool:
+        """An idle sender takes off, and offers, only when it has heard that the receiver holds nothing."""
+        gives, takes = self.sender_of(world), self.receiver_of(world)
+        if not isinstance(gives, sender.Idle):
+            return False
+        return gives.epoch == 0 or not (isinstance(takes, Dead) or receiver.is_responsible(takes))
 
     def _agreements(self, world: World, live: Handoff) -> Iterator[Move]:
         """The one that the window counted, and those of which nothing may come (S5)."""
@@ -203,7 +213,9 @@ class Moves:
                 state, kept = self.effects.sender_restored(world.sender_kept, same_clock)
                 alone = world.alone if same_clock else 0  # a new clock begins anew what is waited for
                 up = world._replace(sender=state, sender_kept=kept, alone=alone)
-                yield self._checked(world, up, f"the sender is started again{how}", "")
+                mine = self.effects.sender_records.values[world.sender_kept].duty == "mine"
+                lost = "L2" if mine and not responsible_sender(self.sender_of(up)) else ""
+                yield self._checked(world, up, f"the sender is started again{how}", lost)
         if isinstance(takes, Dead):
             for same_clock, how in _CLOCKS:
                 held, kept = self.effects.receiver_restored(world.receiver_kept, world.skew, same_clock)

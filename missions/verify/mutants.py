@@ -84,7 +84,7 @@ def _agreement_of_anything(commit: Any) -> Any:
 
 def _same_epoch_again(offer: Any) -> Any:
     def repeating(config: Any, state: Any, event: Any, now_ns: int) -> Any:
-        before = replace(state, epoch=state.epoch - 1) if isinstance(state, sender.Idle) else state
+        before = replace(state, epoch=state.epoch - 1) if isinstance(state, sender.Idle | sender.Keeping) else state
         return offer(config, before, event, now_ns)
 
     return repeating
@@ -93,7 +93,7 @@ def _same_epoch_again(offer: Any) -> Any:
 def _takes_back_when_unsure(settle: Any) -> Any:
     def greedy(state: Any, outcome: Any) -> Any:
         after, actions = settle(state, outcome)
-        return (sender.Idle(state.live.epoch), actions) if outcome.alarming else (after, actions)
+        return (sender.Keeping(state.live.epoch), actions) if outcome.alarming else (after, actions)
 
     return greedy
 
@@ -155,6 +155,18 @@ def _restored_as(make: Callable[[Any, int], Any]) -> Callable[[Any], Any]:
             if kept.live is None:
                 return restored(config, kept, now_ns, same_clock=same_clock)
             return make(kept, now_ns)
+
+        return wrong_restart
+
+    return of
+
+
+def _restored_idle_as(make: Callable[[int], Any]) -> Callable[[Any], Any]:
+    """A restart that makes this of the epoch, when nothing is given away."""
+
+    def of(restored: Any) -> Any:
+        def wrong_restart(config: Any, kept: Any, now_ns: int, *, same_clock: bool = True) -> Any:
+            return make(kept.epoch) if kept.live is None else restored(config, kept, now_ns, same_clock=same_clock)
 
         return wrong_restart
 
@@ -227,7 +239,11 @@ MUTANTS = (
     Mutant("the receiver says ACCEPT before it is written down", ("L2",), [
         (receiver, "_hear_commit", _in_order(Send, Persist))], CRASHING),
     Mutant("the sender starts again as if it had given nothing away", ("S1", "S4"), [
-        (sender, "restored", _restored_as(lambda kept, _: sender.Idle(kept.epoch)))], CRASHING),
+        (sender, "restored", _restored_as(lambda kept, _: sender.Keeping(kept.epoch)))], CRASHING),
+    Mutant("the sender starts again as if the target of an earlier mission were its own", ("S1",), [
+        (sender, "restored", _restored_idle_as(sender.Keeping))], CRASHING),
+    Mutant("the sender starts again as if it had never had the target", ("L2",), [
+        (sender, "restored", _restored_idle_as(sender.Idle))], CRASHING),
     Mutant("the receiver starts again as if it held nothing", ("L2",), [
         (receiver, "restored", _restored_as(lambda kept, _: receiver.Observing(kept.epoch + 1)))], CRASHING),
     Mutant("the receiver starts again with a lease of its own", ("S1",), [

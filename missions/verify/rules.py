@@ -6,7 +6,16 @@ from dataclasses import dataclass
 
 from path.messages import Commit
 from path.protocol import receiver, sender
-from path.protocol.values import Actions, CommitHeard, ReceiverEvent, Release, Send, TakeResponsibility
+from path.protocol.values import (
+    Actions,
+    CommitHeard,
+    NewMission,
+    ReceiverEvent,
+    Release,
+    Send,
+    SenderEvent,
+    TakeResponsibility,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +28,7 @@ class Dead:
 
 def used_epoch(state: sender.SenderState | Dead) -> int:
     """The sender's last epoch."""
-    return state.epoch if isinstance(state, sender.Idle | Dead) else state.live.epoch
+    return state.epoch if isinstance(state, sender.Idle | sender.Keeping | Dead) else state.live.epoch
 
 
 def lowest_epoch(state: receiver.ReceiverState | Dead) -> int:
@@ -31,12 +40,16 @@ def lowest_epoch(state: receiver.ReceiverState | Dead) -> int:
     return state.live.epoch + isinstance(state, receiver.LetGo)
 
 
-def sender_rules(before: sender.SenderState, after: sender.SenderState, actions: Actions, uncertainty: int) -> str:
+def sender_rules(
+    before: sender.SenderState, after: sender.SenderState, event: SenderEvent, actions: Actions, uncertainty: int
+) -> str:
     """S2: each attempt has an epoch of its own. S4: it releases before it says so, and takes back only after lease and
-    uncertainty."""
+    uncertainty. L2: only a new mission makes nothing its own."""
     begins = isinstance(after, sender.Offering) and not isinstance(before, sender.Offering)
     if used_epoch(after) < used_epoch(before) + begins:
         return "S2"
+    if isinstance(after, sender.Idle) and not isinstance(before, sender.Idle) and not isinstance(event, NewMission):
+        return "L2"
     responsible = sender.is_responsible(before)
     for action in actions:
         match action:
@@ -44,13 +57,17 @@ def sender_rules(before: sender.SenderState, after: sender.SenderState, actions:
                 responsible = False
             case TakeResponsibility():
                 responsible = True
-                if not isinstance(before, sender.AwaitingAccept) or before.commit.lease_end_ns + uncertainty > 0:
+                if not (isinstance(before, sender.Idle) or _lease_over(before, uncertainty)):
                     return "S4"
             case Send(Commit()) if responsible:
                 return "S4"
             case _:
                 pass
     return "" if responsible == sender.is_responsible(after) else "S1"
+
+
+def _lease_over(state: sender.SenderState, uncertainty: int) -> bool:
+    return isinstance(state, sender.AwaitingAccept) and state.commit.lease_end_ns + uncertainty <= 0
 
 
 def across_rules(

@@ -37,9 +37,16 @@ from path.protocol.values import (
 
 @dataclass(frozen=True, slots=True)
 class Idle:
-    """No handoff. ``epoch`` is the last one used."""
+    """Nothing is this drone's: before its first offer, and when a new mission has begun. ``epoch`` is the last one."""
 
     epoch: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Keeping:
+    """Responsible, and no handoff: the last one ended before its COMMIT. ``epoch`` is the last one used."""
+
+    epoch: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,17 +95,17 @@ class TakenBack:
     live: Handoff
 
 
-SenderState = Idle | Offering | Verifying | AwaitingAccept | HandedOver | TakenBack
+SenderState = Idle | Keeping | Offering | Verifying | AwaitingAccept | HandedOver | TakenBack
 Step = tuple[SenderState, Actions]
 
 
 def is_responsible(state: SenderState) -> bool:
-    return not isinstance(state, AwaitingAccept | HandedOver)
+    return not isinstance(state, Idle | AwaitingAccept | HandedOver)
 
 
 def epoch(state: SenderState) -> int:
     """The last one used (S2)."""
-    return state.epoch if isinstance(state, Idle) else state.live.epoch
+    return state.epoch if isinstance(state, Idle | Keeping) else state.live.epoch
 
 
 def record(state: SenderState) -> SenderRecord:
@@ -106,8 +113,10 @@ def record(state: SenderState) -> SenderRecord:
     match state:
         case Idle():
             return SenderRecord(state.epoch)
+        case Keeping():
+            return SenderRecord(state.epoch, "mine")
         case Offering() | Verifying() | TakenBack():
-            return SenderRecord(state.live.epoch)
+            return SenderRecord(state.live.epoch, "mine")
         case AwaitingAccept():
             commit = state.commit
             return SenderRecord(
@@ -129,7 +138,7 @@ def restored(config: ProtocolConfig, kept: SenderRecord, now_ns: int, *, same_cl
             waited for as if it had begun just now.
     """
     if kept.live is None:
-        return Idle(kept.epoch)
+        return Keeping(kept.epoch) if kept.duty == "mine" else Idle(kept.epoch)
     longest_ns = now_ns + to_ns(config.lease_s) + to_ns(config.max_uncertainty_s)
     take_back_ns = kept.take_back_ns if same_clock else longest_ns
     if kept.duty == "handed_over":
@@ -149,7 +158,7 @@ def wake_ns(state: SenderState) -> int | None:
             return state.take_back_ns if _silent(state) else min(state.resend_ns, state.take_back_ns)
         case HandedOver():
             return state.settle_end_ns if state.settled is None else None
-        case Idle() | TakenBack():
+        case Idle() | Keeping() | TakenBack():
             return None
 
 
@@ -175,7 +184,7 @@ def _elapse(config: ProtocolConfig, state: SenderState, now_ns: int) -> Step:
     match state:
         case Offering() | Verifying() if now_ns >= _deadline_ns(state):
             abort = _abort(state.live, AbortReason.TIMEOUT, now_ns)
-            return Idle(state.live.epoch), (Send(abort), Ended(Outcome.TIMEOUT))
+            return Keeping(state.live.epoch), (Send(abort), Ended(Outcome.TIMEOUT))
         case AwaitingAccept() if now_ns >= state.take_back_ns:
             return _take_back(state)
         case AwaitingAccept() if not _silent(state) and state.resend_ns <= now_ns:
@@ -200,11 +209,12 @@ def _take_back(state: AwaitingAccept) -> Step:
 
 def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_ns: int) -> Step:  # noqa: PLR0911
     match state, event:
-        case Idle() | TakenBack(), Offer():
+        case Idle() | Keeping() | TakenBack(), Offer():
             return _offer(config, state, event, now_ns)
-        case Idle() | TakenBack() | HandedOver(), NewMission():
+        case Idle() | Keeping() | TakenBack() | HandedOver(), NewMission():
             anew = Idle(epoch(state))
-            return anew, (Persist(record(anew)),)
+            before: Actions = (Release(),) if is_responsible(state) else ()
+            return anew, (*before, Persist(record(anew)))
         case TakenBack(), VerifyAgain():
             return Verifying(state.live, now_ns + to_ns(config.handoff_s)), ()
         case Offering() | Verifying() | AwaitingAccept() | HandedOver(), Heard():
@@ -224,13 +234,14 @@ def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_n
             return state, (Refused(Refusal.WRONG_STATE),)
 
 
-def _offer(config: ProtocolConfig, state: Idle | TakenBack, offer: Offer, now_ns: int) -> Step:
+def _offer(config: ProtocolConfig, state: Idle | Keeping | TakenBack, offer: Offer, now_ns: int) -> Step:
     following = epoch(state) + 1
     if following >= LAST_EPOCH:  # one more is kept for taking back
         return state, (Refused(Refusal.EPOCHS_EXHAUSTED),)
     live = Handoff(offer.handoff_id, following, offer.target_id)
     offering = Offering(live, now_ns + to_ns(config.offer_s), now_ns + to_ns(config.handoff_s))
-    return offering, (Persist(record(offering)),)
+    take: Actions = () if is_responsible(state) else (TakeResponsibility(provisional=False),)
+    return offering, (Persist(record(offering)), *take)
 
 
 def _commit(config: ProtocolConfig, state: Verifying, agreed: AgreementComplete, now_ns: int) -> Step:
@@ -254,7 +265,7 @@ def _commit(config: ProtocolConfig, state: Verifying, agreed: AgreementComplete,
 
 def _give_up(state: Offering | Verifying, reason: AbortReason, now_ns: int) -> Step:
     """Before the commit: over at once, and still responsible."""
-    return Idle(state.live.epoch), (Send(_abort(state.live, reason, now_ns)), Ended(Outcome.ABORTED, reason))
+    return Keeping(state.live.epoch), (Send(_abort(state.live, reason, now_ns)), Ended(Outcome.ABORTED, reason))
 
 
 def _hear(  # noqa: PLR0911
@@ -288,7 +299,7 @@ def _hear_abort(state: Offering | Verifying | AwaitingAccept | HandedOver, abort
         return state, (Refused(Refusal.WRONG_HANDOFF),)
     match state:
         case Offering() | Verifying():
-            return Idle(state.live.epoch), (Ended(Outcome.ABORTED, abort.reason),)
+            return Keeping(state.live.epoch), (Ended(Outcome.ABORTED, abort.reason),)
         case AwaitingAccept():
             # Not yet responsible again: S4 waits for the lease's end, whatever the receiver says.
             withdrawn = replace(state, withdrawn=state.withdrawn or abort.reason)
@@ -341,7 +352,7 @@ class SenderMachine:
     @property
     def live(self) -> Handoff | None:
         """What Targets are to carry; None when there is no handoff."""
-        return None if isinstance(self.state, Idle) else self.state.live
+        return None if isinstance(self.state, Idle | Keeping) else self.state.live
 
     @property
     def responsible(self) -> bool:

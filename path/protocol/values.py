@@ -11,7 +11,7 @@ from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Confirm
 
 LAST_EPOCH = 65535
 
-SenderDuty = Literal["mine", "released", "handed_over"]
+SenderDuty = Literal["idle", "mine", "released", "handed_over"]
 ReceiverDuty = Literal["observing", "provisional", "holding", "let_go"]
 
 
@@ -143,7 +143,7 @@ class PeerStatus:
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """Sender: begin a handoff of the object it tracks."""
+    """Sender: begin a handoff of the object it tracks, and is responsible for from here on."""
 
     handoff_id: int
     target_id: int
@@ -208,14 +208,15 @@ class SenderRecord:
 
     Attributes:
         epoch: the last one used.
-        duty: "mine" (responsible), "released" (committed, nothing confirmed) or "handed_over" (accepted).
+        duty: "idle" (nothing is its own), "mine" (responsible), "released" (committed, nothing confirmed) or
+            "handed_over" (accepted).
         live: the attempt it is released or handed over in; None when it is neither.
         nonce, lease_end_ns, take_back_ns: of its COMMIT; 0 when there is none.
         withdrawn: the attempt was aborted after the COMMIT.
     """
 
     epoch: int = 0
-    duty: SenderDuty = "mine"
+    duty: SenderDuty = "idle"
     live: Handoff | None = None
     nonce: int = 0
     lease_end_ns: int = 0

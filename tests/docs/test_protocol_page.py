@@ -92,6 +92,7 @@ def test_the_table_says_in_which_states_a_drone_is_responsible() -> None:
     told = {row[0].strip("`"): row[1] == "yes" for row in rows("The receiver, D2")[1:]}
     states: list[sender.SenderState | receiver.ReceiverState] = [
         sender.Idle(),
+        sender.Keeping(1),
         sender.Offering(LIVE, 0, 0),
         sender.Verifying(LIVE, 0),
         sender.AwaitingAccept(LIVE, Commit(1, 1, 1, 1, 0, 0), 0, 0),
@@ -148,7 +149,8 @@ def test_a_restart_resumes_what_the_table_says(same_clock: bool) -> None:
     now, column = 100 * S, 1 if same_clock else 2
     told = {row[0].replace("`", ""): row[column].strip("`") for row in rows("After a restart")[1:]}
     senders = {
-        "mine": SenderRecord(1),
+        "idle": SenderRecord(1),
+        "mine": SenderRecord(1, "mine"),
         "released": SenderRecord(1, "released", LIVE, 7, now + S, now + S),
         "handed_over": SenderRecord(1, "handed_over", LIVE, 7, 0, now + S),
     }

@@ -208,7 +208,7 @@ def with_failing(rig: Any, role: Role, duty: str, course: Callable[[Pair], Corou
 def test_a_disk_that_cannot_be_written_is_found_before_anything_flies(rig: Any, role: Role) -> None:
     async def main() -> None:
         pair = Pair(rig)
-        pair.store[role] = FailingStore("mine" if role is Role.SENDER else "observing")
+        pair.store[role] = FailingStore("idle" if role is Role.SENDER else "observing")
         with pytest.raises(StateError):
             started(pair, rig, role, flying=False)
 

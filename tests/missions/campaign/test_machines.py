@@ -67,6 +67,27 @@ def test_a_program_may_die_between_any_two_effects_of_the_hand_over(role: Role, 
         assert Machines(replace(CALM, crashes=(crash,)), faulty_channel).run().violations == ()
 
 
+def test_what_was_handed_over_before_a_landing_is_not_taken_for_its_own_by_a_later_restart() -> None:
+    at_s = commit_s(CALM) + 1.0
+    landed = Crash(Role.SENDER, at_s, 1, True, 0.5, reboot=False, flying=False)
+    crashes = (landed, replace(landed, at_s=at_s + 1.0, flying=True))
+    run = Machines(replace(CALM, crashes=crashes), faulty_channel).run()
+    assert (run.outcome, run.violations) == ("commit", ())
+
+
+@pytest.mark.parametrize("after", range(1, 5))
+def test_a_sender_may_die_before_its_first_epoch_is_on_the_disk(after: int) -> None:
+    offered_s = next(at_s for at_s, _, what in story(CALM) if what == "is responsible")
+    for before_s in (0.02, 0.04, 0.06):
+        crash = Crash(Role.SENDER, offered_s - before_s, after, False, 0.5, reboot=False, flying=False)
+        assert Machines(replace(CALM, crashes=(crash,), disk_s=0.04), faulty_channel).run().violations == ()
+
+
+@pytest.mark.parametrize(("level", "number"), [("harsh", 14750), ("harsh", 9474), ("harsh", 2846)])
+def test_a_run_that_went_wrong_once_stays_right(level: LevelName, number: int) -> None:
+    assert Machines(draw(21, level, number), faulty_channel).run().violations == ()
+
+
 @pytest.mark.parametrize(
     "rule",
     [

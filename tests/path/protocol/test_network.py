@@ -13,7 +13,7 @@ from path.messages import AbortReason, Accept, Candidate, Commit, Confirm, Messa
 from path.observations import MissReason
 from path.protocol import receiver, sender
 from path.protocol.receiver import Holding, Provisional, ReceiverMachine
-from path.protocol.sender import AwaitingAccept, HandedOver, Idle, SenderMachine, TakenBack, Verifying
+from path.protocol.sender import AwaitingAccept, HandedOver, Idle, Keeping, SenderMachine, TakenBack, Verifying
 from path.protocol.values import (
     AbortRequested,
     Actions,
@@ -173,7 +173,7 @@ class Handovers(RuleBasedStateMachine):
     def time_passes(self, ms: int) -> None:
         self.pair.advance(ms * MS)
 
-    @precondition(lambda self: not isinstance(self.pair.sender.state, Idle))
+    @precondition(lambda self: not isinstance(self.pair.sender.state, Idle | Keeping))
     @rule()
     def observe(self) -> None:
         self.pair.observe()

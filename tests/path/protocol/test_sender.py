@@ -10,7 +10,7 @@ from path.observations import MissReason
 from path.protocol.sender import (
     AwaitingAccept,
     HandedOver,
-    Idle,
+    Keeping,
     Offering,
     SenderMachine,
     TakenBack,
@@ -24,6 +24,7 @@ from path.protocol.values import (
     Ended,
     Handoff,
     Heard,
+    NewMission,
     Offer,
     Outcome,
     PeerStatus,
@@ -54,7 +55,8 @@ TAKE_BACK = T0 + 1 * S + 5 * MS
 
 def offering() -> SenderMachine:
     machine = SenderMachine(CONFIG)
-    assert machine.step(Offer(7, 3), T0) == (Persist(SenderRecord(1)),)
+    assert not machine.responsible
+    assert machine.step(Offer(7, 3), T0) == (Persist(SenderRecord(1, "mine")), TakeResponsibility(False))
     return machine
 
 
@@ -121,7 +123,7 @@ def test_it_takes_back_only_after_lease_end_and_uncertainty() -> None:
     machine.step(Tick(), TAKE_BACK - 1)
     assert not machine.responsible
     actions = machine.step(Tick(), TAKE_BACK)
-    assert actions == (Persist(SenderRecord(2)), TakeResponsibility(False), Ended(Outcome.TAKEN_BACK))
+    assert actions == (Persist(SenderRecord(2, "mine")), TakeResponsibility(False), Ended(Outcome.TAKEN_BACK))
     assert machine.responsible and machine.live == replace(LIVE, epoch=2)
 
 
@@ -193,14 +195,14 @@ def test_deadlines_end_in_timeout_and_responsible() -> None:
     actions = machine.step(AGREED, T0 + 20 * S)
     assert actions[1:] == (Ended(Outcome.TIMEOUT), Refused(Refusal.WRONG_STATE))
     assert machine.responsible
-    assert machine.step(Offer(8, 3), T0 + 21 * S) == (Persist(SenderRecord(2)),)
+    assert machine.step(Offer(8, 3), T0 + 21 * S) == (Persist(SenderRecord(2, "mine")),)
 
 
 def test_an_abort_before_the_commit_ends_it_at_once() -> None:
     machine = verifying()
     told = (Send(Abort(7, 1, AbortReason.PILOT, T0)), Ended(Outcome.ABORTED, AbortReason.PILOT))
     assert machine.step(AbortRequested(AbortReason.PILOT), T0) == told
-    assert machine.state == Idle(1)
+    assert machine.state == Keeping(1)
     machine = verifying()
     abort = Abort(7, 1, AbortReason.TARGET_LOST, 5)
     assert machine.step(Heard(replace(abort, epoch=0)), T0) == (Refused(Refusal.WRONG_HANDOFF),)
@@ -259,7 +261,7 @@ def restarted(machine: SenderMachine, now_ns: int, *, same_clock: bool = True) -
 def test_epochs_survive_restarts() -> None:
     machine = restarted(verifying(), T0)
     assert machine.responsible and machine.live is None
-    assert machine.step(Offer(7, 3), T0) == (Persist(SenderRecord(2)),)
+    assert machine.step(Offer(7, 3), T0) == (Persist(SenderRecord(2, "mine")),)
 
 
 def test_what_was_released_is_committed_again_after_a_restart_and_taken_back_in_time() -> None:
@@ -300,14 +302,26 @@ def test_a_restored_state_is_written_down_as_it_was(make: Callable[[], SenderMac
     assert record(restored(CONFIG, kept, T0 + 1)) == kept
 
 
+@pytest.mark.parametrize("make", [verifying, handed_over])
+def test_after_a_new_mission_nothing_is_its_own_and_no_restart_makes_it_so(make: Callable[[], SenderMachine]) -> None:
+    machine = make()
+    machine.step(Tick(), T0 + 60 * S)
+    released = (Release(),) if machine.responsible else ()
+    assert machine.step(NewMission(), T0 + 61 * S) == (*released, Persist(SenderRecord(1, "idle")))
+    machine = restarted(machine, T0 + 62 * S)
+    assert not machine.responsible and machine.live is None
+    offered = machine.step(Offer(7, 3), T0 + 63 * S)
+    assert offered == (Persist(SenderRecord(2, "mine")), TakeResponsibility(False))
+
+
 def test_epochs_do_not_wrap() -> None:
-    machine = SenderMachine(CONFIG, Idle(65534))
+    machine = SenderMachine(CONFIG, Keeping(65534))
     assert machine.step(Offer(7, 3), T0) == (Refused(Refusal.EPOCHS_EXHAUSTED),)
-    machine = SenderMachine(CONFIG, Idle(65533))
+    machine = SenderMachine(CONFIG, Keeping(65533))
     machine.step(Offer(7, 3), T0)
     machine.step(Heard(replace(CANDIDATE, epoch=65534)), T0)
     machine.step(replace(AGREED, epoch=65534), T0)
-    assert Persist(SenderRecord(65535)) in machine.step(Tick(), TAKE_BACK)
+    assert Persist(SenderRecord(65535, "mine")) in machine.step(Tick(), TAKE_BACK)
     machine.step(VerifyAgain(), TAKE_BACK)
     assert machine.step(replace(AGREED, epoch=65535), TAKE_BACK) == (Refused(Refusal.EPOCHS_EXHAUSTED),)
     assert machine.responsible
