@@ -43,10 +43,14 @@ class SeparationConfig:
 class RendezvousConfig:
     """Stand-off, search and approach of the receiver."""
 
-    stand_off_m: float = 1.75  # from the marker, along the planned line of sight
+    positions_within_m: float = 0.5  # how far apart the drones' reported positions may be wrong, across ...
+    heights_within_m: float = 0.4  # ... and in height
+    stand_off_m: float = 1.75  # from the marker, along the camera's axis; farther where positions may be that wrong
+    clearance_m: float = 0.3  # at the stand-off, besides the smallest separation, if positions are that wrong
     stand_off_tolerance_m: float = 0.25
-    search_slide_m: float = 0.8  # farthest outward from the stand-off
+    search_slide_m: float = 0.8  # farthest outward from the stand-off; farther where positions may be that wrong
     search_turn_deg: float = 50.0  # farthest to either side
+    go_arounds: int = 2  # new searches after approaches in which something was out of its bounds
     gain_per_s: float = 0.9
     max_speed_mps: float = 0.5
     arrived_m: float = 0.12
@@ -88,6 +92,7 @@ class Deadlines:
     approach_s: float = 30.0
     verify_s: float = 60.0
     target_coast_s: float = 2.0
+    target_regain_s: float = 4.0  # after it, of a sender that may still move freely
     marker_coast_s: float = 1.0
     marker_regain_s: float = 4.0
     depart_s: float = 20.0

@@ -11,19 +11,30 @@ from drivers.interfaces import VehicleState, VelocitySetpoint
 from drivers.rig import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, scale, subtract
+from flight.lean import Lean
 from flight.marker_view import MarkerView, levelled
-from flight.viewpoint import NoViewpoint, Scene, Viewpoint, plan_viewpoint
+from flight.viewpoint import Floats, NoViewpoint, Scene, Viewpoint, plan_viewpoint
 from path.camera import CameraModel
-from path.geometry import Matrix
 from path.marker.layout import MarkerLayout
 from path.messages import Status, Target
 from path.rotation import wrapped, yaw_of
 
 _TRANSIT_MPS = 1.0
+_TURN, _SLIDE, _CLIMB = 1.1, 0.3, 0.19  # rad/s of the search's three swings: no two are in step for long
+_NEAR_M = 1.6  # where the bounds of an approach are narrow
+_TOO_NEAR_M = 0.15  # above the smallest separation
+_RUSHING_MPS = 0.4  # above the speed of an approach
+_UNCERTAIN = 2.0  # times the largest uncertainty to close in with
 _UNSURE_SHARE = 0.3  # of the speed, while the marker's pose is uncertain
 _BACK_OFF_MPS = 0.25
 _SETTLE_S = 1.5  # at the stand-off, before it starts to slide
-_LEAN_SHARE = 0.05  # of each frame in the smoothed lean
+
+
+def stand_off_m(config: MissionConfig) -> float:
+    """Where reported positions may lead: clear of the other drone even if they are wrong by all that they may be."""
+    rendezvous = config.rendezvous
+    wrong_m = math.hypot(rendezvous.positions_within_m, rendezvous.heights_within_m)
+    return max(rendezvous.stand_off_m, config.separation.minimum_m + rendezvous.clearance_m + wrong_m)
 
 
 class Rendezvous:
@@ -51,17 +62,13 @@ class Rendezvous:
         self._now_ns = now_ns
         self._viewpoint: Viewpoint | None = None
         self._search_began_ns = 0
-        self._lean_n: Vec3 = (0.0, 0.0, 1.0)  # own z axis in NED, smoothed: the wind leans a hovering drone
+        self._shift_n_m: Vec3 | None = None  # of the sender's reported position, once its marker was measured
+        self.lean = Lean()
 
     @property
     def viewpoint(self) -> Viewpoint:
         assert self._viewpoint is not None, "there is no way to a viewpoint before one is planned"
         return self._viewpoint
-
-    def note_lean(self, R_n_b: Matrix) -> None:
-        """Own attitude in a frame."""
-        north, east, down = R_n_b[:, 2].tolist()
-        self._lean_n = add(scale(self._lean_n, 1.0 - _LEAN_SHARE), scale((north, east, down), _LEAN_SHARE))
 
     def plan(self, target: Target, layout: MarkerLayout) -> Viewpoint | NoViewpoint:
         """Plan the viewpoint for the geometry the sender reports now; a found one is flown to from now on."""
@@ -72,8 +79,7 @@ class Rendezvous:
             marker_side_m=max(marker.side_m for marker in layout.markers),
             body_h_m=R_h_v @ self._mount.T_b_v.inverse().t,
         )
-        tilt_h = np.array(from_heading(self._lean_n, -self._peer().yaw_rad))
-        tilt_h /= np.linalg.norm(tilt_h)
+        tilt_h = np.array(from_heading(self.lean.down_n, -self._peer().yaw_rad))
         config = self._config
         plan = plan_viewpoint(scene, self._camera, self._mount.T_b_c, config.rendezvous, config.separation, tilt_h)
         if isinstance(plan, Viewpoint):
@@ -106,19 +112,34 @@ class Rendezvous:
         place, yaw = self._stand_off()
         rendezvous = self._config.rendezvous
         searched_s = max(0.0, (self._now_ns() - self._search_began_ns) * 1e-9 - _SETTLE_S)
-        turn = math.radians(rendezvous.search_turn_deg) * min(1.0, 0.3 * searched_s) * math.sin(1.1 * searched_s)
-        back_m = 0.5 * rendezvous.search_slide_m * (1.0 - math.cos(0.3 * searched_s))
-        return self._by_position(add(place, from_heading((-back_m, 0.0, 0.0), yaw)), state, yaw + turn)
+        turn = math.radians(rendezvous.search_turn_deg) * min(1.0, 0.3 * searched_s) * math.sin(_TURN * searched_s)
+        back_m = _swing(max(rendezvous.search_slide_m, rendezvous.positions_within_m), _SLIDE * searched_s)
+        up_m = _swing(rendezvous.heights_within_m, _CLIMB * searched_s)
+        return self._by_position(add(place, from_heading((-back_m, 0.0, -up_m), yaw)), state, yaw + turn)
+
+    def note_seen(self, state: VehicleState, marker_n_m: Vec3) -> None:
+        """The marker, from the camera: from here on the sender is where this says, and not where it reports to be."""
+        peer = self._peer()
+        own = from_heading(_vec3(self._mount.T_b_c.t), yaw_of(state.q_n_b))
+        lever = from_heading(_vec3(self._mount.T_b_v.t), peer.yaw_rad)
+        there = subtract(add(add(state.position_n_m, own), marker_n_m), lever)
+        self._shift_n_m = subtract(there, peer.position_n_m)
+
+    @property
+    def stand_off_m(self) -> float:
+        """As near as this drone comes by reported positions; nearer once the marker has told what those are worth."""
+        return stand_off_m(self._config) if self._shift_n_m is None else self._config.rendezvous.stand_off_m
 
     def _stand_off(self) -> tuple[Vec3, float]:
-        peer, stand_off_m = self._peer(), self._config.rendezvous.stand_off_m
+        peer, stand_off_m = self._peer(), self.stand_off_m
         steepness = math.asin(float(self._mount.T_b_c.R[2, 2]))  # how far below the horizon the camera looks
         level_m, height_m = stand_off_m * math.cos(steepness), stand_off_m * math.sin(steepness)
         normal_b = self._mount.T_b_v.R[:, 2]  # of the plate, in D1's body
         facing = math.hypot(float(normal_b[0]), float(normal_b[1]))
         ahead, right = (float(normal_b[0]) / facing, float(normal_b[1]) / facing) if facing > 0.1 else (-1.0, 0.0)
         offset = from_heading((level_m * ahead, level_m * right, -height_m), peer.yaw_rad)
-        return add(peer.position_n_m, offset), bearing(scale(offset, -1.0))
+        place = add(peer.position_n_m, offset)
+        return place if self._shift_n_m is None else add(place, self._shift_n_m), bearing(scale(offset, -1.0))
 
     def _by_position(self, place_n_m: Vec3, state: VehicleState, yaw_rad: float) -> VelocitySetpoint:
         error, gain = subtract(place_n_m, state.position_n_m), self._config.rendezvous.gain_per_s
@@ -149,6 +170,24 @@ class Rendezvous:
             and norm(relative.velocity_n_mps) < rendezvous.arrived_speed_mps
         )
 
+    def out_of_bounds(self) -> str:
+        """Why this approach must not go on; "" while all is within its bounds."""
+        relative, rendezvous = self._marker.predict(self._now_ns()), self._config.rendezvous
+        if relative is None:
+            return ""
+        way, velocity = relative.marker_n_m, relative.velocity_n_mps
+        distance_m = norm(way)
+        closing_mps = -sum(a * b for a, b in zip(way, velocity, strict=True)) / distance_m
+        if distance_m < self._config.separation.minimum_m + _TOO_NEAR_M:
+            return f"{distance_m:.2f} m from the marker"
+        if distance_m > _NEAR_M:
+            return ""
+        if closing_mps > rendezvous.max_speed_mps + _RUSHING_MPS:
+            return f"closing in at {closing_mps:.1f} m/s"
+        if relative.sigma_m > _UNCERTAIN * rendezvous.max_position_sigma_m:
+            return f"uncertain by {relative.sigma_m:.2f} m at {distance_m:.1f} m"
+        return ""
+
     def _off_viewpoint(self, marker_n_m: Vec3) -> Vec3:
         """What is missing to the viewpoint, given the way from the camera to the marker."""
         return add(from_heading(self.viewpoint.camera_h_m, self._peer().yaw_rad), marker_n_m)
@@ -159,3 +198,13 @@ class Rendezvous:
         if self._marker.target_n_m is None:
             return self._peer().yaw_rad + self.viewpoint.yaw_h_rad
         return to_marker + 0.5 * wrapped(bearing(self._marker.target_n_m) - to_marker)
+
+
+def _swing(widest: float, phase_rad: float) -> float:
+    """From 0 to the widest and back."""
+    return 0.5 * widest * (1.0 - math.cos(phase_rad))
+
+
+def _vec3(of: Floats) -> Vec3:
+    x, y, z = of.tolist()
+    return x, y, z

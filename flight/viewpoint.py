@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flight.config import RendezvousConfig, SeparationConfig
+from flight.lean import leaned
 from path.camera import CameraModel
 from path.geometry import Pose
 
@@ -105,7 +106,7 @@ def plan_viewpoint(
         return NoViewpoint(rejected)
 
     places = candidates[alive]
-    yaw, margin = _look(places, scene, camera, T_b_c, np.eye(3) if tilt_h is None else _lean(tilt_h))
+    yaw, margin = _look(places, scene, camera, T_b_c, np.eye(3) if tilt_h is None else leaned(tilt_h))
     # a wider margin is worth a smaller marker, up to what a drone swings in a gust
     score = np.minimum(margin, 150.0) + (2.0 * marker_px[alive] - 20.0 * incidence[alive])[:, None]
     score[margin < rendezvous.image_margin_px] = -np.inf
@@ -137,13 +138,6 @@ def _clear_of_body(to_body: Floats, to_target: Floats, body_radius_m: float) -> 
     cosine = np.sum(to_body * to_target, axis=1) / (body_range * target_range)
     apart = np.arccos(np.clip(cosine, -1.0, 1.0))
     return apart >= np.arctan2(body_radius_m, body_range) + np.arctan2(_TARGET_RADIUS_M, target_range)
-
-
-def _lean(down_h: Floats) -> Floats:
-    """The smallest rotation that takes the vertical, (0, 0, 1), to a drone's own z axis."""
-    x, y, z = down_h.tolist()
-    k = 1.0 / (1.0 + z)
-    return np.array([[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, z]])
 
 
 def _look(places_h: Floats, scene: Scene, camera: CameraModel, T_b_c: Pose, lean: Floats) -> tuple[Floats, Floats]:

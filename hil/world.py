@@ -52,11 +52,27 @@ class HomeConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class ApartConfig:
+    """How far apart the drones' positions are from the start, besides the errors of their estimators.
+
+    The receiver's is the one that is off, in a direction drawn by seed; upward or downward likewise.
+    """
+
+    across_m: float = 0.0
+    height_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.across_m < 0.0 or self.height_m < 0.0:
+            raise ValueError("across_m and height_m must not be negative")
+
+
+@dataclass(frozen=True, slots=True)
 class WorldConfig:
     """The ``[world]`` table of a rig."""
 
     wind: WindConfig = field(default_factory=WindConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
+    apart: ApartConfig = field(default_factory=ApartConfig)
     airframe: AirframeConfig = field(default_factory=AirframeConfig)
     autopilot: AutopilotConfig = field(default_factory=AutopilotConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
@@ -149,10 +165,11 @@ class World:
     def __init__(self, config: WorldConfig, seed: int) -> None:
         """Raises ValueError when the objects do not fit."""
         self.config = config
-        traffic, sensors, autopilots = np.random.SeedSequence(seed).spawn(3)
+        traffic, sensors, autopilots, apart = np.random.SeedSequence(seed).spawn(4)
         homes = [config.home(role) for role in ROLES]
         self._traffic = Traffic(config.target, config.look_alikes, [home.position_m for home in homes], traffic)
         self._sensors = Sensors(config.wind, config.estimator, TICK_S, sensors.spawn(len(ROLES)))
+        self._sensors.position_bias[ROLES.index(Role.RECEIVER)] += _off(config.apart, np.random.default_rng(apart))
         self._airframe = config.airframe.row()
         self._states = np.stack([_at_home(home, config.airframe.leg_m) for home in homes])
         self._commands = np.zeros((len(ROLES), COMMAND_SIZE))
@@ -258,6 +275,14 @@ class World:
     def gps_jump(self, role: Role, vector_n_m: Vec3) -> None:
         """Shift a drone's position estimate by a NED vector, for good."""
         self._sensors.position_bias[ROLES.index(role)] += vector_n_m
+
+
+def _off(apart: ApartConfig, rng: np.random.Generator) -> Vec3:
+    """The receiver's error, NED."""
+    angle, up = rng.uniform(0.0, 2.0 * math.pi), bool(rng.integers(2))
+    return (
+        apart.across_m * math.cos(angle), apart.across_m * math.sin(angle), -apart.height_m if up else apart.height_m
+    )  # fmt: skip
 
 
 def _at_home(home: HomeConfig, leg_m: float) -> Array:

@@ -27,6 +27,7 @@ TrialName = Literal[
     "link",
     "compute",
     "processes",
+    "rendezvous",
     "beacon",
 ]
 Faults = Annotated[
@@ -161,9 +162,8 @@ class TrialOptions:
     """Run one of the paper's experiments, or all of them, and hold what comes out against the paper."""
 
     name: Annotated[TrialName, tyro.conf.Positional]
-    """Which trial; `all` runs every one but `processes`, which flies in real time, and makes one page, in about a
-    quarter of an hour on two cores."""
-    """Which trial; `all` runs every one but `beacon` and makes one page, in about a quarter of an hour on two cores."""
+    """Which trial; `all` runs those of the paper and makes one page, in about a quarter of an hour on two cores.
+    `processes`, `rendezvous` and `beacon` are asked for by name."""
 
     out: OutFolder = None
     """Folder for the page, summary.json and the pictures; trials/<time>-<name> by default."""

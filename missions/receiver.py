@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Callable
 from contextlib import AsyncExitStack
 from typing import Any
 
@@ -42,7 +43,8 @@ _RETREAT_M = 1.8
 _ABLE_S = 0.5
 _REPLAN_S = 0.5
 _PEER_POLL_S = 0.25
-_BY_MARKER = (Phase.APPROACH, Phase.VERIFY)
+_LOOK_S = 0.05
+_FINDING = (Phase.STAND_OFF, Phase.SEARCH, Phase.APPROACH)
 
 
 async def run_receiver(
@@ -105,30 +107,15 @@ class Receiver:
         await self._until_planned(deadlines.viewpoint_s)  # the wind's part is known only in the air
         await take_off(session, config.receiver_take_off_height_m)
 
-        session.enter(Phase.STAND_OFF)
-        session.pilot.guidance = self._rendezvous.to_stand_off
         session.spawn(self._watch())
-        await session.until(
-            lambda: self._rendezvous.at_stand_off(session.vehicle.state) or self._near(),
-            deadlines.stand_off_s,
-            Outcome.APPROACH_FAILED,
-            "the stand-off was not reached",
-        )
-
-        session.enter(Phase.SEARCH)
-        self._rendezvous.begin_search()
-        session.pilot.guidance = self._rendezvous.search
-        await session.until(
-            lambda: self._marker.fixes(session.now_ns()) >= _FIXES_TO_APPROACH,
-            deadlines.search_s,
-            Outcome.MARKER_NOT_FOUND,
-            "the sender's marker was not seen",
-        )
-
-        await self._until_planned(deadlines.viewpoint_s)
-        session.enter(Phase.APPROACH)
-        session.pilot.guidance = self._rendezvous.to_viewpoint
-        await self._arrive(deadlines.approach_s)
+        await self._find_marker(self._near)
+        left = config.rendezvous.go_arounds
+        while why := await self._approach():
+            if not left:
+                raise why
+            left -= 1
+            session.say(f"goes around: {why.detail}")
+            await self._find_marker(lambda: False)
 
         session.enter(Phase.VERIFY)
         session.observing = True
@@ -136,6 +123,51 @@ class Receiver:
 
         session.enter(Phase.FOLLOW, "responsible for the target")
         await asyncio.sleep(config.follow_after_s)
+
+    async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
+        """To the stand-off, or until it is near enough; then look for the marker."""
+        session, rendezvous, deadlines = self._session, self._rendezvous, self._config.deadlines
+        session.enter(Phase.STAND_OFF)
+        session.pilot.guidance = rendezvous.to_stand_off
+        await session.until(
+            lambda: rendezvous.at_stand_off(session.vehicle.state) or near_enough(),
+            deadlines.stand_off_s,
+            Outcome.APPROACH_FAILED,
+            "the stand-off was not reached",
+        )
+        session.enter(Phase.SEARCH)
+        rendezvous.begin_search()
+        session.pilot.guidance = rendezvous.search
+        await session.until(
+            lambda: self._marker.fixes(session.now_ns()) >= _FIXES_TO_APPROACH,
+            deadlines.search_s,
+            Outcome.MARKER_NOT_FOUND,
+            "the sender's marker was not seen",
+        )
+
+    async def _approach(self) -> MissionEnd | None:
+        """To the planned viewpoint; what the mission would end with when something is out of its bounds.
+
+        It has arrived once the camera is there, slow, for a while.
+        """
+        session, rendezvous, deadlines = self._session, self._rendezvous, self._config.deadlines
+        await self._until_planned(deadlines.viewpoint_s)
+        session.enter(Phase.APPROACH)
+        session.pilot.guidance = rendezvous.to_viewpoint
+        loop = asyncio.get_running_loop()
+        end_s, steady_since_s = loop.time() + deadlines.approach_s, loop.time()
+        while loop.time() - steady_since_s <= _ARRIVED_S:
+            unseen_s = self._marker.unseen_s(session.now_ns())
+            if unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
+                return MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
+            if out := rendezvous.out_of_bounds():
+                return MissionEnd(Outcome.APPROACH_FAILED, out)
+            if loop.time() > end_s:
+                return MissionEnd(Outcome.APPROACH_FAILED, f"no viewpoint reached in {deadlines.approach_s:.0f} s")
+            await asyncio.sleep(_LOOK_S)
+            if not rendezvous.at_viewpoint():
+                steady_since_s = loop.time()
+        return None
 
     async def recover(self, end: MissionEnd | None) -> bool:
         self._watching = False
@@ -157,20 +189,7 @@ class Receiver:
         session = self._session
         now_ns = session.now_ns()
         relative = self._marker.predict(now_ns) if self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH else None
-        return relative is not None and norm(relative.marker_n_m) < self._config.rendezvous.stand_off_m
-
-    async def _arrive(self, timeout_s: float) -> None:
-        """Until the camera is at the viewpoint, slow, for a while. Raises MissionEnd(APPROACH_FAILED)."""
-        steady_since_ns = self._session.now_ns()
-
-        def arrived() -> bool:
-            nonlocal steady_since_ns
-            now_ns = self._session.now_ns()
-            if not self._rendezvous.at_viewpoint():
-                steady_since_ns = now_ns
-            return (now_ns - steady_since_ns) * 1e-9 > _ARRIVED_S
-
-        await self._session.until(arrived, timeout_s, Outcome.APPROACH_FAILED, "the viewpoint was not reached")
+        return relative is not None and norm(relative.marker_n_m) < self._rendezvous.stand_off_m
 
     async def _until_planned(self, timeout_s: float) -> None:
         """Plan until there is a viewpoint: the sender may still be on its way to its place behind the target."""
@@ -207,7 +226,7 @@ class Receiver:
             view = await session.sight.view(guard.frame_age_s)
             session.log.write("/frame", view.stamp_ns, {"frame_id": view.frame_id})
             R_n_b = self._eye.R_n_b(view.stamp_ns)
-            self._rendezvous.note_lean(R_n_b)
+            self._rendezvous.lean.note(R_n_b)
             if self._handover.holds:
                 self._follow_once(view, R_n_b)
             else:
@@ -270,8 +289,10 @@ class Receiver:
             distance_m = norm(relative.marker_n_m)
             session.note_separation(distance_m)
             check_separation(distance_m, self._config.separation.minimum_m)
+            if session.phase in _FINDING:
+                self._rendezvous.note_seen(session.vehicle.state, relative.marker_n_m)
         unseen_s = self._marker.unseen_s(stamp_ns)
-        if session.phase in _BY_MARKER and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
+        if session.phase is Phase.VERIFY and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
             raise MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
 
     def _note_found(self, view: View, T_n_c: Pose, candidate: Candidate, prior: Prior) -> None:

@@ -13,6 +13,7 @@ from flight.config import MissionConfig
 from flight.eye import Eye
 from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, subtract
 from flight.harness import Emit, InProcess, RoleResult
+from flight.lean import Lean
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.tracking import Sighting, TargetTrack, acquire, follow
@@ -24,7 +25,7 @@ from missions.steps import bring_down, preflight, take_off
 from path.agreement import Agreed
 from path.geometry import Matrix
 from path.messages import Candidate, Role, Target
-from path.observations import Missed, MissReason
+from path.observations import Box, Missed, MissReason
 from path.rotation import yaw_of
 from path.sender import Pair, SenderCycle
 from path.window import Gate
@@ -32,6 +33,8 @@ from path.window import Gate
 _STEADY_FRAMES = 5
 _PEER_POLL_S = 0.25
 _STEADY_M = 0.25
+_ROOM = 0.2  # of the image, at each side, when the target is acquired
+_WIDER = 1.4  # times the distance, to see it again
 
 
 async def run_sender(
@@ -60,6 +63,9 @@ class Sender:
         self._config: MissionConfig = config
         self._camera = rig.sender.camera
         self._eye = Eye(session.vehicle, rig.sender.mount)
+        self._lean = Lean()
+        ahead, right, down = rig.sender.mount.T_b_c.R[:, 2].tolist()
+        self._axis_b: Vec3 = (ahead, right, down)
         self._heading_rad = math.radians(config.heading_deg)
         self._track: TargetTrack | None = None
         self._steady: list[Vec3] = []
@@ -82,7 +88,7 @@ class Sender:
         await take_off(session, config.take_off_height_m)
 
         session.enter(Phase.ACQUIRE)
-        session.pilot.guidance = Anchor(self._first_place(), self._heading_rad).hold
+        session.pilot.guidance = self._to_first_place
         session.spawn(self._watch())
         await session.until(
             lambda: self._track is not None,
@@ -140,26 +146,42 @@ class Sender:
             self._way_out = Anchor(add(state.position_n_m, aside), yaw_of(state.q_n_b))
         return self._way_out
 
-    def _first_place(self) -> Vec3:
-        """From where the designated place is in view."""
-        target, keep = self._config.target, self._config.follow
-        behind = from_heading((-keep.behind_m, 0.0, -keep.height_m), self._heading_rad)
-        return add((target.north_m, target.east_m, 0.0), behind)
+    def _may_regain(self) -> bool:
+        """Whether there is room to back off: the receiver is not on its way to this drone yet."""
+        peer = self._session.peer
+        return peer is None or peer.phase < Phase.STAND_OFF
+
+    def _regaining(self) -> bool:
+        """The target was out of sight for a while: more of the ground is seen from farther off."""
+        track = self._track
+        if track is None or not self._may_regain():
+            return False
+        return (self._session.now_ns() - track.seen_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
+
+    def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
+        """To where the designated place is in view."""
+        target = self._config.target
+        place = self._view_of((target.north_m, target.east_m, -target.height_m))
+        return Anchor(place, self._heading_rad).hold(state)
+
+    def _view_of(self, target_n_m: Vec3) -> Vec3:
+        """Behind and above the target, in the heading it was approached with; a drone that leans stands aside."""
+        keep, wider = self._config.follow, _WIDER if self._regaining() else 1.0
+        below_m = wider * (keep.height_m - self._config.target.height_m)
+        place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
+        return add(place, self._lean.aim(self._axis_b, self._heading_rad, below_m))
 
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
-        """Stay behind and above the target, in the heading it was approached with."""
+        """Keep the target in view from behind."""
         assert self._track is not None
         session, keep = self._session, self._config.follow
         if session.phase is Phase.VERIFY and session.peer_silence_s() > self._config.guard.near_silence_s:
             # the receiver may hang or sink where it was last, and the target may lead there
             return VelocitySetpoint((0.0, 0.0, 0.0), self._heading_rad)
         target, _ = self._track.predict(session.now_ns())
-        down = self._config.target.height_m - keep.height_m
-        place = add(target, from_heading((-keep.behind_m, 0.0, down), self._heading_rad))
         north, east, _ = self._track.velocity_n_mps
-        velocity = close_in(
-            subtract(place, state.position_n_m), (north, east, 0.0), keep.gain_per_s, keep.max_speed_mps
-        )
+        error = subtract(self._view_of(target), state.position_n_m)
+        velocity = close_in(error, (north, east, 0.0), keep.gain_per_s, keep.max_speed_mps)
         return VelocitySetpoint(velocity, self._heading_rad)
 
     def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
@@ -176,6 +198,7 @@ class Sender:
         while self._watching:
             view = await session.sight.view(self._config.guard.frame_age_s)
             R_n_b = self._eye.R_n_b(view.stamp_ns)
+            self._lean.note(R_n_b)
             if self._track is None:
                 self._try_to_acquire(view, R_n_b)
             else:
@@ -196,7 +219,7 @@ class Sender:
         place = (target.north_m, target.east_m, -target.height_m)
         T_n_c = self._eye.T_n_c(view.stamp_ns, R_n_b)
         found = acquire(view, T_n_c, self._camera, place, target.radius_m)
-        if isinstance(found, MissReason):
+        if isinstance(found, MissReason) or not self._well_inside(found[0].box):
             self._steady.clear()
             return
         position = found[1]
@@ -206,12 +229,19 @@ class Sender:
         if len(self._steady) >= _STEADY_FRAMES:
             self._track = TargetTrack(position, view.stamp_ns)
 
+    def _well_inside(self, box: Box) -> bool:
+        """Whether a gust would not take it out of the image at once."""
+        u, v = box.center
+        room_u, room_v = _ROOM * self._camera.width, _ROOM * self._camera.height
+        return room_u <= u <= self._camera.width - room_u and room_v <= v <= self._camera.height - room_v
+
     def _cycle_once(self, view: View, R_n_b: Matrix, track: TargetTrack) -> None:
         """One cycle of PATH: follow the box, say where the target is, judge the receiver's answers."""
         session = self._session
         seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
-        unseen_s = (view.stamp_ns - track.seen_ns) * 1e-9
-        if unseen_s > self._config.deadlines.target_coast_s and not self._handover.handed_over:
+        unseen_s, deadlines = (view.stamp_ns - track.seen_ns) * 1e-9, self._config.deadlines
+        bearable_s = deadlines.target_coast_s + (deadlines.target_regain_s if self._may_regain() else 0.0)
+        if unseen_s > bearable_s and not self._handover.handed_over:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
         cycle = self._cycle
         if cycle is None:

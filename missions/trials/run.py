@@ -27,9 +27,12 @@ from missions.trials.page import PAGE, Chapter, render_page
 from missions.trials.trial import Finding, TrialRequest, TrialResult, Verdict
 from missions.work import open_work
 
-NAMES: tuple[str, ...] = tuple(name for name in get_args(TrialName) if name not in ("all", "processes", "beacon"))
-"""All that ``all`` runs: ``processes`` takes minutes that no core shortens, and ``beacon`` is one of ``dynamic``'s."""
+NAMES: tuple[str, ...] = tuple(
+    name for name in get_args(TrialName) if name not in ("all", "processes", "rendezvous", "beacon")
+)
+"""All that ``all`` runs: ``processes`` and ``rendezvous`` take half an hour each, ``beacon`` is ``dynamic``'s."""
 RIG = "sim-rendered"
+RIGS = {"beacon": "dynamic", "rendezvous": "sim-field"}
 EXIT_FAILED = 1
 STYLE: dict[Verdict, str] = {"met": "green", "short": "red", "measured": ""}
 
@@ -97,7 +100,7 @@ def command(options: TrialOptions, name: str) -> str:
 
 def rig_of(name: str) -> str:
     """The rig of a trial when none is named."""
-    return "dynamic" if name == "beacon" else RIG
+    return RIGS.get(name, RIG)
 
 
 def findings_table(findings: Sequence[Finding]) -> Table:

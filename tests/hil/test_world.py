@@ -11,8 +11,9 @@ import pytest
 
 from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.tables import RigError, decode_table
+from flight.guidance import subtract
 from hil.estimator import EstimatorConfig, WindConfig
-from hil.world import HomeConfig, World, WorldConfig
+from hil.world import ApartConfig, HomeConfig, World, WorldConfig
 from path.messages import Role
 
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
@@ -246,3 +247,23 @@ def test_the_configuration_is_a_table_and_wrong_keys_are_named() -> None:
         decode_table({"wind": {"speed": 2}}, WorldConfig, "rig.toml: world")
     with pytest.raises(RigError, match="at least 1 m apart"):
         decode_table({"receiver_home": {"position_m": [0.5, 0]}}, WorldConfig, "rig.toml: world")
+
+
+def test_positions_that_are_apart_differ_by_as_much_as_is_told_and_change_nothing_else() -> None:
+    names = EstimatorConfig.__slots__
+    exact = WorldConfig(estimator=EstimatorConfig(**dict.fromkeys(names, 0.0)))
+    apart = replace(exact, apart=ApartConfig(across_m=2.0, height_m=1.0))
+    angles: set[float] = set()
+    for seed in range(5):
+        right, wrong = World(exact, seed), World(apart, seed)
+        assert wrong.drone(Role.SENDER).estimate == right.drone(Role.SENDER).estimate
+        off, on = (world.drone(Role.RECEIVER).estimate.position_n_m for world in (wrong, right))
+        n, e, d = subtract(off, on)
+        assert (math.hypot(n, e), abs(d)) == pytest.approx((2.0, 1.0))
+        angles.add(round(math.atan2(e, n), 3))
+    assert len(angles) == 5
+
+
+def test_positions_cannot_be_apart_by_less_than_nothing() -> None:
+    with pytest.raises(ValueError, match="across_m"):
+        ApartConfig(across_m=-1.0)

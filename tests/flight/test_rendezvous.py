@@ -1,0 +1,101 @@
+"""How far D2 keeps away while all it has are positions, and what sends it round again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from drivers.interfaces import FlightMode, VehicleState
+from flight.config import MissionConfig, RendezvousConfig
+from flight.guidance import Vec3, norm, subtract
+from flight.rendezvous import Rendezvous, stand_off_m
+from missions import rig_library
+from path.messages import Role, Status
+
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+WRONG = RendezvousConfig(positions_within_m=2.0, heights_within_m=1.0)
+
+
+@dataclass
+class Seen:
+    """What the marker view says."""
+
+    marker_n_m: Vec3 = (1.0, 0.0, 0.5)
+    velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
+    sigma_m: float = 0.01
+    known: bool = True
+
+    def predict(self, stamp_ns: int) -> Any:
+        return self if self.known else None
+
+
+def state(position_n_m: Vec3) -> VehicleState:
+    still = (0.0, 0.0, 0.0)
+    return VehicleState(0, 0, position_n_m, still, LEVEL, True, True, True, FlightMode.OFFBOARD, 1.0)
+
+
+def rendezvous(config: MissionConfig, seen: Seen, clock_ns: list[int] | None = None) -> Rendezvous:
+    rig = rig_library.load("sim")
+    peer = Status(Role.SENDER, 0, (2.0, 0.0, -1.5), (0.0, 0.0, 0.0), 0.0, 0, True, True, 1.0)
+    now = clock_ns or [0]
+    return Rendezvous(
+        config, rig.receiver.camera, rig.receiver.mount, cast(Any, seen), lambda: peer, lambda: now[0]
+    )  # fmt: skip
+
+
+def test_the_stand_off_is_clear_of_the_other_drone_however_the_positions_are_wrong() -> None:
+    assert stand_off_m(MissionConfig()) == 1.75
+    config = MissionConfig(rendezvous=WRONG)
+    assert stand_off_m(config) == pytest.approx(0.70 + 0.3 + math.hypot(2.0, 1.0))
+    guide = rendezvous(config, Seen())
+    place, _ = guide._stand_off()
+    assert norm(subtract(place, (2.0, 0.0, -1.5))) == pytest.approx(stand_off_m(config))
+
+
+def test_once_the_marker_was_seen_it_says_where_the_sender_is() -> None:
+    config = MissionConfig(rendezvous=WRONG)
+    seen = Seen(marker_n_m=(2.0, 1.0, 1.0))
+    guide = rendezvous(config, seen)
+    own = state((-3.0, -0.5, -2.0))
+    guide.note_seen(own, seen.marker_n_m)
+    place, _ = guide._stand_off()
+    rig = rig_library.load("sim")
+    camera = np.array(own.position_n_m) + rig.receiver.mount.T_b_c.t
+    sender = camera + np.array(seen.marker_n_m) - rig.sender.mount.T_b_v.t
+    assert np.linalg.norm(np.array(place) - sender) == pytest.approx(config.rendezvous.stand_off_m)
+    assert guide.stand_off_m == config.rendezvous.stand_off_m
+
+
+@pytest.mark.parametrize(
+    ("seen", "why"),
+    [
+        (Seen(), ""),
+        (Seen(known=False), ""),
+        (Seen(marker_n_m=(0.8, 0.0, 0.2)), "0.82 m from the marker"),
+        (Seen(velocity_n_mps=(-1.2, 0.0, 0.0)), "closing in at 1.1 m/s"),
+        (Seen(velocity_n_mps=(1.2, 0.0, 0.0)), ""),
+        (Seen(sigma_m=0.2), "uncertain by 0.20 m at 1.1 m"),
+        (Seen(marker_n_m=(3.0, 0.0, 1.0), velocity_n_mps=(-1.2, 0.0, 0.0), sigma_m=0.2), ""),
+    ],
+)
+def test_an_approach_goes_on_only_within_its_bounds(seen: Seen, why: str) -> None:
+    assert rendezvous(MissionConfig(), seen).out_of_bounds() == why
+
+
+def test_the_search_never_comes_nearer_than_the_stand_off() -> None:
+    config, clock_ns = MissionConfig(rendezvous=replace(WRONG, gain_per_s=0.1)), [0]
+    guide = rendezvous(config, Seen(known=False), clock_ns)
+    guide.begin_search()
+    place, yaw = guide._stand_off()
+    yaws: list[float] = []
+    for second in range(0, 60):
+        clock_ns[0] = second * 1_000_000_000
+        setpoint = guide.search(state(place))
+        ahead, _, down = setpoint.velocity_n_mps
+        assert ahead * math.cos(yaw) <= 1e-9 and down <= 1e-9  # outward and upward only, from the stand-off
+        yaws.append(setpoint.yaw_rad - yaw)
+    assert min(yaws) < -0.7 and max(yaws) > 0.7

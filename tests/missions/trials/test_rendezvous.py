@@ -1,0 +1,58 @@
+"""The rendezvous trial: one whole mission from bad positions, and what is read from the truth."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.log import LogRecord
+from flight.config import SeparationConfig
+from missions import cli
+from missions.trials import rendezvous, rendezvous_flights
+
+
+def truth(at_s: float, receiver_m: tuple[float, float, float], *, in_air: bool = True) -> LogRecord:
+    east = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # turned to the north
+    record: dict[str, Any] = {
+        "sender": {"t": [1.0, 1.0, 1.5], "q": east, "in_air": True},
+        "receiver": {"t": list(receiver_m), "q": east, "in_air": in_air},
+    }
+    return LogRecord("/truth", round(at_s * 1e9), record)
+
+
+def test_nearness_is_the_truths_while_both_fly() -> None:
+    world = {
+        "/truth": [
+            truth(0.0, (1.0, 0.9, 1.5), in_air=False),
+            truth(0.1, (1.0, -0.2, 1.5)),
+            truth(0.2, (1.3, 0.6, 3.0)),
+            truth(0.3, (1.3, 0.6, 3.0)),
+            truth(0.4, (3.0, 0.0, 1.5)),
+        ]
+    }
+    places = list(rendezvous_flights._places(world))
+    assert len(places) == 4
+    nearest_m, ellipsoid, cone_s = rendezvous_flights._nearness(places, SeparationConfig())
+    assert nearest_m == pytest.approx(1.2)
+    assert ellipsoid == pytest.approx(1.2 / 0.6)
+    assert cone_s == pytest.approx(0.2)  # half a metre aside, one and a half below
+    assert rendezvous_flights._from_heading(places[0]) == pytest.approx((-1.2, 0.0, 0.0), abs=1e-9)
+
+
+def test_a_mission_from_bad_positions_finds_the_sender(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(rendezvous, "QUICK_MISSIONS", 1)
+    out = tmp_path / "trial"
+    with pytest.raises(SystemExit) as end:
+        cli.main(["trial", "rendezvous", "--quick", "--seed", "3", "--out", str(out)])
+    assert end.value.code == 0
+    assert "1 of 1" in capsys.readouterr().out
+    summary = json.loads((out / "summary.json").read_text())
+    assert (summary["arrived"], summary["violations"]) == (1, 0)
+    assert summary["smallest_separation_m"] > 0.7 and summary["smallest_ellipsoid"] > 1.0
+    assert (out / "rendezvous.png").stat().st_size > 10_000
