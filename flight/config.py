@@ -92,7 +92,7 @@ class Deadlines:
     approach_s: float = 30.0
     verify_s: float = 60.0
     target_coast_s: float = 2.0
-    target_regain_s: float = 4.0  # after it, of a sender that may still move freely
+    target_regain_s: float = 4.0  # after it, of a sender that nobody verifies with yet
     marker_coast_s: float = 1.0
     marker_regain_s: float = 4.0
     depart_s: float = 20.0

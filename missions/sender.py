@@ -240,7 +240,9 @@ class Sender:
         session = self._session
         seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
         unseen_s, deadlines = (view.stamp_ns - track.seen_ns) * 1e-9, self._config.deadlines
-        bearable_s = deadlines.target_coast_s + (deadlines.target_regain_s if self._may_regain() else 0.0)
+        bearable_s = deadlines.target_coast_s
+        if session.phase is not Phase.VERIFY:
+            bearable_s += deadlines.target_regain_s
         if unseen_s > bearable_s and not self._handover.handed_over:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
         cycle = self._cycle
