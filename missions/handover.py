@@ -194,8 +194,12 @@ class _Handover(Generic[Machine]):
     def on_status(self, status: Status) -> None:
         alignment = self._session.alignment
         if alignment.ready:
-            stamp_ns = alignment.to_own_ns(status.stamp_ns) - alignment.uncertainty_ns
-            self._hear(lambda: PeerStatus(status.responsible, stamp_ns))
+            self._on_status(
+                PeerStatus(status.responsible, alignment.to_own_ns(status.stamp_ns) - alignment.uncertainty_ns)
+            )
+
+    def _on_status(self, status: PeerStatus) -> None:
+        self._hear(lambda: status)
 
     async def finish(self) -> None:
         """Before the link is closed: what was said to a machine is carried out, if the disk lets it in time."""
@@ -316,6 +320,8 @@ class SenderHandover(_Handover[SenderMachine]):
             assert isinstance(kept.record, SenderRecord)
             machine.state = sender.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
         super().__init__(session, store, machine, kept, sender.record(machine.state))
+        self._anew_ns = session.now_ns()
+        self._free_ns: int | None = None  # the newest word of the other drone that it holds nothing; None: it does
         if kept is not None:  # on the ground a new mission begins: nobody tracks its target yet
             session.set_responsible(machine.responsible and session.vehicle.state.armed)
 
@@ -337,11 +343,24 @@ class SenderHandover(_Handover[SenderMachine]):
     def handed_over(self) -> bool:
         return isinstance(self._machine.state, HandedOver)
 
+    def begin_anew(self) -> None:
+        self._anew_ns = self._session.now_ns()
+        super().begin_anew()
+
+    def _on_status(self, status: PeerStatus) -> None:
+        super()._on_status(status)
+        self._free_ns = None if status.responsible else status.stamp_ns
+
+    @property
+    def peer_is_free(self) -> bool:
+        """The other drone said that it holds nothing, and said so since this one has nothing left to give to it."""
+        return self._free_ns is not None and self._free_ns > self._anew_ns
+
     async def until_free(self) -> None:
         """Until the other drone is heard not to hold a target. Raises MissionEnd(PEER_ABORTED) when it goes on to."""
         session = self._session
         await session.until(
-            lambda: session.peer is not None and not session.peer.responsible,
+            lambda: self.peer_is_free,
             session.config.deadlines.peer_s,
             Outcome.PEER_ABORTED,
             "the receiver did not let go of an earlier handoff's target",

@@ -55,7 +55,7 @@ class Judge:
         self._committed_s: float | None = None
         self._accepted: set[int] = set()  # epochs in which the sender was given an ACCEPT
         self._epochs: set[int] = set()  # of the sender's attempts
-        self._begun: int | None = None  # the epoch of one that is perhaps not on the disk yet: nothing is said in it
+        self._begun_s: float | None = None  # when one was begun that is not on the disk yet: nothing is said in it
         self._highest = {Role.SENDER: 0, Role.RECEIVER: 0}
         self._since: dict[Role, tuple[int, float] | None] = {Role.SENDER: None, Role.RECEIVER: None}
         self._ends: dict[Role, list[tuple[Outcome, str | None]]] = {Role.SENDER: [], Role.RECEIVER: []}
@@ -74,11 +74,9 @@ class Judge:
     def agreed(self, epoch: int) -> None:
         self._agreed.add(epoch)
 
-    def begun(self, program: Program, state: Any) -> None:
-        """The sender began an attempt."""
-        self._begun = used_epoch(state)
-        self._since[Role.SENDER] = (self._begun, self._world.now_s)
-        del program
+    def begun(self) -> None:
+        """The sender begins an attempt."""
+        self._begun_s = self._world.now_s
 
     def anew(self, program: Program) -> None:
         """On the ground a new mission begins: what was held or given away is over."""
@@ -88,7 +86,7 @@ class Judge:
     def died(self, program: Program) -> None:
         self._since[program.role] = None
         if program.role is Role.SENDER:
-            self._committed_s = self._begun = None
+            self._committed_s = self._begun_s = None
         self._gap()
 
     def kept(self, program: Program, record: SenderRecord | ReceiverRecord) -> None:
@@ -197,13 +195,14 @@ class Judge:
     def _begins(self, role: Role, state: Any) -> None:
         """An attempt is one once it is on the disk. S2: each has an epoch of its own."""
         if role is Role.SENDER:
-            if self._begun is None or used_epoch(state) < self._begun:
+            if self._begun_s is None or not isinstance(state, sender.Offering | sender.Verifying):
                 return
-            last = max(self._epochs, default=0)
-            if self._begun <= last:
-                self._violated("S2", f"an attempt in epoch {self._begun}, after {last}")
-            self._epochs.add(self._begun)
-            self._begun, self._anew = None, False
+            epoch, last = state.live.epoch, max(self._epochs, default=0)
+            if epoch <= last:
+                self._violated("S2", f"an attempt in epoch {epoch}, after {last}")
+            self._epochs.add(epoch)
+            self._since[role] = (epoch, self._begun_s)
+            self._begun_s, self._anew = None, False
         elif isinstance(state, receiver.Observing) and state.live is not None:
             since = self._since[role]
             if since is None or since[0] != state.live.epoch:

@@ -304,7 +304,7 @@ class SenderProgram(Program):
         if not self._settle():
             return
         if not self._attempts:
-            free = not self._again or (self.peer is not None and not self.peer.responsible)
+            free = not self._again or self.handover.peer_is_free
             if free and self.world.now_s - self.began_s >= self.world.plan.offer_s:
                 self._attempt(self.handover.begin_offer)
                 self.observing = True
@@ -325,8 +325,8 @@ class SenderProgram(Program):
     def _attempt(self, begin: Callable[[], None]) -> None:
         self._attempts += 1
         self._first_s, self._lied = None, False
+        self.world.judge.begun()
         begin()
-        self.world.judge.begun(self, self.handover.state)
 
     def _frame(self) -> float:
         """Says where the target is, and has the views agree when the script wants them to."""

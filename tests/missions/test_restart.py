@@ -171,6 +171,26 @@ def test_a_sender_does_not_begin_anew_while_the_receiver_holds(rig: Any) -> None
     fly(rig, course)
 
 
+def test_what_the_receiver_said_before_it_was_given_the_target_is_no_word_of_its_being_free(rig: Any) -> None:
+    """A sender killed after its COMMIT, started on the ground, hands over by its record and begins anew at once."""
+
+    async def course(pair: Pair) -> None:
+        session = pair.session[Role.SENDER]
+        status = next(m for m in reversed(pair.link[Role.RECEIVER].sent) if isinstance(m, Status))
+        assert not status.responsible
+        old_ns = session.alignment.to_own_ns(status.stamp_ns)
+        handover = pair.sender
+        handover.begin_anew()
+        handover.on_status(status)
+        assert not handover.peer_is_free and old_ns < session.now_ns()
+        handover.on_status(replace(status, stamp_ns=status.stamp_ns + 10**9))
+        assert handover.peer_is_free
+        handover.on_status(replace(status, stamp_ns=status.stamp_ns + 2 * 10**9, responsible=True))
+        assert not handover.peer_is_free
+
+    fly(rig, course)
+
+
 # --- disks that fail ---------------------------------------------------------------------------------------------
 
 
