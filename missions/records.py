@@ -122,11 +122,15 @@ def load_run(folder: Path) -> Run:
             f"{folder} is not the folder of a run: it holds none of {', '.join(names)}",
             "name the folder that `path-handoff handoff` printed, such as runs/20261104-101500",
         )
+    return Run(load_facts(folder), *(by_topic(*files) for files in logs))
+
+
+def load_facts(folder: Path) -> RunFacts | None:
+    """How a run ended; None when it was cut off before its end."""
     try:
-        facts = msgspec.json.decode((folder / FACTS).read_bytes(), type=RunFacts)
+        return msgspec.json.decode((folder / FACTS).read_bytes(), type=RunFacts)
     except (OSError, msgspec.DecodeError):
-        facts = None
-    return Run(facts, *(by_topic(*files) for files in logs))
+        return None
 
 
 def by_topic(*paths: Path) -> dict[str, list[LogRecord]]:

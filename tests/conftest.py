@@ -1,18 +1,58 @@
-"""What all tests share, and how property tests run everywhere: the same examples each time, and no limit of wall time.
+"""What all tests share, which of them may run beside which, and how property tests run everywhere: the same examples
+each time, and no limit of wall time.
 
 Machines are noisy. ``pytest --hypothesis-profile=explore`` looks for new examples.
 """
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in missions, and before any test loads numpy
+
+HERE = Path(__file__).parent
+# What has sockets, threads, processes and limits of its own: one at a time, and only what computes is run beside it.
+REAL_TIME = (
+    "contracts/",
+    "drivers/",
+    "hil/",
+    "missions/test_cli",
+    "missions/test_doctor",
+    "missions/test_guard.py",
+    "missions/test_restart",
+    "missions/test_session",
+    "missions/test_work",
+    "missions/trials/test_beacon",
+    "missions/trials/test_link",
+    "missions/verify/test_attack",
+    "missions/verify/test_run",
+    "scenarios/test_guard_sitl",
+    "scenarios/test_sitl",
+    "scenarios/test_unplugged",
+)
+APART = ("scenarios/test_sim",)  # long tests that share nothing
+
 settings.register_profile("steady", derandomize=True, deadline=None)
 settings.register_profile("explore", max_examples=1000, deadline=None)
 settings.load_profile("steady")
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """All tests on two cores; some of them without workers, which take seconds to start and cannot show output."""
+    return 2 if config.args_source is config.ArgsSource.TESTPATHS else 0
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests of one group stay in one worker: those in real time, and those of a module, which share fixtures."""
+    for item in items:
+        name = item.path.relative_to(HERE).as_posix()
+        if not name.startswith(APART):
+            group = "real time" if name.startswith(REAL_TIME) else name
+            item.add_marker(pytest.mark.xdist_group(group))
 
 
 @pytest.fixture

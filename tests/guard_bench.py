@@ -35,7 +35,8 @@ FORWARD = VelocitySetpoint((0.05, 0.0, 0.0), 0.0)
 class Bench:
     """Stepped by a thread; everything that touches the world takes ``lock``."""
 
-    def __init__(self) -> None:
+    def __init__(self, speed: float = 1.0) -> None:
+        self._speed = speed
         exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
         self.world = World(WorldConfig(WindConfig(0.0, gust_mps=0.0), exact, autopilot=QUICK), seed=1)
         self.drone = self.world.drone(Role.SENDER)
@@ -61,7 +62,7 @@ class Bench:
         while not stop.wait(STEP_S):
             steps += 1
             with self.lock:
-                self.world.advance(time.monotonic() - start_s)
+                self.world.advance(self._speed * (time.monotonic() - start_s))
                 self.vehicle.pump(self.world.time_s)
             if self.repeating and steps % SETPOINT_STEPS == 0:
                 self._setpoint()
@@ -101,8 +102,9 @@ class Bench:
 
 
 @contextmanager
-def bench() -> Generator[Bench]:
-    own, stop = Bench(), threading.Event()
+def bench(speed: float = 1.0) -> Generator[Bench]:
+    """The vehicle's time runs ``speed`` times as fast as ours."""
+    own, stop = Bench(speed), threading.Event()
     thread = threading.Thread(target=own.run, args=(stop,))
     thread.start()
     try:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from drivers.interfaces import PartError
 from missions import rig_library
-from missions.records import load_run
+from missions.records import Run, load_run
 from missions.trials import beacon_report as report
 from missions.trials.beacon_session import Session, fly_session, load_session, record_session
 from missions.trials.dynamic_flight import heard_of, reference_of
@@ -46,7 +46,7 @@ def run(request: TrialRequest) -> TrialResult:
     segments = report.segments_of(flown, measured)
     rows = report.errors_of(measured, segments, request.seed)
     report.write_errors(request.out / ERRORS, rows)
-    error_s = _draw(session, measured, request.out)
+    error_s = _draw(session, flown, measured, request.out)
     return TrialResult(
         summary=report.summary(measured, rows, error_s),
         findings=report.findings(measured, rows, error_s),
@@ -67,9 +67,8 @@ def _fly(order: tuple[TrialRequest, Path]) -> Session:
     return fly_session(rig_library.load(str(rig_file)), request.seed, request.out)
 
 
-def _draw(session: Session, measured: Measured, out: Path) -> float | None:
+def _draw(session: Session, flown: Run, measured: Measured, out: Path) -> float | None:
     """Both pictures; the error of the clock's offset where it is known."""
-    flown = load_run(session.folder)
     truth, beacons = truth_of(flown.world), session.truth
     if truth is None or beacons is None:
         draw_map(measured, out / "map.png")

@@ -22,7 +22,7 @@ from drivers.interfaces import BeaconError, BeaconFix, Beacons, PartError
 from drivers.marvelmind_stream import MarvelmindStream
 from drivers.rig import PartSpec, Rig, create, import_factory, part_context
 from missions.handoff import fly_once
-from missions.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, load_run
+from missions.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, load_facts
 from missions.trials.dynamic_flight import BEACON_LIST, BEACON_RECORD, reference_of
 from path.messages import Role
 
@@ -54,7 +54,7 @@ def load_session(folder: Path) -> Session:
             f"{folder} is no session of beacons: {', '.join(missing)} missing",
             "put both roles' logs and the beacons' record into one folder and name it with --logs",
         )
-    facts = load_run(folder).facts
+    facts = load_facts(folder)
     notes = () if facts is None or facts.outcome == "committed" else (f"The flight ended as '{facts.outcome}'.",)
     return Session(folder, tuple(read_any(records[0])), notes, read_truth(folder / TRUTH_FILE))
 

@@ -27,6 +27,7 @@ GRID_S = 0.1  # of the coarse search for the offset
 BASE_S = 1.0  # over which speeds are compared there
 MIN_OVERLAP = 0.5
 ITERATIONS = 30
+RIDGE = 1e-10  # of a normal equation's diagonal
 HUBER, REJECT = 1.5, 4.0  # robust deviations from where a residual counts less, and not at all
 BLOCK_S = 2.0  # residuals nearer in time than this are taken together
 RESAMPLES = 200
@@ -266,12 +267,20 @@ class _Problem:
         ]
 
     def _moved(self, state: _State, normal: Array, gradient: Array) -> _State:
-        step = -np.linalg.lstsq(normal, gradient, rcond=1e-12)[0]
+        step = -_solved(normal, gradient)
         R = exp(self._axes.T @ step[1 : 1 + len(self._axes)]) @ state.R
         # small against the curve's own bends, so that the slope still holds
         offset_s = state.offset_s + float(np.clip(step[0], -0.3, 0.3))
         shifts = [shift + step[own].reshape(-1, 3) for shift, own in zip(state.shifts, self._columns, strict=True)]
         return _State(offset_s, R, tuple(shifts))
+
+
+def _solved(normal: Array, gradient: Array) -> Array:
+    """The step of the normal equations; what no sample says anything of (a knot in a gap) stays where it is."""
+    scale = np.sqrt(np.diag(normal))
+    scale[scale == 0.0] = 1.0
+    scaled = normal / (scale[:, None] * scale) + RIDGE * np.eye(len(normal))
+    return np.linalg.solve(scaled, gradient / scale) / scale
 
 
 def _hats(t: Array, wander_s: float | None) -> Array:

@@ -26,7 +26,7 @@ from hil.virtual_time import run_virtual
 from hil.world import SimDrone, World, WorldConfig
 from path.messages import Role
 from tests.drivers import tello_stand
-from tests.drivers.test_mavsdk_vehicle import CONTEXT, QUICK, px4
+from tests.drivers.mavsdk_bench import CONTEXT, QUICK, px4
 from tests.hil.test_sim_vehicle import Harness
 from tests.hil.test_sim_vehicle import context as sim_context
 

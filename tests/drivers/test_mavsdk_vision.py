@@ -14,7 +14,7 @@ from drivers.rig import PartSpec
 from hil import marvelmind_bytes as sent
 from hil.beacon_pty import SerialCable
 from tests.drivers.link_ends import run
-from tests.drivers.test_mavsdk_vehicle import LIMIT_S, ORIGIN, into_the_air, px4, until
+from tests.drivers.mavsdk_bench import LIMIT_S, ORIGIN, into_the_air, px4, until
 
 NOBODY = PartSpec("drivers.marvelmind:Marvelmind", {}, "test")
 

@@ -9,7 +9,7 @@ import pytest
 from drivers.interfaces import FlightMode, VehicleState
 from missions import doctor_vehicle
 from missions.doctor_vehicle import Heard, check_flyer, condition, streams
-from tests.drivers.test_mavsdk_vehicle import CONTEXT, SYSID, free_port, px4, vehicle_at
+from tests.drivers.mavsdk_bench import CONTEXT, SYSID, free_port, px4, vehicle_at
 from tests.missions.doctor_findings import found, states
 
 STATE = VehicleState(

@@ -80,7 +80,7 @@ def guarded(folder: Path, *more: str) -> Generator[tuple[Bench, FakeRole, subpro
     port, stop = free_port(), threading.Event()
     role = FakeRole(f"127.0.0.1:{port}")
     thread = threading.Thread(target=role.run, args=(stop,))
-    with bench() as own:
+    with bench(speed=3.0) as own:
         command = [sys.executable, "-m", "missions.cli", "guard", "--rig", str(rig_file(folder, own, port))]
         command += ["--role", "sender", "--out", str(folder), *more]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -17,21 +18,38 @@ from missions.summary import summarize
 from path.messages import Role
 
 LOGS = ("sender.mcap", "receiver.mcap", "world.mcap")
+IMPATIENT = ("[mission.target]", "[mission.deadlines]\nverify_s = 15.0\n\n[mission.target]")
 
 
-def fly(rig: str, out: Path, seed: int = 1, *faults: str) -> tuple[RunFacts, dict[str, Any]]:
+class Flown:
+    """How a flight ended, and its logs, read once."""
+
+    def __init__(self, facts: RunFacts, out: Path) -> None:
+        self.facts, self.run = facts, load_run(out)
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        return summarize(self.run)
+
+    def last_outcome(self, role: Role) -> dict[str, Any]:
+        return self.run.role(role)["/outcome"][-1].record
+
+    def responsible_at_the_end(self, role: Role) -> bool:
+        records = self.run.role(role).get("/responsibility", ())
+        return bool(records and records[-1].record["responsible"])
+
+
+def fly(rig: str, out: Path, seed: int = 1, *faults: str) -> Flown:
     out.mkdir(exist_ok=True)
-    facts = fly_once(rig_library.load(rig), seed, faults, out, lambda _: None)
-    return facts, summarize(load_run(out))
+    return Flown(fly_once(rig_library.load(rig), seed, faults, out, lambda _: None), out)
 
 
-def last_outcome(out: Path, role: Role) -> dict[str, Any]:
-    return load_run(out).role(role)["/outcome"][-1].record
-
-
-def responsible_at_the_end(out: Path, role: Role) -> bool:
-    records = load_run(out).role(role).get("/responsibility", ())
-    return bool(records and records[-1].record["responsible"])
+def rig_with(folder: Path, change: tuple[str, str]) -> str:
+    """The rig ``sim`` with something else in its file."""
+    text = resources.files("missions").joinpath("rigs/sim.toml").read_text("utf-8")
+    assert text.count(change[0]) == 1
+    (folder / "rig.toml").write_text(text.replace(*change), "utf-8")
+    return str(folder / "rig.toml")
 
 
 def test_flights_in_one_process_leave_nothing_that_is_never_collected(tmp_path: Path) -> None:
@@ -40,60 +58,58 @@ def test_flights_in_one_process_leave_nothing_that_is_never_collected(tmp_path: 
     assert gc.get_freeze_count() == before
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_handoff_commits_and_breaks_no_rule(tmp_path: Path, seed: int) -> None:
-    facts, summary = fly("sim", tmp_path, seed)
-    assert (facts.outcome, facts.exit_code) == ("committed", 0), facts.detail
-    assert facts.violations == {}
-    assert summary["wrong_handover"] is False
-    assert summary["count_max"] >= 350
-    assert summary["agreement_s"] > 6.9
-    assert summary["min_separation_m"] > 0.7
-    assert summary["d2_error_m"] < 0.05
-    assert summary["target_error_m"] < 0.05
-    assert not responsible_at_the_end(tmp_path, Role.SENDER)
-    assert responsible_at_the_end(tmp_path, Role.RECEIVER)
+def test_two_seeds_commit_and_break_no_rule_and_one_of_them_again_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name, seed in (("a", 1), ("c", 2)):
+        commits_and_breaks_no_rule(tmp_path / name, seed)
+    fly("sim", tmp_path / "b", 1)
+    for log in LOGS:
+        first, again, other = ((tmp_path / name / log).read_bytes() for name in "abc")
+        assert first == again, log
+        assert first != other, log
+
+
+def commits_and_breaks_no_rule(out: Path, seed: int) -> None:
+    flown = fly("sim", out, seed)
+    assert (flown.facts.outcome, flown.facts.exit_code) == ("committed", 0), flown.facts.detail
+    assert flown.facts.violations == {}
+    assert flown.summary["wrong_handover"] is False
+    assert flown.summary["count_max"] >= 350
+    assert flown.summary["agreement_s"] > 6.9
+    assert flown.summary["min_separation_m"] > 0.7
+    assert flown.summary["d2_error_m"] < 0.05
+    assert flown.summary["target_error_m"] < 0.05
+    assert not flown.responsible_at_the_end(Role.SENDER)
+    assert flown.responsible_at_the_end(Role.RECEIVER)
 
 
 def test_positions_that_put_the_stand_off_too_near_are_found_out_by_the_marker(tmp_path: Path) -> None:
     """Both estimates err towards each other: the stand-off they make is 0.7 m from the sender."""
-    facts, summary = fly("sim", tmp_path, 987277702)
-    assert facts.outcome == "committed", facts.detail
-    assert facts.violations == {}
-    assert summary["min_separation_m"] > 0.9
+    flown = fly("sim", tmp_path, 987277702)
+    assert flown.facts.outcome == "committed", flown.facts.detail
+    assert flown.facts.violations == {}
+    assert flown.summary["min_separation_m"] > 0.9
 
 
 @pytest.mark.parametrize("faults", [(), ("link_loss=0.3",)])
 def test_the_gate_that_goes_by_evidence_commits_in_less_than_three_seconds(
     tmp_path: Path, faults: tuple[str, ...]
 ) -> None:
-    papers = resources.files("missions").joinpath("rigs/sim.toml").read_text("utf-8")
-    (tmp_path / "evidence.toml").write_text(papers.replace("[method]", '[method]\ngate = "evidence"'), "utf-8")
-    facts, summary = fly(str(tmp_path / "evidence.toml"), tmp_path / "run", 7, *faults)
-    assert facts.outcome == "committed", facts.detail
-    assert facts.violations == {}
-    assert summary["wrong_handover"] is False
-    assert summary["gate"] == "evidence"
-    assert summary["evidence_max"] > 3.3
-    assert 1.5 < summary["agreement_s"] < 3.0
+    flown = fly(rig_with(tmp_path, ("[method]", '[method]\ngate = "evidence"')), tmp_path / "run", 7, *faults)
+    assert flown.facts.outcome == "committed", flown.facts.detail
+    assert flown.facts.violations == {}
+    assert flown.summary["wrong_handover"] is False
+    assert flown.summary["gate"] == "evidence"
+    assert flown.summary["evidence_max"] > 3.3
+    assert 1.5 < flown.summary["agreement_s"] < 3.0
 
 
 def test_rendered_frames_through_the_whole_perception_commit(tmp_path: Path) -> None:
-    facts, summary = fly("sim-rendered", tmp_path, 7)
-    assert facts.outcome == "committed", facts.detail
-    assert facts.violations == {}
-    assert summary["wrong_handover"] is False
-    assert summary["d2_error_m"] < 0.008
-    assert len(load_run(tmp_path).receiver["/image"]) > 0
-
-
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
-    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
-        fly("sim", tmp_path / name, seed)
-    for log in LOGS:
-        first, again, other = ((tmp_path / name / log).read_bytes() for name in "abc")
-        assert first == again, log
-        assert first != other, log
+    flown = fly("sim-rendered", tmp_path, 7)
+    assert flown.facts.outcome == "committed", flown.facts.detail
+    assert flown.facts.violations == {}
+    assert flown.summary["wrong_handover"] is False
+    assert flown.summary["d2_error_m"] < 0.008
+    assert len(flown.run.receiver["/image"]) > 0
 
 
 @pytest.mark.parametrize(
@@ -111,42 +127,37 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Pa
     ],
 )
 def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(tmp_path: Path, fault: str, outcome: str) -> None:
-    facts, _ = fly("sim", tmp_path, 1, fault)
-    assert facts.outcome == outcome, facts.detail
-    assert facts.exit_code != 0
-    assert facts.violations == {}
-    assert not load_run(tmp_path).sender.get("/commit")
-    assert not responsible_at_the_end(tmp_path, Role.RECEIVER)
+    out = tmp_path / "run"
+    flown = fly(rig_with(tmp_path, IMPATIENT) if outcome == "no_agreement" else "sim", out, 1, fault)
+    assert flown.facts.outcome == outcome, flown.facts.detail
+    assert flown.facts.exit_code != 0
+    assert flown.facts.violations == {}
+    assert flown.summary["wrong_handover"] is not True
+    assert not flown.run.sender.get("/commit")
+    assert not flown.responsible_at_the_end(Role.RECEIVER)
     if fault != "kill_sender":
-        assert responsible_at_the_end(tmp_path, Role.SENDER)
-    last = load_run(tmp_path).world["/truth"][-1].record
+        assert flown.responsible_at_the_end(Role.SENDER)
+    if fault == "kill_receiver":  # the other drone lands by itself when one program dies
+        told = {"outcome": "peer_lost", "detail": "", "responsible": True, "landed": True}
+        assert flown.last_outcome(Role.SENDER) | {"detail": ""} == told
+    last = flown.run.world["/truth"][-1].record
     if fault != "pilot_takeover":  # a pilot who took over keeps the vehicle
         assert not last["sender"]["in_air"]
         assert not last["receiver"]["in_air"]
 
 
-def test_the_other_drone_lands_by_itself_when_one_program_dies(tmp_path: Path) -> None:
-    fly("sim", tmp_path, 1, "kill_receiver")
-    assert last_outcome(tmp_path, Role.SENDER) | {"detail": ""} == {
-        "outcome": "peer_lost",
-        "detail": "",
-        "responsible": True,
-        "landed": True,
-    }
-
-
 @pytest.mark.parametrize("faults", [("link_loss=0.3",), ("lookalike",), ("link_loss=0.2", "lookalike")])
 def test_loss_and_look_alikes_delay_a_handoff_but_never_mislead_it(tmp_path: Path, faults: tuple[str, ...]) -> None:
-    facts, summary = fly("sim", tmp_path, 2, *faults)
-    assert facts.outcome in ("committed", "no_agreement"), facts.detail
-    assert facts.violations == {}
-    assert summary["wrong_handover"] is not True
+    flown = fly("sim", tmp_path, 2, *faults)
+    assert flown.facts.outcome in ("committed", "no_agreement"), flown.facts.detail
+    assert flown.facts.violations == {}
+    assert flown.summary["wrong_handover"] is not True
 
 
 def test_nothing_is_agreed_on_a_link_that_loses_nearly_everything(tmp_path: Path) -> None:
-    facts, _ = fly("sim", tmp_path, 1, "link_loss=0.97")
-    assert facts.outcome not in ("committed", "monitor_violated", "harness_failed")
-    assert facts.violations == {}
+    flown = fly("sim", tmp_path, 1, "link_loss=0.97")
+    assert flown.facts.outcome not in ("committed", "monitor_violated", "harness_failed")
+    assert flown.facts.violations == {}
 
 
 @pytest.mark.parametrize(
@@ -164,22 +175,22 @@ def test_nothing_is_agreed_on_a_link_that_loses_nearly_everything(tmp_path: Path
 def test_a_program_that_is_killed_and_started_again_goes_by_what_it_wrote_down(
     tmp_path: Path, fault: str, outcome: str, holder: Role | None
 ) -> None:
-    facts, summary = fly("sim", tmp_path, 1, fault)
-    assert facts.outcome == outcome, facts.detail
-    assert facts.violations == {}
-    assert summary["wrong_handover"] is not True
+    flown = fly("sim", tmp_path, 1, fault)
+    assert flown.facts.outcome == outcome, flown.facts.detail
+    assert flown.facts.violations == {}
+    assert flown.summary["wrong_handover"] is not True
     assert [len(list(tmp_path.glob(f"{role.value}*.mcap"))) for role in Role].count(2) == 1
-    responsible = [role for role in Role if responsible_at_the_end(tmp_path, role)]
+    responsible = [role for role in Role if flown.responsible_at_the_end(role)]
     assert responsible == [holder] if holder else len(responsible) == 1
-    last = load_run(tmp_path).world["/truth"][-1].record
+    last = flown.run.world["/truth"][-1].record
     assert not last["sender"]["in_air"] and not last["receiver"]["in_air"]
 
 
 def test_a_sender_that_handed_over_leaves_even_when_nothing_more_is_heard_of_the_receiver(tmp_path: Path) -> None:
     """The target leads it towards where a receiver that died hangs in the air."""
-    facts, _ = fly("sim", tmp_path, 1, "link_out=4@handed_over+0.1", "kill_receiver=20@holding+0.1")
-    assert facts.violations == {}
-    world = load_run(tmp_path).world
+    flown = fly("sim", tmp_path, 1, "link_out=4@handed_over+0.1", "kill_receiver=20@holding+0.1")
+    assert flown.facts.violations == {}
+    world = flown.run.world
     killed_ns = next(each.stamp_ns for each in world["/fault"] if each.record["fault"] == "kill_receiver")
     later = [each.record for each in world["/truth"] if 2.0e9 < each.stamp_ns - killed_ns < 2.5e9]
     assert later
@@ -188,7 +199,7 @@ def test_a_sender_that_handed_over_leaves_even_when_nothing_more_is_heard_of_the
 
 def test_what_a_link_does_to_packets_is_survived_together(tmp_path: Path) -> None:
     faults = ("link_loss=0.1", "link_duplicate=0.3", "link_corrupt=0.1", "link_reorder=0.2", "link_jitter=0.02")
-    facts, summary = fly("sim", tmp_path, 3, *faults, "link_out=0.3@verify+2")
-    assert facts.violations == {}
-    assert facts.outcome == "committed", facts.detail
-    assert summary["link_dropped"]["sender"]["bad_crc"] > 10
+    flown = fly("sim", tmp_path, 3, *faults, "link_out=0.3@verify+2")
+    assert flown.facts.violations == {}
+    assert flown.facts.outcome == "committed", flown.facts.detail
+    assert flown.summary["link_dropped"]["sender"]["bad_crc"] > 10

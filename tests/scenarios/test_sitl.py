@@ -44,7 +44,17 @@ def wait_for_line(process: subprocess.Popen[str], wanted: str, seen: list[str]) 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for left-over processes in /proc")
 def test_a_stop_in_the_air_lands_both_and_leaves_nothing_behind(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    command = [sys.executable, "-m", "missions.cli", "handoff", "--rig", "sitl", "--out", str(out), "--no-picture"]
+    command = [
+        sys.executable,
+        "-m",
+        "missions.cli",
+        "handoff",
+        "--rig",
+        "sitl-light",
+        "--out",
+        str(out),
+        "--no-picture",
+    ]
     seen: list[str] = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         wait_for_line(process, "stand-off", seen)

@@ -37,7 +37,7 @@ from path.messages import Role
 from path.rotation import yaw_of
 from tests.drivers import software_d415, tello_stand
 from tests.drivers.link_ends import STATUS, Cable, introduce, serial_links
-from tests.drivers.test_mavsdk_vehicle import CONTEXT, QUICK, SYSID, px4
+from tests.drivers.mavsdk_bench import CONTEXT, QUICK, SYSID, px4
 from tests.missions.test_session import Recorder
 
 NO_CONTEXT: Any = None

@@ -1,0 +1,93 @@
+"""What the MAVSDK driver is made of, without MAVSDK: modes, the local frame, telemetry, the callback thread's clock."""
+
+import asyncio
+import math
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.interfaces import FlightMode, VehicleError
+from drivers.mavsdk_geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, LocalTangent
+from drivers.mavsdk_modes import ARDUPILOT, PX4
+from drivers.mavsdk_telemetry import Telemetry, ThreadClock
+from tests.drivers.mavsdk_bench import AHEAD_NS, SYSID, TANGENT, LoopClock, until
+
+
+def test_modes_of_both_autopilots() -> None:
+    assert PX4.mode(4 << 16 | 6 << 24) is FlightMode.LAND
+    assert PX4.mode(3 << 16) is FlightMode.OTHER
+    assert ARDUPILOT.mode(4) is FlightMode.OFFBOARD
+    assert ARDUPILOT.mode(5) is FlightMode.OTHER  # LOITER needs a pilot's sticks
+    for kind in (PX4, ARDUPILOT):
+        for mode, (main, sub) in kind.set_mode.items():
+            custom = main << 16 | sub << 24 if kind is PX4 else main
+            assert kind.mode(custom) is mode
+
+
+def ecef(latitude_deg: float, longitude_deg: float, height_m: float) -> np.ndarray[Any, np.dtype[np.float64]]:
+    latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
+    normal = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2)
+    return np.array(
+        [
+            (normal + height_m) * math.cos(latitude) * math.cos(longitude),
+            (normal + height_m) * math.cos(latitude) * math.sin(longitude),
+            (normal * (1.0 - ECCENTRICITY_SQUARED) + height_m) * math.sin(latitude),
+        ]
+    )
+
+
+@pytest.mark.parametrize(("latitude", "longitude", "altitude"), [(47.4, 8.5, 480.0), (-33.9, 179.9999, 20.0)])
+@pytest.mark.parametrize("at", [(100.0, 0.0, 0.0), (0.0, 100.0, -30.0), (-60.0, 80.0, -5.0)])
+def test_local_frame_agrees_with_earth_centred_coordinates(
+    latitude: float, longitude: float, altitude: float, at: tuple[float, float, float]
+) -> None:
+    tangent = LocalTangent(latitude, longitude, altitude)
+    place = tangent.to_global(*at)
+    assert tangent.to_ned(*place) == pytest.approx(at, abs=1e-6)
+    f, g = math.radians(latitude), math.radians(longitude)
+    north = np.array([-math.sin(f) * math.cos(g), -math.sin(f) * math.sin(g), math.cos(f)])
+    east = np.array([-math.sin(g), math.cos(g), 0.0])
+    down = -np.array([math.cos(f) * math.cos(g), math.cos(f) * math.sin(g), math.sin(f)])
+    away = ecef(*place) - ecef(latitude, longitude, altitude)
+    assert (away @ north, away @ east, away @ down) == pytest.approx(at, abs=3e-3)
+
+
+def test_an_exception_in_a_callback_comes_out_at_the_next_look() -> None:
+    async def look() -> None:
+        telemetry = Telemetry(SYSID, LoopClock(), TANGENT)
+        telemetry._guarded(telemetry._on_battery)(object(), None)  # MAVSDK itself would print it and go on
+        with pytest.raises(VehicleError, match=r"telemetry cannot be understood.*remaining_percent"):
+            telemetry.state()
+
+    asyncio.run(look())
+
+
+def test_heartbeats_of_others_are_not_the_vehicles() -> None:
+    telemetry = Telemetry(SYSID, LoopClock(), TANGENT)
+
+    class Message:
+        system_id, component_id, fields_json = SYSID, 191, '{"autopilot":8,"base_mode":0,"custom_mode":0}'
+
+    telemetry._guarded(telemetry._on_heartbeat)(Message(), None)
+    assert telemetry.heartbeat is None  # a companion computer on the vehicle's own system id
+
+
+def test_the_callback_threads_clock_follows_the_roles() -> None:
+    class Stepping:
+        ahead_ns = AHEAD_NS
+
+        def now_ns(self) -> int:
+            return time.monotonic_ns() + self.ahead_ns
+
+    role = Stepping()
+    clock = ThreadClock(role)
+
+    def together() -> bool:
+        clock.follow()
+        return abs(role.now_ns() - clock.now_ns()) < 1_000_000
+
+    asyncio.run(until(together))
+    role.ahead_ns += 50_000_000
+    asyncio.run(until(together))
