@@ -25,6 +25,7 @@ DISTURBED = {
     Drop.WRONG_SYSTEM.value: "the other end says that it has this role: one of the two has the wrong one",
     "stranger": "they come from another address than `peer`: correct it, or end who sends them",
     Drop.BAD_CRC.value: "packets are damaged on the way, or the ends have different versions of PATH",
+    "noise": "bytes that are no packets: the same `baud` on both ports and radios, and nothing else on the port",
     Drop.UNKNOWN_ID.value: "something else sends to this port, or the ends have different versions of PATH",
 }
 

@@ -41,8 +41,9 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
     layout = rig.layout if role is Role.RECEIVER else None
 
     async def detector(spec: PartSpec, rate_hz: float | None) -> AsyncIterator[Finding]:
+        made = create(spec, context)
         yield Finding("ok", "loads", spec.factory.partition(":")[2])
-        yield check_detector(create(spec, context), context.camera, rate_hz, context.clock)
+        yield check_detector(made, context.camera, rate_hz, context.clock)
 
     def vehicle() -> AsyncIterator[Finding]:
         return check_flyer(create(own.vehicle, context), context.clock, min_battery)

@@ -1,12 +1,18 @@
-"""What every Camera does, whatever is behind it: the rendered one, a D415 in software, a recording of it, images."""
+"""What every Camera does, whatever is behind it: the rendered one, a D415 in software (by itself, and fed by the world
+through shared memory), a recording of it, images, a Tello's video."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncGenerator, Callable
+import threading
+import time
+import uuid
+from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import asynccontextmanager
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,15 +22,20 @@ import cv2
 import numpy as np
 import pytest
 
-from drivers.interfaces import Camera, CameraError, Frame
+from drivers.interfaces import Camera, CameraError, Capability, Frame, lacking
 from drivers.realsense import RealSense, RealSenseConfig
 from drivers.recorded_camera import RecordedCamera, RecordedCameraConfig
+from drivers.rig import PartSpec
+from drivers.tello_camera import TelloCamera, TelloCameraConfig
 from hil.capture import Freeze
 from hil.rendered_camera import RenderedCamera, RenderedCameraConfig
+from hil.shared_camera import SharedCameraWriter
+from hil.shared_segment import folder as shared_memory
 from hil.snapshot import DroneTruth, Snapshot
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.messages import Role
+from tests.drivers import tello_stand
 from tests.drivers.software_d415 import COLOR, FPS, Feed, context, recordings
 
 PATIENCE_S = 10.0
@@ -33,10 +44,15 @@ FRAMES = 8
 
 @dataclass
 class Stage:
-    """A camera that gives frames while it is staged, and how to make them stop."""
+    """A camera that gives frames while it is staged, and how to make them stop.
+
+    ``unplugged`` is what it says then.
+    """
 
     camera: Camera
     unplug: Callable[[], object]
+    model: CameraModel = COLOR
+    unplugged: str = "no frame from"
 
 
 @asynccontextmanager
@@ -60,6 +76,45 @@ async def realsense(folder: Path) -> AsyncGenerator[Stage]:
     camera.source = feed
     with feed.running():
         yield Stage(camera, lambda: setattr(feed, "plugged", False))
+
+
+@asynccontextmanager
+async def shared(folder: Path) -> AsyncGenerator[Stage]:
+    """What a role at level ``sitl`` has: the world writes into shared memory."""
+    del folder
+    run, ending, plugged = f"test-{uuid.uuid4().hex[:12]}", threading.Event(), threading.Event()
+    source = PartSpec("hil.software_d415:SoftwareD415", {"run": run}, "test: source")
+    size = COLOR.width, COLOR.height
+    config = RealSenseConfig(source=source, fps=FPS, depth_size=size, silence_s=0.1)
+    with SharedCameraWriter(run, Role.SENDER, size, size, FPS) as world:
+
+        def draw() -> None:
+            number = 0
+            while not ending.wait(1.0 / FPS):
+                number += 1
+                if plugged.is_set():
+                    color = np.full((COLOR.height, COLOR.width, 3), number % 251, np.uint8)
+                    depth_mm = np.full((COLOR.height, COLOR.width), 1000 + number, np.uint16)
+                    world.write(time.monotonic_ns(), color, depth_mm)
+
+        plugged.set()
+        thread = threading.Thread(target=draw)
+        thread.start()
+        try:
+            yield Stage(RealSense(config, context()), plugged.clear)
+        finally:
+            ending.set()
+            thread.join()
+    assert not list(shared_memory().glob(f"*{run}*"))
+
+
+@asynccontextmanager
+async def tello(folder: Path) -> AsyncGenerator[Stage]:
+    del folder
+    with tello_stand.emulated(rate_hz=30.0) as stand:
+        camera = TelloCamera(TelloCameraConfig(**stand.address), tello_stand.context())
+        silence = partial(setattr, stand.video, "silent", True)
+        yield Stage(camera, silence, tello_stand.CAMERA, "no video frame from")
 
 
 @asynccontextmanager
@@ -87,8 +142,9 @@ async def images(folder: Path) -> AsyncGenerator[Stage]:
     yield Stage(camera, lambda: None)  # it ends by itself
 
 
-CAMERAS = pytest.mark.parametrize("stage_of", [rendered, realsense, recording, images])
+CAMERAS = pytest.mark.parametrize("stage_of", [rendered, realsense, shared, recording, images])
 StageOf = Callable[[Path], contextlib.AbstractAsyncContextManager[Stage]]
+Check = Callable[[Stage], Coroutine[Any, Any, None]]
 
 
 def run(stage_of: StageOf, folder: Path, test: Callable[[Stage], Any]) -> None:
@@ -99,58 +155,53 @@ def run(stage_of: StageOf, folder: Path, test: Callable[[Stage], Any]) -> None:
     asyncio.run(main())
 
 
-@CAMERAS
-def test_stamps_and_ids_grow_and_sizes_are_the_calibration_s(stage_of: StageOf, tmp_path: Path) -> None:
-    async def test(stage: Stage) -> None:
-        async with stage.camera as camera:
-            frames = [await camera.read(PATIENCE_S) for _ in range(FRAMES)]
-            model: CameraModel = camera.model
-        assert model == COLOR
-        for frame in frames:
-            assert (frame.color.shape, frame.color.dtype) == ((model.height, model.width, 3), np.uint8)
-            assert frame.depth_mm is not None
+async def check_frames(stage: Stage) -> None:
+    camera = stage.camera
+    frames = [await camera.read(PATIENCE_S) for _ in range(FRAMES)]
+    model = camera.model
+    assert model == stage.model
+    for frame in frames:
+        assert (frame.color.shape, frame.color.dtype) == ((model.height, model.width, 3), np.uint8)
+        assert (frame.depth_mm is None) == (Capability.RANGE in lacking(camera))
+        if frame.depth_mm is not None:
             assert (frame.depth_mm.shape, frame.depth_mm.dtype) == ((model.height, model.width), np.uint16)
-        for earlier, later in pairwise(frames):
-            assert later.stamp_ns > earlier.stamp_ns
-            assert later.frame_id > earlier.frame_id
-
-    run(stage_of, tmp_path, test)
+    for earlier, later in pairwise(frames):
+        assert later.stamp_ns > earlier.stamp_ns
+        assert later.frame_id > earlier.frame_id
 
 
-@CAMERAS
-def test_a_frame_is_the_reader_s_own(stage_of: StageOf, tmp_path: Path) -> None:
-    async def test(stage: Stage) -> None:
-        async with stage.camera as camera:
-            frame = await camera.read(PATIENCE_S)
-            depth_mm = frame.depth_mm
-            assert depth_mm is not None
-            before = frame.color.copy(), depth_mm.copy()
-            for _ in range(FRAMES):
-                await camera.read(PATIENCE_S)
-            np.testing.assert_array_equal(frame.color, before[0])
-            np.testing.assert_array_equal(depth_mm, before[1])
-            frame.color[:] = 0  # and may be drawn upon
-
-    run(stage_of, tmp_path, test)
+async def check_owner(stage: Stage) -> None:
+    frame = await stage.camera.read(PATIENCE_S)
+    before = deepcopy((frame.color, frame.depth_mm))
+    for _ in range(FRAMES):
+        await stage.camera.read(PATIENCE_S)
+    np.testing.assert_array_equal(frame.color, before[0])
+    assert (frame.depth_mm is None) == (before[1] is None)
+    if frame.depth_mm is not None and before[1] is not None:
+        np.testing.assert_array_equal(frame.depth_mm, before[1])
+    frame.color[:] = 0  # and may be drawn upon
 
 
-@CAMERAS
-def test_frames_that_stop_are_an_error_in_time_with_what_to_do(stage_of: StageOf, tmp_path: Path) -> None:
-    async def test(stage: Stage) -> None:
-        loop = asyncio.get_running_loop()
-        async with stage.camera as camera:
-            await camera.read(PATIENCE_S)
-            stage.unplug()
-            error, start_s = None, loop.time()
-            async with asyncio.timeout(PATIENCE_S):
-                while error is None:  # what was under way may still come
-                    start_s = loop.time()
-                    error = await _error_of(camera, 0.15)
-            assert loop.time() - start_s < 5.0  # of a read of 0.15 s, on a machine that may be busy
-            assert "no frame from" in str(error)
-            assert error.remedy
+async def check_silence(stage: Stage) -> None:
+    loop = asyncio.get_running_loop()
+    await stage.camera.read(PATIENCE_S)
+    stage.unplug()
+    error, start_s = None, loop.time()
+    async with asyncio.timeout(PATIENCE_S):
+        while error is None:  # what was under way may still come
+            start_s = loop.time()
+            error = await _error_of(stage.camera, 0.15)
+    assert loop.time() - start_s < 5.0  # of a read of 0.15 s, on a machine that may be busy
+    assert stage.unplugged in str(error)
+    assert error.remedy
 
-    run(stage_of, tmp_path, test)
+
+async def check_closed(stage: Stage) -> None:
+    start_s = asyncio.get_running_loop().time()
+    with pytest.raises(CameraError, match="not open") as caught:
+        await stage.camera.read(PATIENCE_S)
+    assert caught.value.remedy
+    assert asyncio.get_running_loop().time() - start_s < 1.0
 
 
 async def _error_of(camera: Camera, timeout_s: float) -> CameraError | None:
@@ -160,6 +211,37 @@ async def _error_of(camera: Camera, timeout_s: float) -> CameraError | None:
     except CameraError as error:
         return error
     return None
+
+
+@CAMERAS
+@pytest.mark.parametrize("check", [check_frames, check_owner, check_silence], ids=lambda check: check.__name__[6:])
+def test_an_open_camera(stage_of: StageOf, check: Check, tmp_path: Path) -> None:
+    """Stamps and ids grow and sizes are the calibration's; a frame is the reader's own; no more frames are an error in
+    time with what to do."""
+
+    async def test(stage: Stage) -> None:
+        async with stage.camera:
+            await check(stage)
+
+    run(stage_of, tmp_path, test)
+
+
+def test_all_of_it_for_a_tello_whose_video_takes_seconds_to_open(tmp_path: Path) -> None:
+    async def test(stage: Stage) -> None:
+        await check_closed(stage)
+        async with stage.camera as camera:
+            await check_frames(stage)
+        await check_closed(stage)
+        await camera.__aexit__(None, None, None)  # closing twice is closing once
+        async with camera:  # it can be opened again
+            await check_owner(stage)
+            await check_silence(stage)
+            waiting = asyncio.create_task(_error_of(camera, 60.0))
+            await asyncio.sleep(0)
+        async with asyncio.timeout(PATIENCE_S):
+            assert await waiting is not None  # closing ends a wait
+
+    run(tello, tmp_path, test)
 
 
 @CAMERAS
@@ -186,17 +268,10 @@ def test_it_can_be_opened_again(stage_of: StageOf, tmp_path: Path) -> None:
 @CAMERAS
 def test_nobody_waits_for_a_frame_of_one_that_is_not_open(stage_of: StageOf, tmp_path: Path) -> None:
     async def test(stage: Stage) -> None:
-        async def refused() -> None:
-            start_s = asyncio.get_running_loop().time()
-            with pytest.raises(CameraError, match="not open") as caught:
-                await stage.camera.read(PATIENCE_S)
-            assert caught.value.remedy
-            assert asyncio.get_running_loop().time() - start_s < 1.0
-
-        await refused()
+        await check_closed(stage)
         async with stage.camera as camera:
             await camera.read(PATIENCE_S)
-        await refused()
+        await check_closed(stage)
 
     run(stage_of, tmp_path, test)
 

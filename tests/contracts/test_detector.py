@@ -31,13 +31,17 @@ Image = NDArray[np.uint8]
 
 @dataclass
 class Stage:
-    """A detector, an image of one thing that it looks for with the thing's box, and one without."""
+    """A detector, an image of one thing that it looks for with the thing's box, and one without.
+
+    ``beside``: how far right and down there is room for another such thing; None when there is not.
+    """
 
     detector: Detector
     image: Image
     box: Box
     empty: Image
     min_iou: float = 0.9
+    beside: tuple[int, int] | None = None
 
     @property
     def region(self) -> Region:
@@ -47,7 +51,7 @@ class Stage:
 
 
 def colored(detector: Detector) -> Stage:
-    return Stage(detector, drawn((200, 150, 120, 80)), Box(199.5, 149.5, 120, 80), drawn())
+    return Stage(detector, drawn((200, 150, 120, 80)), Box(199.5, 149.5, 120, 80), drawn(), beside=(250, 150))
 
 
 def color(folder: Path) -> Stage:
@@ -66,7 +70,7 @@ def network(folder: Path) -> Stage:
     detector = YoloxDetector(YoloxDetectorConfig(bright_cells_network(folder / "bright.onnx", 64, 3)))
     image = np.zeros((96, 128, 3), np.uint8)
     image[16:32, 48:64, 2] = 255
-    return Stage(detector, image, Box(47.5, 15.5, 16, 16), np.zeros((96, 128, 3), np.uint8), min_iou=0.2)
+    return Stage(detector, image, Box(47.5, 15.5, 16, 16), np.zeros((96, 128, 3), np.uint8), 0.2, (48, 48))
 
 
 def yolox(folder: Path) -> Stage:
@@ -101,6 +105,32 @@ def test_only_what_is_centred_in_the_region_is_given(stage_of: StageOf, tmp_path
     right = stage.box.x + stage.box.w
     height, width = stage.image.shape[:2]
     assert not stage.detector.detect(stage.image, Region(right + 5.0, 0.0, width, height))
+
+
+@DETECTORS
+def test_a_region_smaller_than_the_thing_does_not_cut_it(stage_of: StageOf, tmp_path: Path) -> None:
+    stage = stage_of(tmp_path)
+    x, y = stage.box.center
+    for dx, dy in ((0.0, 0.0), (0.1, 0.1), (-0.1, 0.1), (0.1, -0.1), (-0.1, -0.1)):  # its centre at each corner, too
+        x0, y0 = x + (dx - 0.15) * stage.box.w, y + (dy - 0.15) * stage.box.h
+        region = Region(x0, y0, x0 + 0.3 * stage.box.w, y0 + 0.3 * stage.box.h)
+        (found,) = stage.detector.detect(stage.image, region)
+        assert iou(found.box, stage.box) > min(stage.min_iou, 0.8), (dx, dy)
+
+
+@DETECTORS
+def test_of_two_things_each_is_found_alone_in_its_own_region(stage_of: StageOf, tmp_path: Path) -> None:
+    stage = stage_of(tmp_path)
+    if stage.beside is None:
+        pytest.skip("there is no room for two in its image")
+    right, down = stage.beside
+    other = np.roll(stage.image, (down, right), (0, 1))
+    both = np.where(other == stage.empty, stage.image, other)
+    box, around = stage.box, stage.region
+    for x, y in ((0, 0), stage.beside):
+        region = Region(around.x0 + x, around.y0 + y, around.x1 + x, around.y1 + y)
+        (found,) = stage.detector.detect(both, region)
+        assert iou(found.box, Box(box.x + x, box.y + y, box.w, box.h)) > min(stage.min_iou, 0.8)
 
 
 @DETECTORS

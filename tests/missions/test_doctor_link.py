@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from drivers.udp_link import UdpLink, UdpLinkConfig
 from missions import doctor_link
 from missions.doctor_link import Exchange, check_link, judged
 from path.messages import Pong, Role
-from tests.drivers.link_ends import Context, WallClock
+from tests.drivers.link_ends import Cable, Context, WallClock, serial_links
 from tests.missions.doctor_findings import LIMIT_S, both, found
 
 AHEAD_NS = 5_000_000_000
@@ -82,6 +83,48 @@ def test_another_key_at_the_other_end_is_a_fault(key_file: Path, tmp_path: Path)
         assert every["packets"].state == "fault"
         assert "bad_signature" in every["packets"].detail
         assert every["other end"].state == "note"
+
+
+def radios(folder: Path, look: Callable[[Cable], list[AsyncIterator[Finding]]]) -> list[dict[str, Finding]]:
+    """What is found at the ends of a pair of pseudo terminals."""
+
+    async def looked() -> list[list[Finding]]:
+        cable = Cable(folder)
+        cable.plug()
+        try:
+            return await both(*look(cable))
+        finally:
+            cable.unplug()
+
+    return [named(findings) for findings in asyncio.run(looked())]
+
+
+def test_two_ends_of_a_pair_of_radios_measure_each_other(tmp_path: Path, key_file: Path) -> None:
+    def look(cable: Cable) -> list[AsyncIterator[Finding]]:
+        return [check_link(each, WallClock(), LIMIT_S) for each in serial_links(cable, key_file)]
+
+    for every in radios(tmp_path, look):
+        assert every["opens"].state == every["key"].state == every["clocks"].state == "ok", every
+        assert every["round trip"].state == "ok" and every["loss"].state != "fault", every
+        assert "packets" not in every
+
+
+def test_radios_that_bring_noise_are_a_fault_that_names_the_baud(tmp_path: Path, key_file: Path) -> None:
+    def look(cable: Cable) -> list[AsyncIterator[Finding]]:
+        cable.garble()
+        return [check_link(each, WallClock(), wait_s=0.3) for each in serial_links(cable, key_file)]
+
+    for every in radios(tmp_path, look):
+        assert every["packets"].state == "fault"
+        assert "noise" in every["packets"].detail and "baud" in every["packets"].fix
+        assert every["other end"].state == "note"
+
+
+def test_a_radio_that_is_not_plugged_in_ends_the_test(tmp_path: Path, key_file: Path) -> None:
+    one, _ = serial_links(Cable(tmp_path), key_file)
+    every = found(check_link(one, WallClock(), 0.1))
+    assert every[""].state == "fault"
+    assert f"serial port {tmp_path / 'one'}" in every[""].detail and "plugged in" in every[""].fix
 
 
 def test_a_port_in_use_and_a_key_that_others_can_read_end_the_test(key_file: Path) -> None:

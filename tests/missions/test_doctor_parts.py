@@ -21,6 +21,7 @@ from missions.doctor_parts import PartTest, part_tests, run_test
 from missions.doctor_table import open_findings
 from missions.options import DoctorOptions
 from path.messages import Role
+from tests.drivers.onnx_graphs import bright_cells_network, identity_network
 from tests.missions.test_doctor_link import ports
 
 SITL = rig_library.load("sitl")
@@ -36,6 +37,27 @@ def test_behind_a_harness_only_what_needs_no_far_side_is_tested() -> None:
         assert finding.state == "note"
         assert "hil.sitl:SitlHarness stands in" in finding.detail
     assert run_test(tests[0])[0].state == "ok"
+
+
+def with_model(file: Path) -> PartTest:
+    """The test of a detector that is a network, as the rig names it."""
+    detector = {"factory": "drivers.yolox_detector:YoloxDetector", "model": str(file)}
+    sight = replace(SITL.sender.sight, options={**SITL.sender.sight.options, "detector": detector})
+    return next(part_tests(replace(SITL, sender=replace(SITL.sender, sight=sight)), Role.SENDER))
+
+
+def test_a_model_is_loaded_and_timed_through_onnxruntime_and_one_that_cannot_be_used_is_named(tmp_path: Path) -> None:
+    loads, timed = run_test(with_model(bright_cells_network(tmp_path / "bright.onnx", 64, 3)))
+    assert (loads.state, loads.detail) == ("ok", "YoloxDetector")
+    assert timed.name == "sender detector time" and "ms for a grey image of 640x480" in timed.detail
+    (missing,) = run_test(with_model(tmp_path / "none.onnx"))
+    assert missing.state == "fault" and "none.onnx" in missing.detail and missing.fix
+    (tmp_path / "other.onnx").write_bytes(identity_network((1, 3, 64, 64)))
+    (other,) = run_test(with_model(tmp_path / "other.onnx"))
+    assert other.state == "fault" and "expected an output of 1x84x(5 + classes)" in other.detail
+    (tmp_path / "broken.onnx").write_bytes(b"no protobuf")
+    (broken,) = run_test(with_model(tmp_path / "broken.onnx"))
+    assert broken.state == "fault" and "broken.onnx" in broken.detail and broken.fix
 
 
 def test_in_the_field_every_part_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
