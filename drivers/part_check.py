@@ -13,9 +13,19 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 COUNT_S, POLL_S = 1.5, 0.002
-SLOW, MUCH_TOO_SLOW = 0.9, 0.5  # of the rate that was asked for
 
 State = Literal["ok", "note", "fault"]
+
+
+@dataclass(frozen=True, slots=True)
+class Enough:
+    """Shares of a rate that was asked for: below ``well`` it is a note, below ``at_all`` a fault."""
+
+    well: float
+    at_all: float
+
+
+REPORTS = Enough(0.9, 0.5)  # of a state: the next one is as good
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +77,8 @@ async def counted(newest: Mapping[str, Callable[[], int | None]], wanted_hz: flo
     return [rate_finding(name, (len(stamps) - 1) / seconds, wanted_hz, fix) for name, stamps in seen.items()]
 
 
-def rate_finding(name: str, found_hz: float, wanted_hz: float, fix: str) -> Finding:
+def rate_finding(name: str, found_hz: float, wanted_hz: float, fix: str, enough: Enough = REPORTS) -> Finding:
     detail = f"{found_hz:.1f} of {wanted_hz:g} a second"
-    if found_hz >= SLOW * wanted_hz:
+    if found_hz >= enough.well * wanted_hz:
         return Finding("ok", name, detail)
-    return Finding("fault" if found_hz < MUCH_TOO_SLOW * wanted_hz else "note", name, detail, fix)
+    return Finding("fault" if found_hz < enough.at_all * wanted_hz else "note", name, detail, fix)

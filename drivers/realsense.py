@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +20,7 @@ from drivers.realsense_sources import DeviceSource, RecordingSource, UsbSource
 from drivers.realsense_stream import PairStream, StreamConfig, StreamCounters
 from drivers.rig import PartContext, PartSpec, create
 from drivers.stamp_clock import Domain, StampConfig
+from drivers.wake import wake
 from path.camera import CameraModel
 
 CLOSE_S = 5.0
@@ -127,7 +127,7 @@ class RealSense:
         stamps = StampConfig(latency_ns=round(config.latency_s * 1e9))
         limits_m = (config.min_depth_m, config.max_depth_m)
         settings = StreamConfig(streams, limits_m, stamps, config.record, config.silence_s, config.reopen_s)
-        self._stream = PairStream(self.source, settings, self._model, self._clock, lambda: _set(loop, self._news))
+        self._stream = PairStream(self.source, settings, self._model, self._clock, lambda: wake(loop, self._news))
         self._counters = self._stream.counters
         self._stream.start()
         try:
@@ -229,9 +229,3 @@ def _source(config: RealSenseConfig, context: PartContext) -> DeviceSource:
     if config.source is not None:
         return create(config.source, context)
     return RecordingSource(config.recording) if config.recording is not None else UsbSource(config.serial)
-
-
-def _set(loop: asyncio.AbstractEventLoop, event: asyncio.Event) -> None:
-    """From another thread; nobody waits any more when the loop is closed."""
-    with suppress(RuntimeError):
-        loop.call_soon_threadsafe(event.set)

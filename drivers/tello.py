@@ -19,6 +19,7 @@ from drivers.tello_check import drone_findings
 from drivers.tello_config import TelloVehicleConfig
 from drivers.tello_link import TelloLink, link_to, said
 from drivers.tello_state import DeadReckoning, Placement, TelloReport, quaternion
+from drivers.tello_words import CENTRE, refused, sticks
 from path.messages import Vec3
 from path.rotation import wrapped
 
@@ -36,13 +37,6 @@ BLIND_LAND_S = 0.2
 HOLD_TIMES = 3  # datagrams without an answer, so said again
 KEEP_ALIVE_S = 4.0  # of the 15 s of silence after which it lands
 YAW_GAIN_HZ = 1.5
-
-REASONS = {  # texts that drones were seen to answer with
-    "error motor stop": "a propeller is blocked, or it lies on its side",
-    "error no valid imu": "calibrate its IMU in the Tello app, or put it on level ground",
-    "error auto land": "its battery is low, or it is landing by itself",
-    "error not joystick": "it is busy with another command",
-}
 
 _log = logging.getLogger(__name__)
 
@@ -198,7 +192,7 @@ class TelloVehicle:
         if answer is not None and answer.lower() != "ok":
             self._flying = self._motors_run()
             self._set_mode(FlightMode.HOLD)
-            raise self._refused("take off", answer)
+            raise refused("take off", answer, self.state.battery)
         if answer is None:
             up = "it is in the air" if self.state.in_air else "it seems to stand on the ground"
             raise VehicleError(
@@ -223,8 +217,7 @@ class TelloVehicle:
         north, east, down = setpoint.velocity_n_mps
         if not all(map(math.isfinite, (north, east, down, setpoint.yaw_rad))):
             raise VehicleError(f"setpoint not sent: {setpoint} is not finite")
-        heading = self._reckoning.heading_rad
-        turn_dps = math.degrees(YAW_GAIN_HZ * wrapped(setpoint.yaw_rad - heading))
+        turn_dps = math.degrees(YAW_GAIN_HZ * wrapped(setpoint.yaw_rad - self._reckoning.heading_rad))
         limit = self._config.max_yaw_dps
         self._sticks((north, east, down), max(-limit, min(limit, turn_dps)))
 
@@ -232,7 +225,7 @@ class TelloVehicle:
         """It does not answer to that; that it is still there must be news."""
         sent_ns = self._now_ns()
         for _ in range(HOLD_TIMES):
-            self._centre()
+            self._open_link().send(CENTRE)
             await asyncio.sleep(RC_PERIOD_S)
         while self.state.stamp_ns <= sent_ns:
             self._check_alive()
@@ -244,7 +237,7 @@ class TelloVehicle:
         if not self._flying:
             self._check_alive()  # that it is not flying must be news
             return
-        self._centre()
+        self._open_link().send(CENTRE)
         self._set_mode(FlightMode.LAND)
         end_s = time.monotonic() + timeout_s
         try:
@@ -295,20 +288,7 @@ class TelloVehicle:
             self._state = replace(state, mode=mode, armed=self._flying)
 
     def _sticks(self, velocity_n_mps: Vec3, turn_dps: float) -> None:
-        """``rc``: right, forward, up, clockwise, each -100..100."""
-        config, heading = self._config, self._reckoning.heading_rad
-        north, east, down = velocity_n_mps
-        c, s = math.cos(heading), math.sin(heading)
-        scale = 100.0 / config.full_stick_mps
-        wanted = (
-            scale * (c * east - s * north), scale * (c * north + s * east), -scale * down,
-            100.0 * turn_dps / config.full_stick_dps,
-        )  # fmt: skip
-        a, b, up, d = (max(-100, min(100, round(stick))) for stick in wanted)
-        self._open_link().send(f"rc {a} {b} {up} {d}")
-
-    def _centre(self) -> None:
-        self._open_link().send("rc 0 0 0 0")
+        self._open_link().send(sticks(self._config, self._reckoning.heading_rad, velocity_n_mps, turn_dps))
 
     async def _climb(self, height_m: float, end_s: float) -> None:
         """By the sticks from where the automatic take-off ends to the height, and steady there."""
@@ -323,10 +303,10 @@ class TelloVehicle:
             near = abs(off) < tolerance and abs(self.state.velocity_n_mps[2]) < SETTLED_MPS
             steady_since = (steady_since or now_s) if near else None
             if steady_since is not None and now_s - steady_since > 0.3:
-                self._centre()
+                self._open_link().send(CENTRE)
                 return
             if now_s >= end_s:
-                self._centre()
+                self._open_link().send(CENTRE)
                 raise VehicleError(
                     f"not at {height_m:g} m in time: at {self._reckoning.height_m:.2f} m", "hold or land"
                 )
@@ -339,12 +319,6 @@ class TelloVehicle:
 
     def _sinking(self) -> bool:
         return self.state.velocity_n_mps[2] > 0.15 or self._reckoning.height_m < ON_GROUND_M
-
-    def _refused(self, what: str, answer: str) -> VehicleError:
-        reason = REASONS.get(answer.lower(), "remedy what it names, then start again")
-        return VehicleError(
-            f"the drone refused to {what}: it said {answer!r} (battery {100 * self.state.battery:.0f} %)", reason
-        )
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         end_s = time.monotonic() + timeout_s
@@ -364,7 +338,7 @@ class TelloVehicle:
                 continue
             try:
                 if self._flying:
-                    self._centre()
+                    self._open_link().send(CENTRE)
                 else:
                     await link.ask("command", self._config.answer_s)
             except VehicleError as error:

@@ -25,6 +25,7 @@ from drivers.part_check import Finding
 from drivers.rig import PartContext
 from drivers.tello_address import TelloAddress
 from drivers.tello_link import TelloLink, link_to, said
+from drivers.wake import wake
 from path.camera import CameraModel
 
 FPS_NAMES: dict[int, str] = {30: "high", 15: "middle", 5: "low"}
@@ -227,10 +228,7 @@ class TelloCamera:
             self._count += 1
             self._newest = (self._count, arrival_ns, image)
             self._arrivals.append(arrival_ns)
-        try:
-            loop.call_soon_threadsafe(self._wake.set)
-        except RuntimeError:
-            return  # the loop has ended
+        wake(loop, self._wake)
 
     async def _until_caught_up(self) -> None:
         """Until frames come at the stream's own pace: then they are as old as the latency says."""

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import Capability, Clock, Detector, Sight, View, lacking
-from drivers.part_check import Finding, examined, rate_of
+from drivers.part_check import Enough, Finding, examined, rate_finding, rate_of
 from path.camera import CameraModel
 from path.marker.layout import MarkerLayout
 from path.observations import Box, MarkerDetection
 
 SETTLE_S, SAMPLE_S, FRAME_S = 0.5, 2.0, 2.0
 KEPT = 6  # frames that are looked into
-SLOW, MUCH_TOO_SLOW = 0.95, 0.8  # of the rate that the rig sets
+FRAMES = Enough(0.95, 0.8)  # of the rate that the rig sets: a hand-over counts each of them
 MANY_MISSED = 0.05
 OLD_MS = 500.0
 DARK, BLACK, GLARING = 40.0, 8.0, 0.2  # mean grey level; share of pixels at their limit
@@ -89,10 +89,7 @@ def rate(sample: Sample, wanted_hz: float | None) -> Finding:
     found_hz = (len(sample.ids) - 1) / sample.seconds
     if wanted_hz is None:
         return Finding("ok", "rate", f"{found_hz:.1f} frames a second")
-    detail = f"{found_hz:.1f} of {wanted_hz:g} frames a second"
-    if found_hz >= SLOW * wanted_hz:
-        return Finding("ok", "rate", detail)
-    return Finding("fault" if found_hz < MUCH_TOO_SLOW * wanted_hz else "note", "rate", detail, STREAM_FIX)
+    return rate_finding("rate", found_hz, wanted_hz, STREAM_FIX, FRAMES)
 
 
 def missed(sample: Sample) -> Finding:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import threading
+import itertools
 import time
 import uuid
 from collections.abc import AsyncGenerator, Callable, Coroutine
@@ -37,6 +37,7 @@ from path.geometry import Pose
 from path.messages import Role
 from tests.drivers import tello_stand
 from tests.drivers.software_d415 import COLOR, FPS, Feed, context, recordings
+from tests.repeating import repeating
 
 PATIENCE_S = 10.0
 FRAMES = 8
@@ -82,29 +83,20 @@ async def realsense(folder: Path) -> AsyncGenerator[Stage]:
 async def shared(folder: Path) -> AsyncGenerator[Stage]:
     """What a role at level ``sitl`` has: the world writes into shared memory."""
     del folder
-    run, ending, plugged = f"test-{uuid.uuid4().hex[:12]}", threading.Event(), threading.Event()
+    run, plugged, numbers = f"test-{uuid.uuid4().hex[:12]}", [True], itertools.count(1)
     source = PartSpec("hil.software_d415:SoftwareD415", {"run": run}, "test: source")
     size = COLOR.width, COLOR.height
     config = RealSenseConfig(source=source, fps=FPS, depth_size=size, silence_s=0.1)
     with SharedCameraWriter(run, Role.SENDER, size, size, FPS) as world:
 
         def draw() -> None:
-            number = 0
-            while not ending.wait(1.0 / FPS):
-                number += 1
-                if plugged.is_set():
-                    color = np.full((COLOR.height, COLOR.width, 3), number % 251, np.uint8)
-                    depth_mm = np.full((COLOR.height, COLOR.width), 1000 + number, np.uint16)
-                    world.write(time.monotonic_ns(), color, depth_mm)
+            number = next(numbers)
+            if plugged:
+                color = np.full((COLOR.height, COLOR.width, 3), number % 251, np.uint8)
+                world.write(time.monotonic_ns(), color, np.full((COLOR.height, COLOR.width), 1000 + number, np.uint16))
 
-        plugged.set()
-        thread = threading.Thread(target=draw)
-        thread.start()
-        try:
+        with repeating(draw, 1.0 / FPS):
             yield Stage(RealSense(config, context()), plugged.clear)
-        finally:
-            ending.set()
-            thread.join()
     assert not list(shared_memory().glob(f"*{run}*"))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -20,6 +19,7 @@ from path.camera import CameraModel
 from path.geometry import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
+from tests.repeating import repeating
 
 COLOR = CameraModel(96, 72, 92.0, 92.0, 47.0, 36.0, (0.11, -0.23, 0.0, 0.0, 0.09))
 DEPTH = CameraModel(96, 72, 100.0, 100.0, 47.5, 35.5)
@@ -86,19 +86,8 @@ class Feed:
     @contextmanager
     def running(self, rate_hz: float = 200.0, give: Callable[[], object] | None = None) -> Generator[None]:
         """Frames all the time, from a thread of its own."""
-        ending = threading.Event()
-
-        def feed() -> None:
-            while not ending.wait(1.0 / rate_hz):
-                (give or self.give)()
-
-        thread = threading.Thread(target=feed)
-        thread.start()
-        try:
+        with repeating(give or self.give, 1.0 / rate_hz):
             yield
-        finally:
-            ending.set()
-            thread.join()
 
 
 def recordings(folder: Path) -> list[Path]:

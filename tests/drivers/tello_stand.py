@@ -29,24 +29,22 @@ CAMERA = CameraModel(320, 240, 300.0, 300.0, 159.5, 119.5)
 LEVEL = Mount(Pose(np.eye(3), np.zeros(3)), Pose(np.eye(3), np.zeros(3)))
 STEP_S = 0.005
 _hosts = count(20)
+_ports = count(20_000 + os.getpid() % 10_000)
 
 
 def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        return int(probe.getsockname()[1])
-
-
-def lasting_port() -> int:
-    """Free, and below those that the system hands out: it stays free until it is used, by a later test."""
-    for port in range(20_000 + os.getpid() % 10_000, 32_768):
+    """Free, handed out once, and below those that the system gives to whoever asks for any: it stays free until it is
+    used, be it by a later test."""
+    for port in _ports:
+        if port >= 32_768:
+            break
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
             probe.bind(("", port))
             return port
     raise OSError("no free port below 32768")
 
 
-STATE_PORT = lasting_port()
+STATE_PORT = free_port()
 """djitellopy listens on one for all drones of a process, from the first on."""
 
 

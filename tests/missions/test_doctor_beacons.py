@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-import threading
 import time
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -22,6 +22,7 @@ from missions.doctor_beacons import Heard, check_beacons, judged
 from path.messages import Role
 from tests.drivers.link_ends import Context, WallClock
 from tests.missions.doctor_findings import found
+from tests.repeating import repeating
 
 CONTEXT: Any = Context(Role.SENDER, WallClock())
 WANTED = {"sender": 5, "receiver": 6}
@@ -35,23 +36,16 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @contextmanager
 def streaming(cable: SerialCable, addresses: tuple[int, ...], quality: int) -> Generator[None]:
-    ending = threading.Event()
+    stamps_ms = itertools.count(1050, 50)
 
     def send() -> None:
-        stamp_ms = 1000
-        while not ending.wait(0.05):
-            stamp_ms += 50
-            for address in addresses:
-                cable.send(sent.quality(address, quality) + sent.position(stamp_ms, address, (1.0, 2.0, 3.0), 40))
-            cable.send(sent.telemetry(3.9, -60))
+        stamp_ms = next(stamps_ms)
+        for address in addresses:
+            cable.send(sent.quality(address, quality) + sent.position(stamp_ms, address, (1.0, 2.0, 3.0), 40))
+        cable.send(sent.telemetry(3.9, -60))
 
-    thread = threading.Thread(target=send)
-    thread.start()
-    try:
+    with repeating(send, 0.05):
         yield
-    finally:
-        ending.set()
-        thread.join()
 
 
 def looked_at(tmp_path: Path, addresses: tuple[int, ...], quality: int = 90) -> dict[str, Finding]:

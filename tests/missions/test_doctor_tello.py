@@ -53,7 +53,7 @@ def test_its_video_is_timed_from_the_first_frame_on() -> None:
             check_sight(create(PartSpec("drivers.pixel_sight:PixelSight", options, "t"), here), here.clock, None)
         )
     assert every["opens"].detail.startswith("first frame after ")
-    assert "of 30 frames a second" in every["rate"].detail
+    assert "of 30 a second" in every["rate"].detail
     assert every["size"].detail == f"{CAMERA.width}x{CAMERA.height}, as its calibration {CAMERA.width}x{CAMERA.height}"
     assert every["latency"].state == every["damaged"].state == "ok"
     assert "range" not in every  # it has none of its own
