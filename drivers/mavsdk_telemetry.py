@@ -172,7 +172,11 @@ class Telemetry:
         return self._history.attitude_at(stamp_ns)
 
     def missing(self) -> list[str]:
-        """What is not ready for flight. ``is_armable`` alone comes seconds before there is a position."""
+        """What is not ready for flight. ``is_armable`` alone comes seconds before there is a position.
+
+        ArduPilot tells a global position, and MAVSDK finds it well, 15 s before it has one that it would fly with: then
+        it begins to tell the local one.
+        """
         wanted = {
             "is_armable": "arming checks",
             "is_local_position_ok": "local position",
@@ -180,7 +184,8 @@ class Telemetry:
             "is_home_position_ok": "home position",
         }
         missing = [what for name, what in wanted.items() if not self.health.get(name, False)]
-        return missing + (["position telemetry"] if self.position is None else [])
+        missing += ["position telemetry"] if self.position is None else []
+        return missing + (["local position telemetry"] if math.isnan(self.velocity_n_mps[0]) else [])
 
     def texts_since(self, stamp_ns: int, severity: int = 3) -> list[str]:
         """Texts of warning or worse that came after a stamp, oldest first, each once."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -86,7 +86,10 @@ class FlightWatch:
 
 
 class MavlinkRelay:
-    """Two UDP sockets back to back. While ``silent`` the cable is cut, both ways."""
+    """Two UDP sockets back to back. While ``silent`` the cable is cut, both ways.
+
+    ``tap`` is called with id, bytes and arrival (monotonic clock) of each message of the vehicle, the cable cut or not.
+    """
 
     def __init__(self, kind: str, sysid: int, vehicle: Address, companion: Address) -> None:
         """``vehicle``: where the autopilot sends to; ``companion``: where MAVSDK listens. Raises OSError."""
@@ -94,6 +97,7 @@ class MavlinkRelay:
         self._kind = next(known for known in KINDS if known.name == kind)
         self.watch = FlightWatch(self._kind)
         self.silent = False
+        self.tap: Callable[[int, bytes, float], None] | None = None
         self._companion = companion
         self._peer: Address | None = None
         self._mav: Any = mavlink.MAVLink(None, srcSystem=PILOT_SYSID, srcComponent=190)
@@ -119,6 +123,8 @@ class MavlinkRelay:
             for message_id, sysid, frame in frames(packet):
                 if message_id == HEARTBEAT and sysid == self._sysid:
                     self._on_heartbeat(frame, arrival_s - epoch_s)
+                if self.tap is not None and sysid == self._sysid:
+                    self.tap(message_id, frame, arrival_s)
             if not self.silent:
                 _send(self._companion_socket, packet, self._companion)
         for packet, _, arrival_s in packets(self._companion_socket):
@@ -133,12 +139,12 @@ class MavlinkRelay:
 
     def pilot_takes_over(self) -> None:
         """A second ground station changes the mode, as a pilot's switch does."""
-        main, sub = PILOT_MODE[self._kind.name]
-        self._send_own(
-            mavlink.MAVLink_command_long_message(
-                self._sysid, AUTOPILOT, DO_SET_MODE, 0, float(CUSTOM_MODE_ENABLED), main, sub, 0.0, 0.0, 0.0, 0.0
-            )
-        )
+        self.order(DO_SET_MODE, float(CUSTOM_MODE_ENABLED), *PILOT_MODE[self._kind.name])
+
+    def order(self, command: int, *params: float) -> None:
+        """A command of that second ground station, sent once."""
+        filled = [*params, *([0.0] * (7 - len(params)))]
+        self._send_own(mavlink.MAVLink_command_long_message(self._sysid, AUTOPILOT, command, 0, *filled))
 
     def _send_own(self, message: Any) -> None:
         if self._peer is not None:

@@ -12,6 +12,7 @@ import tyro
 from missions.options import (
     CalibrateOptions,
     CampaignOptions,
+    ConformanceOptions,
     DetectOptions,
     DoctorOptions,
     GuardOptions,
@@ -35,6 +36,7 @@ MODULES: dict[type[object], str] = {
     TrialOptions: "trials.run",
     VerifyOptions: "verify.run",
     CampaignOptions: "campaign.run",
+    ConformanceOptions: "conformance.run",
     CalibrateOptions: "calibrate.run",
     DetectOptions: "detect",
 }
@@ -57,6 +59,7 @@ examples:
   path-handoff trial sensitivity              an experiment of the paper, run again
   path-handoff verify                         whatever the link does: never two responsible
   path-handoff campaign --runs 10000          thousands of hand-overs under faults, by seed
+  path-handoff conformance --px4 PATH         where the embedded vehicle differs from a real autopilot
 """
 
 Command = (
@@ -70,6 +73,7 @@ Command = (
     | Annotated[TrialOptions, tyro.conf.subcommand("trial")]
     | Annotated[VerifyOptions, tyro.conf.subcommand("verify")]
     | Annotated[CampaignOptions, tyro.conf.subcommand("campaign")]
+    | Annotated[ConformanceOptions, tyro.conf.subcommand("conformance")]
     | Annotated[CalibrateOptions, tyro.conf.subcommand("calibrate")]
     | Annotated[DetectOptions, tyro.conf.subcommand("detect")]
 )

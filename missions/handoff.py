@@ -17,7 +17,7 @@ from drivers.rig import Rig, import_factory
 from flight.harness import Emit, FlightReport, FlightRequest, Harness, RoleResult
 from flight.outcome import Outcome
 from missions import rig_library
-from missions.options import HandoffOptions
+from missions.options import ConformanceOptions, HandoffOptions
 from missions.progress import open_console, open_tally
 from missions.records import SUMMARY, RunFacts, load_run, write_facts
 from missions.report import make_report, series_table, show, summarize_many
@@ -43,7 +43,7 @@ def run(options: HandoffOptions) -> int:
     return facts.exit_code
 
 
-def name_simulators(options: HandoffOptions) -> None:
+def name_simulators(options: HandoffOptions | ConformanceOptions) -> None:
     """For the harness and its processes: what runs the autopilots of the rigs that fly real ones."""
     for variable, binary in (("PATH_PX4", options.px4), ("PATH_ARDUPILOT", options.ardupilot)):
         if binary is not None:

@@ -251,6 +251,36 @@ class CampaignOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class ConformanceOptions:
+    """Fly the embedded vehicle, PX4 and ArduPilot through the same small checks, and show where they differ.
+
+    In real time, four to ten minutes each; a busy computer shows in the figures. See docs/conformance.md.
+    """
+
+    vehicle: tuple[Literal["embedded", "px4", "ardupilot"], ...] = ()
+    """Which; all of them by default. One whose simulator is not named is skipped."""
+
+    px4: FileName = None
+    """PX4's SITL binary (bin/px4 in its build folder); PATH_PX4 names it too."""
+
+    ardupilot: FileName = None
+    """ArduCopter's SITL binary; PATH_ARDUPILOT names it too."""
+
+    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORD"), tyro.conf.UseAppendAction] = ()
+    """Only flights with this word in their name, such as course or silent; may be given several times."""
+
+    out: OutFolder = None
+    """Folder of the records, one a vehicle; those that are there already are shown too; conformance/<time> by
+    default."""
+
+    page: FileName = None
+    """Write the table as a page of Markdown."""
+
+    fly: bool = True
+    """--no-fly: fly nothing, show the records of --out."""
+
+
+@dataclass(frozen=True, slots=True)
 class BoardOptions:
     """The printed board, as measured on the print."""
 
