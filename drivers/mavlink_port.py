@@ -104,6 +104,9 @@ class SerialPort:
     def __init__(self, device: str, baud: int) -> None:
         self._port = serial.Serial(device, baud, timeout=0, write_timeout=0, exclusive=True)
 
+    def fileno(self) -> int:
+        return self._port.fileno()
+
     def read(self) -> bytes:
         try:
             return os.read(self._port.fileno(), _READ_AT_ONCE)

@@ -72,20 +72,35 @@ class Heard:
 
 
 class VehicleBench(Protocol):
-    """Entering it switches the vehicle on; leaving it leaves nothing behind.
+    """Entering it switches the vehicle on; leaving it leaves nothing behind."""
 
-    Attributes:
-        kind: whose modes it has, a name of ``drivers.mavsdk_modes.KINDS``.
-        what: the vehicle in words, for reports.
-        heard, instants: recorded from the start on, ``instants`` at 50 Hz.
-        cut: whether the companion's cable is cut, both ways; the bench goes on hearing the vehicle.
-    """
+    @property
+    def kind(self) -> str:
+        """Whose modes it has, a name of ``drivers.mavsdk_modes.KINDS``."""
+        ...
 
-    kind: str
-    what: str
-    heard: Heard
-    instants: list[Instant]
-    cut: bool
+    @property
+    def what(self) -> str:
+        """The vehicle in words, for reports."""
+        ...
+
+    @property
+    def heard(self) -> Heard:
+        """Recorded from the start on."""
+        ...
+
+    @property
+    def instants(self) -> list[Instant]:
+        """Recorded from the start on, at 50 Hz."""
+        ...
+
+    @property
+    def cut(self) -> bool:
+        """Whether the companion's cable is cut, both ways; the bench goes on hearing the vehicle."""
+        ...
+
+    @cut.setter
+    def cut(self, cut: bool, /) -> None: ...
 
     async def __aenter__(self) -> Self: ...
 

@@ -34,7 +34,6 @@ __all__ = [
 ]
 
 OK = Ack(True)
-CONTACT_S = 0.3  # ground contact this long is a landing
 
 
 class Autopilot:
@@ -67,6 +66,7 @@ class Autopilot:
         self._setpoint = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
         self._setpoint_s = -math.inf
         self._offboard_lost_s: float | None = None
+        self._companion_s: float | None = None  # when a ground station was last heard
         self._battery_landing = False  # the low battery has made it land already; the pilot may still take over
         self._guidance = Guidance(config)
 
@@ -102,7 +102,7 @@ class Autopilot:
         self._say(now_s, Severity.CRITICAL, "Kill switch engaged")
 
     def request_arm(self, now_s: float, arm: bool, force: bool = False) -> Ack:
-        """Arm or disarm. ``force`` is there because MAVLink has it: it skips no check and stops no motor in the air."""
+        """Arm or disarm. ``force`` skips no check of arming; disarming by it stops the motors, in the air too."""
         if arm == self.armed:
             return OK
         if arm:
@@ -110,9 +110,9 @@ class Autopilot:
                 return self._refuse(now_s, f"Arming denied: {self.reasons[0]}")
             self._arm(now_s)
             return OK
-        if not self.landed:
-            return self._refuse(now_s, "Disarming denied: in the air" + (", even by force" if force else ""))
-        self._disarm(now_s, "by command")
+        if not self.landed and not force:
+            return self._refuse(now_s, "Disarming denied: in the air")
+        self._disarm(now_s, "by force" if force else "by command")
         return OK
 
     def request_takeoff(self, now_s: float, height_m: float) -> Ack:
@@ -156,6 +156,10 @@ class Autopilot:
         self._note_gap(now_s)
         self._setpoint, self._setpoint_s = setpoint, now_s
         return True
+
+    def companion_heard(self, now_s: float) -> None:
+        """A ground station's heartbeat came."""
+        self._companion_s = now_s
 
     def step(self, now_s: float, estimate: Estimate, truth_on_ground: bool) -> RateCommand:
         """Advance to ``now_s``: failsafes, then the position loop of the mode. Times must not go back."""
@@ -232,7 +236,7 @@ class Autopilot:
             return
         if self._contact_s is None:
             self._contact_s = now_s
-        if not self.landed and now_s - self._contact_s >= CONTACT_S:
+        if not self.landed and now_s - self._contact_s >= self.config.land_detect_s:
             self.landed, self._landed_s = True, now_s
             self._say(now_s, Severity.INFO, "Landing detected")
 
@@ -250,6 +254,11 @@ class Autopilot:
             self._enter(now_s, FlightMode.LAND)
         self._battery_landing = self._battery_low and not self.landed
         self._watch_setpoints(now_s)
+        heard_s = self._companion_s
+        lost = heard_s is not None and now_s - heard_s > config.companion_loss_s
+        if lost and not self.landed and self.mode is not FlightMode.LAND:
+            self._enter(now_s, FlightMode.LAND)
+            self._say(now_s, Severity.CRITICAL, "No ground station, landing")
 
     def _watch_setpoints(self, now_s: float) -> None:
         """OFFBOARD without setpoints holds, and lands when nobody speaks up for ``offboard_land_s``."""
@@ -278,7 +287,9 @@ class Autopilot:
             self._guidance.hold_height(self.home_n_m)
         if self.mode is FlightMode.OFFBOARD:
             limits = self.config.max_horizontal_mps, self.config.max_up_mps, self.config.max_down_mps
-            velocity, yaw = limited(self._setpoint.velocity_n_mps, *limits), self._setpoint.yaw_rad
+            stale = now_s - self._setpoint_s > self.config.setpoint_stale_s
+            wanted = (0.0, 0.0, 0.0) if stale else self._setpoint.velocity_n_mps
+            velocity, yaw = limited(wanted, *limits), self._setpoint.yaw_rad
         else:
             velocity = self._guidance.velocity(now_s, self.mode, self._estimate, self.home_n_m)
         climbing = velocity is not None and velocity[2] < 0.0

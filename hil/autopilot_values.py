@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -11,10 +12,16 @@ from path.messages import Quat, Vec3
 
 @dataclass(frozen=True, slots=True)
 class AutopilotConfig:
-    """Times and limits. Defaults are near PX4's, shortened where a wait would only cost simulation time."""
+    """Times and limits. Defaults are near PX4's, shortened where a wait would only cost simulation time.
+
+    What PX4 and ArduCopter were measured to do is in docs/conformance.md; rig ``sitl`` has PX4's figures.
+    """
 
     settle_s: float = 2.5  # from the first step until armable, ± 10 % by seed
     arming_fault: str = ""  # when set, never armable, for this reason
+    heartbeat_hz: float = (
+        0.0  # kept to whatever is asked for, changes shown with the next; 0: as asked, changes at once
+    )
     spool_s: float = 1.0
     climb_mps: float = 1.0
     land_mps: float = 0.7
@@ -29,7 +36,10 @@ class AutopilotConfig:
     return_mps: float = 1.5
     offboard_loss_s: float = 0.5
     offboard_land_s: float = 1.0  # in HOLD after the loss, before LAND
-    land_disarm_s: float = 1.0
+    setpoint_stale_s: float = math.inf  # a setpoint older than this counts as standing still
+    companion_loss_s: float = math.inf  # without a ground station's heartbeat for this long it lands
+    land_detect_s: float = 0.3  # ground contact this long is a landing
+    land_disarm_s: float = 1.0  # after that
     idle_disarm_s: float = 10.0
     endurance_s: float = 900.0  # full battery, flying
     low_battery: float = 0.1  # lands by itself; scripts should come down earlier

@@ -55,6 +55,13 @@ class SerialCable:
             with suppress(BlockingIOError):
                 os.write(self._ends[0], data)
 
+    def received(self) -> bytes:
+        """What was written to the port."""
+        with suppress(BlockingIOError):
+            if self._ends is not None:
+                return os.read(self._ends[0], 65536)
+        return b""
+
     def unplug(self) -> None:
         """Who has the port open reads its end."""
         if self._ends is not None:

@@ -20,6 +20,7 @@ from hil.autopilot_process import (
     FIRST_TRUTH_PORT,
     AutopilotProcess,
     Home,
+    Kind,
     SimulatorBroken,
     SimulatorConfig,
 )
@@ -31,37 +32,46 @@ from hil.world import ROLES, SimDrone, World, WorldConfig
 from path.messages import Role
 
 POLL_S = 0.02
+# Where a board's own simulation begins, as its parameters are called; PX4's has no heading.
+ON_BOARD_HOME: dict[Kind, tuple[str, ...]] = {
+    "px4": ("SIH_LOC_LAT0", "SIH_LOC_LON0", "SIH_LOC_H0"),
+    "ardupilot": ("SIM_OPOS_LAT", "SIM_OPOS_LNG", "SIM_OPOS_ALT", "SIM_OPOS_HDG"),
+}
+PLACED_M = 1.0  # from where the rig says that it stands
 SILENT_S = 2.0  # without truth for this long there is no world any more
 
 
 class RemoteAutopilot:
-    """Answers for a real autopilot what the harness asks of an embedded one (``hil.autopilot.Autopilot``)."""
+    """Answers for a real autopilot what the harness asks of an embedded one (``hil.autopilot.Autopilot``).
 
-    def __init__(self, relay: MavlinkRelay, link: SimulatorLink) -> None:
-        self._relay = relay
+    Without a relay in the cable, as with a flight controller, nobody hears the setpoints: no session is ever shown.
+    """
+
+    def __init__(self, relay: MavlinkRelay | None, link: SimulatorLink) -> None:
         self._link = link
+        self._cable = link if relay is None else relay
 
     @property
     def armed(self) -> bool:
-        return self._relay.watch.armed
+        return self._cable.watch.armed
 
     @property
     def mode(self) -> FlightMode:
-        return self._relay.watch.mode
+        return self._cable.watch.mode
 
     @property
     def offboard_sessions(self) -> list[OffboardSession]:
-        return self._relay.watch.offboard_sessions
+        return self._cable.watch.offboard_sessions
 
     @property
     def setpoint_gap_s(self) -> float:
-        return self._relay.watch.setpoint_gap_s
+        return self._cable.watch.setpoint_gap_s
 
     def request_mode(self, now_s: float, mode: FlightMode, by_pilot: bool = False) -> None:
         """Only a pilot's change can be asked for."""
         del now_s, mode
         assert by_pilot
-        self._relay.pilot_takes_over()
+        self._cable.pilot_takes_over()
 
     def set_battery(self, fraction: float) -> None:
         """Let the simulated battery sag."""
@@ -82,26 +92,41 @@ class SimulatedVehicle:
         place = Home(*tangent.to_global(north, east, 0.0), home.heading_deg)
         self.follower = TruthFollower(world.airframe.leg_m)
         self._process: AutopilotProcess | None = None
-        if not config.url:
+        if config.to_start:
             parameters = {**_numbers(options.get("parameters", {})), **config.parameters}
             own = folder / f"{role.value}-{config.kind}"
             self._process = AutopilotProcess(config.kind, self.sysid, place, parameters, own, config.speedup)
-        url = urlsplit(str(options["url"]))
-        companion = url.hostname or "127.0.0.1", url.port or 0
-        vehicle = _address(config.url, FIRST_PORT + self.sysid - 1)
-        truth = _address(config.truth_url, FIRST_TRUTH_PORT + self.sysid - 1)
-        self.relay = MavlinkRelay(config.kind, self.sysid, vehicle, companion)
+        self.relay: MavlinkRelay | None = None
+        truth: tuple[str, int] | str = config.truth_url
+        if not config.on_board:
+            url = urlsplit(str(options["url"]))
+            companion = url.hostname or "127.0.0.1", url.port or 0
+            vehicle = _address(config.url, FIRST_PORT + self.sysid - 1)
+            self.relay = MavlinkRelay(config.kind, self.sysid, vehicle, companion)
+            truth = _address(config.truth_url, FIRST_TRUTH_PORT + self.sysid - 1)
         self.link = SimulatorLink(config.kind, self.sysid, truth, tangent, self.follower)
+        self._home, self._home_n_m = place, (north, east)
         self._at_speed = config.speedup == 1.0
-        self.epoch_s = time.monotonic()  # of the world's clock
+        self.epoch_s = time.monotonic()
+
+    @property
+    def epoch_s(self) -> float:
+        """Zero of the world's clock, on the monotonic one."""
+        return self.link.epoch_s
+
+    @epoch_s.setter
+    def epoch_s(self, epoch_s: float) -> None:
+        self.link.epoch_s = epoch_s
 
     @property
     def silent(self) -> bool:
-        return self.relay.silent
+        return self.relay is not None and self.relay.silent
 
     @silent.setter
     def silent(self, silent: bool) -> None:
-        self.relay.silent = silent
+        """Only where the harness has the cable in its hands."""
+        if self.relay is not None:
+            self.relay.silent = silent
 
     def start(self) -> None:
         if self._process is not None:
@@ -109,16 +134,19 @@ class SimulatedVehicle:
 
     def listen(self) -> None:
         """Take packets as they come, from now on."""
-        loop = asyncio.get_running_loop()
-        for each in self.relay.sockets:
-            loop.add_reader(each, lambda: self.relay.receive(self.epoch_s))
+        loop, relay = asyncio.get_running_loop(), self.relay
+        if relay is not None:
+            for each in relay.sockets:
+                loop.add_reader(each, lambda: relay.receive(self.epoch_s))
         loop.add_reader(self.link, self.link.receive)
 
     def close(self) -> None:
-        loop = asyncio.get_running_loop()
-        for each in (*self.relay.sockets, self.link):
-            loop.remove_reader(each)
-        self.relay.close()
+        loop, relay = asyncio.get_running_loop(), self.relay
+        loop.remove_reader(self.link)
+        if relay is not None:
+            for each in relay.sockets:
+                loop.remove_reader(each)
+            relay.close()
         self.link.close()
         if self._process is not None:
             self._process.stop()
@@ -138,11 +166,33 @@ class SimulatedVehicle:
         """What it lacks until a mission may start."""
         self.pump(0.0)
         missing = self.link.missing
+        if not missing and self.config.on_board:
+            self._check_place()
         if missing or self._at_speed:
             return missing
         self._at_speed = abs(self.link.parameters.get("SIM_SPEEDUP", 0.0) - 1.0) < 1e-3
         self.link.set_parameter("SIM_SPEEDUP", 1.0)
         return [] if self._at_speed else ["real time"]
+
+    def _check_place(self) -> None:
+        """A board begins where its own parameters say. Raises SimulatorBroken when that is not the rig's home."""
+        north, east = self.follower.row(time.monotonic())[:2].tolist()
+        off_m = math.dist((north, east), self._home_n_m)
+        if off_m <= PLACED_M:
+            return
+        home = self._home
+        names = ON_BOARD_HOME[self.config.kind]
+        values = (
+            f"{home.latitude_deg:.7f}",
+            f"{home.longitude_deg:.7f}",
+            f"{home.altitude_m:g}",
+            f"{home.heading_deg:g}",
+        )
+        wanted = ", ".join(f"{name} {value}" for name, value in zip(names, values, strict=False))
+        raise SimulatorBroken(
+            f"{self.config.kind} of vehicle {self.sysid} stands {off_m:.1f} m from its home in the rig: "
+            f"set {wanted}, and restart the board"
+        )
 
     def not_ready(self, missing: list[str], after_s: float) -> SimulatorBroken:
         """What is said of one that does not become ready."""

@@ -46,6 +46,11 @@ class Channel:
             except BlockingIOError:
                 return
 
+    def beat_every(self, interval_s: float | None) -> None:
+        """Heartbeats at an interval of the vehicle's own, if it has one."""
+        if interval_s is not None:
+            self._intervals_s[mavlink.MAVLINK_MSG_ID_HEARTBEAT] = interval_s
+
     def heartbeat_now(self) -> None:
         self._due_s[mavlink.MAVLINK_MSG_ID_HEARTBEAT] = -math.inf
 

@@ -69,6 +69,10 @@ class MavlinkVehicle:
         self._parameters = Parameters(drone.autopilot.config)
         self._shown: tuple[FlightMode, bool] | None = None
         self._texts_sent = 0
+        beat_hz = drone.autopilot.config.heartbeat_hz
+        self._own_beat_s = 1.0 / beat_hz if beat_hz > 0.0 else None
+        for channel in self._channels:
+            channel.beat_every(self._own_beat_s)
         self.silent = False
         self.received: Counter[str] = Counter()
         self.malformed = 0
@@ -119,7 +123,7 @@ class MavlinkVehicle:
 
     def _send_due(self, flight: Flight) -> None:
         shown = flight.autopilot.mode, flight.autopilot.armed
-        changed = shown != self._shown  # a change is told at once
+        changed = shown != self._shown and self._own_beat_s is None  # a change is told at once
         self._shown = shown
         for channel in self._channels:
             if changed:
@@ -166,6 +170,8 @@ class MavlinkVehicle:
             self._setpoint(flight, message)
         elif kind in ("COMMAND_LONG", "COMMAND_INT"):
             self._command(flight, message, channel, sender)
+        elif kind == "HEARTBEAT" and message.type == mavlink.MAV_TYPE_GCS:
+            flight.autopilot.companion_heard(flight.now_s)
         elif kind.startswith("PARAM_"):
             for answer in self._parameters.answer(message):
                 self._send(channel, answer, sender)
@@ -193,7 +199,7 @@ class MavlinkVehicle:
             after = _whole(message.param1)
             result = DENIED if after not in STREAMS else ACCEPTED
         elif command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
-            result = _set_interval(flight, channel, message)
+            result = self._set_interval(flight, channel, message)
         elif command in self._commands:
             result = self._commands[command](flight, message)
         else:
@@ -205,11 +211,19 @@ class MavlinkVehicle:
         if after is not None and result == ACCEPTED:
             self._send_message(flight, channel, after)
 
+    def _set_interval(self, flight: Flight, channel: Channel, message: Any) -> int:
+        which, interval_us = _whole(message.param1), _whole(message.param2)
+        if which is None or interval_us is None:
+            return DENIED
+        if which == mavlink.MAVLINK_MSG_ID_HEARTBEAT and self._own_beat_s is not None:
+            return ACCEPTED  # and goes on as it did
+        return ACCEPTED if channel.set_interval(which, interval_us, flight.estimate.time_s) else DENIED
+
     def _arm(self, flight: Flight, message: Any) -> int:
         arm = _whole(message.param1)
         if arm not in (0, 1):
             return DENIED
-        return _result(flight.autopilot.request_arm(flight.now_s, arm == 1, message.param2 == FORCE_MAGIC))
+        return _not_now(flight.autopilot.request_arm(flight.now_s, arm == 1, message.param2 == FORCE_MAGIC))
 
     def _take_off(self, flight: Flight, message: Any) -> int:
         """Without an altitude, and MAVSDK gives none, the height is MIS_TAKEOFF_ALT over home."""
@@ -232,14 +246,7 @@ class MavlinkVehicle:
         return DENIED
 
     def _request(self, flight: Flight, mode: FlightMode, by_pilot: bool = False) -> int:
-        return _result(flight.autopilot.request_mode(flight.now_s, mode, by_pilot))
-
-
-def _set_interval(flight: Flight, channel: Channel, message: Any) -> int:
-    which, interval_us = _whole(message.param1), _whole(message.param2)
-    if which is None or interval_us is None:
-        return DENIED
-    return ACCEPTED if channel.set_interval(which, interval_us, flight.estimate.time_s) else DENIED
+        return _not_now(flight.autopilot.request_mode(flight.now_s, mode, by_pilot))
 
 
 def _frames(packet: bytes) -> Iterator[bytearray]:
@@ -260,3 +267,8 @@ def _whole(value: float) -> int | None:
 
 def _result(ack: Ack) -> int:
     return ACCEPTED if ack.accepted else DENIED
+
+
+def _not_now(ack: Ack) -> int:
+    """As PX4 answers what it would do another time: arming, disarming, a mode."""
+    return ACCEPTED if ack.accepted else NOT_NOW

@@ -2,7 +2,8 @@
 
 PX4 (SIH) tells the truth in HIL_STATE_QUATERNION; ArduPilot in SIM_STATE and, for its position, SIMSTATE (SIM_STATE has
 whole degrees in single precision, and its 1e-7 degrees only in newer versions). No heartbeat is ever sent here:
-an autopilot must not take the harness for its companion.
+an autopilot must not take the harness for its companion. A flight controller on the bench, which simulates on board, is
+spoken to in the same way over a serial port.
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from drivers.mavsdk_geodesy import LocalTangent
-from hil.arrival import Address, bound, packets
+from drivers.mavsdk_modes import CUSTOM_MODE_ENABLED, KINDS
+from hil.arrival import Address
 from hil.autopilot_process import Kind
-from hil.mavlink_relay import frames
+from hil.mavlink_relay import DO_SET_MODE, PILOT_MODE, FlightWatch
+from hil.simulator_wire import open_wire
 from hil.truth_follower import Fix, Motion, TruthFollower
 from path.messages import Vec3
 
@@ -42,14 +45,17 @@ READINESS = (
 class SimulatorLink:
     """Bound to a port the simulator sends to, or connected to nothing until it does. Read it with ``receive``."""
 
-    def __init__(self, kind: Kind, sysid: int, port: Address, tangent: LocalTangent, follower: TruthFollower) -> None:
-        """Raises OSError when the port is taken."""
+    def __init__(
+        self, kind: Kind, sysid: int, port: Address | str, tangent: LocalTangent, follower: TruthFollower
+    ) -> None:
+        """``port``: where it listens, or the URL of a serial port. Raises OSError, PartError when that is taken."""
         self._kind: Kind = kind
         self._sysid = sysid
         self._tangent = tangent
         self.follower = follower
-        self._socket = bound(port)
-        self._peer: Address | None = None
+        self.wire = open_wire(port)
+        self.watch = FlightWatch(next(known for known in KINDS if known.name == kind))
+        self.epoch_s = 0.0  # of the world's clock, for ``watch``
         self._mav: Any = mavlink.MAVLink(None, srcSystem=OWN_SYSID, srcComponent=OWN_COMPONENT)
         self._asked_s = -math.inf
         self._heard: dict[int, float] = {}
@@ -58,10 +64,10 @@ class SimulatorLink:
         self.parameters: dict[str, float] = {}
 
     def fileno(self) -> int:
-        return self._socket.fileno()
+        return self.wire.fileno()
 
     def close(self) -> None:
-        self._socket.close()
+        self.wire.close()
 
     @property
     def missing(self) -> list[str]:
@@ -80,17 +86,15 @@ class SimulatorLink:
 
     def receive(self) -> None:
         """Take all that came in. Times are of the monotonic clock."""
-        for packet, sender, arrival_s in packets(self._socket):
-            self._peer = sender
-            for message_id, sysid, frame in frames(packet):
-                if sysid != self._sysid or message_id not in mavlink.mavlink_map:
-                    continue
-                with contextlib.suppress(mavlink.MAVError):
-                    self._take(self._mav.decode(bytearray(frame)), arrival_s)
+        for message_id, sysid, frame, arrival_s in self.wire.read():
+            if sysid != self._sysid or message_id not in mavlink.mavlink_map:
+                continue
+            with contextlib.suppress(mavlink.MAVError):
+                self._take(self._mav.decode(bytearray(frame)), arrival_s)
 
     def ask(self, now_s: float) -> None:
         """Ask for the streams that do not come, once a second: requests are lost while it starts."""
-        if self._peer is None or now_s - self._asked_s < ASK_AGAIN_S:
+        if not self.wire.met or now_s - self._asked_s < ASK_AGAIN_S:
             return
         self._asked_s = now_s
         for message in TRUTH[self._kind]:
@@ -107,6 +111,10 @@ class SimulatorLink:
             self.set_parameter("SIM_BAT_MIN_PCT", 100.0 * fraction)
         else:
             self._command(mavlink.MAV_CMD_BATTERY_RESET, 1.0, 100.0 * fraction)
+
+    def pilot_takes_over(self) -> None:
+        """As a second ground station."""
+        self._command(DO_SET_MODE, float(CUSTOM_MODE_ENABLED), *PILOT_MODE[self._kind])
 
     def set_parameter(self, name: str, value: float) -> None:
         """Ask for a change of a float parameter; ``parameters`` has it when it was made."""
@@ -125,17 +133,13 @@ class SimulatorLink:
     def _want(self, message: int, rate_hz: float) -> None:
         self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, float(message), 1e6 / rate_hz)
 
-    def _command(self, command: int, param1: float, param2: float) -> None:
-        rest = (0.0, 0.0, 0.0, 0.0, 0.0)
-        self._send(mavlink.MAVLink_command_long_message(self._sysid, AUTOPILOT, command, 0, param1, param2, *rest))
+    def _command(self, command: int, *params: float) -> None:
+        filled = [*params, *([0.0] * (7 - len(params)))]
+        self._send(mavlink.MAVLink_command_long_message(self._sysid, AUTOPILOT, command, 0, *filled))
 
     def _send(self, message: Any) -> None:
-        if self._peer is None:
-            return
-        packet = message.pack(self._mav)
+        self.wire.write(message.pack(self._mav))
         self._mav.seq = (self._mav.seq + 1) % 256
-        with contextlib.suppress(OSError):
-            self._socket.sendto(packet, self._peer)
 
     def _take(self, message: Any, time_s: float) -> None:
         self._heard[message.get_msgId()] = time_s
@@ -147,6 +151,8 @@ class SimulatorLink:
             case "SIMSTATE":
                 north, east, _ = self._tangent.to_ned(message.lat * 1e-7, message.lng * 1e-7, 0.0)
                 self.follower.on_fix(Fix(time_s, (north, east, math.nan)))
+            case "HEARTBEAT" if message.get_srcComponent() == AUTOPILOT:
+                self.watch.on_heartbeat(time_s - self.epoch_s, message.custom_mode, message.base_mode)
             case "SYS_STATUS":
                 self.armable = bool(message.onboard_control_sensors_health & PREARM_CHECK)
             case "STATUSTEXT":

@@ -62,8 +62,10 @@ class SitlHarness:
         config = decode_table(request.rig.world, WorldConfig, request.rig.where("[world]"))
         for role in Role:
             simulator = config.simulator(role)
-            if simulator is not None and not simulator.url:
+            if simulator is not None and simulator.to_start:
                 binary_of(simulator.kind)
+            if simulator is not None and simulator.on_board and "fc_link_loss" in " ".join(request.faults):
+                raise FaultError("fault fc_link_loss: the harness has no hold of the board's cable", "pull it yourself")
         return asyncio.run(_fly(request))
 
 

@@ -30,7 +30,7 @@ from path.messages import Quat, Role, Vec3
 
 STEP_S = 0.005
 SAMPLE_S = 0.02
-SYSID = 8  # of a simulator: beside those of a run on the same computer
+SYSID = 9  # of a simulator: beside those of a run on the same computer
 DECODED = frozenset({0, 1, 77, 245, 253})  # HEARTBEAT, SYS_STATUS, COMMAND_ACK, EXTENDED_SYS_STATE, STATUSTEXT
 
 Truth = tuple[Vec3, Vec3, Quat]
@@ -84,7 +84,10 @@ class SimulatorFarSide:
         self.kind = self.what = simulator.kind
         # At its own speed from the start: how long it takes to be ready is measured.
         self._vehicle = SimulatedVehicle(rig, Role.SENDER, replace(simulator, speedup=1.0), config, folder)
-        self.relay = self._vehicle.relay
+        relay = self._vehicle.relay
+        if relay is None:
+            raise PartError(f"{rig.name}: a board has its cable to itself", "name a rig of level sitl")
+        self.relay: MavlinkRelay = relay
 
     def start(self) -> None:
         self._vehicle.listen()

@@ -267,7 +267,8 @@ class ConformanceOptions:
     """ArduCopter's SITL binary; PATH_ARDUPILOT names it too."""
 
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORD"), tyro.conf.UseAppendAction] = ()
-    """Only flights with this word in their name, such as course or silent; may be given several times."""
+    """Only flights with this word in their name, such as course or silent; may be given several times. What they give
+    goes into the record that --out has of the vehicle already."""
 
     out: OutFolder = None
     """Folder of the records, one a vehicle; those that are there already are shown too; conformance/<time> by

@@ -110,7 +110,7 @@ async def _in_the_air(stage: Stage) -> Values:
 
 
 async def _hover(stage: Stage) -> Values:
-    """Eight seconds in HOLD, and two messages a hundredth late are no gap worth telling."""
+    """Eight seconds in HOLD: how still it stands, what its estimate is off by, how often it tells."""
     begin_s = stage.now_s
     await stage.wait(HOLD_S)
     track = Track.of(stage.bench.instants, begin_s)
@@ -286,6 +286,7 @@ async def battery_and_kill(stage: Stage) -> Values:
         "battery_modes": in_words(changes),
         "battery_s": changes[0][0] if changes else None,
         "battery_land_s": when(changes, "land"),
+        "battery_says": f"{100.0 * stage.vehicle.state.battery:.0f} %",
     }
     if stage.height_m > 1.0:
         await stage.vehicle.hold()

@@ -25,7 +25,7 @@ path-handoff conformance --no-fly --out conformance --page docs/conformance.md  
 
 The vehicles of the rigs `sitl`, `sitl-px4` and `sitl-ardupilot` are switched on and flown {flights} times, with their
 rigs' parameters. A relay in the cable hears everything, cuts it, and is the second ground station; heights and speeds
-are the simulations' truth. Modes are what heartbeats show: PX4 beats once a second, so that its changes of mode are up to
+are the simulations' truth. Modes are what heartbeats show: PX4 beats once a second, and its changes of mode are up to
 1 s late. One flight each: take a figure as an example, not as a mean. The embedded world has wind (1.5 m/s, gusts
 0.4 m/s), the two simulators have none.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from drivers.interfaces import PartError
@@ -26,10 +26,23 @@ class Record:
     restarts: int
     values: Values
     failed: dict[str, str]
+    flown: tuple[str, ...] = ()
 
 
 def write(folder: Path, record: Record) -> None:
     (folder / f"{record.vehicle}.json").write_text(json.dumps(asdict(record), indent=2) + "\n", "utf-8")
+
+
+def joined(before: Record | None, now: Record) -> Record:
+    """Some flights flown again: what they gave replaces what there was, the rest is kept."""
+    if before is None:
+        return now
+    failed = {name: why for name, why in before.failed.items() if name not in now.flown}
+    flown = tuple(dict.fromkeys((*before.flown, *now.flown)))
+    return replace(
+        now, flown=flown, restarts=before.restarts + now.restarts, values={**before.values, **now.values},
+        failed={**failed, **now.failed},
+    )  # fmt: skip
 
 
 def read_all(folder: Path) -> dict[str, Record]:

@@ -15,7 +15,7 @@ from missions import rig_library
 from missions.conformance.flights import FLIGHTS, Flight
 from missions.conformance.measure import Suite, chosen
 from missions.conformance.page import page, terminal_table
-from missions.conformance.record import VEHICLES, Record, read_all, write
+from missions.conformance.record import VEHICLES, Record, joined, read_all, write
 from missions.handoff import name_simulators
 from missions.options import ConformanceOptions
 from missions.report import show
@@ -41,7 +41,7 @@ def run(options: ConformanceOptions) -> int:
             failed = True
             continue
         failed = failed or bool(record.failed)
-        write(folder, record)
+        write(folder, joined(read_all(folder).get(vehicle) if options.only else None, record))
     records = read_all(folder)
     if not records:
         _say(f"{folder}: nothing was measured")
@@ -83,6 +83,7 @@ def fly(vehicle: str, flights: Sequence[Flight], folder: Path) -> Record:
         restarts=measured.restarts,
         values=measured.values,
         failed=measured.failed,
+        flown=tuple(flight.name for flight in flights),
     )
 
 

@@ -237,7 +237,9 @@ def test_a_refused_arm_says_why() -> None:
         async with bench.vehicle() as vehicle:
             with pytest.raises(VehicleError, match=r"not ready to arm after 0\.2 s: waiting for arming checks"):
                 await vehicle.wait_armable(0.2)
-            with pytest.raises(VehicleError, match=r"refused to arm \(denied\): Arming denied: compass inconsistent"):
+            with pytest.raises(
+                VehicleError, match=r"refused to arm \(temporarily rejected\): Arming denied: compass inconsistent"
+            ):
                 await vehicle.arm()
             with pytest.raises(VehicleError, match="not armed"):
                 await vehicle.take_off(HEIGHT_M, LIMIT_S)

@@ -13,6 +13,7 @@ from path.rotation import quat_from_rpy, yaw_of
 TICK_S = 0.02
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
+NORTH = VelocitySetpoint((1.0, 0.0, 0.0), 0.0)
 
 
 class Bench:
@@ -276,16 +277,53 @@ def test_disarms_when_nobody_takes_off() -> None:
     assert bench.until(lambda: not bench.autopilot.armed) == pytest.approx(10.0, abs=0.1)
 
 
-def test_disarming_never_stops_the_motors_in_the_air() -> None:
+def test_disarming_stops_the_motors_in_the_air_only_by_force() -> None:
     bench = Bench().fly()
-    for force in (False, True):
-        ack = bench.autopilot.request_arm(bench.now_s, False, force)
-        assert "in the air" in ack.reason
+    ack = bench.autopilot.request_arm(bench.now_s, False)
+    assert "in the air" in ack.reason
+    bench.tick()
+    assert bench.autopilot.armed
+    assert bench.autopilot.request_arm(bench.now_s, False, force=True).accepted
+    with pytest.raises(AssertionError, match="motors stopped in the air"):
         bench.tick()
-        assert bench.autopilot.armed
+    assert bench.texts[-1] == "Disarmed by force"
+
+
+def test_on_the_ground_it_disarms_when_told_to() -> None:
+    bench = Bench().fly()
     bench.request(FlightMode.LAND)
     bench.until(lambda: bench.autopilot.landed)
     assert bench.autopilot.request_arm(bench.now_s, False).accepted
+
+
+LIKE_ARDUCOPTER = AutopilotConfig(offboard_loss_s=math.inf, setpoint_stale_s=3.0, companion_loss_s=2.0)
+
+
+def test_one_that_watches_no_setpoints_stands_still_when_they_are_stale() -> None:
+    bench = Bench(LIKE_ARDUCOPTER).fly().offboard(NORTH)
+    bench.run(2.9)
+    assert bench.velocity[0] == pytest.approx(1.0)
+    bench.run(0.2)
+    assert (bench.velocity[0], bench.autopilot.mode) == (0.0, FlightMode.OFFBOARD)
+    bench.run(10.0)
+    assert bench.autopilot.mode is FlightMode.OFFBOARD
+
+
+def test_one_that_watches_its_ground_station_lands_without_it() -> None:
+    bench = Bench(LIKE_ARDUCOPTER).fly()
+    bench.run(5.0)
+    assert bench.autopilot.mode is FlightMode.HOLD  # nobody was ever heard
+    bench.autopilot.companion_heard(bench.now_s)
+    assert bench.until(lambda: bench.autopilot.mode is FlightMode.LAND) == pytest.approx(2.0, abs=0.1)
+    assert bench.texts[-1] == "No ground station, landing"
+    bench.until(lambda: not bench.autopilot.armed)
+
+
+def test_a_landing_is_detected_after_as_long_as_it_takes() -> None:
+    bench = Bench(AutopilotConfig(land_detect_s=2.3)).fly()
+    bench.request(FlightMode.LAND)
+    bench.until(lambda: bench.position[2] >= 0.0)
+    assert bench.until(lambda: bench.autopilot.landed) == pytest.approx(2.3, abs=0.1)
 
 
 def test_the_pilot_takes_offboard_away() -> None:

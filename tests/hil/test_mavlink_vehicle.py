@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -148,7 +149,7 @@ def test_a_changed_mode_is_told_at_once(bench: Bench) -> None:
 
 
 def test_arming_too_early_is_denied_with_its_reason_in_text(bench: Bench) -> None:
-    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_DENIED
+    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
     assert [text.text for text in bench.of("STATUSTEXT")] == ["Arming denied: position estimate is settling"]
     assert not bench.drone.autopilot.armed
 
@@ -196,7 +197,9 @@ def test_parameters_are_listed_and_only_the_take_off_height_can_be_set(bench: Be
 
 def test_velocity_and_position_setpoints_fly(bench: Bench) -> None:
     bench.fly_at(0.8)
-    assert bench.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0) == mavlink.MAV_RESULT_DENIED  # no setpoint yet
+    assert (
+        bench.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+    )  # no setpoint yet
     bench.setpoint((0.5, 0.0, 0.0), yaw=1.0)
     assert bench.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
     bench.run(3.0, lambda: bench.setpoint((0.5, 0.0, 0.0), yaw=1.0))
@@ -218,7 +221,7 @@ def test_a_setpoint_that_is_not_finite_does_not_count(
     bench.setpoint(velocity, mask, yaw=yaw)
     bench.run(STEP_S)
     assert bench.vehicle.malformed == 1
-    assert bench.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0) == mavlink.MAV_RESULT_DENIED
+    assert bench.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 
 
 def test_without_setpoints_it_holds_then_lands(bench: Bench) -> None:
@@ -231,10 +234,43 @@ def test_without_setpoints_it_holds_then_lands(bench: Bench) -> None:
     assert not bench.drone.autopilot.armed
 
 
-def test_force_does_not_stop_the_motors_in_the_air(bench: Bench) -> None:
+def test_only_force_stops_the_motors_in_the_air(bench: Bench) -> None:
     bench.fly_at()
-    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21196.0) == mavlink.MAV_RESULT_DENIED
-    assert bench.drone.autopilot.armed
+    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 0.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21196.0) == mavlink.MAV_RESULT_ACCEPTED
+    bench.run(1.0)
+    assert bench.drone.on_ground
+
+
+@pytest.fixture
+def slow_beat() -> Iterator[Bench]:
+    made = Bench(replace(QUICK, heartbeat_hz=1.0, companion_loss_s=0.5))
+    yield made
+    made.close()
+
+
+def test_one_that_beats_at_its_own_rate_shows_a_change_with_the_next_beat(slow_beat: Bench) -> None:
+    bench = slow_beat
+    assert bench.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0.0, 2e5) == mavlink.MAV_RESULT_ACCEPTED
+    bench.run(0.6)
+    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
+    assert bench.of("HEARTBEAT") == []
+    bench.run(4.0)
+    assert len(bench.of("HEARTBEAT")) == 4
+    assert bench.of("HEARTBEAT")[-1].base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+
+
+def test_a_ground_stations_heartbeat_is_heard_and_a_companions_is_none(slow_beat: Bench) -> None:
+    bench = slow_beat
+
+    def beat(kind: int) -> None:
+        bench.send(mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3))
+
+    bench.fly_at()
+    bench.run(1.0, lambda: beat(mavlink.MAV_TYPE_GCS))
+    assert bench.drone.autopilot.mode is FlightMode.HOLD
+    bench.run(0.7, lambda: beat(mavlink.MAV_TYPE_ONBOARD_CONTROLLER))
+    assert bench.drone.autopilot.mode is FlightMode.LAND
 
 
 def test_a_pilots_mode_from_a_second_ground_station_is_obeyed(bench: Bench) -> None:

@@ -69,4 +69,5 @@ async def flight(vehicle: MavsdkVehicle, simulated: SimulatedVehicle) -> None:
     await vehicle.hold()
     await vehicle.land(LIMIT_S)
     assert -truth()[2] == pytest.approx(ground_m, abs=0.1)
+    assert simulated.relay is not None
     assert len(simulated.relay.watch.offboard_sessions) == 1

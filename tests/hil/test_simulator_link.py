@@ -21,6 +21,7 @@ from hil.autopilot_process import Kind, SimulatorBroken
 from hil.dynamics import CONTACT, POSITION, VELOCITY
 from hil.followed_world import FollowedWorld, SimulatedVehicle, start_simulators
 from hil.simulator_link import OWN_SYSID, PREARM_CHECK, SimulatorLink
+from hil.simulator_wire import UdpWire
 from hil.truth_follower import TruthFollower
 from hil.world import WorldConfig
 from missions import rig_library
@@ -42,7 +43,8 @@ class Simulator:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.setblocking(False)
         self.mav: Any = mavlink.MAVLink(None, srcSystem=SYSID, srcComponent=1)
-        self.address = self.link._socket.getsockname()  # type: ignore[reportPrivateUsage]
+        assert isinstance(self.link.wire, UdpWire)
+        self.address = self.link.wire.address
 
     def say(self, *messages: Any) -> None:
         for message in messages:
@@ -230,5 +232,6 @@ def test_the_world_is_where_the_simulators_say(rig: Rig, tmp_path: Path) -> None
         assert world._states[:, CONTACT].tolist() == [0.0, 0.0]  # type: ignore[reportPrivateUsage]
     finally:
         for vehicle in vehicles.values():
+            assert vehicle.relay is not None
             vehicle.relay.close()
             vehicle.link.close()

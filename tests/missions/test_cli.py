@@ -132,6 +132,9 @@ def test_what_does_not_fly_loads_nothing_heavy(arguments: list[str]) -> None:
 def test_switching_level_changes_parts_and_nothing_else() -> None:
     tables = [tomllib.loads(rig.read_text()) for rig in RIGS if rig.stem in ("sim", "sim-rendered", "sitl")]
     assert len(tables) == 3
+    for table in tables:
+        for own in ("autopilot", "airframe"):  # as PX4 was measured where time is real, shortened where it is virtual
+            table["world"].pop(own, None)
     for table in tables[1:]:
         for key in ("origin", "method", "mission", "world", "markers"):
             assert table.get(key) == tables[0].get(key), key
