@@ -2,6 +2,10 @@
 
 It stands for a board on the bench wherever there is none: an unmodified MAVSDK opens the first port, the harness the
 second, both pseudo terminals.
+
+    python -m hil.board_pty RIG_FILE
+
+puts two of them behind the devices that a rig names, until Ctrl-C; the devices must not be there yet.
 """
 
 from __future__ import annotations
@@ -9,6 +13,9 @@ from __future__ import annotations
 import contextlib
 import math
 import socket
+import sys
+import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +23,16 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.mavlink_port import take_frames
 from drivers.mavsdk_geodesy import LocalTangent
+from drivers.rig import Rig
+from drivers.rig_file import load_rig
+from drivers.tables import decode_table
 from hil.beacon_pty import SerialCable
 from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.world import SimDrone
+from hil.simulator_wire import SERIAL
+from hil.world import SimDrone, World, WorldConfig
+from path.messages import Role
 
+STEP_S = 0.005
 TRUTH_S = 0.01
 
 
@@ -95,3 +108,49 @@ class BoardPty:
         packet = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         return packet
+
+
+def boards_of(rig: Rig, world: World, stack: ExitStack) -> list[BoardPty]:
+    """Both of a rig, behind the devices it names. Raises ValueError when it names none, OSError for a real one."""
+    origin = rig.origin
+    tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+    boards: list[BoardPty] = []
+    for role in Role:
+        options, simulator = rig.role(role).vehicle.options, world.config.simulator(role)
+        urls = str(options["url"]), simulator.truth_url if simulator else ""
+        companion, truth = (_device(url) for url in urls)
+        drone, leg_m = world.drone(role), world.config.airframe.leg_m
+        boards.append(BoardPty(int(options["sysid"]), drone, leg_m, tangent, companion, truth))
+        stack.callback(boards[-1].close)
+    return boards
+
+
+def _device(url: str) -> Path:
+    match = SERIAL.fullmatch(url)
+    if match is None:
+        raise ValueError(f"{url!r} is no serial port")
+    device = Path(match[1])
+    if device.exists() and not device.is_symlink():
+        raise FileExistsError(f"{device} is a real device: name another")
+    return device
+
+
+def main() -> None:
+    rig = load_rig(sys.argv[1])
+    world = World(decode_table(rig.world, WorldConfig, rig.where("world")), seed=0)
+    with ExitStack() as stack, contextlib.suppress(KeyboardInterrupt):
+        boards = boards_of(rig, world, stack)
+        sys.stdout.write("two boards in software are switched on; Ctrl-C switches them off\n")
+        sys.stdout.flush()
+        start_s, steps = time.monotonic(), 0
+        while True:
+            now_s = time.monotonic() - start_s
+            world.advance(max(now_s, world.time_s))
+            for board in boards:
+                board.pump(world.time_s)
+            steps = max(steps + 1, int(now_s / STEP_S))
+            time.sleep(max(0.0, start_s + steps * STEP_S - time.monotonic()))
+
+
+if __name__ == "__main__":
+    main()

@@ -24,7 +24,7 @@ from hil.autopilot_process import (
     SimulatorBroken,
     SimulatorConfig,
 )
-from hil.autopilot_values import OffboardSession
+from hil.autopilot_values import AutopilotConfig, OffboardSession
 from hil.mavlink_relay import MavlinkRelay
 from hil.simulator_link import SimulatorLink
 from hil.truth_follower import TruthFollower
@@ -47,6 +47,9 @@ class RemoteAutopilot:
     Without a relay in the cable, as with a flight controller, nobody hears the setpoints: no session is ever shown.
     """
 
+    killed = False  # nobody has its kill switch
+    config = AutopilotConfig()  # of which the monitors ask at what battery it may land by itself
+
     def __init__(self, relay: MavlinkRelay | None, link: SimulatorLink) -> None:
         self._link = link
         self._cable = link if relay is None else relay
@@ -58,6 +61,19 @@ class RemoteAutopilot:
     @property
     def mode(self) -> FlightMode:
         return self._cable.watch.mode
+
+    @property
+    def pilot_in_control(self) -> bool:
+        """Whether it flies in a mode that no script selects."""
+        return self.armed and self.mode is FlightMode.OTHER
+
+    @property
+    def battery(self) -> float:
+        return self._link.battery
+
+    @property
+    def newest_setpoint_s(self) -> float:
+        return self._cable.watch.newest_setpoint_s
 
     @property
     def offboard_sessions(self) -> list[OffboardSession]:

@@ -7,6 +7,7 @@ comes from the packets themselves and from nobody's report.
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -40,7 +41,7 @@ class FlightWatch:
         self.armed = False
         self.mode = FlightMode.OTHER
         self.offboard_sessions: list[OffboardSession] = []
-        self._setpoint_s = 0.0
+        self.newest_setpoint_s = -math.inf
         self._leaving = False
 
     @property
@@ -59,10 +60,10 @@ class FlightWatch:
     def on_setpoint(self, now_s: float) -> None:
         session = self._open
         if session is not None:
-            session.max_gap_s = max(session.max_gap_s, now_s - self._setpoint_s)
+            session.max_gap_s = max(session.max_gap_s, now_s - self.newest_setpoint_s)
         elif self.armed and self.mode is FlightMode.OFFBOARD and not self._leaving:
             self.offboard_sessions.append(OffboardSession(now_s))
-        self._setpoint_s = now_s
+        self.newest_setpoint_s = now_s
 
     def on_command(self, now_s: float, command: int, param2: float) -> None:
         """A command from the companion: leaving OFFBOARD by its own will is no gap."""
@@ -81,7 +82,7 @@ class FlightWatch:
     def _end(self, now_s: float, mode: FlightMode) -> None:
         session = self._open
         if session is not None:
-            session.max_gap_s = max(session.max_gap_s, now_s - self._setpoint_s)
+            session.max_gap_s = max(session.max_gap_s, now_s - self.newest_setpoint_s)
             session.end_s, session.ended_by = now_s, mode
 
 

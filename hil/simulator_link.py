@@ -60,6 +60,7 @@ class SimulatorLink:
         self._asked_s = -math.inf
         self._heard: dict[int, float] = {}
         self.armable = False
+        self.battery = 1.0  # what it says is left, 0..1
         self.texts: list[str] = []
         self.parameters: dict[str, float] = {}
 
@@ -155,6 +156,8 @@ class SimulatorLink:
                 self.watch.on_heartbeat(time_s - self.epoch_s, message.custom_mode, message.base_mode)
             case "SYS_STATUS":
                 self.armable = bool(message.onboard_control_sensors_health & PREARM_CHECK)
+                if message.battery_remaining >= 0:
+                    self.battery = message.battery_remaining / 100.0
             case "STATUSTEXT":
                 self.texts.append(str(message.text))
             case "PARAM_VALUE":

@@ -20,6 +20,7 @@ from drivers.tables import decode_table
 from hil.autopilot_process import Kind, SimulatorBroken
 from hil.dynamics import CONTACT, POSITION, VELOCITY
 from hil.followed_world import FollowedWorld, SimulatedVehicle, start_simulators
+from hil.script_monitor import vehicles_of
 from hil.simulator_link import OWN_SYSID, PREARM_CHECK, SimulatorLink
 from hil.simulator_wire import UdpWire
 from hil.truth_follower import TruthFollower
@@ -229,6 +230,8 @@ def test_the_world_is_where_the_simulators_say(rig: Rig, tmp_path: Path) -> None
         assert world.drone(Role.SENDER).true_position_n_m == pytest.approx((1.0, 0.0, -2.1), abs=0.02)
         assert world.snapshot().drones[Role.RECEIVER].T_w_b.t == pytest.approx([0.0, 4.0, 2.1], abs=0.02)
         assert not world.drone(Role.SENDER).autopilot.armed
+        seen = vehicles_of(world, rig)[Role.SENDER]  # the monitors find there all that they ask of an embedded one
+        assert (seen.pilot, seen.killed, seen.battery, seen.setpoint_s) == (False, False, 1.0, -math.inf)
         assert world._states[:, CONTACT].tolist() == [0.0, 0.0]  # type: ignore[reportPrivateUsage]
     finally:
         for vehicle in vehicles.values():
