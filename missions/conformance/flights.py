@@ -276,10 +276,10 @@ async def pilot(stage: Stage) -> Values:
 
 
 async def battery_and_kill(stage: Stage) -> Values:
-    """Five percent left in the air; and the motors stopped by force just above the ground."""
+    """Nothing left in the air; and the motors stopped by force before the ground."""
     await stage.up(HEIGHT_M)
     from_s = stage.now_s
-    stage.bench.sag_battery(0.05)
+    stage.bench.sag_battery(0.0)
     await stage.until(lambda: stage.height_m < 1.0, 30.0)
     changes = modes_since(stage.heard.shown, from_s)
     found: Values = {
@@ -317,5 +317,5 @@ FLIGHTS = (
     Flight("cut", "the cable is cut while setpoints fly it", cable_cut),
     Flight("cut-hold", "the cable is cut while it holds", cable_cut_in_hold),
     Flight("pilot", "a pilot's mode without a pilot", pilot),
-    Flight("battery", "battery low, motors stopped by force", battery_and_kill),
+    Flight("battery", "battery empty, motors stopped by force", battery_and_kill),
 )

@@ -51,7 +51,8 @@ def cells(records: Mapping[str, Record]) -> Iterator[tuple[str, list[tuple[Row, 
 
 def terminal_table(records: Mapping[str, Record]) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-    for title in ("", *(NAMES[name] for name in records), LAST):
+    table.add_column("", overflow="fold", min_width=40)
+    for title in (*(NAMES[name] for name in records), LAST):
         table.add_column(title, overflow="fold")
     for section, rows in cells(records):
         table.add_row(Text(section, "bold"))

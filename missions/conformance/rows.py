@@ -139,7 +139,7 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
         Row("pilot_drop_m", "height lost in 3 s", "m", (0.5, 0.3)),
         Row("pilot_hold_after", "`hold()` then"),
     ),
-    "Battery at 5 %": (
+    "Battery empty": (
         Row("battery_modes", "modes"),
         Row("battery_land_s", "LAND after", "s", (2.0, 0.3), 1),
         Row("battery_says", "what it then says is left", alike=OWN_WORDS),
