@@ -38,6 +38,7 @@ class Outcome(Enum):
         32,
         "the role's program was started again in the air: it settled the handoff and landed",
     )
+    NO_RELIEF = ("no_relief", 33, "no relief was ready in time: the responsible drone gave the target up and landed")
     LOG_FAILED = ("log_failed", 35, "committed, but a log could not be written: disk full?")
     MONITOR_VIOLATED = ("monitor_violated", 40, "a safety monitor of the harness was violated")
     HARNESS_FAILED = ("harness_failed", 41, "the simulation itself failed: not the mission's fault")

@@ -134,6 +134,13 @@ class Sensors:
         self.estimates = np.zeros((len(seeds), ESTIMATE_SIZE))
         self.winds = self._mean_wind + self._drift[:, GUST]
 
+    def begin_anew(self, row: int, config: EstimatorConfig) -> None:
+        """One drone's estimator is started again: a position solution of its own, without what had wandered."""
+        horizontal, height = config.position_bias_m, config.height_bias_m
+        bias = self._streams[row][1].standard_normal(3)
+        self.position_bias[row] = bias * np.array([horizontal, horizontal, height])
+        self._drift[row, WALK] = 0.0
+
     def tick(self, states: Array) -> Array:
         """One tick later: new wind, new errors, and the estimates (n, ESTIMATE_SIZE) of these states."""
         if self._used == BLOCK:

@@ -94,7 +94,7 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("fc_link_loss", Role.RECEIVER, "no", "the receiver's flight controller falls silent"),
         FaultKind("pilot_takeover", Role.RECEIVER, "no", "the receiver's pilot changes the mode"),
         FaultKind("motor_kill", Role.RECEIVER, "no", "the receiver's pilot stops the motors in the air"),
-        FaultKind("battery_sag", Role.SENDER, "no", "the sender's battery drops to 15 %"),
+        FaultKind("battery_sag", Role.SENDER, "may", "the sender's battery drops to this share, or to 15 %"),
     )
 }  # fmt: skip
 

@@ -226,7 +226,7 @@ class FollowedWorld(World):
         super().__init__(config, seed)
         self._vehicles = {role: vehicles[role] for role in ROLES}
         self._drones = {
-            role: SimDrone(role, cast("Autopilot", RemoteAutopilot(each.relay, each.link)), self._states[i])
+            role: SimDrone(cast("Autopilot", RemoteAutopilot(each.relay, each.link)), self._states[i])
             for i, (role, each) in enumerate((role, vehicles[role]) for role in ROLES)
         }
 

@@ -8,8 +8,7 @@ from typing import Protocol
 
 from drivers.interfaces import FlightMode
 from hil.faulty_link import LinkFaults
-from hil.world import World
-from path.messages import Role
+from hil.world import Fleet, Name
 
 SAGGED = 0.15
 
@@ -35,7 +34,7 @@ class FaultyLink(Protocol):
     def interrupt(self, seconds: float) -> None: ...
 
 
-def inject_in_world(name: str, role: Role | None, world: World) -> None:
+def inject_in_world(name: str, role: Name | None, world: Fleet[Name], value: float | None = None) -> None:
     """A fault of the world; any other changes nothing here."""
     match name:
         case "lookalike":
@@ -49,11 +48,11 @@ def inject_in_world(name: str, role: Role | None, world: World) -> None:
         case "motor_kill" if role is not None:
             world.drone(role).autopilot.kill(world.time_s)
         case "no_failsafe":
-            for drone in Role:
+            for drone in world.names:
                 autopilot = world.drone(drone).autopilot
                 autopilot.config = replace(autopilot.config, offboard_loss_s=math.inf)
         case "battery_sag" if role is not None:
-            world.battery(role, SAGGED)
+            world.battery(role, SAGGED if value is None else value)
         case _:
             pass
 

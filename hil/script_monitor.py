@@ -11,15 +11,19 @@ What was under way when it happened may still arrive.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
 
 import numpy as np
 
 from drivers.interfaces import FlightMode
-from drivers.rig import Rig
+from drivers.rig import Rig, RoleRig
 from flight.config import GuardConfig
 from flight.phases import Phase
+from hil.autopilot import Autopilot
+from hil.snapshot import DroneTruth, ObjectTruth
 from hil.world import World
 from path.messages import Role, Vec3
 
@@ -61,29 +65,34 @@ class ScriptMonitor:
 
     violated: Violated
     guard: GuardConfig = field(default_factory=GuardConfig)
-    _phase: dict[Role, str] = field(default_factory=lambda: dict.fromkeys(Role, ""))
-    _looked_s: dict[Role, float] = field(default_factory=lambda: dict.fromkeys(Role, 0.0))
-    _since_s: dict[tuple[str, Role], float] = field(default_factory=dict[tuple[str, Role], float])
-    _mode: dict[Role, FlightMode] = field(default_factory=dict[Role, FlightMode])  # a pilot's
+    drones: Iterable[Enum] = Role
+    _phase: dict[Enum, str] = field(init=False)
+    _looked_s: dict[Enum, float] = field(init=False)
+    _since_s: dict[tuple[str, Enum], float] = field(default_factory=dict[tuple[str, Enum], float])
+    _mode: dict[Enum, FlightMode] = field(default_factory=dict[Enum, FlightMode])  # a pilot's
     _told: set[str] = field(default_factory=set[str])
 
-    def on_phase(self, role: Role, now_s: float, phase: str) -> None:
+    def __post_init__(self) -> None:
+        self._phase = dict.fromkeys(self.drones, "")
+        self._looked_s = dict.fromkeys(self.drones, 0.0)
+
+    def on_phase(self, role: Enum, now_s: float, phase: str) -> None:
         if phase in WATCHING and self._phase[role] not in WATCHING:
             self._looked_s[role] = now_s  # from here on it has to
         self._phase[role] = phase
 
-    def on_frame(self, role: Role, now_s: float) -> None:
+    def on_frame(self, role: Enum, now_s: float) -> None:
         self._looked_s[role] = now_s
 
-    def on_death(self, role: Role) -> None:
+    def on_death(self, role: Enum) -> None:
         self._phase[role] = ""
 
-    def on_truth(self, now_s: float, vehicles: dict[Role, VehicleTruth]) -> None:
+    def on_truth(self, now_s: float, vehicles: Mapping[Any, VehicleTruth]) -> None:
         self._observed(now_s, vehicles)
         for role, vehicle in vehicles.items():
             self._obeyed(role, now_s, vehicle)
 
-    def _observed(self, now_s: float, vehicles: dict[Role, VehicleTruth]) -> None:
+    def _observed(self, now_s: float, vehicles: Mapping[Any, VehicleTruth]) -> None:
         """S7."""
         watching = [role for role in vehicles if self._phase[role] in WATCHING]
         seen = any(vehicles[role].sees_target for role in watching)
@@ -91,7 +100,7 @@ class ScriptMonitor:
             return
         self._once("S7", now_s, "a camera has the target in its image, and nobody looks")
 
-    def _obeyed(self, role: Role, now_s: float, vehicle: VehicleTruth) -> None:
+    def _obeyed(self, role: Enum, now_s: float, vehicle: VehicleTruth) -> None:
         """S10."""
         north, east, down = vehicle.position_n_m
         limit = self.guard
@@ -113,7 +122,7 @@ class ScriptMonitor:
             if now_s - since_s > NOTICED_S:
                 self._after(reason, role, since_s, now_s, vehicle)
 
-    def _after(self, reason: str, role: Role, since_s: float, now_s: float, vehicle: VehicleTruth) -> None:
+    def _after(self, reason: str, role: Enum, since_s: float, now_s: float, vehicle: VehicleTruth) -> None:
         who = role.value
         if reason == "pilot":
             if vehicle.setpoint_s > since_s + NOTICED_S:
@@ -136,23 +145,31 @@ class ScriptMonitor:
 def vehicles_of(world: World, rig: Rig) -> dict[Role, VehicleTruth]:
     """The truth about both vehicles, now."""
     snapshot = world.snapshot()
-    target_w_m = np.array(snapshot.objects[0].position_w_m)
-    vehicles: dict[Role, VehicleTruth] = {}
-    for role, drone in snapshot.drones.items():
-        autopilot, own = world.drone(role).autopilot, rig.role(role)
-        target_b_m = drone.T_w_b.R.T @ (target_w_m - drone.T_w_b.t)
-        target_c_m = own.mount.T_b_c.R.T @ (target_b_m - own.mount.T_b_c.t)
-        u, v = own.camera.project_point(tuple(target_c_m.tolist()))
-        east, north, up = drone.T_w_b.t.tolist()
-        vehicles[role] = VehicleTruth(
-            mode=autopilot.mode,
-            armed=autopilot.armed,
-            pilot=autopilot.pilot_in_control,
-            killed=autopilot.killed,
-            battery=autopilot.battery,
-            low_battery=autopilot.config.low_battery,
-            setpoint_s=autopilot.newest_setpoint_s,
-            position_n_m=(north, east, -up),
-            sees_target=0.0 <= u < own.camera.width and 0.0 <= v < own.camera.height,  # NaN behind the camera
-        )
-    return vehicles
+    return {
+        role: vehicle_truth(world.drone(role).autopilot, drone, rig.role(role), snapshot.objects[0])
+        for role, drone in snapshot.drones.items()
+    }
+
+
+def vehicle_truth(autopilot: Autopilot, drone: DroneTruth, own: RoleRig, target: ObjectTruth) -> VehicleTruth:
+    """The truth about one vehicle."""
+    u, v = pixel_of(drone, own, target)
+    east, north, up = drone.T_w_b.t.tolist()
+    return VehicleTruth(
+        mode=autopilot.mode,
+        armed=autopilot.armed,
+        pilot=autopilot.pilot_in_control,
+        killed=autopilot.killed,
+        battery=autopilot.battery,
+        low_battery=autopilot.config.low_battery,
+        setpoint_s=autopilot.newest_setpoint_s,
+        position_n_m=(north, east, -up),
+        sees_target=0.0 <= u < own.camera.width and 0.0 <= v < own.camera.height,  # NaN behind the camera
+    )
+
+
+def pixel_of(drone: DroneTruth, own: RoleRig, thing: ObjectTruth) -> tuple[float, float]:
+    """Where an object's origin is in a drone's image; NaN behind the camera."""
+    thing_b_m = drone.T_w_b.R.T @ (np.array(thing.position_w_m) - drone.T_w_b.t)
+    thing_c_m = own.mount.T_b_c.R.T @ (thing_b_m - own.mount.T_b_c.t)
+    return own.camera.project_point(tuple(thing_c_m.tolist()))

@@ -142,7 +142,7 @@ class _Flight:
         self._parts = SimWorld(self._world, MemoryHub(request.seed), request.seed)
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
-        _stop_on_signals(self._interrupt)
+        stop_on_signals(self._interrupt)
         with McapLog(request.out / "world.mcap", buffered=True) as log:
             guarding = [asyncio.create_task(guard) for guard in self._guards()]
             truth = self._truth = TruthLog(log)
@@ -245,7 +245,7 @@ class _Flight:
     def _inject(self, fault: Fault) -> None:
         parts, role = self._parts, fault.kind.role
         self._truth.fault(fault.name, round(self._world.time_s * 1e9))
-        inject_in_world(fault.name, role, self._world)
+        inject_in_world(fault.name, role, self._world, fault.value)
         inject_on_link(fault.name, fault.value or 0.0, parts.hub)
         if role is None:
             return
@@ -354,7 +354,7 @@ def clock_offsets(rig: Rig) -> dict[Role, int]:
     return {role: round(float(rig.role(role).clock.options.get("offset_s", 0.0)) * 1e9) for role in Role}
 
 
-def _stop_on_signals(stop: Callable[[], None]) -> None:
+def stop_on_signals(stop: Callable[[], None]) -> None:
     if threading.current_thread() is threading.main_thread():
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):

@@ -284,7 +284,7 @@ class SitlWorld:
         live, role = self._live, FAULTS[name].role
         self._truth.fault(name, at_ns)
         with live.lock:
-            inject_in_world(name, role, live.world)
+            inject_in_world(name, role, live.world, value or None)
         inject_on_link(name, value, self._proxy)
         if role is None:
             return

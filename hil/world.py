@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -41,6 +42,8 @@ STEPS_PER_TICK = 4
 TICK_S = STEPS_PER_TICK / STEP_HZ
 TELEMETRY_TICKS = 128
 ROLES = (Role.SENDER, Role.RECEIVER)
+
+Name = TypeVar("Name", bound=Hashable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +119,7 @@ class SimDrone:
         telemetry: one entry a tick, newest last, the last ``TELEMETRY_TICKS`` of them.
     """
 
-    def __init__(self, role: Role, autopilot: Autopilot, state: Array) -> None:
-        self.role = role
+    def __init__(self, autopilot: Autopilot, state: Array) -> None:
         self.autopilot = autopilot
         self.estimate = Estimate(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
         self.telemetry: deque[Telemetry] = deque(maxlen=TELEMETRY_TICKS)
@@ -159,35 +161,42 @@ class SimDrone:
         return MOTORS_FLY, *command.velocity_n_mps, command.yaw_rad
 
 
-class World:
-    """Everything that is true, as a function of the seed and of what the two autopilots are told."""
+class Fleet(Generic[Name]):
+    """Drones by name with their autopilots, and the traffic on the ground, as a function of the seed and of what the
+    autopilots are told.
+    """
 
-    def __init__(self, config: WorldConfig, seed: int) -> None:
-        """Raises ValueError when the objects do not fit."""
+    def __init__(
+        self, config: WorldConfig, seed: int, homes: Mapping[Name, HomeConfig], off: Mapping[Name, Vec3]
+    ) -> None:
+        """``off``: NED errors of positions besides the estimators'. Raises ValueError when the objects do not fit."""
         self.config = config
-        traffic, sensors, autopilots, apart = np.random.SeedSequence(seed).spawn(4)
-        homes = [config.home(role) for role in ROLES]
-        self._traffic = Traffic(config.target, config.look_alikes, [home.position_m for home in homes], traffic)
-        self._sensors = Sensors(config.wind, config.estimator, TICK_S, sensors.spawn(len(ROLES)))
-        self._sensors.position_bias[ROLES.index(Role.RECEIVER)] += _off(config.apart, np.random.default_rng(apart))
+        traffic, sensors, autopilots = np.random.SeedSequence(seed).spawn(3)
+        keep_clear = [home.position_m for home in homes.values()]
+        self._traffic = Traffic(config.target, config.look_alikes, keep_clear, traffic)
+        self._sensors = Sensors(config.wind, config.estimator, TICK_S, sensors.spawn(len(homes)))
+        for i, name in enumerate(homes):
+            self._sensors.position_bias[i] += off.get(name, (0.0, 0.0, 0.0))
         self._airframe = config.airframe.row()
-        self._states = np.stack([_at_home(home, config.airframe.leg_m) for home in homes])
-        self._commands = np.zeros((len(ROLES), COMMAND_SIZE))
+        self._states = np.stack([at_home(home, config.airframe.leg_m) for home in homes.values()])
+        self._commands = np.zeros((len(homes), COMMAND_SIZE))
         self._drones = {
-            role: SimDrone(role, Autopilot(config.autopilot, int(own.generate_state(1)[0])), self._states[i])
-            for i, (role, own) in enumerate(zip(ROLES, autopilots.spawn(len(ROLES)), strict=True))
+            name: SimDrone(Autopilot(config.autopilot, int(own.generate_state(1)[0])), self._states[i])
+            for i, (name, own) in enumerate(zip(homes, autopilots.spawn(len(homes)), strict=True))
         }
         self._step = 0
         self._commanded_step = -1
-        self._snapshot: Snapshot | None = None
         self._marker_hidden = False
         self._depth_holes = False
         self.time_s = 0.0
-        self.min_separation_m = math.inf  # of the two bodies, while both were in the air
         self._sense()
 
-    def drone(self, role: Role) -> SimDrone:
-        return self._drones[role]
+    @property
+    def names(self) -> tuple[Name, ...]:
+        return tuple(self._drones)
+
+    def drone(self, name: Name) -> SimDrone:
+        return self._drones[name]
 
     def advance(self, to_s: float) -> None:
         """Let time pass until ``to_s``, the time since the world began. Raises ValueError for the past."""
@@ -206,19 +215,82 @@ class World:
             if self._step % STEPS_PER_TICK == 0:
                 self._sense()
         if to_s > self.time_s:
-            self.time_s, self._snapshot = to_s, None
+            self.time_s = to_s
+            self._changed()
 
     def _sense(self) -> None:
         rows, time_s = self._sensors.tick(self._states).tolist(), self._step / STEP_HZ
         for drone, row in zip(self._drones.values(), rows, strict=True):
             drone.sense(time_s, row)
-        if self.both_in_air:
-            self.min_separation_m = min(self.min_separation_m, self.separation_m)
 
     def _command(self) -> None:
         self._commanded_step = self._step
         for i, drone in enumerate(self._drones.values()):
             self._commands[i] = drone.command(self._step / STEP_HZ)
+
+    def _changed(self) -> None:
+        """What was worked out of the truth as it was is of no use any more."""
+
+    def truths(self) -> dict[Name, DroneTruth]:
+        """Of every drone at ``time_s``; between two physics steps they are carried on by their velocities."""
+        poses = np.empty((len(self._drones), 12))
+        poses_w(self._states, self._late_s(), poses)
+        return {
+            name: DroneTruth(
+                Pose(pose[:9].reshape(3, 3), pose[9:]), (row[4], row[3], -row[5]), row[ROTOR_PHASE],
+                drone.autopilot.armed,
+            )
+            for (name, drone), row, pose in zip(self._drones.items(), self._states.tolist(), poses, strict=True)
+        }  # fmt: skip
+
+    def _late_s(self) -> float:
+        """From the time of the state rows to ``time_s``."""
+        return self.time_s - self._step / STEP_HZ
+
+    # --- faults ---
+
+    def hide_marker(self, hidden: bool) -> None:
+        """Cover the markers, or uncover them."""
+        self._marker_hidden = hidden
+        self._changed()
+
+    def depth_holes(self, holes: bool) -> None:
+        """Let the depth cameras measure nothing on objects, or let them see again."""
+        self._depth_holes = holes
+        self._changed()
+
+    def send_lookalike(self) -> None:
+        """One more look-alike drives across, close past the target, and away; it is gone after seven seconds."""
+        self._traffic.send_lookalike(self.time_s)
+        self._changed()
+
+    def battery(self, name: Name, fraction: float) -> None:
+        """Set what is left of a drone's charge, 0..1."""
+        self._drones[name].autopilot.set_battery(fraction)
+
+    def gps_jump(self, name: Name, vector_n_m: Vec3) -> None:
+        """Shift a drone's position estimate by a NED vector, for good."""
+        self._sensors.position_bias[list(self._drones).index(name)] += vector_n_m
+
+
+class World(Fleet[Role]):
+    """Everything that is true of a pair."""
+
+    def __init__(self, config: WorldConfig, seed: int) -> None:
+        """Raises ValueError when the objects do not fit."""
+        self._snapshot: Snapshot | None = None
+        self.min_separation_m = math.inf  # of the two bodies, while both were in the air
+        apart = np.random.SeedSequence(seed).spawn(4)[3]  # after those of the fleet
+        off = {Role.RECEIVER: _off(config.apart, np.random.default_rng(apart))}
+        super().__init__(config, seed, {role: config.home(role) for role in ROLES}, off)
+
+    def _sense(self) -> None:
+        super()._sense()
+        if self.both_in_air:
+            self.min_separation_m = min(self.min_separation_m, self.separation_m)
+
+    def _changed(self) -> None:
+        self._snapshot = None
 
     # --- truth ---
 
@@ -233,48 +305,11 @@ class World:
         return not (self._states[0, CONTACT] or self._states[1, CONTACT])
 
     def snapshot(self) -> Snapshot:
-        """The truth at ``time_s``; between two physics steps the drones are carried on by their velocities."""
+        """The truth at ``time_s``."""
         if self._snapshot is None:
-            late_s = self._late_s()
-            poses = np.empty((len(ROLES), 12))
-            poses_w(self._states, late_s, poses)
-            drones = {
-                role: DroneTruth(
-                    Pose(pose[:9].reshape(3, 3), pose[9:]), (row[4], row[3], -row[5]), row[ROTOR_PHASE],
-                    drone.autopilot.armed,
-                )
-                for (role, drone), row, pose in zip(self._drones.items(), self._states.tolist(), poses, strict=True)
-            }  # fmt: skip
             objects = self._traffic.at(self.time_s)
-            self._snapshot = Snapshot(self.time_s, drones, objects, self._marker_hidden, self._depth_holes)
+            self._snapshot = Snapshot(self.time_s, self.truths(), objects, self._marker_hidden, self._depth_holes)
         return self._snapshot
-
-    def _late_s(self) -> float:
-        """From the time of the state rows to ``time_s``."""
-        return self.time_s - self._step / STEP_HZ
-
-    # --- faults ---
-
-    def hide_marker(self, hidden: bool) -> None:
-        """Cover the sender's marker, or uncover it."""
-        self._marker_hidden, self._snapshot = hidden, None
-
-    def depth_holes(self, holes: bool) -> None:
-        """Let the depth cameras measure nothing on objects, or let them see again."""
-        self._depth_holes, self._snapshot = holes, None
-
-    def send_lookalike(self) -> None:
-        """One more look-alike drives across, close past the target, and away; it is gone after seven seconds."""
-        self._traffic.send_lookalike(self.time_s)
-        self._snapshot = None
-
-    def battery(self, role: Role, fraction: float) -> None:
-        """Set what is left of a drone's charge, 0..1."""
-        self._drones[role].autopilot.set_battery(fraction)
-
-    def gps_jump(self, role: Role, vector_n_m: Vec3) -> None:
-        """Shift a drone's position estimate by a NED vector, for good."""
-        self._sensors.position_bias[ROLES.index(role)] += vector_n_m
 
 
 def _off(apart: ApartConfig, rng: np.random.Generator) -> Vec3:
@@ -285,6 +320,7 @@ def _off(apart: ApartConfig, rng: np.random.Generator) -> Vec3:
     )  # fmt: skip
 
 
-def _at_home(home: HomeConfig, leg_m: float) -> Array:
+def at_home(home: HomeConfig, leg_m: float) -> Array:
+    """State row of a drone that stands there."""
     east, north = home.position_m
     return standing(north, east, math.radians(home.heading_deg), leg_m)
