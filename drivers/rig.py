@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -145,7 +145,7 @@ class RoleRig:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A whole rig. ``mission`` and ``world`` stay tables: who uses them decodes them with ``decode_table``.
+    """A whole rig. ``mission``, ``world`` and ``relay`` stay tables: who uses them decodes them with ``decode_table``.
 
     ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None without beacons.
     """
@@ -164,6 +164,7 @@ class Rig:
     receiver: RoleRig
     file: Path
     reference: Reference | None = None
+    relay: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def role(self, role: Role) -> RoleRig:
         return self.sender if role is Role.SENDER else self.receiver

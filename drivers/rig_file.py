@@ -8,6 +8,7 @@ harness = "hil.sitl:Sitl"            # left out in the field
 [mission]                            # decoded by the missions
 [world]                              # decoded by the harness
 [trials]                             # what trials measure against: studio = "hil.studio:Studio", ...
+[relay]                              # decoded by a relay: its drones, their batteries and homes
 [reference.sender], .receiver, .target   # beacons that trials measure against; [reference.beacons] is who listens
 [[markers]]                          # the marker layout on the sender, in frame v
 [sender.vehicle]                     # a part: its factory, and the options of its Config
@@ -129,6 +130,7 @@ class _RigTable:
     world: dict[str, Any] = field(default_factory=dict[str, Any])
     trials: dict[str, str] = field(default_factory=dict[str, str])
     reference: Reference | None = None
+    relay: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def __post_init__(self) -> None:
         self.layout()
@@ -204,6 +206,7 @@ def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
         receiver=_role_rig(written.receiver, T_b_v),
         file=path,
         reference=written.reference,
+        relay=written.relay,
     )
 
 
@@ -219,7 +222,3 @@ def _role_rig(written: _Sender | _Receiver, T_b_v: Pose) -> RoleRig:
         camera_serial=camera.serial,
         guard=written.guard,
     )
-    c = written.camera
-    camera = CameraModel(c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.distortion)
-    mount = Mount(written.mount.camera.pose(), T_b_v)
-    return RoleRig(written.vehicle, written.sight, written.link, written.clock, camera, mount, written.guard)

@@ -18,6 +18,7 @@ from missions.options import (
     GuardOptions,
     HandoffOptions,
     ReceiverOptions,
+    RelayOptions,
     ReportOptions,
     RigsOptions,
     SenderOptions,
@@ -27,6 +28,7 @@ from missions.options import (
 
 MODULES: dict[type[object], str] = {
     HandoffOptions: "handoff",
+    RelayOptions: "relay",
     SenderOptions: "role",
     ReceiverOptions: "role",
     GuardOptions: "guard",
@@ -51,6 +53,7 @@ examples:
   path-handoff handoff                        a whole handoff in real time, in a simulated world
   path-handoff handoff --rig sim --seed 7     the same course, as fast as it computes
   path-handoff handoff --fault link_loss=0.3  what happens when things go wrong
+  path-handoff relay --drones 3 --hours 8     one target, handed round as batteries run down
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field
   path-handoff calibrate camera --images views --out d1.camera.toml
@@ -64,6 +67,7 @@ examples:
 
 Command = (
     Annotated[HandoffOptions, tyro.conf.subcommand("handoff")]
+    | Annotated[RelayOptions, tyro.conf.subcommand("relay")]
     | Annotated[SenderOptions, tyro.conf.subcommand("sender")]
     | Annotated[ReceiverOptions, tyro.conf.subcommand("receiver")]
     | Annotated[GuardOptions, tyro.conf.subcommand("guard")]

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from flight.marker_view import Motion
+from flight.tracking import Sighting
 from path.agreement import Agreed
 from path.camera import CameraModel
 from path.geometry import Matrix
 from path.messages import Candidate, Target
-from path.observations import Box, MarkerDetection, Missed
+from path.observations import Box, MarkerDetection, Missed, MissReason
 from path.prior import Prior
 from path.rigid import transform_back
 from path.rotation import quat_from_R
@@ -23,6 +24,14 @@ _LOWER = np.tril_indices(6)
 
 def box_record(box: Box | None) -> list[float] | None:
     return None if box is None else [box.x, box.y, box.w, box.h]
+
+
+def track_record(seen: Sighting | MissReason) -> dict[str, Any]:
+    """``/track``: what one frame gave a drone that follows the target on its own."""
+    return {
+        "box": box_record(seen.box) if isinstance(seen, Sighting) else None,
+        "reason": seen.value if isinstance(seen, MissReason) else None,
+    }
 
 
 def target_record(message: Target | Missed, frame_id: int, capture_ns: int, box: Box | None) -> dict[str, Any]:

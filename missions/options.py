@@ -68,6 +68,40 @@ class HandoffOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class RelayOptions:
+    """Hand one target from drone to drone as batteries run down, for hours of simulated time."""
+
+    rig: RigName = "relay-sim"
+    """A rig with a [relay] table: its drones, their homes and batteries (docs/relay.md)."""
+
+    drones: int = 3
+    """How many of the rig's drones take part, from its first one on."""
+
+    hours: float = 8.0
+    """For how long; then the responsible drone comes home."""
+
+    seed: int = 0
+    """Seed of the world and of every noise: the same seed is the same relay."""
+
+    fault: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(name="fault", metavar="[LEG:]NAME[=VALUE][@MOMENT[+SECONDS]]"),
+        tyro.conf.UseAppendAction,
+    ] = ()
+    """What is to go wrong: in every leg, such as link_loss=0.3, or in one, such as 3:kill_receiver@approach; may be
+    given several times."""
+
+    out: OutFolder = None
+    """Folder for logs, summary and picture; runs/<time> by default."""
+
+    logs: bool = False
+    """Log everything, frame by frame, and not only what is decided: a gigabyte an hour."""
+
+    picture: bool = True
+    """Draw relay.png at the end."""
+
+
+@dataclass(frozen=True, slots=True)
 class RoleOptions:
     """One drone's side of a handoff, as in the field."""
 

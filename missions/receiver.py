@@ -21,16 +21,16 @@ from flight.marker_view import MarkerFix, MarkerView, Motion
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.rendezvous import Rendezvous
-from flight.tracking import Sighting, TargetTrack, follow, place
+from flight.tracking import TargetTrack, follow, place
 from flight.viewpoint import NoViewpoint
 from missions.handover import ReceiverHandover
-from missions.journal import box_record, candidate_record, marker_miss_record, marker_record, motion_record
+from missions.journal import candidate_record, marker_miss_record, marker_record, motion_record, track_record
 from missions.rig_library import mission_of
 from missions.session import Session, fly_course, open_session
 from missions.steps import bring_down, preflight, take_off
 from path.geometry import Matrix, Pose
 from path.messages import Candidate, Role, Status, Target
-from path.observations import Depth, Missed, MissReason
+from path.observations import Depth, Missed
 from path.prior import Prior
 from path.protocol.values import Handoff
 from path.receiver import ReceiverCycle
@@ -39,7 +39,7 @@ from path.rotation import yaw_of
 
 _FIXES_TO_APPROACH = 5
 _ARRIVED_S = 0.6
-_RETREAT_M = 1.8
+RETREAT_M = 1.8
 _ABLE_S = 0.5
 _REPLAN_S = 0.5
 _PEER_POLL_S = 0.25
@@ -174,7 +174,7 @@ class Receiver:
         self._handover.end(end)
         state = self._session.vehicle.state
         yaw_rad = yaw_of(state.q_n_b)
-        back = from_heading((-_RETREAT_M, 0.0, 0.0), yaw_rad)
+        back = from_heading((-RETREAT_M, 0.0, 0.0), yaw_rad)
         landed = await bring_down(self._session, end, Anchor(add(state.position_n_m, back), yaw_rad))
         await self._handover.finish()
         return landed
@@ -316,11 +316,7 @@ class Receiver:
             self._following = True
         seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
         unseen_s = (view.stamp_ns - track.seen_ns) * 1e-9
-        record = {
-            "box": box_record(seen.box) if isinstance(seen, Sighting) else None,
-            "reason": seen.value if isinstance(seen, MissReason) else None,
-        }
-        session.log.write("/track", view.stamp_ns, record)
+        session.log.write("/track", view.stamp_ns, track_record(seen))
         if unseen_s > self._config.deadlines.target_coast_s and session.phase is Phase.FOLLOW:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
 

@@ -18,7 +18,7 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.tracking import Sighting, TargetTrack, acquire, follow
 from missions.handover import SenderHandover
-from missions.journal import agreement_record, target_record
+from missions.journal import agreement_record, target_record, track_record
 from missions.rig_library import mission_of
 from missions.session import Session, fly_course, open_session
 from missions.steps import bring_down, preflight, take_off
@@ -81,12 +81,16 @@ class Sender:
     # --- course --------------------------------------------------------------------------------------------------
 
     async def course(self) -> None:
-        session, config, deadlines = self._session, self._config, self._config.deadlines
         await self._handover.resume()
-        await preflight(session)
+        await preflight(self._session)
         await self._handover.until_free()
-        await take_off(session, config.take_off_height_m)
+        await take_off(self._session, self._config.take_off_height_m)
+        await self.acquire()
+        await self.hand_over()
 
+    async def acquire(self) -> None:
+        """From the air above the take-off place until the target is tracked."""
+        session, deadlines = self._session, self._config.deadlines
         session.enter(Phase.ACQUIRE)
         session.pilot.guidance = self._to_first_place
         session.spawn(self._watch())
@@ -97,6 +101,9 @@ class Sender:
             "no object was clearly the designated one",
         )
 
+    async def hand_over(self) -> None:
+        """Follow the tracked target, and offer it, until the other drone is known to hold it."""
+        session, deadlines = self._session, self._config.deadlines
         session.enter(Phase.FOLLOW, "target acquired, waiting for the receiver")
         session.observing = True
         await self._handover.offer()
@@ -247,6 +254,8 @@ class Sender:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
         cycle = self._cycle
         if cycle is None:
+            session.log.write("/frame", view.stamp_ns, {"frame_id": view.frame_id})
+            session.log.write("/track", view.stamp_ns, track_record(seen))
             return
         box, depth = (seen.box, seen.depth) if isinstance(seen, Sighting) else (None, None)
         message = cycle.observe(view.frame_id, view.stamp_ns, box, depth, self._eye.gravity_v(R_n_b))

@@ -378,15 +378,28 @@ async def open_session(
 async def fly_course(session: Session, course: Course, recover: Recovery) -> RoleResult:
     """Run a mission to its end: the course, then the recovery that brings the vehicle down.
 
+    What was spawned goes on until the vehicle is down: the pilot keeps flying, and the other drone keeps hearing from
+    this one.
+    """
+    end: MissionEnd | None = None
+    landed = False
+    try:
+        end = await run_course(session, course)
+        landed = await run_recovery(session, recover, end)
+    finally:
+        await close_session(session)
+    return conclude(session, end, landed)
+
+
+async def run_course(session: Session, course: Course) -> MissionEnd | None:
+    """The course, and what runs beside every course; None when it came to its own end.
+
     Whatever ends the course first (its own end, a MissionEnd in anything that was spawned, a part's error, a stop)
-    decides the outcome. What was spawned goes on until the vehicle is down: the pilot keeps flying, and the other
-    drone keeps hearing from this one.
+    decides the outcome.
     """
     for task in (session.pump(), session.report(), session.log_state(), session.stopped(), session.keep_guard()):
         session.spawn(task)
     flown = asyncio.ensure_future(course())
-    end: MissionEnd | None = None
-    landed = False
     try:
         await asyncio.wait([flown, session.ended], return_when=asyncio.FIRST_COMPLETED)
         if flown.done():
@@ -394,21 +407,34 @@ async def fly_course(session: Session, course: Course, recover: Recovery) -> Rol
             end = as_end(error) if error else None
         else:
             end = session.ended.result()
-            await _cancel(flown)
-        if end is not None and session.guard is not None:
-            end = session.guard.behind(end)
-        if end is not None:
-            session.say(str(end))
-        try:
-            landed = await recover(end)
-        except Exception as error:
-            as_end(error)  # prints what nobody foresaw
-            session.say(f"not landed by the script: {error}")
     finally:
         await _cancel(flown)  # of a program that is itself cancelled nothing goes on
-        await session.cancel_spawned()
-        if session.guard is not None:
-            session.guard.beat(session.beat())  # the last word on whose the vehicle is
+    if end is not None and session.guard is not None:
+        end = session.guard.behind(end)
+    if end is not None:
+        session.say(str(end))
+    return end
+
+
+async def run_recovery(session: Session, recover: Recovery, end: MissionEnd | None) -> bool:
+    """Whether the script landed the vehicle."""
+    try:
+        return await recover(end)
+    except Exception as error:
+        as_end(error)  # prints what nobody foresaw
+        session.say(f"not landed by the script: {error}")
+        return False
+
+
+async def close_session(session: Session) -> None:
+    """Nothing of it runs any more."""
+    await session.cancel_spawned()
+    if session.guard is not None:
+        session.guard.beat(session.beat())  # the last word on whose the vehicle is
+
+
+def conclude(session: Session, end: MissionEnd | None, landed: bool) -> RoleResult:
+    """The program's last records."""
     outcome, detail = (end.outcome, end.detail) if end else (Outcome.COMMITTED, "")
     session.log.write(
         "/outcome",

@@ -22,6 +22,12 @@ _NO_MANOEUVRE = frozenset({Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcom
 
 async def preflight(session: Session) -> None:
     """Camera gives frames, vehicle is armable, the other drone is heard and its clock known. Nothing moves before."""
+    await check_own(session)
+    await hear_peer(session)
+
+
+async def check_own(session: Session) -> None:
+    """Camera gives frames, vehicle is armable, and the guard watches it."""
     session.enter(Phase.PREFLIGHT)
     check_capabilities(session)
     deadlines = session.config.deadlines
@@ -31,6 +37,11 @@ async def preflight(session: Session) -> None:
     if guard is not None:
         what = "the guard's process did not answer and see the vehicle"
         await session.until(lambda: guard.watching, deadlines.guard_s, Outcome.GUARD_LOST, what)
+
+
+async def hear_peer(session: Session) -> None:
+    """The other drone is heard, and its clock is known."""
+    deadlines = session.config.deadlines
     await session.until(
         lambda: session.peer is not None, deadlines.peer_s, Outcome.PEER_LOST, "the other drone was not heard"
     )
@@ -76,7 +87,7 @@ async def bring_down(session: Session, end: MissionEnd | None, way_out: Anchor) 
     if not session.vehicle.state.armed:
         pilot.let_go()
         return True
-    if pilot.in_control and (end is None or end.outcome not in _NO_MANOEUVRE):
+    if may_manoeuvre(session, end):
         session.enter(Phase.DEPART)
         await _depart(session, way_out)
     pilot.let_go()
@@ -87,6 +98,12 @@ async def bring_down(session: Session, end: MissionEnd | None, way_out: Anchor) 
         session.set_script(Script.LET_GO)
         return False
     return await _land(session)
+
+
+def may_manoeuvre(session: Session, end: MissionEnd | None) -> bool:
+    """Whether the vehicle is still the script's to fly somewhere, after the course ended this way."""
+    barred = _NO_MANOEUVRE | _SCRIPT_LET_GO
+    return session.pilot.in_control and (end is None or end.outcome not in barred)
 
 
 async def _land(session: Session) -> bool:

@@ -1,0 +1,409 @@
+"""One drone's flight in a relay: it takes the target over, has it, hands it over and comes home, all in one program.
+
+A relief is the receiver of a handoff; once it holds, it changes its role in the air. Vehicle, eyes and pilot stay, the
+session and the protocol's machine are made anew on the other side: what it holds is written down as its own before the
+receiver's machine is let go of, so that at any instant one record says that this drone is responsible.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from contextlib import AsyncExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+
+from drivers.interfaces import (
+    Clock,
+    Link,
+    LinkCounters,
+    Log,
+    Received,
+    RecordStore,
+    Sight,
+    Vehicle,
+    VehicleState,
+    VelocitySetpoint,
+)
+from drivers.rig import PartContext, Rig, create, part_context
+from flight.config import MissionConfig
+from flight.guidance import Anchor, Vec3, add, from_heading
+from flight.harness import Emit, InProcess, RoleResult
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from flight.pilot import Pilot
+from flight.relay import DroneProgram, RelayConfig, RelayDrone, pair_of
+from flight.tracking import TargetTrack
+from flight.under_guard import UnderGuard
+from missions.receiver import RETREAT_M, Receiver
+from missions.relay_base import Base, Leg, Order
+from missions.relay_battery import Gauge
+from missions.relay_guidance import keep_clear, way_home
+from missions.relay_records import as_first, as_holder, as_relief, write
+from missions.rig_library import mission_of
+from missions.sender import Sender
+from missions.session import Session, close_session, conclude, run_course, run_recovery
+from missions.steps import bring_down, check_own, hear_peer, may_manoeuvre, take_off
+from path.marker.warm_up import warm_up
+from path.messages import Message, Role
+from path.protocol.values import SenderRecord
+from path.rotation import yaw_of
+
+_POLL_S = 0.25
+_THERE_M = 0.5
+_THE_RELIEFS = frozenset(
+    {Outcome.NO_AGREEMENT, Outcome.PEER_LOST, Outcome.PEER_ABORTED, Outcome.CLOCK_FAULT, Outcome.TOO_CLOSE}
+)
+"""Ends of a leg after which the target is still this drone's, and followed on."""
+
+
+class Nobody:
+    """The link of a drone that has no other one to talk to yet (``drivers.interfaces.Link``)."""
+
+    def __init__(self) -> None:
+        self.counters = LinkCounters()
+
+    async def __aenter__(self) -> Nobody:
+        return self
+
+    async def __aexit__(self, *_: object) -> None: ...
+
+    def send(self, message: Message) -> None:
+        """There is nobody to hear it."""
+
+    async def receive(self) -> Received:
+        return await asyncio.get_running_loop().create_future()
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What stays open while the role changes."""
+
+    clock: Clock
+    vehicle: Vehicle
+    sight: Sight
+    guard: UnderGuard | None
+
+
+class Holder(Sender):
+    """The responsible drone: alone with the target, or handing it over."""
+
+    def __init__(self, session: Session, store: RecordStore, flight: Flight, track: TargetTrack | None) -> None:
+        super().__init__(session, store)
+        self._track = track
+        self._flight = flight
+
+    @property
+    def track(self) -> TargetTrack | None:
+        return self._track
+
+    @property
+    def decided(self) -> bool:
+        """Committed, or given away already: what the battery says comes too late."""
+        return self._handover.released
+
+    async def find(self) -> None:
+        """From the ground until the target is tracked."""
+        session = self._session
+        await self._handover.resume()
+        await check_own(session)
+        await take_off(session, self._config.take_off_height_m)
+        await self.acquire()
+
+    async def resume(self) -> None:
+        await self._handover.resume()
+
+    async def keep(self, called: asyncio.Event) -> None:
+        """Follow the target alone, for as long as no relief is on its way."""
+        self._go_on("responsible, alone")
+        self._session.spawn(self._flight.watch_battery(self, ask=True))
+        await called.wait()
+
+    async def pass_on(self, leg: Leg) -> None:
+        """The whole hand-over to a relief that is called."""
+        session = self._session
+        self._go_on(f"{leg.receiver} is called")
+        session.spawn(self._flight.watch_battery(self, ask=False))
+        await hear_peer(session)
+        await self.hand_over()
+
+    async def give_up_leg(self, end: MissionEnd) -> None:
+        """The relief will not take it: say so, and keep the target."""
+        self._handover.end(end)
+        await self._handover.finish()
+
+    def _go_on(self, note: str) -> None:
+        session = self._session
+        session.enter(Phase.FOLLOW, note)
+        session.observing = True
+        session.pilot.guidance = self._follow_target
+        session.spawn(self._watch())
+
+    def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
+        wanted = super()._follow_target(state)
+        return self._flight.clear_of_the_failed(state, wanted)
+
+    async def recover(self, end: MissionEnd | None) -> bool:
+        self._watching = False
+        self._handover.end(end)
+        landed = await self._flight.come_home(self._session, end, self._leave())
+        await self._handover.finish()
+        return landed
+
+
+class Relief(Receiver):
+    """The drone that is called: the receiver of a handoff, which does not land after it."""
+
+    def __init__(self, session: Session, store: RecordStore, flight: Flight) -> None:
+        super().__init__(session, store)
+        self._flight = flight
+
+    @property
+    def track(self) -> TargetTrack | None:
+        return self._track
+
+    async def resume(self) -> None:
+        await self._handover.resume()
+
+    async def leave_role(self) -> None:
+        """Hear nothing more as a receiver, and have everything written down. Raises StateError."""
+        self._session.on_message = self._session.on_status = _ignore
+        await self._handover.finish()
+
+    async def recover(self, end: MissionEnd | None) -> bool:
+        self._watching = False
+        self._handover.end(end)
+        state = self._session.vehicle.state
+        yaw_rad = yaw_of(state.q_n_b)
+        back = from_heading((-RETREAT_M, 0.0, 0.0), yaw_rad)
+        landed = await self._flight.come_home(self._session, end, Anchor(add(state.position_n_m, back), yaw_rad))
+        await self._handover.finish()
+        return landed
+
+
+def _ignore(_: object) -> None:
+    pass
+
+
+class Flight:
+    """A drone's program. ``run`` is the whole of it.
+
+    Args:
+        base: knows what this drone was called for, and who relieves it.
+    """
+
+    def __init__(
+        self, rig: Rig, relay: RelayConfig, base: Base, name: str, log: Log, emit: Emit, stop: asyncio.Event,
+        harness: InProcess, store: RecordStore,
+    ) -> None:  # fmt: skip
+        self._rig, self._relay, self._base, self._name = rig, relay, base, name
+        self._log, self._emit, self._stop, self._harness, self._store = log, emit, stop, harness, store
+        self._me: RelayDrone = next(drone for drone in relay.drones if drone.name == name)
+        self._mission = mission_of(rig)
+        deadlines = self._mission.deadlines
+        self._leg_s = deadlines.peer_s + deadlines.receiver_ready_s + deadlines.verify_s
+        self._gauge = Gauge(relay.endurance_s, relay.reserve)
+        self._called = asyncio.Event()
+        self._failed_at: tuple[Vec3, float] | None = None  # where a relief was heard last that failed, and until when
+
+    async def run(self) -> RoleResult:
+        """Raises PartError when a part cannot be opened."""
+        async with AsyncExitStack() as stack:
+            self._parts = await self._open(stack)
+            if self._parts.vehicle.state.armed:
+                return await self._begun_in_the_air()
+            if self._base.order_of(self._name) is Order.FIND:
+                return await self._find()
+            return await self._relieve()
+
+    # --- what a drone takes off for ---
+
+    async def _find(self) -> RoleResult:
+        await write(self._store, as_first(self._store.load()))
+        session = self._session(Role.SENDER, None, Nobody())
+        holder = Holder(session, self._store, self, None)
+        end = await run_course(session, holder.find)
+        if end is not None:
+            return await self._end(session, holder, end)
+        return await self._change_role(session, holder.track)
+
+    async def _relieve(self) -> RoleResult:
+        leg = self._base.leg_of(self._name)
+        assert leg is not None, "a relief is called for a leg"
+        await write(self._store, as_relief(self._store.load()))
+        async with AsyncExitStack() as stack:
+            session = self._session(Role.RECEIVER, leg, await self._link(stack, Role.RECEIVER))
+            relief = Relief(session, self._store, self)
+            end = await run_course(session, relief.course)
+            if end is not None:
+                return await self._end(session, relief, end)
+            await relief.leave_role()
+            return await self._change_role(session, relief.track, stack)
+
+    async def _change_role(
+        self, before: Session, track: TargetTrack | None, link: AsyncExitStack | None = None
+    ) -> RoleResult:
+        """From here on this drone is responsible by its own record, and follows and hands over as a sender."""
+        assert track is not None, "what is held is tracked"
+        await write(self._store, as_holder(self._store.load()))
+        self._base.holds(self._name)
+        session, holder = await self._go_on(before, None, Nobody(), track)
+        if link is not None:
+            await link.aclose()
+        while True:
+            self._called.clear()
+            end = await run_course(session, partial(holder.keep, self._called))
+            leg = self._base.leg_of(self._name)
+            if end is not None or leg is None:
+                return await self._end(session, holder, end)
+            async with AsyncExitStack() as stack:
+                session, holder = await self._go_on(session, leg, await self._link(stack, Role.SENDER), holder.track)
+                end = await run_course(session, partial(holder.pass_on, leg))
+                if end is None or end.outcome not in _THE_RELIEFS or holder.decided:
+                    return await self._end(session, holder, end)
+                await self._leg_failed(session, holder, end)
+                session, holder = await self._go_on(session, None, Nobody(), holder.track)
+
+    async def _leg_failed(self, session: Session, holder: Holder, end: MissionEnd) -> None:
+        peer = session.peer
+        if peer is not None:
+            until_s = asyncio.get_running_loop().time() + self._relay.clear_s
+            self._failed_at = peer.position_n_m, until_s
+        await holder.give_up_leg(end)
+        self._base.leg_failed(self._name, end)
+
+    async def _begun_in_the_air(self) -> RoleResult:
+        """Started again: what was under way is settled by what the disk says, and the drone lands."""
+        kept = self._store.load()
+        sender = kept is not None and isinstance(kept.record, SenderRecord)
+        role, leg = (Role.SENDER if sender else Role.RECEIVER), self._base.leg_of(self._name)
+        async with AsyncExitStack() as stack:
+            in_leg = leg is not None and self._name == (leg.sender if sender else leg.receiver)
+            link = await self._link(stack, role) if in_leg else Nobody()
+            session = self._session(role, leg if in_leg else None, link)
+            flown = Holder(session, self._store, self, None) if sender else Relief(session, self._store, self)
+            end = await run_course(session, flown.resume)
+            return await self._end(session, flown, end)
+
+    # --- sessions ---
+
+    async def _open(self, stack: AsyncExitStack) -> Parts:
+        """Once for the whole flight. To its own parts a drone is always the one that sees the other's marker."""
+        warm_up()
+        context = self._context(Role.RECEIVER)
+        own = self._alone.receiver
+        sight: Sight = await stack.enter_async_context(create(own.sight, context))
+        vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
+        begin = f"{self._name} {context.clock.now_ns()}"
+        self._entropy = random.Random(f"{begin} {self._harness.seed}")
+        guard: UnderGuard | None = None
+        if own.guard is not None:
+            line = await stack.enter_async_context(self._harness.guard_line(Role.RECEIVER))
+            guard = UnderGuard(line, context.clock, self._mission.guard_process)
+        return Parts(context.clock, vehicle, sight, guard)
+
+    @property
+    def _alone(self) -> Rig:
+        return pair_of(self._rig, self._me, self._me)
+
+    def _context(self, role: Role) -> PartContext:
+        return part_context(self._alone, role, self._harness)
+
+    async def _link(self, stack: AsyncExitStack, role: Role) -> Link:
+        return await stack.enter_async_context(create(self._alone.role(role).link, self._context(role)))
+
+    def _session(self, role: Role, leg: Leg | None, link: Link) -> Session:
+        drones = {drone.name: drone for drone in self._relay.drones}
+        rig = self._alone if leg is None else pair_of(self._rig, drones[leg.sender], drones[leg.receiver])
+        number = 1 if leg is None else 1 + (leg.number - 1) % 65535
+        config: MissionConfig = replace(self._mission, handoff_id=number, follow_after_s=self._relay.follow_s)
+        parts = self._parts
+        made = (parts.clock, parts.vehicle, parts.sight, link)
+        return Session(rig, role, config, self._log, self._emit, self._stop, made, self._entropy, parts.guard)
+
+    async def _go_on(
+        self, before: Session, leg: Leg | None, link: Link, track: TargetTrack | None
+    ) -> tuple[Session, Holder]:
+        """The next session of a drone that stays in the air: the same pilot flies it, and misses no setpoint."""
+        session = self._session(Role.SENDER, leg, link)
+        pilot: Pilot = before.pilot
+        script = before.script
+        await before.cancel_spawned()
+        holder = Holder(session, self._store, self, track)
+        session.pilot, session.script = pilot, script
+        pilot.in_control = True
+        session.spawn(pilot.run())
+        return session, holder
+
+    async def _end(self, session: Session, flown: Holder | Relief, end: MissionEnd | None) -> RoleResult:
+        landed = False
+        try:
+            landed = await run_recovery(session, flown.recover, end)
+        finally:
+            await close_session(session)
+        return conclude(session, end, landed)
+
+    # --- what holds in every session ---
+
+    async def watch_battery(self, holder: Holder, *, ask: bool) -> None:
+        """Ask for a relief in time, and go home in time without one. Raises MissionEnd(NO_RELIEF)."""
+        vehicle, relay, base = self._parts.vehicle, self._relay, self._base
+        loop = asyncio.get_running_loop()
+        while True:
+            battery = vehicle.state.battery
+            self._gauge.note(loop.time(), battery)
+            wait_s = self._gauge.left_s - relay.home_s
+            if wait_s <= 0.0 and not holder.decided:
+                what = f"battery at {100 * battery:.0f} %: {relay.home_s:.0f} s to come home above the reserve"
+                raise MissionEnd(Outcome.NO_RELIEF, what)
+            if ask:
+                if wait_s <= relay.attempts * self._leg_s:
+                    base.ask(self._name, battery, wait_s)
+                if base.over or base.leg_of(self._name) is not None:
+                    self._called.set()
+            await asyncio.sleep(_POLL_S)
+
+    def clear_of_the_failed(self, state: VehicleState, wanted: VelocitySetpoint) -> VelocitySetpoint:
+        """A relief that failed hangs or sinks where it was: the target may lead there."""
+        if self._failed_at is None:
+            return wanted
+        place_n_m, until_s = self._failed_at
+        if asyncio.get_running_loop().time() > until_s:
+            self._failed_at = None
+            return wanted
+        velocity = keep_clear(wanted.velocity_n_mps, state.position_n_m, place_n_m, self._relay.clear_m)
+        return replace(wanted, velocity_n_mps=velocity)
+
+    async def come_home(self, session: Session, end: MissionEnd | None, aside: Anchor) -> bool:
+        """Out of the others' way, up, home, and down; where that cannot be flown, down."""
+        east, north = self._me.home_m
+        *way, above = way_home(aside, (north, east, -self._relay.return_height_m))
+        if may_manoeuvre(session, end):
+            session.enter(Phase.DEPART, "on its way home")
+        for anchor in way:
+            if not may_manoeuvre(session, end):
+                break
+            await self._fly_to(session, anchor)
+        return await bring_down(session, end, above)
+
+    async def _fly_to(self, session: Session, anchor: Anchor) -> None:
+        session.pilot.guidance = lambda state: anchor.hold(state, max_speed_mps=1.2)
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + session.config.deadlines.depart_s
+        while session.pilot.in_control and loop.time() < end_s:
+            north, east, down = session.vehicle.state.position_n_m
+            n, e, d = anchor.position_n_m
+            if max(abs(north - n), abs(east - e), abs(down - d)) < _THERE_M:
+                return
+            await asyncio.sleep(0.1)
+
+
+def program_of(rig: Rig, relay: RelayConfig, base: Base) -> DroneProgram:
+    """The program of every drone of a relay (``flight.relay.DroneProgram``)."""
+
+    async def fly(
+        name: str, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess, store: RecordStore
+    ) -> RoleResult:
+        return await Flight(rig, relay, base, name, log, emit, stop, harness, store).run()
+
+    return fly
