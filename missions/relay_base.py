@@ -15,6 +15,7 @@ from typing import Literal
 from flight.harness import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.relay import DroneProgram, RelayConfig, RelayField
+from missions.session import as_end
 from path.messages import Role
 
 POLL_S = 0.5
@@ -143,20 +144,16 @@ class Base:
 
     def _finished(self) -> bool:
         """Nobody has the target, and nobody is about to take it."""
-        first = self.config.drones[0].name
-        who = self.holder or first
-        drone = self._drones[who]
-        if drone.where == "flying" and drone.result is None:
+        last = [self.holder or self.config.drones[0].name]
+        if self._leg is not None:
+            last.append(self._leg.receiver)
+        ended = {name: self._drones[name].result for name in last}
+        if any(result is None for result in ended.values()):
             return False
-        relief = None if self._leg is None else self._drones[self._leg.receiver]
-        if relief is not None and relief.result is None:
-            return False
-        if not self.over or (drone.result is not None and drone.result.outcome is not Outcome.COMMITTED):
-            results = [each.result for each in (drone, relief) if each is not None]
-            ends = [result for result in results if result is None or result.outcome is not Outcome.COMMITTED]
-            last = ends[0] if ends else None
-            self.outcome = Outcome.CRASHED if last is None else last.outcome
-            self.detail = f"{who}: its program died" if last is None else f"{who}: {last.detail}"
+        for name, result in ended.items():
+            if result is not None and result.outcome is not Outcome.COMMITTED:
+                self.outcome, self.detail = result.outcome, f"{name}: {result.detail}"
+                break
         return True
 
     def _look_after_the_ground(self) -> None:
@@ -206,7 +203,11 @@ class Base:
 
     async def _fly(self, name: str, drone: _Drone) -> None:
         died = RoleResult(Role.RECEIVER, Outcome.CRASHED, "its program died", responsible=False, landed=False)
-        drone.result = await self.ground.begin(name, self._program) or died
+        try:
+            drone.result = await self.ground.begin(name, self._program) or died
+        except Exception as error:
+            end = as_end(error)  # prints what nobody foresaw
+            drone.result = RoleResult(Role.RECEIVER, end.outcome, end.detail, responsible=False, landed=False)
 
     def _say(self, name: str, what: What, text: str) -> None:
         event = Event(round(self._now_s(), 2), name, what, text)

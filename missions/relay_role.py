@@ -16,9 +16,8 @@ from functools import partial
 from drivers.interfaces import (
     Clock,
     Link,
-    LinkCounters,
     Log,
-    Received,
+    PartError,
     RecordStore,
     Sight,
     Vehicle,
@@ -27,7 +26,7 @@ from drivers.interfaces import (
 )
 from drivers.rig import PartContext, Rig, create, part_context
 from flight.config import MissionConfig
-from flight.guidance import Anchor, Vec3, add, from_heading
+from flight.guidance import Anchor, Vec3
 from flight.harness import Emit, InProcess, RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
@@ -35,19 +34,17 @@ from flight.pilot import Pilot
 from flight.relay import DroneProgram, RelayConfig, RelayDrone, pair_of
 from flight.tracking import TargetTrack
 from flight.under_guard import UnderGuard
-from missions.receiver import RETREAT_M, Receiver
 from missions.relay_base import Base, Leg, Order
 from missions.relay_battery import Gauge
 from missions.relay_guidance import keep_clear, way_home
 from missions.relay_records import as_first, as_holder, as_relief, write
+from missions.relay_stages import Holder, Nobody, Relief
 from missions.rig_library import mission_of
-from missions.sender import Sender
-from missions.session import Session, close_session, conclude, run_course, run_recovery
-from missions.steps import bring_down, check_own, hear_peer, may_manoeuvre, take_off
+from missions.session import Session, as_end, close_session, conclude, run_course, run_recovery
+from missions.steps import bring_down, may_manoeuvre
 from path.marker.warm_up import warm_up
-from path.messages import Message, Role
+from path.messages import Role
 from path.protocol.values import SenderRecord
-from path.rotation import yaw_of
 
 _POLL_S = 0.25
 _THERE_M = 0.5
@@ -55,24 +52,6 @@ _THE_RELIEFS = frozenset(
     {Outcome.NO_AGREEMENT, Outcome.PEER_LOST, Outcome.PEER_ABORTED, Outcome.CLOCK_FAULT, Outcome.TOO_CLOSE}
 )
 """Ends of a leg after which the target is still this drone's, and followed on."""
-
-
-class Nobody:
-    """The link of a drone that has no other one to talk to yet (``drivers.interfaces.Link``)."""
-
-    def __init__(self) -> None:
-        self.counters = LinkCounters()
-
-    async def __aenter__(self) -> Nobody:
-        return self
-
-    async def __aexit__(self, *_: object) -> None: ...
-
-    def send(self, message: Message) -> None:
-        """There is nobody to hear it."""
-
-    async def receive(self) -> Received:
-        return await asyncio.get_running_loop().create_future()
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,106 +62,6 @@ class Parts:
     vehicle: Vehicle
     sight: Sight
     guard: UnderGuard | None
-
-
-class Holder(Sender):
-    """The responsible drone: alone with the target, or handing it over."""
-
-    def __init__(self, session: Session, store: RecordStore, flight: Flight, track: TargetTrack | None) -> None:
-        super().__init__(session, store)
-        self._track = track
-        self._flight = flight
-
-    @property
-    def track(self) -> TargetTrack | None:
-        return self._track
-
-    @property
-    def decided(self) -> bool:
-        """Committed, or given away already: what the battery says comes too late."""
-        return self._handover.released
-
-    async def find(self) -> None:
-        """From the ground until the target is tracked."""
-        session = self._session
-        await self._handover.resume()
-        await check_own(session)
-        await take_off(session, self._config.take_off_height_m)
-        await self.acquire()
-
-    async def resume(self) -> None:
-        await self._handover.resume()
-
-    async def keep(self, called: asyncio.Event) -> None:
-        """Follow the target alone, for as long as no relief is on its way."""
-        self._go_on("responsible, alone")
-        self._session.spawn(self._flight.watch_battery(self, ask=True))
-        await called.wait()
-
-    async def pass_on(self, leg: Leg) -> None:
-        """The whole hand-over to a relief that is called."""
-        session = self._session
-        self._go_on(f"{leg.receiver} is called")
-        session.spawn(self._flight.watch_battery(self, ask=False))
-        await hear_peer(session)
-        await self.hand_over()
-
-    async def give_up_leg(self, end: MissionEnd) -> None:
-        """The relief will not take it: say so, and keep the target."""
-        self._handover.end(end)
-        await self._handover.finish()
-
-    def _go_on(self, note: str) -> None:
-        session = self._session
-        session.enter(Phase.FOLLOW, note)
-        session.observing = True
-        session.pilot.guidance = self._follow_target
-        session.spawn(self._watch())
-
-    def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
-        wanted = super()._follow_target(state)
-        return self._flight.clear_of_the_failed(state, wanted)
-
-    async def recover(self, end: MissionEnd | None) -> bool:
-        self._watching = False
-        self._handover.end(end)
-        landed = await self._flight.come_home(self._session, end, self._leave())
-        await self._handover.finish()
-        return landed
-
-
-class Relief(Receiver):
-    """The drone that is called: the receiver of a handoff, which does not land after it."""
-
-    def __init__(self, session: Session, store: RecordStore, flight: Flight) -> None:
-        super().__init__(session, store)
-        self._flight = flight
-
-    @property
-    def track(self) -> TargetTrack | None:
-        return self._track
-
-    async def resume(self) -> None:
-        await self._handover.resume()
-
-    async def leave_role(self) -> None:
-        """Hear nothing more as a receiver, and have everything written down. Raises StateError."""
-        self._session.on_message = self._session.on_status = _ignore
-        await self._handover.finish()
-
-    async def recover(self, end: MissionEnd | None) -> bool:
-        self._watching = False
-        self._handover.end(end)
-        state = self._session.vehicle.state
-        yaw_rad = yaw_of(state.q_n_b)
-        back = from_heading((-RETREAT_M, 0.0, 0.0), yaw_rad)
-        landed = await self._flight.come_home(self._session, end, Anchor(add(state.position_n_m, back), yaw_rad))
-        await self._handover.finish()
-        return landed
-
-
-def _ignore(_: object) -> None:
-    pass
 
 
 class Flight:
@@ -225,11 +104,13 @@ class Flight:
         end = await run_course(session, holder.find)
         if end is not None:
             return await self._end(session, holder, end)
-        return await self._change_role(session, holder.track)
+        return await self._change_role(session, holder)
 
     async def _relieve(self) -> RoleResult:
         leg = self._base.leg_of(self._name)
-        assert leg is not None, "a relief is called for a leg"
+        if leg is None:  # started again on the ground, too late
+            what = "the leg it was called for is over"
+            return RoleResult(Role.RECEIVER, Outcome.PEER_ABORTED, what, responsible=False, landed=True)
         await write(self._store, as_relief(self._store.load()))
         async with AsyncExitStack() as stack:
             session = self._session(Role.RECEIVER, leg, await self._link(stack, Role.RECEIVER))
@@ -238,31 +119,33 @@ class Flight:
             if end is not None:
                 return await self._end(session, relief, end)
             await relief.leave_role()
-            return await self._change_role(session, relief.track, stack)
+            return await self._change_role(session, relief, stack)
 
     async def _change_role(
-        self, before: Session, track: TargetTrack | None, link: AsyncExitStack | None = None
+        self, session: Session, flown: Holder | Relief, link: AsyncExitStack | None = None
     ) -> RoleResult:
         """From here on this drone is responsible by its own record, and follows and hands over as a sender."""
-        assert track is not None, "what is held is tracked"
-        await write(self._store, as_holder(self._store.load()))
-        self._base.holds(self._name)
-        session, holder = await self._go_on(before, None, Nobody(), track)
-        if link is not None:
-            await link.aclose()
-        while True:
-            self._called.clear()
-            end = await run_course(session, partial(holder.keep, self._called))
-            leg = self._base.leg_of(self._name)
-            if end is not None or leg is None:
-                return await self._end(session, holder, end)
-            async with AsyncExitStack() as stack:
-                session, holder = await self._go_on(session, leg, await self._link(stack, Role.SENDER), holder.track)
-                end = await run_course(session, partial(holder.pass_on, leg))
-                if end is None or end.outcome not in _THE_RELIEFS or holder.decided:
-                    return await self._end(session, holder, end)
-                await self._leg_failed(session, holder, end)
-                session, holder = await self._go_on(session, None, Nobody(), holder.track)
+        try:
+            await write(self._store, as_holder(self._store.load()))
+            self._base.holds(self._name)
+            session, flown = await self._go_on(session, None, Nobody(), flown.track)
+            if link is not None:
+                await link.aclose()
+            while True:
+                self._called.clear()
+                end = await run_course(session, partial(flown.keep, self._called))
+                leg = self._base.leg_of(self._name)
+                if end is not None or leg is None:
+                    return await self._end(session, flown, end)
+                async with AsyncExitStack() as stack:
+                    session, flown = await self._go_on(session, leg, await self._link(stack, Role.SENDER), flown.track)
+                    end = await run_course(session, partial(flown.pass_on, leg))
+                    if end is None or end.outcome not in _THE_RELIEFS or flown.decided:
+                        return await self._end(session, flown, end)
+                    await self._leg_failed(session, flown, end)
+                    session, flown = await self._go_on(session, None, Nobody(), flown.track)
+        except PartError as error:  # the session that flies still does
+            return await self._end(session, flown, as_end(error))
 
     async def _leg_failed(self, session: Session, holder: Holder, end: MissionEnd) -> None:
         peer = session.peer
@@ -324,12 +207,16 @@ class Flight:
     async def _go_on(
         self, before: Session, leg: Leg | None, link: Link, track: TargetTrack | None
     ) -> tuple[Session, Holder]:
-        """The next session of a drone that stays in the air: the same pilot flies it, and misses no setpoint."""
+        """The next session of a drone that stays in the air: the same pilot flies it, and misses no setpoint.
+
+        Raises StateError; then the one before goes on.
+        """
+        assert track is not None, "what is held is tracked"
         session = self._session(Role.SENDER, leg, link)
         pilot: Pilot = before.pilot
         script = before.script
+        holder = Holder(session, self._store, self, track)  # responsible by its record, or nothing has changed
         await before.cancel_spawned()
-        holder = Holder(session, self._store, self, track)
         session.pilot, session.script = pilot, script
         pilot.in_control = True
         session.spawn(pilot.run())

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
-from drivers.interfaces import Kept, PartError
+from drivers.interfaces import Kept, PartError, StateError
 from drivers.log import read_log
 from drivers.rig import Rig
+from drivers.state_file import MemoryStore
 from flight.relay import RelayConfig
 from missions import rig_library
 from missions.options import RelayOptions
@@ -92,6 +93,21 @@ def test_a_program_that_dies_between_holding_and_offering_finds_itself_responsib
     log = list(read_log(tmp_path / "D2.mcap"))
     ends = [each.record for each in log if each.topic == "/outcome"]
     assert ends[-1]["responsible"] and ends[-1]["landed"] and "mine" in ends[-1]["detail"]
+
+
+def test_a_disk_that_fails_at_the_change_of_role_ends_the_relay_by_name(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save = MemoryStore.save
+
+    def full(store: MemoryStore, record: SenderRecord | ReceiverRecord) -> None:
+        if record.epoch and record.duty == "mine" and store.kept and store.kept.record.duty == "holding":
+            raise StateError("cannot write: No space left on device", "make room")
+        save(store, record)
+
+    monkeypatch.setattr(MemoryStore, "save", full)
+    summary, _, _ = fly(rig, tmp_path, 0.62, 1.0)
+    assert (summary["outcome"], summary["violations"]) == ("state_lost", {})
 
 
 def test_the_same_seed_is_the_same_relay(rig: Rig, tmp_path: Path) -> None:
