@@ -50,6 +50,7 @@ class RelayConfig:
         swap_s: from landing until the drone stands ready with a full battery.
         home_s: what a drone is granted for its way home and the landing.
         attempts: how many reliefs may fail, one after the other, before the target has to be given up.
+        least_s: no relief takes off for less time than this: it could not take over before the other has to go home.
         return_height_m: of the way home, above everything that goes on below.
         follow_s: how long the drone that took over stays a receiver, for the other to hear that it did.
         clear_m, clear_s: how far, and how long after it was last heard, a relief that failed is kept away from.
@@ -62,6 +63,7 @@ class RelayConfig:
     swap_s: float = 300.0
     home_s: float = 60.0
     attempts: int = 2
+    least_s: float = 45.0
     return_height_m: float = 4.0
     follow_s: float = 6.0
     clear_m: float = 1.5

@@ -175,7 +175,7 @@ class Base:
             return
         name, battery, wait_s = self._asking
         ready = sorted((drone.ready_s, other) for other, drone in self._drones.items() if drone.where == "ready")
-        if not ready:
+        if not ready or wait_s < self.config.least_s:
             self._alarm(name, wait_s)
             return
         if any(not self.ground.landed(other) for other in self._drones if other != name):
