@@ -95,7 +95,7 @@ class RelayOptions:
     """Folder for logs, summary and picture; runs/<time> by default."""
 
     logs: bool = False
-    """Log everything, frame by frame, and not only what is decided: a gigabyte an hour."""
+    """Log everything, frame by frame, and not only what is decided: some 40 MB an hour."""
 
     picture: bool = True
     """Draw relay.png at the end."""
