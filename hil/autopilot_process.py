@@ -24,6 +24,7 @@ Kind = Literal["px4", "ardupilot"]
 BINARY_VARIABLE: dict[Kind, str] = {"px4": "PATH_PX4", "ardupilot": "PATH_ARDUPILOT"}
 PROGRAM: dict[Kind, str] = {"px4": "px4", "ardupilot": "arducopter"}
 FIRST_PORT = 14540  # PX4's own scheme for its companion link; ArduPilot is told to keep to it
+FIRST_GUARD_PORT = 14030  # PX4's second link for a companion: the guard has it to itself
 FIRST_TRUTH_PORT = 19410  # where PX4's SIH sends what is true
 MAX_SYSID = 10  # PX4 gives all instances from the eleventh on one port
 STOP_S = 3.0
@@ -242,6 +243,7 @@ class AutopilotProcess:
             "--sysid": str(self.sysid),
             "--serial0": f"udpclient:127.0.0.1:{FIRST_PORT + instance}",
             "--serial1": f"udpclient:127.0.0.1:{FIRST_TRUTH_PORT + instance}",
+            "--serial2": f"udpclient:127.0.0.1:{FIRST_GUARD_PORT + instance}",
             "--defaults": str(defaults),
             "--speedup": f"{self._speedup:g}",
         }
