@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from missions.summary import target_error_m
 from missions.trials.dynamic_coast import Coasts, coasts
 from missions.trials.dynamic_flight import (
     BEACON_RECORD,
+    STEADY_S,
     Flown,
     Heard,
     Motions,
@@ -25,6 +26,7 @@ from missions.trials.dynamic_flight import (
     load_motions,
     reference_of,
 )
+from missions.trials.offset_fit import fit_offset
 from missions.trials.trajectory import (
     Alignment,
     Pair,
@@ -72,7 +74,8 @@ class Measured:
     """A session as its records alone give it: how they lie to each other, and how far apart they are.
 
     Attributes:
-        clock: the beacons' clock and frame against what both vehicles believe of their own motion.
+        clock: the beacons' clock and frame against what both vehicles believe of their own motion; its offset and
+            that one's deviation are of ``fit_offset``.
         frame, free: their frame against PATH's trajectories: about the vertical, and by any rotation.
         noise_m: of a beacon position per axis, from its spread before anything moved.
         beacons: by subject.
@@ -144,13 +147,18 @@ def offset_error_s(measured: Measured, beacons: BeaconTruth, truth: Truth) -> fl
 
 
 def clock_of(motions: Motions, heard: Heard, rng: np.random.Generator) -> Alignment:
-    """The beacons' clock and frame from the whole flight of both drones, as both believe it to have been."""
+    """The beacons' clock and frame from the whole flight of both drones, as both believe it to have been.
+
+    Robust first, so that outliers are known; then by what errs together. Raises ValueError.
+    """
     offset_s = coarse_offset(motions.own, heard.paths["receiver"])
     pairs = [
         Pair(motions.own, heard.paths["receiver"], WANDER_S),
         Pair(motions.own_1, heard.paths["sender"], WANDER_S),
     ]
-    return align(pairs, offset_s, rng)
+    robust = align(pairs, offset_s, rng)
+    found = fit_offset(pairs, robust, STEADY_S)
+    return replace(align(pairs, found.offset_s, rng, fit_offset=False), offset_sigma_s=found.offset_sigma_s)
 
 
 def pairs_of(motions: Motions, heard: Heard) -> tuple[list[Pair], list[Array]]:

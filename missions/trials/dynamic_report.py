@@ -34,7 +34,7 @@ def findings(summary: Mapping[str, Any]) -> tuple[Finding, ...]:
             f"claimed sigma {1e3 * max(summary['time_offset_sigma_s']):.1f} at most",
             goal="10",
             verdict=verdict(abs(summary["time_offset_error_s"]) <= OFFSET_GOAL_S),
-            note="from both vehicles' own records: their positions wander, so that only motion within seconds tells. "
+            note="from both vehicles' own records, with what they say of their own wander and of the frame's warp. "
             "The target drives round a loop, each place is passed in one direction, and a warp of the beacons' frame "
             "then looks like an offset: over 30 such flights it erred by 10 ms rms, more than is claimed",
         )
@@ -123,10 +123,10 @@ def alignments(judged: Sequence[Judged]) -> Table:
         "shift of the target, mm", "tilt of a free rotation, deg",
     )  # fmt: skip
     note = (
-        "± are standard deviations from a bootstrap over blocks of 2 s. The turn contains D1's own heading error, as "
-        "D1's attitude turns PATH's vectors. The target's shift is the way from its roof, where the beacon is, to the "
-        "side that D1 looks at; D2's is what D1's tilt and the warp of the beacons' frame leave. Errors are judged by "
-        "the harness."
+        "± are standard deviations: the offset's from its fit, others from a bootstrap over blocks of 2 s. The turn "
+        "contains D1's own heading error, as D1's attitude turns PATH's vectors. The target's shift is the way from "
+        "its roof, where the beacon is, to the side that D1 looks at; D2's is what D1's tilt and the warp of the "
+        "beacons' frame leave. Errors are judged by the harness."
     )
     return Table("Clock and frame of the beacons, estimated from the records", columns, tuple(rows), note)
 

@@ -198,20 +198,26 @@ class _Problem:
         ]
 
     def start(self, offset_s: float) -> _State:
-        """Closed form at the guessed offset (Umeyama without scale) about medians, as outliers are still in."""
-        a, b = list[Array](), list[Array]()
-        middles = list[tuple[Array, Array]]()
+        """Closed form at the guessed offset (Umeyama without scale); outliers are still in, few, and within metres.
+
+        Shifts are medians of what is left, by then in one frame: medians of each record's own places turn with the
+        frame that they are taken in, and a pair that starts wrong by that is refused as a whole and stays so.
+        """
+        together = list[tuple[Array, Array]]()
         for pair in self._pairs:
             x = pair.curve.at(pair.samples.t + offset_s)
             known = np.isfinite(x[:, 0])
             if np.count_nonzero(known) < 10:
                 raise ValueError("too few samples lie on the curve")
-            middles.append((np.median(x[known], axis=0), np.median(pair.samples.p[known], axis=0)))
-            a.append(x[known] - middles[-1][0])
-            b.append(pair.samples.p[known] - middles[-1][1])
-        R = rotation_between(np.concatenate(a), np.concatenate(b), self._turn)
-        shifts = [np.tile(y - R @ x, (hats.shape[1], 1)) for (x, y), hats in zip(middles, self._hats, strict=True)]
-        return _State(offset_s, R, tuple(shifts))
+            together.append((x[known], pair.samples.p[known]))
+        a, b = (np.concatenate([own - own.mean(axis=0) for own in side]) for side in zip(*together, strict=True))
+        R = rotation_between(a, b, self._turn)
+        shifts = (np.median(y - x @ R.T, axis=0) for x, y in together)
+        return _State(
+            offset_s,
+            R,
+            tuple(np.tile(shift, (hats.shape[1], 1)) for shift, hats in zip(shifts, self._hats, strict=True)),
+        )
 
     def linearized(self, state: _State) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Residuals (n, 3), Jacobian (n, 3, unknowns), and which samples lie on their curve."""
@@ -242,7 +248,7 @@ class _Problem:
         for part in self.parts:
             own = residuals[part]
             scales.append(_scale(own[known[part]]))
-            weights[part] = np.where(known[part], _huber(own, scales[-1]) / scales[-1] ** 2, 0.0)
+            weights[part] = np.where(known[part], huber(own, scales[-1]) / scales[-1] ** 2, 0.0)
         return weights, tuple(scales)
 
     def stepped(self, state: _State, residuals: Array, jacobian: Array, weights: Array) -> _State:
@@ -314,7 +320,8 @@ def _scale(residuals: Array) -> float:
     return MAD_TO_SIGMA * float(np.median(np.abs(residuals))) + 1e-9
 
 
-def _huber(residuals: Array, scale: float) -> Array:
+def huber(residuals: Array, scale: float) -> Array:
+    """How much each of the residuals (n, 3) counts, (n,), by its length over a deviation per axis."""
     length = np.linalg.norm(residuals, axis=1) / (math.sqrt(3.0) * scale)
     return np.where(length < HUBER, 1.0, np.where(length < REJECT, HUBER / np.maximum(length, HUBER), 0.0))
 

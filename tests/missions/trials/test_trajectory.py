@@ -114,6 +114,25 @@ def test_two_motions_share_clock_and_frame() -> None:
     assert len(alignment.shifts) == len(alignment.residuals) == 2
 
 
+def test_no_pair_is_lost_because_the_frames_are_turned() -> None:
+    """Medians by axis of a motion that rests at a few places differ by the frame that they are taken in."""
+    t = np.arange(0.0, 60.0, 0.1, dtype=np.float64)
+    corners = np.array([[0.0, 0.0, 0.0], [2.0, 0.2, 0.0], [0.2, 2.0, 0.0]])
+    rests = np.array([np.interp(t, [0, 16, 20, 38, 42, 60], corners[[0, 0, 1, 1, 2, 2], k]) for k in range(3)]).T
+    for turn in np.linspace(0.0, 2.0 * math.pi, 9):
+        turned = exp(np.array([0.0, 0.0, turn]))
+        rng = np.random.default_rng(1)
+        pairs = [
+            Pair(
+                Trajectory(t, places),
+                Trajectory(t[5:-5] + 0.03, (places @ turned.T + rng.normal(0.0, NOISE_M, places.shape))[5:-5]),
+            )
+            for places in (rests, rests[:, [0, 2, 1]])
+        ]
+        used = align(pairs, 0.0, np.random.default_rng(0)).used
+        assert all(np.mean(own) > 0.95 for own in used), turn
+
+
 def test_a_free_rotation_is_found_too() -> None:
     turned = R_from_rpy(0.3, -0.2, 1.0)
     curve, samples = records(8, R=turned)
