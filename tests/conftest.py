@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
+from xdist.scheduler import LoadScopeScheduling
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in missions, and before any test loads numpy
 
-HERE = Path(__file__).parent
 # What has sockets, threads, processes and limits of its own: one at a time, and only what computes is run beside it.
 REAL_TIME = (
     "contracts/",
     "drivers/",
     "hil/",
+    "missions/conformance/",
     "missions/test_cli",
     "missions/test_doctor",
     "missions/test_guard.py",
@@ -48,22 +50,30 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     return 2 if config.args_source is config.ArgsSource.TESTPATHS else 0
 
 
-@pytest.hookimpl(tryfirst=True)  # xdist reads the groups in the same hook
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests of one group stay in one worker: those in real time, and those of a module, which share fixtures."""
-    for item in items:
-        name = item.path.relative_to(HERE).as_posix()
-        if not name.startswith(APART):
-            group = IN_REAL_TIME if name.startswith(REAL_TIME) else name
-            item.add_marker(pytest.mark.xdist_group(group))
+class Groups(LoadScopeScheduling):
+    """Tests of one group stay in one worker, the largest group first: those in real time; those of a module, which
+    share fixtures."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return group_of(nodeid)
+
+
+def group_of(nodeid: str) -> str:
+    name = nodeid.split("::", maxsplit=1)[0].removeprefix("tests/")
+    if name.startswith(APART):
+        return nodeid
+    return IN_REAL_TIME if name.startswith(REAL_TIME) else name
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:
+    return Groups(config, log)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """The worker that begins with what only computes lets the other one go first: its limits are in seconds."""
     if "PYTEST_XDIST_WORKER" in os.environ and not item.config.stash.get(BEGUN, False):
         item.config.stash[BEGUN] = True
-        group = item.get_closest_marker("xdist_group")
-        if group is None or group.args != (IN_REAL_TIME,):
+        if group_of(item.nodeid) != IN_REAL_TIME:
             os.nice(10)
 
 
