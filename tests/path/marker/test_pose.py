@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -318,3 +320,9 @@ def test_from_the_image_to_the_pose(camera: CameraModel, mean_mm: float):
 
 def test_warming_up_finds_its_own_marker():
     warm_up()
+
+
+def test_a_first_shadow_in_flight_finds_its_kernels_compiled() -> None:
+    asked = "from path.marker import shadow, warm_up; warm_up.warm_up(); "
+    asked += "assert shadow.cell_light.signatures and shadow.find_shadow.signatures"
+    subprocess.run([sys.executable, "-c", asked], check=True, timeout=120.0)
