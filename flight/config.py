@@ -43,9 +43,9 @@ class SeparationConfig:
 class RendezvousConfig:
     """Stand-off, search and approach of the receiver."""
 
-    positions_within_m: float = 0.5  # how far apart the drones' reported positions may be wrong, across ...
-    heights_within_m: float = 0.4  # ... and in height
-    stand_off_m: float = 1.75  # from the marker, along the camera's axis; farther where positions may be that wrong
+    positions_within_m: float = 1.1  # how far apart the drones' reported positions may be wrong, across ...
+    heights_within_m: float = 0.9  # ... and in height
+    stand_off_m: float = 1.75  # from the marker, along the camera's axis, of a drone that sees what is ahead of it
     clearance_m: float = 0.3  # at the stand-off, besides the smallest separation, if positions are that wrong
     stand_off_tolerance_m: float = 0.25
     search_slide_m: float = 0.8  # farthest outward from the stand-off; farther where positions may be that wrong

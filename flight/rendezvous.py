@@ -27,7 +27,9 @@ _RUSHING_MPS = 0.4  # above the speed of an approach
 _UNCERTAIN = 2.0  # times the largest uncertainty to close in with
 _UNSURE_SHARE = 0.3  # of the speed, while the marker's pose is uncertain
 _BACK_OFF_MPS = 0.25
-_SETTLE_S = 1.5  # at the stand-off, before it starts to slide
+_SETTLE_S = 1.5  # where it came in to, before it starts to slide
+_COME_IN_MPS = 0.3
+_FINDABLE_PX = 14.0  # of a marker's side: found in nearly every image, at a slant too
 
 
 def stand_off_m(config: MissionConfig) -> float:
@@ -50,6 +52,7 @@ class Rendezvous:
         config: MissionConfig,
         camera: CameraModel,
         mount: Mount,
+        layout: MarkerLayout,
         marker: MarkerView,
         peer: Callable[[], Status],
         now_ns: Callable[[], int],
@@ -57,6 +60,7 @@ class Rendezvous:
         self._config = config
         self._camera = camera
         self._mount = mount
+        self._side_m = max(marker.side_m for marker in layout.markers)
         self._marker = marker
         self._peer = peer
         self._now_ns = now_ns
@@ -70,13 +74,13 @@ class Rendezvous:
         assert self._viewpoint is not None, "there is no way to a viewpoint before one is planned"
         return self._viewpoint
 
-    def plan(self, target: Target, layout: MarkerLayout) -> Viewpoint | NoViewpoint:
+    def plan(self, target: Target) -> Viewpoint | NoViewpoint:
         """Plan the viewpoint for the geometry the sender reports now; a found one is flown to from now on."""
         R_h_v = levelled(target.gravity_v, self._mount.T_b_v.R)
         scene = Scene(
             target_h_m=R_h_v @ np.array(target.point_v_m),
             marker_normal_h=R_h_v[:, 2],
-            marker_side_m=max(marker.side_m for marker in layout.markers),
+            marker_side_m=self._side_m,
             body_h_m=R_h_v @ self._mount.T_b_v.inverse().t,
         )
         tilt_h = np.array(from_heading(self.lean.down_n, -self._peer().yaw_rad))
@@ -93,25 +97,28 @@ class Rendezvous:
 
         That is not on the viewpoint's side: with positions off by a metre the marker would be seen edge-on there.
         """
-        place, yaw = self._stand_off()
+        place, yaw = self._facing_marker(self.stand_off_m)
         return self._by_position(place, state, yaw)
 
     def at_stand_off(self, state: VehicleState) -> bool:
-        off_m = norm(subtract(self._stand_off()[0], state.position_n_m))
+        off_m = norm(subtract(self._facing_marker(self.stand_off_m)[0], state.position_n_m))
         return off_m < self._config.rendezvous.stand_off_tolerance_m
 
     def begin_search(self) -> None:
         self._search_began_ns = self._now_ns()
 
     def search(self, state: VehicleState) -> VelocitySetpoint:
-        """Look to and fro, wider as time goes, and slide outward and back, until the marker shows.
+        """Come in as near as the marker wants; look to and fro, wider as time goes, and slide outward and back.
 
-        Never inward: the positions that the stand-off rests on may be wrong by more than is left. A drone that is
-        nearly above the other sees it only from farther out.
+        It comes in along the camera's axis, through the space it has looked into: a marker that is in D2's way, or
+        near it, shows before D2 is there. Nowhere else does it come nearer: the positions may be wrong by more than is
+        left. A drone that is nearly above the other sees it only from farther out.
         """
-        place, yaw = self._stand_off()
         rendezvous = self._config.rendezvous
-        searched_s = max(0.0, (self._now_ns() - self._search_began_ns) * 1e-9 - _SETTLE_S)
+        searching_s = (self._now_ns() - self._search_began_ns) * 1e-9
+        from_m, to_m = self.stand_off_m, self._search_from_m()
+        place, yaw = self._facing_marker(max(to_m, from_m - _COME_IN_MPS * searching_s))
+        searched_s = max(0.0, searching_s - (from_m - to_m) / _COME_IN_MPS - _SETTLE_S)
         turn = math.radians(rendezvous.search_turn_deg) * min(1.0, 0.3 * searched_s) * math.sin(_TURN * searched_s)
         back_m = _swing(max(rendezvous.search_slide_m, rendezvous.positions_within_m), _SLIDE * searched_s)
         up_m = _swing(rendezvous.heights_within_m, _CLIMB * searched_s)
@@ -130,10 +137,16 @@ class Rendezvous:
         """As near as this drone comes by reported positions; nearer once the marker has told what those are worth."""
         return stand_off_m(self._config) if self._shift_n_m is None else self._config.rendezvous.stand_off_m
 
-    def _stand_off(self) -> tuple[Vec3, float]:
-        peer, stand_off_m = self._peer(), self.stand_off_m
+    def _search_from_m(self) -> float:
+        """How far from the marker the search is: where its side has enough pixels, and no nearer than need be."""
+        findable_m = 0.5 * (self._camera.fx + self._camera.fy) * self._side_m / _FINDABLE_PX
+        return min(self.stand_off_m, max(self._config.rendezvous.stand_off_m, findable_m))
+
+    def _facing_marker(self, distance_m: float) -> tuple[Vec3, float]:
+        """The place from which the marker is this far along the camera's axis, and the yaw there."""
+        peer = self._peer()
         steepness = math.asin(float(self._mount.T_b_c.R[2, 2]))  # how far below the horizon the camera looks
-        level_m, height_m = stand_off_m * math.cos(steepness), stand_off_m * math.sin(steepness)
+        level_m, height_m = distance_m * math.cos(steepness), distance_m * math.sin(steepness)
         normal_b = self._mount.T_b_v.R[:, 2]  # of the plate, in D1's body
         facing = math.hypot(float(normal_b[0]), float(normal_b[1]))
         ahead, right = (float(normal_b[0]) / facing, float(normal_b[1]) / facing) if facing > 0.1 else (-1.0, 0.0)

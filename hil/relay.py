@@ -13,7 +13,6 @@ from typing import Any
 from drivers.guard_interfaces import Watched
 from drivers.log import McapLog
 from drivers.rig import PartContext, Rig, RoleRig, create, part_context
-from drivers.state_file import MemoryStore
 from drivers.tables import decode_table
 from flight.config import MissionConfig
 from flight.guard_watch import GuardWatch
@@ -25,12 +24,11 @@ from hil.inject import inject_in_world, inject_on_link
 from hil.preparation import prepare, starting
 from hil.relay_monitors import RelayLog, RelayMonitors
 from hil.relay_world import DroneHarness, RelayWorld, present_s
-from hil.sim import stop_on_signals
+from hil.sim import Disk, stop_on_signals
 from hil.sim_guard import TICK_S, MemoryBeatLine
 from hil.virtual_time import run_virtual
 from hil.world import WorldConfig
 from path.messages import Role
-from path.protocol.values import ReceiverRecord, SenderRecord
 
 NEAR_PERIOD_S = 0.04  # looks at the truth while two are in the air
 PERIOD_S = 0.2
@@ -63,20 +61,6 @@ def _parse(text: str) -> Fault:
     return fault
 
 
-class _Store(MemoryStore):
-    """The disk of one drone, which outlives its programs."""
-
-    def __init__(self, saved: Callable[[str], None]) -> None:
-        super().__init__()
-        self._saved = saved
-        self.writable = True  # not by a program that was killed
-
-    def save(self, record: SenderRecord | ReceiverRecord) -> None:
-        if self.writable:
-            super().save(record)
-            self._saved(record.duty)
-
-
 @dataclass(slots=True)
 class _Drone:
     """One drone: its disk, its log, and its program while it has one."""
@@ -84,7 +68,7 @@ class _Drone:
     name: str
     own: RoleRig
     harness: DroneHarness
-    store: _Store
+    store: Disk
     log: McapLog
     offset_ns: int
     watched: RelayLog | None = None
@@ -138,7 +122,7 @@ class _Relay:
         harness = DroneHarness(self._world, name, self._request.seed, present_s)
         log = McapLog(self._request.out / f"{name}.mcap", name, buffered=True)
         offset_ns = round(float(own.clock.options.get("offset_s", 0.0)) * 1e9)
-        return _Drone(name, own, harness, _Store(lambda duty: self._on_duty(name, duty)), log, offset_ns)
+        return _Drone(name, own, harness, Disk(lambda duty: self._on_duty(name, duty)), log, offset_ns)
 
     # --- the field ---
 

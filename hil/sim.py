@@ -94,8 +94,8 @@ def show_start(request: FlightRequest, what: str) -> None:
         request.emit(starting(role, what))
 
 
-class _Store(MemoryStore):
-    """The disk of one role, which outlives its programs."""
+class Disk(MemoryStore):
+    """Of one role, or one drone: it outlives their programs. ``saved`` is told each duty that was written."""
 
     def __init__(self, saved: Callable[[str], None]) -> None:
         super().__init__()
@@ -124,7 +124,7 @@ class _Flight:
         self._request = request
         self._rig = request.rig
         self._trigger = FaultTrigger(faults)
-        self._stores = {role: _Store(lambda duty, role=role: self._on_duty(role, duty)) for role in Role}
+        self._stores = {role: Disk(lambda duty, role=role: self._on_duty(role, duty)) for role in Role}
         self._programs: dict[Role, _Program] = {}
         self._restarts: set[Role] = set()  # whose program is started again
         self._coming: set[asyncio.Task[None]] = set()  # what is to happen later: faults, programs started again

@@ -39,7 +39,7 @@ from path.rotation import yaw_of
 
 _FIXES_TO_APPROACH = 5
 _ARRIVED_S = 0.6
-RETREAT_M = 1.8
+_RETREAT_M = 1.8
 _ABLE_S = 0.5
 _REPLAN_S = 0.5
 _PEER_POLL_S = 0.25
@@ -79,7 +79,7 @@ class Receiver:
         self._handover = ReceiverHandover(session, store, self._able)
         self._cycle: ReceiverCycle | None = None
         self._rendezvous = Rendezvous(
-            config, self._camera, rig.receiver.mount, self._marker, self._peer, session.now_ns
+            config, self._camera, rig.receiver.mount, rig.layout, self._marker, self._peer, session.now_ns
         )
         self._newest: Target | None = None
         self._live: Handoff | None = None
@@ -174,10 +174,14 @@ class Receiver:
         self._handover.end(end)
         state = self._session.vehicle.state
         yaw_rad = yaw_of(state.q_n_b)
-        back = from_heading((-RETREAT_M, 0.0, 0.0), yaw_rad)
-        landed = await bring_down(self._session, end, Anchor(add(state.position_n_m, back), yaw_rad))
+        back = from_heading((-_RETREAT_M, 0.0, 0.0), yaw_rad)
+        landed = await self._come_down(end, Anchor(add(state.position_n_m, back), yaw_rad))
         await self._handover.finish()
         return landed
+
+    async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
+        """Whether the script landed the vehicle."""
+        return await bring_down(self._session, end, way_out)
 
     def _peer(self) -> Status:
         peer = self._session.peer
@@ -196,7 +200,7 @@ class Receiver:
         loop = asyncio.get_running_loop()
         end_s = loop.time() + timeout_s
         assert self._newest is not None
-        while isinstance(plan := self._rendezvous.plan(self._newest, self._session.rig.layout), NoViewpoint):
+        while isinstance(plan := self._rendezvous.plan(self._newest), NoViewpoint):
             if loop.time() > end_s:
                 raise MissionEnd(Outcome.NO_VIEWPOINT, str(plan))
             await asyncio.sleep(_REPLAN_S)

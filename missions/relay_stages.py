@@ -11,17 +11,16 @@ from collections.abc import Awaitable
 from typing import Protocol
 
 from drivers.interfaces import LinkCounters, Received, RecordStore, VehicleState, VelocitySetpoint
-from flight.guidance import Anchor, add, from_heading
+from flight.guidance import Anchor
 from flight.outcome import MissionEnd
 from flight.phases import Phase
 from flight.tracking import TargetTrack
-from missions.receiver import RETREAT_M, Receiver
+from missions.receiver import Receiver
 from missions.relay_base import Leg
 from missions.sender import Sender
 from missions.session import Session
 from missions.steps import check_own, hear_peer, take_off
 from path.messages import Message
-from path.rotation import yaw_of
 
 
 class Conduct(Protocol):
@@ -116,12 +115,8 @@ class Holder(Sender):
         wanted = super()._follow_target(state)
         return self._conduct.clear_of_the_failed(state, wanted)
 
-    async def recover(self, end: MissionEnd | None) -> bool:
-        self._watching = False
-        self._handover.end(end)
-        landed = await self._conduct.come_home(self._session, end, self._leave())
-        await self._handover.finish()
-        return landed
+    async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
+        return await self._conduct.come_home(self._session, end, way_out)
 
 
 class Relief(Receiver):
@@ -143,15 +138,8 @@ class Relief(Receiver):
         self._session.on_message = self._session.on_status = _ignore
         await self._handover.finish()
 
-    async def recover(self, end: MissionEnd | None) -> bool:
-        self._watching = False
-        self._handover.end(end)
-        state = self._session.vehicle.state
-        yaw_rad = yaw_of(state.q_n_b)
-        back = from_heading((-RETREAT_M, 0.0, 0.0), yaw_rad)
-        landed = await self._conduct.come_home(self._session, end, Anchor(add(state.position_n_m, back), yaw_rad))
-        await self._handover.finish()
-        return landed
+    async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
+        return await self._conduct.come_home(self._session, end, way_out)
 
 
 def _ignore(_: object) -> None:

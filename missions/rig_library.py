@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from drivers.rig import Rig
 from drivers.rig_check import check_rig
 from drivers.rig_file import load_rig
@@ -31,3 +33,8 @@ def load_unchecked(name_or_path: str) -> Rig:
 def mission_of(rig: Rig) -> MissionConfig:
     """The rig's ``[mission]``. Raises RigError."""
     return decode_table(rig.mission, MissionConfig, rig.where("mission"))
+
+
+def shorter(rig: Rig) -> Rig:
+    """The rig for many flights: what comes after the hand-over is not what they try."""
+    return replace(rig, mission={**rig.mission, "follow_after_s": 2.0})

@@ -140,9 +140,13 @@ class Sender:
     async def recover(self, end: MissionEnd | None) -> bool:
         self._watching = False
         self._handover.end(end)
-        landed = await bring_down(self._session, end, self._leave())
+        landed = await self._come_down(end, self._leave())
         await self._handover.finish()
         return landed
+
+    async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
+        """Whether the script landed the vehicle."""
+        return await bring_down(self._session, end, way_out)
 
     def _leave(self) -> Anchor:
         """Where to go before landing: away from the receiver, sideways, and the same place however often asked."""

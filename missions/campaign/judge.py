@@ -165,8 +165,6 @@ class Judge:
 
     def heard(self, program: Program, before: Any, message: Message) -> None:
         """S4: an ACCEPT of what was committed, and not withdrawn, hands over."""
-        if program.role is Role.RECEIVER:
-            return
         if isinstance(message, Accept) and isinstance(before, sender.AwaitingAccept) and before.withdrawn is None:
             same = (message.epoch, message.nonce) == (before.live.epoch, before.commit.nonce)
             if same and program.now_ns() < before.take_back_ns and not program.handover.handed_over:

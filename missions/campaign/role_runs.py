@@ -26,7 +26,6 @@ from path.messages import Role
 if TYPE_CHECKING:
     from missions.campaign.run import Order
 
-SHORTER = {"follow_after_s": 2.0}  # of the mission: what comes after the hand-over is not what is tried here
 MEMORY = Path("/dev/shm")  # logs that nobody will read need no disk
 
 PHASES = {
@@ -127,7 +126,7 @@ def _shorter(name: str) -> Rig:
     rig = rig_library.load(name)
     if rig.level not in ("sim", "sim-rendered"):
         raise PartError(f"rig {rig.name} flies in real time", "a campaign of roles wants a rig of level sim")
-    return replace(rig, mission={**rig.mission, **SHORTER})
+    return rig_library.shorter(rig)
 
 
 def _fly(rig: Rig, seed: int, level: LevelName, number: int, folder: Path, emit: Emit) -> RunLine:

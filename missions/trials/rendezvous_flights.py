@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.rig import Rig
 from flight.config import SeparationConfig
 from flight.phases import Phase
 from missions import rig_library
@@ -18,8 +17,8 @@ from missions.records import Records, Run, load_run
 from missions.rig_library import mission_of
 from missions.run_folder import new_folder
 from path.messages import Role, Vec3
+from path.rotation import yaw_of
 
-SHORTER = {"follow_after_s": 2.0}  # of the mission: what comes after the hand-over is not what is tried here
 STEP = 5  # every so many records of the truth are kept of a way
 
 
@@ -76,7 +75,7 @@ def asked_for(rig: str, count: int, seed: int, out: Path) -> list[Asked]:
 
 def fly(asked: Asked) -> Flown:
     """One mission from take-off to landing. Its logs are kept only when a monitor was violated."""
-    rig = _shorter(asked.rig)
+    rig = rig_library.shorter(rig_library.load(asked.rig))
     folder = new_folder(asked.folder)
     facts = fly_once(rig, asked.seed, (), folder, lambda _: None)
     run = load_run(folder)
@@ -102,11 +101,6 @@ def fly(asked: Asked) -> Flown:
     return flown
 
 
-def _shorter(name: str) -> Rig:
-    rig = rig_library.load(name)
-    return replace(rig, mission={**rig.mission, **SHORTER})
-
-
 def _entered(run: Run, phase: Phase) -> float | None:
     """When the receiver first entered a phase, on its own clock."""
     of = (one.stamp_ns for one in run.receiver.get("/phase", ()) if one.record["phase"] == phase.title)
@@ -127,10 +121,8 @@ def _places(world: Records) -> Iterator[_Place]:
     for one in world.get("/truth", ()):
         gives, takes = one.record[Role.SENDER.value], one.record[Role.RECEIVER.value]
         if gives["in_air"] and takes["in_air"]:
-            w, x, y, z = gives["q"]
-            heading = math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
             (e0, n0, u0), (e1, n1, u1) = gives["t"], takes["t"]
-            yield _Place(one.stamp_ns * 1e-9, (e1 - e0, n1 - n0, u1 - u0), heading)
+            yield _Place(one.stamp_ns * 1e-9, (e1 - e0, n1 - n0, u1 - u0), yaw_of(gives["q"]))
 
 
 def _nearness(places: Sequence[_Place], separation: SeparationConfig) -> tuple[float, float, float]:
