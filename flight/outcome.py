@@ -31,7 +31,7 @@ class Outcome(Enum):
     UNFIT = ("unfit", 27, "a part of the rig cannot do what the mission needs")
     GUARD_LOST = ("guard_lost", 28, "the guard's process does not answer, or does not see the vehicle")
     TOO_CLOSE = ("too_close", 29, "the drones came nearer to each other than their separation")
-    INTERRUPTED = ("interrupted", 30, "stopped by Ctrl-C or SIGTERM")
+    INTERRUPTED = ("interrupted", 30, "stopped by Ctrl-C, SIGTERM, or a terminal that went away")
     CRASHED = ("crashed", 31, "the role's program died")
     RESTARTED = (
         "restarted",

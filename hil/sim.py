@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import signal
 import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator
@@ -19,6 +18,7 @@ from drivers.interfaces import PartError
 from drivers.log import McapLog, new_part
 from drivers.rig import Rig, create, part_context
 from drivers.state_file import MemoryStore
+from drivers.stop_signals import stop_signals
 from drivers.tables import decode_table
 from flight.config import MissionConfig
 from flight.guard_watch import GuardWatch, watch
@@ -357,5 +357,5 @@ def clock_offsets(rig: Rig) -> dict[Role, int]:
 def stop_on_signals(stop: Callable[[], None]) -> None:
     if threading.current_thread() is threading.main_thread():
         loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in stop_signals():
             loop.add_signal_handler(number, stop)

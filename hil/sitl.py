@@ -19,6 +19,7 @@ from typing import Any
 
 from drivers.log import LogRecord, parts, read_log
 from drivers.rig import Rig
+from drivers.stop_signals import stop_signals
 from drivers.tables import decode_table
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, decode_event
 from hil.autopilot_process import binary_of
@@ -292,7 +293,7 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
         while True:
             await _read_json(crew.world)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in stop_signals():
         loop.add_signal_handler(number, stop)
     crew.begin(trigger.from_the_start())
     for role in Role:
@@ -314,7 +315,7 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
             tasks.cancel()
         await asyncio.gather(beside, listeners, return_exceptions=True)
         await crew.close()
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in stop_signals():
             loop.remove_signal_handler(number)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
-import signal
 import sys
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from drivers.guard_line import UdpBeatLine
 from drivers.interfaces import Log, PartError
 from drivers.log import McapLog
 from drivers.rig import PartSpec, Rig, create, part_context
+from drivers.stop_signals import stop_signals
 from flight.config import MissionConfig
 from flight.guard_rules import Act, GuardState, Stage
 from flight.guard_watch import GuardWatch, watch
@@ -81,7 +81,7 @@ async def _run(
 ) -> int:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in stop_signals():
         loop.add_signal_handler(number, stop.set)
     async with AsyncExitStack() as stack:
         guards: list[GuardWatch] = []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import signal
 import sys
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from drivers.interfaces import Log, RecordStore
 from drivers.log import McapLog, new_part
 from drivers.rig import Rig
 from drivers.state_file import StateFile
+from drivers.stop_signals import stop_signals
 from flight.harness import Emit, InProcess, Progress, RoleResult, encode_event, with_log
 from missions.receiver import run_receiver
 from missions.sender import run_sender
@@ -34,7 +34,7 @@ async def fly_role(
 
 
 def run_role(rig: Rig, role: Role, out: Path, state: Path, emit: Emit, parent: bool) -> RoleResult:
-    """Fly one role to its end; SIGINT and SIGTERM land the vehicle. Raises PartError when a part cannot be opened.
+    """Fly one role to its end; ``stop_signals`` land the vehicle. Raises PartError when a part cannot be opened.
 
     Args:
         out: folder of the log; a new part of it when there is one already.
@@ -56,7 +56,7 @@ def _to_parent(progress: Progress) -> None:
 async def _run(rig: Rig, role: Role, log: McapLog, store: StateFile, emit: Emit, parent: bool) -> RoleResult:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in stop_signals():
         loop.add_signal_handler(number, stop.set)
     if parent:
         loop.add_reader(sys.stdin.fileno(), _stop_at_end_of_input, loop, stop)

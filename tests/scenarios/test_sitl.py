@@ -42,7 +42,7 @@ def wait_for_line(process: subprocess.Popen[str], wanted: str, seen: list[str]) 
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for left-over processes in /proc")
-def test_a_stop_in_the_air_lands_both_and_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_terminal_that_goes_away_lands_both_and_leaves_nothing_behind(tmp_path: Path) -> None:
     out = tmp_path / "run"
     command = [
         sys.executable,
@@ -59,7 +59,7 @@ def test_a_stop_in_the_air_lands_both_and_leaves_nothing_behind(tmp_path: Path) 
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         wait_for_line(process, "stand-off", seen)
         assert len(children_of(str(out))) >= 4  # this command, the world, both roles
-        process.send_signal(signal.SIGTERM)
+        process.send_signal(signal.SIGHUP)
         assert process.stdout is not None
         seen += process.stdout.readlines()
         assert process.wait(LANDING_LIMIT_S) == 30, "".join(seen)
