@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 from typing import Annotated
@@ -46,6 +47,7 @@ MODULES: dict[type[object], str] = {
 
 EXIT_REFUSED = 3
 EXIT_CTRL_C = 130
+EXIT_BROKEN_PIPE = 141
 
 DESCRIPTION = """Two drones pass a moving target, with proof that it is the same target.
 
@@ -85,17 +87,20 @@ Command = (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """The console script; ends the process with the command's exit code."""
-    command = tyro.cli(
-        Command,  # type: ignore[arg-type]  # a union of options, one for each command
-        args=arguments,
-        prog="path-handoff",
-        description=DESCRIPTION,
-        config=(tyro.conf.OmitSubcommandPrefixes,),
-    )
     try:
+        command = tyro.cli(
+            Command,  # type: ignore[arg-type]  # a union of options, one for each command
+            args=arguments,
+            prog="path-handoff",
+            description=DESCRIPTION,
+            config=(tyro.conf.OmitSubcommandPrefixes,),
+        )
         code = run(command)
     except KeyboardInterrupt:
         code = EXIT_CTRL_C
+    except BrokenPipeError:  # as in `path-handoff --help | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left is not written at exit either
+        code = EXIT_BROKEN_PIPE
     except Exception as error:
         from drivers.interfaces import PartError  # noqa: PLC0415 (numpy behind it takes longer than all the rest)
 

@@ -99,6 +99,15 @@ def test_an_unforeseen_error_is_not_dressed_up(monkeypatch: pytest.MonkeyPatch) 
         cli.main(["rigs"])
 
 
+def test_a_reader_that_has_seen_enough_gets_no_traceback() -> None:
+    command = [sys.executable, "-m", "missions.cli", "--help"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+        assert process.wait(60.0) == cli.EXIT_BROKEN_PIPE
+
+
 def test_an_unknown_rig_lists_the_rigs(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main(["sender", "--rig", "stil"])
