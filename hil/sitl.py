@@ -21,6 +21,7 @@ from drivers.log import LogRecord, parts, read_log
 from drivers.rig import Rig
 from drivers.stop_signals import stop_signals
 from drivers.tables import decode_table
+from flight.config import MissionConfig
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, decode_event
 from hil.autopilot_process import binary_of
 from hil.faults import Fault, FaultError, FaultTrigger, parse_fault
@@ -31,7 +32,7 @@ from hil.world import WorldConfig
 from path.messages import Role
 
 WORLD_READY_S = 180.0  # the first start compiles the renderer
-RUN_LIMIT_S = 420.0
+RUN_LIMIT_S = 360.0  # besides what the mission allows for verifying and following
 LANDING_LIMIT_S = 45.0
 ROLE_EXIT_S = 60.0
 RECORD_POLL_S = 0.001
@@ -53,6 +54,12 @@ class _Run:
     results: dict[Role, RoleResult] = field(default_factory=dict[Role, RoleResult])
     interrupted: bool = False
     finished: dict[str, Any] | None = None
+
+    @property
+    def limit_s(self) -> float:
+        rig = self.request.rig
+        mission = decode_table(rig.mission, MissionConfig, rig.where("[mission]"))
+        return RUN_LIMIT_S + mission.deadlines.verify_s + mission.follow_after_s
 
 
 class SitlHarness:
@@ -302,11 +309,11 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
     readers = [asyncio.create_task(watch_record(role)) for role in Role]
     listeners = asyncio.gather(*(listen(role) for role in Role))
     try:
-        done, _ = await asyncio.wait([watcher, listeners], timeout=RUN_LIMIT_S, return_when=asyncio.FIRST_COMPLETED)
+        done, _ = await asyncio.wait([watcher, listeners], timeout=run.limit_s, return_when=asyncio.FIRST_COMPLETED)
         if not done:
             stop()
             await asyncio.wait([listeners], timeout=ROLE_EXIT_S)
-            raise HarnessFailure(f"the run did not end within {RUN_LIMIT_S:.0f} s")
+            raise HarnessFailure(f"the run did not end within {run.limit_s:.0f} s")
         for task in done:
             task.result()
     finally:

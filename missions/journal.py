@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.interfaces import View
 from flight.marker_view import Motion
 from flight.tracking import Sighting
 from path.agreement import Agreed
@@ -24,6 +25,11 @@ _LOWER = np.tril_indices(6)
 
 def box_record(box: Box | None) -> list[float] | None:
     return None if box is None else [box.x, box.y, box.w, box.h]
+
+
+def frame_record(view: View, now_ns: int) -> dict[str, Any]:
+    """``/frame``: which frame a cycle is of, and how long after its capture the cycle began."""
+    return {"frame_id": view.frame_id, "age_ns": now_ns - view.stamp_ns}
 
 
 def track_record(seen: Sighting | MissReason) -> dict[str, Any]:

@@ -29,6 +29,7 @@ TrialName = Literal[
     "processes",
     "rendezvous",
     "beacon",
+    "soak",
 ]
 Faults = Annotated[
     tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@MOMENT[+SECONDS]]"), tyro.conf.UseAppendAction
@@ -197,7 +198,7 @@ class TrialOptions:
 
     name: Annotated[TrialName, tyro.conf.Positional]
     """Which trial; `all` runs those of the paper and makes one page, in about a quarter of an hour on two cores.
-    `processes`, `rendezvous` and `beacon` are asked for by name."""
+    `processes`, `rendezvous`, `beacon` and `soak` are asked for by name."""
 
     out: OutFolder = None
     """Folder for the page, summary.json and the pictures; trials/<time>-<name> by default."""
@@ -212,7 +213,8 @@ class TrialOptions:
     """Processes at a time; 0: one per core."""
 
     rig: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
-    """The rig; by default sim-rendered, whose harness knows the truth, and `dynamic` for the trial `beacon`."""
+    """The rig; by default sim-rendered, whose harness knows the truth; `dynamic` for `beacon`, `sim-field` for
+    `rendezvous`, `sitl` for `soak`."""
 
     xfeat: FileName = None
     """Weights of XFeat (ONNX), for the trials that compare with it; without them XFeat is left out."""
@@ -221,7 +223,8 @@ class TrialOptions:
     """Folder with the logs of a session, for `beacon`: it is judged as if it were flown now."""
 
     seconds: float = 0.0
-    """How long `beacon` records where the drones are flown from their own computers; 0: until Ctrl-C."""
+    """How long `soak` verifies, 0: 20 minutes; how long `beacon` records where the drones are flown from their own
+    computers, 0: until Ctrl-C."""
 
     board: FileName = None
     """TOML file that describes a photograph of a marker board, for `corners`; without it no photograph is measured."""

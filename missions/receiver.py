@@ -24,7 +24,14 @@ from flight.rendezvous import Rendezvous
 from flight.tracking import TargetTrack, follow, place
 from flight.viewpoint import NoViewpoint
 from missions.handover import ReceiverHandover
-from missions.journal import candidate_record, marker_miss_record, marker_record, motion_record, track_record
+from missions.journal import (
+    candidate_record,
+    frame_record,
+    marker_miss_record,
+    marker_record,
+    motion_record,
+    track_record,
+)
 from missions.rig_library import mission_of
 from missions.session import Session, fly_course, open_session
 from missions.steps import bring_down, preflight, take_off
@@ -228,7 +235,7 @@ class Receiver:
         session, guard = self._session, self._config.guard
         while self._watching:
             view = await session.sight.view(guard.frame_age_s)
-            session.log.write("/frame", view.stamp_ns, {"frame_id": view.frame_id})
+            session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
             R_n_b = self._eye.R_n_b(view.stamp_ns)
             self._rendezvous.lean.note(R_n_b)
             if self._handover.holds:
@@ -260,24 +267,31 @@ class Receiver:
         T_n_c = self._eye.T_n_c(stamp_ns, R_n_b)
         motion = self._motion()
         self._marker.note_motion(motion)
-        fix = self._marker.look(view, T_n_c.R, gravity_v, self._eye.gravity_c(R_n_b))
-        session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
-        covariance = fix.covariance if isinstance(fix, MarkerFix) else None
-        session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, covariance))
+        with session.stage("marker"):
+            fix = self._marker.look(view, T_n_c.R, gravity_v, self._eye.gravity_c(R_n_b))
+        with session.stage("log"):
+            session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
+            covariance = fix.covariance if isinstance(fix, MarkerFix) else None
+            session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, covariance))
         self._judge_marker(stamp_ns)
-        prior = cycle.prior(fix.T_c_v, fix.covariance, stamp_ns) if isinstance(fix, MarkerFix) else fix
-        if isinstance(prior, Prior):
-            self._marker.note_target(prior, T_n_c.R)
+        with session.stage("projection"):
+            prior = cycle.prior(fix.T_c_v, fix.covariance, stamp_ns) if isinstance(fix, MarkerFix) else fix
+            if isinstance(prior, Prior):
+                self._marker.note_target(prior, T_n_c.R)
         if session.phase is not Phase.VERIFY:
             return
-        found = view.targets(prior.region) if isinstance(prior, Prior) else ()
-        candidate = cycle.candidate(view.frame_id, stamp_ns, found, prior)
+        with session.stage("target"):
+            found = view.targets(prior.region) if isinstance(prior, Prior) else ()
+            candidate = cycle.candidate(view.frame_id, stamp_ns, found, prior)
         if isinstance(candidate, Missed):
             return
-        session.link.send(candidate)
-        session.log.write("/candidate", stamp_ns, candidate_record(candidate, prior, self._camera))
+        with session.stage("link"):
+            session.link.send(candidate)
+        with session.stage("log"):
+            session.log.write("/candidate", stamp_ns, candidate_record(candidate, prior, self._camera))
         if candidate.box is not None and isinstance(prior, Prior):
-            self._note_found(view, T_n_c, candidate, prior)
+            with session.stage("depth"):
+                self._note_found(view, T_n_c, candidate, prior)
 
     def _motion(self) -> Motion:
         """Both vehicles' newest reports."""

@@ -8,7 +8,10 @@
 
 Topics of a role (fields in the order of interest; a field that does not apply is null):
 
-    /frame           frame_id; the stamp is the capture instant. Every distinct camera frame.
+    /frame           frame_id, age_ns (from its capture to the begin of its cycle); the stamp is the capture instant.
+                     Every distinct camera frame.
+    /cpu             spent_ns {stage: processor time of the main thread since the start, and of the whole of it as
+                     "thread", of all threads as "program"}; once a second, in real time only
     /phase           phase, note.  /note  note.
     /state           position_n_m, velocity_n_mps, q_n_b, mode, armed, battery; ten times a second
     /setpoint        velocity_n_mps, yaw_rad

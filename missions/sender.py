@@ -18,7 +18,7 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.tracking import Sighting, TargetTrack, acquire, follow
 from missions.handover import SenderHandover
-from missions.journal import agreement_record, target_record, track_record
+from missions.journal import agreement_record, frame_record, target_record, track_record
 from missions.rig_library import mission_of
 from missions.session import Session, fly_course, open_session
 from missions.steps import bring_down, preflight, take_off
@@ -249,7 +249,8 @@ class Sender:
     def _cycle_once(self, view: View, R_n_b: Matrix, track: TargetTrack) -> None:
         """One cycle of PATH: follow the box, say where the target is, judge the receiver's answers."""
         session = self._session
-        seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+        with session.stage("target"):
+            seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
         unseen_s, deadlines = (view.stamp_ns - track.seen_ns) * 1e-9, self._config.deadlines
         bearable_s = deadlines.target_coast_s
         if session.phase is not Phase.VERIFY:
@@ -258,16 +259,22 @@ class Sender:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
         cycle = self._cycle
         if cycle is None:
-            session.log.write("/frame", view.stamp_ns, {"frame_id": view.frame_id})
+            session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
             session.log.write("/track", view.stamp_ns, track_record(seen))
             return
         box, depth = (seen.box, seen.depth) if isinstance(seen, Sighting) else (None, None)
-        message = cycle.observe(view.frame_id, view.stamp_ns, box, depth, self._eye.gravity_v(R_n_b))
+        with session.stage("projection"):
+            message = cycle.observe(view.frame_id, view.stamp_ns, box, depth, self._eye.gravity_v(R_n_b))
         if isinstance(message, Target):
-            session.link.send(message)
-        self._log_frame(view, seen, message)
-        for pair in cycle.evaluate_ready(session.now_ns()):
-            self._note_pair(pair, cycle.gate)
+            with session.stage("link"):
+                session.link.send(message)
+        with session.stage("log"):
+            self._log_frame(view, seen, message)
+        with session.stage("agreement"):
+            pairs = cycle.evaluate_ready(session.now_ns())
+        with session.stage("log"):
+            for pair in pairs:
+                self._note_pair(pair, cycle.gate)
         if cycle.gate.complete and not self._handover.released:
             session.log_image(view, wanted=True)
             self._handover.agreed(self._config.target_id)
@@ -307,7 +314,7 @@ class Sender:
     def _log_frame(self, view: View, seen: Sighting | MissReason, message: Target | Missed) -> None:
         session = self._session
         box = seen.box if isinstance(seen, Sighting) else None
-        session.log.write("/frame", view.stamp_ns, {"frame_id": view.frame_id})
+        session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
         record = target_record(message, view.frame_id, view.stamp_ns, box)
         if isinstance(seen, MissReason):
             record["reason"] = seen.value

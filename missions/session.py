@@ -9,7 +9,7 @@ import random
 import sys
 import traceback
 from collections.abc import Awaitable, Callable, Coroutine
-from contextlib import AsyncExitStack
+from contextlib import AbstractContextManager, AsyncExitStack, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +31,7 @@ from drivers.interfaces import (
     View,
 )
 from drivers.rig import Rig, RoleRig, create, part_context
+from drivers.stages import Stages
 from flight.clocks import ClockAlignment, answer
 from flight.config import MissionConfig
 from flight.harness import Emit, InProcess, Progress, RoleResult
@@ -47,6 +48,7 @@ _POLL_S = 0.05
 _PROGRESS_PERIOD_S = 0.2
 _STATE_PERIOD_S = 0.1
 _BEAT_PERIOD_S = 0.05
+_CPU_PERIOD_S = 1.0
 _PEER_PLACE_S = 1.0  # where the other drone was longer ago is not where it is
 
 
@@ -80,8 +82,10 @@ class Session:
         parts: tuple[Clock, Vehicle, Sight, Link],
         entropy: random.Random,
         guard: UnderGuard | None = None,
+        stages: Stages | None = None,
     ) -> None:
         self.guard = guard
+        self._stages = stages  # None in virtual time, in which logs tell nothing of the machine
         self.script = Script.IDLE
         self._measured_m = math.nan
         self.rig = rig
@@ -180,6 +184,18 @@ class Session:
                 if not self.ended.done():
                     self.ended.set_result(end)
             await asyncio.sleep(_BEAT_PERIOD_S)
+
+    # --- processor time ------------------------------------------------------------------------------------------
+
+    def stage(self, name: str) -> AbstractContextManager[None]:
+        """What is done within is a stage of a frame's cycle; stages do not contain one another."""
+        return nullcontext() if self._stages is None else self._stages(name)
+
+    async def log_cpu(self) -> None:
+        """Log what processor time went to, for ever."""
+        while self._stages is not None:
+            self.log.write("/cpu", self.now_ns(), {"spent_ns": self._stages.spent_ns()})
+            await asyncio.sleep(_CPU_PERIOD_S)
 
     # --- what the others see -------------------------------------------------------------------------------------
 
@@ -372,7 +388,8 @@ async def open_session(
         bind = str(own.guard.options.get("bind", ""))
         line: GuardLine = UdpGuardLine(bind, context.clock) if harness is None else harness.guard_line(role)
         guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
-    return Session(rig, role, config, log, emit, stop, (context.clock, vehicle, sight, link), entropy, guard)
+    parts = (context.clock, vehicle, sight, link)
+    return Session(rig, role, config, log, emit, stop, parts, entropy, guard, Stages() if harness is None else None)
 
 
 async def fly_course(session: Session, course: Course, recover: Recovery) -> RoleResult:
@@ -397,8 +414,15 @@ async def run_course(session: Session, course: Course) -> MissionEnd | None:
     Whatever ends the course first (its own end, a MissionEnd in anything that was spawned, a part's error, a stop)
     decides the outcome.
     """
-    for task in (session.pump(), session.report(), session.log_state(), session.stopped(), session.keep_guard()):
-        session.spawn(task)
+    for beside in (
+        session.pump,
+        session.report,
+        session.log_state,
+        session.log_cpu,
+        session.stopped,
+        session.keep_guard,
+    ):
+        session.spawn(beside())
     flown = asyncio.ensure_future(course())
     try:
         await asyncio.wait([flown, session.ended], return_when=asyncio.FIRST_COMPLETED)

@@ -28,11 +28,12 @@ from missions.trials.trial import Finding, TrialRequest, TrialResult, Verdict
 from missions.work import open_work
 
 NAMES: tuple[str, ...] = tuple(
-    name for name in get_args(TrialName) if name not in ("all", "processes", "rendezvous", "beacon")
+    name for name in get_args(TrialName) if name not in ("all", "processes", "rendezvous", "beacon", "soak")
 )
-"""All that ``all`` runs: ``processes`` and ``rendezvous`` take half an hour each, ``beacon`` is ``dynamic``'s."""
+"""All that ``all`` runs: ``processes``, ``rendezvous`` and ``soak`` take half an hour each, ``beacon`` is
+``dynamic``'s."""
 RIG = "sim-rendered"
-RIGS = {"beacon": "dynamic", "rendezvous": "sim-field"}
+RIGS = {"beacon": "dynamic", "rendezvous": "sim-field", "soak": "sitl"}
 EXIT_FAILED = 1
 STYLE: dict[Verdict, str] = {"met": "green", "short": "red", "measured": ""}
 
@@ -93,6 +94,8 @@ def command(options: TrialOptions, name: str) -> str:
         words += ["--xfeat", str(options.xfeat)]
     if options.board is not None and name == "corners":
         words += ["--board", str(options.board)]
+    if options.seconds:
+        words += ["--seconds", f"{options.seconds:g}"]
     if options.logs is not None and name == "beacon":
         words += ["--logs", str(options.logs)]
     return shlex.join(words)
