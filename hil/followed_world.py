@@ -28,7 +28,7 @@ from hil.autopilot_values import AutopilotConfig, OffboardSession
 from hil.mavlink_relay import MavlinkRelay
 from hil.simulator_link import SimulatorLink
 from hil.truth_follower import TruthFollower
-from hil.world import ROLES, SimDrone, World, WorldConfig
+from hil.world import ROLES, SimDrone, World, WorldConfig, receiver_off
 from path.messages import Role
 
 POLL_S = 0.02
@@ -97,16 +97,20 @@ class RemoteAutopilot:
 class SimulatedVehicle:
     """One drone's simulator with both of its connections. In a ``sitl`` world it stands where MavlinkVehicle does."""
 
-    def __init__(self, rig: Rig, role: Role, config: SimulatorConfig, world: WorldConfig, folder: Path) -> None:
-        """Raises PartError when a port is taken or the simulator was not named."""
+    def __init__(
+        self, rig: Rig, role: Role, config: SimulatorConfig, world: WorldConfig, folder: Path, seed: int = 0
+    ) -> None:
+        """``seed``: of what the receiver's position is wrong by. Raises PartError when a port is taken or the
+        simulator was not named."""
         options = rig.role(role).vehicle.options
         self.sysid = int(options["sysid"])
         self.config = config
         origin, home = rig.origin, world.home(role)
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
         east, north = home.position_m
-        place = Home(*tangent.to_global(north, east, 0.0), home.heading_deg)
-        self.follower = TruthFollower(world.airframe.leg_m)
+        off_n_m = receiver_off(world.apart, seed) if role is Role.RECEIVER else (0.0, 0.0, 0.0)
+        place = Home(*tangent.to_global(north + off_n_m[0], east + off_n_m[1], 0.0), home.heading_deg)
+        self.follower = TruthFollower(world.airframe.leg_m, off_n_m)
         self._process: AutopilotProcess | None = None
         if config.to_start:
             parameters = {**_numbers(options.get("parameters", {})), **config.parameters}

@@ -210,7 +210,7 @@ class SitlWorld:
         for role in Role:
             config = self._config.simulator(role)
             assert config is not None
-            simulated[role] = SimulatedVehicle(self._rig, role, config, self._config, self._out)
+            simulated[role] = SimulatedVehicle(self._rig, role, config, self._config, self._out, self._seed)
             stack.callback(simulated[role].close)
         say({"event": "warming", "what": "waiting until the autopilots' simulators can be armed"})
         await start_simulators(simulated)

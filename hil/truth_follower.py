@@ -18,6 +18,7 @@ from path.messages import Quat, Vec3
 TAU_S = 0.5
 JUMP_M = 1.0  # farther off than this it was moved, and is not flown there
 IN_AIR_M = 0.05  # above where it stood
+RISEN_M = 1.0  # above the ground, from where on a barometer is wrong by all it is to be wrong by
 ROTOR_RADPS = 380.0
 
 
@@ -42,8 +43,10 @@ class Fix:
 class TruthFollower:
     """Takes motions and fixes as they arrive; gives the state at any time soon after."""
 
-    def __init__(self, leg_m: float) -> None:
+    def __init__(self, leg_m: float, told_off_n_m: Vec3 = (0.0, 0.0, 0.0)) -> None:
+        """``told_off_n_m``: what the simulator tells less what is to be true; of the height only in the air."""
         self._leg_m = leg_m
+        self._told_off_n_m = told_off_n_m
         self._motion: Motion | None = None
         self._position: list[float] = [math.nan] * 3
         self._fixed_s: list[float] = [math.nan] * 3
@@ -97,6 +100,9 @@ class TruthFollower:
         row[VELOCITY], row[RATES] = motion.velocity_n_mps, motion.rates_radps
         row[POSITION] += late_s * row[VELOCITY]
         row[ATTITUDE] = _turned(motion.q_n_b, motion.rates_radps, late_s)
+        off_north_m, off_east_m, off_down_m = self._told_off_n_m
+        risen = min(1.0, max(0.0, float(self._ground_m - row[2]) / RISEN_M))
+        row[POSITION] -= off_north_m, off_east_m, risen * off_down_m
         # The simulators put the body's origin where it touches; here it is a leg above that.
         row[2] -= self._leg_m
         row[CONTACT] = float(self._ground_m - self._position[2] < IN_AIR_M)

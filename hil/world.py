@@ -280,8 +280,7 @@ class World(Fleet[Role]):
         """Raises ValueError when the objects do not fit."""
         self._snapshot: Snapshot | None = None
         self.min_separation_m = math.inf  # of the two bodies, while both were in the air
-        apart = np.random.SeedSequence(seed).spawn(4)[3]  # after those of the fleet
-        off = {Role.RECEIVER: _off(config.apart, np.random.default_rng(apart))}
+        off = {Role.RECEIVER: receiver_off(config.apart, seed)}
         super().__init__(config, seed, {role: config.home(role) for role in ROLES}, off)
 
     def _sense(self) -> None:
@@ -312,8 +311,9 @@ class World(Fleet[Role]):
         return self._snapshot
 
 
-def _off(apart: ApartConfig, rng: np.random.Generator) -> Vec3:
-    """The receiver's error, NED."""
+def receiver_off(apart: ApartConfig, seed: int) -> Vec3:
+    """The constant part of the receiver's position error, NED: what it believes less what is true."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(4)[3])  # after the seeds of the fleet
     angle, up = rng.uniform(0.0, 2.0 * math.pi), bool(rng.integers(2))
     return (
         apart.across_m * math.cos(angle), apart.across_m * math.sin(angle), -apart.height_m if up else apart.height_m

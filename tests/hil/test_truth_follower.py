@@ -76,3 +76,16 @@ def test_it_stands_on_the_ground_where_it_stood_first() -> None:
     follower.on_motion(Motion(0.1, (0.0, 0.0, -2.0), LEVEL, STILL))
     follower.on_motion(Motion(0.2, (0.0, 0.0, -2.0), LEVEL, STILL))
     assert follower.row(0.2)[CONTACT] == 0.0
+
+
+def test_a_drone_whose_positions_are_wrong_is_elsewhere_and_in_height_only_once_it_flies() -> None:
+    follower = TruthFollower(LEG_M, (2.0, -1.0, -0.8))
+    follower.on_motion(Motion(0.0, STILL, LEVEL, STILL))
+    follower.on_fix(Fix(0.0, (5.0, 5.0, 0.0)))
+    assert follower.row(0.0)[POSITION] == pytest.approx([3.0, 6.0, -LEG_M])
+    heights: list[float] = []
+    for tick in range(1, 31):
+        follower.on_motion(Motion(0.1 * tick, (0.0, 0.0, -1.0), LEVEL, STILL))
+        heights.append(-float(follower.row(0.1 * tick)[2]) - LEG_M)
+    assert heights[-1] == pytest.approx(2.95 - 0.8, abs=0.01)
+    assert np.all(np.diff(heights) > 0.0)
