@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import tempfile
 import threading
@@ -20,15 +21,18 @@ from numpy.typing import NDArray
 from drivers.beacon_log import TRUTH_FILE, write_truth
 from drivers.interfaces import BeaconError
 from drivers.marvelmind import Marvelmind, MarvelmindConfig
+from drivers.mavsdk_vision import VisionConfig
 from drivers.rig import PartContext, Rig
-from hil.beacons import BeaconConfig, BeaconSystem, Chunk, truth_of
+from drivers.tables import RigError, decode_table
+from hil.beacons import BeaconConfig, BeaconSystem, Chunk, Frame, truth_of
 from hil.shared_camera import RUN_VARIABLE
 from hil.snapshot import Snapshot
-from path.messages import Role
+from path.messages import Role, Vec3
 from path.rotation import R_from_rpy
 
 Array = NDArray[np.float64]
 
+HEDGE_HZ = 16.0  # of each drone's own; PX4 wants more than 10
 APPEARS_S = 180.0  # a world that is warmed up first; the harness gives it up before
 POLL_S = 0.05
 
@@ -77,33 +81,35 @@ class BeaconThread(threading.Thread):
     def __init__(
         self,
         system: BeaconSystem,
-        cable: SerialCable,
+        cable_of: Callable[[str], SerialCable],
         now_s: Callable[[], float],
         place: Callable[[str], tuple[float, Array]],
     ) -> None:
         """
         Args:
+            cable_of: where that goes which a beacon's turn brought, by its name.
             now_s: the world's time.
             place: by its name, where a beacon is now, (3,), and when that is: a busy computer comes late to a turn.
         """
         super().__init__(name="beacons", daemon=True)
-        self._system, self._cable, self._now_s, self._place = system, cable, now_s, place
+        self._system, self._cable_of, self._now_s, self._place = system, cable_of, now_s, place
         self._ending = threading.Event()
 
     def run(self) -> None:
-        due: deque[Chunk] = deque()
+        due: deque[tuple[Chunk, SerialCable]] = deque()
         for turn_s, name in self._system.turns(self._now_s()):
             while True:
                 now_s = self._now_s()
-                while due and due[0].arrives_s <= now_s:
-                    self._cable.send(due.popleft().data)
-                wait_s = min(turn_s, due[0].arrives_s if due else turn_s) - now_s
+                while due and due[0][0].arrives_s <= now_s:
+                    chunk, cable = due.popleft()
+                    cable.send(chunk.data)
+                wait_s = min(turn_s, due[0][0].arrives_s if due else turn_s) - now_s
                 if turn_s <= now_s:
                     break
                 if self._ending.wait(wait_s):
                     return
             if turn_s > now_s - 0.05:  # what a stalled computer missed is left out
-                due.append(self._system.hear(name, *self._place(name)))
+                due.append((self._system.hear(name, *self._place(name)), self._cable_of(name)))
 
     def end(self) -> None:
         self._ending.set()
@@ -141,7 +147,7 @@ def open_beacons(
     write_truth(out / TRUTH_FILE, replace(truth_of(system, config), offset_s=0.0))
     cable = SerialCable(link_of(os.environ[RUN_VARIABLE]))
     cable.plug()
-    beacons = BeaconThread(system, cable, now_s, place)
+    beacons = BeaconThread(system, lambda _: cable, now_s, place)
     beacons.start()
     try:
         yield
@@ -150,9 +156,62 @@ def open_beacons(
         cable.unplug()
 
 
-def link_of(run: str) -> Path:
-    """The port's name in a run."""
-    return Path(tempfile.gettempdir()) / f"path-{run}-beacons"
+@contextmanager
+def open_hedges(
+    rig: Rig, seed: int, now_s: Callable[[], float], snapshot: Callable[[], Snapshot]
+) -> Generator[None, None, None]:
+    """A beacon on each drone whose autopilot is fed by one that this run makes up, each with a port of its own.
+
+    Their frame is the one that the rig says it is. Raises RigError when the drones' tables differ in it.
+    """
+    tables = {role: table for role in Role if (table := _vision(rig, role)) is not None}
+    if not tables:
+        yield
+        return
+    frames = [(table.x_heading_deg, table.zero_n_m) for table in tables.values()]
+    if len(set(frames)) > 1:
+        raise RigError([f"{rig.where('vehicle.vision')}: the drones' x_heading_deg and zero_n_m differ"])
+    system = BeaconSystem(
+        replace(BeaconConfig(), rate_hz=HEDGE_HZ), seed, {role.value: table.address for role, table in tables.items()},
+        surveyed=frame_of(*frames[0]),
+    )  # fmt: skip
+    cables = {role.value: SerialCable(link_of(os.environ[RUN_VARIABLE], role)) for role in tables}
+
+    def place(name: str) -> tuple[float, Array]:
+        world, role = snapshot(), Role(name)
+        return world.time_s, world.drones[role].T_w_b.apply(np.array(tables[role].lever_b_m))
+
+    for cable in cables.values():
+        cable.plug()
+    beacons = BeaconThread(system, cables.__getitem__, now_s, place)
+    beacons.start()
+    try:
+        yield
+    finally:
+        beacons.end()
+        for cable in cables.values():
+            cable.unplug()
+
+
+def _vision(rig: Rig, role: Role) -> VisionConfig | None:
+    """What the drone's autopilot is fed with, when this run makes it up."""
+    table = rig.role(role).vehicle.options.get("vision")
+    if table is None:
+        return None
+    vision = decode_table(table, VisionConfig, rig.where(f"{role.value}.vehicle.vision"))
+    return vision if vision.beacons.factory.startswith(f"{__name__}:") else None
+
+
+def frame_of(x_heading_deg: float, zero_n_m: Vec3) -> Frame:
+    """The beacons' frame as a ``VisionConfig`` has it, from the world's (ENU)."""
+    yaw_rad = math.radians(x_heading_deg - 90.0)
+    north_m, east_m, down_m = zero_n_m
+    return Frame(yaw_rad, -R_from_rpy(0.0, 0.0, yaw_rad) @ (east_m, north_m, -down_m))
+
+
+def link_of(run: str, role: Role | None = None) -> Path:
+    """The port's name in a run: a drone's own, or the listener's."""
+    return Path(tempfile.gettempdir()) / f"path-{run}-{'beacons' if role is None else f'{role.value}-hedge'}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,8 +226,12 @@ class PtyBeacons(Marvelmind):
 
     def __init__(self, config: PtyBeaconsConfig, context: PartContext) -> None:
         del config
-        self._link = link_of(os.environ.get(RUN_VARIABLE) or f"run-{os.getpid()}")
+        self._link = self._link_of(os.environ.get(RUN_VARIABLE) or f"run-{os.getpid()}", context)
         super().__init__(MarvelmindConfig(ports=(str(self._link),)), context)
+
+    def _link_of(self, run: str, context: PartContext) -> Path:
+        del context
+        return link_of(run)
 
     async def __aenter__(self) -> Self:
         """Raises BeaconError when the world opens no port."""
@@ -181,3 +244,10 @@ class PtyBeacons(Marvelmind):
                 f"no port {self._link} in {APPEARS_S:g} s", "did the world start? see its stderr"
             ) from None
         return await super().__aenter__()
+
+
+class PtyHedge(PtyBeacons):
+    """The driver on the port of the beacon that this drone carries in this run."""
+
+    def _link_of(self, run: str, context: PartContext) -> Path:
+        return link_of(run, context.role)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,13 @@ class BeaconConfig:
         )
 
 
+class Frame(NamedTuple):
+    """The system's frame: a point of the world, ``p``, is ``Rz(yaw) p + origin`` in it."""
+
+    yaw_rad: float
+    origin_m: Array  # (3,)
+
+
 @dataclass(frozen=True, slots=True)
 class Chunk:
     """Bytes that reach the listener together, at an instant of the world."""
@@ -124,16 +131,22 @@ class BeaconSystem:
     """
 
     def __init__(
-        self, config: BeaconConfig, seed: int, addresses: Mapping[str, int], drift_from_s: float = 0.0
+        self,
+        config: BeaconConfig,
+        seed: int,
+        addresses: Mapping[str, int],
+        drift_from_s: float = 0.0,
+        surveyed: Frame | None = None,
     ) -> None:
+        """``surveyed``: the frame, where it was laid out with care; drawn by seed when None."""
         self._config, self._rng = config, np.random.default_rng([seed, 0xBEAC])
         self._addresses = dict(addresses)
         rng = self._rng
         self._clock_s, self.listener_offset_s = EPOCH_S + rng.uniform(-1.0, 1.0, 2) * config.clock_offset_s
         self._drift, self._listener_drift = 1e-6 * config.drift_ppm * rng.uniform(-1.0, 1.0, 2)
         self._drift_from_s = drift_from_s
-        self.yaw_rad = float(rng.uniform(-math.pi, math.pi))
-        self.origin_m: Array = rng.uniform(-10.0, 10.0, 3)
+        drawn = Frame(float(rng.uniform(-math.pi, math.pi)), rng.uniform(-10.0, 10.0, 3))
+        self.yaw_rad, self.origin_m = surveyed or drawn
         self._R = R_from_rpy(0.0, 0.0, self.yaw_rad)
         self._warp = _Warp(config, rng)
         self._beacons = {name: _Beacon() for name in addresses}

@@ -124,7 +124,7 @@ class SimulatedVehicle:
             vehicle = _address(config.url, FIRST_PORT + self.sysid - 1)
             self.relay = MavlinkRelay(config.kind, self.sysid, vehicle, companion)
             truth = _address(config.truth_url, FIRST_TRUTH_PORT + self.sysid - 1)
-        self.link = SimulatorLink(config.kind, self.sysid, truth, tangent, self.follower)
+        self.link = SimulatorLink(config.kind, self.sysid, truth, tangent, self.follower, "vision" in options)
         self._home, self._home_n_m = place, (north, east)
         self._at_speed = config.speedup == 1.0
         self.epoch_s = time.monotonic()

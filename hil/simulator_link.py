@@ -46,9 +46,17 @@ class SimulatorLink:
     """Bound to a port the simulator sends to, or connected to nothing until it does. Read it with ``receive``."""
 
     def __init__(
-        self, kind: Kind, sysid: int, port: Address | str, tangent: LocalTangent, follower: TruthFollower
+        self,
+        kind: Kind,
+        sysid: int,
+        port: Address | str,
+        tangent: LocalTangent,
+        follower: TruthFollower,
+        placed_later: bool = False,
     ) -> None:
-        """``port``: where it listens, or the URL of a serial port. Raises OSError, PartError when that is taken."""
+        """``port``: where it listens, or the URL of a serial port. ``placed_later``: only the mission's own parts tell
+        it where it is, so that it cannot be ready before. Raises OSError, PartError when the port is taken."""
+        self._placed_later = placed_later
         self._kind: Kind = kind
         self._sysid = sysid
         self._tangent = tangent
@@ -81,8 +89,10 @@ class SimulatorLink:
         }
         if self._kind == "px4":  # the port its truth comes from carries nothing else by itself, heartbeats included
             wanted.pop("heartbeat")
+        if self._placed_later:
+            wanted = {"attitude": mavlink.MAVLINK_MSG_ID_ATTITUDE}
         missing = [what for what, message in wanted.items() if message not in self._heard]
-        missing += [] if self.armable else ["arming checks"]
+        missing += [] if self.armable or self._placed_later else ["arming checks"]
         return missing + ([] if self.follower.ready else ["truth"])
 
     def receive(self) -> None:
@@ -101,7 +111,7 @@ class SimulatorLink:
         for message in TRUTH[self._kind]:
             if now_s - self._heard.get(message, -math.inf) > ASK_AGAIN_S or self._slow(message):
                 self._want(message, TRUTH_HZ)
-        for message in READINESS:
+        for message in (*READINESS, *([mavlink.MAVLINK_MSG_ID_ATTITUDE] if self._placed_later else [])):
             if now_s - self._heard.get(message, -math.inf) > 2.0 * ASK_AGAIN_S:
                 self._want(message, SLOW_HZ)
 

@@ -33,7 +33,7 @@ from drivers.tables import RigError, decode_table
 from drivers.udp_link import address_of
 from hil.air import Air
 from hil.autopilot_process import SimulatorBroken
-from hil.beacon_pty import open_beacons
+from hil.beacon_pty import open_beacons, open_hedges
 from hil.d415 import T_COLOR_DEPTH, depth_camera
 from hil.faults import FAULTS
 from hil.faulty_link import ProxySide, UdpFaultProxy
@@ -180,6 +180,7 @@ class SitlWorld:
             truth.scene(rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
             self._start_cameras(stack)
             stack.enter_context(open_beacons(rig, self._seed, self._out, live.now_s, self._snapshot))
+            stack.enter_context(open_hedges(rig, self._seed, live.now_s, self._snapshot))
             asyncio.get_running_loop().add_reader(sys.stdin.fileno(), self._on_input)
             air = await stack.enter_async_context(Air(self._proxy))
             say({"event": "ready", "air": air.port})

@@ -23,6 +23,7 @@ from flight.phases import Phase
 from flight.rendezvous import Rendezvous
 from flight.tracking import TargetTrack, follow, place
 from flight.viewpoint import NoViewpoint
+from missions.course import fly_course
 from missions.handover import ReceiverHandover
 from missions.journal import (
     candidate_record,
@@ -33,7 +34,7 @@ from missions.journal import (
     track_record,
 )
 from missions.rig_library import mission_of
-from missions.session import Session, fly_course, open_session
+from missions.session import Session, open_session
 from missions.steps import bring_down, preflight, take_off
 from path.geometry import Matrix, Pose
 from path.messages import Candidate, Role, Status, Target

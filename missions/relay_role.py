@@ -34,13 +34,14 @@ from flight.pilot import Pilot
 from flight.relay import DroneProgram, RelayConfig, RelayDrone, pair_of
 from flight.tracking import TargetTrack
 from flight.under_guard import UnderGuard
+from missions.course import close_session, conclude, run_course, run_recovery
 from missions.relay_base import Base, Leg, Order
 from missions.relay_battery import Gauge
 from missions.relay_guidance import keep_clear, way_home
 from missions.relay_records import as_first, as_holder, as_relief, write
 from missions.relay_stages import Holder, Nobody, Relief
 from missions.rig_library import mission_of
-from missions.session import Session, as_end, close_session, conclude, run_course, run_recovery
+from missions.session import Session, as_end
 from missions.steps import bring_down, may_manoeuvre
 from path.marker.warm_up import warm_up
 from path.messages import Role

@@ -17,10 +17,11 @@ from flight.lean import Lean
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.tracking import Sighting, TargetTrack, acquire, follow
+from missions.course import fly_course
 from missions.handover import SenderHandover
 from missions.journal import agreement_record, frame_record, target_record, track_record
 from missions.rig_library import mission_of
-from missions.session import Session, fly_course, open_session
+from missions.session import Session, open_session
 from missions.steps import bring_down, preflight, take_off
 from path.agreement import Agreed
 from path.geometry import Matrix

@@ -27,7 +27,8 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from hil.virtual_time import run_virtual
 from missions import rig_library
-from missions.session import Session, as_end, fly_course
+from missions.course import fly_course
+from missions.session import Session, as_end
 from path.messages import Message, Ping, Pong, Role, Status, Target
 
 T = TypeVar("T")

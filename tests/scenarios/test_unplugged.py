@@ -31,7 +31,8 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from hil import tello_video
 from missions import rig_library
-from missions.session import Session, fly_course
+from missions.course import fly_course
+from missions.session import Session
 from missions.steps import bring_down, take_off
 from path.messages import Role
 from path.rotation import yaw_of

@@ -124,7 +124,7 @@ def test_a_listener_on_a_real_port_keeps_what_it_hears(tmp_path: Path) -> None:
     rig = rig_library.load("dynamic")
     spec = PartSpec("drivers.marvelmind:Marvelmind", {"ports": [str(cable.link)]}, "test")
     system, seconds = BeaconSystem(BeaconConfig(), 1, {"sender": 5, "receiver": 6, "target": 7}), time.monotonic
-    thread = BeaconThread(system, cable, seconds, lambda _: (seconds(), np.zeros(3)))
+    thread = BeaconThread(system, lambda _: cable, seconds, lambda _: (seconds(), np.zeros(3)))
     with Listener(rig, spec, tmp_path / "beacons.mcap") as listener:
         for left in tmp_path.glob("*.mcap"):
             left.unlink()
