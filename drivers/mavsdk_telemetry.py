@@ -96,7 +96,16 @@ class ThreadClock:
 class Telemetry:
     """Slots, their handlers, and ``state`` made of them. Handlers run on MAVSDK's thread."""
 
-    def __init__(self, sysid: int, clock: Clock, tangent: LocalTangent, height_from_home: bool = False) -> None:
+    def __init__(
+        self,
+        sysid: int,
+        clock: Clock,
+        tangent: LocalTangent,
+        height_from_home: bool = False,
+        without_gps: bool = False,
+    ) -> None:
+        """``without_gps``: MAVSDK's word on the global position is the GPS's health, and not asked for."""
+        self._without_gps = without_gps
         self._sysid = sysid
         self._height_from_home = height_from_home
         self.clock = ThreadClock(clock)
@@ -183,6 +192,8 @@ class Telemetry:
             "is_global_position_ok": "global position",
             "is_home_position_ok": "home position",
         }
+        if self._without_gps:
+            del wanted["is_global_position_ok"]
         missing = [what for name, what in wanted.items() if not self.health.get(name, False)]
         missing += ["position telemetry"] if self.position is None else []
         return missing + (["local position telemetry"] if math.isnan(self.velocity_n_mps[0]) else [])

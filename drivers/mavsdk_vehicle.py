@@ -97,7 +97,9 @@ class MavsdkVehicle:
         self._config = config
         origin = context.origin
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
-        self._telemetry = Telemetry(config.sysid, context.clock, tangent, config.height_from == "home")
+        self._telemetry = Telemetry(
+            config.sysid, context.clock, tangent, config.height_from == "home", config.vision is not None
+        )
         session = SessionConfig(
             url=config.url,
             sysid=config.sysid,

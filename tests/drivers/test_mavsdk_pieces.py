@@ -74,6 +74,14 @@ def test_heartbeats_of_others_are_not_the_vehicles() -> None:
     assert telemetry.heartbeat is None  # a companion computer on the vehicle's own system id
 
 
+@pytest.mark.parametrize("without_gps", [False, True])
+def test_a_vehicle_without_gps_is_not_asked_for_the_gps_s_health(without_gps: bool) -> None:
+    telemetry = Telemetry(SYSID, LoopClock(), TANGENT, without_gps=without_gps)
+    telemetry.health = dict.fromkeys(("is_armable", "is_local_position_ok", "is_home_position_ok"), True)
+    assert ("global position" in telemetry.missing()) is not without_gps
+    assert "position telemetry" in telemetry.missing()  # it is to know where on earth it is all the same
+
+
 def test_the_callback_threads_clock_follows_the_roles() -> None:
     class Stepping:
         ahead_ns = AHEAD_NS
