@@ -122,7 +122,8 @@ class Rendezvous:
         turn = math.radians(rendezvous.search_turn_deg) * min(1.0, 0.3 * searched_s) * math.sin(_TURN * searched_s)
         back_m = _swing(max(rendezvous.search_slide_m, rendezvous.positions_within_m), _SLIDE * searched_s)
         up_m = _swing(rendezvous.heights_within_m, _CLIMB * searched_s)
-        return self._by_position(add(place, from_heading((-back_m, 0.0, -up_m), yaw)), state, yaw + turn)
+        place = self._within_fence(add(place, from_heading((-back_m, 0.0, -up_m), yaw)))
+        return self._by_position(place, state, yaw + turn)
 
     def note_seen(self, state: VehicleState, marker_n_m: Vec3) -> None:
         """The marker, from the camera: from here on the sender is where this says, and not where it reports to be."""
@@ -152,7 +153,17 @@ class Rendezvous:
         ahead, right = (float(normal_b[0]) / facing, float(normal_b[1]) / facing) if facing > 0.1 else (-1.0, 0.0)
         offset = from_heading((level_m * ahead, level_m * right, -height_m), peer.yaw_rad)
         place = add(peer.position_n_m, offset)
-        return place if self._shift_n_m is None else add(place, self._shift_n_m), bearing(scale(offset, -1.0))
+        place = place if self._shift_n_m is None else add(place, self._shift_n_m)
+        return self._within_fence(place), bearing(scale(offset, -1.0))
+
+    def _within_fence(self, place_n_m: Vec3) -> Vec3:
+        """The nearest place that is inside the fence however wrong this drone's own position is."""
+        guard, rendezvous = self._config.guard, self._config.rendezvous
+        radius_m = max(0.0, guard.fence_radius_m - rendezvous.positions_within_m)
+        height_m = max(0.0, guard.fence_height_m - rendezvous.heights_within_m)
+        north, east, down = place_n_m
+        share = min(1.0, radius_m / max(math.hypot(north, east), 1e-9))
+        return share * north, share * east, max(down, -height_m)
 
     def _by_position(self, place_n_m: Vec3, state: VehicleState, yaw_rad: float) -> VelocitySetpoint:
         error, gain = subtract(place_n_m, state.position_n_m), self._config.rendezvous.gain_per_s

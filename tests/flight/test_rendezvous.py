@@ -11,7 +11,7 @@ import pytest
 
 from drivers.interfaces import FlightMode, VehicleState
 from flight.config import MissionConfig, RendezvousConfig
-from flight.guidance import Vec3, norm, subtract
+from flight.guidance import Vec3, add, norm, subtract
 from flight.rendezvous import Rendezvous, stand_off_m
 from missions import rig_library
 from path.messages import Role, Status
@@ -39,11 +39,15 @@ def state(position_n_m: Vec3) -> VehicleState:
 
 
 def rendezvous(
-    config: MissionConfig, seen: Seen, clock_ns: list[int] | None = None, rig_name: str = "sim"
+    config: MissionConfig,
+    seen: Seen,
+    clock_ns: list[int] | None = None,
+    rig_name: str = "sim",
+    there: Vec3 = (2.0, 0.0, -1.5),
 ) -> Rendezvous:
     rig = rig_library.load(rig_name)
     layout = rig.layout
-    peer = Status(Role.SENDER, 0, (2.0, 0.0, -1.5), (0.0, 0.0, 0.0), 0.0, 0, True, True, 1.0)
+    peer = Status(Role.SENDER, 0, there, (0.0, 0.0, 0.0), 0.0, 0, True, True, 1.0)
     now = clock_ns or [0]
     return Rendezvous(
         config, rig.receiver.camera, rig.receiver.mount, layout, cast(Any, seen), lambda: peer, lambda: now[0]
@@ -122,3 +126,19 @@ def test_for_a_small_marker_the_search_comes_in_along_the_axis_of_the_camera_and
             assert np.linalg.norm(way - came_in_m[-1] * axis) < 1e-6 and setpoint.yaw_rad == yaw
     assert max(np.diff(came_in_m[:60])) <= 0.1 * 0.3 + 1e-6
     assert max(came_in_m) == pytest.approx(guide.stand_off_m - 1.75, abs=0.01)
+
+
+@pytest.mark.parametrize("there", [(2.0, 0.0, -4.5), (-24.0, 5.0, -1.5)])
+def test_wherever_the_sender_is_the_receiver_looks_for_it_from_within_the_fence(there: Vec3) -> None:
+    config, clock_ns = MissionConfig(rendezvous=replace(WRONG, gain_per_s=1.0)), [0]
+    guide = rendezvous(config, Seen(known=False), clock_ns, "sim-field", there)
+    radius_m, height_m = config.guard.fence_radius_m - 2.0, config.guard.fence_height_m - 1.0  # less what may be wrong
+    place, _ = guide._facing_marker(guide.stand_off_m)
+    guide.begin_search()
+    farthest_m = highest_m = 0.0
+    for second in range(0, 60):
+        clock_ns[0] = second * 1_000_000_000
+        place = add(place, guide.search(state(place)).velocity_n_mps)
+        farthest_m, highest_m = max(farthest_m, math.hypot(place[0], place[1])), max(highest_m, -place[2])
+    assert farthest_m <= radius_m + 1e-6 and highest_m <= height_m + 1e-6
+    assert farthest_m > radius_m - 0.05 or highest_m > height_m - 0.05  # it would have gone farther
