@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -25,8 +26,9 @@ def draw(flown: Sequence[Flown], separation: SeparationConfig, path: Path) -> No
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     _ways(left, flown[:WAYS], separation)
-    bins = np.arange(0.5, max(one.separation_m for one in flown) + 0.05, 0.05)
-    right.hist([one.separation_m for one in flown], bins=bins.tolist(), color=ROLE[Role.RECEIVER])
+    together_m = [one.separation_m for one in flown if math.isfinite(one.separation_m)]  # else never both flew
+    bins = np.arange(0.5, max(together_m, default=0.5) + 0.1, 0.05)
+    right.hist(together_m, bins=bins.tolist(), color=ROLE[Role.RECEIVER])
     right.axvline(separation.minimum_m, color=NEEDED, lw=1.2, label=f"limit {separation.minimum_m:.2f} m")
     right.set(xlabel="smallest true separation, m", ylabel="missions")
     right.legend(fontsize=8, frameon=False)

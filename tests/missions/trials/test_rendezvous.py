@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from drivers.log import LogRecord
 from flight.config import SeparationConfig
 from missions import cli
 from missions.trials import rendezvous, rendezvous_flights
+from missions.trials.rendezvous_pictures import draw
+from missions.trials.run import plain
 
 
 def truth(at_s: float, receiver_m: tuple[float, float, float], *, in_air: bool = True) -> LogRecord:
@@ -56,3 +59,16 @@ def test_a_mission_from_bad_positions_finds_the_sender(
     assert (summary["arrived"], summary["violations"]) == (1, 0)
     assert summary["smallest_separation_m"] > 0.7 and summary["smallest_ellipsoid"] > 1.0
     assert (out / "rendezvous.png").stat().st_size > 10_000
+
+
+def test_a_mission_in_which_one_drone_never_flew_does_not_spoil_the_rest(tmp_path: Path) -> None:
+    asked = rendezvous_flights.Asked("sim-field", 0, tmp_path)
+    never = rendezvous_flights.Flown(
+        asked=asked, outcome="vehicle_refused", why="", arrived=False, began_s=None, arrived_s=None, go_arounds=0,
+        separation_m=math.inf, ellipsoid=math.inf, downwash_s=0.0, violations={}, way_h_m=(),
+    )  # fmt: skip
+    for flown in ([never], [never, replace(never, separation_m=1.2, ellipsoid=2.0)]):
+        draw(flown, SeparationConfig(), tmp_path / "ways.png")
+        assert (tmp_path / "ways.png").stat().st_size > 5_000
+        json.dumps(plain(rendezvous_flights.as_summary(flown)), allow_nan=False)
+        rendezvous._findings(flown, 0.7)
