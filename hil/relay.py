@@ -13,8 +13,8 @@ from typing import Any
 from drivers.guard_interfaces import Watched
 from drivers.log import McapLog
 from drivers.rig import PartContext, Rig, RoleRig, create, part_context
+from drivers.stop_signals import stop_on_signals
 from drivers.tables import decode_table
-from flight.config import MissionConfig
 from flight.guard_watch import GuardWatch
 from flight.harness import Progress, RoleResult
 from flight.relay import DroneProgram, RelayConfig, RelayReport, RelayRequest, Sample, pair_of
@@ -24,7 +24,7 @@ from hil.inject import inject_in_world, inject_on_link
 from hil.preparation import prepare, starting
 from hil.relay_monitors import RelayLog, RelayMonitors
 from hil.relay_world import DroneHarness, RelayWorld, present_s
-from hil.sim import Disk, stop_on_signals
+from hil.sim import Disk, mission_config
 from hil.sim_guard import TICK_S, MemoryBeatLine
 from hil.virtual_time import run_virtual
 from hil.world import WorldConfig
@@ -87,7 +87,7 @@ class _Relay:
         self._request, self._faults = request, faults
         self._rig: Rig = request.rig
         self._config: RelayConfig = request.config
-        self._mission = decode_table(self._rig.mission, MissionConfig, self._rig.where("[mission]"))
+        self._mission = mission_config(self._rig)
         self._stop = asyncio.Event()
         self._interrupted = False
         self._triggers: dict[str, tuple[FaultTrigger, int]] = {}

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from drivers.interfaces import PartError
 from drivers.log import McapLog, new_part
 from drivers.rig import Rig, create, part_context
 from drivers.state_file import MemoryStore
-from drivers.stop_signals import stop_signals
+from drivers.stop_signals import stop_on_signals
 from drivers.tables import decode_table
 from flight.config import MissionConfig
 from flight.guard_watch import GuardWatch, watch
@@ -158,7 +157,7 @@ class _Flight:
 
     def _guards(self) -> Iterator[Coroutine[Any, Any, None]]:
         """The guards of the roles that have one; they outlive the roles' programs."""
-        config = decode_table(self._rig.mission, MissionConfig, self._rig.where("[mission]"))
+        config = mission_config(self._rig)
         for role in Role:
             spec = self._rig.role(role).guard
             if spec is not None:
@@ -352,10 +351,3 @@ def mission_config(rig: Rig) -> MissionConfig:
 def clock_offsets(rig: Rig) -> dict[Role, int]:
     """Role clock minus world clock in ns, as the rig sets the clocks of its roles apart."""
     return {role: round(float(rig.role(role).clock.options.get("offset_s", 0.0)) * 1e9) for role in Role}
-
-
-def stop_on_signals(stop: Callable[[], None]) -> None:
-    if threading.current_thread() is threading.main_thread():
-        loop = asyncio.get_running_loop()
-        for number in stop_signals():
-            loop.add_signal_handler(number, stop)

@@ -57,6 +57,7 @@ class SimulatorLink:
         """``port``: where it listens, or the URL of a serial port. ``placed_later``: only the mission's own parts tell
         it where it is, so that it cannot be ready before. Raises OSError, PartError when the port is taken."""
         self._placed_later = placed_later
+        self._readiness = (mavlink.MAVLINK_MSG_ID_ATTITUDE, *READINESS) if placed_later else READINESS
         self._kind: Kind = kind
         self._sysid = sysid
         self._tangent = tangent
@@ -111,7 +112,7 @@ class SimulatorLink:
         for message in TRUTH[self._kind]:
             if now_s - self._heard.get(message, -math.inf) > ASK_AGAIN_S or self._slow(message):
                 self._want(message, TRUTH_HZ)
-        for message in (*READINESS, *([mavlink.MAVLINK_MSG_ID_ATTITUDE] if self._placed_later else [])):
+        for message in self._readiness:
             if now_s - self._heard.get(message, -math.inf) > 2.0 * ASK_AGAIN_S:
                 self._want(message, SLOW_HZ)
 

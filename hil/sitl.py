@@ -19,15 +19,15 @@ from typing import Any
 
 from drivers.log import LogRecord, parts, read_log
 from drivers.rig import Rig
-from drivers.stop_signals import stop_signals
+from drivers.stop_signals import stop_on_signals, stop_signals
 from drivers.tables import decode_table
-from flight.config import MissionConfig
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, decode_event
 from hil.autopilot_process import binary_of
 from hil.faults import Fault, FaultError, FaultTrigger, parse_fault
 from hil.monitors import Monitors
 from hil.preparation import starting
 from hil.shared_camera import RUN_VARIABLE
+from hil.sim import mission_config
 from hil.world import WorldConfig
 from path.messages import Role
 
@@ -57,8 +57,7 @@ class _Run:
 
     @property
     def limit_s(self) -> float:
-        rig = self.request.rig
-        mission = decode_table(rig.mission, MissionConfig, rig.where("[mission]"))
+        mission = mission_config(self.request.rig)
         return RUN_LIMIT_S + mission.deadlines.verify_s + mission.follow_after_s
 
 
@@ -300,8 +299,7 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
         while True:
             await _read_json(crew.world)
 
-    for number in stop_signals():
-        loop.add_signal_handler(number, stop)
+    stop_on_signals(stop)
     crew.begin(trigger.from_the_start())
     for role in Role:
         await crew.start(role)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import os
 import sys
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from drivers.guard_line import UdpBeatLine
 from drivers.interfaces import Log, PartError
 from drivers.log import McapLog
 from drivers.rig import PartSpec, Rig, create, part_context
-from drivers.stop_signals import stop_signals
+from drivers.stop_signals import stop_at_end_of_input, stop_on_signals
 from flight.config import MissionConfig
 from flight.guard_rules import Act, GuardState, Stage
 from flight.guard_watch import GuardWatch, watch
@@ -80,9 +79,7 @@ async def _run(
     rig: Rig, config: MissionConfig, specs: dict[Role, PartSpec], options: GuardOptions, logs: dict[Role, Path]
 ) -> int:
     stop = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in stop_signals():
-        loop.add_signal_handler(number, stop.set)
+    stop_on_signals(stop.set)
     async with AsyncExitStack() as stack:
         guards: list[GuardWatch] = []
         vehicles: list[Watched] = []
@@ -97,7 +94,7 @@ async def _run(
         if len(guards) == 2:
             guards[0].peer, guards[1].peer = vehicles[1], vehicles[0]
         if options.console == "events":
-            loop.add_reader(sys.stdin.fileno(), _stop_at_end_of_input, loop, stop)
+            stop_at_end_of_input(stop.set)
         ending = asyncio.create_task(_stop_when_alone(stop, guards)) if options.while_flown else None
         gc.freeze()  # what is loaded by now stays: a collection in flight need not walk it
         await watch(tuple(guards), stop)
@@ -116,9 +113,3 @@ async def _stop_when_alone(stop: asyncio.Event, guards: list[GuardWatch]) -> Non
         if loop.time() > end_s:
             stop.set()
         await asyncio.sleep(_POLL_S)
-
-
-def _stop_at_end_of_input(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:
-    if not os.read(sys.stdin.fileno(), 4096):
-        loop.remove_reader(sys.stdin.fileno())
-        stop.set()

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import sys
 from pathlib import Path
 
 from drivers.interfaces import Log, RecordStore
 from drivers.log import McapLog, new_part
 from drivers.rig import Rig
 from drivers.state_file import StateFile
-from drivers.stop_signals import stop_signals
+from drivers.stop_signals import stop_at_end_of_input, stop_on_signals
 from flight.harness import Emit, InProcess, Progress, RoleResult, encode_event, with_log
 from missions.receiver import run_receiver
 from missions.sender import run_sender
@@ -55,15 +53,7 @@ def _to_parent(progress: Progress) -> None:
 
 async def _run(rig: Rig, role: Role, log: McapLog, store: StateFile, emit: Emit, parent: bool) -> RoleResult:
     stop = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in stop_signals():
-        loop.add_signal_handler(number, stop.set)
+    stop_on_signals(stop.set)
     if parent:
-        loop.add_reader(sys.stdin.fileno(), _stop_at_end_of_input, loop, stop)
+        stop_at_end_of_input(stop.set)
     return await _MAINS[role](rig, role, log, emit, stop, None, store)
-
-
-def _stop_at_end_of_input(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:
-    if not os.read(sys.stdin.fileno(), 4096):
-        loop.remove_reader(sys.stdin.fileno())
-        stop.set()
