@@ -16,7 +16,7 @@ from drivers.interfaces import PartError
 from missions import rig_library
 from missions.campaign import machine_runs, role_runs
 from missions.campaign.levels import LEVELS, LevelName
-from missions.campaign.results import Results, RunLine
+from missions.campaign.results import RunLine, kept_results
 from missions.campaign.summary import draw_outcomes, summarize, table
 from missions.options import CampaignOptions
 from missions.work import open_work
@@ -76,7 +76,7 @@ def run(options: CampaignOptions) -> int:
     folder = options.out or Path("campaigns") / f"{began}-{options.program}"
     asked = {"program": options.program, "rig": options.rig, "seed": options.seed, "levels": list(levels)}
     kind = KINDS[options.program]
-    with Results(folder, asked) as results:
+    with kept_results(folder, asked) as results:
         done = {line.number for line in results.lines}
         left = [number for number in range(options.runs) if number not in done]
         if done:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from drivers.rig import Rig
 from flight.rendezvous import stand_off_m
+from missions.kept_lines import KeptLines
 from missions.rig_library import mission_of
 from missions.trials import rendezvous_flights as flights
-from missions.trials.rendezvous_flights import Flown
+from missions.trials.rendezvous_flights import Asked, Flown
 from missions.trials.rendezvous_pictures import draw
 from missions.trials.statistics import upper_bound, wilson
 from missions.trials.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
@@ -20,13 +22,13 @@ PAPER = ""
 
 MISSIONS, QUICK_MISSIONS = 1000, 4
 GOAL = 0.95
-PICTURE = "rendezvous.png"
+PICTURE, KEPT = "rendezvous.png", "missions.jsonl"
 
 
 def run(request: TrialRequest) -> TrialResult:
     rig, count = request.rig, QUICK_MISSIONS if request.quick else MISSIONS
     asked = flights.asked_for(str(rig.file), count, request.seed, request.out / "flights")
-    flown = request.work.map("missions", flights.fly, asked)
+    flown = _flown(request, asked)
     separation = mission_of(rig).separation
     draw(flown, separation, request.out / PICTURE)
     return TrialResult(
@@ -43,16 +45,30 @@ def run(request: TrialRequest) -> TrialResult:
         ),
         notes=(
             "Separation, ellipsoid and downwash are judged from the truth at 20 Hz, from both drones' take-off to the "
-            "first landing. Any mission in which a monitor was violated keeps its logs under flights/.",
+            "first landing. Any mission in which a monitor was violated keeps its logs under flights/. Each mission is "
+            f"a line of {KEPT}: the same command goes on with a folder that was begun.",
         ),
     )
+
+
+def _flown(request: TrialRequest, asked: Sequence[Asked]) -> list[Flown]:
+    """Each is kept as soon as it is flown: the same command with the same ``--out`` flies what is left."""
+    head = {"format": "path-handoff rendezvous 1", "rig": str(request.rig.file), "seed": request.seed}
+    with KeptLines(request.out / KEPT, Flown, head) as kept:
+        done = {one.seed for one in kept.lines}
+        left = [one for one in asked if one.seed not in done]
+        for one in request.work.stream("missions", flights.fly, left):
+            kept.add([one])
+        seeds = {one.seed for one in asked}
+        return sorted((one for one in kept.lines if one.seed in seeds), key=lambda one: one.seed)
 
 
 def _findings(flown: Sequence[Flown], minimum_m: float) -> tuple[Finding, ...]:
     count = len(flown)
     arrived, committed = sum(one.arrived for one in flown), sum(one.committed for one in flown)
-    inside = sum(one.ellipsoid < 1.0 for one in flown)
-    nearest = min(flown, key=lambda one: one.separation_m)
+    together = [one for one in flown if one.separation_m is not None]
+    inside = sum(one.ellipsoid is not None and one.ellipsoid < 1.0 for one in together)
+    nearest_m, of_seed = min(((one.separation_m or 0.0, one.seed) for one in together), default=(math.inf, 0))
     violated = sum(bool(one.violations) for one in flown)
     washed = [one.downwash_s for one in flown if one.downwash_s > 0.0]
     return (
@@ -66,8 +82,8 @@ def _findings(flown: Sequence[Flown], minimum_m: float) -> tuple[Finding, ...]:
             "", "0", verdict(inside == 0),
         ),
         Finding(
-            "smallest separation, m", f"{nearest.separation_m:.2f}", f"seed {nearest.asked.seed}", "",
-            f">= {minimum_m:.2f}", verdict(nearest.separation_m >= minimum_m),
+            "smallest separation, m", f"{nearest_m:.2f}", f"seed {of_seed}", "",
+            f">= {minimum_m:.2f}", verdict(nearest_m >= minimum_m),
         ),
         Finding(
             "missions in which a monitor was violated", f"{violated} of {count}", "", "", "0", verdict(violated == 0)
@@ -88,7 +104,7 @@ def _share(part: int, whole: int) -> str:
 def _ends(flown: Sequence[Flown]) -> Table:
     examples = {one.outcome: one for one in reversed(flown)}
     rows = tuple(
-        (name, str(number), f"{examples[name].why} (seed {examples[name].asked.seed})")
+        (name, str(number), f"{examples[name].why} (seed {examples[name].seed})")
         for name, number in flights.reasons(flown).items()
     )
     return Table("Why the rest did not hand over", ("outcome", "missions", "for example"), rows)

@@ -36,23 +36,24 @@ class Flown:
     """What came of a mission.
 
     Attributes:
+        seed: of the mission.
         arrived: the receiver reached the viewpoint and began to verify.
         why: what the role whose mission ended first said, when it did not hand over.
-        separation_m: the smallest one between the bodies, in truth.
-        ellipsoid: the smallest distance in units of the separation ellipsoid: inside below 1.
+        separation_m: the smallest one between the bodies, in truth; None when they never flew together.
+        ellipsoid: the smallest distance in units of the separation ellipsoid: inside below 1; None likewise.
         downwash_s: how long the lower drone was in the cone below the upper one.
         began_s, arrived_s: of the receiver's way to the stand-off, and of its verifying; None when it did not.
         way_h_m: the receiver's true places from the sender until it verifies, in the sender's heading (forward, right,
             up).
     """
 
-    asked: Asked
+    seed: int
     outcome: str
     why: str
     arrived: bool
     go_arounds: int
-    separation_m: float
-    ellipsoid: float
+    separation_m: float | None
+    ellipsoid: float | None
     downwash_s: float
     began_s: float | None
     arrived_s: float | None
@@ -81,16 +82,16 @@ def fly(asked: Asked) -> Flown:
     run = load_run(folder)
     began_s, arrived_s = _entered(run, Phase.STAND_OFF), _entered(run, Phase.VERIFY)
     places = list(_places(run.world))
-    near = _nearness(places, mission_of(rig).separation)
+    separation = mission_of(rig).separation
     flown = Flown(
-        asked=asked,
+        seed=asked.seed,
         outcome=facts.outcome,
         why=facts.detail,
         arrived=arrived_s is not None,
         go_arounds=sum(one.record["note"].startswith("goes around") for one in run.receiver.get("/note", ())),
-        separation_m=near[0],
-        ellipsoid=near[1],
-        downwash_s=near[2],
+        separation_m=min((math.hypot(*place.offset_w_m) for place in places), default=None),
+        ellipsoid=min((_in_ellipsoids(place, separation) for place in places), default=None),
+        downwash_s=_in_cone_s(places, separation),
         began_s=began_s,
         arrived_s=arrived_s,
         violations=dict(facts.violations),
@@ -125,19 +126,22 @@ def _places(world: Records) -> Iterator[_Place]:
             yield _Place(one.stamp_ns * 1e-9, (e1 - e0, n1 - n0, u1 - u0), yaw_of(gives["q"]))
 
 
-def _nearness(places: Sequence[_Place], separation: SeparationConfig) -> tuple[float, float, float]:
-    """Smallest distance, smallest distance in units of the ellipsoid, seconds in the cone."""
+def _in_ellipsoids(place: _Place, separation: SeparationConfig) -> float:
+    """The distance in units of the separation ellipsoid."""
+    east, north, up = place.offset_w_m
+    return math.hypot(math.hypot(east, north) / separation.horizontal_m, up / separation.vertical_m)
+
+
+def _in_cone_s(places: Sequence[_Place], separation: SeparationConfig) -> float:
+    """How long one was in the downwash of the other."""
     slope = math.tan(math.radians(separation.downwash_half_angle_deg))
-    nearest = ellipsoid = math.inf
     cone_s, before_s = 0.0, math.inf
     for place in places:
-        level_m, up_m = math.hypot(*place.offset_w_m[:2]), abs(place.offset_w_m[2])
-        nearest = min(nearest, math.hypot(level_m, up_m))
-        ellipsoid = min(ellipsoid, math.hypot(level_m / separation.horizontal_m, up_m / separation.vertical_m))
-        if level_m < up_m * slope:
+        east, north, up = place.offset_w_m
+        if math.hypot(east, north) < abs(up) * slope:
             cone_s += max(0.0, place.at_s - before_s)
         before_s = place.at_s
-    return nearest, ellipsoid, cone_s
+    return cone_s
 
 
 def _way(run: Run, places: Sequence[_Place], began_s: float | None, arrived_s: float | None) -> tuple[Vec3, ...]:
@@ -154,6 +158,11 @@ def _from_heading(place: _Place) -> Vec3:
     east, north, up = place.offset_w_m
     c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
     return c * east + s * north, s * east - c * north, up
+
+
+def separations_m(flown: Sequence[Flown]) -> list[float]:
+    """Of the missions in which both flew."""
+    return [one.separation_m for one in flown if one.separation_m is not None]
 
 
 def reasons(flown: Sequence[Flown]) -> dict[str, int]:
@@ -173,8 +182,8 @@ def as_summary(flown: Sequence[Flown]) -> dict[str, Any]:
         "committed": sum(one.committed for one in flown),
         "go_arounds": sum(one.go_arounds for one in flown),
         "violations": sum(sum(one.violations.values()) for one in flown),
-        "smallest_separation_m": min(one.separation_m for one in flown),
-        "smallest_ellipsoid": min(one.ellipsoid for one in flown),
+        "smallest_separation_m": min(separations_m(flown), default=None),
+        "smallest_ellipsoid": min((one.ellipsoid for one in flown if one.ellipsoid is not None), default=None),
         "in_downwash": sum(one.downwash_s > 0.0 for one in flown),
         "longest_in_downwash_s": max(one.downwash_s for one in flown),
         "reasons": reasons(flown),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from matplotlib.patches import Ellipse
 
 from flight.config import SeparationConfig
 from missions.palette import COUNT, DIM, NEEDED, ROLE
-from missions.trials.rendezvous_flights import Flown
+from missions.trials.rendezvous_flights import Flown, separations_m
 from path.messages import Role
 
 WAYS = 150  # drawn at most
@@ -26,7 +25,7 @@ def draw(flown: Sequence[Flown], separation: SeparationConfig, path: Path) -> No
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     _ways(left, flown[:WAYS], separation)
-    together_m = [one.separation_m for one in flown if math.isfinite(one.separation_m)]  # else never both flew
+    together_m = separations_m(flown)
     bins = np.arange(0.5, max(together_m, default=0.5) + 0.1, 0.05)
     right.hist(together_m, bins=bins.tolist(), color=ROLE[Role.RECEIVER])
     right.axvline(separation.minimum_m, color=NEEDED, lw=1.2, label=f"limit {separation.minimum_m:.2f} m")

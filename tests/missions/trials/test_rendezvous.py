@@ -39,10 +39,10 @@ def test_nearness_is_the_truths_while_both_fly() -> None:
     }
     places = list(rendezvous_flights._places(world))
     assert len(places) == 4
-    nearest_m, ellipsoid, cone_s = rendezvous_flights._nearness(places, SeparationConfig())
-    assert nearest_m == pytest.approx(1.2)
-    assert ellipsoid == pytest.approx(1.2 / 0.6)
-    assert cone_s == pytest.approx(0.2)  # half a metre aside, one and a half below
+    assert min(math.hypot(*place.offset_w_m) for place in places) == pytest.approx(1.2)
+    assert min(rendezvous_flights._in_ellipsoids(place, SeparationConfig()) for place in places) == pytest.approx(2.0)
+    # half a metre aside, one and a half below
+    assert rendezvous_flights._in_cone_s(places, SeparationConfig()) == pytest.approx(0.2)
     assert rendezvous_flights._from_heading(places[0]) == pytest.approx((-1.2, 0.0, 0.0), abs=1e-9)
 
 
@@ -62,10 +62,9 @@ def test_a_mission_from_bad_positions_finds_the_sender(
 
 
 def test_a_mission_in_which_one_drone_never_flew_does_not_spoil_the_rest(tmp_path: Path) -> None:
-    asked = rendezvous_flights.Asked("sim-field", 0, tmp_path)
     never = rendezvous_flights.Flown(
-        asked=asked, outcome="vehicle_refused", why="", arrived=False, began_s=None, arrived_s=None, go_arounds=0,
-        separation_m=math.inf, ellipsoid=math.inf, downwash_s=0.0, violations={}, way_h_m=(),
+        seed=0, outcome="vehicle_refused", why="", arrived=False, began_s=None, arrived_s=None, go_arounds=0,
+        separation_m=None, ellipsoid=None, downwash_s=0.0, violations={}, way_h_m=(),
     )  # fmt: skip
     for flown in ([never], [never, replace(never, separation_m=1.2, ellipsoid=2.0)]):
         draw(flown, SeparationConfig(), tmp_path / "ways.png")
