@@ -21,6 +21,7 @@ from path.observations import MarkerDetection, Missed, MissReason, Region
 from path.prior import Prior
 from path.relative import Relative, RelativeFilter, RelativeSettings
 
+_ROOM_M, _TURN_RAD = 0.012, 0.1  # around the markers' corners; a plate that is turned by so much more
 _FIXED_NS = 500_000_000  # fixes older than this do not count towards "seen"
 
 
@@ -54,7 +55,8 @@ class MarkerView:
         self._layout = layout
         self._camera = camera
         self._R_b_v = mount.T_b_v.R
-        self._reach_m = 0.75 * max(float(abs(marker.corners_v).max()) for marker in layout.markers) + 0.02
+        self._corners_v = np.concatenate([marker.corners_v for marker in layout.markers])
+        self._room_m = _ROOM_M + _TURN_RAD * float(np.linalg.norm(self._corners_v, axis=1).max())
         self._settings = PoseSettings(
             attitude_v_sigma_rad=math.radians(mission.attitude_sigma_deg),
             attitude_c_sigma_rad=math.radians(mission.attitude_sigma_deg),
@@ -120,16 +122,16 @@ class MarkerView:
         self.target_n_m = (north, east, down)
 
     def _region(self, stamp_ns: int, R_n_c: Matrix, R_n_v: Matrix | None) -> Region | None:
-        """Around where the marker must be; None when that is not known: then everywhere."""
+        """Around where the markers must be; None when that is not known: then everywhere."""
         relative = self._filter.predict(stamp_ns, R_n_c, R_n_v)
         if relative is None:
             return None
-        x, y, z = relative.T_c_v.t.tolist()
-        if z <= 0.1 or not self._camera.sees((x, y, z)):
+        seen = [at for at in relative.T_c_v.apply(self._corners_v).tolist() if at[2] > 0.1 and self._camera.sees(at)]
+        if not seen:
             return None
-        u, v = self._camera.project_point((x, y, z))
-        half_px = self._camera.fx * (self._reach_m + 3.0 * relative.sigma_m) / z + 12.0
-        return Region(u - half_px, v - half_px, u + half_px, v + half_px)
+        across, down = zip(*(self._camera.project_point(at) for at in seen), strict=True)
+        room_px = self._camera.fx * (self._room_m + 3.0 * relative.sigma_m) / min(at[2] for at in seen) + 12.0
+        return Region(min(across) - room_px, min(down) - room_px, max(across) + room_px, max(down) + room_px)
 
 
 def _relative_settings(mission: MissionConfig) -> RelativeSettings:

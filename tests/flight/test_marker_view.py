@@ -17,7 +17,7 @@ from flight.marker_view import MarkerFix, MarkerView, Motion, levelled
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Matrix, Pose
-from path.marker.layout import single_marker
+from path.marker.layout import Marker, MarkerLayout, single_marker
 from path.observations import Box, Depth, Detection, MarkerDetection, Missed, MissReason, Region
 from path.prior import Prior
 from path.rigid import rigid
@@ -125,6 +125,21 @@ def test_the_region_follows_the_marker_as_the_camera_turns() -> None:
     assert region is not None
     x, y, z = moved.t.tolist()
     assert region.contains(*CAMERA.project_point((x, y, z)))
+
+
+def test_all_markers_of_a_plate_are_in_the_region() -> None:
+    """Cut off, the larger one is not found; the smaller one may be too small from there."""
+    T_c_v = marker_at(0.1, -0.2, 1.4)
+    large = Marker(1, 0.15, 0.0002, Pose(np.eye(3), np.array([0.0, 0.11, 0.0])))
+    layout = MarkerLayout((LAYOUT.markers[0], large), LAYOUT.dictionary)
+    watch = Watch(MarkerView(layout, CAMERA, MOUNT, MethodConfig(), MissionConfig()))
+    watch.see(T_c_v, 50)
+    (region,) = watch.last.asked
+    assert region is not None
+    for marker in layout.markers:
+        quiet_v = marker.T_v_m.t + (1.0 + 2.0 / 6.0) * (marker.corners_v - marker.T_v_m.t)  # with its white border
+        assert all(region.contains(u, v) for u, v in CAMERA.project(T_c_v.apply(quiet_v)).tolist())
+    assert region.x1 - region.x0 < 2.5 * CAMERA.fx * 0.15 / 1.4
 
 
 def test_the_whole_image_is_searched_no_more_often_than_told() -> None:
