@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -30,6 +31,7 @@ from path.target import depth_sigma, registered_depth
 Corners = Literal["photometric", "subpix"]
 Ranging = Callable[[Box], Depth | None]
 DEPTH_SIGMAS = 2.0  # of the depth camera's own noise
+_TURNS = 3  # of the event loop before a frame that waits already: a setpoint takes as many from its timer to the wire
 RANGE_SIGMAS = 3.0  # of a range by the target's size
 UNCUT_IOU, CUT_SCORE = 0.85, 0.5  # of a box with the same before depth cut something off; of a piece that looks whole
 
@@ -127,6 +129,8 @@ class PixelSight:
         Raises:
             CameraError: none came in time, its size is not that of the calibration, or the camera's clock went back.
         """
+        for _ in range(_TURNS):
+            await asyncio.sleep(0)
         frame = await self._freshness.next(self._camera.read, timeout_s)
         _check_size(frame, self.model)
         config = self._config

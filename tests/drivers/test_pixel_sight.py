@@ -118,6 +118,28 @@ def test_it_opens_and_closes_its_camera() -> None:
     assert made.model is CAMERA
 
 
+def test_frames_that_wait_already_leave_the_loop_to_the_pilot() -> None:
+    """A program that is slower than its camera for a while must go on sending setpoints."""
+    made, camera, _ = sight()
+    camera.frames = [frame(number) for number in range(1, 21)]
+    steps = 0
+
+    async def pilot() -> None:
+        nonlocal steps
+        while True:
+            await asyncio.sleep(0)
+            steps += 1
+
+    async def main() -> None:
+        flying = asyncio.create_task(pilot())
+        for _ in range(20):
+            await made.view(0.05)
+        flying.cancel()
+
+    asyncio.run(main())
+    assert steps >= 20
+
+
 def test_old_and_repeated_frames_are_never_given() -> None:
     made, camera, _ = sight()
     camera.frames = [frame(1), frame(1), frame(3), frame(2), frame(4, stamp_ns=3000), frame(5), frame(5, 6000)]
