@@ -147,7 +147,8 @@ class RoleRig:
 class Rig:
     """A whole rig. ``mission``, ``world`` and ``relay`` stay tables: who uses them decodes them with ``decode_table``.
 
-    ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None without beacons.
+    ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None without beacons;
+    ``folders`` are where a rig that this one is like was looked up by name.
     """
 
     name: str
@@ -165,6 +166,7 @@ class Rig:
     file: Path
     reference: Reference | None = None
     relay: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    folders: tuple[Path, ...] = ()
 
     def role(self, role: Role) -> RoleRig:
         return self.sender if role is Role.SENDER else self.receiver

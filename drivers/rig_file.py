@@ -17,6 +17,10 @@ factory = "drivers.mavsdk_vehicle:MavsdkVehicle"
 [sender.guard]                       # may be left out: the guard's own link to the vehicle
 [receiver. ...]                      # the same, without mount.marker
 
+``like = "sitl"`` takes all of another rig but what is written; the other one is a name, or a file beside this one. A
+table that says ``factory`` or ``calibration`` is another part and taken as it is written, and so is a list; of any
+other table only the keys that are written differ. Relative paths start at the folder of the file that is flown.
+
 A camera may be ``calibration = "d1.camera.toml"`` instead of its numbers, and so may ``[sender.mount.marker]``.
 """
 
@@ -38,6 +42,8 @@ from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Pose
 from path.marker.layout import Marker, MarkerLayout
+
+_WHOLE = frozenset(("factory", "calibration"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,13 +188,46 @@ def find_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Path:
     )
 
 
-def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
-    """Read and decode a rig. Raises RigError with all that is wrong in the file itself."""
-    path = find_rig(name_or_path, search)
+def read_rig(path: Path, search: Sequence[Path] = ()) -> dict[str, Any]:
+    """The tables of a rig file, those of the rig that it is like among them; not checked. Raises RigError."""
+    return _read(path, search, ())
+
+
+def _read(path: Path, search: Sequence[Path], after: tuple[Path, ...]) -> dict[str, Any]:
     try:
         table = tomllib.loads(path.read_text("utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise RigError([f"{path.name}: {error}"]) from error
+    if "like" not in table:
+        return table
+    like, where = table.pop("like"), f"{path.name}: like"
+    if not isinstance(like, str):
+        raise RigError([f"{where} is {like!r}; expected the name of a rig, or a rig file beside this one"])
+    try:
+        other = find_rig(path.parent / like if like.endswith(".toml") else like, search)
+    except RigError as error:
+        raise RigError([f"{where}: {line}" for line in error.problems], error.remedy) from error
+    if other.resolve() in (each.resolve() for each in (*after, path)):
+        raise RigError([f"{where} = {like!r} leads back to {other.name}"], "let one of them stand on its own")
+    return _but_for(_read(other, search, (*after, path)), table)
+
+
+def _but_for(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """``base`` with what ``own`` says instead."""
+    made = dict(base)
+    for key, value in own.items():
+        before = made.get(key)
+        if isinstance(value, dict) and isinstance(before, dict) and not _WHOLE & value.keys():
+            made[key] = _but_for(before, value)
+        else:
+            made[key] = value
+    return made
+
+
+def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
+    """Read and decode a rig. Raises RigError with all that is wrong in the file itself."""
+    path = find_rig(name_or_path, search)
+    table = read_rig(path, search)
     written = decode_table(table, _RigTable, path.name, path.parent)
     T_b_v = written.sender.mount.marker.pose(written.sender.mount.camera.pose())
     return Rig(
@@ -207,6 +246,7 @@ def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
         file=path,
         reference=written.reference,
         relay=written.relay,
+        folders=tuple(search),
     )
 
 

@@ -118,7 +118,8 @@ async def _start_world(
     request: FlightRequest, processes: list[asyncio.subprocess.Process]
 ) -> tuple[asyncio.subprocess.Process, int]:
     """Its process, and the port on which it lets others on the air."""
-    arguments = [str(request.rig.file), str(request.out), str(request.seed)]
+    rig = request.rig
+    arguments = [str(rig.file), str(request.out), str(request.seed), *map(str, rig.folders)]
     world = await _spawn([sys.executable, "-m", "hil.sitl_world", *arguments], request.out / "world.stderr.txt")
     processes.append(world)
     try:

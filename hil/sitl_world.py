@@ -359,10 +359,10 @@ def say(event: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    rig_file, out, seed = sys.argv[1:]
+    rig_file, out, seed, *folders = sys.argv[1:]
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when this process ends
     try:
-        asyncio.run(SitlWorld(load_rig(rig_file), Path(out), int(seed)).run())
+        asyncio.run(SitlWorld(load_rig(rig_file, [Path(folder) for folder in folders]), Path(out), int(seed)).run())
     except (SimulatorBroken, PartError) as error:
         say({"event": "failed", "what": str(error)})
         sys.exit(1)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from drivers.toml_text import toml_text
 from drivers.wire import KEY_LENGTH
 from flight.phases import COURSE
 from missions import rig_library
@@ -84,11 +85,9 @@ def signed_rig(name: str, folder: Path) -> str:
     key, file = folder / "pair.key", folder / f"{name}-signed.toml"
     key.write_bytes(os.urandom(KEY_LENGTH))
     key.chmod(0o600)
-    text = rig_library.load(name).file.read_text("utf-8")
-    for role in Role:
-        link = f"[{role.value}.link]\n"
-        text = text.replace(link, f'{link}key_file = "{key.name}"\n')
-    file.write_text(text, "utf-8")
+    links = {role.value: {"link": {"key_file": key.name}} for role in Role}
+    like = str(rig_library.load(name).file.resolve())
+    file.write_text(toml_text({"like": like, **links}, f"{name}, whose drones share a key"), "utf-8")
     return str(file)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import io
 import os
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -77,13 +77,13 @@ def _endless(rig: Rig, seconds: float, out: Path) -> Rig:
     """The rig, with a verification that ends by its deadline only, as a file that its programs can read."""
     if rig.level != "sitl" or not PROC.joinpath("self", "task").is_dir():
         raise PartError("a soak wants a rig of level sitl, and Linux's /proc", "path-handoff trial soak --rig sitl")
-    table = tomllib.loads(rig.file.read_text("utf-8"))
-    table.setdefault("method", {})["hold_frames"] = NEVER
-    table["method"]["gate"] = "consecutive"
-    mission, world = table.setdefault("mission", {}), table.setdefault("world", {})
-    mission.setdefault("deadlines", {})["verify_s"] = float(seconds)
-    if world.get("sender_simulator") is None:
-        world.setdefault("autopilot", {})["endurance_s"] = 10.0 * seconds + 3000.0
+    table: dict[str, Any] = {
+        "like": str(rig.file.resolve()),
+        "method": {"hold_frames": NEVER, "gate": "consecutive"},
+        "mission": {"deadlines": {"verify_s": float(seconds)}},
+    }
+    if rig.world.get("sender_simulator") is None:
+        table["world"] = {"autopilot": {"endurance_s": 10.0 * seconds + 3000.0}}
     file = out / "rig.toml"
     file.write_text(toml_text(table, f"{rig.name}, with a verification of {seconds:.0f} s"), "utf-8")
     return rig_library.load(str(file))

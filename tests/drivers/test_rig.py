@@ -365,3 +365,42 @@ def test_rigs_are_found_by_name_or_path(write: Write, tmp_path: Path) -> None:
         find_rig("bensh", [tmp_path])
     with pytest.raises(RigError, match="no such rig file"):
         find_rig("elsewhere/bench.toml", [tmp_path])
+
+
+def test_a_rig_says_only_where_it_differs_from_the_one_it_is_like(write: Write, tmp_path: Path) -> None:
+    write(RIG)
+    other = tmp_path / "elsewhere" / "gusty.toml"
+    other.parent.mkdir()
+    other.write_text(
+        'name = "gusty"\nlike = "bench"\n[mission.guard]\nfence_radius_m = 9.0\n'
+        '[sender.vehicle]\nsysid = 7\n[sender.link]\nfactory = "fake_parts:Fake"\nbind = "127.0.0.1:14701"\n'
+        "[[markers]]\nid = 3\nside_m = 0.1\n"
+    )
+    rig, bench = load_rig(other, [tmp_path]), load_rig("bench", [tmp_path])
+    assert (rig.name, rig.level, rig.file) == ("gusty", "hitl", other)
+    assert rig.mission == {"guard": {"fence_radius_m": 9.0}}
+    assert rig.sender.vehicle.options == {**bench.sender.vehicle.options, "sysid": 7}
+    assert rig.sender.link.options == {"bind": "127.0.0.1:14701"}, "another part is as it is written"
+    assert [marker.id for marker in rig.layout.markers] == [3]
+    assert rig.receiver.vehicle.options == bench.receiver.vehicle.options
+    assert load_rig(other, rig.folders).name == "gusty"
+    with pytest.raises(RigError, match=r"gusty.toml: like: no rig named 'bench'"):
+        load_rig(other)
+
+
+@pytest.mark.parametrize(
+    ("like", "expected"),
+    [
+        ('"bensh"', "a.toml: like: no rig named 'bensh'"),
+        ('"gone.toml"', "gone.toml: no such rig file"),
+        ("3", "a.toml: like is 3; expected the name of a rig"),
+        ('"a.toml"', "a.toml: like = 'a.toml' leads back to a.toml"),
+        ('"b.toml"', "b.toml: like = 'a.toml' leads back to a.toml"),
+    ],
+)
+def test_a_rig_that_is_like_nothing_is_refused(tmp_path: Path, like: str, expected: str) -> None:
+    (tmp_path / "a.toml").write_text(f"like = {like}\n")
+    (tmp_path / "b.toml").write_text('like = "a.toml"\n')
+    with pytest.raises(RigError) as caught:
+        load_rig(tmp_path / "a.toml", [tmp_path])
+    assert expected in str(caught.value)
