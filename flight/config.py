@@ -110,6 +110,7 @@ class MissionConfig:
     take_off_height_m: float = 1.5
     receiver_take_off_height_m: float = 2.2
     control_hz: float = 20.0
+    max_accel_mps2: float = 0.8  # a camera that is fixed to the body tilts with every acceleration: 0.8 is 5 degrees
     follow_hz: float = 25.0  # looks at the target while only the own following depends on them
     status_hz: float = 10.0  # of the sender: the receiver flies by its velocity
     receiver_status_hz: float = 4.0

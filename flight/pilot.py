@@ -15,8 +15,6 @@ from path.rotation import yaw_of
 
 Guidance = Callable[[VehicleState], VelocitySetpoint]
 
-MAX_ACCEL_MPS2 = 0.8  # a camera that is fixed to the body tilts with every acceleration: 0.8 is 5 degrees
-
 
 class Pilot:
     """Flies a vehicle in offboard control. ``guidance`` may be exchanged at any time; it must not block."""
@@ -71,7 +69,7 @@ class Pilot:
             if self._guard is not None:
                 self._guard.check_hand()  # first: that the guard changed the mode says more than that it was changed
             check_vehicle(state, now_ns, self._config.guard, FlightMode.OFFBOARD)
-            self._last = slew(self._last, self.guidance(state), period_s, MAX_ACCEL_MPS2)
+            self._last = slew(self._last, self.guidance(state), period_s, self._config.max_accel_mps2)
             self._vehicle.fly(self._last)
             self.setpoints += 1
             self._log.write(

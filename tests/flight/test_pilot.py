@@ -14,7 +14,7 @@ from drivers.interfaces import FlightMode, VehicleState, VelocitySetpoint
 from flight.config import MissionConfig
 from flight.guidance import norm, subtract
 from flight.outcome import MissionEnd, Outcome
-from flight.pilot import MAX_ACCEL_MPS2, Pilot
+from flight.pilot import Pilot
 from hil.virtual_time import run_virtual
 
 YAW_HALF = (0.9238795325112867, 0.0, 0.0, 0.3826834323650898)  # 45 degrees to the right
@@ -171,7 +171,7 @@ def test_a_leap_of_the_guidance_is_slewed() -> None:
         task.cancel()
         for (_, before), (_, after) in pairwise(flight.vehicle.flown):
             change = norm(subtract(after.velocity_n_mps, before.velocity_n_mps))
-            assert change <= MAX_ACCEL_MPS2 * 0.04 + 1e-9
+            assert change <= MissionConfig().max_accel_mps2 * 0.04 + 1e-9
         assert flight.vehicle.flown[-1][1].velocity_n_mps == pytest.approx((2.0, 0.0, 0.0))
         assert flight.vehicle.flown[-1][1].yaw_rad == 0.3
 
