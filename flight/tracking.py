@@ -30,6 +30,7 @@ _UNSEEN_REACH_M = 2.0
 _AMBIGUITY = 0.6
 _CLEARLY_NEARER = 1.5
 _MIN_DESCENT = 0.2  # per metre along the optical axis
+_DEPTH_FLOOR_M, _DEPTH_SIGMAS = 0.2, 3.0  # how far a depth may put the object from its prediction
 _COARSE_M = 0.12  # a range that is no better is estimated, not measured
 
 
@@ -137,7 +138,8 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     such a thing was seen beside it, the gate does not reach it, however long the object is missed; and an object that
     was out of sight for a while is taken again only when nothing else is about.
     Without depth, or with a range that is only estimated, it is taken to be as high as it was: so the drone keeps
-    following while the frame is a miss, and does not follow a range that changes with the target's heading.
+    following while the frame is a miss, and does not follow a range that changes with the target's heading. A depth
+    that puts it elsewhere on its ray is of something else, such as the other drone in front of it: that is no depth.
     """
     predicted_n, sigma_m = track.predict(view.stamp_ns)
     x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
@@ -158,6 +160,10 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
         if unseen or _nearly_as_near(ranked, (u, v)):
             return MissReason.AMBIGUOUS_TARGET
     depth = view.depth(chosen.box)
+    if depth is not None:
+        shown = to_local(point_in_camera(chosen.box, depth.z_m, camera), T_n_c)
+        reach_m = _DEPTH_FLOOR_M + _DEPTH_SIGMAS * math.hypot(sigma_m, depth.sigma_m)
+        depth = depth if math.dist(shown, predicted_n) <= reach_m else None
     if depth is None:
         measured = _at_height(chosen.box, camera, T_n_c, track.position_n_m[2])
     else:

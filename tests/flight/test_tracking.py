@@ -35,6 +35,7 @@ class FakeView:
     frame_id: int = 0
     has_depth: bool = True
     scores: Sequence[float] = ()
+    hidden_behind_m: float = math.inf  # the depth of something in front of everything
 
     def boxes(self) -> list[Box]:
         pixels = [self._seen(place)[0] for place in self.places]
@@ -50,7 +51,8 @@ class FakeView:
 
     def depth(self, box: Box) -> Depth | None:
         at = self.boxes().index(box)
-        return Depth(self._seen(self.places[at])[1], 0.01) if self.has_depth else None
+        z_m = min(self.hidden_behind_m, self._seen(self.places[at])[1])
+        return Depth(z_m, 0.01) if self.has_depth else None
 
     def image(self) -> NDArray[np.uint8] | None:
         return None
@@ -210,6 +212,18 @@ def test_without_depth_the_target_is_followed_at_the_height_it_had() -> None:
     assert track.position_n_m == pytest.approx(beside(PLACE, 0.6), abs=0.03)
     assert track.position_n_m[2] == pytest.approx(PLACE[2], abs=1e-6)
     assert track.velocity_n_mps == pytest.approx((0.0, 0.3, 0.0), abs=0.05)
+
+
+def test_the_depth_of_what_hangs_in_front_of_the_target_is_not_the_targets() -> None:
+    """Believed, it would take the track up its ray, and a drone that keeps its distance would flee backwards."""
+    track = TargetTrack(PLACE, 0)
+    for k in range(1, 51):
+        tracked(FakeView([PLACE], k * SECOND // 50), track)
+    for k in range(51, 101):
+        seen = tracked(FakeView([PLACE], k * SECOND // 50, hidden_behind_m=1.2), track)
+        assert seen.depth is None
+    assert norm(subtract(track.position_n_m, PLACE)) < 0.02 and norm(track.velocity_n_mps) < 0.05
+    assert tracked(FakeView([PLACE], 3 * SECOND), track).depth is not None
 
 
 def test_a_ray_that_hardly_comes_down_places_nothing() -> None:
