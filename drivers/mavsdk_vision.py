@@ -16,6 +16,7 @@ from path.messages import Vec3
 from path.rotation import R_from_quat
 
 READ_S = 1.0
+REST_S, REST_MPS = 3.0, 0.2  # for so long the estimator has to stand still
 COVARIANCES = 21  # the upper triangle of six by six, by rows
 POSITION_VARIANCES, ANGLE_VARIANCES = (0, 6, 11), (15, 18, 20)
 
@@ -61,7 +62,7 @@ class VisionFeed:
     Attributes:
         sent: positions passed on.
         origin_sent: whether the autopilot was told where on earth its zero is: only after it has begun to use the
-            positions, since PX4's height jumps when it is told before.
+            positions and has come to rest on them, since PX4's height may jump by the origin's altitude before.
     """
 
     def __init__(self, config: VisionConfig, context: PartContext, session: Session, telemetry: Telemetry) -> None:
@@ -70,6 +71,7 @@ class VisionFeed:
         self._beacons: Beacons = create(config.beacons, context)
         self.sent = 0
         self.origin_sent = False
+        self._rests_since_ns: int | None = None
 
     async def run(self) -> None:
         """Raises BeaconError for beacons that cannot be opened, VehicleError when nothing can be sent any more."""
@@ -92,9 +94,18 @@ class VisionFeed:
             return
         self._session.send("VISION_POSITION_ESTIMATE", self._estimate(fix, fix.host_ns))
         self.sent += 1
-        if not self.origin_sent and self._telemetry.health.get("is_local_position_ok", False):
+        if not self.origin_sent and self._at_rest(fix.host_ns):
             self._session.send("SET_GPS_GLOBAL_ORIGIN", origin_fields(self._origin))
             self.origin_sent = True
+
+    def _at_rest(self, now_ns: int) -> bool:
+        telemetry = self._telemetry
+        rests = telemetry.health.get("is_local_position_ok", False) and math.hypot(*telemetry.velocity_n_mps) < REST_MPS
+        if not rests:
+            self._rests_since_ns = None
+        elif self._rests_since_ns is None:
+            self._rests_since_ns = now_ns
+        return self._rests_since_ns is not None and now_ns - self._rests_since_ns >= REST_S * 1e9
 
     def _estimate(self, fix: BeaconFix, host_ns: int) -> dict[str, object]:
         """The body's position; the angles are the autopilot's own and told as unknown."""

@@ -58,6 +58,7 @@ def test_positions_reach_the_autopilot_and_then_its_origin(tmp_path: Path) -> No
             assert all(b.usec > a.usec for a, b in pairwise(estimates))
             origins = bench.wire.of("SET_GPS_GLOBAL_ORIGIN")
             assert len(origins) == 1
+            assert estimates[-1].usec - estimates[0].usec > 3_000_000, "the estimator had time to come to rest"
             assert origins[0].latitude == round(ORIGIN.latitude_deg * 1e7)
             assert origins[0].altitude == round(ORIGIN.altitude_m * 1e3)
 
