@@ -26,6 +26,7 @@ class FollowConfig:
     height_m: float = 1.50  # above the ground
     gain_per_s: float = 1.0
     max_speed_mps: float = 1.2
+    target_accel_mps2: float = 0.6  # how hard the target speeds up, brakes and turns
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,6 @@ Pixel = tuple[float, float]
 
 MIN_SCORE = 0.3
 _MEASUREMENT_SIGMA_M = 0.05
-_ACCELERATION_SIGMA_MPS2 = 0.6
 _GATE_FLOOR_M = 0.10  # a box's noise, and an attitude a degree off
 _GATE_MOST_M = 0.45  # a track that knows no better does not know which object it would find
 _GATE_LEAST_M = 0.05
@@ -43,15 +42,19 @@ class Sighting:
 
 
 class TargetTrack:
-    """Position and velocity of one object in ``n``; the same filter on each axis (Kalman, constant velocity)."""
+    """Position and velocity of one object in ``n``; the same filter on each axis (Kalman, constant velocity).
 
-    def __init__(self, position_n_m: Vec3, stamp_ns: int) -> None:
+    ``accel_mps2``: how hard it may be expected to speed up, brake and turn.
+    """
+
+    def __init__(self, position_n_m: Vec3, stamp_ns: int, accel_mps2: float = 0.6) -> None:
         self.position_n_m = position_n_m
         self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
         self.stamp_ns = stamp_ns
         self.seen_ns = stamp_ns
         self.rival_m = math.inf  # from the target to the nearest other object
         self.rival_ns = stamp_ns
+        self._accel_mps2 = accel_mps2
         self._pp = 0.3**2
         self._pv = 0.0
         self._vv = 0.5**2
@@ -59,7 +62,7 @@ class TargetTrack:
     def predict(self, stamp_ns: int) -> tuple[Vec3, float]:
         """Position (m) and its standard deviation per axis at a stamp, the filter left as it is."""
         dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
-        variance = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + (_ACCELERATION_SIGMA_MPS2 * dt * dt / 2) ** 2
+        variance = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + (self._accel_mps2 * dt * dt / 2) ** 2
         return add(self.position_n_m, scale(self.velocity_n_mps, dt)), math.sqrt(variance)
 
     def gate_m(self, sigma_m: float, stamp_ns: int) -> float:
@@ -80,7 +83,7 @@ class TargetTrack:
         dt = (stamp_ns - self.stamp_ns) * 1e-9
         if dt < 0.0:
             return
-        q = _ACCELERATION_SIGMA_MPS2**2
+        q = self._accel_mps2**2
         position = add(self.position_n_m, scale(self.velocity_n_mps, dt))
         pp = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + q * dt**4 / 4.0
         pv = self._pv + dt * self._vv + q * dt**3 / 2.0

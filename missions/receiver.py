@@ -320,7 +320,7 @@ class Receiver:
         depth = view.depth(candidate.box) or Depth(prior.depth_m, 0.0)
         position = place(candidate.box, depth, self._camera, T_n_c, -self._config.target.height_m)
         if self._track is None:
-            self._track = TargetTrack(position, view.stamp_ns)
+            self._track = TargetTrack(position, view.stamp_ns, self._config.follow.target_accel_mps2)
         else:
             self._track.update(position, view.stamp_ns)
 

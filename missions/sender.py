@@ -239,7 +239,7 @@ class Sender:
             self._steady.clear()
         self._steady.append(position)
         if len(self._steady) >= _STEADY_FRAMES:
-            self._track = TargetTrack(position, view.stamp_ns)
+            self._track = TargetTrack(position, view.stamp_ns, self._config.follow.target_accel_mps2)
 
     def _well_inside(self, box: Box) -> bool:
         """Whether a gust would not take it out of the image at once."""
