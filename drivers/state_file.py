@@ -52,11 +52,12 @@ class StateFile:
 
     Args:
         path: the file; its folder must exist.
-        role: whose record it is; a file of the other role is refused.
+        role: whose record it is; a file of the other role is refused. None: of a drone that changes its role in the
+            air; there is one record of it at any time, of the role that it is in.
         boot: of this run of the computer's clock; "" where the computer does not say.
     """
 
-    def __init__(self, path: Path, role: Role, boot: str | None = None) -> None:
+    def __init__(self, path: Path, role: Role | None, boot: str | None = None) -> None:
         self._path = path
         self._role = role
         self._boot = boot_id() if boot is None else boot
@@ -71,14 +72,14 @@ class StateFile:
         content = self._whole(text)
         if content.get("format") != FORMAT:
             raise StateError(f"{self._path} is no state file of this version of PATH", f"move {self._path} away")
-        if content.get("role") != self._role.value:
+        if self._role is not None and content.get("role") != self._role.value:
             raise StateError(
                 f"{self._path} is of the {content.get('role')}, and this is the {self._role.value}",
                 "give each role a state file of its own with --state",
             )
         try:
-            record = msgspec.convert(content["record"], _KINDS[self._role])
-        except (KeyError, msgspec.ValidationError) as error:
+            record = msgspec.convert(content["record"], _KINDS[Role(content["role"])])
+        except (KeyError, ValueError) as error:  # a msgspec.ValidationError is one
             raise self._damaged(str(error)) from error
         same_clock = bool(self._boot) and content.get("boot") == self._boot
         return Kept(record, same_clock)
@@ -86,7 +87,7 @@ class StateFile:
     def save(self, record: SenderRecord | ReceiverRecord) -> None:
         content = {
             "format": FORMAT,
-            "role": self._role.value,
+            "role": _role_of(record).value,
             "boot": self._boot,
             "record": msgspec.to_builtins(record),
         }
@@ -129,6 +130,10 @@ class StateFile:
             f"{self._path} is damaged: {why}",
             f"land both drones; then delete {self._path} and the other drone's state file, so that both begin anew",
         )
+
+
+def _role_of(record: SenderRecord | ReceiverRecord) -> Role:
+    return Role.SENDER if isinstance(record, SenderRecord) else Role.RECEIVER
 
 
 def boot_id() -> str:

@@ -42,6 +42,15 @@ def test_what_was_saved_is_loaded_by_another_program(path: Path) -> None:
     assert StateFile(other, Role.RECEIVER).load() == Kept(HOLDING, same_clock=True)
 
 
+def test_a_drone_that_changes_its_role_has_one_record_of_the_role_it_is_in(path: Path) -> None:
+    StateFile(path, None).save(HOLDING)
+    assert StateFile(path, None).load() == StateFile(path, Role.RECEIVER).load() == Kept(HOLDING, same_clock=True)
+    StateFile(path, None).save(RELEASED)
+    assert StateFile(path, None).load() == StateFile(path, Role.SENDER).load() == Kept(RELEASED, same_clock=True)
+    with pytest.raises(StateError, match="is of the sender"):
+        StateFile(path, Role.RECEIVER).load()
+
+
 def test_after_a_reboot_its_instants_are_of_another_clock(path: Path) -> None:
     StateFile(path, Role.SENDER, boot="one").save(RELEASED)
     assert StateFile(path, Role.SENDER, boot="two").load() == Kept(RELEASED, same_clock=False)
