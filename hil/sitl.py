@@ -6,9 +6,6 @@ This process only starts them, passes on what they say, switches faults and make
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import json
-import os
 import signal
 import sys
 import time
@@ -23,27 +20,34 @@ from drivers.stop_signals import stop_on_signals, stop_signals
 from drivers.tables import decode_table
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, decode_event
 from hil.autopilot_process import binary_of
+from hil.children import (
+    Child,
+    HarnessFailure,
+    duty_of,
+    end,
+    finish_world,
+    last_words,
+    read_world,
+    send_signal,
+    spawn,
+    tell,
+    until_ready,
+)
 from hil.faults import Fault, FaultError, FaultTrigger, parse_fault
 from hil.monitors import Monitors
 from hil.preparation import starting
-from hil.shared_camera import RUN_VARIABLE
 from hil.sim import mission_config
 from hil.world import WorldConfig
 from path.messages import Role
 
-WORLD_READY_S = 180.0  # the first start compiles the renderer
 RUN_LIMIT_S = 360.0  # besides what the mission allows for verifying and following
 LANDING_LIMIT_S = 45.0
 ROLE_EXIT_S = 60.0
 RECORD_POLL_S = 0.001
 STOPPED_S = 20.0
 
-StartRole = Callable[[Role], Awaitable[asyncio.subprocess.Process]]
-StartAttack = Callable[[float], Awaitable[asyncio.subprocess.Process]]
-
-
-class HarnessFailure(Exception):
-    """The simulation itself failed: not the mission's fault."""
+StartRole = Callable[[Role], Awaitable[Child]]
+StartAttack = Callable[[float], Awaitable[Child]]
 
 
 @dataclass(slots=True)
@@ -82,7 +86,7 @@ async def _fly(request: FlightRequest) -> FlightReport:
         _need_keys(request.rig)
     run = _Run(request)
     start_s = time.monotonic()
-    processes: list[asyncio.subprocess.Process] = []
+    processes: list[Child] = []
     failure = ""
     try:
         world, air = await _start_world(request, processes)
@@ -95,11 +99,11 @@ async def _fly(request: FlightRequest) -> FlightReport:
             if request.rig.role(role).guard is not None:
                 crew.guards[role] = await _start_guard(request, role, processes)
         await _supervise(run, FaultTrigger(faults), crew)
-        run.finished = await _finish_world(world)
+        run.finished = await finish_world(world, LANDING_LIMIT_S)
     except HarnessFailure as error:
         failure = str(error)
     finally:
-        await _kill(processes)
+        await end(processes)
     return _report(run, failure, time.monotonic() - start_s)
 
 
@@ -114,95 +118,51 @@ def _need_keys(rig: Rig) -> None:
             )
 
 
-async def _start_world(
-    request: FlightRequest, processes: list[asyncio.subprocess.Process]
-) -> tuple[asyncio.subprocess.Process, int]:
+async def _start_world(request: FlightRequest, processes: list[Child]) -> tuple[Child, int]:
     """Its process, and the port on which it lets others on the air."""
     rig = request.rig
     arguments = [str(rig.file), str(request.out), str(request.seed), *map(str, rig.folders)]
-    world = await _spawn([sys.executable, "-m", "hil.sitl_world", *arguments], request.out / "world.stderr.txt")
+    world = await spawn([sys.executable, "-m", "hil.sitl_world", *arguments], request.out / "world.stderr.txt")
     processes.append(world)
-    try:
-        async with asyncio.timeout(WORLD_READY_S):
-            while True:
-                event = await _read_json(world)
-                if event.get("event") == "ready":
-                    return world, int(event.get("air", 0))
-                if event.get("event") == "warming":
-                    for role in Role:
-                        request.emit(starting(role, str(event["what"])))
-    except TimeoutError:
-        raise HarnessFailure(f"the world was not ready within {WORLD_READY_S:.0f} s") from None
+
+    def warming(what: str) -> None:
+        for role in Role:
+            request.emit(starting(role, what))
+
+    ready = await until_ready(world, warming)
+    return world, int(ready.get("air", 0))
 
 
-async def _read_json(process: asyncio.subprocess.Process) -> dict[str, Any]:
-    assert process.stdout is not None
-    line = await process.stdout.readline()
-    if not line:
-        raise HarnessFailure(f"the world's process ended (exit code {await process.wait()}): see world.stderr.txt")
-    try:
-        event = json.loads(line)
-    except ValueError:
-        return {}
-    if event.get("event") == "failed":
-        raise HarnessFailure(str(event["what"]))
-    return event
-
-
-async def _start_attack(
-    request: FlightRequest, rate: float, air: int, processes: list[asyncio.subprocess.Process]
-) -> asyncio.subprocess.Process:
+async def _start_attack(request: FlightRequest, rate: float, air: int, processes: list[Child]) -> Child:
     """The third process: it knows where both drones listen, and hears and sends on the air."""
     ends = [str(request.rig.role(role).link.options["bind"]) for role in (Role.SENDER, Role.RECEIVER)]
     arguments = [f"{rate:g}", str(air), *ends, str(request.seed), str(request.out)]
-    process = await _spawn([*request.attack_command, *arguments], request.out / "attack.stderr.txt")
+    process = await spawn([*request.attack_command, *arguments], request.out / "attack.stderr.txt")
     processes.append(process)
     return process
 
 
-async def _start_role(
-    request: FlightRequest, role: Role, processes: list[asyncio.subprocess.Process]
-) -> asyncio.subprocess.Process:
-    process = await _spawn(request.role_command(role), request.out / f"{role.value}.stderr.txt")
+async def _start_role(request: FlightRequest, role: Role, processes: list[Child]) -> Child:
+    process = await spawn(request.role_command(role), request.out / f"{role.value}.stderr.txt")
     processes.append(process)
     return process
 
 
-async def _start_guard(
-    request: FlightRequest, role: Role, processes: list[asyncio.subprocess.Process]
-) -> asyncio.subprocess.Process:
+async def _start_guard(request: FlightRequest, role: Role, processes: list[Child]) -> Child:
     assert request.guard_command is not None  # of a rig with guards
-    process = await _spawn(request.guard_command(role), request.out / f"{role.value}.guard.stderr.txt")
+    process = await spawn(request.guard_command(role), request.out / f"{role.value}.guard.stderr.txt")
     processes.append(process)
     return process
-
-
-def run_name() -> str:
-    """Of this process's run: names what its children share."""
-    return f"run-{os.getpid()}"
-
-
-async def _spawn(command: Sequence[str], errors: Path) -> asyncio.subprocess.Process:
-    """A child in a session of its own: Ctrl-C in the terminal reaches only this process, which then decides."""
-    with errors.open("ab") as stderr:
-        return await asyncio.create_subprocess_exec(
-            *command,
-            env={**os.environ, RUN_VARIABLE: run_name(), "PYTHONUNBUFFERED": "1"},
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=stderr,
-            start_new_session=True,
-        )
 
 
 class _Crew:
     """The world's process and those of the roles, which may die and be started again."""
 
-    def __init__(self, world: asyncio.subprocess.Process, start: StartRole, attack: StartAttack) -> None:
+    def __init__(self, world: Child, start: StartRole, attack: StartAttack) -> None:
         self.world = world
         self._attack = attack
-        self.guards: dict[Role, asyncio.subprocess.Process] = {}
-        self.roles: dict[Role, asyncio.subprocess.Process] = {}
+        self.guards: dict[Role, Child] = {}
+        self.roles: dict[Role, Child] = {}
         self._start = start
         self._restart_s: dict[Role, float] = {}
         self._coming: set[asyncio.Task[None]] = set()
@@ -229,17 +189,17 @@ class _Crew:
         elif fault.name == "attack":
             await self._attack(fault.value or 0.0)
         elif fault.stops is not None:
-            _signal(self.roles[fault.stops], signal.SIGSTOP)
+            send_signal(self.roles[fault.stops], signal.SIGSTOP)
         elif fault.name == "guard_death" and Role.SENDER in self.guards:
-            _signal(self.guards[Role.SENDER], signal.SIGKILL)
-        await _tell(self.world, {"fault": fault.name, "value": fault.value or 0.0, "at_ns": at_ns})
+            send_signal(self.guards[Role.SENDER], signal.SIGKILL)
+        await tell(self.world, {"fault": fault.name, "value": fault.value or 0.0, "at_ns": at_ns})
         if fault.stops is not None:
             await self._go_on(self.roles[fault.stops], fault.value)
 
-    async def _go_on(self, process: asyncio.subprocess.Process, after_s: float | None) -> None:
+    async def _go_on(self, process: Child, after_s: float | None) -> None:
         """What was stopped goes on; what was not to, is ended when its vehicle is long down: the run must end too."""
         await asyncio.sleep(STOPPED_S if after_s is None else after_s)
-        _signal(process, signal.SIGKILL if after_s is None else signal.SIGCONT)
+        send_signal(process, signal.SIGKILL if after_s is None else signal.SIGCONT)
 
     async def started_again(self, role: Role) -> bool:
         """Once its program has ended: whether another one was started, as the fault that killed it wants."""
@@ -290,7 +250,7 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
         """What a role writes down for a restart, as soon as it is there."""
         file, seen = run.request.out / f"{role.value}.state.json", ""
         while trigger.waits_for_duty(role):
-            duty = _duty(file)
+            duty = duty_of(file)
             if duty != seen:
                 seen = duty
                 crew.begin(trigger.on_duty(role, duty))
@@ -298,7 +258,7 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
 
     async def watch_world() -> None:
         while True:
-            await _read_json(crew.world)
+            await read_world(crew.world)
 
     stop_on_signals(stop)
     crew.begin(trigger.from_the_start())
@@ -325,62 +285,8 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
             loop.remove_signal_handler(number)
 
 
-def _signal(process: asyncio.subprocess.Process, number: signal.Signals) -> None:
-    if process.returncode is None:
-        process.send_signal(number)
-
-
-def _duty(state_file: Path) -> str:
-    """What a role's record says; "" when there is none."""
-    try:
-        return str(json.loads(state_file.read_bytes())["record"]["duty"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return ""
-
-
-async def _tell(process: asyncio.subprocess.Process, command: dict[str, Any]) -> None:
-    assert process.stdin is not None
-    with contextlib.suppress(ConnectionError):
-        process.stdin.write(json.dumps(command).encode() + b"\n")
-        await process.stdin.drain()
-
-
-async def _finish_world(world: asyncio.subprocess.Process) -> dict[str, Any]:
-    """Let the world run until both vehicles are down, and take its findings."""
-    await _tell(world, {"finish": LANDING_LIMIT_S})
-    try:
-        async with asyncio.timeout(LANDING_LIMIT_S + 10.0):
-            while True:
-                event = await _read_json(world)
-                if event.get("event") == "finished":
-                    return event
-    except TimeoutError:
-        raise HarnessFailure("the world did not end") from None
-
-
-async def _kill(processes: list[asyncio.subprocess.Process]) -> None:
-    """Nothing is left behind, children of children included."""
-    for process in processes:
-        if process.stdin is not None:
-            process.stdin.close()
-    for process in processes:
-        try:
-            async with asyncio.timeout(5.0):
-                await process.wait()
-        except TimeoutError:
-            pass
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        await process.wait()
-
-
-def _last_words(out: Path, role: Role) -> str:
-    """What a program that died wrote last."""
-    errors = out / f"{role.value}.stderr.txt"
-    if not errors.exists():
-        return "It was never started."
-    written = errors.read_text("utf-8", "replace").split("\n")
-    return " ".join(line.strip() for line in written if line.strip())[-300:]
+def _died(out: Path, role: Role) -> str:
+    return f"the {role.value}'s program died. {last_words(out / f'{role.value}.stderr.txt')}"
 
 
 def _records(out: Path) -> Iterator[tuple[int, Role, LogRecord | None]]:
@@ -418,5 +324,5 @@ def _report(run: _Run, failure: str, wall_s: float) -> FlightReport:
         wall_s=wall_s,
         interrupted=run.interrupted,
         failure=failure,
-        notes=[*notes, *(f"the {role.value}'s program died. {_last_words(request.out, role)}" for role in dead)],
+        notes=[*notes, *(_died(request.out, role) for role in dead)],
     )

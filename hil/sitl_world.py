@@ -10,42 +10,36 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import json
 import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Generator
-from contextlib import AsyncExitStack, contextmanager
+from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 from drivers.interfaces import PartError
+from drivers.json_lines import JsonLines
 from drivers.log import McapLog
-from drivers.mavsdk_geodesy import LocalTangent
-from drivers.realsense import RealSenseConfig
-from drivers.rig import PartSpec, Rig, decode_part
+from drivers.rig import Rig
 from drivers.rig_file import load_rig
-from drivers.tables import RigError, decode_table
+from drivers.tables import decode_table
 from drivers.udp_link import address_of
 from hil.air import Air
 from hil.autopilot_process import SimulatorBroken
 from hil.beacon_pty import open_beacons, open_hedges
-from hil.d415 import T_COLOR_DEPTH, depth_camera
 from hil.faults import FAULTS
 from hil.faulty_link import ProxySide, UdpFaultProxy
 from hil.followed_world import FollowedWorld, SimulatedVehicle, start_simulators
 from hil.inject import inject_in_world, inject_on_link
-from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
+from hil.live_world import CameraThread, Picture, at_pace, camera_config, embedded_vehicle, running, say, shared_camera
+from hil.mavlink_vehicle import MavlinkVehicle
 from hil.monitors import Monitors
 from hil.preparation import prepare
-from hil.render.depth import DepthRenderer
-from hil.render.renderer import Renderer
 from hil.script_monitor import vehicles_of
-from hil.shared_camera import RUN_VARIABLE, SharedCameraWriter
+from hil.shared_camera import RUN_VARIABLE
 from hil.sim import VEHICLES_EVERY, down, mission_config
 from hil.snapshot import Snapshot
 from hil.tello_emulator import TelloEmulator
@@ -55,7 +49,6 @@ from hil.truth_log import TruthLog
 from hil.world import World, WorldConfig
 from path.messages import Role
 
-STEP_S = 0.005
 TRUTH_STEPS = 4
 FINISH_POLL_S = 0.1
 
@@ -73,78 +66,27 @@ class LiveWorld:
     def now_s(self) -> float:
         return time.monotonic() - self.start_s
 
-
-FrameWriter = SharedCameraWriter | TelloVideo
-
-
-class CameraThread(threading.Thread):
-    """Renders one drone's camera at its rate and publishes the frames. A late frame is left out, and counted."""
-
-    def __init__(self, live: LiveWorld, rig: Rig, role: Role, writer: FrameWriter, seed: int) -> None:
-        super().__init__(name=f"camera-{role.value}", daemon=True)
-        own = rig.role(role)
-        self._live, self._role, self._writer = live, role, writer
-        self._renderer = Renderer(own.camera, own.mount.T_b_c, own.mount.T_b_v, rig.layout, seed=seed)
-        self._depth: DepthRenderer | None = None
-        if isinstance(writer, TelloVideo):
-            self._rate_hz = writer.rate_hz
-        else:
-            self._rate_hz = float(camera_config(rig, role).fps)
-            self._depth = DepthRenderer(self._renderer, depth_camera(*depth_size(rig, role)), T_COLOR_DEPTH)
-        self.ending = threading.Event()
-        self.rendered = 0
-        self.left_out = 0
-
-    def run(self) -> None:
-        live, period_s = self._live, 1.0 / self._rate_hz
-        phase_s = 0.0 if self._role is Role.SENDER else 0.37 * period_s  # two cameras are never in step
-        frame = 0
-        while not self.ending.is_set():
-            due_s = phase_s + frame * period_s
-            wait_s = due_s - live.now_s()
-            if wait_s > 0.0:
-                time.sleep(wait_s)
-            elif wait_s < -period_s:
-                skipped = int(-wait_s / period_s)
-                self.left_out += skipped
-                frame += skipped
-                continue
-            if self._role not in live.frozen:
-                self._take(frame)
-            frame += 1
-
-    def _take(self, frame: int) -> None:
-        live = self._live
-        with live.lock:
-            live.world.advance(max(live.now_s(), live.world.time_s))
-            snapshot = live.world.snapshot()
-        stamp_ns = round((live.start_s + snapshot.time_s) * 1e9)
-        color = self._renderer.render_color(snapshot, self._role, frame)
-        if isinstance(self._writer, TelloVideo):
-            self._writer.write(stamp_ns, color)
-        elif self._depth is not None:
-            self._writer.write(stamp_ns, color, self._depth.render(snapshot, self._role, frame))
-        self.rendered += 1
+    def snapshot(self) -> Snapshot:
+        with self.lock:
+            self.world.advance(max(self.now_s(), self.world.time_s))
+            return self.world.snapshot()
 
 
-class CommandLines:
-    """Lines of JSON that come in on a file, each as soon as it is whole.
+@dataclass(frozen=True, slots=True)
+class _Scene:
+    """A ``hil.live_world.Scene``."""
 
-    Not ``sys.stdin.readline``: of two lines that come at once it would keep the second to itself, and nothing more
-    comes in to be told of.
-    """
+    live: LiveWorld
+    role: Role
 
-    def __init__(self, file: int) -> None:
-        self._file = file
-        self._begun = b""
+    def now_s(self) -> float:
+        return self.live.now_s()
 
-    def read(self) -> list[dict[str, Any]] | None:
-        """What has come in since, when there is something to read; None at the end."""
-        data = os.read(self._file, 65536)
-        if not data:
+    def look(self) -> tuple[int, Snapshot] | None:
+        if self.role in self.live.frozen:
             return None
-        *lines, self._begun = (self._begun + data).split(b"\n")
-        return [json.loads(line) for line in lines]
+        snapshot = self.live.snapshot()
+        return round((self.live.start_s + snapshot.time_s) * 1e9), snapshot
 
 
 class SitlWorld:
@@ -157,7 +99,7 @@ class SitlWorld:
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
         self._finish_within_s: float | None = None
-        self._commands = CommandLines(sys.stdin.fileno())
+        self._commands = JsonLines(sys.stdin.fileno())
         self._vehicles: dict[Role, MavlinkVehicle | TelloEmulator | SimulatedVehicle] = {}
         self._videos: dict[Role, TelloVideo] = {}
         self._cameras: dict[Role, CameraThread] = {}
@@ -179,8 +121,8 @@ class SitlWorld:
             truth = self._truth = TruthLog(log, round(live.start_s * 1e9))
             truth.scene(rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
             self._start_cameras(stack)
-            stack.enter_context(open_beacons(rig, self._seed, self._out, live.now_s, self._snapshot))
-            stack.enter_context(open_hedges(rig, self._seed, live.now_s, self._snapshot))
+            stack.enter_context(open_beacons(rig, self._seed, self._out, live.now_s, live.snapshot))
+            stack.enter_context(open_hedges(rig, self._seed, live.now_s, live.snapshot))
             asyncio.get_running_loop().add_reader(sys.stdin.fileno(), self._on_input)
             air = await stack.enter_async_context(Air(self._proxy))
             say({"event": "ready", "air": air.port})
@@ -190,20 +132,11 @@ class SitlWorld:
             say(self._findings(truth))
 
     def _vehicle(self, role: Role) -> MavlinkVehicle | TelloEmulator:
-        rig = self._rig
+        rig, world = self._rig, self._live.world
         if is_tello(rig.role(role).vehicle):
-            world = self._live.world
             emulator, self._videos[role] = tello_of(rig, role, world.drone(role), world.config, self._seed)
             return emulator
-        options = rig.role(role).vehicle.options
-        guard = rig.role(role).guard
-        second = None if guard is None else _listener(str(guard.options["url"]))
-        tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
-        return MavlinkVehicle(
-            MavlinkVehicleConfig(int(options["sysid"]), _listener(str(options["url"])), second=second),
-            self._live.world.drone(role),
-            tangent,
-        )
+        return embedded_vehicle(rig, rig.role(role), world.drone(role))
 
     async def _start_simulators(self, stack: AsyncExitStack) -> None:
         """Real autopilots fly the drones: the world then follows what their simulators say is true."""
@@ -222,27 +155,24 @@ class SitlWorld:
             vehicle.epoch_s = live.start_s
 
     def _start_cameras(self, stack: AsyncExitStack) -> None:
+        rig = self._rig
         for role in Role:
-            writer = stack.enter_context(self._videos.get(role) or self._shared_camera(role))
-            camera = CameraThread(self._live, self._rig, role, writer, self._seed)
+            video = self._videos.get(role)
+            writer = stack.enter_context(video or shared_camera(os.environ[RUN_VARIABLE], rig, role))
+            rate_hz = video.rate_hz if video is not None else float(camera_config(rig, role).fps)
+            picture = Picture(rig, role, self._seed, depth=video is None)
+            phase = 0.0 if role is Role.SENDER else 0.37
+            camera = CameraThread(_Scene(self._live, role), picture, writer, rate_hz, phase)
             self._cameras[role] = camera
-            stack.enter_context(_running(camera))
-
-    def _snapshot(self) -> Snapshot:
-        live = self._live
-        with live.lock:
-            live.world.advance(max(live.now_s(), live.world.time_s))
-            return live.world.snapshot()
-
-    def _shared_camera(self, role: Role) -> SharedCameraWriter:
-        color = self._rig.role(role).camera
-        size, fps = (color.width, color.height), camera_config(self._rig, role).fps
-        return SharedCameraWriter(os.environ[RUN_VARIABLE], role, size, depth_size(self._rig, role), fps)
+            stack.enter_context(running(camera))
 
     async def _step_until_finished(self, truth: TruthLog) -> None:
         """Physics and both vehicles at 200 Hz, until told to finish and both are down, or that takes too long."""
-        live, steps, asked_s = self._live, 0, None
-        while True:
+        live = self._live
+        asked_s: float | None = None
+
+        def step(steps: int) -> bool:
+            nonlocal asked_s
             now_s = live.now_s()
             with live.lock:
                 live.world.advance(max(now_s, live.world.time_s))
@@ -259,12 +189,10 @@ class SitlWorld:
             if self._finish_within_s is not None:
                 asked_s = now_s if asked_s is None else asked_s
                 landed = all(down(live.world, role) for role in Role)
-                if landed or now_s - asked_s > self._finish_within_s:
-                    return
-            steps += 1
-            await asyncio.sleep(max(0.0, steps * STEP_S - live.now_s()))
-            if live.now_s() > (steps + 2) * STEP_S:  # what was missed is stepped at once, not caught up tick by tick
-                steps = int(live.now_s() / STEP_S)
+                return landed or now_s - asked_s > self._finish_within_s
+            return False
+
+        await at_pace(live.now_s, step)
 
     def _on_input(self) -> None:
         commands = self._commands.read()
@@ -314,48 +242,11 @@ class SitlWorld:
         }
 
 
-def camera_config(rig: Rig, role: Role) -> RealSenseConfig:
-    """How the driver of a role is set. Raises RigError when it is another driver."""
-    sight = rig.role(role).sight
-    camera = PartSpec.from_table(sight.options.get("camera"), f"{sight.where}.camera", sight.base)
-    _, config = decode_part(camera)
-    if not isinstance(config, RealSenseConfig):
-        raise RigError([f"{camera.where}.factory: the world of level sitl draws for drivers.realsense:RealSense only"])
-    return config
-
-
-def depth_size(rig: Rig, role: Role) -> tuple[int, int]:
-    """Width and height that the driver asks the depth camera for."""
-    color = rig.role(role).camera
-    return camera_config(rig, role).depth_size or (color.width, color.height)
-
-
 def proxy_sides(rig: Rig) -> tuple[ProxySide, ProxySide]:
     """The proxy listens where each role's link believes the other drone to be."""
     ends = [rig.role(role).link.options for role in (Role.SENDER, Role.RECEIVER)]
     sender, receiver = (ProxySide(address_of(end["peer"], "peer"), address_of(end["bind"], "bind")) for end in ends)
     return sender, receiver
-
-
-def _listener(url: str) -> tuple[str, int]:
-    """Where a MAVLink URL listens."""
-    parts = urlsplit(url)
-    return parts.hostname or "127.0.0.1", parts.port or 0
-
-
-@contextmanager
-def _running(camera: CameraThread) -> Generator[None, None, None]:
-    camera.start()
-    try:
-        yield
-    finally:
-        camera.ending.set()
-        camera.join()
-
-
-def say(event: dict[str, Any]) -> None:
-    """One event to the parent process."""
-    print(json.dumps(event), flush=True)
 
 
 def main() -> None:

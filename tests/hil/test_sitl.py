@@ -20,7 +20,7 @@ from drivers.state_file import StateFile
 from drivers.udp_link import address_of
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, encode_event
 from flight.outcome import Outcome
-from hil import sitl
+from hil import children, sitl
 from hil.faults import AT_COUNT, FaultTrigger, parse_fault
 from hil.sitl_world import proxy_sides
 from missions import rig_library
@@ -80,7 +80,7 @@ class Stage:
 
     async def start(self, name: str, program: str) -> asyncio.subprocess.Process:
         command: Sequence[str] = [sys.executable, "-I", "-S", "-c", program]
-        process = await sitl._spawn(command, self.out / f"{name}.stderr.txt")
+        process = await children.spawn(command, self.out / f"{name}.stderr.txt")
         self.processes.append(process)
         return process
 
@@ -98,7 +98,7 @@ class Stage:
             )
             await sitl._supervise(run, trigger, crew)
         finally:
-            await sitl._kill(self.processes)
+            await children.end(self.processes)
         return run
 
     def told(self) -> list[Any]:
@@ -220,7 +220,7 @@ def test_a_program_that_is_stopped_for_good_is_ended_at_last(stage: Stage, monke
 
 def test_a_world_that_dies_in_flight_is_the_harness_s_failure(stage: Stage) -> None:
     programs = dict.fromkeys(Role, UNTIL_STDIN_ENDS)
-    with pytest.raises(sitl.HarnessFailure, match=r"world.stderr.txt"):
+    with pytest.raises(children.HarnessFailure, match=r"world.stderr.txt"):
         asyncio.run(stage.supervise(programs, world="raise SystemExit(1)"))
     assert all(process.returncode is not None for process in stage.processes)
 
@@ -266,7 +266,7 @@ def test_nothing_is_left_behind_not_even_a_child_of_a_child(stage: Stage) -> Non
         assert process.stdout is not None
         child = int(await process.stdout.readline())
         assert not gone(child)
-        await sitl._kill(stage.processes)
+        await children.end(stage.processes)
         return child
 
     child = asyncio.run(main())
@@ -280,12 +280,12 @@ def test_nothing_is_left_behind_not_even_a_child_of_a_child(stage: Stage) -> Non
 
 def test_the_children_of_a_run_share_its_name(stage: Stage) -> None:
     async def main() -> bytes:
-        process = await stage.start("child", f"import os; print(os.environ[{sitl.RUN_VARIABLE!r}])")
+        process = await stage.start("child", f"import os; print(os.environ[{children.RUN_VARIABLE!r}])")
         output, _ = await process.communicate()
-        await sitl._kill(stage.processes)
+        await children.end(stage.processes)
         return output
 
-    assert asyncio.run(main()).decode().strip() == sitl.run_name()
+    assert asyncio.run(main()).decode().strip() == children.run_name()
 
 
 def test_what_a_program_writes_to_stderr_is_kept(stage: Stage) -> None:

@@ -15,9 +15,9 @@ import pytest
 from drivers.interfaces import CameraError
 from drivers.realsense import RealSense, RealSenseConfig
 from drivers.rig import PartSpec
+from hil.live_world import camera_config, depth_size
 from hil.shared_camera import RUN_VARIABLE, SharedCameraWriter
 from hil.shared_segment import folder
-from hil.sitl_world import camera_config, depth_size
 from hil.software_d415 import SoftwareD415, SoftwareD415Config
 from missions import rig_library
 from path.messages import Role
