@@ -46,7 +46,7 @@ class McapLog:
         self._frame = frame
         self._channels: dict[str, int] = {}
         self._counts: dict[str, int] = {}
-        self._encoder = msgspec.json.Encoder(enc_hook=_encode_other)
+        self._encoder = msgspec.json.Encoder(enc_hook=encode_other)
         self._file: _File | None = None
         self._writer: Writer | None = None
         try:
@@ -172,7 +172,8 @@ def _jpeg(image: NDArray[np.uint8]) -> bytes | None:
     return jpeg.tobytes() if done else None
 
 
-def _encode_other(value: Any) -> Any:
+def encode_other(value: Any) -> Any:
+    """As JSON can hold it; an ``enc_hook`` of msgspec."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from drivers.calibration_file import CameraTable
 from drivers.interfaces import Log, RecordStore
@@ -19,6 +19,17 @@ from flight.harness import Emit, InProcess, RoleResult
 
 Point = tuple[float, float]
 
+OFTEN = frozenset({
+    "/frame", "/target", "/track", "/setpoint", "/state", "/agreement", "/candidate", "/marker", "/motion", "/link",
+    "/guard_view",
+})  # fmt: skip
+"""What is logged many times a second: hours of it are left out unless they are asked for."""
+WATCHED: Mapping[str, float] = {
+    "/phase": 0.0, "/responsibility": 0.0, "/epoch": 0.0, "/commit": 0.0, "/decision": 0.0, "/agreement": 0.0,
+    "/frame": 0.2, "/target": 0.2, "/track": 0.2,
+}  # fmt: skip
+"""What the monitors read of a drone's log, and how many seconds at least are between two of a kind."""
+
 
 @dataclass(frozen=True, slots=True)
 class RelayDrone:
@@ -26,13 +37,17 @@ class RelayDrone:
 
     Attributes:
         home_m: (E, N) in m, where it stands and comes back to.
+        link: in either role; where it is not said, it is that of the role.
         battery: its charge at the beginning, 0..1.
     """
 
     name: str
     home_m: Point
-    clock: PartSpec
-    sight: PartSpec
+    clock: PartSpec | None = None
+    sight: PartSpec | None = None
+    vehicle: PartSpec | None = None
+    guard: PartSpec | None = None
+    link: PartSpec | None = None
     camera: CameraTable | None = None
     heading_deg: float = 0.0
     battery: float = 1.0
@@ -45,6 +60,7 @@ class RelayConfig:
     Attributes:
         harness: ``module:Class`` of a world with many drones.
         drones: in the order in which they are called for the first time.
+        hours: for how long, when nothing else is asked for.
         reserve: of the charge; no drone may be below it before it has landed.
         endurance_s: how long a full battery carries a drone, as far as is known before it is seen to run down.
         swap_s: from landing until the drone stands ready with a full battery.
@@ -58,6 +74,7 @@ class RelayConfig:
 
     harness: str
     drones: tuple[RelayDrone, ...]
+    hours: float = 8.0
     reserve: float = 0.25
     endurance_s: float = 1080.0
     swap_s: float = 300.0
@@ -88,8 +105,16 @@ def _role(rig: Rig, drone: RelayDrone, role: str) -> RoleRig:
     built = rig.sender
     camera = built.camera if drone.camera is None else drone.camera.model()
     mount = Mount(built.mount.T_b_c, built.mount.T_b_v)
-    link = built.link if role == "sender" else rig.receiver.link
-    return replace(built, clock=drone.clock, sight=drone.sight, camera=camera, mount=mount, link=link)
+    return replace(
+        built,
+        clock=drone.clock or built.clock,
+        sight=drone.sight or built.sight,
+        vehicle=drone.vehicle or built.vehicle,
+        guard=drone.guard or built.guard,
+        link=drone.link or (built.link if role == "sender" else rig.receiver.link),
+        camera=camera,
+        mount=mount,
+    )
 
 
 class DroneProgram(Protocol):
@@ -121,10 +146,30 @@ class RelayField(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class DroneProcesses:
+    """How the drones' programs are run as processes, and reach those on the ground: lines of JSON, either way.
+
+    Attributes:
+        command: of a drone's program. It prints ``flight.harness.encode_event``'s lines, ``{"event": "record",
+            "record": [drone, topic, stamp_ns, record]}`` of what is ``WATCHED``, and what it has to say to the ground.
+        guard_command: of the guard beside it, in a rig with guards.
+        news: what a drone has to know at present; it is told whenever that changes, on its stdin.
+        heard: takes what a drone's program said to the ground.
+    """
+
+    command: Callable[[str], Sequence[str]]
+    guard_command: Callable[[str], Sequence[str]]
+    news: Callable[[str], Mapping[str, Any]]
+    heard: Callable[[str, Mapping[str, Any]], None]
+
+
+@dataclass(frozen=True, slots=True)
 class RelayRequest:
     """One relay.
 
     Attributes:
+        processes: for a harness whose drones' programs are processes of their own.
+        hours: how long it is to last, about.
         main: flies it to its end; told to stop by the event.
         faults: by the number of their leg; of 0 those of all legs.
         whole_log: everything into the logs, not only what is rare.
@@ -137,6 +182,8 @@ class RelayRequest:
     faults: Mapping[int, Sequence[str]]
     main: Callable[[RelayField, asyncio.Event, Emit], Awaitable[None]]
     emit: Emit
+    processes: DroneProcesses
+    hours: float = 8.0
     whole_log: bool = False
 
 

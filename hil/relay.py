@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import math
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,11 +16,12 @@ from drivers.stop_signals import stop_on_signals
 from drivers.tables import decode_table
 from flight.guard_watch import GuardWatch
 from flight.harness import Progress, RoleResult
-from flight.relay import DroneProgram, RelayConfig, RelayReport, RelayRequest, Sample, pair_of
-from hil.faults import Fault, FaultError, FaultTrigger, parse_fault
+from flight.relay import DroneProgram, RelayConfig, RelayReport, RelayRequest, pair_of
+from hil.faults import Fault, FaultError, parse_fault
 from hil.faulty_link import MemoryHub
 from hil.inject import inject_in_world, inject_on_link
 from hil.preparation import prepare, starting
+from hil.relay_faults import LegFaults
 from hil.relay_monitors import RelayLog, RelayMonitors
 from hil.relay_world import DroneHarness, RelayWorld, present_s
 from hil.sim import Disk, mission_config
@@ -84,17 +84,14 @@ class _Relay:
     """One relay in virtual time: the ``flight.relay.RelayField``, and what watches it."""
 
     def __init__(self, request: RelayRequest, faults: dict[int, list[Fault]]) -> None:
-        self._request, self._faults = request, faults
+        self._request = request
         self._rig: Rig = request.rig
         self._config: RelayConfig = request.config
         self._mission = mission_config(self._rig)
         self._stop = asyncio.Event()
         self._interrupted = False
-        self._triggers: dict[str, tuple[FaultTrigger, int]] = {}
         self._hubs: dict[int, MemoryHub] = {}
-        self._ends: dict[int, dict[Role, str]] = {}
-        self._coming: set[asyncio.Task[None]] = set()
-        self._samples: list[Sample] = []
+        self._legs = LegFaults(faults, self._inject)
 
     async def run(self) -> dict[str, Any]:
         """The fields of the RelayReport, without the wall's."""
@@ -110,7 +107,8 @@ class _Relay:
             await request.main(self, self._stop, request.emit)
         finally:
             await self._until_landed()
-            for task in (watching, *self._coming, *(drone.guard for drone in self._drones.values() if drone.guard)):
+            self._legs.close()
+            for task in (watching, *(drone.guard for drone in self._drones.values() if drone.guard)):
                 task.cancel()
             for drone in self._drones.values():
                 self._close_flight(drone)
@@ -122,7 +120,7 @@ class _Relay:
         harness = DroneHarness(self._world, name, self._request.seed, present_s)
         log = McapLog(self._request.out / f"{name}.mcap", name, buffered=True)
         offset_ns = round(float(own.clock.options.get("offset_s", 0.0)) * 1e9)
-        return _Drone(name, own, harness, Disk(lambda duty: self._on_duty(name, duty)), log, offset_ns)
+        return _Drone(name, own, harness, Disk(lambda duty: self._legs.on_duty(name, duty)), log, offset_ns)
 
     # --- the field ---
 
@@ -145,15 +143,11 @@ class _Relay:
         hub = self._hubs[number] = MemoryHub(self._request.seed * 4096 + number)
         for role, name, other in ((Role.SENDER, sender, receiver), (Role.RECEIVER, receiver, sender)):
             self._drones[name].harness.join(role, other, hub)
-        self._ends[number] = {Role.SENDER: sender, Role.RECEIVER: receiver}
         self._monitors.on_leg(number, sender, receiver)
-        trigger = FaultTrigger([*self._faults.get(0, ()), *self._faults.get(number, ())])
-        self._triggers[sender] = self._triggers[receiver] = trigger, number
-        self._begin(number, trigger.from_the_start())
+        self._legs.open_leg(number, sender, receiver)
 
     def landed(self, name: str) -> bool:
-        drone = self._world.drone(name)
-        return drone.on_ground and not drone.autopilot.armed
+        return self._world.landed(name)
 
     def swap(self, name: str) -> None:
         drone = self._drones[name]
@@ -222,34 +216,11 @@ class _Relay:
             if drone.killed:
                 return
             self._request.emit(progress)
-            trigger = self._triggers.get(drone.name)
-            if trigger is not None and drone.harness.role is progress.role:
-                self._begin(trigger[1], trigger[0].on_progress(progress))
+            self._legs.on_progress(drone.name, progress)
 
         return emit
 
     # --- faults ---
-
-    def _on_duty(self, name: str, duty: str) -> None:
-        trigger = self._triggers.get(name)
-        if trigger is not None:
-            self._begin(trigger[1], trigger[0].on_duty(self._drones[name].harness.role, duty))
-
-    def _begin(self, leg: int, faults: list[Fault]) -> None:
-        for fault in faults:
-            if fault.after_s:
-                self._later(self._inject_later(leg, fault))
-            else:
-                self._inject(leg, fault)
-
-    def _later(self, what: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.ensure_future(what)
-        self._coming.add(task)
-        task.add_done_callback(self._coming.discard)
-
-    async def _inject_later(self, leg: int, fault: Fault) -> None:
-        await asyncio.sleep(fault.after_s)
-        self._inject(leg, fault)
 
     def _inject(self, leg: int, fault: Fault) -> None:
         """To the drone that has, or had, the fault's role in the leg."""
@@ -258,7 +229,7 @@ class _Relay:
         if role is None:
             inject_in_world(fault.name, None, self._world)
             return
-        drone = self._drones[self._ends[leg][role]]
+        drone = self._drones[self._legs.end_of(leg, role)]
         now_s = present_s()
         if fault.name == "camera_freeze":
             drone.harness.frozen = True
@@ -287,17 +258,11 @@ class _Relay:
             self._monitors.on_truth(now_s)
             if now_s >= vehicles_s:
                 vehicles_s = now_s + VEHICLES_S
-                self._monitors.on_vehicles(now_s)
+                self._monitors.on_vehicles(now_s, self._monitors.vehicles())
             if now_s >= sample_s:
                 sample_s = now_s + SAMPLE_S
-                self._sample(now_s)
+                self._monitors.sample(now_s, world.batteries, world.airborne)
             await asyncio.sleep(NEAR_PERIOD_S if len(world.airborne) > 1 else PERIOD_S)
-
-    def _sample(self, now_s: float) -> None:
-        world = self._world
-        battery = tuple(round(world.drone(name).autopilot.battery, 4) for name in world.names)
-        responsible = tuple(sorted(self._monitors.responsible))
-        self._samples.append(Sample(round(now_s, 2), responsible, battery, world.airborne))
 
     def _close_flight(self, drone: _Drone) -> None:
         """What one flight's autopilot leaves, before it is started anew."""
@@ -314,18 +279,11 @@ class _Relay:
             await asyncio.sleep(0.1)
 
     def _findings(self) -> dict[str, Any]:
-        monitors = self._monitors
         aloft = [name for name in self._world.names if not self.landed(name)]
         failure = f"not landed at the end: {', '.join(aloft)}" if aloft else ""
         failed = [drone.log.failed for drone in self._drones.values() if drone.log.failed]
         return {
-            "violations": dict(monitors.violations),
-            "notes": tuple(monitors.details),
-            "gaps_s": dict(monitors.gaps_s),
-            "flown": tuple(monitors.flown),
-            "samples": tuple(self._samples),
-            "closest_m": monitors.closest_m if math.isfinite(monitors.closest_m) else math.nan,
-            "closest_pair": monitors.closest_pair,
+            **self._monitors.findings(),
             "simulated_s": present_s(),
             "interrupted": self._interrupted,
             "failure": failure,

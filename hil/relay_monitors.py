@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -17,18 +17,15 @@ from typing import Any
 from drivers.interfaces import Log
 from drivers.rig import Rig, RoleRig
 from flight.config import MissionConfig
-from flight.relay import Flown, RelayConfig
+from flight.relay import OFTEN, Flown, RelayConfig, Sample
 from hil.lease_monitor import GAP_S
 from hil.monitors import Monitors
 from hil.relay_world import RelayWorld
-from hil.script_monitor import ScriptMonitor, pixel_of, vehicle_truth
+from hil.script_monitor import ScriptMonitor, VehicleTruth, pixel_of, vehicle_truth
+from hil.snapshot import DroneTruth, ObjectTruth
 from path.messages import Role
 
-OFTEN = frozenset({
-    "/frame", "/target", "/track", "/setpoint", "/state", "/agreement", "/candidate", "/marker", "/motion", "/link",
-    "/guard_view",
-})  # fmt: skip
-"""What is logged many times a second: hours of it are left out unless they are asked for."""
+Seen = tuple[Mapping[str, DroneTruth], Sequence[ObjectTruth]]
 LOOK_S = 1.0  # at the object that the responsible drone has
 
 
@@ -50,7 +47,11 @@ class _Flight:
 
 @dataclass(slots=True)
 class RelayMonitors:
-    """Stamps are of the world's clock. ``on_truth`` is to be called often while drones are in the air."""
+    """Stamps are of the world's clock. ``on_truth`` is to be called often while drones are in the air.
+
+    Attributes:
+        seen: drones and objects at a time of the world's clock, for records that are older than the world's present.
+    """
 
     rig: Rig
     config: RelayConfig
@@ -63,9 +64,11 @@ class RelayMonitors:
     gaps_s: dict[int, float] = field(default_factory=dict[int, float])
     closest_m: float = math.inf
     closest_pair: tuple[str, ...] = ()
+    samples: list[Sample] = field(default_factory=list[Sample])
     responsible: set[str] = field(default_factory=set[str])
     scripts: ScriptMonitor = field(init=False)
     members: Mapping[str, Enum] = field(init=False)
+    seen: Callable[[float], Seen] | None = None
     _legs: dict[str, Leg] = field(default_factory=dict[str, Leg])
     _all_legs: list[Leg] = field(default_factory=list[Leg])
     _flights: dict[str, _Flight] = field(default_factory=dict[str, _Flight])
@@ -153,16 +156,34 @@ class RelayMonitors:
                 flight.told = True
                 self.violated("reserve", now_s, f"{name} flies with its battery at {100 * flight.battery:.1f} %")
 
-    def on_vehicles(self, now_s: float) -> None:
-        """S7 and S10; seldom is enough."""
+    def on_vehicles(self, now_s: float, vehicles: Mapping[Enum, VehicleTruth]) -> None:
+        """S7 and S10, when the records up to then are known; seldom is enough."""
+        self.scripts.on_truth(now_s, vehicles)
+
+    def vehicles(self) -> dict[Enum, VehicleTruth]:
+        """The truth about those that are switched on, now."""
         world, truth = self.world, self.world.truth()
-        vehicles = {
+        return {
             self.members[name]: vehicle_truth(
                 world.drone(name).autopilot, truth[name], self.own[name], world.objects[0]
             )
             for name in world.names if name in world.on
         }  # fmt: skip
-        self.scripts.on_truth(now_s, vehicles)
+
+    def sample(self, now_s: float, batteries: tuple[float, ...], airborne: tuple[str, ...]) -> None:
+        self.samples.append(Sample(round(now_s, 2), tuple(sorted(self.responsible)), batteries, airborne))
+
+    def findings(self) -> dict[str, Any]:
+        """After ``close``: those fields of a ``flight.relay.RelayReport`` that say what was seen."""
+        return {
+            "violations": dict(self.violations),
+            "notes": tuple(self.details),
+            "gaps_s": dict(self.gaps_s),
+            "flown": tuple(self.flown),
+            "samples": tuple(self.samples),
+            "closest_m": self.closest_m if math.isfinite(self.closest_m) else math.nan,
+            "closest_pair": self.closest_pair,
+        }
 
     def close(self) -> None:
         """The relay is over: what the legs' monitors found counts."""
@@ -197,8 +218,9 @@ class RelayMonitors:
             return
         self._looked_s[name] = now_s
         u, v = box[0] + 0.5 * box[2], box[1] + 0.5 * box[3]
-        drone, own = self.world.truth()[name], self.own[name]
-        off = {thing.object_id: math.dist((u, v), pixel_of(drone, own, thing)) for thing in self.world.objects}
+        drones, objects = (self.world.truth(), self.world.objects) if self.seen is None else self.seen(now_s)
+        drone, own = drones[name], self.own[name]
+        off = {thing.object_id: math.dist((u, v), pixel_of(drone, own, thing)) for thing in objects}
         found = min(off, key=lambda number: math.inf if math.isnan(off[number]) else off[number])
         if found != 0 and name not in self._wrong:
             self._wrong.add(name)

@@ -100,6 +100,16 @@ class RelayWorld(Fleet[str]):
                 least = min(least, (apart, (other, one)))
         return least
 
+    @property
+    def batteries(self) -> tuple[float, ...]:
+        """In the order of ``names``."""
+        return tuple(round(drone.autopilot.battery, 4) for drone in self._drones.values())
+
+    def landed(self, name: str) -> bool:
+        """Whether it stands on the ground, its motors off."""
+        drone = self._drones[name]
+        return drone.on_ground and not drone.autopilot.armed
+
     def view(self, own: str, other: str | None) -> Snapshot:
         """The truth at ``time_s`` as far as a pair is concerned."""
         truth = self.truth()

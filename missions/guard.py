@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import sys
+from collections.abc import Mapping
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,7 +64,13 @@ def run(options: GuardOptions) -> int:
     roles = tuple(Role) if options.role == "both" else (Role(options.role),)
     specs = {role: guard_of(rig, role) for role in roles}
     folder = new_folder(options.out)
-    return asyncio.run(_run(rig, config, specs, options, {role: folder / f"{role.value}.guard.mcap" for role in roles}))
+    logs = {role: folder / f"{role.value}.guard.mcap" for role in roles}
+    until_input_ends = options.console == "events"
+    return asyncio.run(
+        watch_vehicles(
+            rig, config, specs, logs, until_input_ends=until_input_ends, while_flown=options.while_flown
+        )
+    )  # fmt: skip
 
 
 def guard_of(rig: Rig, role: Role) -> PartSpec:
@@ -75,9 +82,11 @@ def guard_of(rig: Rig, role: Role) -> PartSpec:
     return spec
 
 
-async def _run(
-    rig: Rig, config: MissionConfig, specs: dict[Role, PartSpec], options: GuardOptions, logs: dict[Role, Path]
-) -> int:
+async def watch_vehicles(
+    rig: Rig, config: MissionConfig, specs: Mapping[Role, PartSpec], logs: Mapping[Role, Path], *,
+    until_input_ends: bool, while_flown: bool,
+) -> int:  # fmt: skip
+    """Watch until told to end; 0, or EXIT_GAVE_UP when a vehicle did not land. Raises PartError."""
     stop = asyncio.Event()
     stop_on_signals(stop.set)
     async with AsyncExitStack() as stack:
@@ -93,9 +102,9 @@ async def _run(
             _say(f"guard of the {role.value}: watching {vehicle.name}")
         if len(guards) == 2:
             guards[0].peer, guards[1].peer = vehicles[1], vehicles[0]
-        if options.console == "events":
+        if until_input_ends:
             stop_at_end_of_input(stop.set)
-        ending = asyncio.create_task(_stop_when_alone(stop, guards)) if options.while_flown else None
+        ending = asyncio.create_task(_stop_when_alone(stop, guards)) if while_flown else None
         gc.freeze()  # what is loaded by now stays: a collection in flight need not walk it
         await watch(tuple(guards), stop)
         if ending is not None:

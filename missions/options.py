@@ -70,19 +70,21 @@ class HandoffOptions:
 
 @dataclass(frozen=True, slots=True)
 class RelayOptions:
-    """Hand one target from drone to drone as batteries run down, for hours of simulated time."""
+    """Hand one target from drone to drone as batteries run down: hours in simulated time, or minutes in real time."""
 
     rig: RigName = "relay-sim"
-    """A rig with a [relay] table: its drones, their homes and batteries (docs/relay.md)."""
+    """A rig with a [relay] table: its drones, their homes and batteries (docs/relay.md). relay-sim: simulated, as
+    fast as it computes; relay-sitl: in real time, each drone's program a process of its own."""
 
     drones: int = 3
     """How many of the rig's drones take part, from its first one on."""
 
-    hours: float = 8.0
-    """For how long; then the responsible drone comes home."""
+    hours: float | None = None
+    """For how long; then the responsible drone comes home. By default as the rig says: 8 h in relay-sim, minutes in
+    relay-sitl."""
 
     seed: int = 0
-    """Seed of the world and of every noise: the same seed is the same relay."""
+    """Seed of the world and of every noise: in simulated time the same seed is the same relay."""
 
     fault: Annotated[
         tuple[str, ...],

@@ -6,19 +6,19 @@ import asyncio
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from drivers.interfaces import PartError
 from drivers.rig import Rig, import_factory
-from drivers.tables import decode_table
 from flight.harness import Emit, Progress
 from flight.outcome import Outcome
 from flight.relay import RelayConfig, RelayField, RelayHarness, RelayReport, RelayRequest
 from missions import rig_library
 from missions.options import RelayOptions
 from missions.relay_base import Base, Event, Tell
+from missions.relay_config import relay_of
+from missions.relay_process import processes_of
 from missions.relay_report import relay_table, summarize_relay
 from missions.relay_role import program_of
 from missions.report import show
@@ -31,10 +31,11 @@ def run(options: RelayOptions) -> int:
     """``path-handoff relay``; returns the relay's exit code. Raises PartError for what was asked wrongly."""
     rig = rig_library.load(options.rig)
     config = relay_of(rig, options.drones)
-    if not options.hours > 0.0:
-        raise PartError(f"--hours {options.hours:g} is not above 0", "give the hours of simulated time, such as 8")
+    hours = hours_of(config, options)
+    if not hours > 0.0:
+        raise PartError(f"--hours {hours:g} is not above 0", "give the hours that it is to last, such as 8")
     folder = new_folder(options.out)
-    sys.stdout.write(f"{options.drones} drones, {options.hours:g} h: {folder}\n")
+    sys.stdout.write(f"{options.drones} drones, {hours:g} h: {folder}\n")
     summary, record = fly_relay(rig, config, options, folder, _Teller().tell)
     if options.picture:
         from missions.relay_picture import draw_relay  # noqa: PLC0415 (matplotlib takes a second to import)
@@ -46,17 +47,8 @@ def run(options: RelayOptions) -> int:
     return int(summary["exit_code"])
 
 
-def relay_of(rig: Rig, drones: int) -> RelayConfig:
-    """The rig's relay with its first ``drones`` drones. Raises PartError."""
-    if not rig.relay:
-        raise PartError(f"rig {rig.name} has no [relay]", "use --rig relay-sim, or a rig like it (docs/relay.md)")
-    config = decode_table(rig.relay, RelayConfig, rig.where("[relay]"), rig.file.parent)
-    if not 2 <= drones <= len(config.drones):
-        there = f"rig {rig.name} names {len(config.drones)}"
-        raise PartError(
-            f"--drones {drones}: {there}, and a relay takes two at least", "add [[relay.drones]] to the rig"
-        )
-    return replace(config, drones=config.drones[:drones])
+def hours_of(config: RelayConfig, options: RelayOptions) -> float:
+    return config.hours if options.hours is None else options.hours
 
 
 def faults_of(texts: Sequence[str]) -> dict[int, list[str]]:
@@ -75,19 +67,19 @@ def fly_relay(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """One relay to its end; writes its logs, ``relay.json`` and ``summary.json``. Returns summary and record."""
     harness: RelayHarness = import_factory(config.harness, rig.where("[relay] harness"))()
-    bases: list[Base] = []
+    base = Base(config, tell, hours_of(config, options))
 
     async def main(ground: RelayField, stop: asyncio.Event, emit: Emit) -> None:
         del emit
-        base = Base(ground, config, tell, options.hours)
-        bases.append(base)
-        await base.run(stop, program_of(rig, config, base))
+        await base.run(ground, stop, program_of(rig, config, base))
 
-    faults = faults_of(options.fault)
-    request = RelayRequest(rig, config, out, options.seed, faults, main, _quiet, options.logs)
+    faults, processes = faults_of(options.fault), processes_of(rig, config, out, base, options.logs)
+    request = RelayRequest(
+        rig, config, out, options.seed, faults, main, _quiet, processes, base.hours, options.logs
+    )  # fmt: skip
     report = harness.fly(request)
-    record = record_of(config, bases[0], report)
-    summary = summarize_relay(rig, config, options, bases[0], report, *judge(bases[0], report))
+    record = record_of(config, base, report)
+    summary = summarize_relay(rig, config, options, base, report, *judge(base, report))
     (out / RELAY).write_text(json.dumps(record, indent=1) + "\n", "utf-8")
     (out / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
     return summary, record

@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Literal
+from typing import Literal, Protocol
 
 from flight.harness import RoleResult
 from flight.outcome import MissionEnd, Outcome
@@ -58,6 +58,33 @@ class Event:
 Tell = Callable[[Event], None]
 
 
+class Ground(Protocol):
+    """What a drone's program asks those on the ground, and tells them: ``Base``, or the way to it."""
+
+    @property
+    def over(self) -> bool:
+        """Whether the time is: nobody is called any more."""
+        ...
+
+    def order_of(self, name: str) -> Order: ...
+
+    def leg_of(self, name: str) -> Leg | None:
+        """The leg under way, when this drone is in it."""
+        ...
+
+    def ask(self, name: str, battery: float, wait_s: float) -> None:
+        """To be relieved. ``wait_s``: how long it can still wait before it has to go home."""
+        ...
+
+    def holds(self, name: str) -> None:
+        """The target, from now on: it found it, or it was handed over to it."""
+        ...
+
+    def leg_failed(self, name: str, end: MissionEnd) -> None:
+        """For the drone that goes on with the target."""
+        ...
+
+
 @dataclass(slots=True)
 class _Drone:
     where: Where = "ready"
@@ -69,9 +96,8 @@ class _Drone:
 
 @dataclass(slots=True)
 class Base:
-    """Knows what the drones say, and acts on the field. One loop, in ``run``."""
+    """Knows what the drones say, and acts on the field. One loop, in ``run``. Times are from its beginning."""
 
-    ground: RelayField
     config: RelayConfig
     tell: Tell = lambda _: None
     hours: float = 8.0
@@ -83,6 +109,8 @@ class Base:
     over: bool = False  # the time is: nobody is called any more
     _drones: dict[str, _Drone] = field(init=False)
     _program: DroneProgram = field(init=False)
+    _ground: RelayField = field(init=False)
+    _begun_s: float = 0.0
     _asking: tuple[str, float, float] | None = None  # who, its battery, how long it can still wait, s
     _leg: Leg | None = None
     _alarmed: bool = False
@@ -90,23 +118,20 @@ class Base:
     def __post_init__(self) -> None:
         self._drones = {drone.name: _Drone(ready_s=float(k)) for k, drone in enumerate(self.config.drones)}
 
-    # --- what the drones' programs ask and say ---
+    # --- what the drones' programs ask and say (``Ground``) ---
 
     def order_of(self, name: str) -> Order:
         return self._drones[name].order
 
     def leg_of(self, name: str) -> Leg | None:
-        """The leg under way, when this drone is in it."""
         leg = self._leg
         return leg if leg is not None and name in (leg.sender, leg.receiver) else None
 
     def ask(self, name: str, battery: float, wait_s: float) -> None:
-        """To be relieved. ``wait_s``: how long it can still wait before it has to go home."""
         if name == self.holder:
             self._asking = name, battery, wait_s
 
     def holds(self, name: str) -> None:
-        """The target, from now on: it found it, or it was handed over to it."""
         leg = self.leg_of(name)
         if leg is not None:
             leg.held_s, leg.outcome = self._now_s(), Outcome.COMMITTED.label
@@ -115,7 +140,6 @@ class Base:
         self._say(name, "holds", "responsible" if leg is None else f"responsible, relieved {leg.sender}")
 
     def leg_failed(self, name: str, end: MissionEnd) -> None:
-        """For the drone that goes on with the target."""
         leg = self.leg_of(name)
         if leg is not None:
             leg.outcome, leg.detail = end.outcome.label, end.detail
@@ -124,9 +148,9 @@ class Base:
 
     # --- the loop ---
 
-    async def run(self, stop: asyncio.Event, program: DroneProgram) -> None:
+    async def run(self, ground: RelayField, stop: asyncio.Event, program: DroneProgram) -> None:
         """From the first take-off until the relay is over and everybody is down. ``program``: of every drone."""
-        self._program = program
+        self._ground, self._program, self._begun_s = ground, program, asyncio.get_running_loop().time()
         self._call(self.config.drones[0].name, Order.FIND)
         end_s = self._now_s() + 3600.0 * self.hours
         while not stop.is_set() and not self._finished():
@@ -159,13 +183,13 @@ class Base:
     def _look_after_the_ground(self) -> None:
         now_s = self._now_s()
         for name, drone in self._drones.items():
-            if drone.where == "flying" and drone.task is not None and drone.task.done() and self.ground.landed(name):
+            if drone.where == "flying" and drone.task is not None and drone.task.done() and self._ground.landed(name):
                 if self.holder == name:
                     continue  # the relay is about to end
                 drone.where, drone.ready_s = "swap", now_s + self.config.swap_s
                 self._say(name, "down", _end_of(drone.result))
             elif drone.where == "swap" and now_s >= drone.ready_s:
-                self.ground.swap(name)
+                self._ground.swap(name)
                 drone.where, drone.ready_s = "ready", now_s
                 self._say(name, "ready", "full battery")
 
@@ -178,12 +202,12 @@ class Base:
         if not ready or wait_s < self.config.least_s:
             self._alarm(name, wait_s)
             return
-        if any(not self.ground.landed(other) for other in self._drones if other != name):
+        if any(not self._ground.landed(other) for other in self._drones if other != name):
             return
         relief = ready[0][1]
         self._leg = Leg(len(self.legs) + 1, name, relief, self._now_s(), battery)
         self.legs.append(self._leg)
-        self.ground.open_leg(self._leg.number, name, relief)
+        self._ground.open_leg(self._leg.number, name, relief)
         self._say(relief, "call", f"leg {self._leg.number}: relieves {name}, whose battery is at {100 * battery:.0f} %")
         self._call(relief, Order.RELIEVE)
 
@@ -204,7 +228,7 @@ class Base:
     async def _fly(self, name: str, drone: _Drone) -> None:
         died = RoleResult(Role.RECEIVER, Outcome.CRASHED, "its program died", responsible=False, landed=False)
         try:
-            drone.result = await self.ground.begin(name, self._program) or died
+            drone.result = await self._ground.begin(name, self._program) or died
         except Exception as error:
             end = as_end(error)  # prints what nobody foresaw
             drone.result = RoleResult(Role.RECEIVER, end.outcome, end.detail, responsible=False, landed=False)
@@ -214,9 +238,8 @@ class Base:
         self.events.append(event)
         self.tell(event)
 
-    @staticmethod
-    def _now_s() -> float:
-        return asyncio.get_running_loop().time()
+    def _now_s(self) -> float:
+        return asyncio.get_running_loop().time() - self._begun_s
 
 
 def _end_of(result: RoleResult | None) -> str:

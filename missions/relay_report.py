@@ -37,7 +37,7 @@ def summarize_relay(
         "rig": rig.name,
         "seed": options.seed,
         "drones": len(config.drones),
-        "hours": options.hours,
+        "hours": base.hours,
         "faults": list(options.fault),
         "simulated_s": round(report.simulated_s, 2),
         "wall_s": round(report.wall_s, 1),

@@ -8,7 +8,6 @@ receiver's machine is let go of, so that at any instant one record says that thi
 from __future__ import annotations
 
 import asyncio
-import random
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -35,13 +34,13 @@ from flight.relay import DroneProgram, RelayConfig, RelayDrone, pair_of
 from flight.tracking import TargetTrack
 from flight.under_guard import UnderGuard
 from missions.course import close_session, conclude, run_course, run_recovery
-from missions.relay_base import Base, Leg, Order
+from missions.relay_base import Ground, Leg, Order
 from missions.relay_battery import Gauge
 from missions.relay_guidance import keep_clear, way_home
 from missions.relay_records import as_first, as_holder, as_relief, write
 from missions.relay_stages import Holder, Nobody, Relief
 from missions.rig_library import mission_of
-from missions.session import Session, as_end
+from missions.session import Session, as_end, entropy_of, guard_line_of
 from missions.steps import bring_down, may_manoeuvre
 from path.marker.warm_up import warm_up
 from path.messages import Role
@@ -73,8 +72,8 @@ class Flight:
     """
 
     def __init__(
-        self, rig: Rig, relay: RelayConfig, base: Base, name: str, log: Log, emit: Emit, stop: asyncio.Event,
-        harness: InProcess, store: RecordStore,
+        self, rig: Rig, relay: RelayConfig, base: Ground, name: str, log: Log, emit: Emit, stop: asyncio.Event,
+        harness: InProcess | None, store: RecordStore,
     ) -> None:  # fmt: skip
         self._rig, self._relay, self._base, self._name = rig, relay, base, name
         self._log, self._emit, self._stop, self._harness, self._store = log, emit, stop, harness, store
@@ -178,12 +177,11 @@ class Flight:
         own = self._alone.receiver
         sight: Sight = await stack.enter_async_context(create(own.sight, context))
         vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
-        begin = f"{self._name} {context.clock.now_ns()}"
-        self._entropy = random.Random(f"{begin} {self._harness.seed}")
+        self._entropy = entropy_of(self._name, context.clock, self._harness)
         guard: UnderGuard | None = None
         if own.guard is not None:
-            line = await stack.enter_async_context(self._harness.guard_line(Role.RECEIVER))
-            guard = UnderGuard(line, context.clock, self._mission.guard_process)
+            line = guard_line_of(own.guard, Role.RECEIVER, context.clock, self._harness)
+            guard = UnderGuard(await stack.enter_async_context(line), context.clock, self._mission.guard_process)
         return Parts(context.clock, vehicle, sight, guard)
 
     @property
@@ -286,7 +284,7 @@ class Flight:
             await asyncio.sleep(0.1)
 
 
-def program_of(rig: Rig, relay: RelayConfig, base: Base) -> DroneProgram:
+def program_of(rig: Rig, relay: RelayConfig, base: Ground) -> DroneProgram:
     """The program of every drone of a relay (``flight.relay.DroneProgram``)."""
 
     async def fly(

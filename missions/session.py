@@ -30,7 +30,7 @@ from drivers.interfaces import (
     VehicleError,
     View,
 )
-from drivers.rig import Rig, RoleRig, create, part_context
+from drivers.rig import PartSpec, Rig, RoleRig, create, part_context
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, answer
 from flight.config import MissionConfig
@@ -377,15 +377,23 @@ async def open_session(
     link: Link = await stack.enter_async_context(create(own.link, context))
     sight: Sight = await stack.enter_async_context(create(own.sight, context))
     vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
-    begin = f"{role.value} {context.clock.now_ns()}"  # a program started again does not draw the same numbers again
-    entropy = random.SystemRandom() if harness is None else random.Random(f"{begin} {harness.seed}")
+    entropy = entropy_of(role.value, context.clock, harness)
     guard: UnderGuard | None = None
     if own.guard is not None:
-        bind = str(own.guard.options.get("bind", ""))
-        line: GuardLine = UdpGuardLine(bind, context.clock) if harness is None else harness.guard_line(role)
+        line = guard_line_of(own.guard, role, context.clock, harness)
         guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
     parts = (context.clock, vehicle, sight, link)
     return Session(rig, role, config, log, emit, stop, parts, entropy, guard, Stages() if harness is None else None)
+
+
+def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Random:
+    """What a program draws by chance; in virtual time from the seed, and after a restart not the same again."""
+    return random.SystemRandom() if harness is None else random.Random(f"{name} {clock.now_ns()} {harness.seed}")
+
+
+def guard_line_of(guard: PartSpec, role: Role, clock: Clock, harness: InProcess | None) -> GuardLine:
+    """A program's way to its role's guard."""
+    return UdpGuardLine(str(guard.options.get("bind", "")), clock) if harness is None else harness.guard_line(role)
 
 
 def as_end(error: BaseException) -> MissionEnd:
