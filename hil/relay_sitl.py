@@ -7,6 +7,7 @@ switches faults and makes sure that nothing is left behind.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import signal
 import sys
@@ -50,6 +51,7 @@ BEYOND_S = 240.0  # besides its hours: the last leg, the way home, and landing
 NEWS_S = 0.05
 RECORD_POLL_S = 0.001
 STOPPED_S = 20.0
+GUARD_END_S = 5.0
 PROGRAM_END_S = 90.0  # from being told to stop until it has landed
 RECORD = b'{"event":"record"'
 
@@ -85,12 +87,13 @@ def _parse(text: str) -> Fault:
 
 @dataclass(slots=True)
 class _Drone:
-    """One drone's processes. ``told``: the news that its program knows."""
+    """One drone's processes. ``told``: the news that its program knows; ``guard_ends``: that of the flight before."""
 
     name: str
     own: RoleRig
     program: Child | None = None
     guard: Child | None = None
+    guard_ends: asyncio.Future[None] | None = None
     killed: bool = False
     restart_s: float | None = None
     told: Mapping[str, Any] | None = None
@@ -105,6 +108,7 @@ class _Relay:
         self._stop = asyncio.Event()
         self._interrupted = False
         self._landed: Mapping[str, bool] = {}
+        self._log_failure = ""
         self._children: list[Child] = []
         self._coming: set[asyncio.Task[None]] = set()
         self._drones = {
@@ -170,6 +174,8 @@ class _Relay:
         del program
         drone, processes = self._drones[name], self._request.processes
         self._tell_world({"on": name})
+        if drone.guard_ends is not None:
+            await drone.guard_ends
         if drone.own.guard is not None and drone.guard is None:
             drone.guard = await self._spawn(name, processes.guard_command(name), f"{name}.guard.stderr.txt")
             self._later(_drain(drone.guard))
@@ -183,7 +189,10 @@ class _Relay:
                 self._tell_world({"died": name, "at_ns": time.monotonic_ns()})
             if result is not None or drone.restart_s is None or self._stop.is_set():
                 break
-            await asyncio.sleep(drone.restart_s)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._stop.wait(), drone.restart_s)
+            if self._stop.is_set():
+                break
         self._tell_world({"camera_off": name})
         if result is None and not drone.killed:
             what = f"its program died. {last_words(self._out / f'{name}.stderr.txt')}"
@@ -200,7 +209,7 @@ class _Relay:
     def swap(self, name: str) -> None:
         drone = self._drones[name]
         if drone.guard is not None:
-            send_signal(drone.guard, signal.SIGTERM)
+            drone.guard_ends = asyncio.ensure_future(_end_guard(drone.guard))
             drone.guard = None
         self._tell_world({"off": name})
 
@@ -216,12 +225,15 @@ class _Relay:
         assert program.stdout is not None
         result: RoleResult | None = None
         async for line in program.stdout:
+            if not line.endswith(b"\n"):
+                continue  # it was killed in the middle of it
             if line.startswith(RECORD):
                 write(self._world, line)
                 continue
             event = decode_event(line)
             if isinstance(event, RoleResult):
                 result = event
+                self._log_failure = self._log_failure or event.log_failure
             elif isinstance(event, Progress):
                 self._request.emit(event)
                 self._legs.on_progress(drone.name, event)
@@ -329,6 +341,7 @@ class _Relay:
             simulated_s=finished.get("simulated_s", wall_s),
             wall_s=wall_s,
             interrupted=self._interrupted,
+            log_failure=self._log_failure,
             failure=failure or (f"not landed at the end: {', '.join(aloft)}" if aloft else ""),
         )
 
@@ -342,6 +355,17 @@ async def _go_on(process: Child, after_s: float | None) -> None:
 async def _kill_after(process: Child, seconds: float) -> None:
     await asyncio.sleep(seconds)
     send_signal(process, signal.SIGKILL)
+
+
+async def _end_guard(process: Child) -> None:
+    """The next one listens where it did."""
+    send_signal(process, signal.SIGTERM)
+    try:
+        async with asyncio.timeout(GUARD_END_S):
+            await process.wait()
+    except TimeoutError:
+        send_signal(process, signal.SIGKILL)
+        await process.wait()
 
 
 async def _drain(process: Child) -> None:

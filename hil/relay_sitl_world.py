@@ -171,10 +171,13 @@ class RelaySitlWorld:
             stack.push_async_callback(self._close)
             live.start_s = time.monotonic()
             asyncio.get_running_loop().add_reader(sys.stdin.fileno(), self._on_input)
-            obeying = asyncio.create_task(self._obey_in_order())
-            stack.callback(obeying.cancel)
             say({"event": "ready"})
-            await at_pace(live.now_s, self._step)
+            tasks = asyncio.ensure_future(at_pace(live.now_s, self._step)), asyncio.ensure_future(self._obey_in_order())
+            for task in tasks:
+                stack.callback(task.cancel)
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()  # an order that cannot be carried out ends the world
             say(self._findings())
 
     # --- stepping ---

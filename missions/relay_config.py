@@ -13,7 +13,9 @@ from flight.relay import RelayConfig
 def relay_of(rig: Rig, drones: int) -> RelayConfig:
     """The rig's relay with its first ``drones`` drones. Raises PartError."""
     if not rig.relay:
-        raise PartError(f"rig {rig.name} has no [relay]", "use --rig relay-sim, or a rig like it (docs/relay.md)")
+        raise PartError(
+            f"rig {rig.name} has no [relay]", "use --rig relay-sim, relay-sitl, or a rig like them (docs/relay.md)"
+        )
     config = decode_table(rig.relay, RelayConfig, rig.where("[relay]"), rig.file.parent)
     if not 2 <= drones <= len(config.drones):
         there = f"rig {rig.name} names {len(config.drones)}"

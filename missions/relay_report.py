@@ -98,7 +98,7 @@ def _rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
     violated = ", ".join(f"{name} {count}" for name, count in s["violations"].items())
     speed = f"{s['simulated_s'] / s['wall_s']:.0f} x real time ({s['wall_s']:.0f} s)" if s["wall_s"] > 0.0 else "-"
     return [
-        ("simulated", f"{s['simulated_s'] / 3600.0:.2f} h"),
+        ("simulated", _lasted(s["simulated_s"])),
         ("legs", f"{s['legs']}: {ended}"),
         ("from the call to holding", _shown(s["leg_s"], 1)),
         ("nobody responsible", f"{_shown(s['gap_s'], 4)} (bound {s['gap_bound_s']:.2f} s)"),
@@ -108,6 +108,10 @@ def _rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("monitors", violated or "no violation"),
         ("speed", speed),
     ]
+
+
+def _lasted(seconds: float) -> str:
+    return f"{seconds / 3600.0:.2f} h" if seconds >= 3600.0 else f"{seconds / 60.0:.1f} min"
 
 
 def _shown(each: Mapping[str, float] | None, digits: int) -> str:

@@ -42,9 +42,14 @@ class Line:
             hear(self.base, "D2", json.loads(self.words.pop(0)))
 
 
+def twelve(base: Base) -> float:
+    del base
+    return 12.0
+
+
 @pytest.fixture
 def line(monkeypatch: pytest.MonkeyPatch) -> Line:
-    monkeypatch.setattr(Base, "_now_s", lambda _: 12.0)  # there is no loop here
+    monkeypatch.setattr(Base, "_now_s", twelve)  # there is no loop here
     return Line()
 
 
