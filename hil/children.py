@@ -15,6 +15,7 @@ from hil.shared_camera import RUN_VARIABLE
 
 Child = asyncio.subprocess.Process
 END_S = 5.0
+STOPPED_S = 20.0
 WORLD_READY_S = 180.0  # the first start compiles the renderer
 FINDINGS_S = 10.0
 
@@ -117,6 +118,35 @@ async def end(processes: Sequence[Child]) -> None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         await process.wait()
+
+
+async def go_on(process: Child, after_s: float | None) -> None:
+    """What was stopped goes on; what was not to, is ended when its vehicle is long down: the relay must go on."""
+    await asyncio.sleep(STOPPED_S if after_s is None else after_s)
+    send_signal(process, signal.SIGKILL if after_s is None else signal.SIGCONT)
+
+
+async def kill_after(process: Child, seconds: float) -> None:
+    await asyncio.sleep(seconds)
+    send_signal(process, signal.SIGKILL)
+
+
+async def end_gently(process: Child) -> None:
+    """Told to end, and ended when it does not."""
+    send_signal(process, signal.SIGTERM)
+    try:
+        async with asyncio.timeout(END_S):
+            await process.wait()
+    except TimeoutError:
+        send_signal(process, signal.SIGKILL)
+        await process.wait()
+
+
+async def drain(process: Child) -> None:
+    """What nobody reads must not fill its pipe."""
+    assert process.stdout is not None
+    async for _ in process.stdout:
+        pass
 
 
 def duty_of(state_file: Path) -> str:

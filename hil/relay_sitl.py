@@ -29,9 +29,13 @@ from flight.relay import DroneProgram, Flown, RelayConfig, RelayReport, RelayReq
 from hil.children import (
     Child,
     HarnessFailure,
+    drain,
     duty_of,
     end,
+    end_gently,
     finish_world,
+    go_on,
+    kill_after,
     last_words,
     read_world,
     run_name,
@@ -43,15 +47,13 @@ from hil.children import (
 from hil.faults import Fault, FaultError, parse_fault
 from hil.preparation import starting
 from hil.relay_faults import LegFaults
-from hil.relay_sitl_world import run_of
+from hil.relay_live import run_of
 from path.messages import Role
 
 LANDING_LIMIT_S = 60.0
 BEYOND_S = 240.0  # besides its hours: the last leg, the way home, and landing
 NEWS_S = 0.05
 RECORD_POLL_S = 0.001
-STOPPED_S = 20.0
-GUARD_END_S = 5.0
 PROGRAM_END_S = 90.0  # from being told to stop until it has landed
 RECORD = b'{"event":"record"'
 
@@ -178,7 +180,7 @@ class _Relay:
             await drone.guard_ends
         if drone.own.guard is not None and drone.guard is None:
             drone.guard = await self._spawn(name, processes.guard_command(name), f"{name}.guard.stderr.txt")
-            self._later(_drain(drone.guard))
+            self._later(drain(drone.guard))
         while True:
             drone.killed, drone.told, drone.restart_s = False, None, None
             drone.program = await self._spawn(name, processes.command(name), f"{name}.stderr.txt")
@@ -209,7 +211,7 @@ class _Relay:
     def swap(self, name: str) -> None:
         drone = self._drones[name]
         if drone.guard is not None:
-            drone.guard_ends = asyncio.ensure_future(_end_guard(drone.guard))
+            drone.guard_ends = asyncio.ensure_future(end_gently(drone.guard))
             drone.guard = None
         self._tell_world({"off": name})
 
@@ -292,7 +294,7 @@ class _Relay:
             drone.restart_s = None
             if drone.program is not None:
                 send_signal(drone.program, signal.SIGTERM)
-                self._later(_kill_after(drone.program, PROGRAM_END_S))
+                self._later(kill_after(drone.program, PROGRAM_END_S))
 
     def _later(self, what: Any) -> None:
         task = asyncio.ensure_future(what)
@@ -319,7 +321,7 @@ class _Relay:
                 program.kill()
             elif fault.stops is not None:
                 send_signal(program, signal.SIGSTOP)
-                self._later(_go_on(program, fault.value))
+                self._later(go_on(program, fault.value))
         if fault.name == "guard_death" and drone.guard is not None:
             send_signal(drone.guard, signal.SIGKILL)
 
@@ -344,32 +346,3 @@ class _Relay:
             log_failure=self._log_failure,
             failure=failure or (f"not landed at the end: {', '.join(aloft)}" if aloft else ""),
         )
-
-
-async def _go_on(process: Child, after_s: float | None) -> None:
-    """What was stopped goes on; what was not to, is ended when its vehicle is long down: the relay must go on."""
-    await asyncio.sleep(STOPPED_S if after_s is None else after_s)
-    send_signal(process, signal.SIGKILL if after_s is None else signal.SIGCONT)
-
-
-async def _kill_after(process: Child, seconds: float) -> None:
-    await asyncio.sleep(seconds)
-    send_signal(process, signal.SIGKILL)
-
-
-async def _end_guard(process: Child) -> None:
-    """The next one listens where it did."""
-    send_signal(process, signal.SIGTERM)
-    try:
-        async with asyncio.timeout(GUARD_END_S):
-            await process.wait()
-    except TimeoutError:
-        send_signal(process, signal.SIGKILL)
-        await process.wait()
-
-
-async def _drain(process: Child) -> None:
-    """What nobody reads must not fill its pipe."""
-    assert process.stdout is not None
-    async for _ in process.stdout:
-        pass

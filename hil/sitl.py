@@ -26,6 +26,7 @@ from hil.children import (
     duty_of,
     end,
     finish_world,
+    go_on,
     last_words,
     read_world,
     send_signal,
@@ -44,7 +45,6 @@ RUN_LIMIT_S = 360.0  # besides what the mission allows for verifying and followi
 LANDING_LIMIT_S = 45.0
 ROLE_EXIT_S = 60.0
 RECORD_POLL_S = 0.001
-STOPPED_S = 20.0
 
 StartRole = Callable[[Role], Awaitable[Child]]
 StartAttack = Callable[[float], Awaitable[Child]]
@@ -194,12 +194,7 @@ class _Crew:
             send_signal(self.guards[Role.SENDER], signal.SIGKILL)
         await tell(self.world, {"fault": fault.name, "value": fault.value or 0.0, "at_ns": at_ns})
         if fault.stops is not None:
-            await self._go_on(self.roles[fault.stops], fault.value)
-
-    async def _go_on(self, process: Child, after_s: float | None) -> None:
-        """What was stopped goes on; what was not to, is ended when its vehicle is long down: the run must end too."""
-        await asyncio.sleep(STOPPED_S if after_s is None else after_s)
-        send_signal(process, signal.SIGKILL if after_s is None else signal.SIGCONT)
+            await go_on(self.roles[fault.stops], fault.value)
 
     async def started_again(self, role: Role) -> bool:
         """Once its program has ended: whether another one was started, as the fault that killed it wants."""

@@ -12,8 +12,9 @@ from drivers.tables import RigError
 from flight.harness import Progress
 from hil.faults import Fault, parse_fault
 from hil.relay_faults import LegFaults
+from hil.relay_live import Hindsight
 from hil.relay_sitl import RECORD, check_drones
-from hil.relay_sitl_world import Hindsight, drones_of
+from hil.relay_sitl_world import drones_of
 from missions import rig_library
 from path.messages import Role
 

@@ -208,7 +208,7 @@ def test_a_program_that_stalls_goes_on_afterwards(stage: Stage) -> None:
 
 
 def test_a_program_that_is_stopped_for_good_is_ended_at_last(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sitl, "STOPPED_S", 0.2)
+    monkeypatch.setattr(children, "STOPPED_S", 0.2)
     programs = {
         Role.SENDER: saying(progress(Role.SENDER, AT_COUNT), then="import time; time.sleep(600)"),
         Role.RECEIVER: saying(result(Role.RECEIVER)),
