@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,10 +13,12 @@ import pytest
 from drivers.rig import Rig
 from drivers.tables import RigError
 from flight.harness import Progress
+from flight.relay import DroneProcesses, RelayRequest
+from hil.children import end, spawn
 from hil.faults import Fault, parse_fault
 from hil.relay_faults import LegFaults
 from hil.relay_live import Hindsight
-from hil.relay_sitl import RECORD, check_drones
+from hil.relay_sitl import RECORD, _Relay, check_drones
 from hil.relay_sitl_world import drones_of
 from missions import rig_library
 from path.messages import Role
@@ -97,6 +102,46 @@ def test_the_faults_of_a_leg_are_its_own_and_follow_its_roles() -> None:
     says("D3", Role.RECEIVER, "approach")
     assert begun[2:] == [(2, "kill_sender"), (2, "kill_receiver")]
     assert (legs.end_of(2, Role.RECEIVER), legs.end_of(1, Role.RECEIVER)) == ("D3", "D2")
+
+
+WRITES_DOWN = """
+import sys
+with open({file!r}, "w") as file:
+    file.writelines(sys.stdin)
+"""
+DIES_IN_THE_MIDDLE = """
+import os, signal
+print({record!r})
+print('{{"event": "ask", "battery": 0.5, "wait_s": 9.0}}')
+print({half!r}, end="", flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_program_did_not_finish_saying_is_not_passed_on(rig: Rig, tmp_path: Path) -> None:
+    record = '{"event":"record","record":["D1","/phase",1,{"phase":"follow"}]}'
+    said: list[Any] = []
+    nothing: Any = None
+
+    def heard(name: str, word: Any) -> None:
+        said.append((name, word["event"]))
+
+    processes = DroneProcesses(nothing, nothing, nothing, heard)
+    request = RelayRequest(rig, drones_of(rig, 3), tmp_path, 1, {}, nothing, nothing, processes)
+
+    async def main() -> object:
+        relay = _Relay(request, {})
+        python = [sys.executable, "-I", "-S", "-c"]
+        relay._world = await spawn([*python, WRITES_DOWN.format(file=str(tmp_path / "told"))], tmp_path / "world.txt")
+        dies = DIES_IN_THE_MIDDLE.format(record=record, half=record[:40])
+        program = await spawn([*python, dies], tmp_path / "D1.txt")
+        result = await relay._listen(relay._drones["D1"], program)
+        await end([relay._world, program])
+        return result
+
+    assert asyncio.run(main()) is None
+    assert (tmp_path / "told").read_text() == record + "\n"
+    assert said == [("D1", "ask")]
 
 
 def test_the_parent_knows_a_record_from_other_lines(capsys: pytest.CaptureFixture[str]) -> None:
