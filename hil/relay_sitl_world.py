@@ -57,7 +57,7 @@ VEHICLES_STEPS = 200
 
 @dataclass(slots=True)
 class _Drone:
-    """What the world has of one drone. ``open``: its vehicle and camera, while it is switched on."""
+    """What the world has of one drone: its vehicle while it is switched on, its camera while a program may look."""
 
     own: RoleRig
     pair: Rig
