@@ -18,6 +18,7 @@ Pixel = tuple[float, float]
 
 MIN_SCORE = 0.3
 _MEASUREMENT_SIGMA_M = 0.05
+_ACCELERATION_SIGMA_MPS2 = 0.6
 _GATE_FLOOR_M = 0.10  # a box's noise, and an attitude a degree off
 _GATE_MOST_M = 0.45  # a track that knows no better does not know which object it would find
 _GATE_LEAST_M = 0.05
@@ -47,7 +48,7 @@ class TargetTrack:
     ``accel_mps2``: how hard it may be expected to speed up, brake and turn.
     """
 
-    def __init__(self, position_n_m: Vec3, stamp_ns: int, accel_mps2: float = 0.6) -> None:
+    def __init__(self, position_n_m: Vec3, stamp_ns: int, accel_mps2: float = _ACCELERATION_SIGMA_MPS2) -> None:
         self.position_n_m = position_n_m
         self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
         self.stamp_ns = stamp_ns

@@ -15,6 +15,8 @@ import numpy as np
 from flight.tracking import (
     _ACCELERATION_SIGMA_MPS2,
     _AMBIGUITY,
+    _DEPTH_FLOOR_M,
+    _DEPTH_SIGMAS,
     _GATE_FLOOR_M,
     _GATE_LEAST_M,
     _GATE_MOST_M,
@@ -283,8 +285,11 @@ def sender_sees(first, last, eyes, flown, depths, holes, times, lost_s, R_n_c, t
             key,
         )
         ray_x, ray_y = _ray(lens, box[0] + 0.5 * box[2], box[1] + 0.5 * box[3])
-        if depth > 0.0:
-            out[Z] = depth = depth * depths.scale
+        depth *= depths.scale
+        if depth > 0.0 and (
+            not follower[BEGUN] or _shows(depth, out[SIGMA], ray_x, ray_y, R_n_c[k], t_n_c[k], point, sigma)
+        ):
+            out[Z] = depth
         else:  # it is taken to be as high as it was
             falling = R_n_c[k, 2, 0] * ray_x + R_n_c[k, 2, 1] * ray_y + R_n_c[k, 2, 2]
             if falling < _MIN_DESCENT:
@@ -296,6 +301,16 @@ def sender_sees(first, last, eyes, flown, depths, holes, times, lost_s, R_n_c, t
         if follower[BEGUN] == 0.0:  # its own errors are in what it has followed
             follower[BEGUN], follower[POSITION : POSITION + 3] = 1.0, measured
         _updated(follower, measured, times[k])
+
+
+@kernel
+def _shows(depth, depth_sigma, ray_x, ray_y, R_n_c, t_n_c, point, sigma):
+    """Whether a depth on a ray puts the object where it can be."""
+    off2 = 0.0
+    for i in range(3):
+        along = R_n_c[i, 0] * ray_x + R_n_c[i, 1] * ray_y + R_n_c[i, 2]
+        off2 += (t_n_c[i] + depth * along - point[i]) ** 2
+    return math.sqrt(off2) <= _DEPTH_FLOOR_M + _DEPTH_SIGMAS * math.hypot(sigma, depth_sigma)
 
 
 @kernel

@@ -49,9 +49,12 @@ class FlightWatch:
         """Longest time between setpoints in any session so far."""
         return max((session.max_gap_s for session in self.offboard_sessions), default=0.0)
 
+    def mode_of(self, custom_mode: int) -> FlightMode:
+        return self._kind.mode(custom_mode)
+
     def on_heartbeat(self, now_s: float, custom_mode: int, base_mode: int) -> None:
         self.armed = bool(base_mode & SAFETY_ARMED)
-        self.mode = self._kind.mode(custom_mode)
+        self.mode = self.mode_of(custom_mode)
         if self.mode is not FlightMode.OFFBOARD:
             self._leaving = False
         if self.mode is not FlightMode.OFFBOARD or not self.armed:

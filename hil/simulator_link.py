@@ -12,8 +12,9 @@ import contextlib
 import math
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
+from drivers.interfaces import FlightMode
 from drivers.mavsdk_geodesy import LocalTangent
 from drivers.mavsdk_modes import CUSTOM_MODE_ENABLED, KINDS
 from hil.arrival import Address
@@ -25,7 +26,7 @@ from path.messages import Vec3
 
 OWN_SYSID, OWN_COMPONENT = 250, 191
 AUTOPILOT = 1
-TRUTH_HZ, SLOW_HZ = 100.0, 2.0
+TRUTH_HZ, SLOW_HZ, MODE_HZ = 100.0, 2.0, 20.0
 ASK_AGAIN_S = 1.0
 PREARM_CHECK = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 
@@ -65,6 +66,7 @@ class SimulatorLink:
         self.wire = open_wire(port)
         self.watch = FlightWatch(next(known for known in KINDS if known.name == kind))
         self.epoch_s = 0.0  # of the world's clock, for ``watch``
+        self.mode: FlightMode | None = None  # sooner than by heartbeats, where it tells: PX4 beats once a second
         self._mav: Any = mavlink.MAVLink(None, srcSystem=OWN_SYSID, srcComponent=OWN_COMPONENT)
         self._asked_s = -math.inf
         self._heard: dict[int, float] = {}
@@ -112,6 +114,8 @@ class SimulatorLink:
         for message in TRUTH[self._kind]:
             if now_s - self._heard.get(message, -math.inf) > ASK_AGAIN_S or self._slow(message):
                 self._want(message, TRUTH_HZ)
+        if self._kind == "px4" and self._heard.get(mavlink.MAVLINK_MSG_ID_CURRENT_MODE) is None:
+            self._want(mavlink.MAVLINK_MSG_ID_CURRENT_MODE, MODE_HZ)
         for message in self._readiness:
             if now_s - self._heard.get(message, -math.inf) > 2.0 * ASK_AGAIN_S:
                 self._want(message, SLOW_HZ)
@@ -165,6 +169,8 @@ class SimulatorLink:
                 self.follower.on_fix(Fix(time_s, (north, east, math.nan)))
             case "HEARTBEAT" if message.get_srcComponent() == AUTOPILOT:
                 self.watch.on_heartbeat(time_s - self.epoch_s, message.custom_mode, message.base_mode)
+            case "CURRENT_MODE":
+                self.mode = self.watch.mode_of(message.custom_mode)
             case "SYS_STATUS":
                 self.armable = bool(message.onboard_control_sensors_health & PREARM_CHECK)
                 if message.battery_remaining >= 0:
