@@ -121,7 +121,7 @@ async def end(processes: Sequence[Child]) -> None:
 
 
 async def go_on(process: Child, after_s: float | None) -> None:
-    """What was stopped goes on; what was not to, is ended when its vehicle is long down: the relay must go on."""
+    """What was stopped goes on; what was not to, is ended when its vehicle is long down: the run must go on."""
     await asyncio.sleep(STOPPED_S if after_s is None else after_s)
     send_signal(process, signal.SIGKILL if after_s is None else signal.SIGCONT)
 
