@@ -24,6 +24,13 @@ def stop_on_signals(stop: Callable[[], None]) -> None:
             loop.add_signal_handler(number, stop)
 
 
+def leave_signals() -> None:
+    """Take back what ``stop_on_signals`` did to the running loop."""
+    loop = asyncio.get_running_loop()
+    for number in stop_signals():
+        loop.remove_signal_handler(number)
+
+
 def stop_at_end_of_input(stop: Callable[[], None]) -> None:
     """Have the running loop call ``stop`` once stdin is closed: the parent of this program is gone."""
     loop, standard_input = asyncio.get_running_loop(), sys.stdin.fileno()

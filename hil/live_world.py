@@ -15,7 +15,9 @@ from drivers.mavsdk_geodesy import LocalTangent
 from drivers.realsense import RealSenseConfig
 from drivers.rig import PartSpec, Rig, RoleRig, decode_part
 from drivers.tables import RigError
+from drivers.udp_link import address_of
 from hil.d415 import T_COLOR_DEPTH, depth_camera
+from hil.faulty_link import ProxySide
 from hil.mavlink_messages import Drone
 from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.render.depth import DepthRenderer
@@ -142,6 +144,12 @@ def _listener(url: str) -> tuple[str, int]:
     """Where a MAVLink URL listens."""
     parts = urlsplit(url)
     return parts.hostname or "127.0.0.1", parts.port or 0
+
+
+def proxy_side(own: RoleRig) -> ProxySide:
+    """The fault proxy listens where a drone's link believes the other one to be."""
+    end = own.link.options
+    return ProxySide(address_of(end["peer"], "peer"), address_of(end["bind"], "bind"))
 
 
 async def at_pace(now_s: Callable[[], float], step: Callable[[int], bool]) -> None:

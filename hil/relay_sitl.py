@@ -21,7 +21,7 @@ import msgspec
 
 from drivers.rig import Rig, RoleRig
 from drivers.rig_check import check_rig
-from drivers.stop_signals import stop_on_signals, stop_signals
+from drivers.stop_signals import leave_signals, stop_on_signals
 from drivers.tables import RigError
 from flight.harness import Progress, RoleResult, decode_event
 from flight.outcome import Outcome
@@ -165,9 +165,7 @@ class _Relay:
             for task in (watcher, news, records, main):
                 task.cancel()
             await asyncio.gather(watcher, news, records, main, return_exceptions=True)
-            loop = asyncio.get_running_loop()
-            for number in stop_signals():
-                loop.remove_signal_handler(number)
+            leave_signals()
 
     # --- the field ---
 

@@ -28,9 +28,8 @@ from drivers.json_lines import JsonLines
 from drivers.rig import Rig, RoleRig
 from drivers.rig_file import load_rig
 from drivers.tables import decode_table
-from drivers.udp_link import address_of
 from flight.relay import RelayConfig, pair_of
-from hil.faulty_link import LinkFaults, ProxySide, UdpFaultProxy
+from hil.faulty_link import LinkFaults, UdpFaultProxy
 from hil.inject import inject_in_world, inject_on_link
 from hil.live_world import (
     CameraThread,
@@ -38,6 +37,7 @@ from hil.live_world import (
     at_pace,
     camera_config,
     embedded_vehicle,
+    proxy_side,
     running,
     say,
     shared_camera,
@@ -215,7 +215,7 @@ class RelaySitlWorld:
         """A link of their own; it takes the place of any that either had."""
         for proxy in self._proxies.values():
             await proxy.__aexit__(None, None, None)
-        sides = [_side(self._drones[name].own) for name in (sender, receiver)]
+        sides = [proxy_side(self._drones[name].own) for name in (sender, receiver)]
         self._proxies = {number: UdpFaultProxy(sides[0], sides[1], self._seed * 4096 + number, LinkFaults())}
         await self._proxies[number].__aenter__()
         live = self._live
@@ -266,12 +266,6 @@ class RelaySitlWorld:
             "simulated_s": now_s,
             "aloft": aloft,
         }
-
-
-def _side(own: RoleRig) -> ProxySide:
-    """The proxy listens where a drone's link believes the other one to be."""
-    end = own.link.options
-    return ProxySide(address_of(end["peer"], "peer"), address_of(end["bind"], "bind"))
 
 
 def drones_of(rig: Rig, number: int) -> RelayConfig:

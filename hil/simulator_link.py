@@ -114,7 +114,7 @@ class SimulatorLink:
         for message in TRUTH[self._kind]:
             if now_s - self._heard.get(message, -math.inf) > ASK_AGAIN_S or self._slow(message):
                 self._want(message, TRUTH_HZ)
-        if self._kind == "px4" and self._heard.get(mavlink.MAVLINK_MSG_ID_CURRENT_MODE) is None:
+        if self._kind == "px4" and mavlink.MAVLINK_MSG_ID_CURRENT_MODE not in self._heard:
             self._want(mavlink.MAVLINK_MSG_ID_CURRENT_MODE, MODE_HZ)
         for message in self._readiness:
             if now_s - self._heard.get(message, -math.inf) > 2.0 * ASK_AGAIN_S:

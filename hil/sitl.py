@@ -16,7 +16,7 @@ from typing import Any
 
 from drivers.log import LogRecord, parts, read_log
 from drivers.rig import Rig
-from drivers.stop_signals import stop_on_signals, stop_signals
+from drivers.stop_signals import leave_signals, stop_on_signals
 from drivers.tables import decode_table
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, decode_event
 from hil.autopilot_process import binary_of
@@ -220,7 +220,6 @@ class _Crew:
 
 async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
     """Until both role programs have ended: pass on their events, switch faults, stop them when told to."""
-    loop = asyncio.get_running_loop()
 
     def stop() -> None:
         run.interrupted = True
@@ -276,8 +275,7 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
             tasks.cancel()
         await asyncio.gather(beside, listeners, return_exceptions=True)
         await crew.close()
-        for number in stop_signals():
-            loop.remove_signal_handler(number)
+        leave_signals()
 
 
 def _died(out: Path, role: Role) -> str:

@@ -26,15 +26,24 @@ from drivers.log import McapLog
 from drivers.rig import Rig
 from drivers.rig_file import load_rig
 from drivers.tables import decode_table
-from drivers.udp_link import address_of
 from hil.air import Air
 from hil.autopilot_process import SimulatorBroken
 from hil.beacon_pty import open_beacons, open_hedges
 from hil.faults import FAULTS
-from hil.faulty_link import ProxySide, UdpFaultProxy
+from hil.faulty_link import UdpFaultProxy
 from hil.followed_world import FollowedWorld, SimulatedVehicle, start_simulators
 from hil.inject import inject_in_world, inject_on_link
-from hil.live_world import CameraThread, Picture, at_pace, camera_config, embedded_vehicle, running, say, shared_camera
+from hil.live_world import (
+    CameraThread,
+    Picture,
+    at_pace,
+    camera_config,
+    embedded_vehicle,
+    proxy_side,
+    running,
+    say,
+    shared_camera,
+)
 from hil.mavlink_vehicle import MavlinkVehicle
 from hil.monitors import Monitors
 from hil.preparation import prepare
@@ -50,7 +59,6 @@ from hil.world import World, WorldConfig
 from path.messages import Role
 
 TRUTH_STEPS = 4
-FINISH_POLL_S = 0.1
 
 
 @dataclass(slots=True)
@@ -110,7 +118,9 @@ class SitlWorld:
         gc.freeze()  # what is loaded by now stays: a full collection would stop the world for 0.1 s
         async with AsyncExitStack() as stack:
             log = stack.enter_context(McapLog(self._out / "world.mcap"))
-            self._proxy = await stack.enter_async_context(UdpFaultProxy(*proxy_sides(rig), self._seed))
+            self._proxy = await stack.enter_async_context(
+                UdpFaultProxy(proxy_side(rig.sender), proxy_side(rig.receiver), self._seed)
+            )
             if self._config.sender_simulator is None:
                 for role in Role:
                     self._vehicles[role] = self._vehicle(role)
@@ -240,13 +250,6 @@ class SitlWorld:
             "details": monitors.details,
             "frames": {r.value: {"rendered": c.rendered, "left_out": c.left_out} for r, c in self._cameras.items()},
         }
-
-
-def proxy_sides(rig: Rig) -> tuple[ProxySide, ProxySide]:
-    """The proxy listens where each role's link believes the other drone to be."""
-    ends = [rig.role(role).link.options for role in (Role.SENDER, Role.RECEIVER)]
-    sender, receiver = (ProxySide(address_of(end["peer"], "peer"), address_of(end["bind"], "bind")) for end in ends)
-    return sender, receiver
 
 
 def main() -> None:

@@ -66,9 +66,9 @@ def _flown(request: TrialRequest, asked: Sequence[Asked]) -> list[Flown]:
 def _findings(flown: Sequence[Flown], minimum_m: float) -> tuple[Finding, ...]:
     count = len(flown)
     arrived, committed = sum(one.arrived for one in flown), sum(one.committed for one in flown)
-    together = [one for one in flown if one.separation_m is not None]
-    inside = sum(one.ellipsoid is not None and one.ellipsoid < 1.0 for one in together)
-    nearest_m, of_seed = min(((one.separation_m or 0.0, one.seed) for one in together), default=(math.inf, 0))
+    inside = sum(one.ellipsoid is not None and one.ellipsoid < 1.0 for one in flown)
+    near = [(one.separation_m, one.seed) for one in flown if one.separation_m is not None]
+    nearest_m, of_seed = min(near, default=(math.inf, 0))
     violated = sum(bool(one.violations) for one in flown)
     washed = [one.downwash_s for one in flown if one.downwash_s > 0.0]
     return (

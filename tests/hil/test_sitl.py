@@ -22,7 +22,7 @@ from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, en
 from flight.outcome import Outcome
 from hil import children, sitl
 from hil.faults import AT_COUNT, FaultTrigger, parse_fault
-from hil.sitl_world import proxy_sides
+from hil.live_world import proxy_side
 from missions import rig_library
 from path.messages import Role
 from path.protocol.values import Handoff, ReceiverRecord
@@ -370,13 +370,13 @@ def test_a_world_without_findings_is_a_failure(stage: Stage) -> None:
 
 
 def test_the_proxy_is_where_each_link_believes_the_other_drone_to_be(rig: Any) -> None:
-    for role, side in zip((Role.SENDER, Role.RECEIVER), proxy_sides(rig), strict=True):
-        link = rig.role(role).link.options
+    for role in (Role.SENDER, Role.RECEIVER):
+        side, link = proxy_side(rig.role(role)), rig.role(role).link.options
         assert side.listen == address_of(link["peer"], "peer")
         assert side.end == address_of(link["bind"], "bind")
 
 
 def test_no_two_ends_of_a_run_share_a_port(rig: Any) -> None:
-    sides = proxy_sides(rig)
+    sides = [proxy_side(rig.role(role)) for role in Role]
     ends = [end for side in sides for end in (side.listen, side.end)]
     assert len(set(ends)) == 4

@@ -6,7 +6,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -15,34 +14,11 @@ from drivers.rig_file import find_rig, read_rig
 from drivers.toml_text import toml_text
 from hil.shared_camera import folder
 from missions.rig_list import FOLDER
+from tests.run_processes import processes_of, wait_for_line
 
 START_LIMIT_S = 240.0  # kernels may have to be compiled
 LEG_LIMIT_S = 90.0
 LANDING_LIMIT_S = 60.0
-
-
-def processes_of(name: str) -> list[str]:
-    """Command lines of processes that name a folder."""
-    found = []
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-        except OSError:
-            continue
-        if name in command:
-            found.append(command)
-    return found
-
-
-def wait_for(process: subprocess.Popen[str], wanted: str, seen: list[str], within_s: float) -> None:
-    assert process.stdout is not None
-    end_s = time.monotonic() + within_s
-    for line in process.stdout:
-        seen.append(line)
-        if wanted in line:
-            return
-        assert time.monotonic() < end_s, "".join(seen)
-    pytest.fail(f"ended before {wanted!r}:\n{''.join(seen)}")
 
 
 def hasty_rig(at: Path) -> Path:
@@ -64,8 +40,8 @@ def test_a_relief_takes_over_and_ctrl_c_lands_everybody_and_leaves_nothing(tmp_p
     command += ["--drones", "2", "--out", str(out), "--no-picture"]
     seen: list[str] = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
-        wait_for(process, "D1   holds", seen, START_LIMIT_S)
-        wait_for(process, "D2   holds", seen, LEG_LIMIT_S)
+        wait_for_line(process, "D1   holds", seen, START_LIMIT_S)
+        wait_for_line(process, "D2   holds", seen, LEG_LIMIT_S)
         assert len(processes_of(str(tmp_path))) >= 6  # this command, the world, two programs, two guards
         process.send_signal(signal.SIGINT)
         assert process.stdout is not None

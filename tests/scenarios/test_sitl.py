@@ -6,39 +6,15 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from hil.shared_camera import folder
+from tests.run_processes import processes_of, wait_for_line
 
 START_LIMIT_S = 240.0  # kernels may have to be compiled
 LANDING_LIMIT_S = 40.0
-
-
-def children_of(name: str) -> list[str]:
-    """Command lines of processes that name a run's folder."""
-    found = []
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-        except OSError:
-            continue
-        if name in command:
-            found.append(command)
-    return found
-
-
-def wait_for_line(process: subprocess.Popen[str], wanted: str, seen: list[str]) -> None:
-    assert process.stdout is not None
-    end_s = time.monotonic() + START_LIMIT_S
-    for line in process.stdout:
-        seen.append(line)
-        if wanted in line:
-            return
-        assert time.monotonic() < end_s, "".join(seen)
-    pytest.fail(f"ended before {wanted!r}:\n{''.join(seen)}")
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for left-over processes in /proc")
@@ -57,8 +33,8 @@ def test_a_terminal_that_goes_away_lands_both_and_leaves_nothing_behind(tmp_path
     ]
     seen: list[str] = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
-        wait_for_line(process, "stand-off", seen)
-        assert len(children_of(str(out))) >= 4  # this command, the world, both roles
+        wait_for_line(process, "stand-off", seen, START_LIMIT_S)
+        assert len(processes_of(str(out))) >= 4  # this command, the world, both roles
         process.send_signal(signal.SIGHUP)
         assert process.stdout is not None
         seen += process.stdout.readlines()
@@ -68,7 +44,7 @@ def test_a_terminal_that_goes_away_lands_both_and_leaves_nothing_behind(tmp_path
     facts = json.loads((out / "run.json").read_text())
     assert facts["outcome"] == "interrupted"
     assert facts["violations"] == {}
-    assert children_of(str(out)) == []
+    assert processes_of(str(out)) == []
     assert list(folder().glob(f"*run-{process.pid}-*")) == []
     summary = json.loads((out / "summary.json").read_text())
     assert summary["outcome"] == "interrupted"

@@ -1,0 +1,34 @@
+"""The processes of a run, as a test that started it sees them from outside."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+
+def processes_of(name: str) -> list[str]:
+    """Command lines of processes that name a folder."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        except OSError:
+            continue
+        if name in command:
+            found.append(command)
+    return found
+
+
+def wait_for_line(process: subprocess.Popen[str], wanted: str, seen: list[str], within_s: float) -> None:
+    """Read what it says, into ``seen``, up to a line with ``wanted`` in it."""
+    assert process.stdout is not None
+    end_s = time.monotonic() + within_s
+    for line in process.stdout:
+        seen.append(line)
+        if wanted in line:
+            return
+        assert time.monotonic() < end_s, "".join(seen)
+    pytest.fail(f"ended before {wanted!r}:\n{''.join(seen)}")
