@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega
+from pymavlink.dialects.v20 import all as every_dialect
 
+from drivers.interfaces import FlightMode
 from drivers.mavsdk_geodesy import LocalTangent
 from drivers.rig import Rig
 from drivers.tables import decode_table
@@ -28,7 +29,7 @@ from hil.world import WorldConfig
 from missions import rig_library
 from path.messages import Role
 
-mavlink: Any = ardupilotmega
+mavlink: Any = every_dialect
 SYSID = 5
 TANGENT = LocalTangent(47.4, 8.5, 480.0)
 TRUE = (3.0, -2.0, -1.5)  # where it is, NED
@@ -137,6 +138,28 @@ def test_it_asks_for_what_does_not_come_and_never_beats(simulator: Simulator) ->
     }
     simulator.link.ask(time.monotonic())
     assert simulator.heard() == []  # not again at once
+
+
+def current_mode(main: int, sub: int) -> Any:
+    """CURRENT_MODE as PX4 tells it."""
+    return mavlink.MAVLink_current_mode_message(0, main << 16 | sub << 24, 0)
+
+
+@pytest.mark.parametrize("simulator", ["px4"], indirect=True)
+def test_a_px4s_mode_is_known_before_its_next_heartbeat(simulator: Simulator) -> None:
+    def asked(now_s: float) -> bool:
+        simulator.link.ask(now_s)
+        return mavlink.MAVLINK_MSG_ID_CURRENT_MODE in {int(message.param1) for message in simulator.heard()}
+
+    now_s = time.monotonic()
+    simulator.say(*truths("px4"))
+    assert asked(now_s) and asked(now_s + 2.0)  # a request may be lost
+    assert simulator.link.mode is None
+    simulator.say(current_mode(6, 0))
+    assert simulator.link.mode is FlightMode.OFFBOARD
+    simulator.say(current_mode(4, 3))
+    assert simulator.link.mode is FlightMode.HOLD
+    assert not asked(now_s + 4.0)  # it comes by itself now
 
 
 def test_what_another_vehicle_says_is_not_its_truth(simulator: Simulator) -> None:
