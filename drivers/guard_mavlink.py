@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from drivers.guard_interfaces import GuardView
 from drivers.interfaces import FlightMode
@@ -18,8 +18,8 @@ from drivers.rig import PartContext
 from drivers.udp_link import address_of
 
 HEARTBEAT, SYS_STATUS, GLOBAL_POSITION = 0, 1, 33
-COMMAND_ACK, EXTENDED_SYS_STATE = 77, 245
-RATES_HZ = {HEARTBEAT: 10.0, GLOBAL_POSITION: 10.0, EXTENDED_SYS_STATE: 5.0, SYS_STATUS: 2.0}
+COMMAND_ACK, EXTENDED_SYS_STATE, CURRENT_MODE = 77, 245, 436
+RATES_HZ = {HEARTBEAT: 10.0, CURRENT_MODE: 10.0, GLOBAL_POSITION: 10.0, EXTENDED_SYS_STATE: 5.0, SYS_STATUS: 2.0}
 WANTED = frozenset({*RATES_HZ, COMMAND_ACK})
 DO_SET_MODE, NAV_LAND, SET_MESSAGE_INTERVAL = 176, 21, 511
 IN_PROGRESS = 5
@@ -73,6 +73,7 @@ class GuardMavlink:
         self._port: MavlinkPort | None = None
         self._kind: AutopilotKind | None = None
         self._heartbeat: tuple[int, Any] | None = None
+        self._custom_mode = 0
         self._position: tuple[int, tuple[float, float, float]] = (0, (math.nan, math.nan, math.nan))
         self._in_air = True  # until it is told: nothing is done in the air that would be wrong on the ground
         self._battery = math.nan
@@ -109,7 +110,7 @@ class GuardMavlink:
             position_ns=position_ns,
             armed=bool(heartbeat.base_mode & SAFETY_ARMED),
             in_air=self._in_air,
-            mode=self._kind.mode(heartbeat.custom_mode),
+            mode=self._kind.mode(self._custom_mode),
             position_n_m=position_n_m,
             battery=self._battery,
             acked=self._acked,
@@ -162,7 +163,7 @@ class GuardMavlink:
         match message.get_msgId():
             case 0:  # HEARTBEAT
                 self._kind = next((kind for kind in KINDS if kind.mav_autopilot == message.autopilot), self._kind)
-                self._heartbeat = now_ns, message
+                self._heartbeat, self._custom_mode = (now_ns, message), message.custom_mode
             case 1:  # SYS_STATUS
                 if 0 <= message.battery_remaining <= 100:
                     self._battery = message.battery_remaining / 100.0
@@ -173,5 +174,7 @@ class GuardMavlink:
                 self._acked = message.result == mavlink.MAV_RESULT_ACCEPTED
             case 245:  # EXTENDED_SYS_STATE
                 self._in_air = message.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
+            case 436:  # CURRENT_MODE: PX4 beats once a second, whatever it is asked for
+                self._custom_mode = message.custom_mode
             case _:
                 pass

@@ -29,8 +29,15 @@ UNDISTURBED_NS = 100_000  # two readings this close had no other thread between 
 class Heartbeat:
     arrival_ns: int
     autopilot: int
-    custom_mode: int
     armed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ReportedMode:
+    """As a heartbeat says it, or CURRENT_MODE: PX4 beats once a second whatever it is asked for."""
+
+    arrival_ns: int
+    custom_mode: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +121,7 @@ class Telemetry:
         self._failure: BaseException | None = None
         self.kind: AutopilotKind | None = None
         self.heartbeat: Heartbeat | None = None
+        self.reported_mode: ReportedMode | None = None
         self.position: Position | None = None
         self.velocity_n_mps: Vec3 = NAN3
         self.attitude: Attitude | None = None
@@ -141,6 +149,7 @@ class Telemetry:
     def subscribe_heartbeat(self, direct: Any) -> None:
         """Straight from the message: it has mode, arming and autopilot in one, and MAVSDK's own copies come later."""
         direct.subscribe_message("HEARTBEAT", self._guarded(self._on_heartbeat))
+        direct.subscribe_message("CURRENT_MODE", self._guarded(self._on_current_mode))
 
     # --- for the event loop ---
 
@@ -174,8 +183,8 @@ class Telemetry:
 
     @property
     def mode(self) -> FlightMode:
-        heartbeat = self.heartbeat
-        return self.kind.mode(heartbeat.custom_mode) if self.kind and heartbeat else FlightMode.OTHER
+        reported = self.reported_mode
+        return self.kind.mode(reported.custom_mode) if self.kind and reported else FlightMode.OTHER
 
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
         return self._history.attitude_at(stamp_ns)
@@ -216,15 +225,20 @@ class Telemetry:
         return guarded
 
     def _on_heartbeat(self, message: Any) -> None:
-        if message.system_id != self._sysid or message.component_id != AUTOPILOT_COMPONENT:
+        if not self._of_autopilot(message):
             return
-        fields = json.loads(message.fields_json)
-        self.heartbeat = Heartbeat(
-            self.clock.now_ns(),
-            int(fields["autopilot"]),
-            int(fields["custom_mode"]),
-            bool(int(fields["base_mode"]) & SAFETY_ARMED),
-        )
+        fields, now_ns = json.loads(message.fields_json), self.clock.now_ns()
+        self.reported_mode = ReportedMode(now_ns, int(fields["custom_mode"]))
+        armed = bool(int(fields["base_mode"]) & SAFETY_ARMED)
+        self.heartbeat = Heartbeat(now_ns, int(fields["autopilot"]), armed)
+
+    def _on_current_mode(self, message: Any) -> None:
+        if self._of_autopilot(message):
+            fields = json.loads(message.fields_json)
+            self.reported_mode = ReportedMode(self.clock.now_ns(), int(fields["custom_mode"]))
+
+    def _of_autopilot(self, message: Any) -> bool:
+        return message.system_id == self._sysid and message.component_id == AUTOPILOT_COMPONENT
 
     def _on_ack(self, message: Any) -> None:
         if message.system_id == self._sysid:

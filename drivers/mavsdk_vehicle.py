@@ -25,11 +25,12 @@ NAV_LAND, NAV_TAKEOFF, DO_SET_MODE, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 21, 
 # Message ids, for SET_MESSAGE_INTERVAL
 HEARTBEAT, SYS_STATUS, GPS_RAW_INT, ATTITUDE_QUATERNION, LOCAL_POSITION_NED = 0, 1, 24, 31, 32
 GLOBAL_POSITION_INT, BATTERY_STATUS, HOME_POSITION, EXTENDED_SYS_STATE = 33, 147, 242, 245
-AUTOPILOT_VERSION = 148
+AUTOPILOT_VERSION, CURRENT_MODE = 148, 436
 
 FRAME_LOCAL_NED = 1
 MASK_VELOCITY_YAW = 2503  # ignore position, acceleration and yaw rate (POSITION_TARGET_TYPEMASK)
 SETTLED_MPS = 0.3
+MODE_HZ = 20.0  # a pilot who takes the vehicle must not wait for the next heartbeat
 TEXT_WAIT_S = 0.5  # STATUSTEXT may come before or after the refusal it explains
 SAFE_TRIES = 3  # what only ends motion, or starts none, is resent when no acknowledgement came
 
@@ -286,6 +287,7 @@ class MavsdkVehicle:
         config = self._config
         rates = {
             HEARTBEAT: config.heartbeat_hz,
+            CURRENT_MODE: MODE_HZ,
             ATTITUDE_QUATERNION: config.telemetry_hz,
             LOCAL_POSITION_NED: config.telemetry_hz,
             GLOBAL_POSITION_INT: config.telemetry_hz,
@@ -336,12 +338,12 @@ class MavsdkVehicle:
     async def _until_mode(
         self, mode: FlightMode, sent_ns: int, what: str, or_else: Callable[[], bool] = lambda: False
     ) -> None:
-        """Until a heartbeat younger than the command shows the mode: an older one may still show the last but one."""
+        """Until a report younger than the command shows the mode: an older one may still show the last but one."""
         telemetry = self._telemetry
 
         def shown() -> bool:
-            heartbeat = telemetry.heartbeat
-            return heartbeat is not None and heartbeat.arrival_ns > sent_ns and telemetry.mode is mode
+            reported = telemetry.reported_mode
+            return reported is not None and reported.arrival_ns > sent_ns and telemetry.mode is mode
 
         if not await self._session.until(lambda: shown() or or_else(), self._config.mode_timeout_s):
             texts = " | ".join(telemetry.texts_since(sent_ns)) or "it gives no reason"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from drivers.interfaces import FlightMode
 from drivers.mavsdk_geodesy import LocalTangent
@@ -88,6 +88,11 @@ def heartbeat(flight: Flight) -> Any:
     status = mavlink.MAV_STATE_STANDBY if autopilot.landed else mavlink.MAV_STATE_ACTIVE
     kind, make = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4
     return mavlink.MAVLink_heartbeat_message(kind, make, base, CUSTOM_MODES[autopilot.mode], status, 3)
+
+
+def current_mode(flight: Flight) -> Any:
+    custom_mode = CUSTOM_MODES[flight.autopilot.mode]
+    return mavlink.MAVLink_current_mode_message(mavlink.MAV_STANDARD_MODE_NON_STANDARD, custom_mode, custom_mode)
 
 
 def sys_status(flight: Flight) -> Any:
@@ -186,6 +191,7 @@ STREAMS: dict[int, tuple[Callable[[Flight], Any | None], float]] = {
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: (home_position, 0.5),
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (extended_sys_state, 5.0),
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (autopilot_version, 0.0),
+    mavlink.MAVLINK_MSG_ID_CURRENT_MODE: (current_mode, 0.5),
 }
 """Message id: how it is made, and its rate in Hz until another is asked for (0: only on request)."""
 

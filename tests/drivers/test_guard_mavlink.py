@@ -14,6 +14,7 @@ from typing import Any, cast
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as every_dialect
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.guard_interfaces import GuardView
@@ -116,6 +117,9 @@ class Copter:
     def heartbeat(self) -> bytes:
         return mavlink.MAVLink_heartbeat_message(2, 3, 1 | 128, self.mode, 4, 3).pack(self.mav)
 
+    def current_mode(self) -> bytes:
+        return every_dialect.MAVLink_current_mode_message(0, self.mode, self.mode).pack(self.mav)
+
 
 def commands(data: bytes) -> list[tuple[int, float, float, float]]:
     parser: Any = mavlink.MAVLink(None)
@@ -146,8 +150,9 @@ def test_arducopter_is_braked_and_landed_in_its_own_numbers() -> None:
                     heard += commands(vehicle.recv(2048))
                 assert heard == [(176, 1.0, 17.0, 0.0), (21, 0.0, 0.0, 0.0)]
                 copter.mode = 5  # LOITER: a pilot's
-                vehicle.sendto(copter.heartbeat(), address)
-                await seen(guard, lambda v: v.mode is FlightMode.OTHER)
+                vehicle.sendto(copter.current_mode(), address)
+                later = await seen(guard, lambda v: v.mode is FlightMode.OTHER)
+                assert later.heartbeat_ns == view.heartbeat_ns  # it did not wait for the next one
 
     asyncio.run(main())
 

@@ -71,7 +71,32 @@ def test_heartbeats_of_others_are_not_the_vehicles() -> None:
         system_id, component_id, fields_json = SYSID, 191, '{"autopilot":8,"base_mode":0,"custom_mode":0}'
 
     telemetry._guarded(telemetry._on_heartbeat)(Message(), None)
-    assert telemetry.heartbeat is None  # a companion computer on the vehicle's own system id
+    telemetry._guarded(telemetry._on_current_mode)(Message(), None)
+    assert (telemetry.heartbeat, telemetry.reported_mode) == (
+        None,
+        None,
+    )  # a companion computer on the vehicle's own system id
+
+
+def test_a_mode_is_news_without_a_heartbeat() -> None:
+    telemetry = Telemetry(SYSID, LoopClock(), TANGENT)
+    telemetry.kind = PX4
+
+    class Message:
+        system_id, component_id = SYSID, 1
+
+        def __init__(self, fields: str) -> None:
+            self.fields_json = fields
+
+    def mode() -> FlightMode:
+        return telemetry.mode
+
+    telemetry._on_heartbeat(Message('{"autopilot":12,"base_mode":129,"custom_mode":393216}'))
+    assert mode() is FlightMode.OFFBOARD
+    beat = telemetry.heartbeat
+    telemetry._on_current_mode(Message('{"standard_mode":0,"custom_mode":196608,"intended_custom_mode":196608}'))
+    assert mode() is FlightMode.OTHER  # POSCTL: a pilot's
+    assert telemetry.heartbeat is beat  # whose age tells of a lost link
 
 
 @pytest.mark.parametrize("without_gps", [False, True])

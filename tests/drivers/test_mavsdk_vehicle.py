@@ -166,6 +166,21 @@ def test_the_pilot_and_a_lost_link_end_every_wait() -> None:
         asyncio.run(fly(bench))
 
 
+def test_the_mode_is_asked_for_beside_heartbeats() -> None:
+    """PX4's come once a second: a pilot must not wait for them."""
+
+    async def watch(bench: Bench) -> None:
+        async with bench.vehicle() as vehicle:
+            for mode in (FlightMode.OTHER, FlightMode.HOLD):
+                bench.autopilot.request_mode(bench.drone.estimate.time_s, mode, by_pilot=True)
+                await until(lambda wanted=mode: vehicle.state.mode is wanted)
+
+    with px4() as bench:
+        asyncio.run(watch(bench))
+        asked = {int(command.param1): command.param2 for command in bench.wire.commands(511)}
+    assert asked[436] == 50_000  # CURRENT_MODE, us
+
+
 # --- closing ---
 
 
