@@ -35,6 +35,10 @@ class VehicleError(PartError):
     """The vehicle refused, did not answer in time, or is gone."""
 
 
+class TakenOver(VehicleError):
+    """Somebody else has the vehicle: a pilot, a ground station, or the autopilot's own failsafe."""
+
+
 class CameraError(PartError):
     """The camera gave no frame in time, or not what its calibration says."""
 

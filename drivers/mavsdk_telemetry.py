@@ -16,7 +16,7 @@ from typing import Any
 from drivers.history import StateHistory
 from drivers.interfaces import Clock, FlightMode, VehicleError, VehicleState
 from drivers.mavsdk_geodesy import LocalTangent
-from drivers.mavsdk_modes import SAFETY_ARMED, AutopilotKind
+from drivers.mavsdk_modes import PX4, SAFETY_ARMED, AutopilotKind
 
 Vec3 = tuple[float, float, float]
 NAN3: Vec3 = (math.nan, math.nan, math.nan)
@@ -124,6 +124,8 @@ class Telemetry:
         self.reported_mode: ReportedMode | None = None
         self.position: Position | None = None
         self.velocity_n_mps: Vec3 = NAN3
+        self._local_down_m = math.nan
+        self._home_down_m = math.nan  # in the vehicle's local frame, where it tells that
         self.attitude: Attitude | None = None
         self.health: dict[str, bool] = {}
         self.in_air = False
@@ -138,6 +140,7 @@ class Telemetry:
         direct.subscribe_message("COMMAND_ACK", self._guarded(self._on_ack))
         direct.subscribe_message("PARAM_VALUE", self._guarded(self._on_parameter))
         direct.subscribe_message("AUTOPILOT_VERSION", self._guarded(self._on_version))
+        direct.subscribe_message("HOME_POSITION", self._guarded(self._on_home))
         telemetry.subscribe_status_text(self._guarded(self._on_text))
         telemetry.subscribe_health(self._guarded(self._on_health))
         telemetry.subscribe_in_air(self._guarded(self._on_in_air))
@@ -274,12 +277,25 @@ class Telemetry:
         north, east, down = self._tangent.to_ned(
             position.latitude_deg, position.longitude_deg, position.absolute_altitude_m
         )
-        above_home_m = float(position.relative_altitude_m)
+        above_home_m = self._above_home_m(position)
         n_m = (north, east, -above_home_m if self._height_from_home else down)
         self.position = Position(self.clock.now_ns(), n_m, above_home_m)
 
+    def _above_home_m(self, position: Any) -> float:
+        """PX4 flies on one of several estimators: when it goes over to another one its altitude steps, by a metre in
+        simulation, and with it the height that it reckons from that; its local frame does not. ArduPilot tells its
+        home in the global frame only."""
+        above_m = self._home_down_m - self._local_down_m
+        return above_m if self.kind is PX4 and math.isfinite(above_m) else float(position.relative_altitude_m)
+
+    def _on_home(self, message: Any) -> None:
+        if self._of_autopilot(message):
+            down = json.loads(message.fields_json)["z"]
+            self._home_down_m = math.nan if down is None else float(down)
+
     def _on_velocity(self, ned: Any) -> None:
         velocity = ned.velocity
+        self._local_down_m = float(ned.position.down_m)
         self.velocity_n_mps = (float(velocity.north_m_s), float(velocity.east_m_s), float(velocity.down_m_s))
 
     def _on_attitude(self, quaternion: Any) -> None:

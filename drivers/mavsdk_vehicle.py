@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Literal, Self
 
-from drivers.interfaces import FlightMode, VehicleError, VehicleState, VelocitySetpoint
+from drivers.interfaces import FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
 from drivers.mavsdk_geodesy import LocalTangent
 from drivers.mavsdk_modes import ARDUPILOT, CUSTOM_MODE_ENABLED, PX4, AutopilotKind
 from drivers.mavsdk_parameters import Difference, differences
@@ -30,6 +30,7 @@ AUTOPILOT_VERSION, CURRENT_MODE = 148, 436
 FRAME_LOCAL_NED = 1
 MASK_VELOCITY_YAW = 2503  # ignore position, acceleration and yaw rate (POSITION_TARGET_TYPEMASK)
 SETTLED_MPS = 0.3
+STOPPED_SHORT_M = 2.0  # PX4 ends a take-off up to 0.8 m before the height (NAV_MC_ALT_RAD), which it may have wrong
 MODE_HZ = 20.0  # a pilot who takes the vehicle must not wait for the next heartbeat
 TEXT_WAIT_S = 0.5  # STATUSTEXT may come before or after the refusal it explains
 SAFE_TRIES = 3  # what only ends motion, or starts none, is resent when no acknowledgement came
@@ -279,7 +280,7 @@ class MavsdkVehicle:
         if not await self._session.until(over, timeout_s):
             raise VehicleError(f"not on the ground {timeout_s:g} s after the landing began", "land by remote control")
         if self.state.armed:
-            raise VehicleError(f"landing ended by a change to mode {telemetry.mode.value}", "the pilot has control")
+            raise TakenOver(f"landing ended by a change to mode {telemetry.mode.value}", "the pilot has control")
 
     # --- inside ---
 
@@ -353,7 +354,8 @@ class MavsdkVehicle:
             )
 
     async def _climb(self, height_m: float, there: FlightMode, timeout_s: float) -> None:
-        """Until at the height and steady. A pilot's mode, a landing or disarming on the way ends it with an error."""
+        """Until at the height and steady. A pilot's mode, a hold, a landing or disarming on the way ends it with an
+        error."""
         telemetry, config = self._telemetry, self._config
         expected = {FlightMode.TAKEOFF, FlightMode.HOLD, there}
         # The heartbeat may still show the mode before the take-off.
@@ -368,15 +370,24 @@ class MavsdkVehicle:
                 and telemetry.mode is there
             )
 
+        def held() -> bool:
+            position = telemetry.position
+            short = position is not None and height_m - position.above_home_m > STOPPED_SHORT_M
+            return short and telemetry.mode is FlightMode.HOLD
+
         def ended() -> bool:
             late = self._clock.now_ns() > grace_ns
-            return not self.state.armed or (late and telemetry.mode not in expected)
+            return not self.state.armed or (late and (held() or telemetry.mode not in expected))
 
         if not await self._session.until(lambda: arrived() or ended(), timeout_s):
             raise VehicleError(f"not at {height_m:g} m {timeout_s:g} s after the take-off began", "hold or land")
         if ended():
-            what = f"mode {telemetry.mode.value}" if self.state.armed else "disarmed"
-            raise VehicleError(f"take-off ended on the way: {what}", "the pilot has control, or a failsafe acted")
+            if self.state.armed:
+                said = f"take-off ended on the way: mode {telemetry.mode.value}"
+                raise TakenOver(said, "the pilot has control, or a failsafe acted")
+            raise VehicleError(
+                "take-off ended on the way: disarmed", "a failsafe acted, or it was never off the ground"
+            )
 
     async def _stream(self, setpoint: VelocitySetpoint) -> None:
         while True:

@@ -213,13 +213,14 @@ class AutopilotProcess:
         child.wait()
 
     def _prepare_px4(self, binary: Path) -> tuple[list[str], dict[str, str]]:
-        """PX4's rcS sources ``px4-rc.params`` from PATH after the airframe's defaults and before the simulation."""
+        """PX4's rcS sources ``px4-rc.simulator`` from PATH after the airframe's defaults; ours goes on with its."""
         home, instance = self._home, self.sysid - 1
         parameters = {"SIH_LOC_H0": home.altitude_m, "SDLOG_MODE": -1, **self._parameters}
         script = PX4_HOME.format(name="LAT", degrees=home.latitude_deg, whole=round(home.latitude_deg * 1e7))
         script += PX4_HOME.format(name="LON", degrees=home.longitude_deg, whole=round(home.longitude_deg * 1e7))
         script += "".join(f"param set {name} {value:.9g}\n" for name, value in parameters.items())
-        (self.folder / "px4-rc.params").write_text(script, "ascii")
+        script += ". ${R}etc/init.d-posix/px4-rc.simulator\n"  # R: where rcS found itself
+        (self.folder / "px4-rc.simulator").write_text(script, "ascii")
         variables = {
             "PX4_SIM_MODEL": "sihsim_quadx",
             "PX4_SIMULATOR": "sihsim",

@@ -53,6 +53,7 @@ class RemoteAutopilot:
     def __init__(self, relay: MavlinkRelay | None, link: SimulatorLink) -> None:
         self._link = link
         self._cable = link if relay is None else relay
+        self._taken = False
 
     @property
     def armed(self) -> bool:
@@ -64,8 +65,9 @@ class RemoteAutopilot:
 
     @property
     def pilot_in_control(self) -> bool:
-        """Whether it flies in a mode that no script selects."""
-        return self.armed and self.mode is FlightMode.OTHER
+        """Whether somebody else has selected its mode: the harness as a second ground station, or one that flies in a
+        mode that no script selects."""
+        return self.armed and (self._taken or self.mode is FlightMode.OTHER)
 
     @property
     def battery(self) -> float:
@@ -87,6 +89,7 @@ class RemoteAutopilot:
         """Only a pilot's change can be asked for."""
         del now_s, mode
         assert by_pilot
+        self._taken = True
         self._cable.pilot_takes_over()
 
     def set_battery(self, fraction: float) -> None:

@@ -25,8 +25,8 @@ V2_OVERHEAD, V2_SIGNATURE, V1_OVERHEAD = 12, 13, 8
 
 HEARTBEAT, COMMAND_LONG, SET_POSITION_TARGET = 0, 76, 84
 DO_SET_MODE, NAV_LAND, NAV_RETURN = 176, 21, 20
-# What a pilot's switch selects: position control on either.
-PILOT_MODE = {PX4.name: (3.0, 0.0), ARDUPILOT.name: (5.0, 0.0)}
+# What a second ground station selects: LOITER; HOLD on a PX4, which refuses modes that need sticks while it has none.
+PILOT_MODE = {PX4.name: (4.0, 3.0), ARDUPILOT.name: (5.0, 0.0)}
 
 
 class FlightWatch:

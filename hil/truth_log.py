@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -59,8 +60,12 @@ class TruthLog:
         self._log.write("/fault", at_ns, {"fault": name})
 
     def setpoint_gap(self, role: Role, world: World) -> None:
-        """The longest time between two setpoints of a vehicle in offboard control."""
-        record = {"role": role.value, "gap_s": world.drone(role).autopilot.setpoint_gap_s}
+        """The longest time between two setpoints of a vehicle in offboard control, and when the last one came."""
+        autopilot = world.drone(role).autopilot
+        last_ns = None
+        if math.isfinite(autopilot.newest_setpoint_s):
+            last_ns = self._epoch_ns + round(autopilot.newest_setpoint_s * 1e9)
+        record = {"role": role.value, "gap_s": autopilot.setpoint_gap_s, "last_ns": last_ns}
         self._log.write("/setpoint_gap", self._epoch_ns + round(world.time_s * 1e9), record)
 
     def violation(self, time_s: float, monitor: str, detail: str) -> None:

@@ -26,6 +26,7 @@ from drivers.interfaces import (
     Received,
     Sight,
     StateError,
+    TakenOver,
     Vehicle,
     VehicleError,
     View,
@@ -45,6 +46,13 @@ from path.rotation import yaw_of
 from path.window import Evidence
 
 _POLL_S = 0.05
+_ENDS = (
+    (CameraError, Outcome.CAMERA_LOST),
+    (TakenOver, Outcome.PILOT_OVERRIDE),  # before what it is a kind of
+    (VehicleError, Outcome.VEHICLE_REFUSED),
+    (LinkError, Outcome.PEER_LOST),
+    (StateError, Outcome.STATE_LOST),
+)
 _PROGRESS_PERIOD_S = 0.2
 _STATE_PERIOD_S = 0.1
 _BEAT_PERIOD_S = 0.05
@@ -400,13 +408,8 @@ def as_end(error: BaseException) -> MissionEnd:
     """Any error as the named end it means. Errors nobody foresaw are printed: they are bugs."""
     if isinstance(error, MissionEnd):
         return error
-    if isinstance(error, CameraError):
-        return MissionEnd(Outcome.CAMERA_LOST, str(error))
-    if isinstance(error, VehicleError):
-        return MissionEnd(Outcome.VEHICLE_REFUSED, str(error))
-    if isinstance(error, LinkError):
-        return MissionEnd(Outcome.PEER_LOST, str(error))
-    if isinstance(error, StateError):
-        return MissionEnd(Outcome.STATE_LOST, str(error))
+    for kind, outcome in _ENDS:
+        if isinstance(error, kind):
+            return MissionEnd(outcome, str(error))
     traceback.print_exception(error, file=sys.stderr)
     return MissionEnd(Outcome.CRASHED, f"{type(error).__name__}: {error}")

@@ -3,6 +3,7 @@
 import asyncio
 import math
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from drivers.interfaces import FlightMode, VehicleError
 from drivers.mavsdk_geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, LocalTangent
-from drivers.mavsdk_modes import ARDUPILOT, PX4
+from drivers.mavsdk_modes import ARDUPILOT, PX4, AutopilotKind
 from drivers.mavsdk_telemetry import Telemetry, ThreadClock
 from tests.drivers.mavsdk_bench import AHEAD_NS, SYSID, TANGENT, LoopClock, until
 
@@ -97,6 +98,29 @@ def test_a_mode_is_news_without_a_heartbeat() -> None:
     telemetry._on_current_mode(Message('{"standard_mode":0,"custom_mode":196608,"intended_custom_mode":196608}'))
     assert mode() is FlightMode.OTHER  # POSCTL: a pilot's
     assert telemetry.heartbeat is beat  # whose age tells of a lost link
+
+
+@pytest.mark.parametrize(("kind", "shown_m"), [(PX4, 2.0), (ARDUPILOT, 3.2)])
+def test_a_px4_s_height_does_not_step_with_its_altitude(kind: AutopilotKind, shown_m: float) -> None:
+    """As seen when PX4 goes over to another of its estimators: 1.2 m more above sea level, and above home."""
+    telemetry = Telemetry(SYSID, LoopClock(), TANGENT, height_from_home=True)
+    telemetry.kind = kind
+    latitude, longitude, _ = TANGENT.to_global(0.0, 0.0, 0.0)
+    ned = SimpleNamespace(
+        position=SimpleNamespace(north_m=0.0, east_m=0.0, down_m=-1.7),
+        velocity=SimpleNamespace(north_m_s=0.0, east_m_s=0.0, down_m_s=0.0),
+    )
+    telemetry._on_home(SimpleNamespace(system_id=SYSID, component_id=1, fields_json='{"z":0.3}'))
+    telemetry._on_velocity(ned)
+    for above_m in (2.0, 3.2):
+        telemetry._on_position(
+            SimpleNamespace(
+                latitude_deg=latitude, longitude_deg=longitude, absolute_altitude_m=488.0, relative_altitude_m=above_m
+            )
+        )
+    assert telemetry.position is not None
+    assert telemetry.position.above_home_m == pytest.approx(shown_m)
+    assert telemetry.position.n_m[2] == pytest.approx(-shown_m)
 
 
 @pytest.mark.parametrize("without_gps", [False, True])

@@ -17,7 +17,7 @@ import pytest
 from mavsdk.mavsdk import Mavsdk
 from pymavlink.dialects.v20 import common as mavlink
 
-from drivers.interfaces import FlightMode, VehicleError, VelocitySetpoint
+from drivers.interfaces import FlightMode, TakenOver, VehicleError, VelocitySetpoint
 from drivers.mavsdk_port import PortLock
 from drivers.mavsdk_session import ARM_DISARM
 from drivers.mavsdk_vehicle import MavsdkVehicle, MavsdkVehicleConfig
@@ -143,13 +143,13 @@ def test_the_pilot_and_a_lost_link_end_every_wait() -> None:
             climb = asyncio.create_task(vehicle.take_off(HEIGHT_M, LIMIT_S))
             await until(lambda: vehicle.state.mode is FlightMode.TAKEOFF)
             autopilot.request_mode(bench.drone.estimate.time_s, FlightMode.OTHER, by_pilot=True)
-            with pytest.raises(VehicleError, match="take-off ended on the way: mode other"):
+            with pytest.raises(TakenOver, match="take-off ended on the way: mode other"):
                 await climb
             await vehicle.hold()
             landing = asyncio.create_task(vehicle.land(LIMIT_S))
             await until(lambda: vehicle.state.mode is FlightMode.LAND)
             autopilot.request_mode(bench.drone.estimate.time_s, FlightMode.OTHER, by_pilot=True)
-            with pytest.raises(VehicleError, match="landing ended by a change to mode other"):
+            with pytest.raises(TakenOver, match="landing ended by a change to mode other"):
                 await landing
             endpoint.silent = True
             seen_ns = vehicle.state.stamp_ns
@@ -161,6 +161,21 @@ def test_the_pilot_and_a_lost_link_end_every_wait() -> None:
             endpoint.silent = False
             await until(lambda: LoopClock().now_ns() - vehicle.state.heartbeat_ns < 300_000_000)
             await vehicle.land(LIMIT_S)
+
+    with px4() as bench:
+        asyncio.run(fly(bench))
+
+
+def test_a_hold_far_below_the_height_is_somebody_elses() -> None:
+    async def fly(bench: Bench) -> None:
+        async with bench.vehicle() as vehicle:
+            await vehicle.wait_armable(LIMIT_S)
+            await vehicle.arm()
+            climb = asyncio.create_task(vehicle.take_off(10.0, 30.0))
+            await until(lambda: vehicle.state.in_air)
+            bench.autopilot.request_mode(bench.drone.estimate.time_s, FlightMode.HOLD, by_pilot=True)
+            with pytest.raises(TakenOver, match="take-off ended on the way: mode hold"):
+                await climb
 
     with px4() as bench:
         asyncio.run(fly(bench))

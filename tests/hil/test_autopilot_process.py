@@ -83,7 +83,9 @@ def test_px4_finds_its_parameters_on_its_path(tmp_path: Path, monkeypatch: pytes
     script = tmp_path / "build" / "etc" / "init.d-posix" / "rcS"
     script.parent.mkdir(parents=True)
     script.touch()
-    said = 'param() { echo "$@"; }; . px4-rc.params; echo "$@" "$PX4_SIM_MODEL"; exec sleep 60'
+    script.with_name("px4-rc.simulator").write_text("echo starts the simulation\n")
+    said = f'R={tmp_path}/build/; param() {{ echo "$@"; }}; '
+    said += '. px4-rc.simulator; echo "$@" "$PX4_SIM_MODEL"; exec sleep 60'
     monkeypatch.setenv("PATH_PX4", str(program(tmp_path / "build" / "bin", said, "px4")))
     process = AutopilotProcess("px4", 6, HOME, {"COM_RC_IN_MODE": 4}, tmp_path / "run")
     process.start()
@@ -92,7 +94,7 @@ def test_px4_finds_its_parameters_on_its_path(tmp_path: Path, monkeypatch: pytes
         said = process.output.read_text()
     finally:
         process.stop()
-    assert "set COM_RC_IN_MODE 4\n" in said
+    assert "set COM_RC_IN_MODE 4\nstarts the simulation\n" in said
     assert "set SIH_LOC_H0 480\n" in said
     assert f"-i 5 -d {tmp_path}/build/etc" in said
 
