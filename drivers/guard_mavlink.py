@@ -174,7 +174,9 @@ class GuardMavlink:
                 self._acked = message.result == mavlink.MAV_RESULT_ACCEPTED
             case 245:  # EXTENDED_SYS_STATE
                 self._in_air = message.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
-            case 436:  # CURRENT_MODE: PX4 beats once a second, whatever it is asked for
-                self._custom_mode = message.custom_mode
+            case 436 if self._kind is not None:  # CURRENT_MODE: PX4 beats once a second, whatever it is asked for
+                # OFFBOARD waits for the heartbeat: PX4 goes back to it, having landed, before it says it is disarmed.
+                if self._kind.mode(message.custom_mode) is not FlightMode.OFFBOARD:
+                    self._custom_mode = message.custom_mode
             case _:
                 pass

@@ -125,7 +125,7 @@ class Telemetry:
         self.position: Position | None = None
         self.velocity_n_mps: Vec3 = NAN3
         self._local_down_m = math.nan
-        self._home_down_m = math.nan  # in the vehicle's local frame, where it tells that
+        self._ground_down_m = math.nan  # where it was armed, in its local frame
         self.attitude: Attitude | None = None
         self.health: dict[str, bool] = {}
         self.in_air = False
@@ -140,7 +140,6 @@ class Telemetry:
         direct.subscribe_message("COMMAND_ACK", self._guarded(self._on_ack))
         direct.subscribe_message("PARAM_VALUE", self._guarded(self._on_parameter))
         direct.subscribe_message("AUTOPILOT_VERSION", self._guarded(self._on_version))
-        direct.subscribe_message("HOME_POSITION", self._guarded(self._on_home))
         telemetry.subscribe_status_text(self._guarded(self._on_text))
         telemetry.subscribe_health(self._guarded(self._on_health))
         telemetry.subscribe_in_air(self._guarded(self._on_in_air))
@@ -236,9 +235,11 @@ class Telemetry:
         self.heartbeat = Heartbeat(now_ns, int(fields["autopilot"]), armed)
 
     def _on_current_mode(self, message: Any) -> None:
-        if self._of_autopilot(message):
-            fields = json.loads(message.fields_json)
-            self.reported_mode = ReportedMode(self.clock.now_ns(), int(fields["custom_mode"]))
+        """OFFBOARD waits for the heartbeat: having landed, PX4 goes back to it before it says that it is disarmed."""
+        if self._of_autopilot(message) and self.kind is not None:
+            custom_mode = int(json.loads(message.fields_json)["custom_mode"])
+            if self.kind.mode(custom_mode) is not FlightMode.OFFBOARD:
+                self.reported_mode = ReportedMode(self.clock.now_ns(), custom_mode)
 
     def _of_autopilot(self, message: Any) -> bool:
         return message.system_id == self._sysid and message.component_id == AUTOPILOT_COMPONENT
@@ -283,19 +284,16 @@ class Telemetry:
 
     def _above_home_m(self, position: Any) -> float:
         """PX4 flies on one of several estimators: when it goes over to another one its altitude steps, by a metre in
-        simulation, and with it the height that it reckons from that; its local frame does not. ArduPilot tells its
-        home in the global frame only."""
-        above_m = self._home_down_m - self._local_down_m
+        simulation, and its home's place in the local frame with it; its own place in that frame does not. It puts its
+        home where it is armed. What was met in the air is believed: nothing better is known."""
+        above_m = self._ground_down_m - self._local_down_m
         return above_m if self.kind is PX4 and math.isfinite(above_m) else float(position.relative_altitude_m)
-
-    def _on_home(self, message: Any) -> None:
-        if self._of_autopilot(message):
-            down = json.loads(message.fields_json)["z"]
-            self._home_down_m = math.nan if down is None else float(down)
 
     def _on_velocity(self, ned: Any) -> None:
         velocity = ned.velocity
         self._local_down_m = float(ned.position.down_m)
+        if self.heartbeat is not None and not self.heartbeat.armed:
+            self._ground_down_m = self._local_down_m
         self.velocity_n_mps = (float(velocity.north_m_s), float(velocity.east_m_s), float(velocity.down_m_s))
 
     def _on_attitude(self, quaternion: Any) -> None:

@@ -1,6 +1,7 @@
 """What the MAVSDK driver is made of, without MAVSDK: modes, the local frame, telemetry, the callback thread's clock."""
 
 import asyncio
+import json
 import math
 import time
 from types import SimpleNamespace
@@ -98,6 +99,8 @@ def test_a_mode_is_news_without_a_heartbeat() -> None:
     telemetry._on_current_mode(Message('{"standard_mode":0,"custom_mode":196608,"intended_custom_mode":196608}'))
     assert mode() is FlightMode.OTHER  # POSCTL: a pilot's
     assert telemetry.heartbeat is beat  # whose age tells of a lost link
+    telemetry._on_current_mode(Message('{"standard_mode":0,"custom_mode":393216,"intended_custom_mode":393216}'))
+    assert mode() is FlightMode.OTHER  # a PX4 that has landed goes back to OFFBOARD before it tells that it is disarmed
 
 
 @pytest.mark.parametrize(("kind", "shown_m"), [(PX4, 2.0), (ARDUPILOT, 3.2)])
@@ -110,7 +113,17 @@ def test_a_px4_s_height_does_not_step_with_its_altitude(kind: AutopilotKind, sho
         position=SimpleNamespace(north_m=0.0, east_m=0.0, down_m=-1.7),
         velocity=SimpleNamespace(north_m_s=0.0, east_m_s=0.0, down_m_s=0.0),
     )
-    telemetry._on_home(SimpleNamespace(system_id=SYSID, component_id=1, fields_json='{"z":0.3}'))
+
+    def beat(base_mode: int) -> None:
+        fields = json.dumps({"autopilot": kind.mav_autopilot, "base_mode": base_mode, "custom_mode": 0})
+        telemetry._on_heartbeat(SimpleNamespace(system_id=SYSID, component_id=1, fields_json=fields))
+
+    beat(1)
+    for down_m in (0.9, 0.3):  # before it is armed it stands on the ground, whatever it takes that for
+        ned.position.down_m = down_m
+        telemetry._on_velocity(ned)
+    beat(1 | 128)
+    ned.position.down_m = -1.7
     telemetry._on_velocity(ned)
     for above_m in (2.0, 3.2):
         telemetry._on_position(
