@@ -45,7 +45,7 @@ Topics of the world (frame ``w`` is ENU; poses are position and quaternion wxyz)
                      height, fx, fy, cx, cy, distortion}}, mounts {role: {"T_b_c": pose, "T_b_v": pose}} with pose =
                      {"t": [3], "q": [4]}
     /truth           at 20 Hz or more: sender, receiver {"t", "q", "in_air"} (body in w), objects [[id, x, y, z, yaw]]
-    /setpoint_gap    role, gap_s
+    /setpoint_gap    role, gap_s, last_ns (stamp of the last setpoint; None without any)
     /violation       monitor, detail
 """
 

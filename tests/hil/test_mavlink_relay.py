@@ -3,13 +3,17 @@
 import socket
 import time
 from collections.abc import Callable, Generator
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode
 from drivers.mavsdk_modes import ARDUPILOT, PX4, px4_custom_mode
+from hil.followed_world import RemoteAutopilot
 from hil.mavlink_relay import DO_SET_MODE, NAV_LAND, FlightWatch, MavlinkRelay
+from hil.simulator_link import SimulatorLink
 
 ARMED, DISARMED = 0x81, 0x01
 OFFBOARD, HOLD = px4_custom_mode(6, 0), px4_custom_mode(4, 3)
@@ -163,5 +167,15 @@ def test_a_pilot_changes_the_mode(ends: Ends) -> None:
     ends.relay.pilot_takes_over()
     decode: Callable[[bytearray], object] = ends.mav.decode
     command = decode(bytearray(ends.vehicle.recv(4096)))
-    assert (command.command, command.param2) == (DO_SET_MODE, 3.0)  # type: ignore[attr-defined]
+    asked = command.command, command.param2, command.param3  # type: ignore[attr-defined]
+    assert asked == (DO_SET_MODE, 4.0, 3.0)  # HOLD: a PX4 without sticks refuses a pilot's own modes
     assert command.get_srcSystem() != SYSID  # type: ignore[attr-defined]
+
+
+def test_a_vehicle_that_was_told_to_hold_is_its_pilots(ends: Ends) -> None:
+    autopilot = RemoteAutopilot(ends.relay, cast(SimulatorLink, SimpleNamespace(mode=FlightMode.OFFBOARD, battery=1.0)))
+    ends.vehicle.sendto(heartbeat(ends), ends.vehicle_side)
+    ends.relay.receive(0.0)
+    assert autopilot.armed and not autopilot.pilot_in_control
+    autopilot.request_mode(0.0, FlightMode.OTHER, by_pilot=True)
+    assert autopilot.pilot_in_control  # from then on, whatever mode a script would select again

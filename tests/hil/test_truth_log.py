@@ -80,7 +80,7 @@ def test_the_truth_is_where_everything_is(rig: Rig, records: dict[str, list[LogR
 
 def test_gaps_and_violations_are_written_down(records: dict[str, list[LogRecord]]) -> None:
     (gap,) = records["/setpoint_gap"]
-    assert (gap.stamp_ns, gap.record) == (7_000_000_000, {"role": "receiver", "gap_s": 0.0})
+    assert (gap.stamp_ns, gap.record) == (7_000_000_000, {"role": "receiver", "gap_s": 0.0, "last_ns": None})
     (violation,) = records["/violation"]
     assert violation.stamp_ns == 7_500_000_000
     assert violation.record == {"monitor": "S9", "detail": "S9 at 2.50 s: separation 0.60 m"}
