@@ -37,6 +37,7 @@ MOMENTS = {
 }
 ORDER = {phase.title: int(phase) for phase in Phase}
 HOLD_LIMIT_S, LET_GO_LIMIT_S = 1.0, 0.5
+LET_GO = (Outcome.PILOT_OVERRIDE.label, Outcome.ORPHANED.label)  # the latter while the target was its
 PX4_FAILSAFE, WAITS_S = "COM_OF_LOSS_T", 5.0
 
 
@@ -169,7 +170,7 @@ def is_met(reaction: Reaction) -> bool:
         return reaction.mode != "not reached"
     if reaction.fault == TAKEOVER:
         late = reaction.let_go_s is not None and reaction.let_go_s > LET_GO_LIMIT_S
-        return not late and not reaction.violations and reaction.outcome == Outcome.PILOT_OVERRIDE.label
+        return not late and not reaction.violations and reaction.outcome in LET_GO
     return reaction.held_s is not None and reaction.held_s <= HOLD_LIMIT_S and reaction.landed_s is not None
 
 

@@ -84,6 +84,7 @@ def leave_takeover(folder: Path, last_s: float | None) -> None:
         (6.03, "pilot_override", {}, "+0.030 s", True),
         (5.99, "pilot_override", {}, "-0.010 s", True),
         (None, "pilot_override", {}, "never sent", True),
+        (6.03, "orphaned", {}, "+0.030 s", True),
         (6.6, "pilot_override", {}, "+0.600 s", False),
         (6.03, "committed", {}, "+0.030 s", False),
         (6.03, "pilot_override", {"S10": 1}, "+0.030 s", False),
