@@ -19,7 +19,6 @@ from rich.table import Table
 from drivers.log import read_log
 from drivers.rig import Rig
 from drivers.toml_text import toml_text
-from flight.outcome import Outcome
 from flight.phases import Phase
 from missions import rig_library
 from missions.handoff import fly_once
@@ -37,7 +36,6 @@ MOMENTS = {
 }
 ORDER = {phase.title: int(phase) for phase in Phase}
 HOLD_LIMIT_S, LET_GO_LIMIT_S = 1.0, 0.5
-LET_GO = (Outcome.PILOT_OVERRIDE.label, Outcome.ORPHANED.label)  # the latter while the target was its
 PX4_FAILSAFE, WAITS_S = "COM_OF_LOSS_T", 5.0
 
 
@@ -170,7 +168,7 @@ def is_met(reaction: Reaction) -> bool:
         return reaction.mode != "not reached"
     if reaction.fault == TAKEOVER:
         late = reaction.let_go_s is not None and reaction.let_go_s > LET_GO_LIMIT_S
-        return not late and not reaction.violations and reaction.outcome in LET_GO
+        return not late and not reaction.violations and len(reaction.after) == 1  # the pilot's own mode
     return reaction.held_s is not None and reaction.held_s <= HOLD_LIMIT_S and reaction.landed_s is not None
 
 

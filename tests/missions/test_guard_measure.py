@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -84,9 +85,8 @@ def leave_takeover(folder: Path, last_s: float | None) -> None:
         (6.03, "pilot_override", {}, "+0.030 s", True),
         (5.99, "pilot_override", {}, "-0.010 s", True),
         (None, "pilot_override", {}, "never sent", True),
-        (6.03, "orphaned", {}, "+0.030 s", True),
+        (6.03, "committed", {}, "+0.030 s", True),  # it was on its way out
         (6.6, "pilot_override", {}, "+0.600 s", False),
-        (6.03, "committed", {}, "+0.030 s", False),
         (6.03, "pilot_override", {"S10": 1}, "+0.030 s", False),
     ],
 )
@@ -98,6 +98,13 @@ def test_a_script_lets_go_of_a_vehicle_whose_mode_was_changed(
     assert (reaction.mode, reaction.after) == ("offboard", ("other",))
     assert list(table([reaction]).columns[6].cells) == [shown]
     assert is_met(reaction) is met
+
+
+def test_a_script_that_changes_the_mode_again_has_not_let_go(tmp_path: Path) -> None:
+    leave_takeover(tmp_path, 6.0)
+    reaction = read_reaction(tmp_path, "pilot_takeover", Role.RECEIVER, "approach+1", "pilot_override", {})
+    assert is_met(reaction)
+    assert not is_met(replace(reaction, after=("other", "land")))
 
 
 def test_a_px4s_own_failsafe_waits_for_the_guard(tmp_path: Path) -> None:
