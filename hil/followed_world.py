@@ -65,8 +65,8 @@ class RemoteAutopilot:
 
     @property
     def pilot_in_control(self) -> bool:
-        """Whether somebody else has selected its mode: the harness as a second ground station, or one that flies in a
-        mode that no script selects."""
+        """Whether somebody else selects its mode: the harness has, as a second ground station, or it flies in one that
+        no script selects."""
         return self.armed and (self._taken or self.mode is FlightMode.OTHER)
 
     @property

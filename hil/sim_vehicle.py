@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Protocol, Self, cast
 
 from drivers.history import StateHistory
-from drivers.interfaces import Capability, FlightMode, VehicleError, VehicleState, VelocitySetpoint
+from drivers.interfaces import Capability, FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
 from drivers.rig import PartContext
 from hil.autopilot import Ack, Autopilot
 from hil.world import Telemetry, World
@@ -214,8 +214,10 @@ class SimVehicle:
         if not await self._until(lambda: arrived() or ended(), timeout_s):
             raise VehicleError(f"not at {height_m:g} m {timeout_s:g} s after the take-off began", "hold or land")
         if ended():
-            what = f"mode {self.state.mode.value}" if self.state.armed else "disarmed"
-            raise VehicleError(f"take-off ended on the way: {what}", "the pilot has control, or a failsafe acted")
+            if self.state.armed:
+                said = f"take-off ended on the way: mode {self.state.mode.value}"
+                raise TakenOver(said, "the pilot has control, or a failsafe acted")
+            raise VehicleError("take-off ended on the way: disarmed", "see why it disarmed")
 
     async def start_offboard(self, first: VelocitySetpoint) -> None:
         self._check(first)
@@ -247,7 +249,7 @@ class SimVehicle:
         if not over:
             raise VehicleError(f"not on the ground {timeout_s:g} s after the landing began", "land by remote control")
         if self.state.armed:
-            raise VehicleError(f"landing ended by a change to mode {self.state.mode.value}", "the pilot has control")
+            raise TakenOver(f"landing ended by a change to mode {self.state.mode.value}", "the pilot has control")
 
     # --- inside ---
 

@@ -16,7 +16,16 @@ from typing import Any
 
 import pytest
 
-from drivers.interfaces import Capability, Clock, FlightMode, Vehicle, VehicleError, VelocitySetpoint, lacking
+from drivers.interfaces import (
+    Capability,
+    Clock,
+    FlightMode,
+    TakenOver,
+    Vehicle,
+    VehicleError,
+    VelocitySetpoint,
+    lacking,
+)
 from drivers.rig import PartContext
 from drivers.tello import TelloVehicle
 from drivers.tello_config import TelloVehicleConfig
@@ -300,5 +309,23 @@ def test_a_pilot_can_take_over_exactly_those_that_say_so(stage_of: StageOf) -> N
             drone = stage.drone()
             drone.autopilot.request_mode(drone.estimate.time_s, FlightMode.OTHER, by_pilot=True)
             await until(lambda: vehicle.state.mode is FlightMode.OTHER)
+
+    on(stage_of, test)
+
+
+@VEHICLES
+def test_a_take_off_that_a_pilot_ends_says_whose_the_vehicle_is(stage_of: StageOf) -> None:
+    async def test(stage: Stage) -> None:
+        async with stage.vehicle as vehicle:
+            await vehicle.wait_armable(PATIENCE_S)
+            if Capability.PILOT_OVERRIDE in lacking(vehicle):
+                pytest.skip("nobody has a remote control for it")
+            await vehicle.arm()
+            climb = asyncio.create_task(vehicle.take_off(3.0, PATIENCE_S))
+            drone = stage.drone()
+            await until(lambda: not drone.autopilot.landed)
+            drone.autopilot.request_mode(drone.estimate.time_s, FlightMode.OTHER, by_pilot=True)
+            with pytest.raises(TakenOver, match="mode other"):
+                await climb
 
     on(stage_of, test)
