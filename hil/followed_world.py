@@ -61,7 +61,7 @@ class RemoteAutopilot:
 
     @property
     def mode(self) -> FlightMode:
-        return self._link.mode or self._cable.watch.mode
+        return self._cable.watch.mode
 
     @property
     def pilot_in_control(self) -> bool:

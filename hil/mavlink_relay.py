@@ -12,7 +12,7 @@ import socket
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from drivers.interfaces import FlightMode
 from drivers.mavsdk_modes import ARDUPILOT, CUSTOM_MODE_ENABLED, KINDS, PX4, SAFETY_ARMED, AutopilotKind
@@ -23,7 +23,7 @@ PILOT_SYSID = 251  # a second ground station
 AUTOPILOT = 1
 V2_OVERHEAD, V2_SIGNATURE, V1_OVERHEAD = 12, 13, 8
 
-HEARTBEAT, COMMAND_LONG, SET_POSITION_TARGET = 0, 76, 84
+HEARTBEAT, COMMAND_LONG, SET_POSITION_TARGET, CURRENT_MODE = 0, 76, 84, 436
 DO_SET_MODE, NAV_LAND, NAV_RETURN = 176, 21, 20
 # What a second ground station selects: LOITER; HOLD on a PX4, which refuses modes that need sticks while it has none.
 PILOT_MODE = {PX4.name: (4.0, 3.0), ARDUPILOT.name: (5.0, 0.0)}
@@ -33,7 +33,8 @@ class FlightWatch:
     """Armed, mode and offboard sessions of one vehicle. Times are seconds of the world's clock.
 
     A session begins with the first setpoint that arrives while the mode is OFFBOARD: ArduPilot climbs in that mode
-    without any. It ends with the command that leaves the mode, or when a heartbeat shows another.
+    without any. It ends with the command that leaves the mode, or when the vehicle says that it is in another: with its
+    heartbeat, or with CURRENT_MODE where it is asked for that, as PX4 beats once a second.
     """
 
     def __init__(self, kind: AutopilotKind) -> None:
@@ -49,15 +50,16 @@ class FlightWatch:
         """Longest time between setpoints in any session so far."""
         return max((session.max_gap_s for session in self.offboard_sessions), default=0.0)
 
-    def mode_of(self, custom_mode: int) -> FlightMode:
-        return self._kind.mode(custom_mode)
-
     def on_heartbeat(self, now_s: float, custom_mode: int, base_mode: int) -> None:
         self.armed = bool(base_mode & SAFETY_ARMED)
-        self.mode = self.mode_of(custom_mode)
+        self.on_mode(now_s, custom_mode)
+        if not self.armed:
+            self._end(now_s, self.mode)
+
+    def on_mode(self, now_s: float, custom_mode: int) -> None:
+        self.mode = self._kind.mode(custom_mode)
         if self.mode is not FlightMode.OFFBOARD:
             self._leaving = False
-        if self.mode is not FlightMode.OFFBOARD or not self.armed:
             self._end(now_s, self.mode)
 
     def on_setpoint(self, now_s: float) -> None:
@@ -125,8 +127,8 @@ class MavlinkRelay:
         for packet, sender, arrival_s in packets(self._vehicle_socket):
             self._peer = sender
             for message_id, sysid, frame in frames(packet):
-                if message_id == HEARTBEAT and sysid == self._sysid:
-                    self._on_heartbeat(frame, arrival_s - epoch_s)
+                if message_id in (HEARTBEAT, CURRENT_MODE) and sysid == self._sysid:
+                    self._on_vehicle(frame, arrival_s - epoch_s)
                 if self.tap is not None and sysid == self._sysid:
                     self.tap(message_id, frame, arrival_s)
             if not self.silent:
@@ -155,10 +157,14 @@ class MavlinkRelay:
             _send(self._vehicle_socket, message.pack(self._mav), self._peer)
             self._mav.seq = (self._mav.seq + 1) % 256
 
-    def _on_heartbeat(self, frame: bytes, now_s: float) -> None:
-        heartbeat = self._decoded(frame)
-        if heartbeat is not None and heartbeat.get_srcComponent() == AUTOPILOT:
-            self.watch.on_heartbeat(now_s, heartbeat.custom_mode, heartbeat.base_mode)
+    def _on_vehicle(self, frame: bytes, now_s: float) -> None:
+        message = self._decoded(frame)
+        if message is None or message.get_srcComponent() != AUTOPILOT:
+            return
+        if message.get_msgId() == HEARTBEAT:
+            self.watch.on_heartbeat(now_s, message.custom_mode, message.base_mode)
+        else:
+            self.watch.on_mode(now_s, message.custom_mode)
 
     def _on_command(self, frame: bytes, now_s: float) -> None:
         command = self._decoded(frame)

@@ -14,7 +14,6 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from drivers.interfaces import FlightMode
 from drivers.mavsdk_geodesy import LocalTangent
 from drivers.mavsdk_modes import CUSTOM_MODE_ENABLED, KINDS
 from hil.arrival import Address
@@ -66,7 +65,6 @@ class SimulatorLink:
         self.wire = open_wire(port)
         self.watch = FlightWatch(next(known for known in KINDS if known.name == kind))
         self.epoch_s = 0.0  # of the world's clock, for ``watch``
-        self.mode: FlightMode | None = None  # sooner than by heartbeats, where it tells: PX4 beats once a second
         self._mav: Any = mavlink.MAVLink(None, srcSystem=OWN_SYSID, srcComponent=OWN_COMPONENT)
         self._asked_s = -math.inf
         self._heard: dict[int, float] = {}
@@ -170,7 +168,7 @@ class SimulatorLink:
             case "HEARTBEAT" if message.get_srcComponent() == AUTOPILOT:
                 self.watch.on_heartbeat(time_s - self.epoch_s, message.custom_mode, message.base_mode)
             case "CURRENT_MODE":
-                self.mode = self.watch.mode_of(message.custom_mode)
+                self.watch.on_mode(time_s - self.epoch_s, message.custom_mode)
             case "SYS_STATUS":
                 self.armable = bool(message.onboard_control_sensors_health & PREARM_CHECK)
                 if message.battery_remaining >= 0:

@@ -102,7 +102,7 @@ async def flight(vehicle: Vehicle, simulated: SimulatedVehicle, drone: SimDrone)
     assert simulated.link.watch.armed and simulated.link.watch.mode is FlightMode.OFFBOARD
     assert truth() == pytest.approx(drone.true_position_n_m, abs=0.1)
     simulated.link.pilot_takes_over()
-    await until(lambda: vehicle.state.mode is FlightMode.OTHER)
+    await until(lambda: vehicle.state.mode is FlightMode.HOLD)
     await vehicle.land(LIMIT_S)
     assert drone.on_ground
 

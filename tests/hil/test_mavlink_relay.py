@@ -45,6 +45,15 @@ def test_setpoints_that_stop_are_a_gap_until_the_vehicle_leaves_the_mode() -> No
     assert watch.setpoint_gap_s == pytest.approx(0.9)
 
 
+def test_a_session_ends_when_the_mode_is_told_and_not_a_heartbeat_later() -> None:
+    watch = px4_in_offboard()
+    watch.on_setpoint(1.05)
+    watch.on_mode(1.5, HOLD)
+    watch.on_heartbeat(2.0, HOLD, ARMED)
+    (session,) = watch.offboard_sessions
+    assert (session.end_s, session.ended_by, session.max_gap_s) == (1.5, FlightMode.HOLD, pytest.approx(0.45))
+
+
 @pytest.mark.parametrize(("command", "param2"), [(NAV_LAND, 0.0), (DO_SET_MODE, 4.0)])
 def test_leaving_by_command_is_no_gap_however_late_the_heartbeat(command: int, param2: float) -> None:
     watch = px4_in_offboard()
@@ -175,7 +184,7 @@ def test_a_pilot_changes_the_mode(ends: Ends) -> None:
 
 
 def test_a_vehicle_that_was_told_to_hold_is_its_pilots(ends: Ends) -> None:
-    autopilot = RemoteAutopilot(ends.relay, cast(SimulatorLink, SimpleNamespace(mode=FlightMode.OFFBOARD, battery=1.0)))
+    autopilot = RemoteAutopilot(ends.relay, cast(SimulatorLink, SimpleNamespace(battery=1.0)))
     ends.vehicle.sendto(heartbeat(ends), ends.vehicle_side)
     ends.relay.receive(0.0)
     assert autopilot.armed and not autopilot.pilot_in_control

@@ -154,11 +154,9 @@ def test_a_px4s_mode_is_known_before_its_next_heartbeat(simulator: Simulator) ->
     now_s = time.monotonic()
     simulator.say(*truths("px4"))
     assert asked(now_s) and asked(now_s + 2.0)  # a request may be lost
-    assert simulator.link.mode is None
-    simulator.say(current_mode(6, 0))
-    assert simulator.link.mode is FlightMode.OFFBOARD
-    simulator.say(current_mode(4, 3))
-    assert simulator.link.mode is FlightMode.HOLD
+    for told, mode in ((current_mode(6, 0), FlightMode.OFFBOARD), (current_mode(4, 3), FlightMode.HOLD)):
+        simulator.say(told)
+        assert simulator.link.watch.mode is mode
     assert not asked(now_s + 4.0)  # it comes by itself now
 
 
