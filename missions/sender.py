@@ -73,7 +73,7 @@ class Sender:
         self._watching = True
         self._handover = SenderHandover(session, store)
         self._cycle: SenderCycle | None = None
-        self._receiver_side = -1.0  # on which side of D1 the receiver stands: -1 left, 1 right
+        self._receiver_side: float | None = None  # as measured on the marker: -1 left of D1, 1 right
         self._candidates = 0
         self._way_out: Anchor | None = None
         session.on_message = self._on_message
@@ -153,10 +153,18 @@ class Sender:
         """Where to go before landing: away from the receiver, sideways, and the same place however often asked."""
         if self._way_out is None:
             state = self._session.vehicle.state
-            aside_m = 0.0 if self._track is None else -self._receiver_side * self._config.depart_m
+            aside_m = 0.0 if self._track is None else -self._side_of_receiver(state) * self._config.depart_m
             aside = from_heading((0.0, aside_m, 0.0), self._heading_rad)
             self._way_out = Anchor(add(state.position_n_m, aside), yaw_of(state.q_n_b))
         return self._way_out
+
+    def _side_of_receiver(self, state: VehicleState) -> float:
+        """-1 left, 1 right; by both drones' own positions until it was measured on the marker."""
+        peer = self._session.peer
+        if self._receiver_side is not None or peer is None:
+            return self._receiver_side or -1.0
+        _, right_m, _ = from_heading(subtract(peer.position_n_m, state.position_n_m), -self._heading_rad)
+        return 1.0 if right_m > 0.0 else -1.0
 
     def _may_regain(self) -> bool:
         """Whether there is room to back off: the receiver is not on its way to this drone yet."""

@@ -187,6 +187,18 @@ def test_a_program_that_is_killed_and_started_again_goes_by_what_it_wrote_down(
     assert not last["sender"]["in_air"] and not last["receiver"]["in_air"]
 
 
+@pytest.mark.parametrize("seed", [0, 1, 10])  # the receiver comes from the right, the left, the right
+def test_a_sender_leaves_away_from_a_receiver_that_died_on_its_way_to_it(tmp_path: Path, seed: int) -> None:
+    flown = fly("sim", tmp_path, seed, "kill_receiver@approach+1")
+    (fault,) = flown.run.world["/fault"]
+    after = [record.record for record in flown.run.world["/truth"] if record.stamp_ns >= fault.stamp_ns]
+    places = [(each["sender"]["t"], each["receiver"]["t"]) for each in after]
+    (began, other), (ended, _) = places[0], places[-1]
+    to_receiver_m, flown_m = other[0] - began[0], ended[0] - began[0]  # east is to the right of the heading
+    assert abs(flown_m) > 1.5 and flown_m * to_receiver_m < 0.0
+    assert flown.facts.violations == {}
+
+
 def test_a_sender_that_handed_over_leaves_even_when_nothing_more_is_heard_of_the_receiver(tmp_path: Path) -> None:
     """The target leads it towards where a receiver that died hangs in the air."""
     flown = fly("sim", tmp_path, 1, "link_out=4@handed_over+0.1", "kill_receiver=20@holding+0.1")
