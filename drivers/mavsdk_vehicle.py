@@ -129,6 +129,8 @@ class MavsdkVehicle:
                     "is the link fast enough for telemetry_hz?",
                 )
             if self._vision is not None:
+                if self._kind is PX4 and config.height_from != "home":
+                    raise VehicleError("a PX4 without GPS knows no altitude", 'write height_from = "home" in its table')
                 self._feeding = asyncio.create_task(self._vision.run())
                 self._feeding.add_done_callback(_log_failure)
         except BaseException:

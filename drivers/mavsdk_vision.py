@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.interfaces import BeaconError, BeaconFix, Beacons
+from drivers.mavsdk_modes import PX4, AutopilotKind
 from drivers.mavsdk_session import Session
 from drivers.mavsdk_telemetry import Telemetry
 from drivers.rig import Origin, PartContext, PartSpec, create
@@ -62,7 +63,7 @@ class VisionFeed:
     Attributes:
         sent: positions passed on.
         origin_sent: whether the autopilot was told where on earth its zero is: only after it has begun to use the
-            positions and has come to rest on them, since PX4's height may jump by the origin's altitude before.
+            positions and has come to rest on them.
     """
 
     def __init__(self, config: VisionConfig, context: PartContext, session: Session, telemetry: Telemetry) -> None:
@@ -95,7 +96,7 @@ class VisionFeed:
         self._session.send("VISION_POSITION_ESTIMATE", self._estimate(fix, fix.host_ns))
         self.sent += 1
         if not self.origin_sent and self._at_rest(fix.host_ns):
-            self._session.send("SET_GPS_GLOBAL_ORIGIN", origin_fields(self._origin))
+            self._session.send("SET_GPS_GLOBAL_ORIGIN", origin_fields(self._origin, self._telemetry.kind))
             self.origin_sent = True
 
     def _at_rest(self, now_ns: int) -> bool:
@@ -129,11 +130,13 @@ class VisionFeed:
         }
 
 
-def origin_fields(origin: Origin) -> dict[str, object]:
-    """SET_GPS_GLOBAL_ORIGIN."""
+def origin_fields(origin: Origin, kind: AutopilotKind | None) -> dict[str, object]:
+    """SET_GPS_GLOBAL_ORIGIN. At sea level for a PX4: whenever it begins with vision anew, after a second without, it
+    takes its height for an altitude, and its local frame would jump by the origin's."""
+    altitude_m = 0.0 if kind is PX4 else origin.altitude_m
     return {
         "latitude": round(origin.latitude_deg * 1e7),
         "longitude": round(origin.longitude_deg * 1e7),
-        "altitude": round(origin.altitude_m * 1e3),
+        "altitude": round(altitude_m * 1e3),
         "time_usec": 0,
     }

@@ -9,7 +9,9 @@ from typing import Any
 
 import pytest
 
-from drivers.mavsdk_vision import VisionConfig, beacon_in_n
+from drivers.interfaces import VehicleError
+from drivers.mavsdk_modes import ARDUPILOT, PX4, AutopilotKind
+from drivers.mavsdk_vision import VisionConfig, beacon_in_n, origin_fields
 from drivers.rig import PartSpec
 from hil import marvelmind_bytes as sent
 from hil.beacon_pty import SerialCable
@@ -40,7 +42,7 @@ def test_positions_reach_the_autopilot_and_then_its_origin(tmp_path: Path) -> No
 
     async def test() -> None:
         with px4() as bench:
-            async with bench.vehicle(vision=vision):
+            async with bench.vehicle(vision=vision, height_from="home"):
                 stamp_ms = 1000
                 while len(bench.wire.of("VISION_POSITION_ESTIMATE")) < 5 or not bench.wire.of("SET_GPS_GLOBAL_ORIGIN"):
                     stamp_ms += 60
@@ -60,10 +62,26 @@ def test_positions_reach_the_autopilot_and_then_its_origin(tmp_path: Path) -> No
             assert len(origins) == 1
             assert estimates[-1].usec - estimates[0].usec > 3_000_000, "the estimator had time to come to rest"
             assert origins[0].latitude == round(ORIGIN.latitude_deg * 1e7)
-            assert origins[0].altitude == round(ORIGIN.altitude_m * 1e3)
+            assert origins[0].altitude == 0
 
     run(test(), within_s=20.0)
     cable.unplug()
+
+
+@pytest.mark.parametrize(("kind", "altitude_mm"), [(PX4, 0), (ARDUPILOT, round(ORIGIN.altitude_m * 1e3))])
+def test_a_px4s_origin_lies_at_sea_level(kind: AutopilotKind, altitude_mm: int) -> None:
+    """As seen with PX4 1.17: after a gap of the beacons its height stood at minus the origin's altitude."""
+    assert origin_fields(ORIGIN, kind)["altitude"] == altitude_mm
+
+
+def test_a_px4_without_gps_cannot_fly_by_altitude() -> None:
+    async def test() -> None:
+        beacons = PartSpec(NOBODY.factory, {"ports": ["/dev/null"]}, "test")
+        with px4() as bench, pytest.raises(VehicleError, match="no altitude"):
+            async with bench.vehicle(vision=VisionConfig(beacons, 5)):
+                pass
+
+    run(test(), within_s=20.0)
 
 
 def test_beacons_that_are_unplugged_in_the_air_are_named_and_the_vehicle_flies_on(
@@ -77,7 +95,7 @@ def test_beacons_that_are_unplugged_in_the_air_are_named_and_the_vehicle_flies_o
 
     async def test() -> None:
         with px4(speed=3.0) as bench:
-            async with bench.vehicle(vision=vision) as vehicle:
+            async with bench.vehicle(vision=vision, height_from="home") as vehicle:
                 await into_the_air(vehicle)
                 cable.send(bytes(range(200)) + sent.quality(5, 90) + sent.position(60, 5, (1.0, 2.0, 0.3), 20))
                 await until(lambda: bool(bench.wire.of("VISION_POSITION_ESTIMATE")))
