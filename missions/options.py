@@ -155,7 +155,8 @@ class GuardOptions:
     """events: started by another program; ends, as soon as nothing flies, when that closes this one's input."""
 
     measure: bool = False
-    """Fly a mission for each way a program can fail in each phase; print how soon its vehicle is held, and down."""
+    """Fly a mission for each way a program can fail in each phase, and for another ground station's change of the mode;
+    print how soon the vehicle is held, and down, and how soon its script lets go."""
 
     case: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORD"), tyro.conf.UseAppendAction] = ()
     """With --measure: only cases with this word in them, such as kill_sender or @verify; may be given several times."""
