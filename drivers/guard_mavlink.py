@@ -175,8 +175,7 @@ class GuardMavlink:
             case 245:  # EXTENDED_SYS_STATE
                 self._in_air = message.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
             case 436 if self._kind is not None:  # CURRENT_MODE: PX4 beats once a second, whatever it is asked for
-                # OFFBOARD waits for the heartbeat: PX4 goes back to it, having landed, before it says it is disarmed.
-                if self._kind.mode(message.custom_mode) is not FlightMode.OFFBOARD:
+                if self._kind.news(message.custom_mode):
                     self._custom_mode = message.custom_mode
             case _:
                 pass

@@ -33,6 +33,11 @@ class AutopilotKind:
     def mode(self, custom_mode: int) -> FlightMode:
         return self.modes.get(custom_mode, FlightMode.OTHER)
 
+    def news(self, custom_mode: int) -> bool:
+        """Whether a CURRENT_MODE is believed before a heartbeat says the same. OFFBOARD is not: having landed, PX4 goes
+        back to it before it says that it is disarmed."""
+        return self.mode(custom_mode) is not FlightMode.OFFBOARD
+
 
 def px4_custom_mode(main: int, sub: int) -> int:
     """PX4's custom_mode: main mode in bits 16-23, sub mode in bits 24-31 (px4_custom_mode.h)."""

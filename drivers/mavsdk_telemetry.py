@@ -235,10 +235,9 @@ class Telemetry:
         self.heartbeat = Heartbeat(now_ns, int(fields["autopilot"]), armed)
 
     def _on_current_mode(self, message: Any) -> None:
-        """OFFBOARD waits for the heartbeat: having landed, PX4 goes back to it before it says that it is disarmed."""
         if self._of_autopilot(message) and self.kind is not None:
             custom_mode = int(json.loads(message.fields_json)["custom_mode"])
-            if self.kind.mode(custom_mode) is not FlightMode.OFFBOARD:
+            if self.kind.news(custom_mode):
                 self.reported_mode = ReportedMode(self.clock.now_ns(), custom_mode)
 
     def _of_autopilot(self, message: Any) -> bool:

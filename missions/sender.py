@@ -160,9 +160,11 @@ class Sender:
 
     def _side_of_receiver(self, state: VehicleState) -> float:
         """-1 left, 1 right; by both drones' own positions until it was measured on the marker."""
+        if self._receiver_side is not None:
+            return self._receiver_side
         peer = self._session.peer
-        if self._receiver_side is not None or peer is None:
-            return self._receiver_side or -1.0
+        if peer is None:
+            return -1.0
         _, right_m, _ = from_heading(subtract(peer.position_n_m, state.position_n_m), -self._heading_rad)
         return 1.0 if right_m > 0.0 else -1.0
 

@@ -14,8 +14,7 @@ from typing import Any, cast
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pymavlink.dialects.v20 import all as every_dialect
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from drivers.guard_interfaces import GuardView
 from drivers.guard_mavlink import GuardMavlink, GuardMavlinkConfig
@@ -118,7 +117,7 @@ class Copter:
         return mavlink.MAVLink_heartbeat_message(2, 3, 1 | 128, self.mode, 4, 3).pack(self.mav)
 
     def current_mode(self) -> bytes:
-        return every_dialect.MAVLink_current_mode_message(0, self.mode, self.mode).pack(self.mav)
+        return mavlink.MAVLink_current_mode_message(0, self.mode, self.mode).pack(self.mav)
 
 
 def commands(data: bytes) -> list[tuple[int, float, float, float]]:

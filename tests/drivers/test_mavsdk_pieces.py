@@ -74,10 +74,8 @@ def test_heartbeats_of_others_are_not_the_vehicles() -> None:
 
     telemetry._guarded(telemetry._on_heartbeat)(Message(), None)
     telemetry._guarded(telemetry._on_current_mode)(Message(), None)
-    assert (telemetry.heartbeat, telemetry.reported_mode) == (
-        None,
-        None,
-    )  # a companion computer on the vehicle's own system id
+    # a companion computer on the vehicle's own system id
+    assert (telemetry.heartbeat, telemetry.reported_mode) == (None, None)
 
 
 def test_a_mode_is_news_without_a_heartbeat() -> None:
