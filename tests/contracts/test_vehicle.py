@@ -299,13 +299,17 @@ def says_where(vehicle: Vehicle) -> None:
     assert sigma_m is None or sigma_m > 0.0
 
 
+def needs_a_pilot(vehicle: Vehicle) -> None:
+    if Capability.PILOT_OVERRIDE in lacking(vehicle):
+        pytest.skip("nobody has a remote control for it")
+
+
 @VEHICLES
 def test_a_pilot_can_take_over_exactly_those_that_say_so(stage_of: StageOf) -> None:
     async def test(stage: Stage) -> None:
         async with stage.vehicle as vehicle:
             await vehicle.wait_armable(PATIENCE_S)
-            if Capability.PILOT_OVERRIDE in lacking(vehicle):
-                pytest.skip("nobody has a remote control for it")
+            needs_a_pilot(vehicle)
             drone = stage.drone()
             drone.autopilot.request_mode(drone.estimate.time_s, FlightMode.OTHER, by_pilot=True)
             await until(lambda: vehicle.state.mode is FlightMode.OTHER)
@@ -318,8 +322,7 @@ def test_a_take_off_that_a_pilot_ends_says_whose_the_vehicle_is(stage_of: StageO
     async def test(stage: Stage) -> None:
         async with stage.vehicle as vehicle:
             await vehicle.wait_armable(PATIENCE_S)
-            if Capability.PILOT_OVERRIDE in lacking(vehicle):
-                pytest.skip("nobody has a remote control for it")
+            needs_a_pilot(vehicle)
             await vehicle.arm()
             climb = asyncio.create_task(vehicle.take_off(3.0, PATIENCE_S))
             drone = stage.drone()
