@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.dialect import path_dialect as dialect
-from drivers.wire import UDP_IP_OVERHEAD, Codec, Drop, EncodeError, introduce
+from drivers.wire import LAST_STAMP, UDP_IP_OVERHEAD, Codec, Drop, EncodeError, introduce
 from flight.config import MissionConfig
 from path.messages import (
     Abort,
@@ -289,6 +289,24 @@ def test_a_forged_stamp_does_not_lock_out_the_true_sender() -> None:
         assert receiver.decode(forged) is Drop.BAD_SIGNATURE
     assert isinstance(receiver.decode(sender.encode(TARGET)), Target)
     assert len(receiver._streams) == 1
+
+
+@pytest.mark.parametrize("clock", [2**48, 2**60, -1, LAST_STAMP + 1])
+def test_a_clock_beyond_the_range_of_signatures_signs_on_from_where_it_was(clock: int) -> None:
+    now = [1000]
+    sender, receiver = Codec(Role.SENDER, KEY, stamp=lambda: now[0]), Codec(Role.RECEIVER, KEY)
+    introduce(sender, receiver)
+    for now[0] in (2000, clock, clock):
+        assert isinstance(receiver.decode(sender.encode(TARGET)), Target)
+
+
+def test_a_peers_clock_at_the_top_of_the_range_takes_no_one_there() -> None:
+    sender, receiver = pair()
+    for stamp in (LAST_STAMP + 1, 2**48 - 1):
+        assert receiver.decode(raw(raw_target(), stamp=stamp)) is Drop.CLOCK_AT_END
+    for _ in range(3):
+        assert not isinstance(sender.decode(receiver.encode(CANDIDATE)), Drop)
+    assert isinstance(receiver.decode(sender.encode(TARGET)), Target)
 
 
 def test_our_own_packets_reflected_are_not_the_peers() -> None:
