@@ -102,10 +102,8 @@ class Program:
     def set_claim(self, claim: TakeResponsibility | None) -> None:
         def change() -> None:
             self.claim = claim
-            until_s = (
-                "" if claim is None or claim.until_ns is None else f"until {claim.until_ns * 1e-9:.3f} s of its clock"
-            )
-            self.world.tell(self.role, "is not responsible" if claim is None else "is responsible", until_s)
+            provisional = claim is not None and claim.provisional and "provisionally"
+            self.world.tell(self.role, "is not responsible" if claim is None else "is responsible", provisional)
             self.world.judge.claimed(self)
 
         self._effect(change)

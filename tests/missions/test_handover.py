@@ -395,11 +395,13 @@ def test_a_confirm_after_a_stall_over_the_end_of_the_lease_holds_nothing(rig: An
     fly(rig, course)
 
 
-def test_a_status_counts_only_while_the_clocks_are_aligned_and_by_the_earliest_it_can_be_of(rig: Any) -> None:
+def test_a_status_counts_only_while_the_clocks_are_aligned_and_by_the_earliest_it_can_be_of(
+    rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async def course(pair: Pair) -> None:
         session, alignment = pair.session[Role.SENDER], pair.session[Role.SENDER].alignment
         heard: list[PeerStatus] = []
-        pair.sender._on_status = heard.append
+        monkeypatch.setattr(pair.sender, "_on_status", heard.append)
         await session.cancel_spawned()
         stamp_ns = alignment.to_peer_ns(session.now_ns()) + 10**12  # long after the newest exchange: a wide bound
         status = replace(cast(Status, kinds(pair.link[Role.RECEIVER].sent, Status)[-1]), stamp_ns=stamp_ns)
