@@ -17,6 +17,7 @@ from typing import Any
 from drivers.interfaces import Log
 from drivers.rig import Rig, RoleRig
 from flight.config import MissionConfig
+from flight.outcome import OBJECT_MONITOR
 from flight.relay import OFTEN, Flown, RelayConfig, Sample
 from hil.lease_monitor import GAP_S
 from hil.monitors import Monitors
@@ -224,7 +225,7 @@ class RelayMonitors:
         found = min(off, key=lambda number: math.inf if math.isnan(off[number]) else off[number])
         if found != 0 and name not in self._wrong:
             self._wrong.add(name)
-            self.violated("target", now_s, f"{name} is responsible and looks at object {found}")
+            self.violated(OBJECT_MONITOR, now_s, f"{name} is responsible and looks at object {found}")
         elif found == 0:
             self._wrong.discard(name)
 

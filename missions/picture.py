@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from drivers.log import LogRecord
 from missions.camera_views import draw_view
 from missions.palette import COUNT, DIM, FAULT, NEEDED, PHASES, ROLE
-from missions.records import Run, last
-from missions.summary import judged_pairs, start_ns
+from missions.records import Run, judged_pairs, last
+from missions.summary import start_ns
 from missions.truth import Truth, truth_of
 from path.messages import Role
 
