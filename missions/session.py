@@ -182,10 +182,14 @@ class Session:
 
     async def keep_guard(self) -> None:
         """Beat for ever. The course ends when the guard took the flying vehicle from the script, or is gone."""
+        alarm = ""
         while self.guard is not None:
             beat = self.beat()
             self.guard.beat(beat)
-            self.guard.look()
+            answer = self.guard.look()
+            if answer is not None and answer.alarm not in ("", alarm):
+                alarm = answer.alarm
+                self.say(f"ALARM: the guard ignores {alarm}")
             try:
                 if beat.script in (Script.CLIMB, Script.CONTROL):
                     self.guard.check()
