@@ -25,6 +25,7 @@ from path.protocol.values import (
     ReceiverEvent,
     ReceiverRecord,
     SenderRecord,
+    TakeResponsibility,
     VerifyAgain,
 )
 from path.protocol.values import Outcome as Decision
@@ -54,7 +55,7 @@ class SenderHandover(MachineRun[SenderMachine]):
         self._anew_ns = session.now_ns()
         self._free_ns: int | None = None  # the newest word of the other drone that it holds nothing; None: it does
         if kept is not None:  # on the ground a new mission begins: nobody tracks its target yet
-            session.set_responsible(machine.responsible and session.vehicle.state.armed)
+            session.set_claim(TakeResponsibility() if machine.responsible and session.vehicle.state.armed else None)
 
     def undecided(self, flying: bool) -> bool:
         state = self._machine.state
@@ -172,7 +173,7 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
         super().__init__(session, store, machine, kept, receiver.record(machine.state))
         self._able = able
         if kept is not None:
-            session.set_responsible(machine.responsible, isinstance(machine.state, Provisional))
+            session.set_claim(receiver.claim(machine.state))
 
     def undecided(self, flying: bool) -> bool:
         state = self._machine.state
@@ -185,8 +186,13 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
 
     @property
     def holds(self) -> bool:
-        """Responsible, provisionally or for good."""
-        return self._machine.responsible
+        """Responsible, provisionally or for good, at this very instant."""
+        return self._machine.responsible(self._session.now_ns())
+
+    @property
+    def within_lease(self) -> bool:
+        """It took provisionally, and what comes of that is not decided yet: the lease decides, be it over."""
+        return isinstance(self._machine.state, Provisional)
 
     @property
     def holds_for_good(self) -> bool:
@@ -212,7 +218,7 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
         An attempt that the sender took back may be followed by another one, as long as there is time.
         """
         carrier, end_s = self._carrier, asyncio.get_running_loop().time() + timeout_s
-        while await until(lambda: carrier.ended is not None, end_s) or self.holds:
+        while await until(lambda: carrier.ended is not None, end_s) or self.within_lease or self.holds:
             # within a lease, the lease decides and not the deadline
             await until(lambda: carrier.ended is not None, math.inf)
             assert carrier.ended is not None

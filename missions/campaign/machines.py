@@ -202,7 +202,7 @@ class Machines:
         drone = self._drones[program.role]
         crash = drone.crash
         assert crash is not None
-        program.alive = program.responsible = False
+        program.alive, program.claim = False, None
         drone.program = None
         if program.writing is not None and self.random.random() < 0.5:
             drone.store.save(program.writing)

@@ -138,7 +138,7 @@ class Effects:
             before = self.receivers.values[state]
             assert not isinstance(before, Dead)
             after, actions = receiver.step(self.config, before, event, skew)
-            broken = receiver_rules(before, after, event, actions)
+            broken = receiver_rules(before, after, event, actions, skew, self.scope.guard)
             effect = self._by_receiver[key] = self._effect("sender", what, self.receivers(after), actions, broken)
         return effect
 
@@ -225,7 +225,7 @@ class Effects:
                 if not isinstance(gives, sender.Idle | sender.Keeping | sender.HandedOver):
                     packets.append(Packet("receiver", target(gives.live)))
             if not isinstance(takes, Dead):
-                packets.append(Packet("sender", status(Role.RECEIVER, receiver.is_responsible(takes), skew)))
+                packets.append(Packet("sender", status(Role.RECEIVER, receiver.is_responsible(takes, skew), skew)))
                 if takes.live is not None:
                     packets.append(Packet("sender", candidate(takes.live)))
             found = 0

@@ -127,7 +127,7 @@ class Moves:
             return False  # of a sender that is idle nothing is asked
         if isinstance(takes, Dead):
             return not isinstance(gives, sender.HandedOver)
-        return not receiver.is_responsible(takes)
+        return not receiver.is_responsible(takes, world.skew)
 
     def _overdue(self, world: World) -> str:
         """L1: everything that waits, ends. L2: no gap but the orphan, and neither side takes that for all well."""
@@ -182,7 +182,7 @@ class Moves:
         gives, takes = self.sender_of(world), self.receiver_of(world)
         if not isinstance(gives, sender.Idle):
             return False
-        return gives.epoch == 0 or not (isinstance(takes, Dead) or receiver.is_responsible(takes))
+        return gives.epoch == 0 or not (isinstance(takes, Dead) or receiver.is_responsible(takes, world.skew))
 
     def _agreements(self, world: World, live: Handoff) -> Iterator[Move]:
         """The one that the window counted, and those of which nothing may come (S5)."""
@@ -258,7 +258,7 @@ class Moves:
 
     def _checked(self, before: World, after: World, what: str, broken: str) -> Move:
         now, holds = self.sender_of(after), self.receiver_of(after)
-        gives, takes = responsible_sender(now), responsible_receiver(holds)
+        gives, takes = responsible_sender(now), responsible_receiver(holds, after.skew)
         broken = broken or across_rules(self.sender_of(before), now, self.receiver_of(before), holds)
         if gives and takes:
             broken = broken or "S1"

@@ -43,7 +43,7 @@ class Observing:
 
 @dataclass(frozen=True, slots=True)
 class Provisional:
-    """Responsible until ``lease_end_ns`` (own clock, already reduced by uncertainty and guard); ACCEPT is repeated."""
+    """Responsible before ``lease_end_ns`` (own clock, already reduced by uncertainty and guard); ACCEPT is repeated."""
 
     live: Handoff
     nonce: int
@@ -75,8 +75,21 @@ ReceiverState = Observing | Provisional | Holding | LetGo
 Step = tuple[ReceiverState, Actions]
 
 
-def is_responsible(state: ReceiverState) -> bool:
-    return isinstance(state, Provisional | Holding)
+def claim(state: ReceiverState) -> TakeResponsibility | None:
+    """What a state is responsible by; None when it is not."""
+    match state:
+        case Provisional():
+            return TakeResponsibility(state.lease_end_ns)
+        case Holding():
+            return TakeResponsibility()
+        case Observing() | LetGo():
+            return None
+
+
+def is_responsible(state: ReceiverState, now_ns: int) -> bool:
+    """Whether it is at this instant, be it that nobody has told the machine of it yet."""
+    held = claim(state)
+    return held is not None and held.at(now_ns)
 
 
 def floor(state: ReceiverState) -> int:
@@ -216,7 +229,7 @@ def _hear_commit(config: ProtocolConfig, state: ReceiverState, heard: CommitHear
         resend_ns=now_ns + to_ns(config.retry_s),
         sure_ns=sure_ns,
     )
-    return held, (Persist(record(held)), TakeResponsibility(provisional=True), Send(_accept(held, now_ns)))
+    return held, (Persist(record(held)), TakeResponsibility(held.lease_end_ns), Send(_accept(held, now_ns)))
 
 
 def _commit_refusal(config: ProtocolConfig, state: ReceiverState, heard: CommitHeard, now_ns: int) -> Refusal | None:
@@ -259,8 +272,7 @@ def _hear_confirm(state: ReceiverState, confirm: Confirm, now_ns: int) -> Step:
     match state:
         case Provisional():
             holding = Holding(state.live, state.nonce)
-            take = TakeResponsibility(provisional=False)
-            return holding, (Persist(record(holding)), take, Ended(Outcome.HANDED_OVER))
+            return holding, (Persist(record(holding)), TakeResponsibility(), Ended(Outcome.HANDED_OVER))
         case Holding():
             return state, ()
         case LetGo():
@@ -366,9 +378,8 @@ class ReceiverMachine:
         """What Candidates are to carry; None before the first Target of a handoff, and after its end."""
         return self.state.live
 
-    @property
-    def responsible(self) -> bool:
-        return is_responsible(self.state)
+    def responsible(self, now_ns: int) -> bool:
+        return is_responsible(self.state, now_ns)
 
     @property
     def wake_ns(self) -> int | None:

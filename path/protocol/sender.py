@@ -204,7 +204,7 @@ def _take_back(state: AwaitingAccept) -> Step:
     ran_out = state.withdrawn in (None, AbortReason.TIMEOUT)
     outcome = Outcome.TAKEN_BACK if ran_out else Outcome.ABORTED
     after = TakenBack(live)
-    return after, (Persist(record(after)), TakeResponsibility(provisional=False), Ended(outcome, state.withdrawn))
+    return after, (Persist(record(after)), TakeResponsibility(), Ended(outcome, state.withdrawn))
 
 
 def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_ns: int) -> Step:  # noqa: PLR0911
@@ -240,7 +240,7 @@ def _offer(config: ProtocolConfig, state: Idle | Keeping | TakenBack, offer: Off
         return state, (Refused(Refusal.EPOCHS_EXHAUSTED),)
     live = Handoff(offer.handoff_id, following, offer.target_id)
     offering = Offering(live, now_ns + to_ns(config.offer_s), now_ns + to_ns(config.handoff_s))
-    take: Actions = () if is_responsible(state) else (TakeResponsibility(provisional=False),)
+    take: Actions = () if is_responsible(state) else (TakeResponsibility(),)
     return offering, (Persist(record(offering)), *take)
 
 

@@ -24,7 +24,8 @@ class ProtocolConfig:
         handoff_s: from the first word of a handoff to the agreement; then the outcome is TIMEOUT.
         lease_s: from COMMIT to the end of its lease.
         retry_s: between two COMMITs, and two ACCEPTs.
-        guard_s: the receiver's lease ends this much early, for its program may be late to notice.
+        guard_s: the receiver's lease ends this much early: time from its last look at the clock until what it then did
+            has happened.
         settle_s: after the lease, how long to wait for word of what became of the other side.
         max_uncertainty_s: clocks known no better than this cannot carry a lease.
     """
@@ -252,7 +253,21 @@ class Persist:
 
 @dataclass(frozen=True, slots=True)
 class TakeResponsibility:
-    provisional: bool
+    """Responsible from now on: until an instant of the own clock, or for good when there is none.
+
+    The end is part of it. Whoever says or acts on it compares it with the clock (``at``); a program that slept through
+    the end is not responsible when it wakes, though nothing has told it so.
+    """
+
+    until_ns: int | None = None
+
+    @property
+    def provisional(self) -> bool:
+        return self.until_ns is not None
+
+    def at(self, now_ns: int) -> bool:
+        """Whether it is still so."""
+        return self.until_ns is None or now_ns < self.until_ns
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,7 +104,7 @@ def test_the_table_says_in_which_states_a_drone_is_responsible() -> None:
         receiver.LetGo(LIVE, 0, 0, 0),
     ]
     assert told == {
-        named(state): receiver.is_responsible(state)
+        named(state): receiver.is_responsible(state, -1)
         if isinstance(state, receiver.ReceiverState)
         else sender.is_responsible(state)
         for state in states

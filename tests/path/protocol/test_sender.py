@@ -56,7 +56,7 @@ TAKE_BACK = T0 + 1 * S + 5 * MS
 def offering() -> SenderMachine:
     machine = SenderMachine(CONFIG)
     assert not machine.responsible
-    assert machine.step(Offer(7, 3), T0) == (Persist(SenderRecord(1, "mine")), TakeResponsibility(False))
+    assert machine.step(Offer(7, 3), T0) == (Persist(SenderRecord(1, "mine")), TakeResponsibility())
     return machine
 
 
@@ -123,14 +123,14 @@ def test_it_takes_back_only_after_lease_end_and_uncertainty() -> None:
     machine.step(Tick(), TAKE_BACK - 1)
     assert not machine.responsible
     actions = machine.step(Tick(), TAKE_BACK)
-    assert actions == (Persist(SenderRecord(2, "mine")), TakeResponsibility(False), Ended(Outcome.TAKEN_BACK))
+    assert actions == (Persist(SenderRecord(2, "mine")), TakeResponsibility(), Ended(Outcome.TAKEN_BACK))
     assert machine.responsible and machine.live == replace(LIVE, epoch=2)
 
 
 def test_an_accept_at_the_very_end_comes_too_late() -> None:
     machine = awaiting()
     actions = machine.step(Heard(ACCEPT), TAKE_BACK)
-    assert TakeResponsibility(False) in actions and actions[-1] == Refused(Refusal.WRONG_STATE)
+    assert TakeResponsibility() in actions and actions[-1] == Refused(Refusal.WRONG_STATE)
     assert not any(isinstance(action, Send) for action in actions)
     assert isinstance(machine.state, TakenBack)
 
@@ -223,7 +223,7 @@ def test_an_abort_after_the_commit_still_waits_for_the_lease_and_confirms_nothin
     assert isinstance(answer, Send) and isinstance(answer.message, Abort)
     assert machine.step(Tick(), TAKE_BACK - 1) == ()
     actions = machine.step(Tick(), TAKE_BACK)
-    assert TakeResponsibility(False) in actions and actions[-1] == Ended(Outcome.ABORTED, AbortReason.PILOT)
+    assert TakeResponsibility() in actions and actions[-1] == Ended(Outcome.ABORTED, AbortReason.PILOT)
 
 
 @pytest.mark.parametrize(
@@ -270,7 +270,7 @@ def test_what_was_released_is_committed_again_after_a_restart_and_taken_back_in_
     commit = Commit(7, 1, 3, 99, T0 + 1 * S, T0 + 500 * MS)
     assert machine.step(Tick(), T0 + 500 * MS) == (Send(commit),)
     assert machine.step(Tick(), TAKE_BACK - 1) == ()
-    assert TakeResponsibility(False) in machine.step(Tick(), TAKE_BACK)
+    assert TakeResponsibility() in machine.step(Tick(), TAKE_BACK)
     assert restarted(awaiting(), TAKE_BACK + 1).wake_ns == TAKE_BACK
 
 
@@ -286,7 +286,7 @@ def test_after_a_reboot_the_lease_is_waited_for_anew_and_never_promised_again() 
     machine = restarted(awaiting(), 5 * S, same_clock=False)
     longest = round((CONFIG.lease_s + CONFIG.max_uncertainty_s) * S)
     assert machine.step(Tick(), 5 * S + longest - 1) == () and not machine.responsible
-    assert TakeResponsibility(False) in machine.step(Tick(), 5 * S + longest)
+    assert TakeResponsibility() in machine.step(Tick(), 5 * S + longest)
 
 
 @pytest.mark.parametrize("same_clock", [True, False])
@@ -311,7 +311,7 @@ def test_after_a_new_mission_nothing_is_its_own_and_no_restart_makes_it_so(make:
     machine = restarted(machine, T0 + 62 * S)
     assert not machine.responsible and machine.live is None
     offered = machine.step(Offer(7, 3), T0 + 63 * S)
-    assert offered == (Persist(SenderRecord(2, "mine")), TakeResponsibility(False))
+    assert offered == (Persist(SenderRecord(2, "mine")), TakeResponsibility())
 
 
 def test_epochs_do_not_wrap() -> None:
