@@ -171,7 +171,7 @@ class Session:
     def beat(self) -> Beat:
         """What the guard is told; a measured distance once."""
         script = self.script
-        if self.pilot.overridden:
+        if self.pilot.override:
             script = Script.LET_GO
         elif self.pilot.in_control:
             script = Script.CONTROL
