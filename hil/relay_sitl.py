@@ -65,8 +65,6 @@ class RelaySitl:
         """Raises PartError for a rig whose drones are not told apart, and for faults that there are not."""
         check_drones(request.rig, request.config)
         faults = {leg: [_parse(text) for text in texts] for leg, texts in request.faults.items()}
-        for left in (*request.out.glob("*.mcap"), *request.out.glob("*.stderr.txt"), *request.out.glob("*.state.json")):
-            left.unlink()  # of an earlier relay into the same folder
         return asyncio.run(_Relay(request, faults).run())
 
 

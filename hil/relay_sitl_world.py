@@ -29,6 +29,7 @@ from drivers.rig import Rig, RoleRig
 from drivers.rig_file import load_rig
 from drivers.tables import decode_table
 from flight.relay import RelayConfig, pair_of
+from hil.claims import in_world_time
 from hil.faulty_link import LinkFaults, UdpFaultProxy
 from hil.inject import inject_in_world, inject_on_link
 from hil.live_world import (
@@ -43,6 +44,7 @@ from hil.live_world import (
     shared_camera,
 )
 from hil.mavlink_vehicle import MavlinkVehicle
+from hil.monitors import LEASES
 from hil.preparation import prepare
 from hil.relay_live import HINDSIGHT_S, Hindsight, LiveRelay, RelayScene, run_of
 from hil.relay_monitors import RelayMonitors
@@ -147,10 +149,9 @@ class RelaySitlWorld:
 
     def _on_record(self, name: str, topic: str, stamp_ns: int, record: dict[str, Any]) -> None:
         epoch_ns = round(self._live.start_s * 1e9)
-        if topic == "/commit":
-            record["lease_end_ns"] -= epoch_ns
+        seen = in_world_time(record, epoch_ns) if topic in LEASES else record
         stamp_w_ns = stamp_ns - epoch_ns
-        self._hindsight.put(stamp_w_ns * 1e-9, "on_record", name, topic, stamp_w_ns, record)
+        self._hindsight.put(stamp_w_ns * 1e-9, "on_record", name, topic, stamp_w_ns, seen)
 
     async def _obey_in_order(self) -> None:
         while True:

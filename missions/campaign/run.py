@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import datetime
@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Protocol
 
 from drivers.interfaces import PartError
+from flight.command_end import CommandEnd
+from flight.outcome import violated_outcome
 from missions import rig_library
 from missions.campaign import machine_runs, role_runs
 from missions.campaign.levels import LEVELS, LevelName
@@ -22,8 +24,6 @@ from missions.options import CampaignOptions
 from missions.work import open_work
 
 SUMMARY, PICTURE = "summary.json", "outcomes.png"
-EXIT_BROKEN = 40  # as a run whose monitors were violated
-EXIT_CTRL_C = 130
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,18 +92,19 @@ def run(options: CampaignOptions) -> int:
         except KeyboardInterrupt:
             sys.stdout.write(f"\n{len(results.lines)} of {options.runs} runs are done and kept in {folder}\n")
             sys.stdout.write("go on with the same command" + ("" if options.out else f" and --out {folder}") + "\n")
-            return EXIT_CTRL_C
-        return _report(options, folder, [line for line in results.lines if line.number < options.runs])
+            return CommandEnd.STOPPED.exit_code
+        return report(options, folder, [line for line in results.lines if line.number < options.runs])
 
 
-def _report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> int:
+def report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> int:
+    """Write and show what came of the runs; returns the exit code."""
     command = partial(replay_command, options)
     summary = summarize(options.program, options.seed, lines, command)
     (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
     draw_outcomes(summary, folder / PICTURE)
     sys.stdout.write(table(summary))
     sys.stdout.write(f"\n{folder}: {SUMMARY}, {PICTURE}, runs.jsonl\n")
-    return EXIT_BROKEN if summary["violations"] else 0
+    return exit_code(summary["violations_of"])
 
 
 def replay_command(options: CampaignOptions, line: RunLine) -> str:
@@ -122,7 +123,12 @@ def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
     for what in (*line.violations, *(f"(after a clock was set) {one}" for one in line.beyond)):
         sys.stdout.write(f"violated: {what}\n")
     sys.stdout.write(f"outcome: {line.outcome}\n")
-    return EXIT_BROKEN if line.violations else 0
+    return exit_code([what.partition(" ")[0] for what in line.violations])
+
+
+def exit_code(monitors: Collection[str]) -> int:
+    """Of runs in which these monitors were violated, none for 0."""
+    return violated_outcome(monitors).exit_code if monitors else CommandEnd.DONE.exit_code
 
 
 def _workers(options: CampaignOptions) -> AbstractContextManager[Workers]:
