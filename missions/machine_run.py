@@ -176,7 +176,8 @@ class MachineRun(Generic[Machine]):
         alignment = self._session.alignment
         if alignment.ready:
             stamp_ns = alignment.to_own_ns(status.stamp_ns)
-            self._on_status(PeerStatus(status.responsible, stamp_ns - alignment.uncertainty_at(stamp_ns)))
+            earliest_ns = stamp_ns - alignment.uncertainty_at(stamp_ns)
+            self._on_status(PeerStatus(status.responsible, earliest_ns, status.instance))
 
     def _on_status(self, status: PeerStatus) -> None:
         self._hear(lambda: status)

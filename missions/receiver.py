@@ -354,7 +354,7 @@ class Receiver:
         session, live = self._session, self._handover.live
         if live is None or not session.alignment.ready:
             return
-        if live != self._live:
+        if live.follows(self._live):
             self._live = live
             self._cycle = ReceiverCycle(
                 self._camera,

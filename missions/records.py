@@ -87,6 +87,7 @@ class RunFacts:
         simulated_s, wall_s: duration on the mission's clock and on the wall.
         violations: number of violations by monitor name.
         notes: lines for the crew, details of violations.
+        errors: of the world, as ``flight.harness.FlightReport`` has them.
     """
 
     rig: str
@@ -100,6 +101,7 @@ class RunFacts:
     wall_s: float = 0.0
     violations: dict[str, int] = field(default_factory=dict[str, int])
     notes: tuple[str, ...] = ()
+    errors: dict[str, str | float] = field(default_factory=dict[str, str | float])
 
 
 @dataclass(frozen=True, slots=True)

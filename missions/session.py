@@ -65,6 +65,10 @@ def _ignore(_: object) -> None:
     pass
 
 
+def _no_instance() -> int:
+    return 0
+
+
 @dataclass(slots=True)
 class Shown:
     """What the console shows of the handshake; the role keeps it current."""
@@ -112,6 +116,7 @@ class Session:
         self.peer: Status | None = None
         self.peer_heard_ns = 0
         self.claim: TakeResponsibility | None = None
+        self.instance: Callable[[], int] = _no_instance  # what a Status of this drone names
         self.observing = False
         self.on_message: Callable[[Received], None] = _ignore
         self.on_status: Callable[[Status], None] = _ignore
@@ -344,6 +349,7 @@ class Session:
             responsible=self.responsible_at(now_ns),
             observing=self.observing,
             battery=state.battery,
+            instance=self.instance(),
         )
 
     def _log_link(self) -> None:

@@ -106,7 +106,7 @@ class Judge:
         if message.epoch not in self._agreed or message.target_id == OTHER_ID:
             self._violated("S5", f"COMMIT to target {message.target_id} in epoch {message.epoch} without agreement")
         end_s = world.now_s + (message.lease_end_ns - program.now_ns()) * 1e-9 / program.clock.rate
-        handoff = Handoff(message.handoff_id, message.epoch, message.target_id)
+        handoff = Handoff(message.handoff_id, message.epoch, message.target_id, message.instance)
         self._issued.setdefault((message.epoch, message.nonce), _Issued(handoff, end_s))
         if self._committed_s is None:
             self._committed_s = world.now_s

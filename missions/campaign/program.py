@@ -60,6 +60,7 @@ class Program:
         self.entropy = random.Random(f"{world.plan.seed} {self.role.value} {life}")
         self.link = self.log = self
         self.claim: TakeResponsibility | None = None
+        self.instance: Callable[[], int] = int
         self.observing = False
         self.peer: Status | None = None
         self.alive = True
@@ -134,6 +135,9 @@ class Program:
 
         after_s = self.world.random.uniform(0.0, self.world.plan.disk_s)
         self.world.at(self.world.now_s + after_s, lambda: self.run(written))
+
+    def say(self, note: str) -> None:
+        self.world.tell(self.role, note)
 
     def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
         del stamp_ns
@@ -243,7 +247,8 @@ class Program:
     def _report(self) -> float:
         rate_hz = self.config.status_hz if self.role is Role.SENDER else self.config.receiver_status_hz
         status = Status(
-            self.role, self.now_ns(), ORIGIN, ORIGIN, 0.0, 0, self.responsible, self.observing, 1.0
+            self.role, self.now_ns(), ORIGIN, ORIGIN, 0.0, 0, self.responsible, self.observing, 1.0,
+            self.instance(),
         )  # fmt: skip
         self.send(status)
         if self.alignment.fault:

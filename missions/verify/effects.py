@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass, replace
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from missions.verify.model import (
+    RECEIVER_ID,
     UNREAD,
     Packet,
     Scope,
@@ -199,9 +200,9 @@ class Effects:
     def _told(self, side: Side, state: int, skew: int, message: Message, what: str) -> Effect:
         uncertainty = self.scope.uncertainty
         if isinstance(message, Status):
-            event = PeerStatus(message.responsible, message.stamp_ns - uncertainty)
+            event = PeerStatus(message.responsible, message.stamp_ns - uncertainty, message.instance)
         elif isinstance(message, Commit) and side == "receiver":
-            event = CommitHeard(message, message.lease_end_ns, uncertainty)
+            event = CommitHeard(message, message.lease_end_ns, uncertainty, RECEIVER_ID)
         else:
             event = Heard(message)
         if side == "receiver":

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from missions.verify.effects import Effect, Effects
-from missions.verify.model import HANDOFF_ID, OTHER_ID, TARGET_ID, UNREAD, Scope, World
+from missions.verify.model import HANDOFF_ID, OTHER_ID, RECEIVER_ID, TARGET_ID, UNREAD, Scope, World
 from missions.verify.rules import Dead, across_rules, lowest_epoch, responsible_receiver, responsible_sender, used_epoch
 from path.messages import AbortReason
 from path.protocol import receiver, sender
@@ -187,12 +187,19 @@ class Moves:
     def _agreements(self, world: World, live: Handoff) -> Iterator[Move]:
         """The one that the window counted, and those of which nothing may come (S5)."""
         nonce, told = 100 * live.epoch, self.scope.uncertainty
-        whole = AgreementComplete(live.epoch, TARGET_ID, nonce, told)
+        whole = AgreementComplete(live.epoch, TARGET_ID, nonce, told, RECEIVER_ID)
         yield from self._tell_sender(world._replace(agreed=live.epoch), whole, "the agreement is complete")
         for wrong, what in (
-            (AgreementComplete(live.epoch - 1, TARGET_ID, nonce, told), "an agreement of an earlier attempt is told"),
-            (AgreementComplete(live.epoch, OTHER_ID, nonce, told), "an agreement on another object is told"),
-            (AgreementComplete(live.epoch, TARGET_ID, nonce, None), "an agreement is told without aligned clocks"),
+            (
+                AgreementComplete(live.epoch - 1, TARGET_ID, nonce, told, RECEIVER_ID),
+                "an agreement of an earlier attempt is told",
+            ),
+            (
+                AgreementComplete(live.epoch, OTHER_ID, nonce, told, RECEIVER_ID),
+                "an agreement on another object is told",
+            ),
+            (AgreementComplete(live.epoch, TARGET_ID, nonce, None, RECEIVER_ID), "an agreement is told without clocks"),
+            (AgreementComplete(live.epoch, TARGET_ID, nonce, told, None), "an agreement is told with two receivers"),
         ):
             yield from self._tell_sender(world, wrong, what)
 

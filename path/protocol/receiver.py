@@ -215,7 +215,7 @@ def _hear_target(config: ProtocolConfig, state: ReceiverState, target: Target, n
 
 
 def _hear_commit(config: ProtocolConfig, state: ReceiverState, heard: CommitHeard, now_ns: int) -> Step:
-    """S3: only for the live epoch and its one nonce, before the lease's end."""
+    """S3: only for the live epoch, its one nonce and this very receiver, before the lease's end."""
     why = _commit_refusal(config, state, heard, now_ns)
     if why is not None:
         return state, (Refused(why),)
@@ -223,7 +223,7 @@ def _hear_commit(config: ProtocolConfig, state: ReceiverState, heard: CommitHear
         return state, ()
     sure_ns = heard.lease_end_ns + heard.uncertainty_ns + to_ns(config.max_uncertainty_s) + to_ns(config.guard_s)
     held = Provisional(
-        live=state.live,
+        live=replace(state.live, instance=heard.instance),
         nonce=heard.commit.nonce,
         lease_end_ns=_lease_end_ns(config, heard.lease_end_ns, heard.uncertainty_ns),
         resend_ns=now_ns + to_ns(config.retry_s),
@@ -236,7 +236,7 @@ def _commit_refusal(config: ProtocolConfig, state: ReceiverState, heard: CommitH
     commit = heard.commit
     if state.live is None:
         return Refusal.LOWER_EPOCH if commit.epoch < floor(state) else Refusal.UNKNOWN_EPOCH
-    why = mismatch(state.live, commit)
+    why = mismatch(replace(state.live, instance=heard.instance), commit)
     if why is None and isinstance(state, Provisional | Holding):
         return None if commit.nonce == state.nonce else Refusal.WRONG_NONCE
     if why is None:
@@ -351,11 +351,11 @@ def _settle(state: LetGo, outcome: Outcome) -> Step:
 
 def _accept(state: Provisional, now_ns: int) -> Accept:
     live = state.live
-    return Accept(live.handoff_id, live.epoch, live.target_id, state.nonce, now_ns)
+    return Accept(live.handoff_id, live.epoch, live.target_id, state.nonce, now_ns, live.instance)
 
 
 def _abort(live: Handoff, reason: AbortReason, now_ns: int) -> Abort:
-    return Abort(live.handoff_id, live.epoch, reason, now_ns)
+    return Abort(live.handoff_id, live.epoch, reason, now_ns, live.instance)
 
 
 class ReceiverMachine:

@@ -387,7 +387,7 @@ def test_a_confirm_after_a_stall_over_the_end_of_the_lease_holds_nothing(rig: An
         receiver.tick = lambda: 0.1
         await until(lambda: session.now_ns() > receiver.state.lease_end_ns)
         live, nonce = receiver.state.live, receiver.state.nonce
-        late = Confirm(live.handoff_id, live.epoch, live.target_id, nonce, 1)
+        late = Confirm(live.handoff_id, live.epoch, live.target_id, nonce, 1, live.instance)
         receiver.on_message(Received(late, session.now_ns()))
         assert isinstance(receiver.state, LetGo) and not session.responsible
         del receiver.tick
@@ -407,7 +407,7 @@ def test_a_status_counts_only_while_the_clocks_are_aligned_and_by_the_earliest_i
         status = replace(cast(Status, kinds(pair.link[Role.RECEIVER].sent, Status)[-1]), stamp_ns=stamp_ns)
         pair.sender.on_status(status)
         own_ns = alignment.to_own_ns(stamp_ns)
-        assert heard == [PeerStatus(False, own_ns - alignment.uncertainty_at(own_ns))]
+        assert heard == [PeerStatus(False, own_ns - alignment.uncertainty_at(own_ns), pair.receiver.instance)]
         assert alignment.uncertainty_at(own_ns) > alignment.uncertainty_ns + 100_000_000
         alignment.reset()
         pair.sender.on_status(status)

@@ -115,7 +115,7 @@ class Pair:
         elif isinstance(message, Commit):
             lease_end = self.receiver_clock(message.lease_end_ns) + self.error_ns
             before = self.holds()
-            self.tell_receiver(CommitHeard(message, lease_end, UNCERTAINTY))
+            self.tell_receiver(CommitHeard(message, lease_end, UNCERTAINTY, 9))
             if self.holds() and not before:
                 assert self.now_ns < message.lease_end_ns, "S3"
         else:
@@ -158,7 +158,7 @@ class Pair:
     def agree(self, nonce: int = 1) -> None:
         live = self.sender.live
         assert live is not None
-        self.tell_sender(AgreementComplete(live.epoch, live.target_id, nonce, UNCERTAINTY))
+        self.tell_sender(AgreementComplete(live.epoch, live.target_id, nonce, UNCERTAINTY, 9))
 
 
 class Handovers(RuleBasedStateMachine):

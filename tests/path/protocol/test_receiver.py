@@ -32,11 +32,12 @@ MS = 1_000_000
 CONFIG = ProtocolConfig(handoff_s=20.0, lease_s=1.0, retry_s=0.1, guard_s=0.02, settle_s=2.0, max_uncertainty_s=0.1)
 TARGET = Target(7, 5, 3, 1, 1, (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), 0.01)
 T0 = 100 * S
-HEARD = CommitHeard(Commit(7, 5, 3, 99, 12345, 1), lease_end_ns=T0 + S, uncertainty_ns=5 * MS)
+ME, OTHER = 77, 78  # instances of receivers
+HEARD = CommitHeard(Commit(7, 5, 3, 99, 12345, 1, ME), lease_end_ns=T0 + S, uncertainty_ns=5 * MS, instance=ME)
 LEASE_END = T0 + S - 5 * MS - 20 * MS
 SURE = T0 + S + 5 * MS + 100 * MS + 20 * MS
-CONFIRM = Confirm(7, 5, 3, 99, 5)
-LIVE = Handoff(7, 5, 3)
+CONFIRM = Confirm(7, 5, 3, 99, 5, ME)
+LIVE = Handoff(7, 5, 3, ME)
 HELD = Persist(ReceiverRecord(5, "provisional", LIVE, 99, LEASE_END, SURE))
 GONE = Persist(ReceiverRecord(6, "let_go", LIVE, 99, 0, SURE))
 PILOT = AbortRequested(AbortReason.PILOT)
@@ -70,11 +71,11 @@ def test_the_whole_way() -> None:
     machine = joined()
     assert machine.live == Handoff(7, 5, 3) and not machine.responsible(T0)
     assert machine.step(Heard(TARGET), T0) == ()
-    assert machine.step(HEARD, T0) == (HELD, TakeResponsibility(LEASE_END), Send(Accept(7, 5, 3, 99, T0)))
+    assert machine.step(HEARD, T0) == (HELD, TakeResponsibility(LEASE_END), Send(Accept(7, 5, 3, 99, T0, ME)))
     assert machine.responsible(T0)
     again = T0 + 100 * MS
     assert machine.wake_ns == again
-    assert machine.step(Tick(), again) == (Send(Accept(7, 5, 3, 99, again)),)
+    assert machine.step(Tick(), again) == (Send(Accept(7, 5, 3, 99, again, ME)),)
     assert machine.step(HEARD, again) == ()  # the repeated Commit changes nothing
     kept = Persist(ReceiverRecord(5, "holding", LIVE, 99))
     assert machine.step(Heard(CONFIRM), again) == (kept, TakeResponsibility(), Ended(Outcome.HANDED_OVER))
@@ -88,7 +89,7 @@ def test_without_confirm_it_lets_go_before_the_lease_ends_on_any_clock() -> None
     machine.step(Tick(), LEASE_END - 1)
     assert machine.responsible(LEASE_END - 1)
     actions = machine.step(Tick(), LEASE_END)
-    told = Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END))
+    told = Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END, ME))
     assert actions == (Release(), GONE, told, Ended(Outcome.LET_GO))
     assert not machine.responsible(LEASE_END - 1) and Outcome.LET_GO.alarming
 
@@ -97,7 +98,7 @@ def test_a_confirm_at_the_very_end_comes_too_late_and_is_proof_of_an_orphan() ->
     machine = provisional()
     actions = machine.step(Heard(CONFIRM), LEASE_END)
     assert Release() in actions and actions[-1] == Settled(Outcome.ORPHANED)
-    assert Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END)) in actions
+    assert Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END, ME)) in actions
     assert not machine.responsible(T0)
     (tell,) = machine.step(Heard(CONFIRM), LEASE_END + S)
     assert isinstance(tell, Send) and isinstance(tell.message, Abort)
@@ -196,6 +197,7 @@ def test_the_pilots_veto() -> None:
     assert machine.step(PILOT, T0) == (Persist(ReceiverRecord(6)), told, ended)
     assert machine.state == Observing(6)
     machine = provisional()
+    told = Send(Abort(7, 5, AbortReason.PILOT, T0, ME))  # it was committed to this very receiver
     assert machine.step(PILOT, T0) == (Release(), GONE, told, ended)
     assert machine.step(Heard(CONFIRM), T0)[-1] == Settled(Outcome.ORPHANED)
     assert not machine.responsible(T0)
@@ -239,7 +241,7 @@ def restarted(machine: ReceiverMachine, now_ns: int, *, same_clock: bool = True)
 def test_within_its_lease_it_holds_on_after_a_restart_and_says_so() -> None:
     machine = restarted(provisional(), T0 + 100 * MS)
     assert machine.responsible(T0 + 100 * MS)
-    accept = Accept(7, 5, 3, 99, T0 + 100 * MS)
+    accept = Accept(7, 5, 3, 99, T0 + 100 * MS, ME)
     assert machine.step(Tick(), T0 + 100 * MS) == (Send(accept),)
     machine.step(Heard(CONFIRM), T0 + 200 * MS)
     assert isinstance(machine.state, Holding)
@@ -264,6 +266,18 @@ def test_what_is_held_for_good_is_held_after_a_restart(same_clock: bool) -> None
 def test_a_restored_state_is_written_down_as_it_was(make: Callable[[], ReceiverMachine]) -> None:
     kept = record(make().state)
     assert record(restored(CONFIG, kept, T0 + 1)) == kept
+
+
+def test_a_commit_or_confirm_to_another_receiver_is_none() -> None:
+    machine = joined()
+    other = replace(HEARD, commit=replace(HEARD.commit, instance=OTHER))
+    assert machine.step(other, T0) == (Refused(Refusal.WRONG_INSTANCE),)
+    assert not machine.responsible(T0) and isinstance(machine.state, Observing)
+    for machine in (provisional(), holding()):
+        before = machine.state
+        assert machine.step(Heard(replace(CONFIRM, instance=OTHER)), T0) == (Refused(Refusal.WRONG_INSTANCE),)
+        assert machine.step(other, T0) == (Refused(Refusal.WRONG_INSTANCE),)
+        assert machine.state == before
 
 
 def test_a_lease_longer_than_any_that_is_given_is_no_lease() -> None:
