@@ -38,7 +38,7 @@ class Bench:
     def __init__(self, speed: float = 1.0, key: bytes | None = None) -> None:
         self._speed = speed
         exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
-        self.world = World(WorldConfig(WindConfig(0.0, gust_mps=0.0), exact, autopilot=QUICK), seed=1)
+        self.world = World(WorldConfig(wind=WindConfig(0.0, gust_mps=0.0), estimator=exact, autopilot=QUICK), seed=1)
         self.drone = self.world.drone(Role.SENDER)
         self.lock = threading.Lock()
         self.ground = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
