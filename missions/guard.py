@@ -45,6 +45,9 @@ class Teller:
         reason = f": {state.reason}" if state.reason else ""
         _say(f"guard of the {self.role.value}: {state.stage.value}{sent}{reason}")
 
+    def warn(self, what: str) -> None:
+        _say(f"guard of the {self.role.value}: ALARM: ignored {what}")
+
 
 def _say(line: str) -> None:
     try:
@@ -98,7 +101,8 @@ async def watch_vehicles(
             vehicle: Watched = await stack.enter_async_context(create(spec, context))
             line = await stack.enter_async_context(UdpBeatLine(str(spec.options["bind"]), context.clock))
             log: Log = stack.enter_context(McapLog(logs[role]))
-            guards.append(GuardWatch(vehicle, line, context.clock, config, log, Teller(role)))
+            tell = Teller(role)
+            guards.append(GuardWatch(vehicle, line, context.clock, config, log, tell, tell.warn))
             vehicles.append(vehicle)
             _say(f"guard of the {role.value}: watching {vehicle.name}")
         if len(guards) == 2:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.interfaces import PartError
-from drivers.rig import Rig, import_factory
+from drivers.rig import Rig, import_factory, with_errors
 from flight.harness import Emit, FlightReport, FlightRequest, Harness, RoleResult
 from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
@@ -33,7 +33,7 @@ _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
 def run(options: HandoffOptions) -> int:
     """``path-handoff handoff``; returns the run's exit code. Raises PartError for what was asked wrongly."""
     name_simulators(options)
-    rig = rig_library.load(options.rig)
+    rig = with_errors(rig_library.load(options.rig), options.errors)
     harness_of(rig)
     folder = new_folder(options.out)
     if options.seeds > 1:
@@ -63,7 +63,8 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_leave_signals_to_the_parent)
     try:
         with open_tally(sys.stdout, len(seeds)) as tally:
-            runs = [pool.submit(_fly_seed, str(rig.file), seed, options.fault, folder) for seed in seeds]
+            asked = str(rig.file), options.errors
+            runs = [pool.submit(_fly_seed, *asked, seed, options.fault, folder) for seed in seeds]
             for done in as_completed(runs):
                 summary = done.result()
                 summaries.append(summary)
@@ -86,10 +87,10 @@ def _leave_signals_to_the_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _fly_seed(rig_file: str, seed: int, faults: Sequence[str], folder: Path) -> dict[str, Any]:
+def _fly_seed(rig_file: str, errors: str | None, seed: int, faults: Sequence[str], folder: Path) -> dict[str, Any]:
     """One run of many, in a worker process."""
     own = new_folder(folder / f"seed-{seed:04d}")
-    fly_once(rig_library.load(rig_file), seed, faults, own, lambda _: None)
+    fly_once(with_errors(rig_library.load(rig_file), errors), seed, faults, own, lambda _: None)
     summary = summarize(load_run(own))
     (own / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
     return summary
@@ -138,6 +139,7 @@ def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) 
         wall_s=report.wall_s,
         violations=dict(report.violations),
         notes=tuple(report.notes),
+        errors=dict(report.errors),
     )
     write_facts(out, facts)
     return facts

@@ -15,7 +15,8 @@ Topics of a role (fields in the order of interest; a field that does not apply i
     /phase           phase, note.  /note  note.
     /state           position_n_m, velocity_n_mps, q_n_b, mode, armed, battery; ten times a second
     /setpoint        velocity_n_mps, yaw_rad
-    /responsibility  responsible, provisional
+    /responsibility  responsible, until_ns (own clock; null: for good). It is over at until_ns, whether or not a
+                     record says so
     /link            packets_sent, packets_received, bytes_sent, bytes_received, dropped, clock_offset_ns
     /image           foxglove.CompressedImage; the stamp is the capture instant
     /outcome         outcome, detail, responsible, landed
@@ -86,6 +87,7 @@ class RunFacts:
         simulated_s, wall_s: duration on the mission's clock and on the wall.
         violations: number of violations by monitor name.
         notes: lines for the crew, details of violations.
+        errors: of the world, as ``flight.harness.FlightReport`` has them.
     """
 
     rig: str
@@ -99,6 +101,7 @@ class RunFacts:
     wall_s: float = 0.0
     violations: dict[str, int] = field(default_factory=dict[str, int])
     notes: tuple[str, ...] = ()
+    errors: dict[str, str | float] = field(default_factory=dict[str, str | float])
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.interfaces import PartError
-from drivers.rig import Rig, import_factory
+from drivers.rig import Rig, import_factory, with_errors
 from flight.harness import Emit, Progress
 from flight.outcome import Outcome, violated_outcome
 from flight.relay import RelayConfig, RelayField, RelayHarness, RelayReport, RelayRequest
@@ -29,7 +29,7 @@ SUMMARY, RELAY, PICTURE = "summary.json", "relay.json", "relay.png"
 
 def run(options: RelayOptions) -> int:
     """``path-handoff relay``; returns the relay's exit code. Raises PartError for what was asked wrongly."""
-    rig = rig_library.load(options.rig)
+    rig = with_errors(rig_library.load(options.rig), options.errors)
     config = relay_of(rig, options.drones)
     hours = hours_of(config, options)
     if not hours > 0.0:

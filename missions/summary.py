@@ -104,6 +104,7 @@ def _outcome(run: Run) -> dict[str, Any]:
         "seed": facts.seed if facts else None,
         "faults": list(facts.faults) if facts else [],
         "notes": list(facts.notes) if facts else [],
+        "errors": dict(facts.errors) if facts else {},
         "roles": roles,
     }
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.interfaces import PartError
-from drivers.rig import Rig
+from drivers.rig import Rig, with_errors
 from flight.harness import Emit, FlightRequest, Progress
 from flight.outcome import Outcome
 from missions import rig_library
@@ -87,7 +87,7 @@ def _moment(rng: random.Random, role: Role) -> str:
 
 
 def fly(order: Order) -> list[RunLine]:
-    rig = _shorter(order.rig)
+    rig = _shorter(order)
     lines: list[RunLine] = []
     for level, number in order.runs:
         with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder:
@@ -102,7 +102,7 @@ def replay(order: Order, out: Path | None) -> RunLine:
     folder.mkdir(parents=True, exist_ok=True)
     _, faults = draw(order.seed, level, number)
     sys.stdout.write("".join(f"--fault {fault}\n" for fault in faults))
-    line = _fly(_shorter(order.rig), order.seed, level, number, folder, _Story().tell)
+    line = _fly(_shorter(order), order.seed, level, number, folder, _Story().tell)
     sys.stdout.write(f"logs: {folder}\n")
     return line
 
@@ -123,8 +123,8 @@ class _Story:
         sys.stdout.write(f"{time_s:9.3f} s  {progress.role.value:<9}{progress.phase:<10}{holds:<12}{progress.note}\n")
 
 
-def _shorter(name: str) -> Rig:
-    rig = rig_library.load(name)
+def _shorter(order: Order) -> Rig:
+    rig = with_errors(rig_library.load(order.rig), order.errors)
     if rig.level not in ("sim", "sim-rendered"):
         raise PartError(f"rig {rig.name} flies in real time", "a campaign of roles wants a rig of level sim")
     return rig_library.shorter(rig)

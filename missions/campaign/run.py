@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from drivers.interfaces import PartError
+from drivers.rig import with_errors
 from flight.command_end import CommandEnd
 from flight.outcome import violated_outcome
 from missions import rig_library
@@ -33,6 +34,7 @@ class Order:
     rig: str
     seed: int
     runs: tuple[tuple[LevelName, int], ...]
+    errors: str | None = None
 
 
 class Workers(Protocol):
@@ -67,7 +69,7 @@ KINDS: dict[str, Kind] = {
 def run(options: CampaignOptions) -> int:
     """Returns 0 when no invariant was violated in any run. Raises PartError for what was asked wrongly."""
     levels = options.faults or LEVELS
-    rig_library.load(options.rig)
+    with_errors(rig_library.load(options.rig), options.errors)
     if options.only is not None:
         return _replay(options, levels)
     if options.runs < 1:
@@ -75,6 +77,8 @@ def run(options: CampaignOptions) -> int:
     began = datetime.now().strftime("%Y%m%d-%H%M%S")
     folder = options.out or Path("campaigns") / f"{began}-{options.program}"
     asked = {"program": options.program, "rig": options.rig, "seed": options.seed, "levels": list(levels)}
+    if options.errors is not None:
+        asked["errors"] = options.errors
     kind = KINDS[options.program]
     with kept_results(folder, asked) as results:
         done = {line.number for line in results.lines}
@@ -82,7 +86,12 @@ def run(options: CampaignOptions) -> int:
         if done:
             sys.stdout.write(f"{folder}: {len(done)} runs are done, {len(left)} are left\n")
         orders = [
-            Order(options.rig, options.seed, tuple((levels[number % len(levels)], number) for number in piece))
+            Order(
+                options.rig,
+                options.seed,
+                tuple((levels[number % len(levels)], number) for number in piece),
+                options.errors,
+            )
             for piece in _pieces(left, kind.at_a_time)
         ]
         try:
@@ -110,7 +119,8 @@ def report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> 
 def replay_command(options: CampaignOptions, line: RunLine) -> str:
     """One line that shows a run again."""
     rig = "" if options.rig == CampaignOptions().rig else f" --rig {options.rig}"
-    program = f"--program {options.program}{rig}"
+    errors = "" if options.errors is None else f" --errors {options.errors}"
+    program = f"--program {options.program}{rig}{errors}"
     return f"path-handoff campaign {program} --faults {line.level} --seed {options.seed} --only {line.number}"
 
 
@@ -118,7 +128,7 @@ def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
     assert options.only is not None
     if len(levels) != 1:
         raise PartError("--only shows one run: of which level?", f"name it with --faults, one of {', '.join(LEVELS)}")
-    order = Order(options.rig, options.seed, ((levels[0], options.only),))
+    order = Order(options.rig, options.seed, ((levels[0], options.only),), options.errors)
     line = KINDS[options.program].replay(order, options.out)
     for what in (*line.violations, *(f"(after a clock was set) {one}" for one in line.beyond)):
         sys.stdout.write(f"violated: {what}\n")

@@ -48,8 +48,8 @@ def test_messages_cross_both_ways_and_are_counted_with_their_headers(signed: boo
             received = await receiver.receive()
             assert received.message == TARGET
             assert start_ns <= received.arrival_ns <= time.monotonic_ns()
-            receiver.send(Accept(1, 2, 3, 4, 5))
-            assert (await sender.receive()).message == Accept(1, 2, 3, 4, 5)
+            receiver.send(Accept(1, 2, 3, 4, 5, 9))
+            assert (await sender.receive()).message == Accept(1, 2, 3, 4, 5, 9)
             pings = 2 * signed  # each end's, and their answers
             assert sender.counters.packets_sent == sender.counters.packets_received == 1 + pings
             assert sender.counters.bytes_sent == receiver.counters.bytes_received
@@ -108,7 +108,7 @@ def test_a_closed_peer_is_silence_and_it_may_come_back() -> None:
                 sender.send(TARGET)
                 await asyncio.sleep(0)
             async with receiver:
-                receiver.send(Accept(1, 2, 3, 4, 5))
+                receiver.send(Accept(1, 2, 3, 4, 5, 9))
                 assert isinstance(await sender.receive(), Received)
 
     run(test())
@@ -230,8 +230,8 @@ def test_what_the_peer_says_in_a_flood_is_taken(key_file: Path) -> None:
                 for number in range(50):
                     for _ in range(4):
                         await say(*[forged] * 100)
-                    await say(true.encode(Commit(number, 2, 3, 4, 5, 6)))
-                    assert (await receiver.receive()).message == Commit(number, 2, 3, 4, 5, 6)
+                    await say(true.encode(Commit(number, 2, 3, 4, 5, 6, 9)))
+                    assert (await receiver.receive()).message == Commit(number, 2, 3, 4, 5, 6, 9)
                 dropped = receiver.counters.dropped
                 assert dropped["bad_signature"] + dropped["flooded"] == 20_000
                 assert set(dropped) == {"bad_signature", "flooded"}
