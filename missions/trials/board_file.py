@@ -108,7 +108,7 @@ def read_board(path: Path) -> Board:
         camera = CameraModel(width, height, seen.fx, seen.fy, seen.cx, seen.cy, seen.distortion)
     except ValueError as error:
         raise PartError(f"{path.name}: camera: {error}", REMEDY) from error
-    dictionary = _dictionary(described.dictionary, path)
+    dictionary = dictionary_named(described.dictionary, path)
     count, known = described.rows * described.columns, len(dictionary.bytesList)
     if described.first_id + count > known:
         raise PartError(f"{path.name}: first_id: {count} markers from {described.first_id} on, of {known} there are",
@@ -120,12 +120,13 @@ def read_board(path: Path) -> Board:
         np.asarray(grey, dtype=np.uint8),
         camera,
         dictionary,
-        {i: _pattern(dictionary, i) for i in ids},
+        {i: framed_pattern(dictionary, i) for i in ids},
         dict(zip(ids, places, strict=True)),
     )
 
 
-def _dictionary(name: str, path: Path) -> cv2.aruco.Dictionary:
+def dictionary_named(name: str, path: Path) -> cv2.aruco.Dictionary:
+    """One of OpenCV's, or a file beside ``path``. Raises PartError when it is neither."""
     if name in DICTIONARIES:
         return dictionary_of(name)
     file, dictionary = path.parent / name, cv2.aruco.Dictionary()
@@ -139,6 +140,7 @@ def _dictionary(name: str, path: Path) -> cv2.aruco.Dictionary:
     raise PartError(f"{path.name}: dictionary: {name!r} is none of OpenCV's, and no file of one", REMEDY)
 
 
-def _pattern(dictionary: cv2.aruco.Dictionary, marker_id: int) -> Matrix:
+def framed_pattern(dictionary: cv2.aruco.Dictionary, marker_id: int) -> Matrix:
+    """Cells of a marker within a border of white ones, 0 black and 1 white."""
     drawn = cv2.aruco.generateImageMarker(dictionary, marker_id, dictionary.markerSize + 2, borderBits=1)
     return np.pad((drawn > 127).astype(np.float64), 1, constant_values=1.0)
