@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -19,6 +19,7 @@ from drivers.mavsdk_geodesy import LocalTangent
 from drivers.mavsdk_modes import CUSTOM_MODE_ENABLED, KINDS, SAFETY_ARMED, AutopilotKind
 from drivers.rig import PartContext
 from drivers.udp_link import address_of
+from path.bounds import Bounds
 
 HEARTBEAT, SYS_STATUS, GLOBAL_POSITION = 0, 1, 33
 COMMAND_ACK, EXTENDED_SYS_STATE, CURRENT_MODE = 77, 245, 436
@@ -48,9 +49,9 @@ class GuardMavlinkConfig:
 
     url: str
     bind: str
-    vehicle_sysid: int = 1
-    own_sysid: int = 246
-    own_compid: int = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+    vehicle_sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 1
+    own_sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 246
+    own_compid: Annotated[int, Bounds(1, 255, "(an id)")] = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
     key_file: Path | None = None
 
     def __post_init__(self) -> None:

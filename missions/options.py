@@ -190,7 +190,10 @@ class DoctorOptions:
 
 @dataclass(frozen=True, slots=True)
 class RigsOptions:
-    """List the rigs that come with PATH."""
+    """List the rigs that come with PATH, or check one of your own."""
+
+    check: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    """Check everything in this rig that can be checked without touching hardware, as before a flight."""
 
 
 @dataclass(frozen=True, slots=True)
