@@ -34,6 +34,7 @@ from hil.sim_guard import TICK_S, MemoryBeatLine
 from hil.truth_log import TruthLog
 from hil.virtual_time import run_virtual
 from hil.world import World, WorldConfig
+from hil.world_check import check_world
 from path.messages import Role
 from path.protocol.values import ReceiverRecord, SenderRecord
 
@@ -72,6 +73,8 @@ class SimWorld:
 
 class SimHarness:
     """Flies a rig of level ``sim`` or ``sim-rendered``."""
+
+    check_rig = staticmethod(check_world)
 
     def fly(self, request: FlightRequest) -> FlightReport:
         faults = [parse_fault(text) for text in request.faults]

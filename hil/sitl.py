@@ -40,6 +40,7 @@ from hil.monitors import Monitors
 from hil.preparation import starting
 from hil.sim import mission_config
 from hil.world import WorldConfig
+from hil.world_check import check_world
 from path.messages import Role
 
 RUN_LIMIT_S = 360.0  # besides what the mission allows for verifying and following
@@ -68,6 +69,8 @@ class _Run:
 
 class SitlHarness:
     """Real MAVSDK, real sockets, rendered frames through pyrealsense2; vehicles embedded, or real autopilots."""
+
+    check_rig = staticmethod(check_world)
 
     def fly(self, request: FlightRequest) -> FlightReport:
         """Raises PartError when the rig needs an autopilot that was not named."""
