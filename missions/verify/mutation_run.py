@@ -98,9 +98,10 @@ class Server:
         return json.loads(answer)
 
     def close(self) -> None:
-        assert self._process.stdin is not None
+        assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.close()
         self._process.wait()
+        self._process.stdout.close()
 
 
 class Trials:
@@ -121,7 +122,8 @@ class Trials:
         for server in self._servers:
             server.close()
 
-    def _on_one(self, suite: Suite, source: str | None, bound_s: float) -> dict[str, Any]:
+    def trial(self, suite: Suite, source: str | None, bound_s: float) -> dict[str, Any]:
+        """On the next server that is free."""
         server = self._free.get()
         try:
             return server.trial(suite, source, bound_s)
@@ -132,7 +134,7 @@ class Trials:
         """How long each suite may take, from how long it takes on the right code. Raises PartError."""
 
         def right(suite: Suite) -> float:
-            came = self._on_one(suite, None, _LONGEST_S)
+            came = self.trial(suite, None, _LONGEST_S)
             if not came["passed"]:
                 raise PartError(f"the tests of {suite.file} fail as it is: {came['what']}", "mend that first")
             return _SLOWER * came["took_s"] + _MORE_S
@@ -144,7 +146,7 @@ class Trials:
         def tried(one: tuple[Suite, Mutation]) -> Tried:
             suite, mutation = one
             source = mutated((self._root / suite.file).read_text("utf-8"), mutation)
-            came = self._on_one(suite, source, bounds_s[suite.file])
+            came = self.trial(suite, source, bounds_s[suite.file])
             return Tried(mutation, not came["passed"], by=came["what"], took_s=came["took_s"])
 
         with ThreadPoolExecutor(self._jobs) as threads:

@@ -1,7 +1,7 @@
 """Runs a module's tests on its code and on wrong versions of it: ``python -m missions.verify.mutation_server``.
 
-Everything that takes long to import and is not PATH's is imported once; each trial is a fork of that. A line of JSON comes
-in for each trial: {"module", "source" (null: as it is), "tests", "bound_s"}; one goes out: {"passed", "what", "took_s"}.
+Everything that takes long to import and is not PATH's is imported once; each trial is a fork of that. A line of JSON
+comes in for each: {"module", "source" (null: as it is), "tests", "bound_s"}; {"passed", "what", "took_s"} goes out.
 """
 
 from __future__ import annotations
