@@ -19,7 +19,9 @@ import ast
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from itertools import zip_longest
+from typing import Any, cast
 
 Apply = Callable[[], None]
 Variant = tuple[str, Apply]  # operator, and what changes the tree in place
@@ -187,11 +189,12 @@ def _known(guard: ast.expr | None) -> ast.expr:
 
 def _forgotten(node: ast.AST) -> Iterator[Variant]:
     for name in ("body", "orelse", "finalbody"):
-        statements: object = getattr(node, name, None)
-        if isinstance(statements, list):
-            for place, statement in enumerate(statements):
-                if _stands_alone(statement):
-                    yield "forget", lambda s=statements, place=place: s.__setitem__(place, ast.Pass())
+        statements: Any = getattr(node, name, None)
+        if not isinstance(statements, list):
+            continue
+        for place, statement in enumerate(cast(list[Any], statements)):
+            if _stands_alone(statement):
+                yield "forget", partial(cast(list[Any], statements).__setitem__, place, ast.Pass())
 
 
 def _stands_alone(statement: object) -> bool:
