@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from drivers.guard_interfaces import GuardView, Hand, Script, Vec3
 from drivers.interfaces import FlightMode
+from drivers.mavlink.guard_interfaces import GuardView, Hand, Script, Vec3
 
 _FLOWN = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF, FlightMode.HOLD})
 _MOVING = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF})

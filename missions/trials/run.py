@@ -20,11 +20,11 @@ from rich.text import Text
 from drivers.interfaces import PartError
 from missions import rig_library
 from missions.options import TrialName, TrialOptions
-from missions.records import SUMMARY
-from missions.report import show
+from missions.report.command import show
+from missions.report.records import SUMMARY
 from missions.run_folder import new_folder
-from missions.trials.page import PAGE, Chapter, render_page
-from missions.trials.trial import Finding, TrialRequest, TrialResult, Verdict
+from missions.trials.shared.page import PAGE, Chapter, render_page
+from missions.trials.shared.trial import Finding, TrialRequest, TrialResult, Verdict
 from missions.work import open_work
 
 NAMES: tuple[str, ...] = tuple(
@@ -46,7 +46,7 @@ def run(options: TrialOptions) -> int:
     """
     whole = options.name == "all"
     names = NAMES if whole else (options.name,)
-    trials = {name: importlib.import_module(f"missions.trials.{name}") for name in names}
+    trials = {name: importlib.import_module(f"missions.trials.{name}.trial") for name in names}
     rig = rig_library.load(options.rig or rig_of(options.name))
     for option, file in (("--xfeat", options.xfeat), ("--board", options.board)):
         if file is not None and not file.is_file():
