@@ -30,6 +30,7 @@ TrialName = Literal[
     "beacon",
     "soak",
 ]
+Errors = Literal["exact", "careful", "careless"] | None
 Faults = Annotated[
     tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@MOMENT[+SECONDS]]"), tyro.conf.UseAppendAction
 ]
@@ -53,6 +54,10 @@ class HandoffOptions:
 
     fault: Faults = ()
     """What is to go wrong, such as lookalike, link_loss=0.3 or kill_sender=1@verify+2; may be given several times."""
+
+    errors: Errors = None
+    """How far the simulated world is from what the rig says (docs/errors.md): as a careful crew leaves it, three times
+    that, or not at all; careful unless the rig says otherwise."""
 
     out: OutFolder = None
     """Folder for logs, summary and picture; runs/<time> by default."""
@@ -95,6 +100,9 @@ class RelayOptions:
 
     out: OutFolder = None
     """Folder for logs, summary and picture; runs/<time> by default."""
+
+    errors: Errors = None
+    """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
 
     logs: bool = False
     """Log everything, frame by frame, and not only what is decided: some 40 MB an hour."""
@@ -287,6 +295,9 @@ class CampaignOptions:
 
     rig: RigName = "sim"
     """The rig that is flown, of level sim."""
+
+    errors: Errors = None
+    """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ import serial
 from drivers.interfaces import LinkCounters, LinkError, Received
 from drivers.link.end import LinkContext, LinkEnd, Waiting, count
 from drivers.link.framing import Framer
-from drivers.link.key import key_finding, read_key, signing_time
+from drivers.link.key import key_finding, signing_key, signing_time
 from drivers.link.wire import Codec
 from drivers.rig.part_check import Finding
 from path.messages import Message
@@ -79,8 +79,7 @@ class SerialLink:
 
     async def __aenter__(self) -> Self:
         """Raises LinkError for a key that cannot be used and for a port that cannot be opened."""
-        key_file = self._config.key_file
-        key = None if key_file is None else read_key(key_file)
+        key = signing_key(self._config.key_file)
         self._open_port()
         self._end, self._waiting = self._new_end(key)
         self._open = True

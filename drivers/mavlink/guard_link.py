@@ -81,6 +81,7 @@ class GuardMavlink:
         self._acked: bool | None = None
         self._asked_ns = 0
         self._beat_ns = 0
+        self.ignored: dict[str, int] = {}
 
     @property
     def name(self) -> str:

@@ -176,6 +176,18 @@ class Rig:
         return f"{self.file.name}: {table}"
 
 
+def with_errors(rig: Rig, level: str | None) -> Rig:
+    """The rig with another level of errors (``[world.errors]``), if one is given.
+
+    Raises RigError for a rig that flies in the real world.
+    """
+    if level is None:
+        return rig
+    if rig.harness is None:
+        raise RigError([f"rig {rig.name} has no world of its own to be drawn with errors"], "leave out --errors")
+    return dataclasses.replace(rig, world={**rig.world, "errors": {"level": level}})
+
+
 def import_factory(factory: str, where: str) -> Any:
     """The class named ``module:Class``. Raises RigError naming ``where``."""
     module_name, _, class_name = factory.partition(":")

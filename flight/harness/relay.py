@@ -209,7 +209,10 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class RelayReport:
-    """What the harness saw. ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over."""
+    """What the harness saw.
+
+    ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``errors``: as in ``FlightReport``.
+    """
 
     violations: Mapping[str, int]
     notes: Sequence[str]
@@ -223,6 +226,7 @@ class RelayReport:
     failure: str = ""
     log_failure: str = ""
     closest_pair: Sequence[str] = field(default_factory=tuple)
+    errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])
 
 
 class RelayHarness(Protocol):

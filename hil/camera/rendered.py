@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError, Frame
 from drivers.rig.parts import PartContext
-from hil.camera.capture import CaptureTicker, CaptureTiming, SensorHarness, timing_of
+from hil.camera.capture import CaptureTicker, CaptureTiming, SensorHarness, timing_of, true_camera
 from hil.render.renderer import Renderer
 from hil.render.sensor import SensorNoise
 from hil.world.snapshot import Snapshot
@@ -55,9 +55,9 @@ class RenderedCamera:
         harness = cast(SensorHarness, context.harness)
         self._model = context.camera
         self._role = context.role
-        self._renderer = Renderer(
-            context.camera, context.mount.T_b_c, context.mount.T_b_v, context.layout, config.noise, harness.seed
-        )
+        true = true_camera(context, harness.built)
+        self._errors = true.errors
+        self._renderer = Renderer(true.camera, true.T_b_c, true.T_b_v, true.layout, config.noise, harness.seed)
         name = f"the {context.role.value}'s rendered camera"
         self._ticker: CaptureTicker[Future[_Image]] = CaptureTicker(
             name, config.timing(context), context.role, context.clock, harness, self._draw
@@ -92,7 +92,7 @@ class RenderedCamera:
             raise CameraError("the rendered camera is not open", "open it with `async with`")
         capture = await self._ticker.next(timeout_s)
         color, depth_mm = capture.content.result()
-        return Frame(capture.stamp_ns, capture.frame_id, color, depth_mm)
+        return Frame(capture.stamp_ns, capture.frame_id, color, self._errors.measured_mm(depth_mm))
 
     def _draw(self, snapshot: Snapshot, frame_id: int) -> Future[Any]:
         assert self._thread is not None, "nothing is captured before somebody reads"

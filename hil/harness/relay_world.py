@@ -18,6 +18,7 @@ from hil.autopilot.autopilot import Autopilot
 from hil.camera.capture import Freeze
 from hil.harness.guard import MemoryBeatLine
 from hil.link.faulty import MemoryHub
+from hil.world.errors import Built
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from hil.world.world import STEP_HZ, Fleet, HomeConfig, SimDrone, WorldConfig, at_home
 from path.messages import Role
@@ -150,8 +151,9 @@ class DroneHarness:
         hub: of that leg's link.
     """
 
-    def __init__(self, world: RelayWorld, name: str, seed: int, present_s: Callable[[], float]) -> None:
+    def __init__(self, world: RelayWorld, name: str, seed: int, present_s: Callable[[], float], built: Built) -> None:
         self._world = world
+        self.built = built
         self._present_s = present_s
         self.name = name
         self.seed = seed * 64 + world.names.index(name)

@@ -31,6 +31,7 @@ from hil.link.faulty import MemoryHub
 from hil.monitors.monitors import Monitors, WatchedLog
 from hil.monitors.scripts import vehicles_of
 from hil.monitors.truth_log import TruthLog
+from hil.world.errors import Built, as_built, reported
 from hil.world.faults import Fault, FaultError, FaultTrigger, parse_fault
 from hil.world.world import World, WorldConfig
 from path.messages import Role
@@ -46,8 +47,9 @@ LANDING_LIMIT_S = 45.0
 class SimWorld:
     """``PartContext.harness`` of the sim levels: what the parts of both roles are connected to."""
 
-    def __init__(self, world: World, hub: MemoryHub, seed: int) -> None:
+    def __init__(self, world: World, hub: MemoryHub, seed: int, built: Built) -> None:
         self._world = world
+        self.built = built
         self.hub = hub
         self.seed = seed
         self.frozen_cameras: dict[Role, Freeze] = {}
@@ -138,14 +140,16 @@ class _Flight:
         request, rig = self._request, self._rig
         config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
         self._world = World(config, request.seed)
-        self._parts = SimWorld(self._world, MemoryHub(request.seed), request.seed)
+        built = as_built(rig, request.seed)
+        self._true_rig = built.rig
+        self._parts = SimWorld(self._world, MemoryHub(request.seed), request.seed, built)
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
         stop_on_signals(self._interrupt)
         with McapLog(request.out / "world.mcap", buffered=True) as log:
             guarding = [asyncio.create_task(guard) for guard in self._guards()]
             truth = self._truth = TruthLog(log)
-            truth.scene(rig, self._monitors.min_separation_m, clock_offsets(rig))
+            truth.scene(self._true_rig, self._monitors.min_separation_m, clock_offsets(rig))
             self._begin(self._trigger.from_the_start())
             watching = asyncio.create_task(self._watch_truth(truth))
             results = await self._fly_roles()
@@ -302,7 +306,7 @@ class _Flight:
             self._monitors.on_truth(world.time_s, world.separation_m, world.both_in_air)
             ticks += 1
             if ticks % VEHICLES_EVERY == 0:
-                self._monitors.scripts.on_truth(world.time_s, vehicles_of(world, self._rig))
+                self._monitors.scripts.on_truth(world.time_s, vehicles_of(world, self._true_rig))
             await asyncio.sleep(TRUTH_PERIOD_S if world.both_in_air else GROUND_PERIOD_S)
 
     async def _until_landed(self) -> None:
@@ -328,6 +332,7 @@ class _Flight:
             "interrupted": self._interrupted,
             "notes": tuple(self._monitors.details),
             "figures": self._monitors.leases.figures,
+            "errors": reported(self._rig),
         }
 
 

@@ -37,6 +37,7 @@ from hil.harness.preparation import starting
 from hil.harness.sim import mission_config
 from hil.monitors.monitors import Monitors
 from hil.vehicle.simulator_process import binary_of
+from hil.world.errors import level_of, reported
 from hil.world.faults import Fault, FaultError, FaultTrigger, parse_fault
 from hil.world.world import WorldConfig
 from path.messages import Role
@@ -121,7 +122,7 @@ def _need_keys(rig: Rig) -> None:
 async def _start_world(request: FlightRequest, processes: list[Child]) -> tuple[Child, int]:
     """Its process, and the port on which it lets others on the air."""
     rig = request.rig
-    arguments = [str(rig.file), str(request.out), str(request.seed), *map(str, rig.folders)]
+    arguments = [str(rig.file), str(request.out), str(request.seed), level_of(rig), *map(str, rig.folders)]
     world = await spawn([sys.executable, "-m", "hil.harness.sitl_world", *arguments], request.out / "world.stderr.txt")
     processes.append(world)
 
@@ -318,4 +319,5 @@ def _report(run: _Run, failure: str, wall_s: float) -> FlightReport:
         interrupted=run.interrupted,
         failure=failure,
         notes=[*notes, *(_died(request.out, role) for role in dead)],
+        errors=reported(request.rig),
     )

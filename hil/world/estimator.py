@@ -7,11 +7,13 @@ tick for all drones. One row is one drone; the columns of ``drift`` are the slic
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from hil.world.errors import ErrorSizes
 
 Array = NDArray[np.float64]
 
@@ -65,6 +67,16 @@ class EstimatorConfig:
     def __post_init__(self) -> None:
         if any(getattr(self, name) < 0.0 for name in self.__slots__):
             raise ValueError("standard deviations and times must not be negative")
+
+    def times(self, sizes: ErrorSizes) -> EstimatorConfig:
+        """With its attitude as much worse or better as the table of errors says."""
+        return replace(
+            self,
+            tilt_bias_deg=sizes.tilt_bias * self.tilt_bias_deg,
+            yaw_bias_deg=sizes.yaw_bias * self.yaw_bias_deg,
+            tilt_noise_deg=sizes.attitude_noise * self.tilt_noise_deg,
+            yaw_noise_deg=sizes.attitude_noise * self.yaw_noise_deg,
+        )
 
 
 @njit(cache=True, nogil=True)

@@ -31,6 +31,7 @@ from hil.world.dynamics import (
     poses_w,
     standing,
 )
+from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, Sensors, WindConfig
 from hil.world.snapshot import DroneTruth, Snapshot
 from hil.world.targets import LookAlikeConfig, Point, TargetConfig, Traffic
@@ -73,6 +74,7 @@ class ApartConfig:
 class WorldConfig:
     """The ``[world]`` table of a rig."""
 
+    errors: ErrorsConfig = field(default_factory=ErrorsConfig)
     wind: WindConfig = field(default_factory=WindConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     apart: ApartConfig = field(default_factory=ApartConfig)
@@ -174,7 +176,8 @@ class Fleet(Generic[Name]):
         traffic, sensors, autopilots = np.random.SeedSequence(seed).spawn(3)
         keep_clear = [home.position_m for home in homes.values()]
         self._traffic = Traffic(config.target, config.look_alikes, keep_clear, traffic)
-        self._sensors = Sensors(config.wind, config.estimator, TICK_S, sensors.spawn(len(homes)))
+        estimator = config.estimator.times(config.errors.sizes)
+        self._sensors = Sensors(config.wind, estimator, TICK_S, sensors.spawn(len(homes)))
         for i, name in enumerate(homes):
             self._sensors.position_bias[i] += off.get(name, (0.0, 0.0, 0.0))
         self._airframe = config.airframe.row()

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.log.mcap_log import LogRecord, decode_image
 from missions.report.palette import DIM, MAPPED_BOX, MARKER, OWN_BOX, PRIOR, ROLE
-from missions.report.records import Run, last
-from missions.report.summary import judged_pairs
+from missions.report.records import Run, judged_pairs, last
 from missions.report.truth import Truth
 from path.camera import CameraModel
 from path.messages import Role

@@ -18,6 +18,8 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.interfaces import PartError
+from flight.command_end import CommandEnd
+from flight.outcome import violated_outcome
 from missions import rig_library
 from missions.options import TrialName, TrialOptions
 from missions.report.command import show
@@ -34,12 +36,12 @@ NAMES: tuple[str, ...] = tuple(
 ``dynamic``'s."""
 RIG = "sim-rendered"
 RIGS = {"beacon": "dynamic", "rendezvous": "sim-field", "soak": "sitl"}
-EXIT_FAILED = 1
+EXIT_FAILED = CommandEnd.FAILED.exit_code
 STYLE: dict[Verdict, str] = {"met": "green", "short": "red", "measured": ""}
 
 
 def run(options: TrialOptions) -> int:
-    """``path-handoff trial``; 0 when every trial came to its end, whatever it found.
+    """``path-handoff trial``; 0 when every trial came to its end, whatever it found but violated monitors.
 
     Raises:
         PartError: for what was asked wrongly. With ``all``, a trial that fails is shown on the page, and the rest run.
@@ -80,7 +82,15 @@ def run(options: TrialOptions) -> int:
     if whole:
         _write_json(folder / SUMMARY, _overview(options, chapters))
     sys.stdout.write(f"\n{folder}: {PAGE}, {SUMMARY}{', and a folder for each trial' if whole else ''}\n")
-    return EXIT_FAILED if any(chapter.result is None for chapter in chapters) else 0
+    return exit_code([chapter.result for chapter in chapters])
+
+
+def exit_code(results: Sequence[TrialResult | None]) -> int:
+    """0 when every trial came to its end and no monitor of a mission was violated in any."""
+    violated = {name for result in results if result is not None for name in result.violations}
+    if violated:
+        return violated_outcome(violated).exit_code
+    return EXIT_FAILED if None in results else CommandEnd.DONE.exit_code
 
 
 def command(options: TrialOptions, name: str) -> str:

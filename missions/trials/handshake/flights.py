@@ -10,8 +10,8 @@ from typing import Any
 from drivers.rig.parts import Rig
 from missions import rig_library
 from missions.handoff.command import fly_once
-from missions.report.records import Run, last, load_run
-from missions.report.summary import judged_pairs, summarize
+from missions.report.records import Run, judged_pairs, last, load_run
+from missions.report.summary import summarize
 from missions.run_folder import new_folder
 from path.config import GateKind
 

@@ -9,7 +9,7 @@ A trial is a module of this package with
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -99,6 +99,7 @@ class TrialResult:
         summary: for ``summary.json``: plain numbers in SI units, names with unit suffixes.
         noise: the table of the noise model and every systematic error that was switched on.
         notes: what a reader has to know: where simulation ends, what was left out and why.
+        violations: of whole missions that were flown, by monitor.
     """
 
     summary: Mapping[str, Any]
@@ -107,6 +108,7 @@ class TrialResult:
     tables: tuple[Table, ...] = ()
     pictures: tuple[Picture, ...] = ()
     notes: tuple[str, ...] = ()
+    violations: Mapping[str, int] = field(default_factory=dict[str, int])
 
 
 def verdict(reached: bool) -> Verdict:

@@ -15,6 +15,7 @@ from drivers.rig.parts import Mount, Origin, PartContext
 from hil.camera.capture import CaptureTiming, Freeze
 from hil.camera.rendered import RenderedCamera, RenderedCameraConfig
 from hil.harness.virtual_time import run_virtual
+from hil.world.errors import Built
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.camera import CameraModel
 from path.geometry import Pose
@@ -49,6 +50,7 @@ class StubHarness:
     world: DrivingWorld = field(default_factory=DrivingWorld)
     seed: int = 3
     frozen_cameras: dict[Role, Freeze] = field(default_factory=dict[Role, Freeze])
+    built: Built | None = None
 
 
 class LoopClock:

@@ -20,6 +20,7 @@ from hil.geometric.scene import Array, CameraSetup
 from hil.render.renderer import Renderer
 from hil.render.scene import car
 from hil.render.sensor import NOISE_FREE
+from hil.world.errors import Built
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.camera import CameraModel
 from path.config import MethodConfig
@@ -339,6 +340,7 @@ class StubHarness:
     world: StillWorld = field(default_factory=StillWorld)
     seed: int = 3
     frozen_cameras: dict[Role, Freeze] = field(default_factory=dict[Role, Freeze])
+    built: Built | None = None
 
 
 class LoopClock:
