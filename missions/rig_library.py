@@ -11,6 +11,7 @@ from drivers.rig.file import load_rig
 from drivers.rig.parts import Rig, import_factory
 from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
+from flight.plausible import check_plausible
 from missions.rig_list import FOLDER
 
 
@@ -24,6 +25,7 @@ def load(name_or_path: str) -> Rig:
         except RigError as error:
             problems.absorb(error)
     problems.raise_any()
+    check_plausible(rig)
     return rig
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Annotated, Self
 
 import serial
 
@@ -19,6 +19,7 @@ from drivers.link.framing import Framer
 from drivers.link.key import key_finding, signing_key, signing_time
 from drivers.link.wire import Codec
 from drivers.rig.part_check import Finding
+from path.bounds import Bounds
 from path.messages import Message
 
 BITS_PER_BYTE = 10.0  # a start bit, eight, a stop bit
@@ -39,7 +40,7 @@ class SerialLinkConfig:
     """
 
     port: str
-    baud: int = 115_200
+    baud: Annotated[int, Bounds(9600, 4_000_000, "baud")] = 115_200
     key_file: Path | None = None
     allow_unsigned: bool = False
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from drivers.interfaces import FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
 from drivers.mavlink.geodesy import LocalTangent
@@ -19,6 +19,7 @@ from drivers.mavlink.telemetry import Telemetry
 from drivers.mavlink.vision import VisionConfig, VisionFeed
 from drivers.rig.part_check import Finding, counted
 from drivers.rig.parts import PartContext
+from path.bounds import AutopilotValues, Bounds
 
 # MAV_CMD
 NAV_LAND, NAV_TAKEOFF, DO_SET_MODE, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 21, 22, 176, 511, 512
@@ -63,21 +64,22 @@ class MavsdkVehicleConfig:
     """
 
     url: str
-    sysid: int = 1
+    sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 1
     autopilot: Literal["auto", "px4", "ardupilot"] = "auto"
-    own_sysid: int = 245
-    own_compid: int = 190  # MAV_COMP_ID_MISSIONPLANNER: a ground station, as the failsafes expect
-    telemetry_hz: float = 50.0
-    heartbeat_hz: float = 5.0
-    connect_timeout_s: float = 10.0
-    command_timeout_s: float = 1.0
-    mode_timeout_s: float = 3.0
-    heartbeat_timeout_s: float = 1.5
-    take_off_tolerance_m: float = 0.3
-    offboard_lead_s: float = 0.3
+    own_sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 245
+    # MAV_COMP_ID_MISSIONPLANNER: a ground station, as the failsafes expect
+    own_compid: Annotated[int, Bounds(1, 255, "(an id)")] = 190
+    telemetry_hz: Annotated[float, Bounds(1.0, 400.0)] = 50.0
+    heartbeat_hz: Annotated[float, Bounds(0.0, 50.0)] = 5.0
+    connect_timeout_s: Annotated[float, Bounds(0.1, 300.0)] = 10.0
+    command_timeout_s: Annotated[float, Bounds(0.05, 30.0)] = 1.0
+    mode_timeout_s: Annotated[float, Bounds(0.05, 60.0)] = 3.0
+    heartbeat_timeout_s: Annotated[float, Bounds(0.2, 30.0)] = 1.5
+    take_off_tolerance_m: Annotated[float, Bounds(0.01, 5.0)] = 0.3
+    offboard_lead_s: Annotated[float, Bounds(0.0, 5.0)] = 0.3
     vision: VisionConfig | None = None
     height_from: Literal["sea_level", "home"] = "sea_level"
-    parameters: dict[str, float] = field(default_factory=dict[str, float])
+    parameters: AutopilotValues = field(default_factory=dict[str, float])
 
     def __post_init__(self) -> None:
         for name in ("sysid", "own_sysid"):

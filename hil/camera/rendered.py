@@ -10,7 +10,7 @@ from __future__ import annotations
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Self, cast
+from typing import Annotated, Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from hil.camera.capture import CaptureTicker, CaptureTiming, SensorHarness, timi
 from hil.render.renderer import Renderer
 from hil.render.sensor import SensorNoise
 from hil.world.snapshot import Snapshot
+from path.bounds import Bounds
 from path.camera import CameraModel
 
 _Image = tuple[NDArray[np.uint8], NDArray[np.uint16]]
@@ -30,9 +31,9 @@ _Image = tuple[NDArray[np.uint8], NDArray[np.uint16]]
 class RenderedCameraConfig:
     """When frames are taken (see ``hil.camera.capture.timing_of``), and the noise of the sensor."""
 
-    rate_hz: float = 30.0
-    phase_s: float | None = None
-    latency_s: float = 0.02
+    rate_hz: Annotated[float, Bounds(1.0, 300.0)] = 30.0
+    phase_s: Annotated[float | None, Bounds(0.0, 10.0)] = None
+    latency_s: Annotated[float, Bounds(0.0, 2.0)] = 0.02
     noise: SensorNoise = field(default_factory=SensorNoise)
 
     def timing(self, context: PartContext) -> CaptureTiming:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import TracebackType
-from typing import Self, cast
+from typing import Annotated, Self, cast
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from hil.geometric.scene import Array, CameraSetup, Placed, outlines, place
 from hil.geometric.targets import DETECTION_COLUMNS, DepthSettings, depth_over, detections
 from hil.world.errors import SensorErrors
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
+from path.bounds import Bounds
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Pose
@@ -49,11 +50,11 @@ class GeometricSightConfig:
         max_old_frames: this many repeated frames in a row are a fault of the camera.
     """
 
-    rate_hz: float = 50.0
-    phase_s: float | None = None
-    latency_s: float = 0.0
+    rate_hz: Annotated[float, Bounds(1.0, 300.0)] = 50.0
+    phase_s: Annotated[float | None, Bounds(0.0, 10.0)] = None
+    latency_s: Annotated[float, Bounds(0.0, 2.0)] = 0.0
     method: MethodConfig = field(default_factory=MethodConfig)
-    max_old_frames: int = 30
+    max_old_frames: Annotated[int, Bounds(1, 10000, "frames")] = 30
 
     def __post_init__(self) -> None:
         CaptureTiming(self.rate_hz, self.phase_s or 0.0, self.latency_s)

@@ -31,6 +31,7 @@ from hil.link.faulty import MemoryHub
 from hil.monitors.monitors import Monitors, WatchedLog
 from hil.monitors.scripts import vehicles_of
 from hil.monitors.truth_log import TruthLog
+from hil.world.check import check_world
 from hil.world.errors import Built, as_built, reported
 from hil.world.faults import Fault, FaultError, FaultTrigger, parse_fault
 from hil.world.world import World, WorldConfig
@@ -72,6 +73,8 @@ class SimWorld:
 
 class SimHarness:
     """Flies a rig of level ``sim`` or ``sim-rendered``."""
+
+    check_rig = staticmethod(check_world)
 
     def fly(self, request: FlightRequest) -> FlightReport:
         faults = [parse_fault(text) for text in request.faults]

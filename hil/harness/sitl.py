@@ -37,6 +37,7 @@ from hil.harness.preparation import starting
 from hil.harness.sim import mission_config
 from hil.monitors.monitors import Monitors
 from hil.vehicle.simulator_process import binary_of
+from hil.world.check import check_world
 from hil.world.errors import level_of, reported
 from hil.world.faults import Fault, FaultError, FaultTrigger, parse_fault
 from hil.world.world import WorldConfig
@@ -68,6 +69,8 @@ class _Run:
 
 class SitlHarness:
     """Real MAVSDK, real sockets, rendered frames through pyrealsense2; vehicles embedded, or real autopilots."""
+
+    check_rig = staticmethod(check_world)
 
     def fly(self, request: FlightRequest) -> FlightReport:
         """Raises PartError when the rig needs an autopilot that was not named."""

@@ -21,8 +21,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from drivers.mavlink.frames import take_frames
 from drivers.mavlink.geodesy import LocalTangent
-from drivers.mavlink.port import take_frames
 from drivers.rig.file import load_rig
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table

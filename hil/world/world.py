@@ -11,7 +11,7 @@ import math
 from collections import deque
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
-from typing import Generic, NamedTuple, TypeVar
+from typing import Annotated, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, Sensors, WindConfig
 from hil.world.snapshot import DroneTruth, Snapshot
 from hil.world.targets import LookAlikeConfig, Point, TargetConfig, Traffic
+from path.bounds import Bounds
 from path.geometry import Pose
 from path.messages import Quat, Role, Vec3
 
@@ -51,8 +52,8 @@ Name = TypeVar("Name", bound=Hashable)
 class HomeConfig:
     """Where a drone stands at the start: (E, N) in m, nose direction clockwise from north."""
 
-    position_m: Point = (0.0, 0.0)
-    heading_deg: float = 0.0
+    position_m: Annotated[Point, Bounds(-1000, 1000)] = (0.0, 0.0)
+    heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +63,8 @@ class ApartConfig:
     The receiver's is the one that is off, in a direction drawn by seed; upward or downward likewise.
     """
 
-    across_m: float = 0.0
-    height_m: float = 0.0
+    across_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0
+    height_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0
 
     def __post_init__(self) -> None:
         if self.across_m < 0.0 or self.height_m < 0.0:

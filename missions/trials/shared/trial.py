@@ -34,6 +34,8 @@ class TrialRequest:
         board: TOML file that describes a photograph of a marker board, None when not named.
         logs: folder of a session to be judged instead of flying one, None when not named.
         seconds: how long to record where nothing is flown; 0: until Ctrl-C.
+        sets: TOML files that describe sets of photographs. ``photographs``: what their paths are relative to, None for
+            each file's own folder.
     """
 
     rig: Rig
@@ -45,6 +47,8 @@ class TrialRequest:
     board: Path | None = None
     logs: Path | None = None
     seconds: float = 0.0
+    sets: tuple[Path, ...] = ()
+    photographs: Path | None = None
 
     def part(self, name: str) -> Any:
         """The class or function that the rig's ``[trials]`` table names. Raises PartError when it names none."""
