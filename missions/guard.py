@@ -96,7 +96,7 @@ async def watch_vehicles(
             context = part_context(rig, role)
             vehicle: Watched = await stack.enter_async_context(create(spec, context))
             line = await stack.enter_async_context(UdpBeatLine(str(spec.options["bind"]), context.clock))
-            log: Log = stack.enter_context(McapLog(logs[role]))
+            log: Log = stack.enter_context(McapLog(logs[role], role.value))
             guards.append(GuardWatch(vehicle, line, context.clock, config, log, Teller(role)))
             vehicles.append(vehicle)
             _say(f"guard of the {role.value}: watching {vehicle.name}")
