@@ -48,6 +48,7 @@ from foxglove.messages import (
 )
 from foxglove.messages import Log as Line
 
+from drivers.log_topics import blank
 from path.rotation import quat_from_R
 
 Record = Mapping[str, Any]
@@ -91,7 +92,7 @@ def time_of(stamp_ns: int) -> Timestamp:
 
 
 class Standards:
-    """Of one log. Stamps are UTC; a record that does not hold what it should raises KeyError, TypeError, ValueError."""
+    """Of one log. Stamps are UTC."""
 
     def __init__(self, name: str) -> None:
         prefix = f"{name}/" if name else ""
@@ -118,9 +119,9 @@ class Standards:
     def of(self, topic: str, stamp_ns: int, record: Record) -> Iterable[Standard]:
         """What a record is to a viewer."""
         if topic in _LINES:
-            return (self._line(topic, stamp_ns, record),)
+            return (self._line(topic, stamp_ns, {**blank(topic), **record}),)
         make = self._of.get(topic)
-        return () if make is None else make(stamp_ns, record)
+        return () if make is None else make(stamp_ns, {**blank(topic), **record})
 
     def of_image(self, stamp_ns: int) -> Iterable[Standard]:
         """What is drawn over an image, unless it was just told."""
