@@ -14,10 +14,12 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 
 from drivers.interfaces import BeaconError, BeaconFix
+from path.bounds import Bounds
 from path.messages import Vec3
 
 TRUTH_FILE = "beacons.truth.json"
@@ -28,8 +30,8 @@ COLUMNS = ("stamp_ns", "address", "x_m", "y_m", "z_m", "quality")
 class Mounted:
     """A beacon on a body: its address, and where it sits in the body's frame, as measured with a ruler."""
 
-    address: int
-    lever_m: Vec3
+    address: Annotated[int, Bounds(0, 255, "(an address)")]
+    lever_m: Annotated[Vec3, Bounds(-3.0, 3.0)]
 
     def __post_init__(self) -> None:
         if not 0 <= self.address <= 255:

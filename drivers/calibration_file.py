@@ -11,13 +11,14 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 
 from drivers.interfaces import CameraError
 from drivers.tables import RigError, decode_table
 from drivers.toml_text import toml_text
+from path.bounds import Bounds
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.rotation import R_from_quat, normalized, quat_from_R
@@ -37,13 +38,13 @@ class CalibrationError(CameraError):
 class CameraTable:
     """Intrinsics at exactly this stream size; distortion is Brown–Conrady k1 k2 p1 p2 k3."""
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, float, float, float, float]
+    width: Annotated[int, Bounds(16, 16384, "px")]
+    height: Annotated[int, Bounds(16, 16384, "px")]
+    fx: Annotated[float, Bounds(10.0, 100000.0, "px")]
+    fy: Annotated[float, Bounds(10.0, 100000.0, "px")]
+    cx: Annotated[float, Bounds(0.0, 16384.0, "px")]
+    cy: Annotated[float, Bounds(0.0, 16384.0, "px")]
+    distortion: Annotated[tuple[float, float, float, float, float], Bounds(-100.0, 100.0, "of 1")]
 
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0:
@@ -90,7 +91,7 @@ class CameraCalibration:
     source: str
     board: str
     camera: CameraTable
-    standard_errors: dict[str, float]
+    standard_errors: Annotated[dict[str, float], Bounds(0.0, 1e6, "as the parameter")]
     quality: Quality
 
     def __post_init__(self) -> None:
@@ -101,8 +102,8 @@ class CameraCalibration:
 class MarkerPrint:
     """A marker of the layout that a mount belongs to."""
 
-    id: int
-    side_m: float
+    id: Annotated[int, Bounds(0, 1023, "(an id)")]
+    side_m: Annotated[float, Bounds(0.005, 2.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,12 +122,12 @@ class MountCalibration:
     serial: str
     source: str
     markers: tuple[MarkerPrint, ...]
-    position_v_m: Vec3
-    q_v_c: tuple[float, float, float, float]
-    position_sigma_m: Vec3
-    rotation_sigma_deg: Vec3
-    pairs: int = 0
-    rms_px: float = 0.0
+    position_v_m: Annotated[Vec3, Bounds(-3.0, 3.0)]
+    q_v_c: Annotated[tuple[float, float, float, float], Bounds(-1.1, 1.1, "of 1")]
+    position_sigma_m: Annotated[Vec3, Bounds(0.0, 1.0)]
+    rotation_sigma_deg: Annotated[Vec3, Bounds(0.0, 90.0)]
+    pairs: Annotated[int, Bounds(0, 1_000_000, "pairs")] = 0
+    rms_px: Annotated[float, Bounds(0.0, 1000.0)] = 0.0
     notes: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:

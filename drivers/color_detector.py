@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.color_patches import CROSS, Image, Patch, Shape, components, join, shape_of, split, with_dark
+from path.bounds import Bounds
 from path.observations import Box, Detection, Region
 
 RAGGED = 0.25  # solidity that an outline may lose to coarse pixels, times the patch's size in them
@@ -41,21 +43,21 @@ class ColorDetectorConfig:
         border_score: factor on the score of a box that the image border cuts: it is not the object's box.
     """
 
-    hue_deg: float = 26.0
-    hue_halfwidth_deg: float = 18.0
-    min_saturation: float = 0.5
-    min_value: float = 0.2
-    dark_value: float = 0.2
-    dark_reach: float = 0.4
-    coarse_step: int = 4
-    min_side_px: float = 10.0
-    max_side_px: float = 300.0
-    merge_gap: float = 0.10
-    split_solidity: float = 0.82
-    odd_solidity: float = 0.80
-    max_aspect: float = 2.2
-    odd_score: float = 0.3
-    border_score: float = 0.2
+    hue_deg: Annotated[float, Bounds(0.0, 360.0)] = 26.0
+    hue_halfwidth_deg: Annotated[float, Bounds(0.0, 180.0)] = 18.0
+    min_saturation: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.5
+    min_value: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.2
+    dark_value: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.2
+    dark_reach: Annotated[float, Bounds(0.0, 5.0, "of 1")] = 0.4
+    coarse_step: Annotated[int, Bounds(1, 64, "px")] = 4
+    min_side_px: Annotated[float, Bounds(1.0, 4000.0)] = 10.0
+    max_side_px: Annotated[float, Bounds(1.0, 16384.0)] = 300.0
+    merge_gap: Annotated[float, Bounds(0.0, 5.0, "of 1")] = 0.10
+    split_solidity: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.82
+    odd_solidity: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.80
+    max_aspect: Annotated[float, Bounds(1.0, 100.0, "of 1")] = 2.2
+    odd_score: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.3
+    border_score: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.2
 
 
 class ColorDetector:

@@ -7,6 +7,7 @@ it lives and what it does with the vehicle, and hears in return whether it is wa
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -63,11 +64,13 @@ class Answer:
     Attributes:
         sees: its own link to the vehicle brings telemetry.
         reason: why it took the vehicle, or let go of it.
+        alarm: what it ignores that the crew must know of: the newest kind.
     """
 
     sees: bool
     hand: Hand
     reason: str = ""
+    alarm: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +118,11 @@ class BeatLine(Part, Protocol):
         """To whoever beat last."""
         ...
 
+    @property
+    def ignored(self) -> Mapping[str, int]:
+        """What came and was not believed, in words, and how often."""
+        ...
+
 
 class Watched(Part, Protocol):
     """A vehicle as its guard has it: telemetry of an own link, and two commands, each sent once a call."""
@@ -129,3 +137,8 @@ class Watched(Part, Protocol):
     def hold(self) -> None: ...
 
     def land(self) -> None: ...
+
+    @property
+    def ignored(self) -> Mapping[str, int]:
+        """What came and was not believed, in words, and how often."""
+        ...

@@ -1,6 +1,7 @@
 """The line between a role's program and its guard: UDP datagrams on one computer, beats there and answers back.
 
-A hung or killed program simply sends nothing more; nothing here waits for anybody.
+A hung or killed program simply sends nothing more; nothing here waits for anybody. Both ends seal what they say
+with the key of the guard's run: what another program sends is counted and ignored.
 """
 
 from __future__ import annotations
@@ -12,14 +13,18 @@ from types import TracebackType
 from typing import Self
 
 from drivers.guard_interfaces import Answer, Beat, Hand, Script
+from drivers.guard_seal import KeyReader, Opener, Seals, forget_key, key_path, make_key
 from drivers.interfaces import Clock, PartError
 from drivers.udp_link import Address, address_of
 
 _BEAT = struct.Struct("!4sBIffff")  # magic, script, setpoints, separation, peer's north, east, down
-_ANSWER = struct.Struct("!4sBB")  # magic, sees, hand; then the reason
+_ANSWER = struct.Struct("!4sBB")  # magic, sees, hand; then reason and alarm
 _BEAT_MAGIC, _ANSWER_MAGIC = b"PGb1", b"PGa1"
-_MOST_BYTES = 512
-_REASON_BYTES = 400
+_MOST_BYTES = 1024
+_MOST_READS = 1000  # at once: a flood does not keep a guard from its rules
+_WORDS_BYTES = 400
+_BETWEEN = "\0"  # reason and alarm
+FOREIGN = "beats that are not sealed by this run's program"
 
 
 class GuardLineError(PartError):
@@ -42,8 +47,8 @@ def decode_beat(packet: bytes) -> Beat | None:
 
 
 def encode_answer(answer: Answer) -> bytes:
-    reason = answer.reason.encode("utf-8")[:_REASON_BYTES]
-    return _ANSWER.pack(_ANSWER_MAGIC, answer.sees, answer.hand.value) + reason
+    words = [text.replace(_BETWEEN, " ").encode("utf-8")[:_WORDS_BYTES] for text in (answer.reason, answer.alarm)]
+    return _ANSWER.pack(_ANSWER_MAGIC, answer.sees, answer.hand.value) + _BETWEEN.encode().join(words)
 
 
 def decode_answer(packet: bytes) -> Answer | None:
@@ -53,7 +58,8 @@ def decode_answer(packet: bytes) -> Answer | None:
     magic, sees, hand = _ANSWER.unpack_from(packet)
     if magic != _ANSWER_MAGIC or sees not in (0, 1) or hand not in (known.value for known in Hand):
         return None
-    return Answer(bool(sees), Hand(hand), packet[_ANSWER.size :].decode("utf-8", "replace"))
+    reason, _, alarm = packet[_ANSWER.size :].decode("utf-8", "replace").partition(_BETWEEN)
+    return Answer(bool(sees), Hand(hand), reason, alarm)
 
 
 def is_taken(bind: str) -> bool:
@@ -116,6 +122,7 @@ class UdpGuardLine:
         self.name = guard
         self._clock = clock
         self._socket = _Socket()
+        self._key, self._seals, self._opener = KeyReader(guard), Seals(), Opener()
         self._answer: tuple[int, Answer] | None = None
 
     async def __aenter__(self) -> Self:
@@ -131,11 +138,15 @@ class UdpGuardLine:
         self._socket.close()
 
     def beat(self, beat: Beat) -> None:
-        self._socket.send(encode_beat(beat))
+        key = self._key.read()
+        if key is not None:  # there is no guard yet, or it is another user's
+            self._socket.send(self._seals.seal(key, encode_beat(beat)))
 
     def answer(self) -> tuple[int, Answer] | None:
         while (received := self._socket.receive()) is not None:
-            answer = decode_answer(received[0])
+            key = self._key.read()
+            said = None if key is None else self._opener.open(key, received[0])
+            answer = None if said is None else decode_answer(said)
             if answer is not None:
                 self._answer = self._clock.now_ns(), answer
         return self._answer
@@ -148,7 +159,9 @@ class UdpBeatLine:
         self._bind = bind
         self._clock = clock
         self._socket = _Socket()
+        self._key, self._seals, self._opener = b"", Seals(), Opener()
         self._from: Address | None = None
+        self.ignored: dict[str, int] = {}
 
     async def __aenter__(self) -> Self:
         try:
@@ -156,21 +169,34 @@ class UdpBeatLine:
         except OSError as error:
             remedy = "is another guard of this drone running? end it, or give each its own bind"
             raise GuardLineError(f"the guard cannot listen on {self._bind}: {error.strerror}", remedy) from error
+        try:
+            self._key = make_key(self._bind)
+        except OSError as error:
+            self._socket.close()
+            remedy = "make room there, and remove what another user left under this name"
+            raise GuardLineError(f"the guard's key {key_path(self._bind)}: {error.strerror}", remedy) from error
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
         self._socket.close()
+        forget_key(self._bind, self._key)
 
     def newest(self) -> tuple[int, Beat] | None:
         newest: Beat | None = None
-        while (received := self._socket.receive()) is not None:
-            beat = decode_beat(received[0])
-            if beat is not None:
+        for _ in range(_MOST_READS):
+            received = self._socket.receive()
+            if received is None:
+                break
+            said = self._opener.open(self._key, received[0])
+            beat = None if said is None else decode_beat(said)
+            if beat is None:
+                self.ignored[FOREIGN] = self.ignored.get(FOREIGN, 0) + 1
+            else:
                 newest, self._from = beat, received[1]
         return None if newest is None else (self._clock.now_ns(), newest)
 
     def answer(self, answer: Answer) -> None:
         if self._from is not None:
-            self._socket.send(encode_answer(answer), self._from)
+            self._socket.send(self._seals.seal(self._key, encode_answer(answer)), self._from)

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from drivers.guard_interfaces import GuardView
 from drivers.interfaces import FlightMode
+from drivers.link_key import signing_key
 from drivers.mavlink_port import URL, MavlinkPort
 from drivers.mavsdk_geodesy import LocalTangent
 from drivers.mavsdk_modes import CUSTOM_MODE_ENABLED, KINDS, SAFETY_ARMED, AutopilotKind
 from drivers.rig import PartContext
 from drivers.udp_link import address_of
+from path.bounds import Bounds
 
 HEARTBEAT, SYS_STATUS, GLOBAL_POSITION = 0, 1, 33
 COMMAND_ACK, EXTENDED_SYS_STATE, CURRENT_MODE = 77, 245, 436
@@ -37,15 +41,18 @@ class GuardMavlinkConfig:
             ``udpout://10.0.0.2:14550``, ``serial:///dev/ttyTHS2:57600``; never the one the role uses.
         vehicle_sysid: of the vehicle, as in ``[*.vehicle]``.
         bind: where the role's program and its guard meet, on this computer.
+        key_file: of MAVLink 2's signatures, 32 bytes, mode 0600, the one that the autopilot was given
+            (SETUP_SIGNING); then only what is rightly signed is believed, and all that is sent is signed.
         own_sysid, own_compid: who the guard is on MAVLink. Not the number that ArduPilot's MAV_GCS_SYSID or PX4's data
             link loss watches: a guard that lives must not hide that the role's program died.
     """
 
     url: str
     bind: str
-    vehicle_sysid: int = 1
-    own_sysid: int = 246
-    own_compid: int = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+    vehicle_sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 1
+    own_sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 246
+    own_compid: Annotated[int, Bounds(1, 255, "(an id)")] = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+    key_file: Path | None = None
 
     def __post_init__(self) -> None:
         if URL.fullmatch(self.url) is None:
@@ -86,10 +93,15 @@ class GuardMavlink:
     def name(self) -> str:
         return f"vehicle {self._config.vehicle_sysid} on {self._config.url}"
 
+    @property
+    def ignored(self) -> Mapping[str, int]:
+        return {} if self._port is None else self._port.ignored
+
     async def __aenter__(self) -> Self:
         config = self._config
         own = config.own_sysid, config.own_compid
-        self._port = MavlinkPort(config.url, config.vehicle_sysid, own, WANTED)
+        key = signing_key(config.key_file)
+        self._port = MavlinkPort(config.url, config.vehicle_sysid, own, WANTED, self._clock.now_ns, key)
         return self
 
     async def __aexit__(

@@ -131,6 +131,7 @@ class LinkEnd:
         self._codec = codec
         self._overhead = overhead
         self._limit = RateLimit()
+        self._false = RateLimit()  # of what is not the peer's: only to tell by reason what it was
 
     def pack(self, message: Message) -> bytes | None:
         """The packet to send; None, and counted as dropped, when a number in the message does not fit the wire."""
@@ -150,7 +151,8 @@ class LinkEnd:
         if stranger:
             count(self.counters, "stranger")
             return
-        if not self._limit.admits(arrival_ns):  # a flood shall not take the time that the vehicle is flown in
+        limit = self._limit if self._codec.authentic(data) else self._false
+        if not limit.admits(arrival_ns):  # a flood shall not take the time that the vehicle is flown in
             count(self.counters, "flooded")
             return
         message = self._codec.decode(data)

@@ -5,13 +5,25 @@ from __future__ import annotations
 import os
 import stat
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.interfaces import LinkError
 from drivers.part_check import Finding
-from drivers.wire import KEY_LENGTH
+from drivers.wire import KEY_LENGTH, LAST_STAMP
 
 SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01, the zero of MAVLink signing time
+
+
+def signing_key(path: Path | None) -> bytes | None:
+    """The pair's key for packets that are signed from now on; None where nothing is signed. Raises LinkError."""
+    if path is None:
+        return None
+    key = read_key(path)
+    if not 0 <= signing_time() <= LAST_STAMP:
+        said = datetime.fromtimestamp(time.time(), UTC).date()
+        raise LinkError(f"this computer's clock says {said}: signatures reach from 2015 to 2104", "set the clock")
+    return key
 
 
 def read_key(path: Path) -> bytes:

@@ -80,7 +80,12 @@ GHOST, BACK = Color(r=0.3, g=0.9, b=0.3, a=0.35), Color(a=0.6)
 
 AS_IT_IS = (1.0, 0.0, 0.0, 0.0)
 ENU_OF_NED = Quaternion(w=0.0, x=math.sqrt(0.5), y=math.sqrt(0.5))
-LEVELS = {"/violation": LogLevel.Error, "/fault": LogLevel.Warning, "/guard": LogLevel.Warning}
+LEVELS = {
+    "/violation": LogLevel.Error,
+    "/fault": LogLevel.Warning,
+    "/guard": LogLevel.Warning,
+    "/guard_alarm": LogLevel.Warning,
+}
 
 
 def compressed_image(stamp_ns: int, frame: str, jpeg: bytes) -> Message:
@@ -318,11 +323,12 @@ _LINES: dict[str, Callable[[Record], str]] = {
     "/phase": lambda r: f"phase {r['phase']}" + (f": {r['note']}" if r["note"] else ""),
     "/note": lambda r: str(r["note"]),
     "/outcome": lambda r: f"outcome {r['outcome']}" + (f": {r['detail']}" if r["detail"] else ""),
-    "/responsibility": lambda r: f"responsible: {r['responsible']}" + (" (provisionally)" if r["provisional"] else ""),
+    "/responsibility": lambda r: f"responsible: {r['responsible']}" + ("" if r["until_ns"] is None else ", in a lease"),
     "/commit": lambda r: f"commit of target {r['target_id']} in epoch {r['epoch']}",
     "/decision": lambda r: f"decision {r['outcome']}" + (f": {r['reason']}" if r["reason"] else ""),
     "/refused": lambda r: f"refused: {r['why']}",
     "/guard": lambda r: f"guard {r['stage']}: {r['act']} {r['reason']}",
+    "/guard_alarm": lambda r: f"guard ignores {r['ignored']}",
     "/violation": lambda r: str(r["detail"]),
     "/fault": lambda r: f"fault {r['fault']}",
 }

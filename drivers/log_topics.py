@@ -141,7 +141,10 @@ TOPICS: dict[str, Topic] = {
     ),
     "/responsibility": Topic(
         "whose the target is, when that changes",
-        {"responsible": _flag("this drone's"), "provisional": _flag("until its lease's end only")},
+        {
+            "responsible": _flag("this drone's"),
+            "until_ns": _whole("end of its lease, own clock; left out: for good. Nobody need say that it is over"),
+        },
     ),
     "/link": Topic(
         "the link between the drones, once a second; counters are from the program's start",
@@ -282,8 +285,10 @@ TOPICS: dict[str, Topic] = {
             "position_n_m": _numbers("north, east, down in m from the origin of the rig"),
             "battery": _number("what is left, 0 to 1"),
             "script": _text("what the script said it does"),
+            "ignored": _table("what came and was not believed: how often, by what it was"),
         },
     ),
+    "/guard_alarm": Topic("something came that is not believed", {"ignored": _text("what")}),
     "/guard_stalled": Topic("the guard itself was not let run", {"stalled_s": _number("s")}),
     # --- the world, at levels with a simulated one; frame w is ENU ---
     "/scene": Topic(

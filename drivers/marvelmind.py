@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Self
+from typing import Annotated, Self
 
 import serial
 
@@ -17,6 +17,7 @@ from drivers.interfaces import BeaconError, BeaconFix, Clock
 from drivers.marvelmind_stream import MarvelmindStream, PortState
 from drivers.part_check import Finding
 from drivers.rig import PartContext
+from path.bounds import Bounds
 
 READ_AT_ONCE = 4096
 REOPEN_S = 0.25
@@ -36,9 +37,9 @@ class MarvelmindConfig:
     """
 
     ports: tuple[str, ...]
-    baud: int = 500_000
-    latency_s: float = 0.0
-    reopen_s: float = 10.0
+    baud: Annotated[int, Bounds(4800, 4_000_000, "baud")] = 500_000
+    latency_s: Annotated[float, Bounds(0.0, 1.0)] = 0.0
+    reopen_s: Annotated[float, Bounds(0.0, 600.0)] = 10.0
 
     def __post_init__(self) -> None:
         if not self.ports or len(set(self.ports)) < len(self.ports):

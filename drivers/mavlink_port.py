@@ -9,88 +9,87 @@ import contextlib
 import os
 import re
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import serial
 from pymavlink.dialects.v20 import all as mavlink
 
 from drivers.interfaces import VehicleError
+from drivers.mavlink_frames import AUTOPILOT, head_of, take_frames
+from drivers.mavlink_signing import SignatureCheck, Signer
+from drivers.mavlink_source import Address, VehicleSource
 from drivers.mavsdk_port import PortLock
-from drivers.udp_link import Address
 
-V1, V2 = 0xFE, 0xFD
-_V1_OVERHEAD, _V2_OVERHEAD, _SIGNATURE = 8, 12, 13
-_SIGNED = 0x01
 _READ_AT_ONCE = 4096
 _MOST_READS = 1000  # a flood does not keep the guard from its rules
 URL = re.compile(r"(udpin|udpout|serial)://(.+):(\d+)")
+UNSIGNED = "packets of the vehicle's number that are not signed with the key"
 
 
 class Transport(Protocol):
-    def read(self) -> bytes:
-        """What came in; empty when nothing waits."""
+    """``shared``: anybody can send to it, and what came in is whole datagrams with the address they came from."""
+
+    shared: bool
+
+    def read(self) -> tuple[bytes, Address | None]:
+        """What came in, and from where; empty when nothing waits."""
         ...
 
-    def write(self, packet: bytes) -> None: ...
-
-    def heard(self) -> None:
-        """What was read last came from the vehicle."""
+    def write(self, packet: bytes, to: Address | None) -> None:
+        """``to``: where, on a shared one; None is nowhere there."""
         ...
 
     def close(self) -> None: ...
 
 
 class UdpIn:
-    """Listens; answers go to where the vehicle was heard from last."""
+    """Listens; whoever it hears is no reason to answer."""
+
+    shared = True
 
     def __init__(self, address: Address) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._last: Address | None = None
-        self._vehicle: Address | None = None
         try:
             self._socket.bind(address)
         except OSError:
             self._socket.close()
             raise
 
-    def read(self) -> bytes:
+    def read(self) -> tuple[bytes, Address | None]:
         try:
-            data, self._last = self._socket.recvfrom(_READ_AT_ONCE)
+            return self._socket.recvfrom(_READ_AT_ONCE)
         except OSError:
-            return b""
-        return data
+            return b"", None
 
-    def heard(self) -> None:
-        self._vehicle = self._last
-
-    def write(self, packet: bytes) -> None:
-        if self._vehicle is not None:
+    def write(self, packet: bytes, to: Address | None) -> None:
+        if to is not None:
             with contextlib.suppress(OSError):
-                self._socket.sendto(packet, self._vehicle)
+                self._socket.sendto(packet, to)
 
     def close(self) -> None:
         self._socket.close()
 
 
 class UdpOut:
-    """Talks to one address; a router or an autopilot answers where it was spoken to from."""
+    """Talks to one address, and hears no other; a router or an autopilot answers where it was spoken to from."""
+
+    shared = False
 
     def __init__(self, address: Address) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.connect(address)
 
-    def read(self) -> bytes:
+    def read(self) -> tuple[bytes, Address | None]:
         try:
-            return self._socket.recv(_READ_AT_ONCE)
+            return self._socket.recv(_READ_AT_ONCE), None
         except OSError:
-            return b""
+            return b"", None
 
-    def heard(self) -> None: ...
-
-    def write(self, packet: bytes) -> None:
+    def write(self, packet: bytes, to: Address | None) -> None:
+        del to
         with contextlib.suppress(OSError):
             self._socket.send(packet)
 
@@ -101,21 +100,22 @@ class UdpOut:
 class SerialPort:
     """A second telemetry port of the autopilot."""
 
+    shared = False
+
     def __init__(self, device: str, baud: int) -> None:
         self._port = serial.Serial(device, baud, timeout=0, write_timeout=0, exclusive=True)
 
     def fileno(self) -> int:
         return self._port.fileno()
 
-    def read(self) -> bytes:
+    def read(self) -> tuple[bytes, Address | None]:
         try:
-            return os.read(self._port.fileno(), _READ_AT_ONCE)
+            return os.read(self._port.fileno(), _READ_AT_ONCE), None
         except OSError:  # nothing there, or unplugged: the age of what was heard tells
-            return b""
+            return b"", None
 
-    def heard(self) -> None: ...
-
-    def write(self, packet: bytes) -> None:
+    def write(self, packet: bytes, to: Address | None = None) -> None:
+        del to
         with contextlib.suppress(OSError):
             os.write(self._port.fileno(), packet)
 
@@ -124,13 +124,22 @@ class SerialPort:
 
 
 class MavlinkPort:
-    """One vehicle's messages of some kinds, and a way to send to it. Raises VehicleError when it cannot be opened."""
+    """One vehicle's messages of some kinds, and a way to send to it. Raises VehicleError when it cannot be opened.
 
-    def __init__(self, url: str, sysid: int, own: tuple[int, int], wanted: frozenset[int]) -> None:
-        """``own``: system and component id that are sent from."""
-        self._sysid, self._wanted = sysid, wanted
+    On a port that anybody can send to it is heard from one address, once that was proven, and answered there.
+    """
+
+    def __init__(
+        self, url: str, sysid: int, own: tuple[int, int], wanted: frozenset[int], now_ns: Callable[[], int],
+        key: bytes | None = None,
+    ) -> None:  # fmt: skip
+        """``own``: system and component id that are sent from; ``key``: of the signatures, both ways."""
+        self._wanted, self._now_ns = wanted, now_ns
+        self._source = VehicleSource(sysid, own)
         self._waiting = bytearray()
         self._mav: Any = mavlink.MAVLink(None, srcSystem=own[0], srcComponent=own[1])
+        self._check = None if key is None else SignatureCheck(key)
+        self._signer = None if key is None else Signer(key, own[1], extras())
         self._lock = PortLock(url)
         try:
             self._transport = _open(url)
@@ -140,6 +149,11 @@ class MavlinkPort:
                 f"the guard cannot open {url}: {error}", "check that the device or port is free"
             ) from error
 
+    @property
+    def ignored(self) -> dict[str, int]:
+        """What came as the vehicle's and was not believed, in words, and how often."""
+        return self._source.ignored
+
     def close(self) -> None:
         self._transport.close()
         self._lock.release()
@@ -148,56 +162,59 @@ class MavlinkPort:
         """The wanted messages of the vehicle's autopilot that came in, in order."""
         messages: list[Any] = []
         for _ in range(_MOST_READS):
-            data = self._transport.read()
+            data, source = self._transport.read()
             if not data:
                 break
+            if source is not None:
+                self._waiting.clear()  # what another one left unfinished does not hide what comes next
             self._waiting += data
             for frame in take_frames(self._waiting):
-                message = self._decode(frame)
+                message = self._decode(frame) if self._is_ours(frame) and self._believes(frame, source) else None
                 if message is not None:
-                    self._transport.heard()
                     messages.append(message)
         return messages
 
     def send(self, message: Any) -> None:
         packet = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
-        self._transport.write(packet)
+        self._write(packet, self._source.pinned)
 
-    def _decode(self, frame: bytearray) -> Any | None:
-        """None for what is not wanted, damaged, or another's."""
-        if frame[0] == V2:
-            source, component, message_id = frame[5], frame[6], int.from_bytes(frame[7:10], "little")
-        else:
-            source, component, message_id = frame[3], frame[4], frame[5]
-        if (source, component) != (self._sysid, mavlink.MAV_COMP_ID_AUTOPILOT1) or message_id not in self._wanted:
+    def _write(self, packet: bytes, to: Address | None) -> None:
+        signed = packet if self._signer is None else self._signer.sign(packet)
+        if signed is not None:
+            self._transport.write(signed, to)
+
+    def _is_ours(self, frame: bytes) -> bool:
+        head = head_of(frame)
+        return (head.system, head.component) == (self._source.sysid, AUTOPILOT)
+
+    def _believes(self, frame: bytes, source: Address | None) -> bool:
+        if self._check is not None and not self._check.holds(frame):
+            self._source.ignore(UNSIGNED)
+            return False
+        if source is None:
+            return True
+        now_ns = self._now_ns()
+        if self._source.believes(frame, source, now_ns):
+            return True
+        question = self._source.question(frame, source, now_ns)
+        if question is not None:
+            self._write(question, source)
+        return False
+
+    def _decode(self, frame: bytes) -> Any | None:
+        """None for what is not wanted, or damaged."""
+        if head_of(frame).message not in self._wanted:
             return None
         try:
-            return self._mav.decode(frame)
+            return self._mav.decode(bytearray(frame))
         except mavlink.MAVError:
             return None
 
 
-def take_frames(waiting: bytearray) -> Iterator[bytearray]:
-    """Cut whole frames off the front of a stream of bytes; what is no frame is skipped.
-
-    A damaged frame may hide the next one for once: the checksum is for whoever decodes it, and telemetry comes again.
-    """
-    while waiting:
-        if waiting[0] not in (V1, V2):
-            begin = min((at for at in (waiting.find(V1), waiting.find(V2)) if at >= 0), default=len(waiting))
-            del waiting[:begin]
-            continue
-        if len(waiting) < 3:
-            return
-        length = waiting[1] + _V1_OVERHEAD
-        if waiting[0] == V2:
-            length = waiting[1] + _V2_OVERHEAD + (_SIGNATURE if waiting[2] & _SIGNED else 0)
-        if len(waiting) < length:
-            return
-        frame = waiting[:length]
-        del waiting[:length]
-        yield frame
+def extras() -> dict[int, int]:
+    """The checksum's byte of every message there is."""
+    return {message: kind.crc_extra for message, kind in mavlink.mavlink_map.items()}
 
 
 def _open(url: str) -> Transport:

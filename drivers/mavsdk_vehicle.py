@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from drivers.interfaces import FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
 from drivers.mavsdk_geodesy import LocalTangent
@@ -19,6 +19,7 @@ from drivers.mavsdk_telemetry import Telemetry
 from drivers.mavsdk_vision import VisionConfig, VisionFeed
 from drivers.part_check import Finding, counted
 from drivers.rig import PartContext
+from path.bounds import AutopilotValues, Bounds
 
 # MAV_CMD
 NAV_LAND, NAV_TAKEOFF, DO_SET_MODE, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 21, 22, 176, 511, 512
@@ -31,6 +32,7 @@ FRAME_LOCAL_NED = 1
 MASK_VELOCITY_YAW = 2503  # ignore position, acceleration and yaw rate (POSITION_TARGET_TYPEMASK)
 SETTLED_MPS = 0.3
 STOPPED_SHORT_M = 2.0  # PX4 ends a take-off up to 0.8 m before the height (NAV_MC_ALT_RAD), which it may have wrong
+DISARM_NEWS_S = 1.5  # PX4 beats once a second
 MODE_HZ = 20.0  # a pilot who takes the vehicle must not wait for the next heartbeat
 TEXT_WAIT_S = 0.5  # STATUSTEXT may come before or after the refusal it explains
 SAFE_TRIES = 3  # what only ends motion, or starts none, is resent when no acknowledgement came
@@ -62,21 +64,22 @@ class MavsdkVehicleConfig:
     """
 
     url: str
-    sysid: int = 1
+    sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 1
     autopilot: Literal["auto", "px4", "ardupilot"] = "auto"
-    own_sysid: int = 245
-    own_compid: int = 190  # MAV_COMP_ID_MISSIONPLANNER: a ground station, as the failsafes expect
-    telemetry_hz: float = 50.0
-    heartbeat_hz: float = 5.0
-    connect_timeout_s: float = 10.0
-    command_timeout_s: float = 1.0
-    mode_timeout_s: float = 3.0
-    heartbeat_timeout_s: float = 1.5
-    take_off_tolerance_m: float = 0.3
-    offboard_lead_s: float = 0.3
+    own_sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 245
+    # MAV_COMP_ID_MISSIONPLANNER: a ground station, as the failsafes expect
+    own_compid: Annotated[int, Bounds(1, 255, "(an id)")] = 190
+    telemetry_hz: Annotated[float, Bounds(1.0, 400.0)] = 50.0
+    heartbeat_hz: Annotated[float, Bounds(0.0, 50.0)] = 5.0
+    connect_timeout_s: Annotated[float, Bounds(0.1, 300.0)] = 10.0
+    command_timeout_s: Annotated[float, Bounds(0.05, 30.0)] = 1.0
+    mode_timeout_s: Annotated[float, Bounds(0.05, 60.0)] = 3.0
+    heartbeat_timeout_s: Annotated[float, Bounds(0.2, 30.0)] = 1.5
+    take_off_tolerance_m: Annotated[float, Bounds(0.01, 5.0)] = 0.3
+    offboard_lead_s: Annotated[float, Bounds(0.0, 5.0)] = 0.3
     vision: VisionConfig | None = None
     height_from: Literal["sea_level", "home"] = "sea_level"
-    parameters: dict[str, float] = field(default_factory=dict[str, float])
+    parameters: AutopilotValues = field(default_factory=dict[str, float])
 
     def __post_init__(self) -> None:
         for name in ("sysid", "own_sysid"):
@@ -274,15 +277,7 @@ class MavsdkVehicle:
         unset = self._kind.unset
         await self._do("land", NAV_LAND, (0.0, 0.0, 0.0, unset, unset, unset, 0.0), SAFE_TRIES)
         await self._until_mode(FlightMode.LAND, sent_ns, "land", lambda: not self.state.armed)
-        telemetry = self._telemetry
-
-        def over() -> bool:
-            return not self.state.armed or telemetry.mode is not FlightMode.LAND
-
-        if not await self._session.until(over, timeout_s):
-            raise VehicleError(f"not on the ground {timeout_s:g} s after the landing began", "land by remote control")
-        if self.state.armed:
-            raise TakenOver(f"landing ended by a change to mode {telemetry.mode.value}", "the pilot has control")
+        await self._until_down(self._clock.now_ns() + int(timeout_s * 1e9), timeout_s)
 
     # --- inside ---
 
@@ -354,6 +349,25 @@ class MavsdkVehicle:
                 f"the vehicle agreed to {what} but is in mode {telemetry.mode.value}: {texts}",
                 "the pilot may have control; look at its ground station",
             )
+
+    async def _until_down(self, end_ns: int, timeout_s: float) -> None:
+        """Until it is disarmed. Having landed, PX4 goes back to the mode before it, and tells so up to a heartbeat
+        before it tells that it is disarmed: another mode is a pilot's only when it stays armed."""
+        session, telemetry = self._session, self._telemetry
+
+        def down() -> bool:
+            return not self.state.armed
+
+        def lands() -> bool:
+            return telemetry.mode is FlightMode.LAND
+
+        while not down():
+            left_s = (end_ns - self._clock.now_ns()) * 1e-9
+            if not await session.until(lambda: down() or not lands(), left_s):
+                what = f"not on the ground {timeout_s:g} s after the landing began"
+                raise VehicleError(what, "land by remote control")
+            if not await session.until(lambda: down() or lands(), DISARM_NEWS_S):
+                raise TakenOver(f"landing ended by a change to mode {telemetry.mode.value}", "the pilot has control")
 
     async def _climb(self, height_m: float, there: FlightMode, timeout_s: float) -> None:
         """Until at the height and steady. A pilot's mode, a hold, a landing or disarming on the way ends it with an

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from drivers.mavsdk_modes import PX4, AutopilotKind
 from drivers.mavsdk_session import Session
 from drivers.mavsdk_telemetry import Telemetry
 from drivers.rig import Origin, PartContext, PartSpec, create
+from path.bounds import Bounds
 from path.messages import Vec3
 from path.rotation import R_from_quat
 
@@ -37,12 +39,12 @@ class VisionConfig:
     """
 
     beacons: PartSpec
-    address: int
-    lever_b_m: Vec3 = (0.0, 0.0, 0.0)
-    x_heading_deg: float = 0.0
-    zero_n_m: Vec3 = (0.0, 0.0, 0.0)
-    sigma_m: float = 0.05
-    least_quality: float = 50.0
+    address: Annotated[int, Bounds(0, 255, "(an address)")]
+    lever_b_m: Annotated[Vec3, Bounds(-3.0, 3.0)] = (0.0, 0.0, 0.0)
+    x_heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
+    zero_n_m: Annotated[Vec3, Bounds(-10000.0, 10000.0)] = (0.0, 0.0, 0.0)
+    sigma_m: Annotated[float, Bounds(0.0, 10.0, above=True)] = 0.05
+    least_quality: Annotated[float, Bounds(0.0, 100.0, "of 100")] = 50.0
 
     def __post_init__(self) -> None:
         if self.sigma_m <= 0.0 or not 0.0 <= self.least_quality <= 100.0:

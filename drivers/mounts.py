@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from drivers.calibration_file import CalibrationError, MountCalibration, read_mount
 from drivers.tables import RigError, decode_table
+from path.bounds import Bounds
 from path.geometry import Matrix, Pose
 
 Vec3 = tuple[float, float, float]
@@ -28,10 +29,10 @@ class CalibrationName:
 class CameraMount:
     """Camera looking forward along body x, turned by roll, then pitched down, then yawed."""
 
-    position_b_m: Vec3
-    pitch_down_deg: float
-    roll_deg: float = 0.0
-    yaw_deg: float = 0.0
+    position_b_m: Annotated[Vec3, Bounds(-3.0, 3.0)]
+    pitch_down_deg: Annotated[float, Bounds(-90.0, 90.0)]
+    roll_deg: Annotated[float, Bounds(-180.0, 180.0)] = 0.0
+    yaw_deg: Annotated[float, Bounds(-180.0, 180.0)] = 0.0
 
     def pose(self) -> Pose:
         forward = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # columns: x right, y down, z ahead
@@ -43,10 +44,10 @@ class CameraMount:
 class MarkerMount:
     """Marker plate facing backwards, turned by roll, then tilted up, then yawed."""
 
-    position_b_m: Vec3
-    tilt_up_deg: float
-    roll_deg: float = 0.0
-    yaw_deg: float = 0.0
+    position_b_m: Annotated[Vec3, Bounds(-3.0, 3.0)]
+    tilt_up_deg: Annotated[float, Bounds(-90.0, 90.0)]
+    roll_deg: Annotated[float, Bounds(-180.0, 180.0)] = 0.0
+    yaw_deg: Annotated[float, Bounds(-180.0, 180.0)] = 0.0
 
     def pose(self) -> Pose:
         backward = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # columns: x right, y up, z out

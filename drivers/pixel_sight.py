@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from types import TracebackType
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from drivers.interfaces import Camera, CameraError, Capability, Detector, Frame,
 from drivers.part_check import Finding, examined, rate_of
 from drivers.rig import PartContext, PartSpec, create
 from path.agreement import iou
+from path.bounds import Bounds
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.marker.detect import detect_markers
@@ -52,7 +53,7 @@ class PixelSightConfig:
     corners: Corners = "photometric"
     method: MethodConfig = field(default_factory=MethodConfig)
     target: TargetSize | None = None
-    max_old_frames: int = 30
+    max_old_frames: Annotated[int, Bounds(1, 10000, "frames")] = 30
 
 
 class PixelSight:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Annotated, Self
 
 from drivers.interfaces import CameraError, Frame
 from drivers.part_check import Finding
@@ -21,6 +21,7 @@ from drivers.realsense_stream import PairStream, StreamConfig, StreamCounters
 from drivers.rig import PartContext, PartSpec, create
 from drivers.stamp_clock import Domain, StampConfig
 from drivers.wake import wake
+from path.bounds import Bounds
 from path.camera import CameraModel
 
 CLOSE_S = 5.0
@@ -51,18 +52,18 @@ class RealSenseConfig:
     serial: str = ""
     recording: Path | None = None
     source: PartSpec | None = None
-    fps: int = 30
-    depth_size: tuple[int, int] | None = None
-    min_depth_m: float = 0.3
-    max_depth_m: float = 6.0
+    fps: Annotated[int, Bounds(1, 300, "Hz")] = 30
+    depth_size: Annotated[tuple[int, int] | None, Bounds(16, 16384, "px")] = None
+    min_depth_m: Annotated[float, Bounds(0.0, 65.0)] = 0.3
+    max_depth_m: Annotated[float, Bounds(0.05, 65.0)] = 6.0
     filters: tuple[Filter, ...] = ()
     emitter: bool = True
-    exposure_us: int = 0
-    latency_s: float = 0.0
+    exposure_us: Annotated[int, Bounds(0, 200_000)] = 0
+    latency_s: Annotated[float, Bounds(0.0, 1.0)] = 0.0
     record: Path | None = None
-    silence_s: float = 1.0
-    reopen_s: float = 30.0
-    open_timeout_s: float = 10.0
+    silence_s: Annotated[float, Bounds(0.05, 60.0)] = 1.0
+    reopen_s: Annotated[float, Bounds(0.0, 600.0)] = 30.0
+    open_timeout_s: Annotated[float, Bounds(0.1, 300.0)] = 10.0
 
     def __post_init__(self) -> None:
         if sum((bool(self.serial), self.recording is not None, self.source is not None)) > 1:

@@ -8,12 +8,13 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from drivers.calibration_file import check_size
 from drivers.interfaces import CameraError, Frame
 from drivers.recordings import Loaded, RecordedFrame, Recording, RecordingOptions, open_recording
 from drivers.rig import PartContext
+from path.bounds import Bounds
 from path.camera import CameraModel
 
 LOOP_GAP_NS = 33_000_000  # from the last frame to the first one again, where there is only one
@@ -38,10 +39,10 @@ class RecordedCameraConfig:
 
     file: Path
     pace: Literal["real", "fast"] = "real"
-    speed: float = 1.0
+    speed: Annotated[float, Bounds(0.01, 100.0, "times")] = 1.0
     loop: bool = False
     serial: str = ""
-    rate_hz: float | None = None
+    rate_hz: Annotated[float | None, Bounds(0.1, 1000.0)] = None
     stamps: Path | None = None
     depth: Path | None = None
     topic: str = ""

@@ -10,11 +10,12 @@ import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from drivers.beacon_log import Mounted
 from drivers.interfaces import Clock
 from drivers.tables import RigError, decode_table, suggestion
+from path.bounds import Bounds
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Pose
@@ -51,9 +52,9 @@ class PartSpec:
 class Origin:
     """Where the mission's local frames (NED ``n`` and ENU ``w``) have their zero."""
 
-    latitude_deg: float
-    longitude_deg: float
-    altitude_m: float
+    latitude_deg: Annotated[float, Bounds(-90.0, 90.0)]
+    longitude_deg: Annotated[float, Bounds(-180.0, 180.0)]
+    altitude_m: Annotated[float, Bounds(-500.0, 9000.0)]
 
     def __post_init__(self) -> None:
         if not (-90.0 <= self.latitude_deg <= 90.0 and -180.0 <= self.longitude_deg <= 180.0):
@@ -111,7 +112,7 @@ class Reference:
     receiver: Mounted
     target: Mounted
     beacons: PartSpec | None = None
-    telemetry_late_s: float = 0.0
+    telemetry_late_s: Annotated[float, Bounds(0.0, 0.5)] = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.telemetry_late_s <= 0.5:
@@ -174,6 +175,18 @@ class Rig:
     def where(self, table: str) -> str:
         """How messages name a table of this rig."""
         return f"{self.file.name}: {table}"
+
+
+def with_errors(rig: Rig, level: str | None) -> Rig:
+    """The rig with another level of errors (``[world.errors]``), if one is given.
+
+    Raises RigError for a rig that flies in the real world.
+    """
+    if level is None:
+        return rig
+    if rig.harness is None:
+        raise RigError([f"rig {rig.name} has no world of its own to be drawn with errors"], "leave out --errors")
+    return dataclasses.replace(rig, world={**rig.world, "errors": {"level": level}})
 
 
 def import_factory(factory: str, where: str) -> Any:

@@ -30,7 +30,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from drivers.calibration_file import CalibrationError, CameraTable, MountCalibra
 from drivers.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, axis_turn
 from drivers.rig import Level, Mount, Origin, PartSpec, Reference, Rig, RoleRig
 from drivers.tables import RigError, decode_table, suggestion
+from path.bounds import Bounds
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Pose
@@ -82,11 +83,11 @@ class _ReceiverMount:
 class _Marker:
     """One fiducial of the layout: ``roll_deg`` turns it about its own normal, pitch and yaw about ``v``'s x and y."""
 
-    id: int
-    side_m: float
-    side_sigma_m: float = 0.0001
-    position_v_m: Vec3 = (0.0, 0.0, 0.0)
-    rpy_deg: Vec3 = (0.0, 0.0, 0.0)
+    id: Annotated[int, Bounds(0, 1023, "(an id)")]
+    side_m: Annotated[float, Bounds(0.005, 2.0)]
+    side_sigma_m: Annotated[float, Bounds(0.0, 0.1)] = 0.0001
+    position_v_m: Annotated[Vec3, Bounds(-3.0, 3.0)] = (0.0, 0.0, 0.0)
+    rpy_deg: Annotated[Vec3, Bounds(-180.0, 180.0)] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         self.marker()

@@ -9,16 +9,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Annotated, Self
 
 import serial
 
 from drivers.framing import Framer
 from drivers.interfaces import LinkCounters, LinkError, Received
 from drivers.link_end import LinkContext, LinkEnd, Waiting, count
-from drivers.link_key import key_finding, read_key, signing_time
+from drivers.link_key import key_finding, signing_key, signing_time
 from drivers.part_check import Finding
 from drivers.wire import Codec
+from path.bounds import Bounds
 from path.messages import Message
 
 BITS_PER_BYTE = 10.0  # a start bit, eight, a stop bit
@@ -39,7 +40,7 @@ class SerialLinkConfig:
     """
 
     port: str
-    baud: int = 115_200
+    baud: Annotated[int, Bounds(9600, 4_000_000, "baud")] = 115_200
     key_file: Path | None = None
     allow_unsigned: bool = False
 
@@ -79,8 +80,7 @@ class SerialLink:
 
     async def __aenter__(self) -> Self:
         """Raises LinkError for a key that cannot be used and for a port that cannot be opened."""
-        key_file = self._config.key_file
-        key = None if key_file is None else read_key(key_file)
+        key = signing_key(self._config.key_file)
         self._open_port()
         self._end, self._waiting = self._new_end(key)
         self._open = True

@@ -11,13 +11,12 @@ from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from drivers.interfaces import PartError
+from path.bounds import UNITS, bounds_of, numbers, refusal
 
 T = TypeVar("T")
-
-UNITS = ("deg", "rad", "mm", "cm", "m", "ns", "us", "ms", "s", "px", "hz", "mps", "mps2", "radps", "ppm", "db", "v")
 
 
 class RigError(PartError):
@@ -42,7 +41,7 @@ class Problems:
 
     def raise_any(self) -> None:
         if self.lines:
-            raise RigError(self.lines)
+            raise RigError(list(dict.fromkeys(self.lines)))  # two checks may come upon the same
 
 
 class _Bad(Exception):
@@ -53,7 +52,8 @@ def decode_table(table: Mapping[str, Any], kind: type[T], where: str, base: Path
     """Decode a TOML table as the dataclass ``kind``.
 
     Understands nested dataclasses, tuples, dicts with string keys, enums (by value), Literals, unions, ``Path``, floats
-    written as integers, and any type with a class method ``from_table(table, where, base)``. Numbers must be finite.
+    written as integers, and any type with a class method ``from_table(table, where, base)``. Numbers must be finite,
+    and within their field's ``path.bounds.Bounds``.
 
     Args:
         table: as tomllib gives it.
@@ -87,7 +87,7 @@ def _stem(key: str) -> str:
 
 @cache
 def _hints(kind: type[Any]) -> dict[str, Any]:
-    return get_type_hints(kind)
+    return get_type_hints(kind, include_extras=True)
 
 
 def _inside(where: str, key: str) -> str:
@@ -125,6 +125,8 @@ def _dataclass(table: Any, kind: type[Any], where: str, problems: Problems, base
 def _value(value: Any, kind: Any, where: str, problems: Problems, base: Path | None) -> Any:  # noqa: PLR0911
     """Decode one value, or note the problem and raise _Bad."""
     origin = get_origin(kind)
+    if origin is Annotated:
+        return _bounded(value, kind, where, problems, base)
     if origin in (Union, types.UnionType):
         return _union(value, kind, where, problems, base)
     if origin is Literal:
@@ -149,6 +151,17 @@ def _value(value: Any, kind: Any, where: str, problems: Problems, base: Path | N
         except ValueError:
             _refuse(value, kind, where, problems)
     return _scalar(value, kind, where, problems, base)
+
+
+def _bounded(value: Any, kind: Any, where: str, problems: Problems, base: Path | None) -> Any:
+    """A value whose numbers have bounds."""
+    decoded, bounds = _value(value, get_args(kind)[0], where, problems, base), bounds_of(kind)
+    name = where.rpartition(".")[2].partition("[")[0]
+    for number in numbers(decoded):
+        if bounds is not None and not bounds.holds(number):
+            problems.add(where, refusal(name, number, bounds))
+            raise _Bad
+    return decoded
 
 
 def _scalar(value: Any, kind: Any, where: str, problems: Problems, base: Path | None) -> Any:
@@ -220,6 +233,8 @@ def _refuse(value: Any, kind: Any, where: str, problems: Problems) -> Any:
 def _expected(kind: Any) -> str:  # noqa: PLR0911
     """What a person may write there."""
     origin, args = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return _expected(args[0])
     names: dict[Any, str] = {
         float: "a finite number",
         int: "a whole number",

@@ -9,8 +9,10 @@ import socket
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from drivers.interfaces import VehicleError
+from path.bounds import Bounds
 
 STOCK_STATE_PORT, STOCK_VIDEO_PORT = 8890, 11111
 SIOCGIFADDR = 0x8915
@@ -30,12 +32,12 @@ class TelloAddress:
     """
 
     host: str = "192.168.10.1"
-    state_port: int = STOCK_STATE_PORT
-    video_port: int = STOCK_VIDEO_PORT
+    state_port: Annotated[int, Bounds(1, 65535, "(a port)")] = STOCK_STATE_PORT
+    video_port: Annotated[int, Bounds(1, 65535, "(a port)")] = STOCK_VIDEO_PORT
     interface: str = ""
     namespace: str = ""
     serial: str = ""
-    command_port: int = 8889
+    command_port: Annotated[int, Bounds(1, 65535, "(a port)")] = 8889
 
     def __post_init__(self) -> None:
         try:

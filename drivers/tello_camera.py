@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import av.error
 import numpy as np
@@ -26,6 +26,7 @@ from drivers.rig import PartContext
 from drivers.tello_address import TelloAddress
 from drivers.tello_link import TelloLink, link_to, said
 from drivers.wake import wake
+from path.bounds import Bounds
 from path.camera import CameraModel
 
 FPS_NAMES: dict[int, str] = {30: "high", 15: "middle", 5: "low"}
@@ -53,8 +54,8 @@ class TelloCameraConfig(TelloAddress):
     """
 
     rate_hz: Rate = 30
-    latency_s: float = 0.16
-    latency_sigma_s: float = 0.03
+    latency_s: Annotated[float, Bounds(0.0, 2.0)] = 0.16
+    latency_sigma_s: Annotated[float, Bounds(0.0, 1.0)] = 0.03
 
     def __post_init__(self) -> None:
         TelloAddress.__post_init__(self)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from drivers.tello_address import TelloAddress
 from drivers.tello_state import VelocityFrame
+from path.bounds import Bounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,18 +27,18 @@ class TelloVehicleConfig(TelloAddress):
         answer_s: for one answer to a command that moves nothing.
     """
 
-    north_m: float = 0.0
-    east_m: float = 0.0
-    heading_deg: float = 0.0
-    placement_sigma_m: float = 0.05
-    velocity_sigma_mps: float = 0.03
+    north_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 0.0
+    east_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 0.0
+    heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
+    placement_sigma_m: Annotated[float, Bounds(0.0, 5.0)] = 0.05
+    velocity_sigma_mps: Annotated[float, Bounds(0.0, 5.0)] = 0.03
     velocity_frame: VelocityFrame = "start"
-    full_stick_mps: float = 1.0
-    full_stick_dps: float = 100.0
-    max_yaw_dps: float = 40.0
-    take_off_tolerance_m: float = 0.15
-    min_battery: float = 0.2
-    answer_s: float = 3.0
+    full_stick_mps: Annotated[float, Bounds(0.05, 20.0)] = 1.0
+    full_stick_dps: Annotated[float, Bounds(1.0, 720.0)] = 100.0
+    max_yaw_dps: Annotated[float, Bounds(1.0, 360.0)] = 40.0
+    take_off_tolerance_m: Annotated[float, Bounds(0.01, 5.0)] = 0.15
+    min_battery: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.2
+    answer_s: Annotated[float, Bounds(0.05, 60.0)] = 3.0
 
     def __post_init__(self) -> None:
         TelloAddress.__post_init__(self)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from drivers.interfaces import Detector
 from drivers.opencv_tracker import BoxTracker, TrackerKind
 from drivers.rig import PartContext, PartSpec, create
 from path.agreement import iou
+from path.bounds import Bounds
 from path.observations import Box, Detection, Region
 
 Image = NDArray[np.uint8]
@@ -40,11 +42,11 @@ class TrackedDetectorConfig:
 
     detector: PartSpec
     tracker: TrackerKind = "csrt"
-    every: int = 5
-    min_similarity: float = 0.5
-    max_growth: float = 1.5
-    min_iou: float = 0.4
-    max_tracks: int = 4
+    every: Annotated[int, Bounds(1, 1000, "frames")] = 5
+    min_similarity: Annotated[float, Bounds(-1.0, 1.0, "of 1")] = 0.5
+    max_growth: Annotated[float, Bounds(1.0, 20.0, "times", above=True)] = 1.5
+    min_iou: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.4
+    max_tracks: Annotated[int, Bounds(1, 100, "tracks")] = 4
 
     def __post_init__(self) -> None:
         if self.every < 1 or self.max_tracks < 1:

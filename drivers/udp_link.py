@@ -5,20 +5,24 @@ from __future__ import annotations
 import asyncio
 import errno
 import ipaddress
+import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, cast
+from typing import Self
 
 from drivers.interfaces import LinkCounters, LinkError, Received
 from drivers.link_end import LinkContext, LinkEnd, count
-from drivers.link_key import key_finding, read_key, signing_time
+from drivers.link_key import key_finding, signing_key, signing_time
 from drivers.part_check import Finding
 from drivers.wire import UDP_IP_OVERHEAD, Codec
 from path.messages import Message
 
 IPV6_EXTRA = 20  # an IPv6 header is that much longer than an IPv4 one
+READ_AT_ONCE = 256  # datagrams in one turn of the event loop: whatever comes in, the rest of the program has its turn
+MOST_BYTES = 512  # of a datagram: what is longer is none of ours, and is cut
+WAITING_BYTES = 1 << 20  # what the kernel keeps while this program is busy, if it may
 
 Address = tuple[str, int]
 
@@ -75,7 +79,7 @@ class UdpLink:
         self._key_file = config.key_file
         self._clock = context.clock
         self._role = context.role
-        self._transport: asyncio.DatagramTransport | None = None
+        self._socket: socket.socket | None = None
         self._end = self._new_end(None)
         self._end.inbox.close()
 
@@ -85,63 +89,64 @@ class UdpLink:
 
     async def __aenter__(self) -> Self:
         """Raises LinkError for a key that cannot be used and for a port that cannot be had."""
-        end = self._new_end(None if self._key_file is None else read_key(self._key_file))
-        loop = asyncio.get_running_loop()
+        end = self._new_end(signing_key(self._key_file))
+        family = socket.AF_INET6 if ":" in self._bind[0] else socket.AF_INET
+        opened = socket.socket(family, socket.SOCK_DGRAM)
+        opened.setblocking(False)
         try:
-            self._transport, _ = await loop.create_datagram_endpoint(lambda: _Socket(self), local_addr=self._bind)
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, WAITING_BYTES)
+            opened.bind(self._bind)
         except OSError as error:
+            opened.close()
             raise open_error(self._bind, error) from error
-        self._end = end
+        asyncio.get_running_loop().add_reader(opened, self._readable, opened)
+        self._socket, self._end = opened, end
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
         self._end.inbox.close()
-        if self._transport is not None:
-            self._transport.abort()
-            self._transport = None
-            await asyncio.sleep(0)  # the socket is closed in the loop's next turn
+        if self._socket is not None:
+            asyncio.get_running_loop().remove_reader(self._socket)
+            self._socket.close()
+            self._socket = None
 
     async def examine(self) -> Sequence[Finding]:
         return (key_finding(self._key_file),)
 
     def send(self, message: Message) -> None:
         """One datagram, now or never: what the network cannot take at once is dropped, not queued."""
-        if self._transport is None:
+        if self._socket is None:
             raise LinkError("the link is not open", "enter it with `async with` first")
-        if cast("asyncio.WriteTransport", self._transport).get_write_buffer_size():
-            count(self.counters, "network_busy")
-            return
         data = self._end.pack(message)
-        if data is not None:
-            self._transport.sendto(data, self._peer)
+        if data is None:
+            return
+        try:
+            self._socket.sendto(data, self._peer)
+        except BlockingIOError:
+            count(self.counters, "network_busy")
+        except OSError:  # the network is gone: silence is what tells the mission
+            count(self.counters, "network_error")
 
     async def receive(self) -> Received:
         return await self._end.inbox.get()
 
-    def on_datagram(self, data: bytes, source: Address) -> None:
-        """Called by the socket; never raises."""
-        self._end.arrived(data, self._clock.now_ns(), stranger=source != self._peer)
-
-    def on_network_error(self) -> None:
-        """The peer's port is closed, or the network is gone: silence is what tells the mission."""
-        count(self.counters, "network_error")
+    def _readable(self, opened: socket.socket) -> None:
+        """All that came in, or a good part of it. Never raises."""
+        for _ in range(READ_AT_ONCE):
+            try:
+                data, source = opened.recvfrom(MOST_BYTES)
+            except BlockingIOError:
+                return
+            except OSError:  # the peer's port is closed
+                count(self.counters, "network_error")
+                return
+            self._end.arrived(data, self._clock.now_ns(), stranger=source[:2] != self._peer)
 
     def _new_end(self, key: bytes | None) -> LinkEnd:
         overhead = UDP_IP_OVERHEAD + (IPV6_EXTRA if ":" in self._peer[0] else 0)
         return LinkEnd(Codec(self._role, key, stamp=signing_time), overhead)
-
-
-class _Socket(asyncio.DatagramProtocol):
-    def __init__(self, link: UdpLink) -> None:
-        self._link = link
-
-    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
-        self._link.on_datagram(data, (str(addr[0]), int(addr[1])))
-
-    def error_received(self, exc: Exception) -> None:
-        self._link.on_network_error()
 
 
 def open_error(bind: Address, error: OSError) -> LinkError:

@@ -38,6 +38,7 @@ _SIGNATURE = dialect.MAVLINK_SIGNATURE_BLOCK_LEN
 _HASH = 6
 _STAMP = 6
 _SIGNED = dialect.MAVLINK_IFLAG_SIGNED
+LAST_STAMP = 2**48 - 1 - 24 * 3600 * 100_000  # of the year 2104; a day before the end, so that no flight reaches it
 _ASKED = 16  # pings that an answer may be awaited to: a second of them
 
 
@@ -58,6 +59,7 @@ class Drop(Enum):
     UNEXPECTED_SIGNATURE = "unexpected_signature"  # signed, and this side has no key
     BAD_SIGNATURE = "bad_signature"
     REPLAYED = "replayed"
+    CLOCK_AT_END = "clock_at_end"  # rightly signed, at the end of what a stamp can say: ours is not pulled there
     UNPROVEN = "unproven"  # rightly signed, but perhaps a recording: the peer has not answered this process yet
     OUT_OF_RANGE = "out_of_range"
 
@@ -75,6 +77,7 @@ class Codec:
         link_id: MAVLink signing link id, names the channel.
         stamp: signing clock in units of 10 us, in the field wall time since 2015. It need not agree with the peer's:
             every packet of the peer's pulls a slow one forward, also that of a process which began with a wrong time.
+            A time that no stamp can say is as if the clock stood still.
     """
 
     def __init__(self, role: Role, key: bytes | None, link_id: int = 0, stamp: Callable[[], int] = lambda: 0) -> None:
@@ -110,10 +113,21 @@ class Codec:
             self._asked.append((message.nonce, message.sent_ns))
         if not self._signed:
             return data
-        stamp = max(self._newest, self._stamp())
+        clock = self._stamp()
+        stamp = max(self._newest, clock if clock <= LAST_STAMP else 0)
         self._newest = stamp + 1
         data += bytes((self._link_id,)) + stamp.to_bytes(_STAMP, "little")
         return data + self._hash(data)
+
+    def authentic(self, data: bytes) -> bool:
+        """Whether a datagram is signed by the peer and not heard before, or nothing is signed here; in a few us."""
+        if not self._signed:
+            return True
+        if len(data) < HEADER_LENGTH + _CRC + _SIGNATURE or not hmac.compare_digest(
+            self._hash(data[:-_HASH]), data[-_HASH:]
+        ):
+            return False
+        return _stamp_of(data) > self._streams.get(data[-_SIGNATURE], -1)
 
     def decode(self, data: bytes) -> Message | Drop:
         """The message in a datagram, or why it is not taken. Never raises."""
@@ -147,6 +161,8 @@ class Codec:
         if not hmac.compare_digest(self._hash(data[:-_HASH]), data[-_HASH:]):
             return Drop.BAD_SIGNATURE
         stamp = _stamp_of(data)
+        if stamp > LAST_STAMP:
+            return Drop.CLOCK_AT_END
         self._newest = max(self._newest, stamp)
         newest = self._streams.get(data[-_SIGNATURE])
         if newest is not None and stamp <= newest:

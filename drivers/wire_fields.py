@@ -15,6 +15,7 @@ from drivers.wire_units import (
     I32,
     U8,
     U16,
+    U24,
     U32,
     U64,
     OutOfRange,
@@ -165,16 +166,19 @@ def _status_to(m: Status) -> Any:
         raise OutOfRange(f"yaw_rad = {m.yaw_rad} is not finite")
     flags = dialect.PATH_FLAG_RESPONSIBLE * m.responsible | dialect.PATH_FLAG_OBSERVING * m.observing
     low, high = instant_to("stamp_ns", m.stamp_ns)
+    instance_high, instance_low = divmod(whole("instance", m.instance, U24), 1 << 16)
     return dialect.MAVLink_path_status_message(
         low,
         *_three("position_n_m", m.position_n_m, _MILLI, I32),
         *_three("velocity_n_mps", m.velocity_n_mps, _CENTI, I16),
         scaled("yaw_rad", math.remainder(m.yaw_rad, math.tau), _YAW, -I16, I16),
         high,
+        instance_low,
         _ROLE_CODE[m.role],
         whole("phase", m.phase, U8),
         flags,
         scaled("battery", m.battery, _BATTERY, 0, round(_BATTERY)),
+        instance_high,
     )
 
 
@@ -192,6 +196,7 @@ def _status_from(p: Any) -> Status:
         responsible=bool(p.flags & dialect.PATH_FLAG_RESPONSIBLE),
         observing=bool(p.flags & dialect.PATH_FLAG_OBSERVING),
         battery=p.battery / _BATTERY,
+        instance=p.instance_low + (p.instance_high << 16),
     )
 
 
@@ -212,10 +217,11 @@ def _commit_to(m: Commit) -> Any:
     return dialect.MAVLink_path_commit_message(whole("lease_end_ns", m.lease_end_ns, U64), *_answer_fields(m))
 
 
-def _answer_fields(m: Commit | Accept | Confirm) -> tuple[int, int, int, int, int]:
+def _answer_fields(m: Commit | Accept | Confirm) -> tuple[int, int, int, int, int, int]:
     return (
         whole("stamp_ns", m.stamp_ns, U64),
         whole("nonce", m.nonce, U32),
+        whole("instance", m.instance, U24),
         whole("handoff_id", m.handoff_id, U16),
         whole("epoch", m.epoch, U16),
         whole("target_id", m.target_id, U8),
@@ -225,6 +231,7 @@ def _answer_fields(m: Commit | Accept | Confirm) -> tuple[int, int, int, int, in
 def _abort_to(m: Abort) -> Any:
     return dialect.MAVLink_path_abort_message(
         whole("stamp_ns", m.stamp_ns, U64),
+        whole("instance", m.instance, U24),
         whole("handoff_id", m.handoff_id, U16),
         whole("epoch", m.epoch, U16),
         _ABORT_CODE[m.reason],
@@ -235,7 +242,13 @@ def _abort_from(p: Any) -> Abort:
     reason = _ABORT.get(p.reason)
     if reason is None:
         raise OutOfRange(f"reason = {p.reason} is unknown")
-    return Abort(p.handoff_id, p.epoch, reason, p.stamp_ns)
+    return Abort(p.handoff_id, p.epoch, reason, p.stamp_ns, _instance(p))
+
+
+def _instance(p: Any) -> int:
+    if p.instance > U24:
+        raise OutOfRange(f"instance = {p.instance} is outside 0..{U24}")
+    return int(p.instance)
 
 
 TO_WIRE: dict[type[Message], Callable[[Any], Any]] = {
@@ -257,9 +270,13 @@ FROM_WIRE: dict[type[Any], Callable[[Any], Message]] = {
     dialect.MAVLink_path_ping_message: lambda p: Ping(p.nonce, p.sent_ns),
     dialect.MAVLink_path_pong_message: lambda p: Pong(p.nonce, p.ping_sent_ns, p.received_ns, p.sent_ns),
     dialect.MAVLink_path_commit_message: lambda p: Commit(
-        p.handoff_id, p.epoch, p.target_id, p.nonce, p.lease_end_ns, p.stamp_ns
+        p.handoff_id, p.epoch, p.target_id, p.nonce, p.lease_end_ns, p.stamp_ns, _instance(p)
     ),
-    dialect.MAVLink_path_accept_message: lambda p: Accept(p.handoff_id, p.epoch, p.target_id, p.nonce, p.stamp_ns),
-    dialect.MAVLink_path_confirm_message: lambda p: Confirm(p.handoff_id, p.epoch, p.target_id, p.nonce, p.stamp_ns),
+    dialect.MAVLink_path_accept_message: lambda p: Accept(
+        p.handoff_id, p.epoch, p.target_id, p.nonce, p.stamp_ns, _instance(p)
+    ),
+    dialect.MAVLink_path_confirm_message: lambda p: Confirm(
+        p.handoff_id, p.epoch, p.target_id, p.nonce, p.stamp_ns, _instance(p)
+    ),
     dialect.MAVLink_path_abort_message: _abort_from,
 }

@@ -21,7 +21,7 @@ import math
 from path.messages import Quat, Vec3
 from path.observations import Box
 
-U8, U16, U32, U64 = 2**8 - 1, 2**16 - 1, 2**32 - 1, 2**64 - 1
+U8, U16, U24, U32, U64 = 2**8 - 1, 2**16 - 1, 2**24 - 1, 2**32 - 1, 2**64 - 1
 I16, I32 = 2**15 - 1, 2**31 - 1
 INSTANT_NS = 10_000
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from drivers.interfaces import PartError
 from drivers.onnx_model import ModelError, OnnxModel, shown
 from drivers.tables import suggestion
 from drivers.yolox_boxes import STRIDES, decode, grid, suppress
+from path.bounds import Bounds
 from path.observations import Box, Detection, Region
 
 FILL = 114.0  # grey level around an image that does not fill the input
@@ -41,11 +43,11 @@ class YoloxDetectorConfig:
     model: Path
     classes: tuple[str, ...] = ()
     names: Path | None = None
-    min_score: float = 0.3
-    max_iou: float = 0.45
-    max_side_px: float = 300.0
-    max_zoom: float = 2.0
-    threads: int = 1
+    min_score: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.3
+    max_iou: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.45
+    max_side_px: Annotated[float, Bounds(0.0, 16384.0, above=True)] = 300.0
+    max_zoom: Annotated[float, Bounds(1.0, 16.0, "times")] = 2.0
+    threads: Annotated[int, Bounds(0, 256, "threads")] = 1
 
     def __post_init__(self) -> None:
         for name in ("min_score", "max_iou"):

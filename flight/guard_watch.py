@@ -28,9 +28,11 @@ class GuardWatch:
         config: MissionConfig,
         log: Log,
         tell: Callable[[GuardState, Act], None] = lambda _state, _act: None,
+        warn: Callable[[str], None] = lambda _what: None,
     ) -> None:
-        """``tell`` is called with every decision."""
-        self._tell = tell
+        """``tell`` is called with every decision, ``warn`` with each kind of thing that is ignored, once."""
+        self._tell, self._warn = tell, warn
+        self._alarms: list[str] = []
         guard = config.guard
         self._vehicle, self._line, self._clock, self._log = vehicle, line, clock, log
         self._rules = config.guard_process
@@ -76,6 +78,7 @@ class GuardWatch:
         self._forgive_own_stall(now_ns)
         news = self._listen()
         view = self._vehicle.view()
+        self._look_at_ignored(now_ns)
         if view is not None and not view.armed:
             self._forget(now_ns)
         before = self._state
@@ -93,6 +96,14 @@ class GuardWatch:
         if view is not None and (now_ns - self._logged_ns) * 1e-9 >= VIEW_PERIOD_S:
             self._logged_ns = now_ns
             self._log_view(view, now_ns)
+
+    def _look_at_ignored(self, now_ns: int) -> None:
+        """Raise an alarm of each kind of thing that came and was not believed."""
+        for what in (*self._vehicle.ignored, *self._line.ignored):
+            if what not in self._alarms:
+                self._alarms.append(what)
+                self._log.write("/guard_alarm", now_ns, {"ignored": what})
+                self._warn(what)
 
     def _forgive_own_stall(self, now_ns: int) -> None:
         """Time in which this program did not run says nothing about another one that may have had no core either."""
@@ -140,7 +151,8 @@ class GuardWatch:
     def _answer(self, view: GuardView | None, now_ns: int) -> Answer:
         script = Script.IDLE if self._heard is None else self._heard.script
         armed = view is not None and view.armed
-        return Answer(self.sees(now_ns), self._state.hand(script, armed), self._state.reason)
+        alarm = self._alarms[-1] if self._alarms else ""
+        return Answer(self.sees(now_ns), self._state.hand(script, armed), self._state.reason, alarm)
 
     def _log_decision(self, now_ns: int, act: Act) -> None:
         state, heard, view = self._state, self._heard, self._vehicle.view()
@@ -161,6 +173,7 @@ class GuardWatch:
             "position_n_m": view.position_n_m,
             "battery": view.battery,
             "script": None if self._heard is None else self._heard.script.name.lower(),
+            "ignored": {**self._vehicle.ignored, **self._line.ignored},
         }
         self._log.write("/guard_view", now_ns, record)
 

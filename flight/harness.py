@@ -149,6 +149,8 @@ class FlightReport:
         failure: why the harness itself failed; empty when it did not.
         figures: what the monitors timed, in s by name: "commit_s", from COMMIT to the sender's decision, and "gap_s",
             the longest time with nobody responsible; without what did not happen.
+        errors: what the world was drawn with: the level's name, and standard deviations by what they are of; empty in
+            the real one.
     """
 
     results: Mapping[Role, RoleResult | None]
@@ -160,6 +162,7 @@ class FlightReport:
     failure: str = ""
     notes: Sequence[str] = field(default_factory=tuple)
     figures: Mapping[str, float] = field(default_factory=dict[str, float])
+    errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])
 
 
 class Harness(Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from enum import Enum
 
 from path.messages import AbortReason
@@ -42,6 +43,7 @@ class Outcome(Enum):
     LOG_FAILED = ("log_failed", 35, "committed, but a log could not be written: disk full?")
     MONITOR_VIOLATED = ("monitor_violated", 40, "a safety monitor of the harness was violated")
     HARNESS_FAILED = ("harness_failed", 41, "the simulation itself failed: not the mission's fault")
+    WRONG_OBJECT = ("wrong_object", 42, "another object was handed over than the one that was designated")
 
     def __init__(self, label: str, exit_code: int, meaning: str) -> None:
         self.label = label
@@ -75,6 +77,15 @@ _ABORT_REASONS = {
 def abort_reason(outcome: Outcome) -> AbortReason:
     """What the other drone is told when a mission ends this way."""
     return _ABORT_REASONS.get(outcome, AbortReason.SHUTDOWN)
+
+
+OBJECT_MONITOR = "S12"
+"""Counts hand-overs of another object than the one that was designated."""
+
+
+def violated_outcome(monitors: Collection[str]) -> Outcome:
+    """How a run ends in which these monitors were violated; there is at least one."""
+    return Outcome.WRONG_OBJECT if OBJECT_MONITOR in monitors else Outcome.MONITOR_VIOLATED
 
 
 class MissionEnd(Exception):

@@ -31,7 +31,7 @@ class Pilot:
         self.guidance: Guidance = self._stay
         self.in_control = False
         self.setpoints = 0  # sent since the beginning
-        self.overridden = False  # somebody else changed the mode: nothing may be commanded any more
+        self.override = ""  # how somebody else took the vehicle: nothing may be commanded any more
 
     def _stay(self, state: VehicleState) -> VelocitySetpoint:
         return VelocitySetpoint((0.0, 0.0, 0.0), yaw_of(state.q_n_b))
@@ -54,7 +54,8 @@ class Pilot:
         try:
             await self._run()
         except MissionEnd as end:
-            self.overridden = end.outcome is Outcome.PILOT_OVERRIDE
+            if end.outcome is Outcome.PILOT_OVERRIDE:
+                self.override = end.detail
             raise
         finally:
             self.in_control = False

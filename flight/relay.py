@@ -10,12 +10,13 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 from drivers.calibration_file import CameraTable
 from drivers.interfaces import Log, RecordStore
 from drivers.rig import Mount, PartSpec, Rig, RoleRig
 from flight.harness import Emit, InProcess, RoleResult
+from path.bounds import Bounds
 
 Point = tuple[float, float]
 
@@ -42,15 +43,15 @@ class RelayDrone:
     """
 
     name: str
-    home_m: Point
+    home_m: Annotated[Point, Bounds(-1000, 1000)]
     clock: PartSpec | None = None
     sight: PartSpec | None = None
     vehicle: PartSpec | None = None
     guard: PartSpec | None = None
     link: PartSpec | None = None
     camera: CameraTable | None = None
-    heading_deg: float = 0.0
-    battery: float = 1.0
+    heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
+    battery: Annotated[float, Bounds(0.05, 1.0, "of 1")] = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,17 +75,17 @@ class RelayConfig:
 
     harness: str
     drones: tuple[RelayDrone, ...]
-    hours: float = 8.0
-    reserve: float = 0.25
-    endurance_s: float = 1080.0
-    swap_s: float = 300.0
-    home_s: float = 60.0
-    attempts: int = 2
-    least_s: float = 45.0
-    return_height_m: float = 4.0
-    follow_s: float = 6.0
-    clear_m: float = 1.5
-    clear_s: float = 20.0
+    hours: Annotated[float, Bounds(0.0, 1000.0, above=True)] = 8.0
+    reserve: Annotated[float, Bounds(0.05, 0.95, "of 1")] = 0.25
+    endurance_s: Annotated[float, Bounds(10.0, 36000.0)] = 1080.0
+    swap_s: Annotated[float, Bounds(0.0, 36000.0, above=True)] = 300.0
+    home_s: Annotated[float, Bounds(1.0, 3600.0)] = 60.0
+    attempts: Annotated[int, Bounds(1, 100, "times")] = 2
+    least_s: Annotated[float, Bounds(0.0, 3600.0)] = 45.0
+    return_height_m: Annotated[float, Bounds(0.3, 100.0)] = 4.0
+    follow_s: Annotated[float, Bounds(0.0, 600.0)] = 6.0
+    clear_m: Annotated[float, Bounds(0.0, 100.0)] = 1.5
+    clear_s: Annotated[float, Bounds(0.0, 600.0)] = 20.0
 
     def __post_init__(self) -> None:
         names = [drone.name for drone in self.drones]
@@ -209,7 +210,10 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class RelayReport:
-    """What the harness saw. ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over."""
+    """What the harness saw.
+
+    ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``errors``: as in ``FlightReport``.
+    """
 
     violations: Mapping[str, int]
     notes: Sequence[str]
@@ -223,6 +227,7 @@ class RelayReport:
     failure: str = ""
     log_failure: str = ""
     closest_pair: Sequence[str] = field(default_factory=tuple)
+    errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])
 
 
 class RelayHarness(Protocol):

@@ -14,10 +14,11 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from drivers.interfaces import PartError
 from drivers.mavsdk_parameters import RENAMED
+from path.bounds import AutopilotValues, Bounds
 
 Kind = Literal["px4", "ardupilot"]
 
@@ -77,9 +78,9 @@ class SimulatorConfig:
     kind: Kind
     url: str = ""
     truth_url: str = ""
-    ready_s: float = 120.0
-    speedup: float = 1.0
-    parameters: dict[str, float] = field(default_factory=dict[str, float])
+    ready_s: Annotated[float, Bounds(1.0, 1800.0)] = 120.0
+    speedup: Annotated[float, Bounds(1.0, 20.0, "times")] = 1.0
+    parameters: AutopilotValues = field(default_factory=dict[str, float])
 
     def __post_init__(self) -> None:
         if self.on_board and self.url:

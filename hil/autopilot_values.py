@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Annotated
 
 from drivers.interfaces import FlightMode
+from path.bounds import Bounds
 from path.messages import Quat, Vec3
 
 
@@ -17,32 +19,35 @@ class AutopilotConfig:
     What PX4 and ArduCopter were measured to do is in docs/conformance.md; rig ``sitl`` has PX4's figures.
     """
 
-    settle_s: float = 2.5  # from the first step until armable, ± 10 % by seed
+    settle_s: Annotated[float, Bounds(0.0, 120.0)] = 2.5  # from the first step until armable, ± 10 % by seed
     arming_fault: str = ""  # when set, never armable, for this reason
-    heartbeat_hz: float = (
-        0.0  # kept to whatever is asked for, changes shown with the next; 0: as asked, changes at once
-    )
-    spool_s: float = 1.0
-    climb_mps: float = 1.0
-    land_mps: float = 0.7
-    touchdown_mps: float = 0.4  # below 1 m over home
-    max_horizontal_mps: float = 3.0
-    max_up_mps: float = 1.5
-    max_down_mps: float = 1.0
-    hold_gain_hz: float = 1.0  # position error to velocity
-    max_height_m: float = 30.0
-    default_takeoff_m: float = 1.5
-    return_height_m: float = 2.5
-    return_mps: float = 1.5
-    offboard_loss_s: float = 0.5
-    offboard_land_s: float = 1.0  # in HOLD after the loss, before LAND
-    setpoint_stale_s: float = math.inf  # a setpoint older than this counts as standing still
-    companion_loss_s: float = math.inf  # without a ground station's heartbeat for this long it lands
-    land_detect_s: float = 0.3  # ground contact this long is a landing
-    land_disarm_s: float = 1.0  # after that
-    idle_disarm_s: float = 10.0
-    endurance_s: float = 900.0  # full battery, flying
-    low_battery: float = 0.1  # lands by itself; scripts should come down earlier
+    # kept to whatever is asked for, changes shown with the next; 0: as asked, changes at once
+    heartbeat_hz: Annotated[float, Bounds(0.0, 50.0)] = 0.0
+    spool_s: Annotated[float, Bounds(0.0, 20.0)] = 1.0
+    climb_mps: Annotated[float, Bounds(0.1, 10.0)] = 1.0
+    land_mps: Annotated[float, Bounds(0.1, 10.0)] = 0.7
+    touchdown_mps: Annotated[float, Bounds(0.05, 5.0)] = 0.4  # below 1 m over home
+    max_horizontal_mps: Annotated[float, Bounds(0.1, 30.0)] = 3.0
+    max_up_mps: Annotated[float, Bounds(0.1, 20.0)] = 1.5
+    max_down_mps: Annotated[float, Bounds(0.1, 20.0)] = 1.0
+    hold_gain_hz: Annotated[float, Bounds(0.05, 10.0)] = 1.0  # position error to velocity
+    max_height_m: Annotated[float, Bounds(1.0, 1000.0)] = 30.0
+    default_takeoff_m: Annotated[float, Bounds(0.3, 100.0)] = 1.5
+    return_height_m: Annotated[float, Bounds(0.3, 100.0)] = 2.5
+    return_mps: Annotated[float, Bounds(0.1, 30.0)] = 1.5
+    offboard_loss_s: Annotated[float, Bounds(0.05, 60.0)] = 0.5
+    offboard_land_s: Annotated[float, Bounds(0.0, 600.0)] = 1.0  # in HOLD after the loss, before LAND
+    setpoint_stale_s: Annotated[float, Bounds(0.05, 600.0)] = (
+        math.inf
+    )  # a setpoint older than this counts as standing still
+    companion_loss_s: Annotated[float, Bounds(0.1, 600.0)] = (
+        math.inf
+    )  # without a ground station's heartbeat for this long it lands
+    land_detect_s: Annotated[float, Bounds(0.0, 10.0)] = 0.3  # ground contact this long is a landing
+    land_disarm_s: Annotated[float, Bounds(0.0, 60.0)] = 1.0  # after that
+    idle_disarm_s: Annotated[float, Bounds(0.1, 3600.0)] = 10.0
+    endurance_s: Annotated[float, Bounds(10.0, 36000.0)] = 900.0  # full battery, flying
+    low_battery: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.1  # lands by itself; scripts should come down earlier
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from drivers.mavlink_port import take_frames
+from drivers.mavlink_frames import take_frames
 from drivers.mavsdk_geodesy import LocalTangent
 from drivers.rig import Rig
 from drivers.rig_file import load_rig

@@ -14,7 +14,12 @@ from enum import Enum
 from typing import Generic, Protocol, TypeVar
 
 from drivers.interfaces import CameraError, Clock
+from drivers.rig import PartContext
+from hil.errors import Built, SensorErrors, StampErrors
 from hil.snapshot import Snapshot
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.marker.layout import MarkerLayout
 from path.messages import Role
 
 T = TypeVar("T")
@@ -39,6 +44,7 @@ class SensorHarness(Protocol):
     """What ``PartContext.harness`` is to the cameras of the sim levels.
 
     ``frozen_cameras``: the cameras that fail at this moment; the harness changes it while the run goes on.
+    ``built``: how the cameras, mounts and markers truly are; None when they are as the rig says.
     """
 
     @property
@@ -49,6 +55,29 @@ class SensorHarness(Protocol):
 
     @property
     def frozen_cameras(self) -> Mapping[Role, Freeze]: ...
+
+    @property
+    def built(self) -> Built | None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class TrueCamera:
+    """A role's camera and what it looks at, as they truly are."""
+
+    camera: CameraModel
+    T_b_c: Pose
+    T_b_v: Pose
+    layout: MarkerLayout
+    errors: SensorErrors
+
+
+def true_camera(context: PartContext, built: Built | None) -> TrueCamera:
+    """What ``context`` says of a camera, or what was built of it."""
+    if built is None:
+        mount = context.mount
+        return TrueCamera(context.camera, mount.T_b_c, mount.T_b_v, context.layout, SensorErrors())
+    own = built.rig.role(context.role)
+    return TrueCamera(own.camera, own.mount.T_b_c, own.mount.T_b_v, built.rig.layout, built.sensors[context.role])
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +136,8 @@ class CaptureTicker(Generic[T]):
     ) -> None:
         self._name, self._timing, self._role, self._clock, self._harness = name, timing, role, clock, harness
         self._take = take
+        sensor = SensorErrors() if harness.built is None else harness.built.sensors[role]
+        self._stamps = StampErrors(sensor, timing.rate_hz)
         self._timer: asyncio.TimerHandle | None = None
         self._under_way: deque[tuple[asyncio.TimerHandle, Capture[T]]] = deque()
         self._arrived: Capture[T] | None = None
@@ -159,7 +190,7 @@ class CaptureTicker(Generic[T]):
         freeze = self._harness.frozen_cameras.get(self._role)
         if freeze is None:
             snapshot = self._harness.world.snapshot()
-            self._last = Capture(self._clock.now_ns(), index, self._take(snapshot, index))
+            self._last = Capture(self._clock.now_ns() + self._stamps.next_ns(), index, self._take(snapshot, index))
         if self._last is not None and freeze is not Freeze.SILENT:
             if self._timing.latency_s > 0.0:
                 due = loop.call_at(loop.time() + self._timing.latency_s, self._on_arrival)

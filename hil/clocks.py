@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
+from typing import Annotated
 
 from drivers.rig import PartContext
+from path.bounds import Bounds
 
 
 @dataclass(frozen=True, slots=True)
 class OffsetClockConfig:
     """``offset_s`` is added to the loop's time; not negative, as log stamps are unsigned."""
 
-    offset_s: float = 0.0
+    offset_s: Annotated[float, Bounds(0.0, 1e9)] = 0.0
 
     def __post_init__(self) -> None:
         if not self.offset_s >= 0.0:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from path.bounds import Bounds
 from path.messages import Quat
 
 Array = NDArray[np.float64]
@@ -46,20 +48,20 @@ HOVER_TURN_RATE = 380.0  # rad/s of the drawn rotors at hover
 class AirframeConfig:
     """A 1.5 kg quadrotor with a well tuned, not aggressive, velocity loop. The order is the one ``fly`` unpacks."""
 
-    gain_horizontal_hz: float = 2.5
-    integral_horizontal_hz2: float = 0.8
-    gain_vertical_hz: float = 4.0
-    integral_vertical_hz2: float = 2.0
-    max_horizontal_mps2: float = 3.5
-    max_vertical_mps2: float = 4.0
-    attitude_radps: float = 14.0  # natural frequency of roll and pitch
-    yaw_radps: float = 5.0
-    damping: float = 0.85
-    max_yaw_rate_dps: float = 60.0
-    thrust_lag_s: float = 0.04
-    drag_hz: float = 0.3
-    max_thrust_g: float = 2.0
-    leg_m: float = 0.1  # body origin above the ground when landed
+    gain_horizontal_hz: Annotated[float, Bounds(0.1, 50.0)] = 2.5
+    integral_horizontal_hz2: Annotated[float, Bounds(0.0, 50.0)] = 0.8
+    gain_vertical_hz: Annotated[float, Bounds(0.1, 50.0)] = 4.0
+    integral_vertical_hz2: Annotated[float, Bounds(0.0, 50.0)] = 2.0
+    max_horizontal_mps2: Annotated[float, Bounds(0.1, 50.0)] = 3.5
+    max_vertical_mps2: Annotated[float, Bounds(0.1, 50.0)] = 4.0
+    attitude_radps: Annotated[float, Bounds(1.0, 100.0)] = 14.0  # natural frequency of roll and pitch
+    yaw_radps: Annotated[float, Bounds(0.5, 100.0)] = 5.0
+    damping: Annotated[float, Bounds(0.1, 5.0, "of 1")] = 0.85
+    max_yaw_rate_dps: Annotated[float, Bounds(1.0, 720.0)] = 60.0
+    thrust_lag_s: Annotated[float, Bounds(0.0, 2.0, above=True)] = 0.04
+    drag_hz: Annotated[float, Bounds(0.0, 20.0)] = 0.3
+    max_thrust_g: Annotated[float, Bounds(1.0, 20.0, above=True)] = 2.0
+    leg_m: Annotated[float, Bounds(0.0, 2.0)] = 0.1  # body origin above the ground when landed
 
     def __post_init__(self) -> None:
         if not (self.leg_m >= 0.0 and self.thrust_lag_s > 0.0 and self.max_thrust_g > 1.0):

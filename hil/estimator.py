@@ -7,11 +7,15 @@ tick for all drones. One row is one drone; the columns of ``drift`` are the slic
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from hil.errors import ErrorSizes
+from path.bounds import Bounds
 
 Array = NDArray[np.float64]
 
@@ -29,10 +33,10 @@ BLOCK = 256  # ticks of random numbers drawn at once
 class WindConfig:
     """Mean wind and gusts; vertical gusts are half as strong."""
 
-    speed_mps: float = 1.5
-    from_deg: float = 250.0
-    gust_mps: float = 0.4
-    gust_time_s: float = 2.0
+    speed_mps: Annotated[float, Bounds(0.0, 30.0)] = 1.5
+    from_deg: Annotated[float, Bounds(-360.0, 360.0)] = 250.0
+    gust_mps: Annotated[float, Bounds(0.0, 20.0)] = 0.4
+    gust_time_s: Annotated[float, Bounds(0.0, 600.0, above=True)] = 2.0
 
     def __post_init__(self) -> None:
         if self.speed_mps < 0.0 or self.gust_mps < 0.0 or self.gust_time_s <= 0.0:
@@ -48,23 +52,33 @@ class WindConfig:
 class EstimatorConfig:
     """Standard deviations of a GPS-aided estimator's errors. Biases are constant over a run, sampled by seed."""
 
-    position_bias_m: float = 0.25  # per horizontal axis
-    height_bias_m: float = 0.2
-    walk_m_per_sqrt_s: float = 0.01
-    position_noise_m: float = 0.02
-    position_noise_time_s: float = 0.5
-    velocity_error_mps: float = 0.03
-    climb_error_mps: float = 0.05
-    velocity_error_time_s: float = 3.0
-    tilt_bias_deg: float = 0.5
-    tilt_noise_deg: float = 0.2
-    yaw_bias_deg: float = 2.0
-    yaw_noise_deg: float = 0.3
-    attitude_noise_time_s: float = 0.5
+    position_bias_m: Annotated[float, Bounds(0.0, 50.0)] = 0.25  # per horizontal axis
+    height_bias_m: Annotated[float, Bounds(0.0, 50.0)] = 0.2
+    walk_m_per_sqrt_s: Annotated[float, Bounds(0.0, 5.0, "m/sqrt(s)")] = 0.01
+    position_noise_m: Annotated[float, Bounds(0.0, 10.0)] = 0.02
+    position_noise_time_s: Annotated[float, Bounds(0.0, 600.0)] = 0.5
+    velocity_error_mps: Annotated[float, Bounds(0.0, 5.0)] = 0.03
+    climb_error_mps: Annotated[float, Bounds(0.0, 5.0)] = 0.05
+    velocity_error_time_s: Annotated[float, Bounds(0.0, 600.0)] = 3.0
+    tilt_bias_deg: Annotated[float, Bounds(0.0, 30.0)] = 0.5
+    tilt_noise_deg: Annotated[float, Bounds(0.0, 30.0)] = 0.2
+    yaw_bias_deg: Annotated[float, Bounds(0.0, 90.0)] = 2.0
+    yaw_noise_deg: Annotated[float, Bounds(0.0, 90.0)] = 0.3
+    attitude_noise_time_s: Annotated[float, Bounds(0.0, 600.0)] = 0.5
 
     def __post_init__(self) -> None:
         if any(getattr(self, name) < 0.0 for name in self.__slots__):
             raise ValueError("standard deviations and times must not be negative")
+
+    def times(self, sizes: ErrorSizes) -> EstimatorConfig:
+        """With its attitude as much worse or better as the table of errors says."""
+        return replace(
+            self,
+            tilt_bias_deg=sizes.tilt_bias * self.tilt_bias_deg,
+            yaw_bias_deg=sizes.yaw_bias * self.yaw_bias_deg,
+            tilt_noise_deg=sizes.attitude_noise * self.tilt_noise_deg,
+            yaw_noise_deg=sizes.attitude_noise * self.yaw_noise_deg,
+        )
 
 
 @njit(cache=True, nogil=True)

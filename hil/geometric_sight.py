@@ -12,20 +12,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import TracebackType
-from typing import Self, cast
+from typing import Annotated, Self, cast
 
 import numpy as np
 
 from drivers.freshness import Freshness
 from drivers.interfaces import CameraError
 from drivers.rig import PartContext
-from hil.capture import Capture, CaptureTicker, CaptureTiming, SensorHarness, timing_of
+from hil.capture import Capture, CaptureTicker, CaptureTiming, SensorHarness, timing_of, true_camera
+from hil.errors import SensorErrors
 from hil.geometric_kernels import fold
 from hil.geometric_markers import LARGEST_SCALE, marker
 from hil.geometric_scene import Array, CameraSetup, Placed, outlines, place
 from hil.geometric_targets import DETECTION_COLUMNS, DepthSettings, depth_over, detections
 from hil.observation_noise import ObservationNoise
 from hil.snapshot import DroneTruth, ObjectTruth, Snapshot
+from path.bounds import Bounds
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Pose
@@ -48,11 +50,11 @@ class GeometricSightConfig:
         max_old_frames: this many repeated frames in a row are a fault of the camera.
     """
 
-    rate_hz: float = 50.0
-    phase_s: float | None = None
-    latency_s: float = 0.0
+    rate_hz: Annotated[float, Bounds(1.0, 300.0)] = 50.0
+    phase_s: Annotated[float | None, Bounds(0.0, 10.0)] = None
+    latency_s: Annotated[float, Bounds(0.0, 2.0)] = 0.0
     method: MethodConfig = field(default_factory=MethodConfig)
-    max_old_frames: int = 30
+    max_old_frames: Annotated[int, Bounds(1, 10000, "frames")] = 30
 
     def __post_init__(self) -> None:
         CaptureTiming(self.rate_hz, self.phase_s or 0.0, self.latency_s)
@@ -72,9 +74,10 @@ class GeometricSight:
         if context.harness is None:
             raise CameraError("a geometric sight needs a simulated world", "use it with a harness such as hil.sim")
         harness = cast(SensorHarness, context.harness)
-        mount = context.mount
-        setup = CameraSetup(context.role, context.camera, mount.T_b_c, mount.T_b_v, context.layout)
-        self._sensor = Sensor(setup, noise or ObservationNoise(), config.method, harness.seed)
+        true = true_camera(context, harness.built)
+        setup = CameraSetup(context.role, true.camera, true.T_b_c, true.T_b_v, true.layout)
+        self._model = context.camera
+        self._sensor = Sensor(setup, noise or ObservationNoise(), config.method, harness.seed, true.errors)
         name = f"the {context.role.value}'s geometric sight"
         self._ticker: CaptureTicker[Snapshot] = CaptureTicker(
             name, config.timing(context.role), context.role, context.clock, harness, _keep
@@ -84,7 +87,7 @@ class GeometricSight:
 
     @property
     def model(self) -> CameraModel:
-        return self._sensor.setup.camera
+        return self._model
 
     @property
     def dropped(self) -> int:
@@ -116,9 +119,18 @@ def _keep(snapshot: Snapshot, frame_id: int) -> Snapshot:
 class Sensor:
     """What a camera and the perception behind it are like; the same for all its views."""
 
-    def __init__(self, setup: CameraSetup, noise: ObservationNoise, method: MethodConfig, seed: int) -> None:
+    def __init__(
+        self,
+        setup: CameraSetup,
+        noise: ObservationNoise,
+        method: MethodConfig,
+        seed: int,
+        errors: SensorErrors | None = None,
+    ) -> None:
         self.setup = setup
         self.noise = noise
+        self.errors = errors or SensorErrors()
+        self.boxes = noise.targets.shifted(self.errors.edges_px)
         self.seed = fold(fold(seed, 7), list(Role).index(setup.role))
         self.depth = DepthSettings(
             method.min_depth_m,
@@ -149,6 +161,11 @@ class GeometricView:
         return place(self._sensor.setup, self._snapshot)
 
     @cached_property
+    def _placed_for_depth(self) -> Placed:
+        late_s = self._sensor.errors.depth_late_s
+        return place(self._sensor.setup, self._snapshot.carried_on(late_s)) if late_s else self._placed
+
+    @cached_property
     def _outlines(self) -> Array:
         return outlines(self._sensor.setup, self._placed)
 
@@ -161,7 +178,7 @@ class GeometricView:
         sensor, seen = self._sensor, self._outlines
         found = np.empty((len(seen), DETECTION_COLUMNS))
         keys = self._key(TARGETS), self._key(SLOW_TARGETS, SLOW_FRAMES)
-        count = detections(seen, sensor.setup.lens, _row(region), sensor.noise.targets, *keys, found)
+        count = detections(seen, sensor.setup.lens, _row(region), sensor.boxes, *keys, found)
         rows = sorted(found[:count].tolist(), key=_minus_score)
         return [Detection(Box(x, y, w, h), score) for x, y, w, h, score in rows]
 
@@ -198,8 +215,8 @@ class GeometricView:
 
     def depth(self, box: Box) -> Depth | None:
         """What ``path.target.registered_depth`` would make of the depth image."""
-        sensor, placed = self._sensor, self._placed
-        setup = sensor.setup
+        sensor, placed = self._sensor, self._placed_for_depth
+        setup, errors = sensor.setup, sensor.errors
         key = fold(fold(self._key(DEPTH), int(16.0 * box.x)), int(16.0 * box.y))
         z_m, sigma_m = depth_over(
             placed.boxes,
@@ -213,7 +230,7 @@ class GeometricView:
             sensor.depth_noise,
             key,
         )
-        return Depth(z_m, sigma_m) if z_m > 0.0 else None
+        return Depth(errors.depth * z_m + errors.depth_bias_m, sigma_m) if z_m > 0.0 else None
 
     def image(self) -> None:
         """There are no pixels."""

@@ -51,6 +51,16 @@ class TargetNoise(NamedTuple):
     min_side_px: float
     max_side_px: float
 
+    def shifted(self, edges_px: tuple[float, float, float, float]) -> TargetNoise:
+        """With a bias more on the left, top, right and bottom edge."""
+        left, top, right, bottom = edges_px
+        return self._replace(
+            bias_left_px=self.bias_left_px + left,
+            bias_top_px=self.bias_top_px + top,
+            bias_right_px=self.bias_right_px + right,
+            bias_bottom_px=self.bias_bottom_px + bottom,
+        )
+
 
 class DepthSettings(NamedTuple):
     """The method's settings about depth (``path.config``)."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from hil.claims import Claims
 from path.messages import Role
 from path.protocol.values import ProtocolConfig
 
@@ -44,7 +45,7 @@ class LeaseMonitor:
     gap_s: float | None = None
     _highest: dict[Role, int] = field(default_factory=lambda: dict.fromkeys(Role, 0))
     _duty: dict[Role, str] = field(default_factory=lambda: dict.fromkeys(Role, ""))
-    _responsible: dict[Role, bool] = field(default_factory=lambda: dict.fromkeys(Role, False))
+    _claims: Claims[Role] = field(default_factory=Claims[Role])
     _lease: _Lease | None = None
     _awaited: bool = False
     _died: bool = False  # the sender, since the newest COMMIT that it lived to log
@@ -63,13 +64,13 @@ class LeaseMonitor:
         elif topic == "/commit":
             self._on_commit(now_s, int(record["epoch"]), record["lease_end_ns"] * 1e-9)
         elif topic == "/responsibility":
-            self._on_responsibility(role, now_s, bool(record["responsible"]), bool(record["provisional"]))
+            self._on_responsibility(role, now_s, record)
         elif topic == "/decision" and role is Role.SENDER:
             self._on_decision(now_s)
 
     def on_death(self, role: Role) -> None:
         """A program that does not run decides nothing and holds nothing."""
-        self._responsible[role] = False
+        self._claims.drop(role)
         self._duty[role] = ""  # it may have written down what it did not live to say
         self._alone_s = None
         if role is Role.SENDER:
@@ -86,20 +87,21 @@ class LeaseMonitor:
             self._alone_s = None
 
     def _on_commit(self, now_s: float, epoch: int, end_s: float) -> None:
-        if self._responsible[Role.SENDER] or self._duty[Role.SENDER] not in ("released", ""):
+        if Role.SENDER in self._claims.holders(now_s) or self._duty[Role.SENDER] not in ("released", ""):
             self.violated("S4", now_s, "COMMIT before the release was written down and done")
         self._died = False
         if self._lease is None or self._lease.epoch != epoch:
             self._lease = _Lease(epoch, now_s, end_s)
             self._awaited = True
 
-    def _on_responsibility(self, role: Role, now_s: float, responsible: bool, provisional: bool) -> None:
-        before, self._responsible[role] = self._responsible[role], responsible
-        if responsible and not before:
+    def _on_responsibility(self, role: Role, now_s: float, record: Mapping[str, Any]) -> None:
+        before = role in self._claims.holders(now_s)
+        self._claims.note(role, record)
+        if record["responsible"] and not before:
             if role is Role.SENDER:
                 self._took_back(now_s)
-            elif provisional:
-                self._took_over(now_s)
+            elif record["until_ns"] is not None:
+                self._took_over(now_s, record["until_ns"] * 1e-9)
         self._on_gap(role, before, now_s)
 
     def _took_back(self, now_s: float) -> None:
@@ -108,12 +110,14 @@ class LeaseMonitor:
         if self._lease is not None and now_s < self._lease.end_s:
             self.violated("S4", now_s, f"taken back {self._lease.end_s - now_s:.3f} s before the lease's end")
 
-    def _took_over(self, now_s: float) -> None:
+    def _took_over(self, now_s: float, until_s: float) -> None:
         if self._lease is None or self._lease.epoch != self._highest[Role.RECEIVER]:
             if not self._died:
                 self.violated("S3", now_s, "taken over without a COMMIT of this epoch")
         elif now_s >= self._lease.end_s:
             self.violated("S3", now_s, f"taken over {now_s - self._lease.end_s:.3f} s after the lease's end")
+        elif until_s > self._lease.end_s:
+            self.violated("S3", now_s, f"taken until {until_s - self._lease.end_s:.3f} s after the lease's end")
 
     def _on_decision(self, now_s: float) -> None:
         if not self._awaited or self._lease is None:
@@ -126,7 +130,7 @@ class LeaseMonitor:
 
     def _on_gap(self, role: Role, before: bool, now_s: float) -> None:
         """From the sender's release until somebody is responsible again."""
-        if any(self._responsible.values()):
+        if self._claims.holders(now_s):
             if self._alone_s is not None:
                 alone_s, self._alone_s = now_s - self._alone_s, None
                 self.gap_s = max(alone_s, self.gap_s or 0.0)

@@ -17,6 +17,7 @@ from drivers.rig import PartSpec, Rig, RoleRig, decode_part
 from drivers.tables import RigError
 from drivers.udp_link import address_of
 from hil.d415 import T_COLOR_DEPTH, depth_camera
+from hil.errors import Built, StampErrors
 from hil.faulty_link import ProxySide
 from hil.mavlink_messages import Drone
 from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
@@ -45,10 +46,12 @@ class Scene(Protocol):
 
 
 class Picture:
-    """Draws what one drone's camera sees. Made before the world's clock starts: it takes a moment."""
+    """Draws what one drone's camera truly sees. Made before the world's clock starts: it takes a moment."""
 
-    def __init__(self, rig: Rig, role: Role, seed: int, *, depth: bool) -> None:
+    def __init__(self, built: Built, role: Role, seed: int, *, depth: bool) -> None:
+        rig = built.rig
         own = rig.role(role)
+        self.errors = built.sensors[role]
         self.role = role
         self._renderer = Renderer(own.camera, own.mount.T_b_c, own.mount.T_b_v, rig.layout, seed=seed)
         self._depth: DepthRenderer | None = None
@@ -60,7 +63,9 @@ class Picture:
         if isinstance(writer, TelloVideo):
             writer.write(stamp_ns, color)
         elif self._depth is not None:
-            writer.write(stamp_ns, color, self._depth.render(snapshot, self.role, frame))
+            late_s = self.errors.depth_late_s
+            then = snapshot.carried_on(late_s) if late_s else snapshot
+            writer.write(stamp_ns, color, self.errors.measured_mm(self._depth.render(then, self.role, frame)))
 
 
 class CameraThread(threading.Thread):
@@ -80,6 +85,7 @@ class CameraThread(threading.Thread):
 
     def run(self) -> None:
         scene, period_s = self._scene, self._period_s
+        stamps = StampErrors(self._picture.errors, 1.0 / period_s)
         frame = max(0, int((scene.now_s() - self._phase_s) / period_s))
         while not self.ending.is_set():
             due_s = self._phase_s + frame * period_s
@@ -93,7 +99,8 @@ class CameraThread(threading.Thread):
                 continue
             seen = scene.look()
             if seen is not None:
-                self._picture.take(*seen, frame, self._writer)
+                stamp_ns, snapshot = seen
+                self._picture.take(stamp_ns + stamps.next_ns(), snapshot, frame, self._writer)
                 self.rendered += 1
             frame += 1
 

@@ -14,6 +14,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode, VelocitySetpoint
+from drivers.link_key import signing_time
 from drivers.mavsdk_geodesy import LocalTangent
 from hil.autopilot import Ack
 from hil.mavlink_channel import Address, Channel
@@ -40,12 +41,14 @@ class MavlinkVehicleConfig:
         remote: where MAVSDK listens (``udpin``).
         bind: its own address; port 0 takes a free one.
         second: where a second ground station or companion listens, on a port of its own with streams of its own.
+        key: of MAVLink 2's signatures: it signs, and takes nothing that is not signed.
     """
 
     sysid: int
     remote: Address
     bind: Address = ("127.0.0.1", 0)
     second: Address | None = None
+    key: bytes | None = None
 
 
 class MavlinkVehicle:
@@ -66,6 +69,9 @@ class MavlinkVehicle:
         if config.second is not None:
             self._channels.append(Channel((config.bind[0], 0), config.second))
         self._mav: Any = mavlink.MAVLink(None, srcSystem=config.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
+        if config.key is not None:
+            self._mav.signing.secret_key, self._mav.signing.sign_outgoing = config.key, True
+            self._mav.signing.timestamp = signing_time()
         self._parameters = Parameters(drone.autopilot.config)
         self._shown: tuple[FlightMode, bool] | None = None
         self._texts_sent = 0
@@ -172,6 +178,8 @@ class MavlinkVehicle:
             self._command(flight, message, channel, sender)
         elif kind == "HEARTBEAT" and message.type == mavlink.MAV_TYPE_GCS:
             flight.autopilot.companion_heard(flight.now_s)
+        elif kind == "TIMESYNC" and message.tc1 == 0:
+            self._send(channel, mavlink.MAVLink_timesync_message(round(flight.now_s * 1e9) + 1, message.ts1), sender)
         elif kind.startswith("PARAM_"):
             for answer in self._parameters.answer(message):
                 self._send(channel, answer, sender)

@@ -15,6 +15,7 @@ from drivers.interfaces import Log
 from flight.config import GuardConfig
 from hil.agreed_pairs import AgreedPairs
 from hil.autopilot_values import OffboardSession
+from hil.claims import Claims, in_world_time
 from hil.lease_monitor import LeaseMonitor
 from hil.script_monitor import ScriptMonitor
 from path.config import MethodConfig
@@ -38,7 +39,7 @@ class Monitors:
     violations: Counter[str] = field(default_factory=Counter[str])
     details: list[str] = field(default_factory=list[str])
     closest_m: float = math.inf
-    _responsible: dict[Role, bool] = field(default_factory=dict[Role, bool])
+    _claims: Claims[Role] = field(default_factory=Claims[Role])
     _too_close: bool = False
     _agreed: AgreedPairs = field(init=False)
     _committed: set[int] = field(default_factory=set[int])
@@ -62,13 +63,13 @@ class Monitors:
         elif topic in LEASES:
             self.leases.on_record(role, topic, stamp_w_ns, record)
             if topic == "/responsibility":
-                self._on_responsibility(role, stamp_w_ns, bool(record["responsible"]))
+                self._on_responsibility(role, stamp_w_ns, record)
             elif topic == "/commit":
                 self._on_commit(stamp_w_ns, record)
 
     def on_death(self, role: Role) -> None:
         """Its program does not run any more: it does nothing, until it is started again and says what it is."""
-        self._responsible[role] = False
+        self._claims.drop(role)
         self.leases.on_death(role)
         self.scripts.on_death(role)
 
@@ -102,9 +103,9 @@ class Monitors:
         self.violations[name] += 1
         self.details.append(f"{name} at {time_s:.2f} s: {what}")
 
-    def _on_responsibility(self, role: Role, stamp_w_ns: int, responsible: bool) -> None:
-        self._responsible[role] = responsible
-        if sum(self._responsible.values()) > 1:
+    def _on_responsibility(self, role: Role, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        self._claims.note(role, record)
+        if len(self._claims.holders(stamp_w_ns * 1e-9)) > 1:
             self._violated("S1", stamp_w_ns * 1e-9, "two responsible drones")
 
     def _on_agreement(self, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
@@ -140,9 +141,7 @@ class WatchedLog:
     def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
         if self.ended:
             return
-        seen = record
-        if topic == "/commit":  # the one record with another instant of the role's clock in it
-            seen = {**record, "lease_end_ns": record["lease_end_ns"] - self._offset_ns}
+        seen = in_world_time(record, self._offset_ns) if topic in LEASES else record
         self._monitors.on_record(self._role, topic, stamp_ns - self._offset_ns, seen)
         self._log.write(topic, stamp_ns, record)
 

@@ -17,13 +17,14 @@ from drivers.tables import decode_table
 from flight.guard_watch import GuardWatch
 from flight.harness import Progress, RoleResult
 from flight.relay import DroneProgram, RelayConfig, RelayReport, RelayRequest, pair_of
+from hil.errors import Built, as_built, reported
 from hil.faults import Fault, FaultError, parse_fault
 from hil.faulty_link import MemoryHub
 from hil.inject import inject_in_world, inject_on_link
 from hil.preparation import prepare, starting
 from hil.relay_faults import LegFaults
 from hil.relay_monitors import RelayLog, RelayMonitors
-from hil.relay_world import DroneHarness, RelayWorld, present_s
+from hil.relay_world import OTHER, OWN, DroneHarness, RelayWorld, present_s
 from hil.sim import Disk, mission_config
 from hil.sim_guard import TICK_S, MemoryBeatLine
 from hil.virtual_time import run_virtual
@@ -98,9 +99,11 @@ class _Relay:
         rig, request, config = self._rig, self._request, self._config
         world_config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
         self._world = RelayWorld(world_config, request.seed, config.drones)
-        owns = {drone.name: pair_of(rig, drone, drone).receiver for drone in config.drones}
+        pairs = {drone.name: pair_of(rig, drone, drone) for drone in config.drones}
+        built = {name: as_built(pair, request.seed, {OTHER: 0, OWN: k}) for k, (name, pair) in enumerate(pairs.items())}
+        owns = {name: each.rig.receiver for name, each in built.items()}
         self._monitors = RelayMonitors(rig, config, self._mission, self._world, owns)
-        self._drones = {name: self._new(name, own) for name, own in owns.items()}
+        self._drones = {name: self._new(name, pair.receiver, built[name]) for name, pair in pairs.items()}
         stop_on_signals(self._interrupt)
         watching = asyncio.create_task(self._watch())
         try:
@@ -116,8 +119,8 @@ class _Relay:
         self._monitors.close()
         return self._findings()
 
-    def _new(self, name: str, own: RoleRig) -> _Drone:
-        harness = DroneHarness(self._world, name, self._request.seed, present_s)
+    def _new(self, name: str, own: RoleRig, built: Built) -> _Drone:
+        harness = DroneHarness(self._world, name, self._request.seed, present_s, built)
         offset_ns = round(float(own.clock.options.get("offset_s", 0.0)) * 1e9)
         log = virtual_log(self._request.out / f"{name}.mcap", name, offset_ns)
         return _Drone(name, own, harness, Disk(lambda duty: self._legs.on_duty(name, duty)), log, offset_ns)
@@ -288,6 +291,7 @@ class _Relay:
             "interrupted": self._interrupted,
             "failure": failure,
             "log_failure": failed[0] if failed else "",
+            "errors": reported(self._rig),
         }
 
 

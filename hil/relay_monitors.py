@@ -17,9 +17,11 @@ from typing import Any
 from drivers.interfaces import Log
 from drivers.rig import Rig, RoleRig
 from flight.config import MissionConfig
+from flight.outcome import OBJECT_MONITOR
 from flight.relay import OFTEN, Flown, RelayConfig, Sample
+from hil.claims import Claims, in_world_time
 from hil.lease_monitor import GAP_S
-from hil.monitors import Monitors
+from hil.monitors import LEASES, Monitors
 from hil.relay_world import RelayWorld
 from hil.script_monitor import ScriptMonitor, VehicleTruth, pixel_of, vehicle_truth
 from hil.snapshot import DroneTruth, ObjectTruth
@@ -65,7 +67,7 @@ class RelayMonitors:
     closest_m: float = math.inf
     closest_pair: tuple[str, ...] = ()
     samples: list[Sample] = field(default_factory=list[Sample])
-    responsible: set[str] = field(default_factory=set[str])
+    claims: Claims[str] = field(default_factory=Claims[str])
     scripts: ScriptMonitor = field(init=False)
     members: Mapping[str, Enum] = field(init=False)
     seen: Callable[[float], Seen] | None = None
@@ -116,9 +118,8 @@ class RelayMonitors:
             leg = self._legs[name]
             leg.monitors.on_death(leg.roles[name])
         self.scripts.on_death(self.members[name])
-        if name in self.responsible:
-            self.responsible.discard(name)
-            self._alone_s = None
+        self.claims.drop(name)
+        self._alone_s = None
 
     def on_record(self, name: str, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
         now_s, member = stamp_w_ns * 1e-9, self.members[name]
@@ -130,7 +131,7 @@ class RelayMonitors:
         elif topic == "/phase":
             self.scripts.on_phase(member, now_s, str(record["phase"]))
         elif topic == "/responsibility":
-            self._on_responsibility(name, now_s, bool(record["responsible"]))
+            self._on_responsibility(name, now_s, record)
         elif topic in ("/target", "/track"):
             self._on_box(name, now_s, record["box"])
 
@@ -171,7 +172,7 @@ class RelayMonitors:
         }  # fmt: skip
 
     def sample(self, now_s: float, batteries: tuple[float, ...], airborne: tuple[str, ...]) -> None:
-        self.samples.append(Sample(round(now_s, 2), tuple(sorted(self.responsible)), batteries, airborne))
+        self.samples.append(Sample(round(now_s, 2), tuple(sorted(self.claims.holders(now_s))), batteries, airborne))
 
     def findings(self) -> dict[str, Any]:
         """After ``close``: those fields of a ``flight.relay.RelayReport`` that say what was seen."""
@@ -198,15 +199,16 @@ class RelayMonitors:
             if gap_s is not None:
                 self.gaps_s[leg.number] = gap_s
 
-    def _on_responsibility(self, name: str, now_s: float, responsible: bool) -> None:
-        if not responsible:
-            if name in self.responsible:
-                self.responsible.discard(name)
-                self._alone_s = now_s if not self.responsible else None
+    def _on_responsibility(self, name: str, now_s: float, record: Mapping[str, Any]) -> None:
+        before = name in self.claims.holders(now_s)
+        self.claims.note(name, record)
+        holders = self.claims.holders(now_s)
+        if not record["responsible"]:
+            if before:
+                self._alone_s = None if holders else now_s
             return
-        self.responsible.add(name)
-        if len(self.responsible) > 1:
-            self.violated("S1", now_s, f"responsible at once: {', '.join(sorted(self.responsible))}")
+        if len(holders) > 1:
+            self.violated("S1", now_s, f"responsible at once: {', '.join(sorted(holders))}")
         if self._alone_s is not None:
             alone_s, self._alone_s = now_s - self._alone_s, None
             if alone_s > GAP_S:
@@ -214,7 +216,7 @@ class RelayMonitors:
 
     def _on_box(self, name: str, now_s: float, box: list[float] | None) -> None:
         """The object in the middle of what the responsible drone takes for the target must be the target."""
-        if box is None or name not in self.responsible or now_s - self._looked_s.get(name, -LOOK_S) < LOOK_S:
+        if box is None or name not in self.claims.holders(now_s) or now_s - self._looked_s.get(name, -LOOK_S) < LOOK_S:
             return
         self._looked_s[name] = now_s
         u, v = box[0] + 0.5 * box[2], box[1] + 0.5 * box[3]
@@ -224,7 +226,7 @@ class RelayMonitors:
         found = min(off, key=lambda number: math.inf if math.isnan(off[number]) else off[number])
         if found != 0 and name not in self._wrong:
             self._wrong.add(name)
-            self.violated("target", now_s, f"{name} is responsible and looks at object {found}")
+            self.violated(OBJECT_MONITOR, now_s, f"{name} is responsible and looks at object {found}")
         elif found == 0:
             self._wrong.discard(name)
 
@@ -244,9 +246,7 @@ class RelayLog:
     def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
         if self.ended:
             return
-        seen = record
-        if topic == "/commit":
-            seen = {**record, "lease_end_ns": record["lease_end_ns"] - self._offset_ns}
+        seen = in_world_time(record, self._offset_ns) if topic in LEASES else record
         self._monitors.on_record(self._name, topic, stamp_ns - self._offset_ns, seen)
         if self._whole or topic not in OFTEN:
             self._log.write(topic, stamp_ns, record)

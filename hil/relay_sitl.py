@@ -44,6 +44,7 @@ from hil.children import (
     until_ready,
     write,
 )
+from hil.errors import level_of, reported
 from hil.faults import Fault, FaultError, parse_fault
 from hil.preparation import starting
 from hil.relay_faults import LegFaults
@@ -65,8 +66,6 @@ class RelaySitl:
         """Raises PartError for a rig whose drones are not told apart, and for faults that there are not."""
         check_drones(request.rig, request.config)
         faults = {leg: [_parse(text) for text in texts] for leg, texts in request.faults.items()}
-        for left in (*request.out.glob("*.mcap"), *request.out.glob("*.stderr.txt"), *request.out.glob("*.state.json")):
-            left.unlink()  # of an earlier relay into the same folder
         return asyncio.run(_Relay(request, faults).run())
 
 
@@ -136,8 +135,8 @@ class _Relay:
 
     async def _start_world(self) -> Child:
         request, rig = self._request, self._request.rig
-        arguments = [str(rig.file), str(len(request.config.drones)), str(request.seed), *map(str, rig.folders)]
-        command = [sys.executable, "-m", "hil.relay_sitl_world", *arguments]
+        arguments = [str(rig.file), str(len(request.config.drones)), str(request.seed), level_of(rig)]
+        command = [sys.executable, "-m", "hil.relay_sitl_world", *arguments, *map(str, rig.folders)]
         world = await spawn(command, self._out / "world.stderr.txt")
         self._children.append(world)
         await until_ready(world, lambda what: request.emit(starting(Role.SENDER, what)))
@@ -342,5 +341,6 @@ class _Relay:
             wall_s=wall_s,
             interrupted=self._interrupted,
             log_failure=self._log_failure,
+            errors=reported(self._request.rig),
             failure=failure or (f"not landed at the end: {', '.join(aloft)}" if aloft else ""),
         )

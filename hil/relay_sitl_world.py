@@ -1,7 +1,7 @@
 """The world of a relay in real time, a process of its own: drones by name, each with its vehicle on the wire and its
 camera while it is switched on; the link of the leg under way; and the monitors.
 
-    python -m hil.relay_sitl_world RIG_FILE DRONES SEED [FOLDER ...]
+    python -m hil.relay_sitl_world RIG_FILE DRONES SEED ERRORS [FOLDER ...]
 
 Commands come in on stdin as lines of JSON: ``{"on": NAME}``, ``{"camera_off": NAME}``, ``{"off": NAME}``, ``{"leg": N,
 "sender": NAME, "receiver": NAME}``, ``{"died": NAME, "at_ns": T}``, ``{"fault": ...}``, ``{"finish": SECONDS}``, and
@@ -25,10 +25,12 @@ from typing import Any
 
 from drivers.interfaces import PartError
 from drivers.json_lines import JsonLines
-from drivers.rig import Rig, RoleRig
+from drivers.rig import Rig, RoleRig, with_errors
 from drivers.rig_file import load_rig
 from drivers.tables import decode_table
 from flight.relay import RelayConfig, pair_of
+from hil.claims import in_world_time
+from hil.errors import as_built
 from hil.faulty_link import LinkFaults, UdpFaultProxy
 from hil.inject import inject_in_world, inject_on_link
 from hil.live_world import (
@@ -43,10 +45,11 @@ from hil.live_world import (
     shared_camera,
 )
 from hil.mavlink_vehicle import MavlinkVehicle
+from hil.monitors import LEASES
 from hil.preparation import prepare
 from hil.relay_live import HINDSIGHT_S, Hindsight, LiveRelay, RelayScene, run_of
 from hil.relay_monitors import RelayMonitors
-from hil.relay_world import OWN, RelayWorld
+from hil.relay_world import OTHER, OWN, RelayWorld
 from hil.shared_camera import RUN_VARIABLE
 from hil.sim import mission_config
 from hil.world import WorldConfig
@@ -76,7 +79,10 @@ class RelaySitlWorld:
         self._rig, self._config, self._seed = rig, config, seed
         self._live = LiveRelay(RelayWorld(world_config, seed, config.drones))
         self._pairs = {drone.name: pair_of(rig, drone, drone) for drone in config.drones}
-        owns = {name: pair.receiver for name, pair in self._pairs.items()}
+        self._built = {
+            name: as_built(pair, seed, {OTHER: 0, OWN: k}) for k, (name, pair) in enumerate(self._pairs.items())
+        }
+        owns = {name: built.rig.receiver for name, built in self._built.items()}
         self._monitors = RelayMonitors(rig, config, mission_config(rig), self._live.world, owns)
         self._hindsight = Hindsight(self._monitors)
         self._commands = JsonLines(sys.stdin.fileno())
@@ -90,7 +96,7 @@ class RelaySitlWorld:
         live = self._live
         prepare(self._rig, lambda what: say({"event": "warming", "what": what}))
         for k, (name, pair) in enumerate(self._pairs.items()):
-            picture = Picture(pair, OWN, self._seed * 64 + k, depth=True)
+            picture = Picture(self._built[name], OWN, self._seed * 64 + k, depth=True)
             self._drones[name] = _Drone(pair.receiver, pair, picture, phase=0.37 * k % 1.0)
         gc.freeze()  # what is loaded by now stays: a full collection would stop the world for 0.1 s
         async with AsyncExitStack() as stack:
@@ -147,10 +153,9 @@ class RelaySitlWorld:
 
     def _on_record(self, name: str, topic: str, stamp_ns: int, record: dict[str, Any]) -> None:
         epoch_ns = round(self._live.start_s * 1e9)
-        if topic == "/commit":
-            record["lease_end_ns"] -= epoch_ns
+        seen = in_world_time(record, epoch_ns) if topic in LEASES else record
         stamp_w_ns = stamp_ns - epoch_ns
-        self._hindsight.put(stamp_w_ns * 1e-9, "on_record", name, topic, stamp_w_ns, record)
+        self._hindsight.put(stamp_w_ns * 1e-9, "on_record", name, topic, stamp_w_ns, seen)
 
     async def _obey_in_order(self) -> None:
         while True:
@@ -275,10 +280,10 @@ def drones_of(rig: Rig, number: int) -> RelayConfig:
 
 
 def main() -> None:
-    rig_file, drones, seed, *folders = sys.argv[1:]
+    rig_file, drones, seed, errors, *folders = sys.argv[1:]
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when this process ends
     try:
-        rig = load_rig(rig_file, [Path(folder) for folder in folders])
+        rig = with_errors(load_rig(rig_file, [Path(folder) for folder in folders]), errors)
         asyncio.run(RelaySitlWorld(rig, drones_of(rig, int(drones)), int(seed)).run())
     except PartError as error:
         say({"event": "failed", "what": str(error)})

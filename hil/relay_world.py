@@ -16,6 +16,7 @@ from drivers.guard_interfaces import GuardLine
 from flight.relay import RelayDrone
 from hil.autopilot import Autopilot
 from hil.capture import Freeze
+from hil.errors import Built
 from hil.faulty_link import MemoryHub
 from hil.sim_guard import MemoryBeatLine
 from hil.snapshot import DroneTruth, ObjectTruth, Snapshot
@@ -150,8 +151,9 @@ class DroneHarness:
         hub: of that leg's link.
     """
 
-    def __init__(self, world: RelayWorld, name: str, seed: int, present_s: Callable[[], float]) -> None:
+    def __init__(self, world: RelayWorld, name: str, seed: int, present_s: Callable[[], float], built: Built) -> None:
         self._world = world
+        self.built = built
         self._present_s = present_s
         self.name = name
         self.seed = seed * 64 + world.names.index(name)

@@ -10,17 +10,18 @@ from __future__ import annotations
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Self, cast
+from typing import Annotated, Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError, Frame
 from drivers.rig import PartContext
-from hil.capture import CaptureTicker, CaptureTiming, SensorHarness, timing_of
+from hil.capture import CaptureTicker, CaptureTiming, SensorHarness, timing_of, true_camera
 from hil.render.renderer import Renderer
 from hil.render.sensor import SensorNoise
 from hil.snapshot import Snapshot
+from path.bounds import Bounds
 from path.camera import CameraModel
 
 _Image = tuple[NDArray[np.uint8], NDArray[np.uint16]]
@@ -30,9 +31,9 @@ _Image = tuple[NDArray[np.uint8], NDArray[np.uint16]]
 class RenderedCameraConfig:
     """When frames are taken (see ``hil.capture.timing_of``), and the noise of the sensor."""
 
-    rate_hz: float = 30.0
-    phase_s: float | None = None
-    latency_s: float = 0.02
+    rate_hz: Annotated[float, Bounds(1.0, 300.0)] = 30.0
+    phase_s: Annotated[float | None, Bounds(0.0, 10.0)] = None
+    latency_s: Annotated[float, Bounds(0.0, 2.0)] = 0.02
     noise: SensorNoise = field(default_factory=SensorNoise)
 
     def timing(self, context: PartContext) -> CaptureTiming:
@@ -53,9 +54,9 @@ class RenderedCamera:
         harness = cast(SensorHarness, context.harness)
         self._model = context.camera
         self._role = context.role
-        self._renderer = Renderer(
-            context.camera, context.mount.T_b_c, context.mount.T_b_v, context.layout, config.noise, harness.seed
-        )
+        true = true_camera(context, harness.built)
+        self._errors = true.errors
+        self._renderer = Renderer(true.camera, true.T_b_c, true.T_b_v, true.layout, config.noise, harness.seed)
         name = f"the {context.role.value}'s rendered camera"
         self._ticker: CaptureTicker[Future[_Image]] = CaptureTicker(
             name, config.timing(context), context.role, context.clock, harness, self._draw
@@ -90,7 +91,7 @@ class RenderedCamera:
             raise CameraError("the rendered camera is not open", "open it with `async with`")
         capture = await self._ticker.next(timeout_s)
         color, depth_mm = capture.content.result()
-        return Frame(capture.stamp_ns, capture.frame_id, color, depth_mm)
+        return Frame(capture.stamp_ns, capture.frame_id, color, self._errors.measured_mm(depth_mm))
 
     def _draw(self, snapshot: Snapshot, frame_id: int) -> Future[Any]:
         assert self._thread is not None, "nothing is captured before somebody reads"

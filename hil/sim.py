@@ -23,6 +23,7 @@ from flight.config import MissionConfig
 from flight.guard_watch import GuardWatch, watch
 from flight.harness import FlightReport, FlightRequest, Progress, RoleResult, with_log
 from hil.capture import Freeze
+from hil.errors import Built, as_built, reported
 from hil.faults import Fault, FaultError, FaultTrigger, parse_fault
 from hil.faulty_link import MemoryHub
 from hil.inject import inject_in_world, inject_on_link
@@ -33,6 +34,7 @@ from hil.sim_guard import TICK_S, MemoryBeatLine
 from hil.truth_log import TruthLog
 from hil.virtual_time import run_virtual
 from hil.world import World, WorldConfig
+from hil.world_check import check_world
 from path.messages import Role
 from path.protocol.values import ReceiverRecord, SenderRecord
 
@@ -46,8 +48,9 @@ LANDING_LIMIT_S = 45.0
 class SimWorld:
     """``PartContext.harness`` of the sim levels: what the parts of both roles are connected to."""
 
-    def __init__(self, world: World, hub: MemoryHub, seed: int) -> None:
+    def __init__(self, world: World, hub: MemoryHub, seed: int, built: Built) -> None:
         self._world = world
+        self.built = built
         self.hub = hub
         self.seed = seed
         self.frozen_cameras: dict[Role, Freeze] = {}
@@ -70,6 +73,8 @@ class SimWorld:
 
 class SimHarness:
     """Flies a rig of level ``sim`` or ``sim-rendered``."""
+
+    check_rig = staticmethod(check_world)
 
     def fly(self, request: FlightRequest) -> FlightReport:
         faults = [parse_fault(text) for text in request.faults]
@@ -138,14 +143,16 @@ class _Flight:
         request, rig = self._request, self._rig
         config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
         self._world = World(config, request.seed)
-        self._parts = SimWorld(self._world, MemoryHub(request.seed), request.seed)
+        built = as_built(rig, request.seed)
+        self._true_rig = built.rig
+        self._parts = SimWorld(self._world, MemoryHub(request.seed), request.seed, built)
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
         stop_on_signals(self._interrupt)
         with virtual_log(request.out / "world.mcap", "world") as log:
             guarding = [asyncio.create_task(guard) for guard in self._guards()]
             truth = self._truth = TruthLog(log)
-            truth.scene(rig, self._monitors.min_separation_m, clock_offsets(rig))
+            truth.scene(self._true_rig, self._monitors.min_separation_m, clock_offsets(rig))
             self._begin(self._trigger.from_the_start())
             watching = asyncio.create_task(self._watch_truth(truth))
             results = await self._fly_roles()
@@ -304,7 +311,7 @@ class _Flight:
             self._monitors.on_truth(world.time_s, world.separation_m, world.both_in_air)
             ticks += 1
             if ticks % VEHICLES_EVERY == 0:
-                self._monitors.scripts.on_truth(world.time_s, vehicles_of(world, self._rig))
+                self._monitors.scripts.on_truth(world.time_s, vehicles_of(world, self._true_rig))
             await asyncio.sleep(TRUTH_PERIOD_S if world.both_in_air else GROUND_PERIOD_S)
 
     async def _until_landed(self) -> None:
@@ -330,6 +337,7 @@ class _Flight:
             "interrupted": self._interrupted,
             "notes": tuple(self._monitors.details),
             "figures": self._monitors.leases.figures,
+            "errors": reported(self._rig),
         }
 
 

@@ -47,6 +47,7 @@ class SimGuard:
         self._seen: GuardView | None = None
         self._acked: bool | None = None
         self._open = False
+        self.ignored: dict[str, int] = {}  # nothing else speaks here
 
     @property
     def name(self) -> str:
@@ -135,6 +136,7 @@ class MemoryBeatLine:
     """The guard's end, of all programs that one role has one after the other."""
 
     clock: Clock
+    ignored: dict[str, int] = field(default_factory=dict[str, int])  # nothing else speaks here
     _box: _Mailbox = field(default_factory=_Mailbox)
     _newest: MemoryGuardLine | None = None
     _from: MemoryGuardLine | None = None

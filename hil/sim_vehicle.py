@@ -11,13 +11,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self, cast
+from typing import Annotated, Protocol, Self, cast
 
 from drivers.history import StateHistory
 from drivers.interfaces import Capability, FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
 from drivers.rig import PartContext
 from hil.autopilot import Ack, Autopilot
 from hil.world import Telemetry, World
+from path.bounds import Bounds
 from path.messages import Quat, Role
 
 POLL_S = 0.05
@@ -54,14 +55,14 @@ class SimVehicleConfig:
         max_speed_mps: faster setpoints are refused.
     """
 
-    latency_s: float = 0.004
-    heartbeat_s: float = 0.2
-    connect_timeout_s: float = 5.0
-    command_timeout_s: float = 1.0
-    mode_timeout_s: float = 3.0
-    heartbeat_timeout_s: float = 1.5
-    take_off_tolerance_m: float = 0.3
-    max_speed_mps: float = 5.0
+    latency_s: Annotated[float, Bounds(0.0, 2.0)] = 0.004
+    heartbeat_s: Annotated[float, Bounds(0.005, 10.0)] = 0.2
+    connect_timeout_s: Annotated[float, Bounds(0.1, 300.0)] = 5.0
+    command_timeout_s: Annotated[float, Bounds(0.05, 30.0)] = 1.0
+    mode_timeout_s: Annotated[float, Bounds(0.05, 60.0)] = 3.0
+    heartbeat_timeout_s: Annotated[float, Bounds(0.2, 30.0)] = 1.5
+    take_off_tolerance_m: Annotated[float, Bounds(0.01, 5.0)] = 0.3
+    max_speed_mps: Annotated[float, Bounds(0.1, 50.0)] = 5.0
 
     def __post_init__(self) -> None:
         if not (self.latency_s >= 0.0 and self.heartbeat_s > 0.0 and self.max_speed_mps > 0.0):

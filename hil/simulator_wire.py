@@ -11,7 +11,8 @@ from typing import Protocol
 import serial
 
 from drivers.interfaces import PartError
-from drivers.mavlink_port import SerialPort, take_frames
+from drivers.mavlink_frames import take_frames
+from drivers.mavlink_port import SerialPort
 from hil.arrival import Address, bound, packets
 from hil.mavlink_relay import frames
 
@@ -95,11 +96,11 @@ class SerialWire:
         self._port.close()
 
     def read(self) -> Iterator[Message]:
-        while data := self._port.read():
+        while data := self._port.read()[0]:
             arrival_s = time.monotonic()
             self._waiting += data
             for frame in take_frames(self._waiting):
-                for message_id, sysid, whole in frames(bytes(frame)):
+                for message_id, sysid, whole in frames(frame):
                     yield message_id, sysid, whole, arrival_s
 
     def write(self, packet: bytes) -> None:

@@ -34,11 +34,13 @@ from hil.children import (
     tell,
     until_ready,
 )
+from hil.errors import level_of, reported
 from hil.faults import Fault, FaultError, FaultTrigger, parse_fault
 from hil.monitors import Monitors
 from hil.preparation import starting
 from hil.sim import mission_config
 from hil.world import WorldConfig
+from hil.world_check import check_world
 from path.messages import Role
 
 RUN_LIMIT_S = 360.0  # besides what the mission allows for verifying and following
@@ -67,6 +69,8 @@ class _Run:
 
 class SitlHarness:
     """Real MAVSDK, real sockets, rendered frames through pyrealsense2; vehicles embedded, or real autopilots."""
+
+    check_rig = staticmethod(check_world)
 
     def fly(self, request: FlightRequest) -> FlightReport:
         """Raises PartError when the rig needs an autopilot that was not named."""
@@ -121,7 +125,7 @@ def _need_keys(rig: Rig) -> None:
 async def _start_world(request: FlightRequest, processes: list[Child]) -> tuple[Child, int]:
     """Its process, and the port on which it lets others on the air."""
     rig = request.rig
-    arguments = [str(rig.file), str(request.out), str(request.seed), *map(str, rig.folders)]
+    arguments = [str(rig.file), str(request.out), str(request.seed), level_of(rig), *map(str, rig.folders)]
     world = await spawn([sys.executable, "-m", "hil.sitl_world", *arguments], request.out / "world.stderr.txt")
     processes.append(world)
 
@@ -318,4 +322,5 @@ def _report(run: _Run, failure: str, wall_s: float) -> FlightReport:
         interrupted=run.interrupted,
         failure=failure,
         notes=[*notes, *(_died(request.out, role) for role in dead)],
+        errors=reported(request.rig),
     )

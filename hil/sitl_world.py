@@ -1,6 +1,6 @@
 """The world of a ``sitl`` run, a process of its own: physics, vehicles on the wire, cameras, the link between.
 
-    python -m hil.sitl_world RIG_FILE RUN_FOLDER SEED
+    python -m hil.sitl_world RIG_FILE RUN_FOLDER SEED ERRORS
 
 Commands come as lines of JSON on stdin (``{"fault": NAME, "value": X}``, ``{"finish": SECONDS}``), events go out as
 lines of JSON on stdout (``ready``, then ``finished`` with the findings). A closed stdin ends it.
@@ -23,12 +23,13 @@ from typing import Any
 from drivers.interfaces import PartError
 from drivers.json_lines import JsonLines
 from drivers.log import McapLog
-from drivers.rig import Rig
+from drivers.rig import Rig, with_errors
 from drivers.rig_file import load_rig
 from drivers.tables import decode_table
 from hil.air import Air
 from hil.autopilot_process import SimulatorBroken
 from hil.beacon_pty import open_beacons, open_hedges
+from hil.errors import as_built
 from hil.faults import FAULTS
 from hil.faulty_link import UdpFaultProxy
 from hil.followed_world import FollowedWorld, SimulatedVehicle, start_simulators
@@ -103,6 +104,7 @@ class SitlWorld:
     def __init__(self, rig: Rig, out: Path, seed: int) -> None:
         config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
         self._rig, self._out, self._seed, self._config = rig, out, seed, config
+        self._built = as_built(rig, seed)
         self._live = LiveWorld(World(config, seed), 0.0)
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
@@ -129,7 +131,7 @@ class SitlWorld:
             else:
                 await self._start_simulators(stack)
             truth = self._truth = TruthLog(log, round(live.start_s * 1e9))
-            truth.scene(rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
+            truth.scene(self._built.rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
             self._start_cameras(stack)
             stack.enter_context(open_beacons(rig, self._seed, self._out, live.now_s, live.snapshot))
             stack.enter_context(open_hedges(rig, self._seed, live.now_s, live.snapshot))
@@ -170,7 +172,7 @@ class SitlWorld:
             video = self._videos.get(role)
             writer = stack.enter_context(video or shared_camera(os.environ[RUN_VARIABLE], rig, role))
             rate_hz = video.rate_hz if video is not None else float(camera_config(rig, role).fps)
-            picture = Picture(rig, role, self._seed, depth=video is None)
+            picture = Picture(self._built, role, self._seed, depth=video is None)
             phase = 0.0 if role is Role.SENDER else 0.37
             camera = CameraThread(_Scene(self._live, role), picture, writer, rate_hz, phase)
             self._cameras[role] = camera
@@ -195,7 +197,7 @@ class SitlWorld:
                     truth.truth(live.world)
                     self._monitors.on_truth(now_s, live.world.separation_m, live.world.both_in_air)
                 if steps % (TRUTH_STEPS * VEHICLES_EVERY) == 0:  # the roles' phases are in their logs: no S7 here
-                    self._monitors.scripts.on_truth(now_s, vehicles_of(live.world, self._rig))
+                    self._monitors.scripts.on_truth(now_s, vehicles_of(live.world, self._built.rig))
             if self._finish_within_s is not None:
                 asked_s = now_s if asked_s is None else asked_s
                 landed = all(down(live.world, role) for role in Role)
@@ -253,10 +255,11 @@ class SitlWorld:
 
 
 def main() -> None:
-    rig_file, out, seed, *folders = sys.argv[1:]
+    rig_file, out, seed, errors, *folders = sys.argv[1:]
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when this process ends
     try:
-        asyncio.run(SitlWorld(load_rig(rig_file, [Path(folder) for folder in folders]), Path(out), int(seed)).run())
+        rig = with_errors(load_rig(rig_file, [Path(folder) for folder in folders]), errors)
+        asyncio.run(SitlWorld(rig, Path(out), int(seed)).run())
     except (SimulatorBroken, PartError) as error:
         say({"event": "failed", "what": str(error)})
         sys.exit(1)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from path.geometry import Pose
 from path.messages import Role
@@ -35,3 +38,18 @@ class Snapshot:
     objects: tuple[ObjectTruth, ...]
     marker_hidden: bool = False
     depth_holes: bool = False
+
+    def carried_on(self, by_s: float) -> Snapshot:
+        """As it will be, or was, some milliseconds from then: everything moves on with its velocity."""
+        drones = {
+            role: replace(drone, T_w_b=Pose(drone.T_w_b.R, drone.T_w_b.t + by_s * np.array(drone.velocity_w_mps)))
+            for role, drone in self.drones.items()
+        }
+        objects = tuple(_moved(thing, by_s * thing.speed_mps) for thing in self.objects)
+        return replace(self, time_s=self.time_s + by_s, drones=drones, objects=objects)
+
+
+def _moved(thing: ObjectTruth, by_m: float) -> ObjectTruth:
+    x, y, z = thing.position_w_m
+    at = (x + by_m * math.cos(thing.yaw_rad), y + by_m * math.sin(thing.yaw_rad), z)
+    return replace(thing, position_w_m=at)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import threading
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from drivers.interfaces import CameraError
 from drivers.rig import PartContext
@@ -16,6 +16,7 @@ from drivers.stamp_clock import Domain
 from hil.d415 import T_COLOR_DEPTH, depth_camera
 from hil.shared_camera import RUN_VARIABLE, SharedCameraReader
 from hil.software_device import DeviceClock, SoftwareDevice
+from path.bounds import Bounds
 
 POLL_S = 0.1
 
@@ -31,7 +32,7 @@ class SoftwareD415Config:
 
     clock: Literal["global_time", "hardware_clock", "system_time"] = "global_time"
     run: str = ""
-    open_timeout_s: float = 4.0
+    open_timeout_s: Annotated[float, Bounds(0.1, 300.0)] = 4.0
 
 
 class SoftwareD415:

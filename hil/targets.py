@@ -11,11 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.snapshot import ObjectTruth
+from path.bounds import Bounds
 
 Point = tuple[float, float]
 Array = NDArray[np.float64]
@@ -39,13 +41,14 @@ class TargetConfig:
     ``to_and_fro_s``: period of driving ahead and back along the loop, ``speed_mps`` being the fastest; 0: always ahead.
     """
 
-    start_m: Point = (0.0, 4.0)
-    start_time_s: float = 20.0
-    speed_mps: float = 0.3
-    radius_m: float = 4.0
-    loop_bearing_deg: float = 90.0  # from the start to the middle of the loop, counter-clockwise from east
-    loop_bearing_sigma_deg: float = 20.0
-    to_and_fro_s: float = 0.0
+    start_m: Annotated[Point, Bounds(-1000, 1000)] = (0.0, 4.0)
+    start_time_s: Annotated[float, Bounds(0.0, 3600.0)] = 20.0
+    speed_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.3
+    radius_m: Annotated[float, Bounds(1.0, 500.0)] = 4.0
+    # from the start to the middle of the loop, counter-clockwise from east
+    loop_bearing_deg: Annotated[float, Bounds(-360.0, 360.0)] = 90.0
+    loop_bearing_sigma_deg: Annotated[float, Bounds(0.0, 360.0)] = 20.0
+    to_and_fro_s: Annotated[float, Bounds(0.0, 3600.0)] = 0.0
 
     def __post_init__(self) -> None:
         if not (self.speed_mps >= 0.0 and self.radius_m >= 1.0 and min(self.start_time_s, self.to_and_fro_s) >= 0.0):
@@ -56,10 +59,10 @@ class TargetConfig:
 class LookAlikeConfig:
     """``count`` look-alikes, ``driving`` of them on the target's loop, the others parked beside it."""
 
-    count: int = 3
-    driving: int = 1
-    min_distance_m: float = 1.2
-    max_distance_m: float = 2.0
+    count: Annotated[int, Bounds(0, 50, "objects")] = 3
+    driving: Annotated[int, Bounds(0, 50, "objects")] = 1
+    min_distance_m: Annotated[float, Bounds(1.0, 100.0)] = 1.2
+    max_distance_m: Annotated[float, Bounds(1.0, 100.0)] = 2.0
 
     def __post_init__(self) -> None:
         if not 0 <= self.driving <= self.count:

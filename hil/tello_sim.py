@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import av
 import numpy as np
@@ -26,6 +26,7 @@ from hil.tello_emulator import STATE_PERIOD_S
 from hil.tello_sensors import TelloSensors
 from hil.tello_video import new_encoder
 from hil.world import Telemetry
+from path.bounds import Bounds
 
 BIT_RATE = 4_000_000
 
@@ -34,11 +35,11 @@ BIT_RATE = 4_000_000
 class SimTelloConfig(SimVehicleConfig):
     """Besides a simulated vehicle's options those of ``drivers.tello_config`` about where it was put down."""
 
-    north_m: float = 0.0
-    east_m: float = 0.0
-    heading_deg: float = 0.0
-    placement_sigma_m: float = 0.05
-    velocity_sigma_mps: float = 0.03
+    north_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 0.0
+    east_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 0.0
+    heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
+    placement_sigma_m: Annotated[float, Bounds(0.0, 5.0)] = 0.05
+    velocity_sigma_mps: Annotated[float, Bounds(0.0, 5.0)] = 0.03
 
 
 class SimTello(SimVehicle):

@@ -11,7 +11,7 @@ import math
 from collections import deque
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
-from typing import Generic, NamedTuple, TypeVar
+from typing import Annotated, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -31,9 +31,11 @@ from hil.dynamics import (
     poses_w,
     standing,
 )
+from hil.errors import ErrorsConfig
 from hil.estimator import EstimatorConfig, Sensors, WindConfig
 from hil.snapshot import DroneTruth, Snapshot
 from hil.targets import LookAlikeConfig, Point, TargetConfig, Traffic
+from path.bounds import Bounds
 from path.geometry import Pose
 from path.messages import Quat, Role, Vec3
 
@@ -50,8 +52,8 @@ Name = TypeVar("Name", bound=Hashable)
 class HomeConfig:
     """Where a drone stands at the start: (E, N) in m, nose direction clockwise from north."""
 
-    position_m: Point = (0.0, 0.0)
-    heading_deg: float = 0.0
+    position_m: Annotated[Point, Bounds(-1000, 1000)] = (0.0, 0.0)
+    heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +63,8 @@ class ApartConfig:
     The receiver's is the one that is off, in a direction drawn by seed; upward or downward likewise.
     """
 
-    across_m: float = 0.0
-    height_m: float = 0.0
+    across_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0
+    height_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0
 
     def __post_init__(self) -> None:
         if self.across_m < 0.0 or self.height_m < 0.0:
@@ -73,6 +75,7 @@ class ApartConfig:
 class WorldConfig:
     """The ``[world]`` table of a rig."""
 
+    errors: ErrorsConfig = field(default_factory=ErrorsConfig)
     wind: WindConfig = field(default_factory=WindConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     apart: ApartConfig = field(default_factory=ApartConfig)
@@ -174,7 +177,8 @@ class Fleet(Generic[Name]):
         traffic, sensors, autopilots = np.random.SeedSequence(seed).spawn(3)
         keep_clear = [home.position_m for home in homes.values()]
         self._traffic = Traffic(config.target, config.look_alikes, keep_clear, traffic)
-        self._sensors = Sensors(config.wind, config.estimator, TICK_S, sensors.spawn(len(homes)))
+        estimator = config.estimator.times(config.errors.sizes)
+        self._sensors = Sensors(config.wind, estimator, TICK_S, sensors.spawn(len(homes)))
         for i, name in enumerate(homes):
             self._sensors.position_bias[i] += off.get(name, (0.0, 0.0, 0.0))
         self._airframe = config.airframe.row()

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.log import LogRecord, decode_image
 from missions.palette import DIM, MAPPED_BOX, MARKER, OWN_BOX, PRIOR, ROLE
-from missions.records import Run, last
-from missions.summary import judged_pairs
+from missions.records import Run, judged_pairs, last
 from missions.truth import Truth
 from path.camera import CameraModel
 from path.messages import Role

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import tyro
 
+from flight.command_end import CommandEnd
 from missions.options import (
     CalibrateOptions,
     CampaignOptions,
@@ -45,9 +46,9 @@ MODULES: dict[type[object], str] = {
 }
 """Each has ``run(options) -> exit code``."""
 
-EXIT_REFUSED = 3
-EXIT_CTRL_C = 130
-EXIT_BROKEN_PIPE = 141
+EXIT_REFUSED = CommandEnd.REFUSED.exit_code
+EXIT_CTRL_C = CommandEnd.STOPPED.exit_code
+EXIT_BROKEN_PIPE = CommandEnd.READER_GONE.exit_code
 
 DESCRIPTION = """Two drones pass a moving target, with proof that it is the same target.
 

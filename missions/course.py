@@ -82,7 +82,9 @@ async def close_session(session: Session) -> None:
 
 
 def conclude(session: Session, end: MissionEnd | None, landed: bool) -> RoleResult:
-    """The program's last records."""
+    """The program's last records. A course that came to its own end may still lose the vehicle on its way home."""
+    if end is None and session.pilot.override:
+        end = MissionEnd(Outcome.PILOT_OVERRIDE, session.pilot.override)
     outcome, detail = (end.outcome, end.detail) if end else (Outcome.COMMITTED, "")
     session.log.write(
         "/outcome",

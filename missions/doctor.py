@@ -18,6 +18,7 @@ from drivers.part_check import Finding
 from drivers.realsense_import import import_realsense
 from drivers.rig_check import local_ports
 from drivers.tables import RigError
+from flight.command_end import CommandEnd
 from missions import rig_library
 from missions.doctor_parts import part_tests, run_test
 from missions.doctor_table import open_findings
@@ -25,7 +26,7 @@ from missions.doctor_vehicle import check_vehicle
 from missions.options import DoctorOptions
 from path.messages import Role
 
-EXIT_UNFIT = 4
+EXIT_UNFIT = CommandEnd.NOT_FIT.exit_code
 OPENCV = ("opencv-contrib-python-headless", "opencv-python-headless", "opencv-contrib-python", "opencv-python")
 SHM_MIB, DISK_MIB = 64, 500
 REALSENSE = "drivers.realsense:RealSense"

@@ -19,6 +19,7 @@ from drivers.interfaces import Log, PartError
 from drivers.log import McapLog
 from drivers.rig import PartSpec, Rig, create, part_context
 from drivers.stop_signals import stop_at_end_of_input, stop_on_signals
+from flight.command_end import CommandEnd
 from flight.config import MissionConfig
 from flight.guard_rules import Act, GuardState, Stage
 from flight.guard_watch import GuardWatch, watch
@@ -27,7 +28,7 @@ from missions.options import GuardOptions
 from missions.run_folder import new_folder
 from path.messages import Role
 
-EXIT_GAVE_UP = 5
+EXIT_GAVE_UP = CommandEnd.GAVE_UP.exit_code
 ALONE_S = 3.0  # without a beat and without anything to guard: the role's program has ended
 NEVER_HEARD_S = 120.0
 _POLL_S = 0.5
@@ -43,6 +44,9 @@ class Teller:
         sent = "" if act is Act.NOTHING else f", told it to {act.value}"
         reason = f": {state.reason}" if state.reason else ""
         _say(f"guard of the {self.role.value}: {state.stage.value}{sent}{reason}")
+
+    def warn(self, what: str) -> None:
+        _say(f"guard of the {self.role.value}: ALARM: ignored {what}")
 
 
 def _say(line: str) -> None:
@@ -97,7 +101,8 @@ async def watch_vehicles(
             vehicle: Watched = await stack.enter_async_context(create(spec, context))
             line = await stack.enter_async_context(UdpBeatLine(str(spec.options["bind"]), context.clock))
             log: Log = stack.enter_context(McapLog(logs[role], role.value))
-            guards.append(GuardWatch(vehicle, line, context.clock, config, log, Teller(role)))
+            tell = Teller(role)
+            guards.append(GuardWatch(vehicle, line, context.clock, config, log, tell, tell.warn))
             vehicles.append(vehicle)
             _say(f"guard of the {role.value}: watching {vehicle.name}")
         if len(guards) == 2:

@@ -6,23 +6,24 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from drivers.interfaces import PartError
-from drivers.rig import Rig, import_factory
+from drivers.rig import Rig, import_factory, with_errors
 from flight.harness import Emit, FlightReport, FlightRequest, Harness, RoleResult
-from flight.outcome import Outcome
+from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
 from missions.options import ConformanceOptions, HandoffOptions
 from missions.progress import open_console, open_tally
-from missions.records import SUMMARY, RunFacts, load_run, write_facts
+from missions.records import FACTS, RUN, SUMMARY, RunFacts, load_run, write_facts
 from missions.report import make_report, series_table, show, summarize_many
+from missions.right_object import fly_watched
 from missions.role_process import fly_role
-from missions.run_folder import new_folder
+from missions.run_folder import claim_folder, claim_result, new_folder
 from missions.summary import summarize
 from path.messages import Role
 
@@ -32,7 +33,7 @@ _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
 def run(options: HandoffOptions) -> int:
     """``path-handoff handoff``; returns the run's exit code. Raises PartError for what was asked wrongly."""
     name_simulators(options)
-    rig = rig_library.load(options.rig)
+    rig = with_errors(rig_library.load(options.rig), options.errors)
     harness_of(rig)
     folder = new_folder(options.out)
     if options.seeds > 1:
@@ -57,11 +58,13 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
     """
     jobs = 1 if rig.level not in ("sim", "sim-rendered") else options.jobs or os.cpu_count() or 1
     seeds = range(options.seed, options.seed + options.seeds)
+    claim_result(folder, SUMMARY, f"seed-*/{FACTS}")
     summaries: list[dict[str, Any]] = []
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_leave_signals_to_the_parent)
     try:
         with open_tally(sys.stdout, len(seeds)) as tally:
-            runs = [pool.submit(_fly_seed, str(rig.file), seed, options.fault, folder) for seed in seeds]
+            asked = str(rig.file), options.errors
+            runs = [pool.submit(_fly_seed, *asked, seed, options.fault, folder) for seed in seeds]
             for done in as_completed(runs):
                 summary = done.result()
                 summaries.append(summary)
@@ -72,18 +75,22 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
     (folder / SUMMARY).write_text(json.dumps(series, indent=2) + "\n", "utf-8")
     show(series_table(series), sys.stdout)
     sys.stdout.write(f"\n{folder}: {SUMMARY}, and a folder for each seed\n")
-    unsafe = series["wrong_handovers"] or series["monitors"]
-    return Outcome.MONITOR_VIOLATED.exit_code if unsafe else 0
+    return exit_code_of_many(series)
+
+
+def exit_code_of_many(series: Mapping[str, Any]) -> int:
+    """0 unless a monitor was violated in one of the runs."""
+    return violated_outcome(series["monitors"]).exit_code if series["monitors"] else Outcome.COMMITTED.exit_code
 
 
 def _leave_signals_to_the_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _fly_seed(rig_file: str, seed: int, faults: Sequence[str], folder: Path) -> dict[str, Any]:
+def _fly_seed(rig_file: str, errors: str | None, seed: int, faults: Sequence[str], folder: Path) -> dict[str, Any]:
     """One run of many, in a worker process."""
     own = new_folder(folder / f"seed-{seed:04d}")
-    fly_once(rig_library.load(rig_file), seed, faults, own, lambda _: None)
+    fly_once(with_errors(rig_library.load(rig_file), errors), seed, faults, own, lambda _: None)
     summary = summarize(load_run(own))
     (own / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
     return summary
@@ -102,8 +109,7 @@ def harness_of(rig: Rig) -> Harness:
 def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) -> RunFacts:
     """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was asked wrongly."""
     harness = harness_of(rig)
-    for left in (*out.glob("*.mcap"), *out.glob("*.stderr.txt"), *out.glob("*.state.json")):
-        left.unlink()  # of an earlier run into the same folder: nothing of it may be taken for this one's
+    claim_folder(out, RUN)
 
     def command(role: Role) -> Sequence[str]:
         return [
@@ -119,7 +125,7 @@ def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) 
 
     attack = [sys.executable, "-m", "missions.verify.attack"]
     request = FlightRequest(rig, out, seed, tuple(faults), fly_role, command, emit, attack, guard_command)
-    report = harness.fly(request)
+    report = fly_watched(harness, request)
     outcome, detail = judge(report)
     facts = RunFacts(
         rig=rig.name,
@@ -133,6 +139,7 @@ def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) 
         wall_s=report.wall_s,
         violations=dict(report.violations),
         notes=tuple(report.notes),
+        errors=dict(report.errors),
     )
     write_facts(out, facts)
     return facts
@@ -143,7 +150,7 @@ def judge(report: FlightReport) -> tuple[Outcome, str]:
     if report.failure:
         return Outcome.HARNESS_FAILED, report.failure
     if report.violations:
-        return Outcome.MONITOR_VIOLATED, "; ".join(report.notes)
+        return violated_outcome(report.violations), "; ".join(report.notes)
     if report.interrupted:
         return Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
     results = [_dead(role) if result is None else result for role, result in report.results.items()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import random
 from collections.abc import Callable
 
 from drivers.interfaces import Received, RecordStore
@@ -25,11 +26,20 @@ from path.protocol.values import (
     ReceiverEvent,
     ReceiverRecord,
     SenderRecord,
+    TakeResponsibility,
     VerifyAgain,
 )
 from path.protocol.values import Outcome as Decision
 
+_HEARD_S = 2.0  # a receiver not heard for so long is gone: it says its Status four times a second
+_LAST_INSTANCE = 2**24 - 1
 _ENDS = {Decision.TIMEOUT: Outcome.NO_AGREEMENT}
+
+
+def _instance(machine: ReceiverMachine, entropy: random.Random) -> int:
+    """A program's own, unless it goes on with what an earlier one took: then that one's, or nobody would believe it."""
+    live = machine.live
+    return live.instance if live is not None and live.instance else entropy.randint(1, _LAST_INSTANCE)
 
 
 def protocol_config(session: Session) -> ProtocolConfig:
@@ -52,9 +62,11 @@ class SenderHandover(MachineRun[SenderMachine]):
             machine.state = sender.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
         super().__init__(session, store, machine, kept, sender.record(machine.state))
         self._anew_ns = session.now_ns()
-        self._free_ns: int | None = None  # the newest word of the other drone that it holds nothing; None: it does
+        self._words: dict[int, tuple[int, PeerStatus]] = {}  # of each receiver the newest Status, and when it came
+        self._warned = False
+        session.instance = lambda: 0 if self._machine.live is None else self._machine.live.instance
         if kept is not None:  # on the ground a new mission begins: nobody tracks its target yet
-            session.set_responsible(machine.responsible and session.vehicle.state.armed)
+            session.set_claim(TakeResponsibility() if machine.responsible and session.vehicle.state.armed else None)
 
     def undecided(self, flying: bool) -> bool:
         state = self._machine.state
@@ -80,12 +92,23 @@ class SenderHandover(MachineRun[SenderMachine]):
 
     def _on_status(self, status: PeerStatus) -> None:
         super()._on_status(status)
-        self._free_ns = None if status.responsible else status.stamp_ns
+        self._words[status.instance] = self._session.now_ns(), status
 
     @property
     def peer_is_free(self) -> bool:
-        """The other drone said that it holds nothing, and said so since this one has nothing left to give to it."""
-        return self._free_ns is not None and self._free_ns > self._anew_ns
+        """The other drone said that it holds nothing, and said so since this one has nothing left to give to it.
+
+        Of several receivers none may hold anything, as far as each was heard last.
+        """
+        words = [status for _, status in self._words.values()]
+        lately = any(status.stamp_ns > self._anew_ns for status in words)
+        return lately and not any(status.responsible for status in words)
+
+    @property
+    def receivers(self) -> tuple[int, ...]:
+        """Instances of the receivers that are heard on this link at present: one, if all is well."""
+        since_ns = self._session.now_ns() - round(_HEARD_S * 1e9)
+        return tuple(instance for instance, (heard_ns, _) in self._words.items() if instance and heard_ns > since_ns)
 
     async def until_free(self) -> None:
         """Until the other drone is heard not to hold a target. Raises MissionEnd(PEER_ABORTED) when it goes on to."""
@@ -109,13 +132,20 @@ class SenderHandover(MachineRun[SenderMachine]):
         self._start_ticking()
 
     def agreed(self, target_id: int) -> None:
-        """The whole window agreed: release, then commit. Refused while the clocks are not known; may be said again."""
+        """The whole window agreed: release, then commit to the one receiver that is heard.
+
+        Refused while the clocks are not known, or not exactly one is heard; may be said again.
+        """
         if self.released:
             return
-        session, alignment = self._session, self._session.alignment
+        session, alignment, receivers = self._session, self._session.alignment, self.receivers
+        if len(receivers) > 1 and not self._warned:
+            self._warned = True
+            session.say(f"{len(receivers)} receivers answer with this key on this link: no COMMIT until one is left")
         lease_end_ns = session.now_ns() + round(self._machine.config.lease_s * 1e9)
         uncertainty = alignment.uncertainty_at(lease_end_ns) if alignment.ready else None
-        self._step(AgreementComplete(self.epoch, target_id, session.entropy.getrandbits(32), uncertainty))
+        instance = receivers[0] if len(receivers) == 1 else None
+        self._step(AgreementComplete(self.epoch, target_id, session.entropy.getrandbits(32), uncertainty, instance))
 
     def on_message(self, received: Received) -> None:
         self._hear(lambda: Heard(received.message))
@@ -171,8 +201,10 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
             machine.state = receiver.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
         super().__init__(session, store, machine, kept, receiver.record(machine.state))
         self._able = able
+        self.instance = _instance(machine, session.entropy)
+        session.instance = lambda: self.instance
         if kept is not None:
-            session.set_responsible(machine.responsible, isinstance(machine.state, Provisional))
+            session.set_claim(receiver.claim(machine.state))
 
     def undecided(self, flying: bool) -> bool:
         state = self._machine.state
@@ -185,8 +217,13 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
 
     @property
     def holds(self) -> bool:
-        """Responsible, provisionally or for good."""
-        return self._machine.responsible
+        """Responsible, provisionally or for good, at this very instant."""
+        return self._machine.responsible(self._session.now_ns())
+
+    @property
+    def within_lease(self) -> bool:
+        """It took provisionally, and what comes of that is not decided yet: the lease decides, be it over."""
+        return isinstance(self._machine.state, Provisional)
 
     @property
     def holds_for_good(self) -> bool:
@@ -204,7 +241,7 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
         alignment = self._session.alignment
         lease_end_ns = alignment.to_own_ns(message.lease_end_ns) if alignment.ready else None
         uncertainty = alignment.uncertainty_at(lease_end_ns) if lease_end_ns is not None else 0
-        return CommitHeard(message, lease_end_ns, uncertainty, self._able())
+        return CommitHeard(message, lease_end_ns, uncertainty, self.instance, self._able())
 
     async def until_held(self, timeout_s: float) -> None:
         """Until this drone holds the target for good. Raises MissionEnd otherwise.
@@ -212,7 +249,7 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
         An attempt that the sender took back may be followed by another one, as long as there is time.
         """
         carrier, end_s = self._carrier, asyncio.get_running_loop().time() + timeout_s
-        while await until(lambda: carrier.ended is not None, end_s) or self.holds:
+        while await until(lambda: carrier.ended is not None, end_s) or self.within_lease or self.holds:
             # within a lease, the lease decides and not the deadline
             await until(lambda: carrier.ended is not None, math.inf)
             assert carrier.ended is not None

@@ -19,7 +19,7 @@ from typing import Any, Generic, TypeVar
 from drivers.interfaces import Kept, RecordStore, StateError
 from flight.outcome import MissionEnd, Outcome, abort_reason
 from missions.session import Session
-from path.messages import AbortReason, Commit, Status
+from path.messages import AbortReason, Accept, Commit, Status
 from path.protocol.receiver import Provisional, ReceiverMachine
 from path.protocol.sender import SenderMachine
 from path.protocol.values import (
@@ -42,7 +42,6 @@ from path.protocol.values import (
 
 Machine = TypeVar("Machine", SenderMachine, ReceiverMachine)
 
-_TAKE = TakeResponsibility(provisional=True)
 _TICK_S = 0.1  # at the longest
 _MAX_WAITING = 64  # messages while the disk is written to; what counts is said again
 _WRITTEN_S = 2.0  # wait for the disk before the program ends
@@ -67,10 +66,10 @@ class Carrier:
                               lease_end_ns=message.lease_end_ns)  # fmt: skip
             case Persist(record):
                 self._log("/epoch", epoch=record.epoch, duty=record.duty)
-            case TakeResponsibility(provisional):
-                session.set_responsible(True, provisional)
+            case TakeResponsibility():
+                session.set_claim(action)
             case Release():
-                session.set_responsible(False)
+                session.set_claim(None)
             case Ended():
                 self.ended = action
                 self._log("/decision", outcome=action.outcome.value, reason=_value(action.reason))
@@ -173,11 +172,12 @@ class MachineRun(Generic[Machine]):
         return self._machine.wake_ns
 
     def on_status(self, status: Status) -> None:
+        """It counts only by its stamp, and that only while the clocks are aligned."""
         alignment = self._session.alignment
         if alignment.ready:
-            self._on_status(
-                PeerStatus(status.responsible, alignment.to_own_ns(status.stamp_ns) - alignment.uncertainty_ns)
-            )
+            stamp_ns = alignment.to_own_ns(status.stamp_ns)
+            earliest_ns = stamp_ns - alignment.uncertainty_at(stamp_ns)
+            self._on_status(PeerStatus(status.responsible, earliest_ns, status.instance))
 
     def _on_status(self, status: PeerStatus) -> None:
         self._hear(lambda: status)
@@ -249,8 +249,8 @@ class MachineRun(Generic[Machine]):
         """Actions of a machine that was in the state ``before``, from one of them on."""
         for number in range(begin, len(actions)):
             action = actions[number]
-            if action == _TAKE and self._too_late():
-                break  # it took too long to write down; the machine is about to let go
+            if self._over(action):
+                break  # it took too long to come to it; the machine is about to let go
             if isinstance(action, Persist):
                 saved = self._store.begin_save(action.record)
                 if not saved.done():
@@ -285,10 +285,16 @@ class MachineRun(Generic[Machine]):
                 self._machine.state = before
             raise error
 
-    def _too_late(self) -> bool:
-        """What was just taken within a lease is over already."""
-        state = self._machine.state
-        return isinstance(state, Provisional) and self._session.now_ns() >= state.lease_end_ns
+    def _over(self, action: Action) -> bool:
+        """Taken within a lease, or said of one, that is over already."""
+        state, now_ns = self._machine.state, self._session.now_ns()
+        match action:
+            case TakeResponsibility():
+                return not action.at(now_ns)
+            case Send(Accept()):
+                return isinstance(state, Provisional) and now_ns >= state.lease_end_ns
+            case _:
+                return False
 
 
 def _retrieve(written: asyncio.Future[Any]) -> None:

@@ -30,7 +30,9 @@ TrialName = Literal[
     "rendezvous",
     "beacon",
     "soak",
+    "real",
 ]
+Errors = Literal["exact", "careful", "careless"] | None
 Faults = Annotated[
     tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@MOMENT[+SECONDS]]"), tyro.conf.UseAppendAction
 ]
@@ -54,6 +56,10 @@ class HandoffOptions:
 
     fault: Faults = ()
     """What is to go wrong, such as lookalike, link_loss=0.3 or kill_sender=1@verify+2; may be given several times."""
+
+    errors: Errors = None
+    """How far the simulated world is from what the rig says (docs/errors.md): as a careful crew leaves it, three times
+    that, or not at all; careful unless the rig says otherwise."""
 
     out: OutFolder = None
     """Folder for logs, summary and picture; runs/<time> by default."""
@@ -96,6 +102,9 @@ class RelayOptions:
 
     out: OutFolder = None
     """Folder for logs, summary and picture; runs/<time> by default."""
+
+    errors: Errors = None
+    """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
 
     logs: bool = False
     """Log everything, frame by frame, and not only what is decided: some 40 MB an hour."""
@@ -181,7 +190,10 @@ class DoctorOptions:
 
 @dataclass(frozen=True, slots=True)
 class RigsOptions:
-    """List the rigs that come with PATH."""
+    """List the rigs that come with PATH, or check one of your own."""
+
+    check: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    """Check everything in this rig that can be checked without touching hardware, as before a flight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +213,7 @@ class TrialOptions:
 
     name: Annotated[TrialName, tyro.conf.Positional]
     """Which trial; `all` runs those of the paper and makes one page, in about a quarter of an hour on two cores.
-    `processes`, `rendezvous`, `beacon` and `soak` are asked for by name."""
+    `processes`, `rendezvous`, `beacon`, `soak` and, without --set, `real` are asked for by name."""
 
     out: OutFolder = None
     """Folder for the page, summary.json and the pictures; trials/<time>-<name> by default."""
@@ -231,6 +243,13 @@ class TrialOptions:
 
     board: FileName = None
     """TOML file that describes a photograph of a marker board, for `corners`; without it no photograph is measured."""
+
+    set: Annotated[tuple[tuple[Path, ...], ...], tyro.conf.arg(metavar="FILE ..."), tyro.conf.UseAppendAction] = ()
+    """TOML files that describe sets of photographs of a board, for `real` (docs/real.md); may be given several
+    times."""
+
+    photographs: OutFolder = None
+    """What the paths in --set's files are relative to; by default each file's own folder."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,6 +307,9 @@ class CampaignOptions:
 
     rig: RigName = "sim"
     """The rig that is flown, of level sim."""
+
+    errors: Errors = None
+    """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,8 @@ from matplotlib.figure import Figure
 from drivers.log import LogRecord
 from missions.camera_views import draw_view
 from missions.palette import COUNT, DIM, FAULT, NEEDED, PHASES, ROLE
-from missions.records import Run, last
-from missions.summary import judged_pairs, start_ns
+from missions.records import Run, judged_pairs, last
+from missions.summary import start_ns
 from missions.truth import Truth, truth_of
 from path.messages import Role
 
@@ -94,15 +95,13 @@ def _draw_phases(axes: Axes, run: Run, seconds: Clock) -> None:
 def _responsible(records: Sequence[LogRecord], role: Role, seconds: Clock, end_s: float) -> list[tuple[float, float]]:
     """Spans in which a role was responsible."""
     spans: list[tuple[float, float]] = []
-    began: float | None = None
-    for record in records:
-        now_s = seconds(role, record.stamp_ns)
-        if record.record["responsible"] and began is None:
-            began = now_s
-        elif not record.record["responsible"] and began is not None:
-            spans.append((began, now_s))
-            began = None
-    return [*spans, (began, end_s)] if began is not None else spans
+    for record, after in zip_longest(records, records[1:]):
+        if record.record["responsible"]:
+            stop_s = end_s if after is None else seconds(role, after.stamp_ns)
+            until_ns = record.record["until_ns"]
+            over_s = stop_s if until_ns is None else min(stop_s, seconds(role, until_ns))
+            spans.append((seconds(role, record.stamp_ns), over_s))
+    return spans
 
 
 def _draw_agreement(axes: Axes, run: Run, seconds: Clock) -> None:

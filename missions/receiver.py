@@ -252,7 +252,7 @@ class Receiver:
         """The sender must be heard until this drone holds the target; within a lease, the lease decides."""
         session = self._session
         while not self._handover.holds_for_good:
-            if not self._handover.holds:
+            if not self._handover.within_lease:
                 session.require_peer()
                 if session.peer is not None and session.peer.phase >= Phase.DEPART:
                     raise MissionEnd(Outcome.PEER_ABORTED, "the sender is on its way down")
@@ -354,7 +354,7 @@ class Receiver:
         session, live = self._session, self._handover.live
         if live is None or not session.alignment.ready:
             return
-        if live != self._live:
+        if live.follows(self._live):
             self._live = live
             self._cycle = ReceiverCycle(
                 self._camera,

@@ -15,7 +15,8 @@ Topics of a role (fields in the order of interest; a field that does not apply i
     /phase           phase, note.  /note  note.
     /state           position_n_m, velocity_n_mps, q_n_b, mode, armed, battery; ten times a second
     /setpoint        velocity_n_mps, yaw_rad
-    /responsibility  responsible, provisional
+    /responsibility  responsible, until_ns (own clock; null: for good). It is over at until_ns, whether or not a
+                     record says so
     /link            packets_sent, packets_received, bytes_sent, bytes_received, dropped, clock_offset_ns
     /image           foxglove.CompressedImage; the stamp is the capture instant
     /outcome         outcome, detail, responsible, landed
@@ -60,10 +61,13 @@ import msgspec
 
 from drivers.interfaces import PartError
 from drivers.log import LogRecord, parts, read_log
+from missions.run_folder import RunKind
 from path.messages import Role
 
 SENDER_LOG, RECEIVER_LOG, WORLD_LOG = "sender.mcap", "receiver.mcap", "world.mcap"
 FACTS, SUMMARY, PICTURE = "run.json", "summary.json", "run.png"
+
+RUN = RunKind(FACTS, (SUMMARY, PICTURE), ("sender", "receiver", "world", "attack"))
 
 Records = Mapping[str, Sequence[LogRecord]]
 """Records of one log by topic, in the order written."""
@@ -83,6 +87,7 @@ class RunFacts:
         simulated_s, wall_s: duration on the mission's clock and on the wall.
         violations: number of violations by monitor name.
         notes: lines for the crew, details of violations.
+        errors: of the world, as ``flight.harness.FlightReport`` has them.
     """
 
     rig: str
@@ -96,6 +101,7 @@ class RunFacts:
     wall_s: float = 0.0
     violations: dict[str, int] = field(default_factory=dict[str, int])
     notes: tuple[str, ...] = ()
+    errors: dict[str, str | float] = field(default_factory=dict[str, str | float])
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +138,7 @@ def load_facts(folder: Path) -> RunFacts | None:
     """How a run ended; None when it was cut off before its end."""
     try:
         return msgspec.json.decode((folder / FACTS).read_bytes(), type=RunFacts)
-    except (OSError, msgspec.DecodeError):
+    except (OSError, msgspec.DecodeError):  # the marker of an unfinished run is not all of it
         return None
 
 
@@ -155,6 +161,12 @@ def first(records: Records, topic: str) -> dict[str, Any] | None:
     """The first record of a topic; None when there is none."""
     found = records.get(topic)
     return found[0].record if found else None
+
+
+def judged_pairs(run: Run) -> list[LogRecord]:
+    """One record for every candidate that the sender judged, up to the commit."""
+    commit = last(run.sender, "/commit")
+    return [r for r in run.sender.get("/agreement", ()) if commit is None or r.stamp_ns <= commit.stamp_ns]
 
 
 def last(records: Records, topic: str) -> LogRecord | None:

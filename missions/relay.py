@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers.interfaces import PartError
-from drivers.rig import Rig, import_factory
+from drivers.rig import Rig, import_factory, with_errors
 from flight.harness import Emit, Progress
-from flight.outcome import Outcome
+from flight.outcome import Outcome, violated_outcome
 from flight.relay import RelayConfig, RelayField, RelayHarness, RelayReport, RelayRequest
 from missions import rig_library
 from missions.options import RelayOptions
@@ -22,14 +22,14 @@ from missions.relay_process import processes_of
 from missions.relay_report import relay_table, summarize_relay
 from missions.relay_role import program_of
 from missions.report import show
-from missions.run_folder import new_folder
+from missions.run_folder import RunKind, claim_folder, new_folder
 
 SUMMARY, RELAY, PICTURE = "summary.json", "relay.json", "relay.png"
 
 
 def run(options: RelayOptions) -> int:
     """``path-handoff relay``; returns the relay's exit code. Raises PartError for what was asked wrongly."""
-    rig = rig_library.load(options.rig)
+    rig = with_errors(rig_library.load(options.rig), options.errors)
     config = relay_of(rig, options.drones)
     hours = hours_of(config, options)
     if not hours > 0.0:
@@ -67,6 +67,7 @@ def fly_relay(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """One relay to its end; writes its logs, ``relay.json`` and ``summary.json``. Returns summary and record."""
     harness: RelayHarness = import_factory(config.harness, rig.where("[relay] harness"))()
+    claim_folder(out, RunKind(RELAY, (SUMMARY, PICTURE), ("world", *(drone.name for drone in config.drones))))
     base = Base(config, tell, hours_of(config, options))
 
     async def main(ground: RelayField, stop: asyncio.Event, emit: Emit) -> None:
@@ -78,8 +79,9 @@ def fly_relay(
         rig, config, out, options.seed, faults, main, _quiet, processes, base.hours, options.logs
     )  # fmt: skip
     report = harness.fly(request)
-    record = record_of(config, base, report)
-    summary = summarize_relay(rig, config, options, base, report, *judge(base, report))
+    outcome, detail = judge(base, report)
+    record = {"outcome": outcome.label, **record_of(config, base, report)}
+    summary = summarize_relay(rig, config, options, base, report, outcome, detail)
     (out / RELAY).write_text(json.dumps(record, indent=1) + "\n", "utf-8")
     (out / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
     return summary, record
@@ -90,7 +92,7 @@ def judge(base: Base, report: RelayReport) -> tuple[Outcome, str]:
     if report.failure:
         return Outcome.HARNESS_FAILED, report.failure
     if report.violations:
-        return Outcome.MONITOR_VIOLATED, "; ".join(report.notes[:3])
+        return violated_outcome(report.violations), "; ".join(report.notes[:3])
     if report.interrupted:
         return Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
     if base.outcome is Outcome.COMMITTED and report.log_failure:

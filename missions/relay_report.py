@@ -36,6 +36,7 @@ def summarize_relay(
         "detail": detail,
         "rig": rig.name,
         "seed": options.seed,
+        "errors": dict(report.errors),
         "drones": len(config.drones),
         "hours": base.hours,
         "faults": list(options.fault),

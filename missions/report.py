@@ -57,6 +57,8 @@ def summary_table(summary: Mapping[str, Any]) -> RenderableType:
     good = summary["outcome"] == "committed"
     head = Text.assemble((f" {summary['outcome']} ", "bold black on green" if good else "bold white on red"))
     head.append(f"  rig {summary['rig']}, seed {summary['seed']}")
+    if summary["errors"]:
+        head.append(f", errors: {summary['errors']['level']}")
     if summary["faults"]:
         head.append(f", faults: {', '.join(summary['faults'])}", "yellow")
     parts: list[RenderableType] = [Text(), head]

@@ -9,6 +9,7 @@ from drivers.rig_check import check_rig
 from drivers.rig_file import load_rig
 from drivers.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
+from flight.plausible import check_plausible
 from missions.rig_list import FOLDER
 
 
@@ -22,6 +23,7 @@ def load(name_or_path: str) -> Rig:
         except RigError as error:
             problems.absorb(error)
     problems.raise_any()
+    check_plausible(rig)
     return rig
 
 

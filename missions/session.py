@@ -42,6 +42,7 @@ from flight.pilot import Pilot
 from flight.under_guard import UnderGuard
 from path.marker.warm_up import warm_up
 from path.messages import Ping, Pong, Role, Status
+from path.protocol.values import TakeResponsibility
 from path.rotation import yaw_of
 from path.window import Evidence
 
@@ -62,6 +63,10 @@ _PEER_PLACE_S = 1.0  # where the other drone was longer ago is not where it is
 
 def _ignore(_: object) -> None:
     pass
+
+
+def _no_instance() -> int:
+    return 0
 
 
 @dataclass(slots=True)
@@ -110,7 +115,8 @@ class Session:
         self.shown = Shown()
         self.peer: Status | None = None
         self.peer_heard_ns = 0
-        self.responsible = False
+        self.claim: TakeResponsibility | None = None
+        self.instance: Callable[[], int] = _no_instance  # what a Status of this drone names
         self.observing = False
         self.on_message: Callable[[Received], None] = _ignore
         self.on_status: Callable[[Status], None] = _ignore
@@ -165,7 +171,7 @@ class Session:
     def beat(self) -> Beat:
         """What the guard is told; a measured distance once."""
         script = self.script
-        if self.pilot.overridden:
+        if self.pilot.override:
             script = Script.LET_GO
         elif self.pilot.in_control:
             script = Script.CONTROL
@@ -181,10 +187,14 @@ class Session:
 
     async def keep_guard(self) -> None:
         """Beat for ever. The course ends when the guard took the flying vehicle from the script, or is gone."""
+        alarm = ""
         while self.guard is not None:
             beat = self.beat()
             self.guard.beat(beat)
-            self.guard.look()
+            answer = self.guard.look()
+            if answer is not None and answer.alarm not in ("", alarm):
+                alarm = answer.alarm
+                self.say(f"ALARM: the guard ignores {alarm}")
             try:
                 if beat.script in (Script.CLIMB, Script.CONTROL):
                     self.guard.check()
@@ -219,9 +229,19 @@ class Session:
         self.log.write("/note", self.now_ns(), {"note": note})
         self.show()
 
-    def set_responsible(self, responsible: bool, provisional: bool = False) -> None:
-        self.responsible = responsible
-        self.log.write("/responsibility", self.now_ns(), {"responsible": responsible, "provisional": provisional})
+    @property
+    def responsible(self) -> bool:
+        """Whether this drone is at this very instant: a lease that is over is over, whatever was slept through."""
+        return self.responsible_at(self.now_ns())
+
+    def responsible_at(self, now_ns: int) -> bool:
+        return self.claim is not None and self.claim.at(now_ns)
+
+    def set_claim(self, claim: TakeResponsibility | None) -> None:
+        """What this drone is responsible by from now on; None: it is not."""
+        self.claim = claim
+        record = {"responsible": claim is not None, "until_ns": None if claim is None else claim.until_ns}
+        self.log.write("/responsibility", self.now_ns(), record)
 
     def show(self) -> None:
         counters, evidence = self.link.counters, self.shown.evidence
@@ -318,17 +338,18 @@ class Session:
             await asyncio.sleep(_STATE_PERIOD_S)
 
     def _status(self) -> Status:
-        state = self.vehicle.state
+        state, now_ns = self.vehicle.state, self.now_ns()
         return Status(
             role=self.role,
-            stamp_ns=self.now_ns(),
+            stamp_ns=now_ns,
             position_n_m=state.position_n_m,
             velocity_n_mps=state.velocity_n_mps,
             yaw_rad=yaw_of(state.q_n_b),
             phase=int(self.phase),
-            responsible=self.responsible,
+            responsible=self.responsible_at(now_ns),
             observing=self.observing,
             battery=state.battery,
+            instance=self.instance(),
         )
 
     def _log_link(self) -> None:

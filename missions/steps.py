@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from drivers.guard_interfaces import Script
-from drivers.interfaces import Capability, FlightMode, VehicleError, lacking
+from drivers.interfaces import Capability, FlightMode, TakenOver, VehicleError, lacking
 from flight.guidance import Anchor, norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
@@ -75,15 +75,13 @@ async def take_off(session: Session, height_m: float) -> None:
 
 
 async def bring_down(session: Session, end: MissionEnd | None, way_out: Anchor) -> bool:
-    """Leave the other drone's way, to ``way_out``, then land. Returns whether the script landed the vehicle.
+    """Leave the other drone's way, to ``way_out``, then land. Returns whether the vehicle is down.
 
     A pilot who took over keeps the vehicle; a vehicle that is lost or refuses is not flown any farther.
     """
     pilot, guard = session.pilot, session.guard
     if end is not None and end.outcome in _SCRIPT_LET_GO and not (guard and guard.taken):
-        pilot.let_go()
-        session.set_script(Script.LET_GO)
-        return False
+        return _leave_to_pilot(session)
     if not session.vehicle.state.armed:
         pilot.let_go()
         return True
@@ -93,10 +91,12 @@ async def bring_down(session: Session, end: MissionEnd | None, way_out: Anchor) 
     pilot.let_go()
     if guard is not None and guard.taken:
         return await _leave_to_guard(session, guard)
-    if pilot.overridden or session.vehicle.state.mode is FlightMode.OTHER:
+    mode = session.vehicle.state.mode
+    if mode is FlightMode.OTHER:
+        pilot.override = pilot.override or f"mode is {mode.value}"
+    if pilot.override:
         session.say("the pilot flies: the script does not land")
-        session.set_script(Script.LET_GO)
-        return False
+        return _leave_to_pilot(session)
     return await _land(session)
 
 
@@ -113,9 +113,20 @@ async def _land(session: Session) -> bool:
         await session.vehicle.land(session.config.deadlines.land_s)
     except VehicleError as error:
         session.say(f"landing not confirmed: {error}")
+        if isinstance(error, TakenOver):
+            session.pilot.override = str(error)
+            return _leave_to_pilot(session)
         return False
     session.set_script(Script.IDLE)
     return True
+
+
+def _leave_to_pilot(session: Session) -> bool:
+    """Send nothing more; whether it is down already: a pilot may have landed it, or stopped the motors there."""
+    session.pilot.let_go()
+    session.set_script(Script.LET_GO)
+    state = session.vehicle.state
+    return not (state.armed or state.in_air)
 
 
 async def _leave_to_guard(session: Session, guard: UnderGuard) -> bool:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from drivers.log import LogRecord
-from missions.records import Records, Run, last
-from missions.truth import Truth, truth_of
+from missions.records import Records, Run, judged_pairs, last
+from missions.truth import Truth, box_center, handed_over, truth_of
 from path.geometry import Pose
 from path.messages import Role
 from path.rotation import R_from_quat
@@ -98,12 +98,13 @@ def _outcome(run: Run) -> dict[str, Any]:
     return {
         "outcome": facts.outcome if facts else "unfinished",
         "exit_code": facts.exit_code if facts else None,
-        "detail": facts.detail if facts else "the run was cut off: there is no run.json",
+        "detail": facts.detail if facts else "the run was cut off before its end",
         "rig": facts.rig if facts else None,
         "level": facts.level if facts else None,
         "seed": facts.seed if facts else None,
         "faults": list(facts.faults) if facts else [],
         "notes": list(facts.notes) if facts else [],
+        "errors": dict(facts.errors) if facts else {},
         "roles": roles,
     }
 
@@ -118,12 +119,6 @@ def _times(run: Run, span: Verification | None) -> dict[str, Any]:
         "wall_s": _rounded(facts.wall_s) if facts else None,
         "realtime_factor": _rounded(facts.simulated_s / facts.wall_s) if facts and facts.wall_s > 0.0 else None,
     }
-
-
-def judged_pairs(run: Run) -> list[LogRecord]:
-    """One record for every candidate that the sender judged, up to the commit."""
-    commit = last(run.sender, "/commit")
-    return [r for r in run.sender.get("/agreement", ()) if commit is None or r.stamp_ns <= commit.stamp_ns]
 
 
 def _agreement(run: Run, span: Verification | None) -> dict[str, Any]:
@@ -167,7 +162,6 @@ def _separation(run: Run, truth: Truth | None) -> dict[str, Any]:
 def _errors(run: Run, span: Verification | None, truth: Truth | None) -> dict[str, Any]:
     d2: list[float] = []
     target: list[float] = []
-    handed = None
     if truth is not None:
         sent = {r.record["sequence"]: r.record for r in run.sender.get("/target", ()) if r.record["reason"] is None}
         answers = {r.record["sequence"]: r.record for r in run.receiver.get("/candidate", ())}
@@ -176,17 +170,16 @@ def _errors(run: Run, span: Verification | None, truth: Truth | None) -> dict[st
             if answer is None or answer["box"] is None:
                 continue
             d2.append(d2_error_m(truth, answer))
-            handed = truth.object_at(Role.RECEIVER, answer["capture_ns"], box_center(answer["box"]))
             if point is not None and (error := target_error_m(truth, answer, point)) is not None:
                 target.append(error)
-    committed = span is not None and span.committed
+    handed = None if truth is None else handed_over(run, truth)
     return {
         "d2_error_m": _median(d2),
         "d2_error_p95_m": _p95(d2),
         "target_error_m": _median(target),
         "target_error_p95_m": _p95(target),
-        "object_handed_over": handed if committed else None,
-        "wrong_handover": (handed != truth.scene.target_id if committed else False) if truth else None,
+        "object_handed_over": handed,
+        "wrong_handover": None if truth is None else handed not in (None, truth.scene.target_id),
     }
 
 
@@ -214,11 +207,6 @@ def target_error_m(truth: Truth, answer: Mapping[str, Any], sent: Mapping[str, A
     T_v_c2 = Pose(R_from_quat((w, x, y, z)), np.array(answer["position_v_m"], float))
     estimated_c2 = T_v_c2.inverse().apply(np.array(answer["point_v_m"], float))
     return float(np.linalg.norm(estimated_c2 - true_c2))
-
-
-def box_center(box: Sequence[float]) -> tuple[float, float]:
-    x, y, w, h = box
-    return x + w / 2.0, y + h / 2.0
 
 
 def _link(run: Run, span: Verification | None) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.log import LogRecord
-from missions.records import Records, first
+from missions.records import Records, Run, first, judged_pairs, last
 from path.camera import CameraModel
 from path.geometry import Pose, Vector
 from path.messages import Role
@@ -130,6 +130,23 @@ def truth_of(world: Records) -> Truth | None:
     if scene is None or len(records) < 2:
         return None
     return Truth(_scene(scene), records)
+
+
+def handed_over(run: Run, truth: Truth) -> int | None:
+    """The object, in truth, in D2's box of the last pair that agreed before the commit; None without a commit."""
+    if last(run.sender, "/commit") is None:
+        return None
+    answers = {r.record["sequence"]: r.record for r in run.receiver.get("/candidate", ())}
+    for pair in reversed(judged_pairs(run)):
+        answer = answers.get(pair.record["sequence"])
+        if pair.record["agreed"] and answer is not None and answer["box"] is not None:
+            return truth.object_at(Role.RECEIVER, answer["capture_ns"], box_center(answer["box"]))
+    return None
+
+
+def box_center(box: Sequence[float]) -> tuple[float, float]:
+    x, y, w, h = box
+    return x + w / 2.0, y + h / 2.0
 
 
 def first_hit(origin: Vector, direction: Vector, boxes: Array) -> Vector | None:

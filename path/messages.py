@@ -1,6 +1,7 @@
 """The messages two drones exchange, as values. How they look on the wire is ``drivers.wire``.
 
-Stamps are nanoseconds of the *sending* drone's clock; the receiver converts them (``flight.clocks``).
+Stamps are nanoseconds of the *sending* drone's clock; the receiver converts them (``flight.clocks``). An ``instance``
+names one receiver: a number of 24 bits that its program draws when it starts, or takes over from its record; never 0.
 """
 
 from __future__ import annotations
@@ -63,6 +64,7 @@ class Status:
     responsible: bool
     observing: bool
     battery: float  # 0..1
+    instance: int = 0  # of a receiver its own; of a sender that of the receiver it committed to, 0 for none
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +95,7 @@ class Commit:
     nonce: int  # u32
     lease_end_ns: int  # D1's clock
     stamp_ns: int
+    instance: int  # of the one receiver it is for
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +107,7 @@ class Accept:
     target_id: int
     nonce: int
     stamp_ns: int
+    instance: int  # who took it
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +119,7 @@ class Confirm:
     target_id: int
     nonce: int
     stamp_ns: int
+    instance: int  # of the receiver that holds it
 
 
 class AbortReason(Enum):
@@ -136,6 +141,7 @@ class Abort:
     epoch: int
     reason: AbortReason
     stamp_ns: int
+    instance: int = 0  # of the receiver that the attempt was committed to; 0 before a COMMIT
 
 
 Message = Target | Candidate | Status | Ping | Pong | Commit | Accept | Confirm | Abort

@@ -1076,22 +1076,22 @@ class MAVLink_path_status_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_PATH_STATUS
     msgname = "PATH_STATUS"
-    fieldnames = ["stamp_low", "north", "east", "down", "v_north", "v_east", "v_down", "yaw", "stamp_high", "role", "phase", "flags", "battery"]
-    ordered_fieldnames = ["stamp_low", "north", "east", "down", "v_north", "v_east", "v_down", "yaw", "stamp_high", "role", "phase", "flags", "battery"]
-    fieldtypes = ["uint32_t", "int32_t", "int32_t", "int32_t", "int16_t", "int16_t", "int16_t", "int16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fieldnames = ["stamp_low", "north", "east", "down", "v_north", "v_east", "v_down", "yaw", "stamp_high", "instance_low", "role", "phase", "flags", "battery", "instance_high"]
+    ordered_fieldnames = ["stamp_low", "north", "east", "down", "v_north", "v_east", "v_down", "yaw", "stamp_high", "instance_low", "role", "phase", "flags", "battery", "instance_high"]
+    fieldtypes = ["uint32_t", "int32_t", "int32_t", "int32_t", "int16_t", "int16_t", "int16_t", "int16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {"flags": "bitmask"}
     fieldenums_by_name: Dict[str, str] = {"role": "PATH_ROLE", "flags": "PATH_FLAG"}
     fieldunits_by_name: Dict[str, str] = {"north": "mm", "east": "mm", "down": "mm", "v_north": "cm/s", "v_east": "cm/s", "v_down": "cm/s"}
-    native_format = bytearray(b"<IiiihhhhHBBBB")
-    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 170
-    unpacker = struct.Struct("<IiiihhhhHBBBB")
+    native_format = bytearray(b"<IiiihhhhHHBBBBB")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 42
+    unpacker = struct.Struct("<IiiihhhhHHBBBBB")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, stamp_low: int, north: int, east: int, down: int, v_north: int, v_east: int, v_down: int, yaw: int, stamp_high: int, role: int, phase: int, flags: int, battery: int):
+    def __init__(self, stamp_low: int, north: int, east: int, down: int, v_north: int, v_east: int, v_down: int, yaw: int, stamp_high: int, instance_low: int, role: int, phase: int, flags: int, battery: int, instance_high: int):
         MAVLink_message.__init__(self, MAVLink_path_status_message.id, MAVLink_path_status_message.msgname)
         self._fieldnames = MAVLink_path_status_message.fieldnames
         self._instance_field = MAVLink_path_status_message.instance_field
@@ -1105,13 +1105,15 @@ class MAVLink_path_status_message(MAVLink_message):
         self.v_down = v_down
         self.yaw = yaw
         self.stamp_high = stamp_high
+        self.instance_low = instance_low
         self.role = role
         self.phase = phase
         self.flags = flags
         self.battery = battery
+        self.instance_high = instance_high
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.stamp_low, self.north, self.east, self.down, self.v_north, self.v_east, self.v_down, self.yaw, self.stamp_high, self.role, self.phase, self.flags, self.battery), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.stamp_low, self.north, self.east, self.down, self.v_north, self.v_east, self.v_down, self.yaw, self.stamp_high, self.instance_low, self.role, self.phase, self.flags, self.battery, self.instance_high), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -1207,22 +1209,22 @@ class MAVLink_path_commit_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_PATH_COMMIT
     msgname = "PATH_COMMIT"
-    fieldnames = ["lease_end_ns", "stamp_ns", "nonce", "handoff_id", "epoch", "target_id"]
-    ordered_fieldnames = ["lease_end_ns", "stamp_ns", "nonce", "handoff_id", "epoch", "target_id"]
-    fieldtypes = ["uint64_t", "uint64_t", "uint32_t", "uint16_t", "uint16_t", "uint8_t"]
+    fieldnames = ["lease_end_ns", "stamp_ns", "nonce", "instance", "handoff_id", "epoch", "target_id"]
+    ordered_fieldnames = ["lease_end_ns", "stamp_ns", "nonce", "instance", "handoff_id", "epoch", "target_id"]
+    fieldtypes = ["uint64_t", "uint64_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {"lease_end_ns": "ns", "stamp_ns": "ns"}
-    native_format = bytearray(b"<QQIHHB")
-    orders = [0, 1, 2, 3, 4, 5]
-    lengths = [1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0]
-    crc_extra = 150
-    unpacker = struct.Struct("<QQIHHB")
+    native_format = bytearray(b"<QQIIHHB")
+    orders = [0, 1, 2, 3, 4, 5, 6]
+    lengths = [1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 55
+    unpacker = struct.Struct("<QQIIHHB")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, lease_end_ns: int, stamp_ns: int, nonce: int, handoff_id: int, epoch: int, target_id: int):
+    def __init__(self, lease_end_ns: int, stamp_ns: int, nonce: int, instance: int, handoff_id: int, epoch: int, target_id: int):
         MAVLink_message.__init__(self, MAVLink_path_commit_message.id, MAVLink_path_commit_message.msgname)
         self._fieldnames = MAVLink_path_commit_message.fieldnames
         self._instance_field = MAVLink_path_commit_message.instance_field
@@ -1230,12 +1232,13 @@ class MAVLink_path_commit_message(MAVLink_message):
         self.lease_end_ns = lease_end_ns
         self.stamp_ns = stamp_ns
         self.nonce = nonce
+        self.instance = instance
         self.handoff_id = handoff_id
         self.epoch = epoch
         self.target_id = target_id
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.lease_end_ns, self.stamp_ns, self.nonce, self.handoff_id, self.epoch, self.target_id), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.lease_end_ns, self.stamp_ns, self.nonce, self.instance, self.handoff_id, self.epoch, self.target_id), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -1250,34 +1253,35 @@ class MAVLink_path_accept_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_PATH_ACCEPT
     msgname = "PATH_ACCEPT"
-    fieldnames = ["stamp_ns", "nonce", "handoff_id", "epoch", "target_id"]
-    ordered_fieldnames = ["stamp_ns", "nonce", "handoff_id", "epoch", "target_id"]
-    fieldtypes = ["uint64_t", "uint32_t", "uint16_t", "uint16_t", "uint8_t"]
+    fieldnames = ["stamp_ns", "nonce", "instance", "handoff_id", "epoch", "target_id"]
+    ordered_fieldnames = ["stamp_ns", "nonce", "instance", "handoff_id", "epoch", "target_id"]
+    fieldtypes = ["uint64_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {"stamp_ns": "ns"}
-    native_format = bytearray(b"<QIHHB")
-    orders = [0, 1, 2, 3, 4]
-    lengths = [1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0]
-    crc_extra = 194
-    unpacker = struct.Struct("<QIHHB")
+    native_format = bytearray(b"<QIIHHB")
+    orders = [0, 1, 2, 3, 4, 5]
+    lengths = [1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0]
+    crc_extra = 96
+    unpacker = struct.Struct("<QIIHHB")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, stamp_ns: int, nonce: int, handoff_id: int, epoch: int, target_id: int):
+    def __init__(self, stamp_ns: int, nonce: int, instance: int, handoff_id: int, epoch: int, target_id: int):
         MAVLink_message.__init__(self, MAVLink_path_accept_message.id, MAVLink_path_accept_message.msgname)
         self._fieldnames = MAVLink_path_accept_message.fieldnames
         self._instance_field = MAVLink_path_accept_message.instance_field
         self._instance_offset = MAVLink_path_accept_message.instance_offset
         self.stamp_ns = stamp_ns
         self.nonce = nonce
+        self.instance = instance
         self.handoff_id = handoff_id
         self.epoch = epoch
         self.target_id = target_id
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.stamp_ns, self.nonce, self.handoff_id, self.epoch, self.target_id), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.stamp_ns, self.nonce, self.instance, self.handoff_id, self.epoch, self.target_id), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -1292,34 +1296,35 @@ class MAVLink_path_confirm_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_PATH_CONFIRM
     msgname = "PATH_CONFIRM"
-    fieldnames = ["stamp_ns", "nonce", "handoff_id", "epoch", "target_id"]
-    ordered_fieldnames = ["stamp_ns", "nonce", "handoff_id", "epoch", "target_id"]
-    fieldtypes = ["uint64_t", "uint32_t", "uint16_t", "uint16_t", "uint8_t"]
+    fieldnames = ["stamp_ns", "nonce", "instance", "handoff_id", "epoch", "target_id"]
+    ordered_fieldnames = ["stamp_ns", "nonce", "instance", "handoff_id", "epoch", "target_id"]
+    fieldtypes = ["uint64_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {"stamp_ns": "ns"}
-    native_format = bytearray(b"<QIHHB")
-    orders = [0, 1, 2, 3, 4]
-    lengths = [1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0]
-    crc_extra = 245
-    unpacker = struct.Struct("<QIHHB")
+    native_format = bytearray(b"<QIIHHB")
+    orders = [0, 1, 2, 3, 4, 5]
+    lengths = [1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0]
+    crc_extra = 214
+    unpacker = struct.Struct("<QIIHHB")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, stamp_ns: int, nonce: int, handoff_id: int, epoch: int, target_id: int):
+    def __init__(self, stamp_ns: int, nonce: int, instance: int, handoff_id: int, epoch: int, target_id: int):
         MAVLink_message.__init__(self, MAVLink_path_confirm_message.id, MAVLink_path_confirm_message.msgname)
         self._fieldnames = MAVLink_path_confirm_message.fieldnames
         self._instance_field = MAVLink_path_confirm_message.instance_field
         self._instance_offset = MAVLink_path_confirm_message.instance_offset
         self.stamp_ns = stamp_ns
         self.nonce = nonce
+        self.instance = instance
         self.handoff_id = handoff_id
         self.epoch = epoch
         self.target_id = target_id
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.stamp_ns, self.nonce, self.handoff_id, self.epoch, self.target_id), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.stamp_ns, self.nonce, self.instance, self.handoff_id, self.epoch, self.target_id), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -1334,33 +1339,34 @@ class MAVLink_path_abort_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_PATH_ABORT
     msgname = "PATH_ABORT"
-    fieldnames = ["stamp_ns", "handoff_id", "epoch", "reason"]
-    ordered_fieldnames = ["stamp_ns", "handoff_id", "epoch", "reason"]
-    fieldtypes = ["uint64_t", "uint16_t", "uint16_t", "uint8_t"]
+    fieldnames = ["stamp_ns", "instance", "handoff_id", "epoch", "reason"]
+    ordered_fieldnames = ["stamp_ns", "instance", "handoff_id", "epoch", "reason"]
+    fieldtypes = ["uint64_t", "uint32_t", "uint16_t", "uint16_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {"reason": "PATH_ABORT"}
     fieldunits_by_name: Dict[str, str] = {"stamp_ns": "ns"}
-    native_format = bytearray(b"<QHHB")
-    orders = [0, 1, 2, 3]
-    lengths = [1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0]
-    crc_extra = 233
-    unpacker = struct.Struct("<QHHB")
+    native_format = bytearray(b"<QIHHB")
+    orders = [0, 1, 2, 3, 4]
+    lengths = [1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0]
+    crc_extra = 75
+    unpacker = struct.Struct("<QIHHB")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, stamp_ns: int, handoff_id: int, epoch: int, reason: int):
+    def __init__(self, stamp_ns: int, instance: int, handoff_id: int, epoch: int, reason: int):
         MAVLink_message.__init__(self, MAVLink_path_abort_message.id, MAVLink_path_abort_message.msgname)
         self._fieldnames = MAVLink_path_abort_message.fieldnames
         self._instance_field = MAVLink_path_abort_message.instance_field
         self._instance_offset = MAVLink_path_abort_message.instance_offset
         self.stamp_ns = stamp_ns
+        self.instance = instance
         self.handoff_id = handoff_id
         self.epoch = epoch
         self.reason = reason
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.stamp_ns, self.handoff_id, self.epoch, self.reason), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.stamp_ns, self.instance, self.handoff_id, self.epoch, self.reason), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -1931,7 +1937,7 @@ class MAVLink(object):
         """
         self.send(self.path_candidate_encode(capture_low, position_x, position_y, position_z, rotation_x, rotation_y, rotation_z, handoff_id, epoch, sequence, target_sequence, box_x, box_y, box_w, box_h, sigma, capture_high, position_x_part, position_y_part, position_z_part, target_id, miss), force_mavlink1=force_mavlink1)
 
-    def path_status_encode(self, stamp_low: int, north: int, east: int, down: int, v_north: int, v_east: int, v_down: int, yaw: int, stamp_high: int, role: int, phase: int, flags: int, battery: int) -> MAVLink_path_status_message:
+    def path_status_encode(self, stamp_low: int, north: int, east: int, down: int, v_north: int, v_east: int, v_down: int, yaw: int, stamp_high: int, instance_low: int, role: int, phase: int, flags: int, battery: int, instance_high: int) -> MAVLink_path_status_message:
         """
         Both ways: own position estimate and state, a few times a second.
 
@@ -1944,15 +1950,17 @@ class MAVLink(object):
         v_down                    : Velocity in n. [cm/s] (type:int16_t)
         yaw                       : Clockwise from north, 0.0001 rad. (type:int16_t)
         stamp_high                : When it was so, 2^32 times 10 us. (type:uint16_t)
+        instance_low              : The receiver: its own of a receiver, that it committed to of a sender, 0 for none. (type:uint16_t)
         role                      : Who. (type:uint8_t, values:PATH_ROLE)
         phase                     : Index into the flight phases. (type:uint8_t)
         flags                     : Responsible, observing. (type:uint8_t, values:PATH_FLAG)
         battery                   : 0.5 percent. (type:uint8_t)
+        instance_high             : The receiver, times 2^16. (type:uint8_t)
 
         """
-        return MAVLink_path_status_message(stamp_low, north, east, down, v_north, v_east, v_down, yaw, stamp_high, role, phase, flags, battery)
+        return MAVLink_path_status_message(stamp_low, north, east, down, v_north, v_east, v_down, yaw, stamp_high, instance_low, role, phase, flags, battery, instance_high)
 
-    def path_status_send(self, stamp_low: int, north: int, east: int, down: int, v_north: int, v_east: int, v_down: int, yaw: int, stamp_high: int, role: int, phase: int, flags: int, battery: int, force_mavlink1: bool = False) -> None:
+    def path_status_send(self, stamp_low: int, north: int, east: int, down: int, v_north: int, v_east: int, v_down: int, yaw: int, stamp_high: int, instance_low: int, role: int, phase: int, flags: int, battery: int, instance_high: int, force_mavlink1: bool = False) -> None:
         """
         Both ways: own position estimate and state, a few times a second.
 
@@ -1965,13 +1973,15 @@ class MAVLink(object):
         v_down                    : Velocity in n. [cm/s] (type:int16_t)
         yaw                       : Clockwise from north, 0.0001 rad. (type:int16_t)
         stamp_high                : When it was so, 2^32 times 10 us. (type:uint16_t)
+        instance_low              : The receiver: its own of a receiver, that it committed to of a sender, 0 for none. (type:uint16_t)
         role                      : Who. (type:uint8_t, values:PATH_ROLE)
         phase                     : Index into the flight phases. (type:uint8_t)
         flags                     : Responsible, observing. (type:uint8_t, values:PATH_FLAG)
         battery                   : 0.5 percent. (type:uint8_t)
+        instance_high             : The receiver, times 2^16. (type:uint8_t)
 
         """
-        self.send(self.path_status_encode(stamp_low, north, east, down, v_north, v_east, v_down, yaw, stamp_high, role, phase, flags, battery), force_mavlink1=force_mavlink1)
+        self.send(self.path_status_encode(stamp_low, north, east, down, v_north, v_east, v_down, yaw, stamp_high, instance_low, role, phase, flags, battery, instance_high), force_mavlink1=force_mavlink1)
 
     def path_ping_encode(self, sent_ns: int, nonce: int) -> MAVLink_path_ping_message:
         """
@@ -2017,7 +2027,7 @@ class MAVLink(object):
         """
         self.send(self.path_pong_encode(ping_sent_ns, received_ns, sent_ns, nonce), force_mavlink1=force_mavlink1)
 
-    def path_commit_encode(self, lease_end_ns: int, stamp_ns: int, nonce: int, handoff_id: int, epoch: int, target_id: int) -> MAVLink_path_commit_message:
+    def path_commit_encode(self, lease_end_ns: int, stamp_ns: int, nonce: int, instance: int, handoff_id: int, epoch: int, target_id: int) -> MAVLink_path_commit_message:
         """
         Sender to receiver: released; the receiver may hold the target
         provisionally until the lease ends.
@@ -2025,14 +2035,15 @@ class MAVLink(object):
         lease_end_ns              : End of the lease, sender's clock. [ns] (type:uint64_t)
         stamp_ns                  : When it was sent. [ns] (type:uint64_t)
         nonce                     : Names this commit. (type:uint32_t)
+        instance                  : The receiver it is for. (type:uint32_t)
         handoff_id                : Handoff. (type:uint16_t)
         epoch                     : Epoch. (type:uint16_t)
         target_id                 : Target. (type:uint8_t)
 
         """
-        return MAVLink_path_commit_message(lease_end_ns, stamp_ns, nonce, handoff_id, epoch, target_id)
+        return MAVLink_path_commit_message(lease_end_ns, stamp_ns, nonce, instance, handoff_id, epoch, target_id)
 
-    def path_commit_send(self, lease_end_ns: int, stamp_ns: int, nonce: int, handoff_id: int, epoch: int, target_id: int, force_mavlink1: bool = False) -> None:
+    def path_commit_send(self, lease_end_ns: int, stamp_ns: int, nonce: int, instance: int, handoff_id: int, epoch: int, target_id: int, force_mavlink1: bool = False) -> None:
         """
         Sender to receiver: released; the receiver may hold the target
         provisionally until the lease ends.
@@ -2040,88 +2051,95 @@ class MAVLink(object):
         lease_end_ns              : End of the lease, sender's clock. [ns] (type:uint64_t)
         stamp_ns                  : When it was sent. [ns] (type:uint64_t)
         nonce                     : Names this commit. (type:uint32_t)
+        instance                  : The receiver it is for. (type:uint32_t)
         handoff_id                : Handoff. (type:uint16_t)
         epoch                     : Epoch. (type:uint16_t)
         target_id                 : Target. (type:uint8_t)
 
         """
-        self.send(self.path_commit_encode(lease_end_ns, stamp_ns, nonce, handoff_id, epoch, target_id), force_mavlink1=force_mavlink1)
+        self.send(self.path_commit_encode(lease_end_ns, stamp_ns, nonce, instance, handoff_id, epoch, target_id), force_mavlink1=force_mavlink1)
 
-    def path_accept_encode(self, stamp_ns: int, nonce: int, handoff_id: int, epoch: int, target_id: int) -> MAVLink_path_accept_message:
+    def path_accept_encode(self, stamp_ns: int, nonce: int, instance: int, handoff_id: int, epoch: int, target_id: int) -> MAVLink_path_accept_message:
         """
         Receiver to sender: taken provisionally; repeated until confirmed.
 
         stamp_ns                  : When it was sent. [ns] (type:uint64_t)
         nonce                     : Of the commit. (type:uint32_t)
+        instance                  : The receiver that took it. (type:uint32_t)
         handoff_id                : Handoff. (type:uint16_t)
         epoch                     : Epoch. (type:uint16_t)
         target_id                 : Target. (type:uint8_t)
 
         """
-        return MAVLink_path_accept_message(stamp_ns, nonce, handoff_id, epoch, target_id)
+        return MAVLink_path_accept_message(stamp_ns, nonce, instance, handoff_id, epoch, target_id)
 
-    def path_accept_send(self, stamp_ns: int, nonce: int, handoff_id: int, epoch: int, target_id: int, force_mavlink1: bool = False) -> None:
+    def path_accept_send(self, stamp_ns: int, nonce: int, instance: int, handoff_id: int, epoch: int, target_id: int, force_mavlink1: bool = False) -> None:
         """
         Receiver to sender: taken provisionally; repeated until confirmed.
 
         stamp_ns                  : When it was sent. [ns] (type:uint64_t)
         nonce                     : Of the commit. (type:uint32_t)
+        instance                  : The receiver that took it. (type:uint32_t)
         handoff_id                : Handoff. (type:uint16_t)
         epoch                     : Epoch. (type:uint16_t)
         target_id                 : Target. (type:uint8_t)
 
         """
-        self.send(self.path_accept_encode(stamp_ns, nonce, handoff_id, epoch, target_id), force_mavlink1=force_mavlink1)
+        self.send(self.path_accept_encode(stamp_ns, nonce, instance, handoff_id, epoch, target_id), force_mavlink1=force_mavlink1)
 
-    def path_confirm_encode(self, stamp_ns: int, nonce: int, handoff_id: int, epoch: int, target_id: int) -> MAVLink_path_confirm_message:
+    def path_confirm_encode(self, stamp_ns: int, nonce: int, instance: int, handoff_id: int, epoch: int, target_id: int) -> MAVLink_path_confirm_message:
         """
         Sender to receiver: yours for good; one for every accept.
 
         stamp_ns                  : When it was sent. [ns] (type:uint64_t)
         nonce                     : Of the commit. (type:uint32_t)
+        instance                  : The receiver that holds it. (type:uint32_t)
         handoff_id                : Handoff. (type:uint16_t)
         epoch                     : Epoch. (type:uint16_t)
         target_id                 : Target. (type:uint8_t)
 
         """
-        return MAVLink_path_confirm_message(stamp_ns, nonce, handoff_id, epoch, target_id)
+        return MAVLink_path_confirm_message(stamp_ns, nonce, instance, handoff_id, epoch, target_id)
 
-    def path_confirm_send(self, stamp_ns: int, nonce: int, handoff_id: int, epoch: int, target_id: int, force_mavlink1: bool = False) -> None:
+    def path_confirm_send(self, stamp_ns: int, nonce: int, instance: int, handoff_id: int, epoch: int, target_id: int, force_mavlink1: bool = False) -> None:
         """
         Sender to receiver: yours for good; one for every accept.
 
         stamp_ns                  : When it was sent. [ns] (type:uint64_t)
         nonce                     : Of the commit. (type:uint32_t)
+        instance                  : The receiver that holds it. (type:uint32_t)
         handoff_id                : Handoff. (type:uint16_t)
         epoch                     : Epoch. (type:uint16_t)
         target_id                 : Target. (type:uint8_t)
 
         """
-        self.send(self.path_confirm_encode(stamp_ns, nonce, handoff_id, epoch, target_id), force_mavlink1=force_mavlink1)
+        self.send(self.path_confirm_encode(stamp_ns, nonce, instance, handoff_id, epoch, target_id), force_mavlink1=force_mavlink1)
 
-    def path_abort_encode(self, stamp_ns: int, handoff_id: int, epoch: int, reason: int) -> MAVLink_path_abort_message:
+    def path_abort_encode(self, stamp_ns: int, instance: int, handoff_id: int, epoch: int, reason: int) -> MAVLink_path_abort_message:
         """
         Either way: this handoff is over; nothing is transferred by it.
 
         stamp_ns                  : When it was sent. [ns] (type:uint64_t)
+        instance                  : The receiver it was committed to; 0 before a commit. (type:uint32_t)
         handoff_id                : Handoff. (type:uint16_t)
         epoch                     : Epoch. (type:uint16_t)
         reason                    : Why. (type:uint8_t, values:PATH_ABORT)
 
         """
-        return MAVLink_path_abort_message(stamp_ns, handoff_id, epoch, reason)
+        return MAVLink_path_abort_message(stamp_ns, instance, handoff_id, epoch, reason)
 
-    def path_abort_send(self, stamp_ns: int, handoff_id: int, epoch: int, reason: int, force_mavlink1: bool = False) -> None:
+    def path_abort_send(self, stamp_ns: int, instance: int, handoff_id: int, epoch: int, reason: int, force_mavlink1: bool = False) -> None:
         """
         Either way: this handoff is over; nothing is transferred by it.
 
         stamp_ns                  : When it was sent. [ns] (type:uint64_t)
+        instance                  : The receiver it was committed to; 0 before a commit. (type:uint32_t)
         handoff_id                : Handoff. (type:uint16_t)
         epoch                     : Epoch. (type:uint16_t)
         reason                    : Why. (type:uint8_t, values:PATH_ABORT)
 
         """
-        self.send(self.path_abort_encode(stamp_ns, handoff_id, epoch, reason), force_mavlink1=force_mavlink1)
+        self.send(self.path_abort_encode(stamp_ns, instance, handoff_id, epoch, reason), force_mavlink1=force_mavlink1)
 
     def heartbeat_encode(self, type: int, autopilot: int, base_mode: int, custom_mode: int, system_status: int, mavlink_version: int = 3) -> MAVLink_heartbeat_message:
         """

@@ -8,7 +8,7 @@ import tomllib
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TextIO
+from typing import Annotated, TextIO
 
 import cv2
 import numpy as np
@@ -33,6 +33,7 @@ from missions.calibrate.collect import image_files
 from missions.options import CalibrateMountOptions
 from missions.rig_list import FOLDER
 from missions.work import Bars
+from path.bounds import Bounds
 from path.calibration.board import Board, find_board
 from path.calibration.intrinsics import NotSolvable
 from path.calibration.mount import MountSolution, Pair, solve_mount
@@ -51,8 +52,8 @@ SIDE_SIGMAS = 4.0
 class MeasuredSigma:
     """How well a tape measure and a protractor were read, one standard deviation per axis."""
 
-    position_m: float
-    angle_deg: float
+    position_m: Annotated[float, Bounds(0.0, 1.0, above=True)]
+    angle_deg: Annotated[float, Bounds(0.0, 90.0, above=True)]
 
     def __post_init__(self) -> None:
         if not (self.position_m > 0.0 and self.angle_deg > 0.0):

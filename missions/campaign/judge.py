@@ -106,12 +106,12 @@ class Judge:
         if message.epoch not in self._agreed or message.target_id == OTHER_ID:
             self._violated("S5", f"COMMIT to target {message.target_id} in epoch {message.epoch} without agreement")
         end_s = world.now_s + (message.lease_end_ns - program.now_ns()) * 1e-9 / program.clock.rate
-        handoff = Handoff(message.handoff_id, message.epoch, message.target_id)
+        handoff = Handoff(message.handoff_id, message.epoch, message.target_id, message.instance)
         self._issued.setdefault((message.epoch, message.nonce), _Issued(handoff, end_s))
         if self._committed_s is None:
             self._committed_s = world.now_s
 
-    def responsible(self, program: Program, provisional: bool) -> None:
+    def claimed(self, program: Program) -> None:
         world = self._world
         if not program.responsible:
             return
@@ -123,7 +123,7 @@ class Judge:
         state = program.handover.state
         if program.role is Role.SENDER:
             self._took_back(state)
-        elif provisional:
+        elif program.claim is not None and program.claim.provisional:
             self._took_over(state)
 
     def _took_back(self, state: Any) -> None:
@@ -244,9 +244,10 @@ class Judge:
             return False
         if isinstance(gives, sender.Idle):  # before its first offer, or landed: of what it once had there is no word
             return bool(self._epochs) and not self._anew
-        if takes is None:
+        program = self._world.program(Role.RECEIVER)
+        if takes is None or program is None:
             return not isinstance(gives, sender.HandedOver)
-        return not receiver.is_responsible(takes)
+        return not receiver.is_responsible(takes, program.now_ns())
 
     def _close_gap(self) -> None:
         if self._alone_s is not None and not self._orphaned and not self._anew:
@@ -300,8 +301,4 @@ def _is_what_it_says(program: Program, state: Any) -> bool:
         if program.responsible == sender.is_responsible(state):
             return True
         return not program.responsible and isinstance(state, sender.Keeping) and not program.vehicle.state.armed
-    if program.responsible == receiver.is_responsible(state):
-        return True
-    # what was written down too late is not taken, and about to be let go
-    late = isinstance(state, receiver.Provisional) and program.now_ns() >= state.lease_end_ns
-    return not program.responsible and late
+    return program.responsible == receiver.is_responsible(state, program.now_ns())

@@ -178,7 +178,11 @@ class Machines:
             forger = Codec(PEER[role], rng.randbytes(KEY_LENGTH), stamp=lambda: rng.getrandbits(47))
             epoch, nonce = rng.randint(1, 3), rng.getrandbits(32)
             lease_ns = self._drones[PEER[role]].clock.read_ns(self.now_s) + 1_500_000_000
-            word = Commit(1, epoch, 1, nonce, lease_ns, 1) if role is Role.RECEIVER else Accept(1, epoch, 1, nonce, 1)
+            told = rng.getrandbits(24)
+            if role is Role.RECEIVER:
+                word: Message = Commit(1, epoch, 1, nonce, lease_ns, 1, told)
+            else:
+                word = Accept(1, epoch, 1, nonce, 1, told)
             self._deliver(role, forger.encode(word), None)
         self.at(self.now_s + rng.expovariate(self.plan.forged_hz), self._forge)
 
@@ -202,7 +206,7 @@ class Machines:
         drone = self._drones[program.role]
         crash = drone.crash
         assert crash is not None
-        program.alive = program.responsible = False
+        program.alive, program.claim = False, None
         drone.program = None
         if program.writing is not None and self.random.random() < 0.5:
             drone.store.save(program.writing)

@@ -23,7 +23,7 @@ from missions.handover import ReceiverHandover, SenderHandover
 from path.messages import Candidate, Message, Ping, Pong, Role, Status, Target
 from path.observations import MissReason
 from path.protocol.values import Outcome as Decision
-from path.protocol.values import ReceiverRecord, SenderRecord
+from path.protocol.values import ReceiverRecord, SenderRecord, TakeResponsibility
 
 if TYPE_CHECKING:
     from missions.campaign.machines import Machines, TrueClock
@@ -59,7 +59,9 @@ class Program:
         self.alignment = ClockAlignment()
         self.entropy = random.Random(f"{world.plan.seed} {self.role.value} {life}")
         self.link = self.log = self
-        self.responsible = self.observing = False
+        self.claim: TakeResponsibility | None = None
+        self.instance: Callable[[], int] = int
+        self.observing = False
         self.peer: Status | None = None
         self.alive = True
         self.end: MissionEnd | None = None
@@ -94,11 +96,16 @@ class Program:
 
         self._effect(out)
 
-    def set_responsible(self, responsible: bool, provisional: bool = False) -> None:
+    @property
+    def responsible(self) -> bool:
+        return self.claim is not None and self.claim.at(self.now_ns())
+
+    def set_claim(self, claim: TakeResponsibility | None) -> None:
         def change() -> None:
-            self.responsible = responsible
-            self.world.tell(self.role, "is responsible" if responsible else "is not responsible", provisional)
-            self.world.judge.responsible(self, provisional)
+            self.claim = claim
+            provisional = claim is not None and claim.provisional and "provisionally"
+            self.world.tell(self.role, "is not responsible" if claim is None else "is responsible", provisional)
+            self.world.judge.claimed(self)
 
         self._effect(change)
 
@@ -128,6 +135,9 @@ class Program:
 
         after_s = self.world.random.uniform(0.0, self.world.plan.disk_s)
         self.world.at(self.world.now_s + after_s, lambda: self.run(written))
+
+    def say(self, note: str) -> None:
+        self.world.tell(self.role, note)
 
     def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
         del stamp_ns
@@ -237,7 +247,8 @@ class Program:
     def _report(self) -> float:
         rate_hz = self.config.status_hz if self.role is Role.SENDER else self.config.receiver_status_hz
         status = Status(
-            self.role, self.now_ns(), ORIGIN, ORIGIN, 0.0, 0, self.responsible, self.observing, 1.0
+            self.role, self.now_ns(), ORIGIN, ORIGIN, 0.0, 0, self.responsible, self.observing, 1.0,
+            self.instance(),
         )  # fmt: skip
         self.send(status)
         if self.alignment.fault:

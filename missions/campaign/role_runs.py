@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.interfaces import PartError
-from drivers.rig import Rig
+from drivers.rig import Rig, with_errors
 from flight.harness import Emit, FlightRequest, Progress
 from flight.outcome import Outcome
 from missions import rig_library
@@ -20,6 +20,7 @@ from missions.campaign.levels import LevelName
 from missions.campaign.plan import seed_of
 from missions.campaign.results import RunLine
 from missions.handoff import harness_of, judge
+from missions.right_object import fly_watched
 from missions.role_process import fly_role
 from path.messages import Role
 
@@ -86,7 +87,7 @@ def _moment(rng: random.Random, role: Role) -> str:
 
 
 def fly(order: Order) -> list[RunLine]:
-    rig = _shorter(order.rig)
+    rig = _shorter(order)
     lines: list[RunLine] = []
     for level, number in order.runs:
         with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder:
@@ -101,7 +102,7 @@ def replay(order: Order, out: Path | None) -> RunLine:
     folder.mkdir(parents=True, exist_ok=True)
     _, faults = draw(order.seed, level, number)
     sys.stdout.write("".join(f"--fault {fault}\n" for fault in faults))
-    line = _fly(_shorter(order.rig), order.seed, level, number, folder, _Story().tell)
+    line = _fly(_shorter(order), order.seed, level, number, folder, _Story().tell)
     sys.stdout.write(f"logs: {folder}\n")
     return line
 
@@ -122,8 +123,8 @@ class _Story:
         sys.stdout.write(f"{time_s:9.3f} s  {progress.role.value:<9}{progress.phase:<10}{holds:<12}{progress.note}\n")
 
 
-def _shorter(name: str) -> Rig:
-    rig = rig_library.load(name)
+def _shorter(order: Order) -> Rig:
+    rig = with_errors(rig_library.load(order.rig), order.errors)
     if rig.level not in ("sim", "sim-rendered"):
         raise PartError(f"rig {rig.name} flies in real time", "a campaign of roles wants a rig of level sim")
     return rig_library.shorter(rig)
@@ -131,7 +132,7 @@ def _shorter(name: str) -> Rig:
 
 def _fly(rig: Rig, seed: int, level: LevelName, number: int, folder: Path, emit: Emit) -> RunLine:
     own, faults = draw(seed, level, number)
-    report = harness_of(rig).fly(FlightRequest(rig, folder, own, faults, fly_role, _no_process, emit))
+    report = fly_watched(harness_of(rig), FlightRequest(rig, folder, own, faults, fly_role, _no_process, emit))
     outcome, _ = judge(replace(report, violations={}))
     figures = {**report.figures, "simulated_s": report.simulated_s}
     violations = tuple(note for note in report.notes if note[:1] in "SL" and note[1:2].isdigit())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import datetime
@@ -13,6 +13,9 @@ from pathlib import Path
 from typing import Protocol
 
 from drivers.interfaces import PartError
+from drivers.rig import with_errors
+from flight.command_end import CommandEnd
+from flight.outcome import violated_outcome
 from missions import rig_library
 from missions.campaign import machine_runs, role_runs
 from missions.campaign.levels import LEVELS, LevelName
@@ -22,8 +25,6 @@ from missions.options import CampaignOptions
 from missions.work import open_work
 
 SUMMARY, PICTURE = "summary.json", "outcomes.png"
-EXIT_BROKEN = 40  # as a run whose monitors were violated
-EXIT_CTRL_C = 130
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,7 @@ class Order:
     rig: str
     seed: int
     runs: tuple[tuple[LevelName, int], ...]
+    errors: str | None = None
 
 
 class Workers(Protocol):
@@ -67,7 +69,7 @@ KINDS: dict[str, Kind] = {
 def run(options: CampaignOptions) -> int:
     """Returns 0 when no invariant was violated in any run. Raises PartError for what was asked wrongly."""
     levels = options.faults or LEVELS
-    rig_library.load(options.rig)
+    with_errors(rig_library.load(options.rig), options.errors)
     if options.only is not None:
         return _replay(options, levels)
     if options.runs < 1:
@@ -75,6 +77,8 @@ def run(options: CampaignOptions) -> int:
     began = datetime.now().strftime("%Y%m%d-%H%M%S")
     folder = options.out or Path("campaigns") / f"{began}-{options.program}"
     asked = {"program": options.program, "rig": options.rig, "seed": options.seed, "levels": list(levels)}
+    if options.errors is not None:
+        asked["errors"] = options.errors
     kind = KINDS[options.program]
     with kept_results(folder, asked) as results:
         done = {line.number for line in results.lines}
@@ -82,7 +86,12 @@ def run(options: CampaignOptions) -> int:
         if done:
             sys.stdout.write(f"{folder}: {len(done)} runs are done, {len(left)} are left\n")
         orders = [
-            Order(options.rig, options.seed, tuple((levels[number % len(levels)], number) for number in piece))
+            Order(
+                options.rig,
+                options.seed,
+                tuple((levels[number % len(levels)], number) for number in piece),
+                options.errors,
+            )
             for piece in _pieces(left, kind.at_a_time)
         ]
         try:
@@ -92,24 +101,26 @@ def run(options: CampaignOptions) -> int:
         except KeyboardInterrupt:
             sys.stdout.write(f"\n{len(results.lines)} of {options.runs} runs are done and kept in {folder}\n")
             sys.stdout.write("go on with the same command" + ("" if options.out else f" and --out {folder}") + "\n")
-            return EXIT_CTRL_C
-        return _report(options, folder, [line for line in results.lines if line.number < options.runs])
+            return CommandEnd.STOPPED.exit_code
+        return report(options, folder, [line for line in results.lines if line.number < options.runs])
 
 
-def _report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> int:
+def report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> int:
+    """Write and show what came of the runs; returns the exit code."""
     command = partial(replay_command, options)
     summary = summarize(options.program, options.seed, lines, command)
     (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
     draw_outcomes(summary, folder / PICTURE)
     sys.stdout.write(table(summary))
     sys.stdout.write(f"\n{folder}: {SUMMARY}, {PICTURE}, runs.jsonl\n")
-    return EXIT_BROKEN if summary["violations"] else 0
+    return exit_code(summary["violations_of"])
 
 
 def replay_command(options: CampaignOptions, line: RunLine) -> str:
     """One line that shows a run again."""
     rig = "" if options.rig == CampaignOptions().rig else f" --rig {options.rig}"
-    program = f"--program {options.program}{rig}"
+    errors = "" if options.errors is None else f" --errors {options.errors}"
+    program = f"--program {options.program}{rig}{errors}"
     return f"path-handoff campaign {program} --faults {line.level} --seed {options.seed} --only {line.number}"
 
 
@@ -117,12 +128,17 @@ def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
     assert options.only is not None
     if len(levels) != 1:
         raise PartError("--only shows one run: of which level?", f"name it with --faults, one of {', '.join(LEVELS)}")
-    order = Order(options.rig, options.seed, ((levels[0], options.only),))
+    order = Order(options.rig, options.seed, ((levels[0], options.only),), options.errors)
     line = KINDS[options.program].replay(order, options.out)
     for what in (*line.violations, *(f"(after a clock was set) {one}" for one in line.beyond)):
         sys.stdout.write(f"violated: {what}\n")
     sys.stdout.write(f"outcome: {line.outcome}\n")
-    return EXIT_BROKEN if line.violations else 0
+    return exit_code([what.partition(" ")[0] for what in line.violations])
+
+
+def exit_code(monitors: Collection[str]) -> int:
+    """Of runs in which these monitors were violated, none for 0."""
+    return violated_outcome(monitors).exit_code if monitors else CommandEnd.DONE.exit_code
 
 
 def _workers(options: CampaignOptions) -> AbstractContextManager[Workers]:

@@ -11,6 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 from drivers.interfaces import PartError
+from flight.command_end import CommandEnd
 from missions import rig_library
 from missions.conformance.flights import FLIGHTS, Flight
 from missions.conformance.measure import Suite, chosen
@@ -24,7 +25,7 @@ from missions.trials.trial import trial_part
 
 RIGS = {"embedded": "sitl", "px4": "sitl-px4", "ardupilot": "sitl-ardupilot"}
 BINARY = {"px4": "PATH_PX4", "ardupilot": "PATH_ARDUPILOT"}
-EXIT_FAILED = 1
+EXIT_FAILED = CommandEnd.FAILED.exit_code
 
 
 def run(options: ConformanceOptions) -> int:

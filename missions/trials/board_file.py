@@ -6,6 +6,7 @@ import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
 from drivers.tables import RigError, decode_table
+from path.bounds import Bounds
 from path.camera import CameraModel
 from path.geometry import Matrix
 from path.marker.layout import DICTIONARIES
@@ -25,11 +27,17 @@ REMEDY = "correct the board's file: docs/evaluation.md describes it"
 class BoardCamera:
     """Table ``[camera]``: calibration of the photograph, px and OpenCV's Brown-Conrady coefficients."""
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    fx: Annotated[float, Bounds(10.0, 100_000.0, "px")]
+    fy: Annotated[float, Bounds(10.0, 100_000.0, "px")]
+    cx: Annotated[float, Bounds(0.0, 100_000.0, "px")]
+    cy: Annotated[float, Bounds(0.0, 100_000.0, "px")]
+    distortion: Annotated[tuple[float, float, float, float, float], Bounds(-100.0, 100.0, "of 1")] = (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +53,12 @@ class BoardFile:
 
     image: Path
     dictionary: str
-    rows: int
-    columns: int
-    pitch_m: float
-    side_m: float
+    rows: Annotated[int, Bounds(1, 1000, "markers")]
+    columns: Annotated[int, Bounds(1, 1000, "markers")]
+    pitch_m: Annotated[float, Bounds(0.002, 5.0)]
+    side_m: Annotated[float, Bounds(0.001, 5.0)]
     camera: BoardCamera
-    first_id: int = 0
+    first_id: Annotated[int, Bounds(0, 1023, "(an id)")] = 0
 
     def __post_init__(self) -> None:
         if self.rows < 1 or self.columns < 1 or self.rows * self.columns < 4:
@@ -100,7 +108,7 @@ def read_board(path: Path) -> Board:
         camera = CameraModel(width, height, seen.fx, seen.fy, seen.cx, seen.cy, seen.distortion)
     except ValueError as error:
         raise PartError(f"{path.name}: camera: {error}", REMEDY) from error
-    dictionary = _dictionary(described.dictionary, path)
+    dictionary = dictionary_named(described.dictionary, path)
     count, known = described.rows * described.columns, len(dictionary.bytesList)
     if described.first_id + count > known:
         raise PartError(f"{path.name}: first_id: {count} markers from {described.first_id} on, of {known} there are",
@@ -112,12 +120,13 @@ def read_board(path: Path) -> Board:
         np.asarray(grey, dtype=np.uint8),
         camera,
         dictionary,
-        {i: _pattern(dictionary, i) for i in ids},
+        {i: framed_pattern(dictionary, i) for i in ids},
         dict(zip(ids, places, strict=True)),
     )
 
 
-def _dictionary(name: str, path: Path) -> cv2.aruco.Dictionary:
+def dictionary_named(name: str, path: Path) -> cv2.aruco.Dictionary:
+    """One of OpenCV's, or a file beside ``path``. Raises PartError when it is neither."""
     if name in DICTIONARIES:
         return dictionary_of(name)
     file, dictionary = path.parent / name, cv2.aruco.Dictionary()
@@ -131,6 +140,7 @@ def _dictionary(name: str, path: Path) -> cv2.aruco.Dictionary:
     raise PartError(f"{path.name}: dictionary: {name!r} is none of OpenCV's, and no file of one", REMEDY)
 
 
-def _pattern(dictionary: cv2.aruco.Dictionary, marker_id: int) -> Matrix:
+def framed_pattern(dictionary: cv2.aruco.Dictionary, marker_id: int) -> Matrix:
+    """Cells of a marker within a border of white ones, 0 black and 1 white."""
     drawn = cv2.aruco.generateImageMarker(dictionary, marker_id, dictionary.markerSize + 2, borderBits=1)
     return np.pad((drawn > 127).astype(np.float64), 1, constant_values=1.0)

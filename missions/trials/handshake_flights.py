@@ -10,9 +10,9 @@ from typing import Any
 from drivers.rig import Rig
 from missions import rig_library
 from missions.handoff import fly_once
-from missions.records import Run, last, load_run
+from missions.records import Run, judged_pairs, last, load_run
 from missions.run_folder import new_folder
-from missions.summary import judged_pairs, summarize
+from missions.summary import summarize
 from path.config import GateKind
 
 RIG = "sim"

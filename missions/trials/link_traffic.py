@@ -41,7 +41,7 @@ from path.messages import (
 from path.observations import Box, MissReason
 
 HOST = "127.0.0.1"
-HANDOFF, EPOCH, TARGET_ID = 1, 7, 1
+HANDOFF, EPOCH, TARGET_ID, INSTANCE = 1, 7, 1, 0xA3F01C
 SETTLE_S = 0.3
 
 
@@ -219,7 +219,18 @@ class _Side:
         position, velocity = _vector(rng, 5.0), _vector(rng, 0.4)
         yaw, battery = float(rng.uniform(-3.1, 3.1)), float(rng.uniform(0.3, 1.0))
         self._link.send(
-            Status(self._role, stopwatch_ns(), position, velocity, yaw, int(Phase.VERIFY), responsible, True, battery)
+            Status(
+                self._role,
+                stopwatch_ns(),
+                position,
+                velocity,
+                yaw,
+                int(Phase.VERIFY),
+                responsible,
+                True,
+                battery,
+                INSTANCE,
+            )
         )
 
     def _ping(self, k: int) -> None:
@@ -255,25 +266,28 @@ def _vector(rng: np.random.Generator, reach: float) -> Vec3:
 def _handover(role: Role) -> tuple[Message, ...]:
     now_ns, nonce = stopwatch_ns(), 0x8F3A61C4
     if role is Role.RECEIVER:
-        return (Accept(HANDOFF, EPOCH, TARGET_ID, nonce, now_ns),)
-    commit = Commit(HANDOFF, EPOCH, TARGET_ID, nonce, now_ns + 2_000_000_000, now_ns)
-    return commit, Confirm(HANDOFF, EPOCH, TARGET_ID, nonce, now_ns)
+        return (Accept(HANDOFF, EPOCH, TARGET_ID, nonce, now_ns, INSTANCE),)
+    commit = Commit(HANDOFF, EPOCH, TARGET_ID, nonce, now_ns + 2_000_000_000, now_ns, INSTANCE)
+    return commit, Confirm(HANDOFF, EPOCH, TARGET_ID, nonce, now_ns, INSTANCE)
 
 
 def extremes(role: Role) -> tuple[Message, ...]:
     """One message of every kind the role sends, as long as it can be on the wire: its last byte is not zero."""
     late, full, most = 2**64 - 1, 2**16 - 1, 2**32 - 1
-    status = Status(role, late // 8, (1e3, -1e3, -50.0), (9.0, -9.0, 3.0), -3.0, 255, True, True, 1.0)
+    status = Status(role, late // 8, (1e3, -1e3, -50.0), (9.0, -9.0, 3.0), -3.0, 255, True, True, 1.0, INSTANCE)
     ping, pong = Ping(most, late), Pong(most, late, late, late)
-    abort = Abort(full, full, AbortReason.SHUTDOWN, late)
+    abort = Abort(full, full, AbortReason.SHUTDOWN, late, INSTANCE)
     if role is Role.SENDER:
         target = a_target(np.random.default_rng(1), full, late // 8)
-        commit, confirm = Commit(full, full, 255, most, late, late), Confirm(full, full, 255, most, late)
+        commit, confirm = (
+            Commit(full, full, 255, most, late, late, INSTANCE),
+            Confirm(full, full, 255, most, late, INSTANCE),
+        )
         return target, status, ping, pong, commit, confirm, abort
     pose: Quat = (0.5, -0.5, 0.5, 0.5)
     missed = MissReason.NO_CANDIDATE
     candidate = Candidate(full, full, 255, full, full, late // 8, None, missed, (-1.0, 2.0, 0.5), pose, 0.05)
-    return candidate, status, ping, pong, Accept(full, full, 255, most, late), abort
+    return candidate, status, ping, pong, Accept(full, full, 255, most, late, INSTANCE), abort
 
 
 def _free_ports(count: int) -> list[int]:

@@ -123,11 +123,16 @@ def _told(folder: Path, role: Role, offset_ns: int) -> Iterator[Told | int | Non
     """Changes of one role, instants of its COMMITs, and None for each alarm."""
     for part in parts(folder, role.value):
         begun, ended, newest_ns = False, False, 0
+        until_ns: int | None = None  # the newest claim's end
         for record in read_log(part):
             at_ns = record.stamp_ns - offset_ns
             newest_ns = max(newest_ns, at_ns)
             match record.topic:
                 case "/responsibility":
+                    if until_ns is not None and until_ns < at_ns:
+                        yield Told(until_ns, role, responsible=False)
+                    end_ns = record.record["until_ns"]
+                    until_ns = None if end_ns is None else end_ns - offset_ns
                     yield Told(at_ns, role, responsible=bool(record.record["responsible"]))
                 case "/epoch":
                     yield Told(at_ns, role, duty=str(record.record["duty"]))
@@ -141,6 +146,8 @@ def _told(folder: Path, role: Role, offset_ns: int) -> Iterator[Told | int | Non
                     if not begun:
                         yield Told(at_ns, role)
             begun = True
+        if until_ns is not None and until_ns < newest_ns:
+            yield Told(until_ns, role, responsible=False)
         if begun:
             yield Told(newest_ns, role, alive=ended)
 

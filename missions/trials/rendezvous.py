@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -48,6 +49,7 @@ def run(request: TrialRequest) -> TrialResult:
             "first landing. Any mission in which a monitor was violated keeps its logs under flights/. Each mission is "
             f"a line of {KEPT}: the same command goes on with a folder that was begun.",
         ),
+        violations=sum((Counter(one.violations) for one in flown), Counter[str]()),
     )
 
 

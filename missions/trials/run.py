@@ -18,6 +18,8 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.interfaces import PartError
+from flight.command_end import CommandEnd
+from flight.outcome import violated_outcome
 from missions import rig_library
 from missions.options import TrialName, TrialOptions
 from missions.records import SUMMARY
@@ -28,27 +30,29 @@ from missions.trials.trial import Finding, TrialRequest, TrialResult, Verdict
 from missions.work import open_work
 
 NAMES: tuple[str, ...] = tuple(
-    name for name in get_args(TrialName) if name not in ("all", "processes", "rendezvous", "beacon", "soak")
+    name for name in get_args(TrialName) if name not in ("all", "processes", "rendezvous", "beacon", "soak", "real")
 )
 """All that ``all`` runs: ``processes``, ``rendezvous`` and ``soak`` take half an hour each, ``beacon`` is
-``dynamic``'s."""
+``dynamic``'s; ``real`` runs when sets are named."""
 RIG = "sim-rendered"
 RIGS = {"beacon": "dynamic", "rendezvous": "sim-field", "soak": "sitl"}
-EXIT_FAILED = 1
+EXIT_FAILED = CommandEnd.FAILED.exit_code
 STYLE: dict[Verdict, str] = {"met": "green", "short": "red", "measured": ""}
 
 
 def run(options: TrialOptions) -> int:
-    """``path-handoff trial``; 0 when every trial came to its end, whatever it found.
+    """``path-handoff trial``; 0 when every trial came to its end, whatever it found but violated monitors.
 
     Raises:
         PartError: for what was asked wrongly. With ``all``, a trial that fails is shown on the page, and the rest run.
     """
     whole = options.name == "all"
-    names = NAMES if whole else (options.name,)
+    names = (*NAMES, *(("real",) if options.set else ())) if whole else (options.name,)
     trials = {name: importlib.import_module(f"missions.trials.{name}") for name in names}
     rig = rig_library.load(options.rig or rig_of(options.name))
-    for option, file in (("--xfeat", options.xfeat), ("--board", options.board)):
+    sets = sets_of(options)
+    files = (("--xfeat", options.xfeat), ("--board", options.board), *(("--set", file) for file in sets))
+    for option, file in files:
         if file is not None and not file.is_file():
             raise PartError(f"{option} {file}: no such file", f"name a file that exists, or leave {option} out")
     folder = new_folder(options.out or Path("trials") / f"{datetime.now():%Y%m%d-%H%M%S}-{options.name}")
@@ -60,8 +64,9 @@ def run(options: TrialOptions) -> int:
             sys.stdout.write(f"\n{f'[{number}/{len(names)}] ' if whole else ''}{trial.TITLE}\n")
             sys.stdout.flush()
             request = TrialRequest(
-                rig, own, options.seed, options.quick, work, options.xfeat, options.board, options.logs, options.seconds
-            )
+                rig, own, options.seed, options.quick, work, options.xfeat, options.board, options.logs,
+                options.seconds, sets, options.photographs,
+            )  # fmt: skip
             begun, result, error = datetime.now(), None, ""
             try:
                 result = trial.run(request)
@@ -80,7 +85,15 @@ def run(options: TrialOptions) -> int:
     if whole:
         _write_json(folder / SUMMARY, _overview(options, chapters))
     sys.stdout.write(f"\n{folder}: {PAGE}, {SUMMARY}{', and a folder for each trial' if whole else ''}\n")
-    return EXIT_FAILED if any(chapter.result is None for chapter in chapters) else 0
+    return exit_code([chapter.result for chapter in chapters])
+
+
+def exit_code(results: Sequence[TrialResult | None]) -> int:
+    """0 when every trial came to its end and no monitor of a mission was violated in any."""
+    violated = {name for result in results if result is not None for name in result.violations}
+    if violated:
+        return violated_outcome(violated).exit_code
+    return EXIT_FAILED if None in results else CommandEnd.DONE.exit_code
 
 
 def command(options: TrialOptions, name: str) -> str:
@@ -94,11 +107,19 @@ def command(options: TrialOptions, name: str) -> str:
         words += ["--xfeat", str(options.xfeat)]
     if options.board is not None and name == "corners":
         words += ["--board", str(options.board)]
+    if name == "real":
+        words += [word for file in sets_of(options) for word in ("--set", str(file))]
+        words += [] if options.photographs is None else ["--photographs", str(options.photographs)]
     if options.seconds:
         words += ["--seconds", f"{options.seconds:g}"]
     if options.logs is not None and name == "beacon":
         words += ["--logs", str(options.logs)]
     return shlex.join(words)
+
+
+def sets_of(options: TrialOptions) -> tuple[Path, ...]:
+    """The files of all ``--set``, which may be given several times and with several files each."""
+    return tuple(file for files in options.set for file in files)
 
 
 def rig_of(name: str) -> str:

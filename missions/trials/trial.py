@@ -9,7 +9,7 @@ A trial is a module of this package with
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,6 +34,8 @@ class TrialRequest:
         board: TOML file that describes a photograph of a marker board, None when not named.
         logs: folder of a session to be judged instead of flying one, None when not named.
         seconds: how long to record where nothing is flown; 0: until Ctrl-C.
+        sets: TOML files that describe sets of photographs. ``photographs``: what their paths are relative to, None for
+            each file's own folder.
     """
 
     rig: Rig
@@ -45,6 +47,8 @@ class TrialRequest:
     board: Path | None = None
     logs: Path | None = None
     seconds: float = 0.0
+    sets: tuple[Path, ...] = ()
+    photographs: Path | None = None
 
     def part(self, name: str) -> Any:
         """The class or function that the rig's ``[trials]`` table names. Raises PartError when it names none."""
@@ -109,6 +113,7 @@ class TrialResult:
         summary: for ``summary.json``: plain numbers in SI units, names with unit suffixes.
         noise: the table of the noise model and every systematic error that was switched on.
         notes: what a reader has to know: where simulation ends, what was left out and why.
+        violations: of whole missions that were flown, by monitor.
     """
 
     summary: Mapping[str, Any]
@@ -117,6 +122,7 @@ class TrialResult:
     tables: tuple[Table, ...] = ()
     pictures: tuple[Picture, ...] = ()
     notes: tuple[str, ...] = ()
+    violations: Mapping[str, int] = field(default_factory=dict[str, int])
 
 
 def verdict(reached: bool) -> Verdict:

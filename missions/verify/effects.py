@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass, replace
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from missions.verify.model import (
+    RECEIVER_ID,
     UNREAD,
     Packet,
     Scope,
@@ -138,7 +139,7 @@ class Effects:
             before = self.receivers.values[state]
             assert not isinstance(before, Dead)
             after, actions = receiver.step(self.config, before, event, skew)
-            broken = receiver_rules(before, after, event, actions)
+            broken = receiver_rules(before, after, event, actions, skew, self.scope.guard)
             effect = self._by_receiver[key] = self._effect("sender", what, self.receivers(after), actions, broken)
         return effect
 
@@ -199,9 +200,9 @@ class Effects:
     def _told(self, side: Side, state: int, skew: int, message: Message, what: str) -> Effect:
         uncertainty = self.scope.uncertainty
         if isinstance(message, Status):
-            event = PeerStatus(message.responsible, message.stamp_ns - uncertainty)
+            event = PeerStatus(message.responsible, message.stamp_ns - uncertainty, message.instance)
         elif isinstance(message, Commit) and side == "receiver":
-            event = CommitHeard(message, message.lease_end_ns, uncertainty)
+            event = CommitHeard(message, message.lease_end_ns, uncertainty, RECEIVER_ID)
         else:
             event = Heard(message)
         if side == "receiver":
@@ -225,7 +226,7 @@ class Effects:
                 if not isinstance(gives, sender.Idle | sender.Keeping | sender.HandedOver):
                     packets.append(Packet("receiver", target(gives.live)))
             if not isinstance(takes, Dead):
-                packets.append(Packet("sender", status(Role.RECEIVER, receiver.is_responsible(takes), skew)))
+                packets.append(Packet("sender", status(Role.RECEIVER, receiver.is_responsible(takes, skew), skew)))
                 if takes.live is not None:
                     packets.append(Packet("sender", candidate(takes.live)))
             found = 0

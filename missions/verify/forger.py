@@ -10,7 +10,7 @@ from random import Random
 from drivers.dialect import path_dialect as dialect
 from drivers.wire import KEY_LENGTH
 
-HEADER, CRC, SIGNATURE = dialect.HEADER_LEN_V2, 2, dialect.MAVLINK_SIGNATURE_BLOCK_LEN
+HEADER, CRC, SIGNATURE, HASH = dialect.HEADER_LEN_V2, 2, dialect.MAVLINK_SIGNATURE_BLOCK_LEN, 6
 LARGEST = HEADER + 255 + CRC + SIGNATURE
 REMEMBERED = 400  # packets of each way
 EXTRAS = {message: kind.crc_extra for message, kind in dialect.mavlink_map.items()}
@@ -86,7 +86,7 @@ class Forger:
         data = self._heard()
         payload = bytearray(data[HEADER : HEADER + data[1]])
         payload[self._rng.randrange(len(payload))] ^= self._rng.randrange(1, 256)
-        return _framed(data[:HEADER], bytes(payload)) + data[-SIGNATURE:]
+        return framed(data[:HEADER], bytes(payload)) + data[-SIGNATURE:]
 
     def _signed_anew(self) -> bytes:
         data = self._altered()
@@ -111,7 +111,7 @@ class Forger:
         data = self._heard()
         header = bytearray(data[:HEADER])
         header[2] = 0
-        return _framed(bytes(header), data[HEADER : HEADER + data[1]])
+        return framed(bytes(header), data[HEADER : HEADER + data[1]])
 
     def _replayed(self) -> bytes:
         return self._heard()
@@ -123,8 +123,8 @@ class Forger:
         data = self._heard()
         header = bytearray(data[:HEADER])
         header[self._rng.choice((5, 6))] ^= self._rng.randrange(1, 256)
-        framed = _framed(bytes(header), data[HEADER : HEADER + data[1]])
-        return self._sign(framed, data[-SIGNATURE:-6])
+        packet = framed(bytes(header), data[HEADER : HEADER + data[1]])
+        return self._sign(packet, data[-SIGNATURE:-HASH])
 
     def _other_id(self) -> bytes:
         data = self._heard()
@@ -132,18 +132,23 @@ class Forger:
         header[7:10] = self._rng.choice((self._rng.choice(tuple(EXTRAS)), self._rng.randrange(2**24))).to_bytes(
             3, "little"
         )
-        return _framed(bytes(header), data[HEADER : HEADER + data[1]]) + data[-SIGNATURE:]
+        return framed(bytes(header), data[HEADER : HEADER + data[1]]) + data[-SIGNATURE:]
 
     def _noise(self) -> bytes:
         data = self._rng.randbytes(self._rng.randrange(LARGEST))
         return bytes((dialect.PROTOCOL_MARKER_V2,)) + data if self._rng.random() < 0.5 else data
 
-    def _sign(self, framed: bytes, link_and_stamp: bytes) -> bytes:
-        signed = framed + link_and_stamp
-        return signed + hashlib.sha256(self._key + signed).digest()[:6]
+    def _sign(self, packet: bytes, link_and_stamp: bytes) -> bytes:
+        signed = packet + link_and_stamp
+        return signed + sign(self._key, signed)
 
 
-def _framed(header: bytes, payload: bytes) -> bytes:
+def sign(key: bytes, data: bytes) -> bytes:
+    """The signature's hash, as MAVLink defines it."""
+    return hashlib.sha256(key + data).digest()[:HASH]
+
+
+def framed(header: bytes, payload: bytes) -> bytes:
     """With a CRC that holds, as far as the id is known."""
     body = header[:1] + bytes((len(payload),)) + header[2:] + payload
     crc = dialect.x25crc(body[1:])

@@ -26,6 +26,7 @@ from path.protocol.values import Handoff, ProtocolConfig
 
 TICK_S = 1e-9
 HANDOFF_ID, TARGET_ID, OTHER_ID = 1, 1, 2
+RECEIVER_ID, STRANGER_ID = 1, 2
 UNREAD = -1
 STATUS_AGE = -3  # ticks after which a delayed Status is dropped, as the link drops what is stale
 ORIGIN = (0.0, 0.0, 0.0)
@@ -130,7 +131,7 @@ def candidate(live: Handoff) -> Candidate:
 
 
 def status(role: Role, responsible: bool, stamp: int) -> Status:
-    return Status(role, stamp, ORIGIN, ORIGIN, 0.0, 0, responsible, True, 1.0)
+    return Status(role, stamp, ORIGIN, ORIGIN, 0.0, 0, responsible, True, 1.0, RECEIVER_ID)
 
 
 def unstamped(message: Message) -> Message:
@@ -139,13 +140,16 @@ def unstamped(message: Message) -> Message:
 
 
 def misdirected(message: Message, scope: Scope) -> tuple[Message, ...]:
-    """The same word about another handoff, object or commit, and a lease that nobody gives: nothing may follow (S6).
+    """The same word about another handoff, object, commit or receiver, and a lease that nobody gives: nothing may
+    follow (S6).
 
     A Target begins an attempt and a first Commit brings its nonce: another is as good.
     """
     if not isinstance(message, Candidate | Commit | Accept | Confirm):
         return ()
     wrong = (replace(message, handoff_id=HANDOFF_ID + 1), replace(message, target_id=OTHER_ID))
+    if not isinstance(message, Candidate):
+        wrong = (*wrong, replace(message, instance=STRANGER_ID))
     if isinstance(message, Commit):
         return (*wrong, replace(message, lease_end_ns=scope.lease + 2 * scope.uncertainty + 1))
     return (*wrong, replace(message, nonce=message.nonce + 1)) if isinstance(message, Accept | Confirm) else wrong

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from missions.verify.effects import Effect, Effects
-from missions.verify.model import HANDOFF_ID, OTHER_ID, TARGET_ID, UNREAD, Scope, World
+from missions.verify.model import HANDOFF_ID, OTHER_ID, RECEIVER_ID, TARGET_ID, UNREAD, Scope, World
 from missions.verify.rules import Dead, across_rules, lowest_epoch, responsible_receiver, responsible_sender, used_epoch
 from path.messages import AbortReason
 from path.protocol import receiver, sender
@@ -127,7 +127,7 @@ class Moves:
             return False  # of a sender that is idle nothing is asked
         if isinstance(takes, Dead):
             return not isinstance(gives, sender.HandedOver)
-        return not receiver.is_responsible(takes)
+        return not receiver.is_responsible(takes, world.skew)
 
     def _overdue(self, world: World) -> str:
         """L1: everything that waits, ends. L2: no gap but the orphan, and neither side takes that for all well."""
@@ -182,17 +182,24 @@ class Moves:
         gives, takes = self.sender_of(world), self.receiver_of(world)
         if not isinstance(gives, sender.Idle):
             return False
-        return gives.epoch == 0 or not (isinstance(takes, Dead) or receiver.is_responsible(takes))
+        return gives.epoch == 0 or not (isinstance(takes, Dead) or receiver.is_responsible(takes, world.skew))
 
     def _agreements(self, world: World, live: Handoff) -> Iterator[Move]:
         """The one that the window counted, and those of which nothing may come (S5)."""
         nonce, told = 100 * live.epoch, self.scope.uncertainty
-        whole = AgreementComplete(live.epoch, TARGET_ID, nonce, told)
+        whole = AgreementComplete(live.epoch, TARGET_ID, nonce, told, RECEIVER_ID)
         yield from self._tell_sender(world._replace(agreed=live.epoch), whole, "the agreement is complete")
         for wrong, what in (
-            (AgreementComplete(live.epoch - 1, TARGET_ID, nonce, told), "an agreement of an earlier attempt is told"),
-            (AgreementComplete(live.epoch, OTHER_ID, nonce, told), "an agreement on another object is told"),
-            (AgreementComplete(live.epoch, TARGET_ID, nonce, None), "an agreement is told without aligned clocks"),
+            (
+                AgreementComplete(live.epoch - 1, TARGET_ID, nonce, told, RECEIVER_ID),
+                "an agreement of an earlier attempt is told",
+            ),
+            (
+                AgreementComplete(live.epoch, OTHER_ID, nonce, told, RECEIVER_ID),
+                "an agreement on another object is told",
+            ),
+            (AgreementComplete(live.epoch, TARGET_ID, nonce, None, RECEIVER_ID), "an agreement is told without clocks"),
+            (AgreementComplete(live.epoch, TARGET_ID, nonce, told, None), "an agreement is told with two receivers"),
         ):
             yield from self._tell_sender(world, wrong, what)
 
@@ -258,7 +265,7 @@ class Moves:
 
     def _checked(self, before: World, after: World, what: str, broken: str) -> Move:
         now, holds = self.sender_of(after), self.receiver_of(after)
-        gives, takes = responsible_sender(now), responsible_receiver(holds)
+        gives, takes = responsible_sender(now), responsible_receiver(holds, after.skew)
         broken = broken or across_rules(self.sender_of(before), now, self.receiver_of(before), holds)
         if gives and takes:
             broken = broken or "S1"

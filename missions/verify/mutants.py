@@ -220,7 +220,7 @@ def _lease_without_guard(_: Any) -> Any:
 MUTANTS = (
     Mutant("the receiver keeps its lease to the end of its own clock", ("S3", "S1"), [
         (receiver, "_lease_end_ns", _lease_to_the_end)]),
-    Mutant("the receiver leaves its program no time to be late", ("S1",), [
+    Mutant("the receiver leaves its program no time to act", ("S3",), [
         (receiver, "_lease_end_ns", _lease_without_guard)]),
     Mutant("the sender takes back without the clocks' uncertainty", ("S1", "S4"), [(sender, "_commit", _early)]),
     Mutant("the sender does not write down that it released", ("S1",), [

@@ -87,25 +87,31 @@ def responsible_sender(state: sender.SenderState | Dead) -> bool:
     return not isinstance(state, Dead) and sender.is_responsible(state)
 
 
-def responsible_receiver(state: receiver.ReceiverState | Dead) -> bool:
-    return not isinstance(state, Dead) and receiver.is_responsible(state)
+def responsible_receiver(state: receiver.ReceiverState | Dead, now: int) -> bool:
+    return not isinstance(state, Dead) and receiver.is_responsible(state, now)
 
 
 def receiver_rules(
-    before: receiver.ReceiverState, after: receiver.ReceiverState, event: ReceiverEvent, actions: Actions
-) -> str:
-    """S2, S3: it takes over only on a COMMIT of an epoch it still takes, before the end of its lease."""
-    responsible = receiver.is_responsible(before)
+    before: receiver.ReceiverState, after: receiver.ReceiverState, event: ReceiverEvent, actions: Actions, now: int,
+    guard: int,
+) -> str:  # fmt: skip
+    """S2, S3: it takes over only on a COMMIT of an epoch it still takes, within its lease and until the guard before
+    its end on any clock. ``now``: its own clock."""
+    responsible = receiver.is_responsible(before, now)
     for action in actions:
         match action:
             case Release():
                 responsible = False
-            case TakeResponsibility(provisional=True):
+            case TakeResponsibility(until_ns=int() as until):
                 responsible = True
                 if not isinstance(event, CommitHeard) or event.commit.lease_end_ns <= 0:
                     return "S3"
+                if not now < until <= event.commit.lease_end_ns - event.uncertainty_ns - guard:
+                    return "S3"
                 if before.live is None or event.commit.epoch < lowest_epoch(before):
                     return "S2"
+            case TakeResponsibility():
+                responsible = True
             case _:
                 pass
-    return "" if responsible == receiver.is_responsible(after) else "S1"
+    return "" if responsible == receiver.is_responsible(after, now) else "S1"

@@ -12,6 +12,7 @@ from typing import TextIO
 
 from drivers.clock import stopwatch_ns
 from drivers.interfaces import PartError
+from flight.command_end import CommandEnd
 from missions.options import VerifyOptions
 from missions.verify import wire
 from missions.verify.explore import Covering, Exact, Exploration, explore
@@ -19,7 +20,7 @@ from missions.verify.model import Scope
 from missions.verify.mutants import MUTANTS, SMALL, caught
 from missions.work import Work, open_work
 
-EXIT_BROKEN = 1
+EXIT_BROKEN = CommandEnd.FAILED.exit_code
 SUMMARY = "summary.json"
 INVARIANTS = ("S1", "S2", "S3", "S4", "S5", "S6", "L1", "L2")
 

@@ -43,7 +43,7 @@ class Observing:
 
 @dataclass(frozen=True, slots=True)
 class Provisional:
-    """Responsible until ``lease_end_ns`` (own clock, already reduced by uncertainty and guard); ACCEPT is repeated."""
+    """Responsible before ``lease_end_ns`` (own clock, already reduced by uncertainty and guard); ACCEPT is repeated."""
 
     live: Handoff
     nonce: int
@@ -75,8 +75,21 @@ ReceiverState = Observing | Provisional | Holding | LetGo
 Step = tuple[ReceiverState, Actions]
 
 
-def is_responsible(state: ReceiverState) -> bool:
-    return isinstance(state, Provisional | Holding)
+def claim(state: ReceiverState) -> TakeResponsibility | None:
+    """What a state is responsible by; None when it is not."""
+    match state:
+        case Provisional():
+            return TakeResponsibility(state.lease_end_ns)
+        case Holding():
+            return TakeResponsibility()
+        case Observing() | LetGo():
+            return None
+
+
+def is_responsible(state: ReceiverState, now_ns: int) -> bool:
+    """Whether it is at this instant, be it that nobody has told the machine of it yet."""
+    held = claim(state)
+    return held is not None and held.at(now_ns)
 
 
 def floor(state: ReceiverState) -> int:
@@ -202,7 +215,7 @@ def _hear_target(config: ProtocolConfig, state: ReceiverState, target: Target, n
 
 
 def _hear_commit(config: ProtocolConfig, state: ReceiverState, heard: CommitHeard, now_ns: int) -> Step:
-    """S3: only for the live epoch and its one nonce, before the lease's end."""
+    """S3: only for the live epoch, its one nonce and this very receiver, before the lease's end."""
     why = _commit_refusal(config, state, heard, now_ns)
     if why is not None:
         return state, (Refused(why),)
@@ -210,20 +223,20 @@ def _hear_commit(config: ProtocolConfig, state: ReceiverState, heard: CommitHear
         return state, ()
     sure_ns = heard.lease_end_ns + heard.uncertainty_ns + to_ns(config.max_uncertainty_s) + to_ns(config.guard_s)
     held = Provisional(
-        live=state.live,
+        live=replace(state.live, instance=heard.instance),
         nonce=heard.commit.nonce,
         lease_end_ns=_lease_end_ns(config, heard.lease_end_ns, heard.uncertainty_ns),
         resend_ns=now_ns + to_ns(config.retry_s),
         sure_ns=sure_ns,
     )
-    return held, (Persist(record(held)), TakeResponsibility(provisional=True), Send(_accept(held, now_ns)))
+    return held, (Persist(record(held)), TakeResponsibility(held.lease_end_ns), Send(_accept(held, now_ns)))
 
 
 def _commit_refusal(config: ProtocolConfig, state: ReceiverState, heard: CommitHeard, now_ns: int) -> Refusal | None:
     commit = heard.commit
     if state.live is None:
         return Refusal.LOWER_EPOCH if commit.epoch < floor(state) else Refusal.UNKNOWN_EPOCH
-    why = mismatch(state.live, commit)
+    why = mismatch(replace(state.live, instance=heard.instance), commit)
     if why is None and isinstance(state, Provisional | Holding):
         return None if commit.nonce == state.nonce else Refusal.WRONG_NONCE
     if why is None:
@@ -259,8 +272,7 @@ def _hear_confirm(state: ReceiverState, confirm: Confirm, now_ns: int) -> Step:
     match state:
         case Provisional():
             holding = Holding(state.live, state.nonce)
-            take = TakeResponsibility(provisional=False)
-            return holding, (Persist(record(holding)), take, Ended(Outcome.HANDED_OVER))
+            return holding, (Persist(record(holding)), TakeResponsibility(), Ended(Outcome.HANDED_OVER))
         case Holding():
             return state, ()
         case LetGo():
@@ -339,11 +351,11 @@ def _settle(state: LetGo, outcome: Outcome) -> Step:
 
 def _accept(state: Provisional, now_ns: int) -> Accept:
     live = state.live
-    return Accept(live.handoff_id, live.epoch, live.target_id, state.nonce, now_ns)
+    return Accept(live.handoff_id, live.epoch, live.target_id, state.nonce, now_ns, live.instance)
 
 
 def _abort(live: Handoff, reason: AbortReason, now_ns: int) -> Abort:
-    return Abort(live.handoff_id, live.epoch, reason, now_ns)
+    return Abort(live.handoff_id, live.epoch, reason, now_ns, live.instance)
 
 
 class ReceiverMachine:
@@ -366,9 +378,8 @@ class ReceiverMachine:
         """What Candidates are to carry; None before the first Target of a handoff, and after its end."""
         return self.state.live
 
-    @property
-    def responsible(self) -> bool:
-        return is_responsible(self.state)
+    def responsible(self, now_ns: int) -> bool:
+        return is_responsible(self.state, now_ns)
 
     @property
     def wake_ns(self) -> int | None:

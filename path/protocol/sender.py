@@ -145,7 +145,7 @@ def restored(config: ProtocolConfig, kept: SenderRecord, now_ns: int, *, same_cl
         return HandedOver(kept.live, kept.nonce, take_back_ns, max(take_back_ns, now_ns) + to_ns(config.settle_s))
     live = kept.live
     lease_end_ns = kept.lease_end_ns if same_clock else now_ns  # never again promised: it may be over
-    commit = Commit(live.handoff_id, live.epoch, live.target_id, kept.nonce, lease_end_ns, now_ns)
+    commit = Commit(live.handoff_id, live.epoch, live.target_id, kept.nonce, lease_end_ns, now_ns, live.instance)
     return AwaitingAccept(live, commit, now_ns, take_back_ns, kept.withdrawn)
 
 
@@ -199,12 +199,12 @@ def _elapse(config: ProtocolConfig, state: SenderState, now_ns: int) -> Step:
 
 
 def _take_back(state: AwaitingAccept) -> Step:
-    live = replace(state.live, epoch=state.live.epoch + 1)
+    live = replace(state.live, epoch=state.live.epoch + 1, instance=0)
     # A receiver that let go at the lease's end says so with TIMEOUT: that is no abort but the lease running out.
     ran_out = state.withdrawn in (None, AbortReason.TIMEOUT)
     outcome = Outcome.TAKEN_BACK if ran_out else Outcome.ABORTED
     after = TakenBack(live)
-    return after, (Persist(record(after)), TakeResponsibility(provisional=False), Ended(outcome, state.withdrawn))
+    return after, (Persist(record(after)), TakeResponsibility(), Ended(outcome, state.withdrawn))
 
 
 def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_ns: int) -> Step:  # noqa: PLR0911
@@ -226,7 +226,7 @@ def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_n
             return withdrawn, (Persist(record(withdrawn)), Send(_abort(state.live, event.reason, now_ns)))
         case Verifying(), AgreementComplete():
             return _commit(config, state, event, now_ns)
-        case HandedOver(settled=None | Outcome.UNCONFIRMED), PeerStatus() if event.stamp_ns > state.sure_ns:
+        case HandedOver(settled=None | Outcome.UNCONFIRMED), PeerStatus() if _tells(state, event):
             return _settle(state, Outcome.HANDED_OVER if event.responsible else Outcome.ORPHANED)
         case _, PeerStatus():
             return state, ()
@@ -240,7 +240,7 @@ def _offer(config: ProtocolConfig, state: Idle | Keeping | TakenBack, offer: Off
         return state, (Refused(Refusal.EPOCHS_EXHAUSTED),)
     live = Handoff(offer.handoff_id, following, offer.target_id)
     offering = Offering(live, now_ns + to_ns(config.offer_s), now_ns + to_ns(config.handoff_s))
-    take: Actions = () if is_responsible(state) else (TakeResponsibility(provisional=False),)
+    take: Actions = () if is_responsible(state) else (TakeResponsibility(),)
     return offering, (Persist(record(offering)), *take)
 
 
@@ -253,12 +253,14 @@ def _commit(config: ProtocolConfig, state: Verifying, agreed: AgreementComplete,
         why = Refusal.WRONG_TARGET
     elif agreed.uncertainty_ns is None or agreed.uncertainty_ns > to_ns(config.max_uncertainty_s):
         why = Refusal.NO_CLOCK
+    elif agreed.instance is None:
+        why = Refusal.NOT_ONE_RECEIVER
     elif state.live.epoch >= LAST_EPOCH:
         why = Refusal.EPOCHS_EXHAUSTED
-    if why is not None or agreed.uncertainty_ns is None:
+    if why is not None or agreed.uncertainty_ns is None or agreed.instance is None:
         return state, (Refused(why or Refusal.NO_CLOCK),)
-    live, lease_end = state.live, now_ns + to_ns(config.lease_s)
-    commit = Commit(live.handoff_id, live.epoch, live.target_id, agreed.nonce, lease_end, now_ns)
+    live, lease_end = replace(state.live, instance=agreed.instance), now_ns + to_ns(config.lease_s)
+    commit = Commit(live.handoff_id, live.epoch, live.target_id, agreed.nonce, lease_end, now_ns, live.instance)
     awaiting = AwaitingAccept(live, commit, now_ns + to_ns(config.retry_s), lease_end + agreed.uncertainty_ns)
     return awaiting, (Persist(record(awaiting)), Release(), Send(commit))
 
@@ -304,10 +306,17 @@ def _hear_abort(state: Offering | Verifying | AwaitingAccept | HandedOver, abort
             # Not yet responsible again: S4 waits for the lease's end, whatever the receiver says.
             withdrawn = replace(state, withdrawn=state.withdrawn or abort.reason)
             return withdrawn, () if withdrawn == state else (Persist(record(withdrawn)),)
+        case HandedOver() if abort.instance != state.live.instance:
+            return state, (Refused(Refusal.WRONG_INSTANCE),)  # it never had the target
         case HandedOver(settled=Outcome.ORPHANED):
             return state, ()
         case HandedOver():
             return _settle(state, Outcome.ORPHANED)
+
+
+def _tells(state: HandedOver, status: PeerStatus) -> bool:
+    """Only the receiver that accepted tells what became of it, and only once its lease is over."""
+    return status.stamp_ns > state.sure_ns and status.instance == state.live.instance
 
 
 def _settle(state: HandedOver, outcome: Outcome) -> Step:
@@ -327,11 +336,11 @@ def _hear_accept(config: ProtocolConfig, state: AwaitingAccept, accept: Accept, 
 
 
 def _abort(live: Handoff, reason: AbortReason, now_ns: int) -> Abort:
-    return Abort(live.handoff_id, live.epoch, reason, now_ns)
+    return Abort(live.handoff_id, live.epoch, reason, now_ns, live.instance)
 
 
 def _confirm(live: Handoff, nonce: int, now_ns: int) -> Confirm:
-    return Confirm(live.handoff_id, live.epoch, live.target_id, nonce, now_ns)
+    return Confirm(live.handoff_id, live.epoch, live.target_id, nonce, now_ns, live.instance)
 
 
 class SenderMachine:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import Literal
 
@@ -24,7 +24,8 @@ class ProtocolConfig:
         handoff_s: from the first word of a handoff to the agreement; then the outcome is TIMEOUT.
         lease_s: from COMMIT to the end of its lease.
         retry_s: between two COMMITs, and two ACCEPTs.
-        guard_s: the receiver's lease ends this much early, for its program may be late to notice.
+        guard_s: the receiver's lease ends this much early: time from its last look at the clock until what it then did
+            has happened.
         settle_s: after the lease, how long to wait for word of what became of the other side.
         max_uncertainty_s: clocks known no better than this cannot carry a lease.
     """
@@ -80,17 +81,24 @@ class Refusal(Enum):
     LEASE_OVER = "lease_over"
     LEASE_TOO_LONG = "lease_too_long"  # longer than any that is given: the clocks are not what they were
     NO_CLOCK = "no_clock"
+    WRONG_INSTANCE = "wrong_instance"  # another receiver's, which answers on the same channel
+    NOT_ONE_RECEIVER = "not_one_receiver"  # none is heard, or more than one
     NOT_ABLE = "not_able"
     EPOCHS_EXHAUSTED = "epochs_exhausted"
 
 
 @dataclass(frozen=True, slots=True)
 class Handoff:
-    """What every message of one attempt is bound to."""
+    """What every message of one attempt is bound to. ``instance``: the receiver it is committed to, 0 before."""
 
     handoff_id: int
     epoch: int
     target_id: int
+    instance: int = 0
+
+    def follows(self, other: Handoff | None) -> bool:
+        """Whether it is another attempt."""
+        return other is None or replace(self, instance=0) != replace(other, instance=0)
 
 
 Bound = Target | Candidate | Commit | Accept | Confirm
@@ -104,6 +112,8 @@ def mismatch(live: Handoff, message: Bound) -> Refusal | None:
         return Refusal.WRONG_HANDOFF
     if message.target_id != live.target_id:
         return Refusal.WRONG_TARGET
+    if isinstance(message, Commit | Accept | Confirm) and message.instance != live.instance:
+        return Refusal.WRONG_INSTANCE
     return None
 
 
@@ -135,10 +145,16 @@ class AbortRequested:
 
 @dataclass(frozen=True, slots=True)
 class PeerStatus:
-    """The other drone's Status. ``stamp_ns`` is the earliest its stamp can be in the own clock."""
+    """The other drone's Status, of a proved stream and while the clocks are aligned.
+
+    Attributes:
+        stamp_ns: the earliest its stamp can be in the own clock.
+        instance: as in ``path.messages.Status``.
+    """
 
     responsible: bool
     stamp_ns: int
+    instance: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,12 +172,14 @@ class AgreementComplete:
     Attributes:
         nonce: u32, fresh, unpredictable; drawn by the caller.
         uncertainty_ns: bound on the clocks' offset until the lease's end; None when they are not aligned.
+        instance: of the receiver that answers; None when none is heard, or more than one.
     """
 
     epoch: int
     target_id: int
     nonce: int
     uncertainty_ns: int | None
+    instance: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,12 +199,14 @@ class CommitHeard:
     Attributes:
         lease_end_ns: its lease's end in the receiver's own clock; None when the clocks are not aligned.
         uncertainty_ns: bound on the error of that conversion.
+        instance: this receiver's own.
         able: whether the receiver sees the target and may follow it now.
     """
 
     commit: Commit
     lease_end_ns: int | None
     uncertainty_ns: int
+    instance: int
     able: bool = True
 
 
@@ -252,7 +272,21 @@ class Persist:
 
 @dataclass(frozen=True, slots=True)
 class TakeResponsibility:
-    provisional: bool
+    """Responsible from now on: until an instant of the own clock, or for good when there is none.
+
+    The end is part of it. Whoever says or acts on it compares it with the clock (``at``); a program that slept through
+    the end is not responsible when it wakes, though nothing has told it so.
+    """
+
+    until_ns: int | None = None
+
+    @property
+    def provisional(self) -> bool:
+        return self.until_ns is not None
+
+    def at(self, now_ns: int) -> bool:
+        """Whether it is still so."""
+        return self.until_ns is None or now_ns < self.until_ns
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,7 +62,7 @@ async def rendered(folder: Path) -> AsyncGenerator[Stage]:
     down = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 2.0]))
     drones = {role: DroneTruth(down, (0.0, 0.0, 0.0), 0.0, True) for role in Role}
     world = SimpleNamespace(snapshot=lambda: Snapshot(0.0, drones, ()))
-    harness = SimpleNamespace(seed=1, world=world, frozen_cameras={})
+    harness = SimpleNamespace(seed=1, world=world, frozen_cameras={}, built=None)
     here = context()
     given = type(here)(here.role, here.clock, COLOR, here.mount, here.layout, here.origin, harness)
     camera = RenderedCamera(RenderedCameraConfig(rate_hz=FPS), given)

@@ -32,12 +32,12 @@ from tests.drivers.link_ends import (
 )
 
 WORDS: list[Message] = [
-    Commit(1, 2, 3, 4, 5, 6),
-    Commit(1, 2, 3, 4, 5, 7),
+    Commit(1, 2, 3, 4, 5, 6, 9),
+    Commit(1, 2, 3, 4, 5, 7, 9),
     Ping(1, 2),
-    Confirm(1, 2, 3, 4, 5),
+    Confirm(1, 2, 3, 4, 5, 9),
     Pong(1, 5, 6, 7),
-    Accept(1, 2, 3, 4, 5),
+    Accept(1, 2, 3, 4, 5, 9),
     Abort(1, 2, AbortReason.PILOT, 5),
 ]
 GARBAGE = (b"\xfd", b"\xfd\x00garbage", bytes(300), bytes(range(256)))
@@ -259,8 +259,8 @@ def test_a_peer_that_is_gone_is_silence_and_it_may_come_back(
                         sender.send(Ping(2, 5))
                         assert await heard(receiver, Ping(2, 5))
                         receiver.send(Pong(2, 5, 6, 7))
-                    receiver.send(Accept(1, 2, 3, 4, 5))
-                    assert await heard(sender, Accept(1, 2, 3, 4, 5))
+                    receiver.send(Accept(1, 2, 3, 4, 5, 9))
+                    assert await heard(sender, Accept(1, 2, 3, 4, 5, 9))
 
     on(stage_of(tmp_path, key_file if signed else None), test)
 

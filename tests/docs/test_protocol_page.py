@@ -95,7 +95,7 @@ def test_the_table_says_in_which_states_a_drone_is_responsible() -> None:
         sender.Keeping(1),
         sender.Offering(LIVE, 0, 0),
         sender.Verifying(LIVE, 0),
-        sender.AwaitingAccept(LIVE, Commit(1, 1, 1, 1, 0, 0), 0, 0),
+        sender.AwaitingAccept(LIVE, Commit(1, 1, 1, 1, 0, 0, 9), 0, 0),
         sender.HandedOver(LIVE, 0, 0, 0),
         sender.TakenBack(LIVE),
         receiver.Observing(),
@@ -104,7 +104,7 @@ def test_the_table_says_in_which_states_a_drone_is_responsible() -> None:
         receiver.LetGo(LIVE, 0, 0, 0),
     ]
     assert told == {
-        named(state): receiver.is_responsible(state)
+        named(state): receiver.is_responsible(state, -1)
         if isinstance(state, receiver.ReceiverState)
         else sender.is_responsible(state)
         for state in states
@@ -129,9 +129,9 @@ def test_the_sequence_chart_is_what_the_machines_say_to_each_other() -> None:
     reason = MissReason.NO_CANDIDATE
     candidate = Candidate(1, 1, 1, 0, 0, 0, None, reason, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0), 0.0)
     d1.step(Heard(say("D2", candidate)), 0)
-    commit = only("D1", d1.step(AgreementComplete(1, 1, 7, 0), 0))
+    commit = only("D1", d1.step(AgreementComplete(1, 1, 7, 0, 9), 0))
     assert isinstance(commit, Commit)
-    accept = only("D2", d2.step(CommitHeard(commit, commit.lease_end_ns, 0), 1))
+    accept = only("D2", d2.step(CommitHeard(commit, commit.lease_end_ns, 0, 9), 1))
     confirm = only("D1", d1.step(Heard(accept), 2))
     d2.step(Heard(confirm), 3)
     assert isinstance(accept, Accept) and isinstance(confirm, Confirm)

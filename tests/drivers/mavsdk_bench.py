@@ -127,7 +127,7 @@ def px4(config: AutopilotConfig = QUICK, speed: float = 1.0) -> Generator[Bench]
     """The vehicle's time runs ``speed`` times as fast as ours."""
     exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
     calm = WindConfig(0.0, gust_mps=0.0)
-    world = World(WorldConfig(calm, exact, autopilot=config, sender_home=HOME), seed=1)
+    world = World(WorldConfig(wind=calm, estimator=exact, autopilot=config, sender_home=HOME), seed=1)
     wire, port, drone = Wire(), free_port(), world.drone(Role.SENDER)
     endpoint = MavlinkVehicle(MavlinkVehicleConfig(SYSID, ("127.0.0.1", port)), drone, TANGENT)
     endpoint.tap = wire.tap

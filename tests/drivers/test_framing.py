@@ -11,7 +11,7 @@ from path.observations import Box
 KEY = bytes(range(32))
 TARGET = Target(1, 2, 3, 4, 50_000, (1.0, 2.0, 3.0), (0.0, 0.0, 1.0), 0.01)
 CANDIDATE = Candidate(1, 2, 3, 4, 5, 50_000, Box(1.0, 2.0, 3.0, 4.0), None, (0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 0.0), 0.01)
-MESSAGES: tuple[Message, ...] = (TARGET, CANDIDATE, Accept(1, 2, 3, 4, 5))
+MESSAGES: tuple[Message, ...] = (TARGET, CANDIDATE, Accept(1, 2, 3, 4, 5, 9))
 
 
 def packets(key: bytes | None = KEY) -> list[bytes]:

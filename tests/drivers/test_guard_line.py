@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import socket
+import stat
 import time
 
 import pytest
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 from drivers.guard_interfaces import Answer, Beat, Hand, Script
 from drivers.guard_line import (
+    FOREIGN,
     GuardLineError,
     UdpBeatLine,
     UdpGuardLine,
@@ -22,6 +24,7 @@ from drivers.guard_line import (
     encode_beat,
     is_taken,
 )
+from drivers.guard_seal import KeyReader, Seals, key_path
 from tests.guard_bench import free_port, until
 
 
@@ -30,6 +33,7 @@ class WallClock:
         return time.monotonic_ns()
 
 
+WORDS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=90)
 FLOATS = st.floats(width=32, allow_nan=False)
 
 
@@ -38,7 +42,7 @@ def test_a_beat_comes_back_as_it_was(beat: Beat) -> None:
     assert decode_beat(encode_beat(beat)) == beat
 
 
-@given(st.builds(Answer, st.booleans(), st.sampled_from(Hand), st.text(max_size=90)))
+@given(st.builds(Answer, st.booleans(), st.sampled_from(Hand), WORDS, WORDS))
 def test_an_answer_comes_back_as_it_was(answer: Answer) -> None:
     assert decode_answer(encode_answer(answer)) == answer
 
@@ -98,6 +102,84 @@ def test_noise_between_the_beats_changes_nothing() -> None:
                 assert newest is not None and newest[1].script is Script.LANDING
             guard.answer(Answer(False, Hand.FREE))  # to the role, not to the stranger
             until(lambda: role.answer() is not None)
+
+    asyncio.run(main())
+
+
+def test_what_another_program_says_is_counted_and_ignored() -> None:
+    async def main() -> None:
+        port, clock = free_port(), WallClock()
+        bind = f"127.0.0.1:{port}"
+        foreign = encode_beat(Beat(Script.CONTROL, 9))
+        async with UdpBeatLine(bind, clock) as guard, UdpGuardLine(bind, clock) as role:
+            true = KeyReader(bind).read()
+            assert true is not None
+            recorded = Seals().seal(true, encode_beat(Beat(Script.CONTROL, 1)))
+            role.beat(Beat(Script.LANDING, 1))
+            newest = guard.newest()
+            assert newest is not None and guard.ignored == {}
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+                packets = (foreign, Seals().seal(bytes(32), foreign), recorded[:-1], recorded, b"")
+                for packet in packets:
+                    stranger.sendto(packet, ("127.0.0.1", port))
+                    assert guard.newest() is None
+                assert guard.ignored == {FOREIGN: len(packets)}
+                stranger.setblocking(False)
+                guard.answer(Answer(True, Hand.SCRIPT))  # still to the role
+                until(lambda: role.answer() is not None)
+                with pytest.raises(BlockingIOError):
+                    stranger.recv(100)
+
+    asyncio.run(main())
+
+
+def test_who_sits_where_the_guard_was_is_not_believed() -> None:
+    async def main() -> None:
+        port, clock = free_port(), WallClock()
+        bind = f"127.0.0.1:{port}"
+        async with UdpGuardLine(bind, clock) as role:
+            async with UdpBeatLine(bind, clock) as guard:
+                role.beat(Beat(Script.CONTROL, 1))
+                assert guard.newest() is not None
+                key, path = KeyReader(bind).read(), key_path(bind)
+                assert key is not None and stat.S_IMODE(path.stat().st_mode) == 0o600
+            assert not path.exists()
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as impostor:
+                impostor.bind(("127.0.0.1", port))
+                role.beat(Beat(Script.CONTROL, 2))
+                impostor.setblocking(False)
+                with pytest.raises(BlockingIOError):
+                    impostor.recv(100)  # nothing is said to it
+                said = encode_answer(Answer(True, Hand.SCRIPT))
+                impostor.sendto(said, role._socket._socket.getsockname())  # type: ignore[union-attr]
+                impostor.sendto(Seals().seal(bytes(32), said), role._socket._socket.getsockname())  # type: ignore[union-attr]
+                await asyncio.sleep(0)
+                assert role.answer() is None
+            async with UdpBeatLine(bind, clock) as again:  # another run, another key, the same program
+                role.beat(Beat(Script.CONTROL, 3))
+                assert again.newest() is not None and again.ignored == {}
+                again.answer(Answer(True, Hand.FREE))
+                until(lambda: role.answer() is not None)
+
+    asyncio.run(main())
+
+
+def test_a_key_that_others_can_read_is_not_used() -> None:
+    async def main() -> None:
+        bind, clock = f"127.0.0.1:{free_port()}", WallClock()
+        async with UdpBeatLine(bind, clock) as guard, UdpGuardLine(bind, clock) as role:
+            key_path(bind).chmod(0o644)
+            assert KeyReader(bind).read() is None
+            role.beat(Beat(Script.CONTROL, 1))
+            assert guard.newest() is None
+        key_path(bind).unlink()
+        key_path(bind).mkdir()
+        try:
+            with pytest.raises(GuardLineError, match="key"):
+                async with UdpBeatLine(bind, clock):
+                    pass
+        finally:
+            key_path(bind).rmdir()
 
     asyncio.run(main())
 

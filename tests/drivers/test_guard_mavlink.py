@@ -6,9 +6,12 @@ import asyncio
 import math
 import os
 import socket
+import threading
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Generator
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
@@ -19,7 +22,8 @@ from pymavlink.dialects.v20 import all as mavlink
 from drivers.guard_interfaces import GuardView
 from drivers.guard_mavlink import GuardMavlink, GuardMavlinkConfig
 from drivers.interfaces import FlightMode, VehicleError
-from drivers.mavlink_port import take_frames
+from drivers.mavlink_frames import take_frames
+from drivers.mavlink_port import UNSIGNED
 from drivers.rig import PartContext
 from tests.guard_bench import LIMIT_S, ORIGIN, SYSID, Bench, bench, free_port
 
@@ -104,6 +108,85 @@ def test_another_vehicle_on_the_port_is_not_taken_for_ours() -> None:
         assert {message.get_srcSystem() for message in own.wire} == {245}  # and nothing was said to it
 
     run(main)
+
+
+@contextmanager
+def spoofer(port: int) -> Generator[socket.socket]:
+    """Says fifty times a second, from a port of its own, that our vehicle is in a pilot's mode, and not armed."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        own.bind(("127.0.0.1", 0))
+        own.setblocking(False)
+        mav: Any = mavlink.MAVLink(None, srcSystem=SYSID, srcComponent=1)
+        stop = threading.Event()
+
+        def spoof() -> None:
+            while not stop.wait(0.02):
+                for base in (1, 129):
+                    beat = mavlink.MAVLink_heartbeat_message(2, 12, base, 3 << 16, 4, 3)
+                    own.sendto(beat.pack(mav), ("127.0.0.1", port))
+                mode = mavlink.MAVLink_current_mode_message(0, 3 << 16, 3 << 16)
+                own.sendto(mode.pack(mav), ("127.0.0.1", port))
+
+        thread = threading.Thread(target=spoof)
+        thread.start()
+        try:
+            yield own
+        finally:
+            stop.set()
+            thread.join()
+
+
+def test_a_second_vehicle_of_our_number_is_told_of_and_ignored() -> None:
+    async def main(own: Bench) -> None:
+        async with guard_at(f"udpin://127.0.0.1:{own.port}") as guard:
+            await seen(guard, lambda _: True)
+            own.in_air()
+            await seen(guard, lambda view: view.mode is FlightMode.OFFBOARD)
+            with spoofer(own.port) as other:
+                await seen(guard, lambda _: bool(guard.ignored))
+                begun_s = own.world.time_s
+                while own.world.time_s < begun_s + 1.0:
+                    view = guard.view()
+                    assert view is not None and view.armed and view.mode is FlightMode.OFFBOARD
+                    await asyncio.sleep(0.005)
+                (what,) = guard.ignored
+                assert what == f"a second vehicle 1, at 127.0.0.1:{other.getsockname()[1]}"
+                assert guard.ignored[what] > 20
+                guard.hold()
+                await seen(guard, lambda view: view.mode is FlightMode.HOLD)
+                with pytest.raises(BlockingIOError):
+                    other.recv(2048)  # nothing was said to it
+
+    run(main)
+
+
+def test_with_a_key_only_what_is_signed_is_believed_and_the_vehicle_takes_what_is_sent(key_file: Path) -> None:
+    async def main(own: Bench) -> None:
+        config = GuardMavlinkConfig(f"udpin://127.0.0.1:{own.port}", BIND, SYSID, key_file=key_file)
+        with spoofer(own.port) as other:
+            async with GuardMavlink(config, CONTEXT) as guard:
+                await seen(guard, lambda view: view.mode is FlightMode.HOLD and view.position_ns > 0)
+                assert set(guard.ignored) == {UNSIGNED}
+                own.in_air(by_setpoints=False)
+                guard.land()
+                assert (await seen(guard, lambda view: view.acked is not None)).acked is True
+                with pytest.raises(BlockingIOError):
+                    other.recv(2048)
+
+    with bench(key=key_file.read_bytes()) as own:
+        asyncio.run(main(own))
+
+
+def test_another_key_than_the_vehicles_hears_nothing(key_file: Path) -> None:
+    async def main(own: Bench) -> None:
+        config = GuardMavlinkConfig(f"udpin://127.0.0.1:{own.port}", BIND, SYSID, key_file=key_file)
+        async with GuardMavlink(config, CONTEXT) as guard:
+            while not guard.ignored:
+                assert guard.view() is None
+                await asyncio.sleep(0.01)
+
+    with bench(key=bytes(32)) as own:
+        asyncio.run(main(own))
 
 
 class Copter:

@@ -86,6 +86,20 @@ def test_a_flight_from_arming_to_landing() -> None:
         again.bind(("127.0.0.1", bench.port))  # the port is free again
 
 
+def test_a_mode_that_disarming_brings_back_is_no_pilots() -> None:
+    """CURRENT_MODE shows it 20 times a second; that it was disarmed comes with a heartbeat, up to a second later."""
+
+    async def fly(bench: Bench) -> None:
+        async with bench.vehicle(heartbeat_timeout_s=2.5) as vehicle:
+            for _ in range(3):
+                await into_the_air(vehicle)
+                await vehicle.land(LIMIT_S)
+                assert not vehicle.state.armed
+
+    with px4(replace(QUICK, heartbeat_hz=1.0)) as bench:
+        asyncio.run(fly(bench))
+
+
 def test_height_may_be_reckoned_from_home() -> None:
     async def fly(bench: Bench) -> None:
         async with bench.vehicle(height_from="home") as vehicle:

@@ -43,12 +43,12 @@ def test_a_slow_radio_carries_the_present(tmp_path: Path) -> None:
             for k in range(40):
                 sender.send(replace(TARGET, sequence=k))
                 sender.send(replace(STATUS, phase=k))
-            sender.send(Accept(1, 2, 3, 4, 5))
+            sender.send(Accept(1, 2, 3, 4, 5, 9))
             got = [(await receiver.receive()).message]
             while not {replace(STATUS, phase=39), replace(TARGET, sequence=39)} <= set(got):
                 got.append((await receiver.receive()).message)
-            assert Accept(1, 2, 3, 4, 5) in got
-            assert got.index(Accept(1, 2, 3, 4, 5)) < got.index(replace(TARGET, sequence=39))
+            assert Accept(1, 2, 3, 4, 5, 9) in got
+            assert got.index(Accept(1, 2, 3, 4, 5, 9)) < got.index(replace(TARGET, sequence=39))
             assert len(got) < 12
             assert sender.counters.dropped["superseded_unsent"] > 60
         cable.unplug()
@@ -64,7 +64,7 @@ def test_a_radio_that_is_unplugged_is_silence_and_may_come_back(tmp_path: Path, 
         async with sender, receiver:
             await introduce(sender, receiver)
             cable.unplug()
-            await until(lambda: _lost(sender, TARGET) and _lost(receiver, Accept(1, 2, 3, 4, 5)))
+            await until(lambda: _lost(sender, TARGET) and _lost(receiver, Accept(1, 2, 3, 4, 5, 9)))
             cable.plug()
             waiting = asyncio.ensure_future(receiver.receive())
             while not waiting.done():
@@ -118,7 +118,7 @@ def test_a_port_that_vanishes_again_while_it_is_opened_is_tried_again(
         sender, receiver = serial_links(cable, key_file)
         async with sender, receiver:
             cable.unplug()
-            await until(lambda: _lost(sender, TARGET) and _lost(receiver, Accept(1, 2, 3, 4, 5)))
+            await until(lambda: _lost(sender, TARGET) and _lost(receiver, Accept(1, 2, 3, 4, 5, 9)))
             monkeypatch.setattr("drivers.serial_link.serial.Serial", flaps)
             cable.plug()
             async with asyncio.timeout(5.0):

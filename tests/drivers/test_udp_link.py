@@ -4,15 +4,17 @@ import asyncio
 import gc
 import socket
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from pytest import MonkeyPatch
 
 from drivers.interfaces import LinkError, Received
 from drivers.link_key import read_key, signing_time
 from drivers.udp_link import UdpLink, address_of
 from drivers.wire import Codec
-from path.messages import Accept, Ping, Pong, Role
+from path.messages import Accept, Commit, Ping, Pong, Role
 from tests.drivers.link_ends import TARGET, Context, WallClock, free_ports, introduce, run, until
 
 
@@ -46,8 +48,8 @@ def test_messages_cross_both_ways_and_are_counted_with_their_headers(signed: boo
             received = await receiver.receive()
             assert received.message == TARGET
             assert start_ns <= received.arrival_ns <= time.monotonic_ns()
-            receiver.send(Accept(1, 2, 3, 4, 5))
-            assert (await sender.receive()).message == Accept(1, 2, 3, 4, 5)
+            receiver.send(Accept(1, 2, 3, 4, 5, 9))
+            assert (await sender.receive()).message == Accept(1, 2, 3, 4, 5, 9)
             pings = 2 * signed  # each end's, and their answers
             assert sender.counters.packets_sent == sender.counters.packets_received == 1 + pings
             assert sender.counters.bytes_sent == receiver.counters.bytes_received
@@ -106,7 +108,7 @@ def test_a_closed_peer_is_silence_and_it_may_come_back() -> None:
                 sender.send(TARGET)
                 await asyncio.sleep(0)
             async with receiver:
-                receiver.send(Accept(1, 2, 3, 4, 5))
+                receiver.send(Accept(1, 2, 3, 4, 5, 9))
                 assert isinstance(await sender.receive(), Received)
 
     run(test())
@@ -183,6 +185,58 @@ def test_a_key_file_is_looked_at_hard(key_file: Path, tmp_path: Path) -> None:
         read_key(tmp_path / "missing")
     with pytest.raises(LinkError, match="not a file"):
         read_key(Path("/dev/zero"))
+
+
+@pytest.mark.parametrize("year", [2014, 2105, 9999])
+def test_a_clock_that_no_signature_can_say_opens_nothing(year: int, key_file: Path, monkeypatch: MonkeyPatch) -> None:
+    seconds = datetime(year, 1, 2, tzinfo=UTC).timestamp()
+    monkeypatch.setattr(time, "time", lambda: seconds)
+
+    async def test() -> None:
+        sender, _ = pair(key_file)
+        with pytest.raises(LinkError, match=f"clock says {year}-01-02") as caught:
+            await sender.__aenter__()
+        assert "set the clock" in caught.value.remedy
+        unsigned, _ = pair()
+        async with unsigned:
+            pass
+
+    run(test())
+
+
+def test_what_the_peer_says_in_a_flood_is_taken(key_file: Path) -> None:
+    """400 forged datagrams from the peer's own address for each of its own, as in a flood of 50,000 a second."""
+    (port,) = free_ports(1)
+    forged = Codec(Role.SENDER, bytes(32), stamp=signing_time).encode(TARGET)
+    true = Codec(Role.SENDER, read_key(key_file), stamp=signing_time)
+
+    async def test() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+            peer.bind(("127.0.0.1", 0))
+            receiver = link(Role.RECEIVER, f"127.0.0.1:{port}", f"127.0.0.1:{peer.getsockname()[1]}", key_file)
+            sent = 0
+
+            async def say(*packets: bytes) -> None:
+                nonlocal sent
+                for packet in packets:
+                    peer.sendto(packet, ("127.0.0.1", port))
+                sent += len(packets)
+                await until(lambda: receiver.counters.packets_received == sent)
+
+            async with receiver:
+                receiver.send(Ping(1, 5))
+                await say(true.encode(Pong(1, 5, 6, 7)))
+                assert (await receiver.receive()).message == Pong(1, 5, 6, 7)
+                for number in range(50):
+                    for _ in range(4):
+                        await say(*[forged] * 100)
+                    await say(true.encode(Commit(number, 2, 3, 4, 5, 6, 9)))
+                    assert (await receiver.receive()).message == Commit(number, 2, 3, 4, 5, 6, 9)
+                dropped = receiver.counters.dropped
+                assert dropped["bad_signature"] + dropped["flooded"] == 20_000
+                assert set(dropped) == {"bad_signature", "flooded"}
+
+    run(test(), 60.0)
 
 
 def test_a_bad_key_opens_nothing(key_file: Path) -> None:

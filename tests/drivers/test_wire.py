@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.dialect import path_dialect as dialect
-from drivers.wire import UDP_IP_OVERHEAD, Codec, Drop, EncodeError, introduce
+from drivers.wire import LAST_STAMP, UDP_IP_OVERHEAD, Codec, Drop, EncodeError, introduce
 from flight.config import MissionConfig
 from path.messages import (
     Abort,
@@ -38,20 +38,22 @@ BOX = Box(-100.5, 200.0625, 50.25, 4095.9375)
 CANDIDATE = Candidate(
     0xFFFF, 0xFFFE, 255, 0xFFFD, 0xFFFC, INSTANT, BOX, None, (0.5, -0.25, 1.0), (0.5, 0.5, -0.5, 0.5), 0.0042
 )
-STATUS = Status(Role.SENDER, INSTANT, (1.234, -5.678, -1.4), (0.12, -0.34, 0.05), 3.0, 200, True, False, 0.735)
+STATUS = Status(
+    Role.SENDER, INSTANT, (1.234, -5.678, -1.4), (0.12, -0.34, 0.05), 3.0, 200, True, False, 0.735, 0x123456
+)
 FROM_SENDER: tuple[Message, ...] = (
     TARGET,
     STATUS,
     Ping(2**32 - 1, STAMP),
     Pong(2**32 - 1, STAMP, STAMP + 1, STAMP + 2),
-    Commit(0xFFFF, 0xFFFE, 255, 2**32 - 1, STAMP + 9, STAMP),
-    Confirm(0xFFFF, 0xFFFE, 255, 2**32 - 1, STAMP),
-    Abort(0xFFFF, 0xFFFE, AbortReason.SHUTDOWN, STAMP),
+    Commit(0xFFFF, 0xFFFE, 255, 2**32 - 1, STAMP + 9, STAMP, 2**24 - 1),
+    Confirm(0xFFFF, 0xFFFE, 255, 2**32 - 1, STAMP, 2**24 - 1),
+    Abort(0xFFFF, 0xFFFE, AbortReason.SHUTDOWN, STAMP, 2**24 - 1),
 )
 FROM_RECEIVER: tuple[Message, ...] = (
     CANDIDATE,
     replace(CANDIDATE, box=None, reason=MissReason.NO_MARKER, rotation_v_c2=(1.0, 0.0, 0.0, 0.0)),
-    Accept(0xFFFF, 0xFFFE, 255, 2**32 - 1, STAMP),
+    Accept(0xFFFF, 0xFFFE, 255, 2**32 - 1, STAMP, 2**24 - 1),
 )
 
 
@@ -194,7 +196,8 @@ NAN, INF = float("nan"), float("inf")
         replace(STATUS, phase=256),
         replace(STATUS, velocity_n_mps=(400.0, 0.0, 0.0)),
         Ping(2**32, 0),
-        Commit(1, 1, 1, 1, 2**64, 0),
+        Commit(1, 1, 1, 1, 2**64, 0, 1),
+        Commit(1, 1, 1, 1, 0, 0, 2**24),
     ],
 )
 def test_what_does_not_fit_is_refused_before_it_is_sent(message: Message) -> None:
@@ -209,10 +212,12 @@ def test_what_does_not_fit_is_refused_before_it_is_sent(message: Message) -> Non
         (raw_candidate(rotation_z=-32768, rotation_y=300), Drop.OUT_OF_RANGE),
         (raw_candidate(box_w=0), Drop.OUT_OF_RANGE),
         (raw_candidate(miss=99), Drop.OUT_OF_RANGE),
-        (dialect.MAVLink_path_abort_message(1, 1, 1, 0), Drop.OUT_OF_RANGE),
-        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0), Drop.OUT_OF_RANGE),
-        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 32000, 0, 1, 0, 0, 0), Drop.OUT_OF_RANGE),
-        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 201), Drop.OUT_OF_RANGE),
+        (dialect.MAVLink_path_abort_message(1, 1, 1, 1, 0), Drop.OUT_OF_RANGE),
+        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0, 0), Drop.OUT_OF_RANGE),
+        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 32000, 0, 0, 1, 0, 0, 0, 0), Drop.OUT_OF_RANGE),
+        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 201, 0), Drop.OUT_OF_RANGE),
+        (dialect.MAVLink_path_abort_message(1, 2**24, 1, 1, 1), Drop.OUT_OF_RANGE),
+        (dialect.MAVLink_path_confirm_message(1, 1, 2**24, 1, 1, 1), Drop.OUT_OF_RANGE),
         (dialect.MAVLink_heartbeat_message(0, 0, 0, 0, 0, 3), Drop.UNKNOWN_ID),
         (dialect.MAVLink_unknown(70000, b""), None),
     ],
@@ -289,6 +294,24 @@ def test_a_forged_stamp_does_not_lock_out_the_true_sender() -> None:
         assert receiver.decode(forged) is Drop.BAD_SIGNATURE
     assert isinstance(receiver.decode(sender.encode(TARGET)), Target)
     assert len(receiver._streams) == 1
+
+
+@pytest.mark.parametrize("clock", [2**48, 2**60, -1, LAST_STAMP + 1])
+def test_a_clock_beyond_the_range_of_signatures_signs_on_from_where_it_was(clock: int) -> None:
+    now = [1000]
+    sender, receiver = Codec(Role.SENDER, KEY, stamp=lambda: now[0]), Codec(Role.RECEIVER, KEY)
+    introduce(sender, receiver)
+    for now[0] in (2000, clock, clock):
+        assert isinstance(receiver.decode(sender.encode(TARGET)), Target)
+
+
+def test_a_peers_clock_at_the_top_of_the_range_takes_no_one_there() -> None:
+    sender, receiver = pair()
+    for stamp in (LAST_STAMP + 1, 2**48 - 1):
+        assert receiver.decode(raw(raw_target(), stamp=stamp)) is Drop.CLOCK_AT_END
+    for _ in range(3):
+        assert not isinstance(sender.decode(receiver.encode(CANDIDATE)), Drop)
+    assert isinstance(receiver.decode(sender.encode(TARGET)), Target)
 
 
 def test_our_own_packets_reflected_are_not_the_peers() -> None:

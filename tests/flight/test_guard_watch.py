@@ -35,6 +35,7 @@ class FakeVehicle:
     stubborn: bool = False
     silent: bool = False
     name: str = "a vehicle"
+    ignored: dict[str, int] = field(default_factory=dict[str, int])
 
     def view(self) -> GuardView | None:
         if not self.silent:
@@ -66,6 +67,7 @@ class FakeVehicle:
 class FakeLine:
     waiting: Beat | None = None
     answers: list[Answer] = field(default_factory=list[Answer])
+    ignored: dict[str, int] = field(default_factory=dict[str, int])
 
     def newest(self) -> tuple[int, Beat] | None:
         beat, self.waiting = self.waiting, None
@@ -251,3 +253,20 @@ def test_it_ends_only_when_nothing_is_left_to_guard() -> None:
         await bench.end()
 
     virtual(main())
+
+
+def test_what_is_ignored_raises_an_alarm_once_and_the_role_is_told() -> None:
+    async def main() -> None:
+        bench = Bench()
+        await bench.in_control()
+        for _ in range(3):
+            bench.line.ignored["beats of another"] = bench.line.ignored.get("beats of another", 0) + 1
+            await asyncio.sleep(0.6)
+        assert bench.line.answers[-1] == Answer(True, Hand.SCRIPT, "", "beats of another")
+        alarms = [record for topic, record in bench.log.records if topic == "/guard_alarm"]
+        assert alarms == [{"ignored": "beats of another"}]
+        views = [record["ignored"] for topic, record in bench.log.records if topic == "/guard_view"]
+        assert views[0] == {} and views[-1] == {"beats of another": 3}
+        await bench.end()
+
+    run_virtual(main())

@@ -51,7 +51,9 @@ def on_ports(rig: Rig, folder: Path) -> tuple[Rig, SimulatorConfig]:
 def board(rig: Rig, folder: Path, home: HomeConfig) -> Generator[tuple[SimDrone, Callable[[], None]]]:
     """The board in a thread; gives its drone, and what pulls its cables."""
     exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
-    world = World(WorldConfig(WindConfig(0.0, gust_mps=0.0), exact, autopilot=QUICK, sender_home=home), seed=1)
+    world = World(
+        WorldConfig(wind=WindConfig(0.0, gust_mps=0.0), estimator=exact, autopilot=QUICK, sender_home=home), seed=1
+    )
     tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
     drone, leg_m = world.drone(Role.SENDER), world.config.airframe.leg_m
     sysid = int(rig.sender.vehicle.options["sysid"])

@@ -86,8 +86,8 @@ def test_messages_cross_both_ways_late_and_on_the_readers_clock(signed: bool) ->
             received = await receiver.receive()
             assert received.message == TARGET
             assert received.arrival_ns == pytest.approx(5.25e9 + begin_s * 1e9, abs=1e4)
-            receiver.send(Accept(1, 2, 3, 4, 5))
-            assert (await sender.receive()).message == Accept(1, 2, 3, 4, 5)
+            receiver.send(Accept(1, 2, 3, 4, 5, 9))
+            assert (await sender.receive()).message == Accept(1, 2, 3, 4, 5, 9)
             assert sender.counters.bytes_sent == receiver.counters.bytes_received
             assert sender.counters.bytes_sent - before == 28 + 12 + 28 + 13 * signed
 
@@ -145,16 +145,16 @@ def test_faults_may_change_and_a_role_may_fall_silent() -> None:
             sent = sender.counters.packets_sent
             hub.faults = replace(hub.faults, loss=1.0)
             sender.send(TARGET)
-            receiver.send(Accept(1, 2, 3, 4, 5))
+            receiver.send(Accept(1, 2, 3, 4, 5, 9))
             await asyncio.sleep(1.0)
             assert receiver.counters.packets_received == sender.counters.packets_received == sent
             hub.faults = CLEAN
             sender.send(TARGET)
             assert (await receiver.receive()).message == TARGET
-            receiver.send(Accept(1, 2, 3, 4, 5))  # under way when its program dies
+            receiver.send(Accept(1, 2, 3, 4, 5, 9))  # under way when its program dies
             hub.cut(Role.RECEIVER)
             sender.send(TARGET)
-            receiver.send(Accept(1, 2, 3, 4, 6))
+            receiver.send(Accept(1, 2, 3, 4, 6, 9))
             await asyncio.sleep(1.0)
             assert receiver.counters.packets_received == sender.counters.packets_received == sent + 1
 
@@ -260,8 +260,8 @@ def test_the_proxy_passes_both_ways_and_its_faults_change_while_it_runs() -> Non
         async with proxy, sender, receiver:
             sender.send(TARGET)
             assert (await receiver.receive()).message == TARGET
-            receiver.send(Accept(1, 2, 3, 4, 5))
-            assert (await sender.receive()).message == Accept(1, 2, 3, 4, 5)
+            receiver.send(Accept(1, 2, 3, 4, 5, 9))
+            assert (await sender.receive()).message == Accept(1, 2, 3, 4, 5, 9)
             proxy.faults = LinkFaults(duplicate=1.0)
             sender.send(Ping(1, 0))
             assert [(await receiver.receive()).message for _ in range(2)] == [Ping(1, 0)] * 2

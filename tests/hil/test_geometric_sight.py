@@ -14,6 +14,7 @@ from drivers.interfaces import CameraError, Sight, View
 from drivers.rig import Mount, Origin, PartContext
 from hil import geometric_targets
 from hil.capture import Capture, Freeze
+from hil.errors import Built
 from hil.geometric_scene import Array, CameraSetup
 from hil.geometric_sight import GeometricSight, GeometricSightConfig, GeometricView, Sensor, warm_up
 from hil.observation_noise import EXACT, ObservationNoise
@@ -339,6 +340,7 @@ class StubHarness:
     world: StillWorld = field(default_factory=StillWorld)
     seed: int = 3
     frozen_cameras: dict[Role, Freeze] = field(default_factory=dict[Role, Freeze])
+    built: Built | None = None
 
 
 class LoopClock:

@@ -24,8 +24,9 @@ class Story:
     def epoch(self, role: Role, at_s: float, epoch: int, duty: str) -> None:
         self.write(role, "/epoch", at_s, epoch=epoch, duty=duty)
 
-    def holds(self, role: Role, at_s: float, responsible: bool, provisional: bool = False) -> None:
-        self.write(role, "/responsibility", at_s, responsible=responsible, provisional=provisional)
+    def holds(self, role: Role, at_s: float, responsible: bool, until_s: float | None = None) -> None:
+        until_ns = None if until_s is None else round(until_s * 1e9)
+        self.write(role, "/responsibility", at_s, responsible=responsible, until_ns=until_ns)
 
     def begin(self) -> None:
         self.holds(D1, 0.0, True)
@@ -41,9 +42,9 @@ class Story:
         end_ns = round((at_s + LEASE_S if end_s is None else end_s) * 1e9)
         self.write(D1, "/commit", at_s, target_id=1, epoch=epoch, nonce=7, lease_end_ns=end_ns)
 
-    def take(self, at_s: float, epoch: int = 1) -> None:
+    def take(self, at_s: float, epoch: int = 1, until_s: float | None = None) -> None:
         self.epoch(D2, at_s, epoch, "provisional")
-        self.holds(D2, at_s, True, provisional=True)
+        self.holds(D2, at_s, True, at_s + 1.0 if until_s is None else until_s)
 
     def take_back(self, at_s: float, epoch: int = 2) -> None:
         self.epoch(D1, at_s, epoch, "mine")
@@ -156,3 +157,17 @@ def test_a_program_that_begins_again_before_it_tracks_anything_leaves_no_gap() -
     story.holds(D1, 1.0, False)
     story.holds(D1, 9.8, True)
     assert story.found == {}
+
+
+def test_a_claim_that_outlasts_the_lease_is_seen_and_one_that_ran_out_is_none() -> None:
+    story = begun()
+    story.commit()
+    story.take(1.02, until_s=2.51)
+    assert story.found == {"S3": 1}
+    story = begun()
+    story.commit()
+    story.take(1.02, until_s=2.4)
+    story.take_back(2.6)  # D2's program sleeps, and says nothing
+    assert story.found == {}
+    story.holds(D2, 2.7, True)
+    assert story.found["S1"] == 1

@@ -44,7 +44,7 @@ class Bench:
         self.ground.settimeout(0.0)
         exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
         self.world = World(
-            WorldConfig(WindConfig(0.0, gust_mps=0.0), exact, autopilot=config, sender_home=HOME), seed=1
+            WorldConfig(wind=WindConfig(0.0, gust_mps=0.0), estimator=exact, autopilot=config, sender_home=HOME), seed=1
         )
         self.drone = self.world.drone(Role.SENDER)
         self.vehicle = MavlinkVehicle(MavlinkVehicleConfig(SYSID, self.ground.getsockname()), self.drone, TANGENT)

@@ -53,7 +53,7 @@ def give(monitors: Monitors, stamp_ns: int, epoch: int = 1, target_id: int = 1, 
 
 
 def responsible(monitors: Monitors, role: Role, is_so: bool) -> None:
-    monitors.on_record(role, "/responsibility", 5, {"responsible": is_so, "provisional": False})
+    monitors.on_record(role, "/responsibility", 5, {"responsible": is_so, "until_ns": None})
 
 
 def test_a_good_run_violates_nothing(monitors: Monitors) -> None:
@@ -364,7 +364,7 @@ def test_a_watched_log_passes_everything_on_and_tells_the_monitors_world_time(mo
     log = ListLog()
     responsible(monitors, Role.RECEIVER, True)
     watched = WatchedLog(log, Role.SENDER, monitors, offset_ns=4_000_000_000)
-    record = {"responsible": True, "provisional": False}
+    record = {"responsible": True, "until_ns": None}
     watched.write("/responsibility", 6_500_000_000, record)
     watched.image("/image", 7, None)  # type: ignore[arg-type]
     assert log.records == [("/responsibility", 6_500_000_000, record), ("/image", 7, None)]

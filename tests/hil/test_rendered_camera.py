@@ -13,6 +13,7 @@ import pytest
 from drivers.interfaces import CameraError, Frame
 from drivers.rig import Mount, Origin, PartContext
 from hil.capture import CaptureTiming, Freeze
+from hil.errors import Built
 from hil.rendered_camera import RenderedCamera, RenderedCameraConfig
 from hil.snapshot import DroneTruth, ObjectTruth, Snapshot
 from hil.virtual_time import run_virtual
@@ -49,6 +50,7 @@ class StubHarness:
     world: DrivingWorld = field(default_factory=DrivingWorld)
     seed: int = 3
     frozen_cameras: dict[Role, Freeze] = field(default_factory=dict[Role, Freeze])
+    built: Built | None = None
 
 
 class LoopClock:

@@ -308,7 +308,7 @@ def report(stage: Stage, failure: str = "", **changes: Any) -> FlightReport:
 def log_responsibility(stage: Stage, role: Role, *changes: tuple[int, bool], ended: bool = True) -> None:
     with McapLog(new_part(stage.out, role.value)) as log:
         for stamp_ns, responsible in changes:
-            log.write("/responsibility", stamp_ns, {"responsible": responsible, "provisional": False})
+            log.write("/responsibility", stamp_ns, {"responsible": responsible, "until_ns": None})
         if ended:
             log.write("/outcome", changes[-1][0] + 1, {"outcome": "committed"})
 

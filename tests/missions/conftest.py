@@ -161,9 +161,9 @@ class Synthetic:
             log.write("/agreement", self._stamp(role, time_s) + 1_000_000, record)
         if self.images:
             self._image(log, role, end_s - 0.3)
-        log.write("/responsibility", self._stamp(role, 10.0), {"responsible": True, "provisional": False})
+        log.write("/responsibility", self._stamp(role, 10.0), {"responsible": True, "until_ns": None})
         if self.committed:
-            log.write("/responsibility", self._stamp(role, end_s + 0.04), {"responsible": False, "provisional": False})
+            log.write("/responsibility", self._stamp(role, end_s + 0.04), {"responsible": False, "until_ns": None})
             log.write("/commit", self._stamp(role, end_s + 0.05), {"target_id": 1, "epoch": 1})
         outcome = {"outcome": "committed" if self.committed else "no_agreement", "detail": "", "landed": True}
         log.write("/outcome", self._stamp(role, 35.0), {**outcome, "responsible": not self.committed})
@@ -181,7 +181,7 @@ class Synthetic:
                 log.write("/marker", stamp_ns, self._marker(stamp_ns, time_s))
                 log.write("/candidate", stamp_ns, self._candidate(k, stamp_ns, time_s))
         if self.committed:
-            log.write("/responsibility", self._stamp(role, end_s + 0.1), {"responsible": True, "provisional": True})
+            log.write("/responsibility", self._stamp(role, end_s + 0.1), {"responsible": True, "until_ns": None})
         if self.images:
             self._image(log, role, end_s - 0.4)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -12,6 +13,7 @@ from drivers.interfaces import FlightMode, LinkCounters, Received, VehicleState
 from drivers.state_file import MemoryStore
 from flight.config import Deadlines, MissionConfig
 from flight.outcome import MissionEnd, Outcome
+from hil.claims import Claims, in_world_time
 from hil.virtual_time import run_virtual
 from missions.handover import ReceiverHandover, SenderHandover
 from missions.session import Session
@@ -27,10 +29,15 @@ NO_END = MissionEnd(Outcome.TARGET_LOST, "target not seen for 2.0 s")
 
 @dataclass
 class OffsetClock:
+    """Stands once the run is over."""
+
     offset_s: float
+    _newest_ns: int = 0
 
     def now_ns(self) -> int:
-        return round((asyncio.get_running_loop().time() + self.offset_s) * 1e9)
+        with suppress(RuntimeError):
+            self._newest_ns = round((asyncio.get_running_loop().time() + self.offset_s) * 1e9)
+        return self._newest_ns
 
 
 @dataclass
@@ -199,19 +206,19 @@ class Pair:
 
     def check_never_two(self) -> None:
         """S1, in true time, and every change of mind logged."""
-        changes = sorted(
-            (entry[0], role.value, bool(entry[2]["responsible"]))
+        changes = [
+            (entry[0], role.value, in_world_time(entry[2], round(self.link[role].clock.offset_s * 1e9)))
             for role, log in self.log.items()
             for entry in log.entries
             if entry[1] == "/responsibility"
-        )
-        now: dict[str, bool] = {}
-        for at_s, role, responsible in changes:
-            now[role] = responsible
-            assert sum(now.values()) <= 1, f"two responsible at {at_s} s: {changes}"
-        assert {role.value: flag for role, flag in self.responsible().items() if flag} == {
-            role: flag for role, flag in now.items() if flag
-        }
+        ]
+        changes.sort(key=lambda change: change[0])
+        claims = Claims[str]()
+        for at_s, role, record in changes:
+            claims.note(role, record)
+            assert len(claims.holders(at_s)) <= 1, f"two responsible at {at_s} s: {changes}"
+        end_s = max(at_s for at_s, _, _ in changes) + 100.0
+        assert {role.value for role, flag in self.responsible().items() if flag} == set(claims.holders(end_s))
 
 
 def fly(rig: Any, course: Callable[[Pair], Coroutine[Any, Any, None]], able: bool = True) -> Pair:

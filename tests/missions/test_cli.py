@@ -48,8 +48,22 @@ def test_the_defaults_fly_the_sitl_rig(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_all_options_of_a_handoff(monkeypatch: pytest.MonkeyPatch) -> None:
     faults = ("--fault", "lookalike", "--fault", "link_loss=0.3")
-    command = parsed(monkeypatch, "handoff", "--rig", "sim", "--seed", "7", "--seeds", "100", *faults, "--out", "a/b")
-    assert command == HandoffOptions("sim", 7, 100, 0, ("lookalike", "link_loss=0.3"), Path("a/b"))
+    command = parsed(
+        monkeypatch,
+        "handoff",
+        "--rig",
+        "sim",
+        "--seed",
+        "7",
+        "--seeds",
+        "100",
+        *faults,
+        "--errors",
+        "exact",
+        "--out",
+        "a/b",
+    )
+    assert command == HandoffOptions("sim", 7, 100, 0, ("lookalike", "link_loss=0.3"), "exact", Path("a/b"))
 
 
 @pytest.mark.parametrize(

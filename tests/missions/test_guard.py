@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -16,9 +17,10 @@ from pathlib import Path
 import pytest
 
 from drivers.guard_interfaces import Answer, Beat, Hand, Script
-from drivers.guard_line import UdpGuardLine
+from drivers.guard_line import UdpGuardLine, encode_beat
 from drivers.interfaces import FlightMode, PartError
 from drivers.log import read_log
+from drivers.udp_link import address_of
 from hil.autopilot_values import OffboardSession
 from missions import guard_start, rig_library
 from missions.cli import main
@@ -40,6 +42,7 @@ class FakeRole:
     """Beats like a role; ``stopped`` is what SIGSTOP does to it."""
 
     def __init__(self, bind: str) -> None:
+        self.guard = bind
         self._line = UdpGuardLine(bind, MonotonicClock())
         self.script = Script.IDLE
         self.stopped = False
@@ -123,6 +126,33 @@ def test_a_hung_role_s_vehicle_is_held_and_landed_though_its_setpoints_go_on(tmp
     assert "holding, told it to hold: no sign of life" in said
     decisions = [r.record["stage"] for r in read_log(tmp_path / "sender.guard.mcap") if r.topic == "/guard"]
     assert decisions == ["holding", "landing", "watching"]
+
+
+def test_another_program_s_beats_do_not_keep_a_guard_quiet(tmp_path: Path) -> None:
+    with guarded(tmp_path) as (own, role, process), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
+        stop = threading.Event()
+
+        def beat_on() -> None:
+            setpoints = 1000
+            while not stop.wait(0.02):
+                setpoints += 1
+                foreign.sendto(encode_beat(Beat(Script.CONTROL, setpoints)), address_of(role.guard, "bind"))
+
+        thread = threading.Thread(target=beat_on)
+        thread.start()
+        try:
+            until(lambda: bool(role.answers) and "not sealed" in role.answers[-1].alarm)  # the crew is told
+            assert role.hand is Hand.SCRIPT  # and goes on
+            role.stopped = True
+            until(lambda: own.autopilot.mode is FlightMode.HOLD)
+            until(lambda: not own.autopilot.armed)
+        finally:
+            stop.set()
+            thread.join()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(LIMIT_S) == 0
+        assert process.stdout is not None
+        assert "ALARM: ignored beats that are not sealed" in process.stdout.read()
 
 
 def test_a_guard_that_is_told_to_end_stays_until_the_vehicle_is_down_and_leaves_it_to_a_pilot(tmp_path: Path) -> None:

@@ -94,6 +94,11 @@ def test_a_violated_monitor_beats_every_end() -> None:
         assert judged == (Outcome.MONITOR_VIOLATED, "S9 at 3.00 s: near")
 
 
+def test_another_object_has_an_end_of_its_own_and_beats_the_commit() -> None:
+    judged = judge(report(Outcome.COMMITTED, Outcome.COMMITTED, violations={"S12": 1}, notes=("S12 at 3.00 s: 1",)))
+    assert judged == (Outcome.WRONG_OBJECT, "S12 at 3.00 s: 1")
+
+
 def test_a_failed_harness_proves_nothing_about_the_mission() -> None:
     judged = judge(report(None, None, violations={"S1": 1}, failure="the world's process ended"))
     assert judged == (Outcome.HARNESS_FAILED, "the world's process ended")

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import random
+from dataclasses import replace
 from typing import Any, cast
 
 import pytest
 
+from drivers.interfaces import Received
 from flight.outcome import MissionEnd, Outcome
 from missions import rig_library
 from missions.handover import protocol_config
 from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Role, Status
-from tests.missions.handover_pair import CONFIG, NO_END, Pair, fly, kinds, until
+from path.protocol.receiver import LetGo, Provisional
+from path.protocol.values import PeerStatus, TakeResponsibility
+from tests.missions.handover_pair import CONFIG, NO_END, OffsetClock, Pair, fly, kinds, until
+
+RECEIVER_AHEAD_NS = 3_200_000_000  # of the sender's clock
 
 
 @pytest.fixture(scope="module")
@@ -35,10 +41,9 @@ def test_commit_accept_confirm_hands_the_target_over(rig: Any) -> None:
     assert pair.verified_again == []
     sender, receiver = pair.log[Role.SENDER], pair.log[Role.RECEIVER]
     assert [r["responsible"] for r in sender.of("/responsibility")] == [True, False]
-    assert receiver.of("/responsibility") == [
-        {"responsible": True, "provisional": True},
-        {"responsible": True, "provisional": False},
-    ]
+    provisional, for_good = receiver.of("/responsibility")
+    assert provisional["responsible"] and provisional["until_ns"] < commit_of(pair).lease_end_ns + RECEIVER_AHEAD_NS
+    assert for_good == {"responsible": True, "until_ns": None}
     assert [r["outcome"] for r in sender.of("/decision")] == ["handed_over"]
     assert [r["outcome"] for r in sender.of("/settled")] == ["handed_over"]
     assert [r["outcome"] for r in receiver.of("/decision")] == ["handed_over"]
@@ -104,6 +109,12 @@ def test_a_lost_accept_is_taken_back_and_verified_again(rig: Any) -> None:
     nonces = {commit["epoch"]: commit["nonce"] for commit in pair.log[Role.SENDER].of("/commit")}
     assert nonces[1] != nonces[2]
     assert pair.responsible() == {Role.SENDER: False, Role.RECEIVER: True}
+
+
+def commit_of(pair: Pair) -> Commit:
+    commit = kinds(pair.link[Role.SENDER].sent, Commit)[0]
+    assert isinstance(commit, Commit)
+    return commit
 
 
 async def agree_again(pair: Pair) -> None:
@@ -337,3 +348,92 @@ def test_a_lease_taken_at_its_very_end_is_let_go_in_time(rig: Any) -> None:
     pair = fly(rig, course)
     let_go = [at_s for at_s, topic, _ in pair.log[Role.RECEIVER].entries if topic == "/responsibility"][-1]
     assert -1e-6 <= let_go - ends_ns[0] * 1e-9 < 0.02
+
+
+@pytest.mark.parametrize("stall_s", [0.1, 0.39, 2.0])
+def test_a_receiver_that_sleeps_through_the_end_of_its_lease_is_not_responsible_when_it_wakes(
+    rig: Any, stall_s: float
+) -> None:
+    """S1 by the clock and not by a timer: nothing of its program runs while the sender takes back."""
+
+    async def course(pair: Pair) -> None:
+        receiver, session = pair.receiver, pair.session[Role.RECEIVER]
+        pair.cut()
+        pair.link[Role.SENDER].lost = lambda message: not isinstance(message, Commit)
+        pair.sender.agreed(1)
+        await until(lambda: session.responsible and receiver.holds)
+        receiver.tick = lambda: 0.1  # it does not come to look at its deadlines
+        pair.link[Role.SENDER].lost = lambda _: True
+        await until(lambda: session.now_ns() >= receiver.state.lease_end_ns)
+        await asyncio.sleep(stall_s)
+        assert isinstance(receiver.state, Provisional)  # nobody has told it
+        assert not session.responsible and not receiver.holds
+        session.link.send(session._status())
+        said = kinds(pair.link[Role.RECEIVER].sent, Status)[-1]
+        assert isinstance(said, Status) and not said.responsible
+        pair.session[Role.RECEIVER].log.write("/responsibility", 0, {"responsible": False, "until_ns": None})
+        await until(lambda: pair.session[Role.SENDER].responsible)
+        del receiver.tick
+
+    fly(rig, course)
+
+
+def test_a_confirm_after_a_stall_over_the_end_of_the_lease_holds_nothing(rig: Any) -> None:
+    async def course(pair: Pair) -> None:
+        receiver, session = pair.receiver, pair.session[Role.RECEIVER]
+        pair.lose(Role.SENDER, Confirm)
+        pair.sender.agreed(1)
+        await until(lambda: receiver.holds and pair.sender.handed_over)
+        receiver.tick = lambda: 0.1
+        await until(lambda: session.now_ns() > receiver.state.lease_end_ns)
+        live, nonce = receiver.state.live, receiver.state.nonce
+        late = Confirm(live.handoff_id, live.epoch, live.target_id, nonce, 1, live.instance)
+        receiver.on_message(Received(late, session.now_ns()))
+        assert isinstance(receiver.state, LetGo) and not session.responsible
+        del receiver.tick
+
+    fly(rig, course)
+
+
+def test_a_status_counts_only_while_the_clocks_are_aligned_and_by_the_earliest_it_can_be_of(
+    rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def course(pair: Pair) -> None:
+        session, alignment = pair.session[Role.SENDER], pair.session[Role.SENDER].alignment
+        heard: list[PeerStatus] = []
+        monkeypatch.setattr(pair.sender, "_on_status", heard.append)
+        await session.cancel_spawned()
+        stamp_ns = alignment.to_peer_ns(session.now_ns()) + 10**12  # long after the newest exchange: a wide bound
+        status = replace(cast(Status, kinds(pair.link[Role.RECEIVER].sent, Status)[-1]), stamp_ns=stamp_ns)
+        pair.sender.on_status(status)
+        own_ns = alignment.to_own_ns(stamp_ns)
+        assert heard == [PeerStatus(False, own_ns - alignment.uncertainty_at(own_ns), pair.receiver.instance)]
+        assert alignment.uncertainty_at(own_ns) > alignment.uncertainty_ns + 100_000_000
+        alignment.reset()
+        pair.sender.on_status(status)
+        assert len(heard) == 1
+
+    fly(rig, course)
+
+
+def test_what_is_said_of_a_lease_that_is_over_is_not_said(rig: Any) -> None:
+    """A stall between taking and saying so: no ACCEPT goes out that could only make an orphan."""
+
+    async def course(pair: Pair) -> None:
+        receiver, session = pair.receiver, pair.session[Role.RECEIVER]
+        taken: list[TakeResponsibility | None] = []
+
+        def slow(claim: TakeResponsibility | None) -> None:
+            taken.append(claim)
+            session.claim = claim
+            if claim is not None:
+                cast(OffsetClock, session.clock).offset_s += 2.0  # the whole program stands
+
+        session.set_claim = slow
+        pair.sender.agreed(1)
+        await until(lambda: bool(taken))
+        assert not session.responsible and not kinds(pair.link[Role.RECEIVER].sent, Accept)
+        await until(lambda: isinstance(receiver.state, LetGo))
+        assert taken[1:] == [None]
+
+    fly(rig, course)

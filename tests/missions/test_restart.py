@@ -36,8 +36,8 @@ async def killed(pair: Pair, role: Role) -> None:
     """Its tasks end between two packets; what was on the way to it is lost."""
     session = pair.session[role]
     await session.cancel_spawned()
-    session.responsible = False
-    pair.log[role].write("/responsibility", 0, {"responsible": False})  # as far as a dead program has any
+    session.claim = None
+    pair.log[role].write("/responsibility", 0, {"responsible": False, "until_ns": None})  # as a dead program is
     while not pair.link[role].waiting.empty():
         pair.link[role].waiting.get_nowait()
 

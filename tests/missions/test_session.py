@@ -30,6 +30,7 @@ from missions import rig_library
 from missions.course import fly_course
 from missions.session import Session, as_end
 from path.messages import Message, Ping, Pong, Role, Status, Target
+from path.protocol.values import TakeResponsibility
 
 T = TypeVar("T")
 STATE = VehicleState(
@@ -162,7 +163,7 @@ def test_an_error_nobody_foresaw_is_a_crash_and_printed(error: Exception, capsys
 def test_a_course_that_comes_to_its_end_is_committed_and_recovered(rig: Any) -> None:
     async def main() -> None:
         bench = Bench(rig)
-        bench.session.set_responsible(True)
+        bench.session.set_claim(TakeResponsibility())
         assert await bench.fly(good) == RoleResult(Role.SENDER, Outcome.COMMITTED, "", True, True)
         assert bench.recovered == [None]
         assert bench.log.of("/outcome") == [{"outcome": "committed", "detail": "", "responsible": True, "landed": True}]
@@ -355,7 +356,7 @@ def test_the_status_says_what_the_vehicle_says(rig: Any) -> None:
     async def main() -> None:
         bench = Bench(rig)
         bench.session.observing = True
-        bench.session.set_responsible(True)
+        bench.session.set_claim(TakeResponsibility())
         bench.session.enter(Phase.VERIFY)
         bench.session.spawn(bench.session.report())
         await asyncio.sleep(0.05)

@@ -15,15 +15,19 @@ from drivers.interfaces import (
     Capability,
     FlightMode,
     LinkCounters,
+    Received,
+    TakenOver,
     VehicleError,
     VehicleState,
     VelocitySetpoint,
 )
 from flight.config import Deadlines, MissionConfig
 from flight.guidance import Anchor, add, norm, scale, subtract
+from flight.harness import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from hil.virtual_time import run_virtual
 from missions import rig_library
+from missions.course import fly_course
 from missions.session import Session
 from missions.steps import bring_down, check_capabilities, preflight, take_off
 from path.messages import Pong, Role, Status
@@ -108,6 +112,9 @@ class FakeLink:
     counters: LinkCounters = field(default_factory=LinkCounters)
 
     def send(self, message: object) -> None: ...
+
+    async def receive(self) -> Received:
+        return await asyncio.get_running_loop().create_future()  # never
 
 
 @dataclass
@@ -282,6 +289,56 @@ def test_a_pilot_who_took_over_keeps_the_vehicle(rig: Any) -> None:
         assert bench.vehicle.done == ["arm", "take_off", "start_offboard"]
         assert bench.vehicle.flown == before
         assert not bench.session.pilot.in_control
+
+    virtual(main())
+
+
+async def flown_through(bench: Bench) -> RoleResult:
+    """A whole course of taking off and going home."""
+
+    async def course() -> None:
+        await take_off(bench.session, 1.5)
+
+    async def recover(end: MissionEnd | None) -> bool:
+        return await bring_down(bench.session, end, WAY_OUT)
+
+    return await fly_course(bench.session, course, recover)
+
+
+def test_a_pilot_who_takes_the_vehicle_on_its_way_home_is_named(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+
+        def take() -> None:
+            assert bench.log.phases[-1] == "depart"
+            bench.vehicle.now = replace(bench.vehicle.now, mode=FlightMode.OTHER)
+
+        asyncio.get_running_loop().call_later(2.0, take)
+        result = await flown_through(bench)
+        assert (result.outcome, result.landed) == (Outcome.PILOT_OVERRIDE, False)
+        assert "mode is other" in result.detail
+        assert bench.vehicle.done[-1] == "start_offboard"
+
+    virtual(main())
+
+
+def test_a_pilot_who_ends_the_landing_is_named_too(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+        bench.vehicle.refuses["land"] = TakenOver("landing ended by a change to mode other")
+        result = await flown_through(bench)
+        assert (result.outcome, result.landed) == (Outcome.PILOT_OVERRIDE, False)
+        assert result.detail == "landing ended by a change to mode other"
+
+    virtual(main())
+
+
+def test_what_a_pilot_has_disarmed_on_the_ground_is_down(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+        await bench.in_the_air()
+        bench.vehicle.now = replace(bench.vehicle.now, armed=False, in_air=False)
+        assert await bench.down(Outcome.PILOT_OVERRIDE)
 
     virtual(main())
 

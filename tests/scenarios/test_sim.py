@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from drivers.rig import with_errors
 from missions import rig_library
 from missions.handoff import fly_once
 from missions.records import RunFacts, load_run
@@ -39,9 +40,9 @@ class Flown:
         return bool(records and records[-1].record["responsible"])
 
 
-def fly(rig: str, out: Path, seed: int = 1, *faults: str) -> Flown:
+def fly(rig: str, out: Path, seed: int = 1, *faults: str, errors: str | None = None) -> Flown:
     out.mkdir(exist_ok=True)
-    return Flown(fly_once(rig_library.load(rig), seed, faults, out, lambda _: None), out)
+    return Flown(fly_once(with_errors(rig_library.load(rig), errors), seed, faults, out, lambda _: None), out)
 
 
 def rig_with(folder: Path, change: tuple[str, str]) -> str:
@@ -189,7 +190,7 @@ def test_a_program_that_is_killed_and_started_again_goes_by_what_it_wrote_down(
 
 @pytest.mark.parametrize("seed", [0, 1, 10])  # the receiver comes from the right, the left, the right
 def test_a_sender_leaves_away_from_a_receiver_that_died_on_its_way_to_it(tmp_path: Path, seed: int) -> None:
-    flown = fly("sim", tmp_path, seed, "kill_receiver@approach+1")
+    flown = fly("sim", tmp_path, seed, "kill_receiver@approach+1", errors="exact")  # the side is part of the seed
     (fault,) = flown.run.world["/fault"]
     after = [record.record for record in flown.run.world["/truth"] if record.stamp_ns >= fault.stamp_ns]
     places = [(each["sender"]["t"], each["receiver"]["t"]) for each in after]

@@ -65,7 +65,7 @@ def test_a_run_s_folder_is_read_with_all_its_programs(tmp_path: Path) -> None:
     for number, responsible in enumerate((True, False)):
         with McapLog(new_part(tmp_path, "sender")) as log:
             log.write("/phase", (1 + 10 * number) * S, {"phase": "verify"})
-            log.write("/responsibility", (2 + 10 * number) * S, {"responsible": responsible, "provisional": False})
+            log.write("/responsibility", (2 + 10 * number) * S, {"responsible": responsible, "until_ns": None})
             log.write("/state", (5 + 10 * number) * S, {})
             if number:
                 log.write("/outcome", 16 * S, {"outcome": "restarted"})

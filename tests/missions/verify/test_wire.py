@@ -8,9 +8,10 @@ from collections.abc import Callable
 import pytest
 
 from drivers.wire import Codec, Drop
+from drivers.wire_fields import TO_WIRE
 from missions.verify.wire import Piece, fuzz, hardened, play, sound, summary
 from missions.work import open_work
-from path.messages import Message, Role
+from path.messages import Message, Ping, Role, Status
 
 
 def test_nothing_forged_is_taken_and_nothing_genuine_lost() -> None:
@@ -21,6 +22,15 @@ def test_nothing_forged_is_taken_and_nothing_genuine_lost() -> None:
     assert figures["genuine"] > 200
     assert len(figures["by_way"]) == 15
     assert {"bad_signature", "replayed", "unproven", "bad_crc", "unsigned", "wrong_system"} <= set(figures["by_reason"])
+
+
+def test_every_type_of_message_is_tried_about_as_often_as_any_other() -> None:
+    figures = summary([play(Piece(3, number, 12_000, hardened)) for number in range(2)])
+    every = {kind.__name__ for kind in TO_WIRE}
+    for name, of in (("genuine", every), ("early", every), ("nearly valid", every - {"Ping", "Pong", "Target"})):
+        counts = figures["by_message"][name]  # of a ping every number means something, of a target nearly every one
+        assert of <= set(counts) <= every
+        assert min(counts[kind] for kind in of) > 0.3 * sum(counts.values()) / len(every), (name, counts)
 
 
 def test_a_seed_is_a_run() -> None:
@@ -71,9 +81,27 @@ class Fragile(Codec):
         return result
 
 
+class Gullible(Codec):
+    """Takes a Status of a stream that has not proven itself."""
+
+    def _introduced(self, data: bytes, message: Message) -> Message | Drop:
+        taken = super()._introduced(data, message)
+        return message if isinstance(message, Status) else taken
+
+
+class Careless(Codec):
+    """Takes a Status with any role in it for one of the peer's."""
+
+    def decode(self, data: bytes) -> Message | Drop:
+        result = super().decode(data)
+        return Ping(0, 0) if result is Drop.OUT_OF_RANGE else result
+
+
 @pytest.mark.parametrize(
     ("codec", "failing"),
     [
+        (Gullible, "early_taken"),
+        (Careless, "nearly_valid_taken"),
         (Believing, "accepted_or_raised"),
         (StampFirst, "genuine_lost"),
         (Forgetful, "accepted_or_raised"),

@@ -32,11 +32,12 @@ MS = 1_000_000
 CONFIG = ProtocolConfig(handoff_s=20.0, lease_s=1.0, retry_s=0.1, guard_s=0.02, settle_s=2.0, max_uncertainty_s=0.1)
 TARGET = Target(7, 5, 3, 1, 1, (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), 0.01)
 T0 = 100 * S
-HEARD = CommitHeard(Commit(7, 5, 3, 99, 12345, 1), lease_end_ns=T0 + S, uncertainty_ns=5 * MS)
+ME, OTHER = 77, 78  # instances of receivers
+HEARD = CommitHeard(Commit(7, 5, 3, 99, 12345, 1, ME), lease_end_ns=T0 + S, uncertainty_ns=5 * MS, instance=ME)
 LEASE_END = T0 + S - 5 * MS - 20 * MS
 SURE = T0 + S + 5 * MS + 100 * MS + 20 * MS
-CONFIRM = Confirm(7, 5, 3, 99, 5)
-LIVE = Handoff(7, 5, 3)
+CONFIRM = Confirm(7, 5, 3, 99, 5, ME)
+LIVE = Handoff(7, 5, 3, ME)
 HELD = Persist(ReceiverRecord(5, "provisional", LIVE, 99, LEASE_END, SURE))
 GONE = Persist(ReceiverRecord(6, "let_go", LIVE, 99, 0, SURE))
 PILOT = AbortRequested(AbortReason.PILOT)
@@ -68,37 +69,37 @@ def let_go() -> ReceiverMachine:
 
 def test_the_whole_way() -> None:
     machine = joined()
-    assert machine.live == Handoff(7, 5, 3) and not machine.responsible
+    assert machine.live == Handoff(7, 5, 3) and not machine.responsible(T0)
     assert machine.step(Heard(TARGET), T0) == ()
-    assert machine.step(HEARD, T0) == (HELD, TakeResponsibility(True), Send(Accept(7, 5, 3, 99, T0)))
-    assert machine.responsible
+    assert machine.step(HEARD, T0) == (HELD, TakeResponsibility(LEASE_END), Send(Accept(7, 5, 3, 99, T0, ME)))
+    assert machine.responsible(T0)
     again = T0 + 100 * MS
     assert machine.wake_ns == again
-    assert machine.step(Tick(), again) == (Send(Accept(7, 5, 3, 99, again)),)
+    assert machine.step(Tick(), again) == (Send(Accept(7, 5, 3, 99, again, ME)),)
     assert machine.step(HEARD, again) == ()  # the repeated Commit changes nothing
     kept = Persist(ReceiverRecord(5, "holding", LIVE, 99))
-    assert machine.step(Heard(CONFIRM), again) == (kept, TakeResponsibility(False), Ended(Outcome.HANDED_OVER))
-    assert isinstance(machine.state, Holding) and machine.responsible
+    assert machine.step(Heard(CONFIRM), again) == (kept, TakeResponsibility(), Ended(Outcome.HANDED_OVER))
+    assert isinstance(machine.state, Holding) and machine.responsible(T0)
     assert machine.step(Heard(CONFIRM), again) == () and machine.step(HEARD, again) == ()
-    assert machine.step(Tick(), T0 + 1000 * S) == () and machine.responsible
+    assert machine.step(Tick(), T0 + 1000 * S) == () and machine.responsible(T0 + 1000 * S)
 
 
 def test_without_confirm_it_lets_go_before_the_lease_ends_on_any_clock() -> None:
     machine = provisional()
     machine.step(Tick(), LEASE_END - 1)
-    assert machine.responsible
+    assert machine.responsible(LEASE_END - 1)
     actions = machine.step(Tick(), LEASE_END)
-    told = Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END))
+    told = Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END, ME))
     assert actions == (Release(), GONE, told, Ended(Outcome.LET_GO))
-    assert not machine.responsible and Outcome.LET_GO.alarming
+    assert not machine.responsible(LEASE_END - 1) and Outcome.LET_GO.alarming
 
 
 def test_a_confirm_at_the_very_end_comes_too_late_and_is_proof_of_an_orphan() -> None:
     machine = provisional()
     actions = machine.step(Heard(CONFIRM), LEASE_END)
     assert Release() in actions and actions[-1] == Settled(Outcome.ORPHANED)
-    assert Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END)) in actions
-    assert not machine.responsible
+    assert Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END, ME)) in actions
+    assert not machine.responsible(T0)
     (tell,) = machine.step(Heard(CONFIRM), LEASE_END + S)
     assert isinstance(tell, Send) and isinstance(tell.message, Abort)
 
@@ -119,8 +120,8 @@ def test_a_confirm_at_the_very_end_comes_too_late_and_is_proof_of_an_orphan() ->
 def test_it_takes_over_only_on_the_live_commit(heard: CommitHeard, why: Refusal) -> None:
     machine = joined()
     assert machine.step(heard, T0) == (Refused(why),)
-    assert not machine.responsible
-    assert machine.step(HEARD, T0)[:2] == (HELD, TakeResponsibility(True))
+    assert not machine.responsible(T0)
+    assert machine.step(HEARD, T0)[:2] == (HELD, TakeResponsibility(LEASE_END))
 
 
 def test_a_commit_without_any_target_heard_is_refused() -> None:
@@ -132,7 +133,7 @@ def test_one_nonce_an_epoch() -> None:
     other = replace(HEARD, commit=replace(HEARD.commit, nonce=98))
     for machine in (provisional(), holding()):
         assert machine.step(other, T0) == (Refused(Refusal.WRONG_NONCE),)
-        assert machine.responsible
+        assert machine.responsible(T0)
     assert provisional().step(Heard(replace(CONFIRM, nonce=98)), T0) == (Refused(Refusal.WRONG_NONCE),)
 
 
@@ -164,7 +165,7 @@ def test_lower_epochs_are_refused_and_higher_ones_beat_everything() -> None:
         assert machine.step(Heard(replace(TARGET, epoch=4)), T0) == (Refused(Refusal.LOWER_EPOCH),)
         actions = machine.step(Heard(replace(TARGET, epoch=6)), T0)
         assert actions == (Release(), Ended(Outcome.SUPERSEDED), Persist(ReceiverRecord(6)))
-        assert machine.live == Handoff(7, 6, 3) and not machine.responsible
+        assert machine.live == Handoff(7, 6, 3) and not machine.responsible(T0)
 
 
 def test_another_target_or_handoff_within_the_epoch_is_refused() -> None:
@@ -183,10 +184,10 @@ def test_the_senders_abort_ends_it_and_spends_the_epoch() -> None:
     assert machine.step(HEARD, T0) == (Refused(Refusal.LOWER_EPOCH),)
     machine = provisional()
     assert machine.step(abort, T0) == (Release(), Persist(ReceiverRecord(6)), ended)
-    assert not machine.responsible
+    assert not machine.responsible(T0)
     machine = holding()
     assert machine.step(abort, T0) == (Refused(Refusal.WRONG_STATE),)
-    assert machine.responsible
+    assert machine.responsible(T0)
 
 
 def test_the_pilots_veto() -> None:
@@ -196,9 +197,10 @@ def test_the_pilots_veto() -> None:
     assert machine.step(PILOT, T0) == (Persist(ReceiverRecord(6)), told, ended)
     assert machine.state == Observing(6)
     machine = provisional()
+    told = Send(Abort(7, 5, AbortReason.PILOT, T0, ME))  # it was committed to this very receiver
     assert machine.step(PILOT, T0) == (Release(), GONE, told, ended)
     assert machine.step(Heard(CONFIRM), T0)[-1] == Settled(Outcome.ORPHANED)
-    assert not machine.responsible
+    assert not machine.responsible(T0)
     machine = holding()
     gone = Persist(ReceiverRecord(6, "let_go", LIVE, 99, 0, T0))
     assert machine.step(PILOT, T0) == (Release(), gone, told, ended, Settled(Outcome.ORPHANED))
@@ -238,8 +240,8 @@ def restarted(machine: ReceiverMachine, now_ns: int, *, same_clock: bool = True)
 
 def test_within_its_lease_it_holds_on_after_a_restart_and_says_so() -> None:
     machine = restarted(provisional(), T0 + 100 * MS)
-    assert machine.responsible
-    accept = Accept(7, 5, 3, 99, T0 + 100 * MS)
+    assert machine.responsible(T0 + 100 * MS)
+    accept = Accept(7, 5, 3, 99, T0 + 100 * MS, ME)
     assert machine.step(Tick(), T0 + 100 * MS) == (Send(accept),)
     machine.step(Heard(CONFIRM), T0 + 200 * MS)
     assert isinstance(machine.state, Holding)
@@ -248,7 +250,7 @@ def test_within_its_lease_it_holds_on_after_a_restart_and_says_so() -> None:
 @pytest.mark.parametrize(("now_ns", "same_clock"), [(LEASE_END, True), (LEASE_END + 10 * S, True), (5 * S, False)])
 def test_a_lease_that_may_be_over_is_let_go_after_a_restart(now_ns: int, same_clock: bool) -> None:
     machine = restarted(provisional(), now_ns, same_clock=same_clock)
-    assert isinstance(machine.state, LetGo) and not machine.responsible
+    assert isinstance(machine.state, LetGo) and not machine.responsible(now_ns)
     assert machine.step(HEARD, now_ns) == (Refused(Refusal.LEASE_OVER),)
     last = now_ns + S + 220 * MS if not same_clock else SURE  # nothing said before may be taken for news
     assert machine.step(PeerStatus(responsible=False, stamp_ns=last), last) == ()
@@ -257,7 +259,7 @@ def test_a_lease_that_may_be_over_is_let_go_after_a_restart(now_ns: int, same_cl
 @pytest.mark.parametrize("same_clock", [True, False])
 def test_what_is_held_for_good_is_held_after_a_restart(same_clock: bool) -> None:
     machine = restarted(holding(), 5 * S, same_clock=same_clock)
-    assert isinstance(machine.state, Holding) and machine.responsible
+    assert isinstance(machine.state, Holding) and machine.responsible(T0)
 
 
 @pytest.mark.parametrize("make", [joined, provisional, holding, let_go])
@@ -266,8 +268,32 @@ def test_a_restored_state_is_written_down_as_it_was(make: Callable[[], ReceiverM
     assert record(restored(CONFIG, kept, T0 + 1)) == kept
 
 
+def test_a_commit_or_confirm_to_another_receiver_is_none() -> None:
+    machine = joined()
+    other = replace(HEARD, commit=replace(HEARD.commit, instance=OTHER))
+    assert machine.step(other, T0) == (Refused(Refusal.WRONG_INSTANCE),)
+    assert not machine.responsible(T0) and isinstance(machine.state, Observing)
+    for machine in (provisional(), holding()):
+        before = machine.state
+        assert machine.step(Heard(replace(CONFIRM, instance=OTHER)), T0) == (Refused(Refusal.WRONG_INSTANCE),)
+        assert machine.step(other, T0) == (Refused(Refusal.WRONG_INSTANCE),)
+        assert machine.state == before
+
+
 def test_a_lease_longer_than_any_that_is_given_is_no_lease() -> None:
     machine = joined()
     longest = T0 + S + HEARD.uncertainty_ns
     assert machine.step(replace(HEARD, lease_end_ns=longest + 1), T0) == (Refused(Refusal.LEASE_TOO_LONG),)
-    assert machine.step(replace(HEARD, lease_end_ns=longest), T0)[1] == TakeResponsibility(True)
+    until_ns = LEASE_END + HEARD.uncertainty_ns
+    assert machine.step(replace(HEARD, lease_end_ns=longest), T0)[1] == TakeResponsibility(until_ns)
+
+
+def test_a_lease_that_is_over_is_over_before_anybody_has_told_the_machine() -> None:
+    machine = provisional()
+    assert machine.responsible(LEASE_END - 1) and not machine.responsible(LEASE_END)
+    assert isinstance(machine.state, Provisional)
+    for late in (LEASE_END, LEASE_END + 2 * S):
+        machine = provisional()
+        actions = machine.step(Heard(CONFIRM), late)
+        assert isinstance(machine.state, LetGo) and actions[0] == Release()
+        assert not any(isinstance(action, TakeResponsibility) for action in actions)

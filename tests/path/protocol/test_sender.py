@@ -44,11 +44,13 @@ from path.protocol.values import (
 S = 1_000_000_000
 MS = 1_000_000
 CONFIG = ProtocolConfig(offer_s=10.0, handoff_s=20.0, lease_s=1.0, retry_s=0.1, settle_s=2.0)
-LIVE = Handoff(handoff_id=7, epoch=1, target_id=3)
+ME, OTHER = 77, 78  # instances of receivers
+OPEN = Handoff(handoff_id=7, epoch=1, target_id=3)  # before a COMMIT
+LIVE = replace(OPEN, instance=ME)
 CANDIDATE = Candidate(7, 1, 3, 1, 1, 5, None, MissReason.NO_MARKER, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 0.0)
-ACCEPT = Accept(7, 1, 3, 99, 5)
-CONFIRM = Confirm(7, 1, 3, 99, 0)
-AGREED = AgreementComplete(epoch=1, target_id=3, nonce=99, uncertainty_ns=5 * MS)
+ACCEPT = Accept(7, 1, 3, 99, 5, ME)
+CONFIRM = Confirm(7, 1, 3, 99, 0, ME)
+AGREED = AgreementComplete(epoch=1, target_id=3, nonce=99, uncertainty_ns=5 * MS, instance=ME)
 T0 = 100 * S
 TAKE_BACK = T0 + 1 * S + 5 * MS
 
@@ -56,7 +58,7 @@ TAKE_BACK = T0 + 1 * S + 5 * MS
 def offering() -> SenderMachine:
     machine = SenderMachine(CONFIG)
     assert not machine.responsible
-    assert machine.step(Offer(7, 3), T0) == (Persist(SenderRecord(1, "mine")), TakeResponsibility(False))
+    assert machine.step(Offer(7, 3), T0) == (Persist(SenderRecord(1, "mine")), TakeResponsibility())
     return machine
 
 
@@ -80,12 +82,12 @@ def handed_over() -> SenderMachine:
 
 def test_it_is_responsible_until_the_agreement_and_releases_before_it_commits() -> None:
     machine = offering()
-    assert machine.responsible and machine.live == LIVE and isinstance(machine.state, Offering)
+    assert machine.responsible and machine.live == OPEN and isinstance(machine.state, Offering)
     assert machine.step(Heard(CANDIDATE), T0) == ()
     assert machine.responsible and isinstance(machine.state, Verifying)
     actions = machine.step(AGREED, T0)
     released = SenderRecord(1, "released", LIVE, 99, T0 + S, TAKE_BACK)
-    assert actions == (Persist(released), Release(), Send(Commit(7, 1, 3, 99, T0 + S, T0)))
+    assert actions == (Persist(released), Release(), Send(Commit(7, 1, 3, 99, T0 + S, T0, ME)))
     assert not machine.responsible
 
 
@@ -123,14 +125,14 @@ def test_it_takes_back_only_after_lease_end_and_uncertainty() -> None:
     machine.step(Tick(), TAKE_BACK - 1)
     assert not machine.responsible
     actions = machine.step(Tick(), TAKE_BACK)
-    assert actions == (Persist(SenderRecord(2, "mine")), TakeResponsibility(False), Ended(Outcome.TAKEN_BACK))
-    assert machine.responsible and machine.live == replace(LIVE, epoch=2)
+    assert actions == (Persist(SenderRecord(2, "mine")), TakeResponsibility(), Ended(Outcome.TAKEN_BACK))
+    assert machine.responsible and machine.live == replace(OPEN, epoch=2)
 
 
 def test_an_accept_at_the_very_end_comes_too_late() -> None:
     machine = awaiting()
     actions = machine.step(Heard(ACCEPT), TAKE_BACK)
-    assert TakeResponsibility(False) in actions and actions[-1] == Refused(Refusal.WRONG_STATE)
+    assert TakeResponsibility() in actions and actions[-1] == Refused(Refusal.WRONG_STATE)
     assert not any(isinstance(action, Send) for action in actions)
     assert isinstance(machine.state, TakenBack)
 
@@ -155,6 +157,7 @@ def test_after_taking_back_it_verifies_again_in_the_new_epoch_only() -> None:
         (replace(AGREED, epoch=2), Refusal.UNKNOWN_EPOCH),
         (replace(AGREED, uncertainty_ns=None), Refusal.NO_CLOCK),
         (replace(AGREED, uncertainty_ns=101 * MS), Refusal.NO_CLOCK),
+        (replace(AGREED, instance=None), Refusal.NOT_ONE_RECEIVER),
     ],
 )
 def test_no_commit_without_the_full_agreement_and_a_clock(agreed: AgreementComplete, why: Refusal) -> None:
@@ -175,6 +178,7 @@ def test_no_commit_before_anybody_answered() -> None:
         (replace(ACCEPT, handoff_id=8), Refusal.WRONG_HANDOFF),
         (replace(ACCEPT, epoch=0), Refusal.LOWER_EPOCH),
         (replace(ACCEPT, epoch=2), Refusal.UNKNOWN_EPOCH),
+        (replace(ACCEPT, instance=OTHER), Refusal.WRONG_INSTANCE),
     ],
 )
 def test_only_the_live_accept_counts(accept: Accept, why: Refusal) -> None:
@@ -223,21 +227,21 @@ def test_an_abort_after_the_commit_still_waits_for_the_lease_and_confirms_nothin
     assert isinstance(answer, Send) and isinstance(answer.message, Abort)
     assert machine.step(Tick(), TAKE_BACK - 1) == ()
     actions = machine.step(Tick(), TAKE_BACK)
-    assert TakeResponsibility(False) in actions and actions[-1] == Ended(Outcome.ABORTED, AbortReason.PILOT)
+    assert TakeResponsibility() in actions and actions[-1] == Ended(Outcome.ABORTED, AbortReason.PILOT)
 
 
 @pytest.mark.parametrize(
     ("event", "at", "outcome"),
     [
-        (PeerStatus(responsible=True, stamp_ns=TAKE_BACK + 1), TAKE_BACK + 2, Outcome.HANDED_OVER),
-        (PeerStatus(responsible=False, stamp_ns=TAKE_BACK + 1), TAKE_BACK + 2, Outcome.ORPHANED),
-        (Heard(Abort(7, 1, AbortReason.TIMEOUT, 5)), T0 + 900 * MS, Outcome.ORPHANED),
+        (PeerStatus(True, TAKE_BACK + 1, ME), TAKE_BACK + 2, Outcome.HANDED_OVER),
+        (PeerStatus(False, TAKE_BACK + 1, ME), TAKE_BACK + 2, Outcome.ORPHANED),
+        (Heard(Abort(7, 1, AbortReason.TIMEOUT, 5, ME)), T0 + 900 * MS, Outcome.ORPHANED),
         (Tick(), TAKE_BACK + 2 * S, Outcome.UNCONFIRMED),
     ],
 )
 def test_it_learns_what_became_of_the_receiver(event: PeerStatus | Heard | Tick, at: int, outcome: Outcome) -> None:
     machine = handed_over()
-    provisional = PeerStatus(responsible=True, stamp_ns=TAKE_BACK)  # within the lease it says nothing
+    provisional = PeerStatus(True, TAKE_BACK, ME)  # within the lease it says nothing
     assert machine.step(provisional, T0 + 300 * MS) == ()
     assert machine.step(event, at) == (Settled(outcome),)
     assert not machine.responsible
@@ -245,10 +249,27 @@ def test_it_learns_what_became_of_the_receiver(event: PeerStatus | Heard | Tick,
     assert machine.wake_ns is None
 
 
+@pytest.mark.parametrize(
+    "word",
+    [
+        PeerStatus(True, TAKE_BACK + 1, OTHER),
+        PeerStatus(False, TAKE_BACK + 1, OTHER),
+        PeerStatus(True, TAKE_BACK + 1),
+        Heard(Abort(7, 1, AbortReason.TIMEOUT, 5, OTHER)),
+        Heard(Abort(7, 1, AbortReason.PILOT, 5)),
+    ],
+)
+def test_another_receiver_does_not_say_what_became_of_the_one_that_accepted(word: PeerStatus | Heard) -> None:
+    machine = handed_over()
+    before = machine.state
+    machine.step(word, TAKE_BACK + 2)
+    assert machine.state == before
+
+
 def test_a_link_that_comes_back_settles_what_was_unconfirmed() -> None:
     machine = handed_over()
     machine.step(Tick(), TAKE_BACK + 3 * S)
-    holds = PeerStatus(responsible=True, stamp_ns=TAKE_BACK + 4 * S)
+    holds = PeerStatus(True, TAKE_BACK + 4 * S, ME)
     assert machine.step(holds, TAKE_BACK + 5 * S) == (Settled(Outcome.HANDED_OVER),)
 
 
@@ -267,10 +288,10 @@ def test_epochs_survive_restarts() -> None:
 def test_what_was_released_is_committed_again_after_a_restart_and_taken_back_in_time() -> None:
     machine = restarted(awaiting(), T0 + 500 * MS)
     assert not machine.responsible and machine.live == LIVE
-    commit = Commit(7, 1, 3, 99, T0 + 1 * S, T0 + 500 * MS)
+    commit = Commit(7, 1, 3, 99, T0 + 1 * S, T0 + 500 * MS, ME)
     assert machine.step(Tick(), T0 + 500 * MS) == (Send(commit),)
     assert machine.step(Tick(), TAKE_BACK - 1) == ()
-    assert TakeResponsibility(False) in machine.step(Tick(), TAKE_BACK)
+    assert TakeResponsibility() in machine.step(Tick(), TAKE_BACK)
     assert restarted(awaiting(), TAKE_BACK + 1).wake_ns == TAKE_BACK
 
 
@@ -286,14 +307,14 @@ def test_after_a_reboot_the_lease_is_waited_for_anew_and_never_promised_again() 
     machine = restarted(awaiting(), 5 * S, same_clock=False)
     longest = round((CONFIG.lease_s + CONFIG.max_uncertainty_s) * S)
     assert machine.step(Tick(), 5 * S + longest - 1) == () and not machine.responsible
-    assert TakeResponsibility(False) in machine.step(Tick(), 5 * S + longest)
+    assert TakeResponsibility() in machine.step(Tick(), 5 * S + longest)
 
 
 @pytest.mark.parametrize("same_clock", [True, False])
 def test_what_was_handed_over_stays_so_after_a_restart_and_is_still_confirmed(same_clock: bool) -> None:
     machine = restarted(handed_over(), T0 + 300 * MS, same_clock=same_clock)
     assert isinstance(machine.state, HandedOver) and not machine.responsible
-    assert machine.step(Heard(ACCEPT), T0 + 400 * MS) == (Send(Confirm(7, 1, 3, 99, T0 + 400 * MS)),)
+    assert machine.step(Heard(ACCEPT), T0 + 400 * MS) == (Send(Confirm(7, 1, 3, 99, T0 + 400 * MS, ME)),)
 
 
 @pytest.mark.parametrize("make", [offering, verifying, awaiting, handed_over])
@@ -311,7 +332,7 @@ def test_after_a_new_mission_nothing_is_its_own_and_no_restart_makes_it_so(make:
     machine = restarted(machine, T0 + 62 * S)
     assert not machine.responsible and machine.live is None
     offered = machine.step(Offer(7, 3), T0 + 63 * S)
-    assert offered == (Persist(SenderRecord(2, "mine")), TakeResponsibility(False))
+    assert offered == (Persist(SenderRecord(2, "mine")), TakeResponsibility())
 
 
 def test_epochs_do_not_wrap() -> None:
