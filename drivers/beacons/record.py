@@ -15,15 +15,16 @@ from typing import Self
 from drivers.beacons.log import read_beacons
 from drivers.beacons.stream import MarvelmindStream
 from drivers.interfaces import BeaconError, BeaconFix
-from drivers.log.mcap_log import McapLog, read_log
+from drivers.log.mcap_log import McapLog, read_log, virtual_log
 from drivers.rig.parts import PartContext
 
 
 class BeaconRecorder:
     """Writes a record while the ports are read. ``write`` fits ``Marvelmind.on_bytes`` and never raises."""
 
-    def __init__(self, file: Path, latency_s: float) -> None:
-        self._log = McapLog(file)
+    def __init__(self, file: Path, latency_s: float, *, virtual: bool = False) -> None:
+        """``virtual``: what is written was heard in virtual time."""
+        self._log = virtual_log(file, "beacons") if virtual else McapLog(file, "beacons")
         self._log.write("/beacons", 0, {"latency_s": latency_s})
 
     def write(self, port: str, arrival_ns: int, data: bytes) -> None:
