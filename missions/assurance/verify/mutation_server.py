@@ -1,4 +1,4 @@
-"""Runs a module's tests on its code and on wrong versions of it: ``python -m missions.assurance.verify.mutation_server``.
+"""Runs a module's tests on its code and on wrong versions of it: ``python -m``, this module.
 
 Everything that takes long to import and is not PATH's is imported once; each trial is a fork of that. A line of JSON
 comes in for each: {"module", "source" (null: as it is), "tests", "bound_s"}; {"passed", "what", "took_s"} goes out.
