@@ -1,0 +1,250 @@
+"""Decides again what a drone decided, from its log, through the very cycles that flew. Pure.
+
+A log holds what a cycle was given, in the order it was given it: on D1 what the camera saw of the target (``/target``)
+and the answers of D2 (``/heard_candidate``); on D2 the messages of D1 (``/heard_target``), the marker's pose
+(``/marker``, ``/motion``) and what the detector found (``found`` of ``/candidate``). What the cycles make of it is held
+against the decisions in the same log.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from drivers.log import LogRecord, encode_other
+from drivers.tables import decode_table
+from missions.journal import agreement_record, candidate_record, counted, target_record
+from path.camera import CameraModel
+from path.config import MethodConfig
+from path.geometry import Matrix, Pose
+from path.messages import Candidate, Role, Target
+from path.observations import Box, Depth, Detection, Missed, MissReason
+from path.receiver import ReceiverCycle
+from path.sender import SenderCycle
+
+Record = Mapping[str, Any]
+Change = Callable[[MethodConfig], MethodConfig]
+
+_LOWER = np.tril_indices(6)
+_NAN3 = (math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """One decision, as it was logged and as it comes out again; None: there is none."""
+
+    topic: str
+    stamp_ns: int
+    logged: Record | None
+    again: Record | None
+
+    @property
+    def same(self) -> bool:
+        return self.logged == self.again
+
+
+@dataclass(frozen=True, slots=True)
+class Complete:
+    """The gate is complete for the first time in an attempt: D1 commits as soon as it may."""
+
+    stamp_ns: int
+    epoch: int
+
+
+def redecide(records: Iterable[LogRecord], change: Change = lambda method: method) -> Iterator[Decided | Complete]:
+    """Every decision of one drone's log, in its order.
+
+    Args:
+        change: of the method's settings, to see what would have been otherwise.
+    """
+    again: _Sender | _Receiver | None = None
+    for each in records:
+        if each.topic == "/setup":
+            if again is not None:
+                yield from again.rest()
+            again = _again(each.record, change)
+        elif again is not None:
+            yield from again.take(each)
+    if again is not None:
+        yield from again.rest()
+
+
+def _again(setup: Record, change: Change) -> _Sender | _Receiver:
+    method = change(decode_table(setup["method"], MethodConfig, "/setup: method"))
+    return (_Sender if setup["role"] == Role.SENDER.value else _Receiver)(setup, method)
+
+
+class _Sender:
+    """D1's cycle, for one session."""
+
+    def __init__(self, setup: Record, method: MethodConfig) -> None:
+        self._setup, self._method = setup, method
+        self._cycle: SenderCycle | None = None
+        self._epoch = 0
+        self._complete = False
+        self._due: deque[tuple[int, dict[str, Any]]] = deque()  # verdicts that the log must hold next
+
+    def take(self, each: LogRecord) -> Iterator[Decided | Complete]:
+        record, cycle = each.record, self._cycle
+        if each.topic == "/attempt":
+            yield from self.rest()
+            self._begin(record)
+        elif cycle is None:
+            return
+        elif each.topic == "/heard_candidate":
+            cycle.offer(_candidate(record), record["capture_ns"], each.stamp_ns)
+        elif each.topic == "/target":
+            yield from self._observe(cycle, record)
+        elif each.topic == "/agreement":
+            _, again = self._due.popleft() if self._due else (0, None)
+            yield Decided(each.topic, each.stamp_ns, record, again)
+
+    def rest(self) -> Iterator[Decided]:
+        """Verdicts that the log does not hold: it ended before them."""
+        while self._due:
+            stamp_ns, again = self._due.popleft()
+            yield Decided("/agreement", stamp_ns, None, again)
+
+    def _begin(self, attempt: Record) -> None:
+        setup, self._epoch, self._complete = self._setup, attempt["epoch"], False
+        self._cycle = SenderCycle(
+            _camera(setup["camera"]),
+            _camera(setup["peer_camera"]),
+            _pose(setup["T_v_c1"]),
+            self._method,
+            handoff_id=attempt["handoff_id"],
+            epoch=attempt["epoch"],
+            target_id=attempt["target_id"],
+        )
+
+    def _observe(self, cycle: SenderCycle, record: Record) -> Iterator[Decided | Complete]:
+        yield from self.rest()
+        box = _box(record["box"])
+        depth = None if record["depth_m"] is None else Depth(record["depth_m"], record["depth_sigma_m"])
+        frame_id, capture_ns, judged_ns = record["frame_id"], record["capture_ns"], record["judged_ns"]
+        message = cycle.observe(frame_id, capture_ns, box, depth, record["gravity_v"] or _NAN3)
+        again = target_record(message, frame_id, capture_ns, box)
+        if box is None:  # why, was said by what looked for it
+            again["reason"] = record["reason"]
+        given = {name: record[name] for name in ("judged_ns", "depth_m", "depth_sigma_m")}
+        yield Decided("/target", capture_ns, record, _as_logged({**again, **given}))
+        for pair in cycle.evaluate_ready(judged_ns):
+            count, evidence = counted(pair, cycle.gate)
+            verdict = agreement_record(pair, count, self._method.needed_pairs, evidence, self._setup["target_id"])
+            self._due.append((judged_ns, _as_logged(verdict)))
+        if cycle.gate.complete and not self._complete:
+            self._complete = True
+            yield Complete(judged_ns, self._epoch)
+
+
+class _Receiver:
+    """D2's cycle, for one session."""
+
+    def __init__(self, setup: Record, method: MethodConfig) -> None:
+        self._setup, self._method = setup, method
+        self._camera = _camera(setup["camera"])
+        self._cycle: ReceiverCycle | None = None
+        self._newest: dict[str, Record] = {}
+
+    def take(self, each: LogRecord) -> Iterator[Decided | Complete]:
+        record, cycle = each.record, self._cycle
+        if each.topic == "/attempt":
+            self._begin(record)
+        elif each.topic in ("/frame", "/marker", "/motion"):
+            self._newest[each.topic] = record
+        elif cycle is not None and each.topic == "/heard_target":
+            cycle.on_target(_target(record), record["capture_ns"], each.stamp_ns)
+        elif cycle is not None and each.topic == "/candidate":
+            yield Decided(each.topic, each.stamp_ns, record, self._answer(cycle, each.stamp_ns, record))
+
+    def rest(self) -> Iterator[Decided]:
+        """Nothing is decided here before it is logged."""
+        return iter(())
+
+    def _begin(self, attempt: Record) -> None:
+        setup = self._setup
+        x, y, z = _pose(setup["T_v_c1"]).t.tolist()
+        self._cycle = ReceiverCycle(
+            self._camera,
+            self._method,
+            handoff_id=attempt["handoff_id"],
+            epoch=attempt["epoch"],
+            target_id=attempt["target_id"],
+            sender=(_camera(setup["peer_camera"]), (x, y, z)),
+        )
+
+    def _answer(self, cycle: ReceiverCycle, stamp_ns: int, record: Record) -> dict[str, Any] | None:
+        marker, motion = self._newest["/marker"], self._newest["/motion"]
+        if marker["reason"] is None:
+            prior = cycle.prior(_pose(motion["T_c_v"]), _covariance(motion["covariance"]), stamp_ns)
+        else:
+            prior = Missed(MissReason(marker["reason"]))
+        found = [Detection(Box(*each["box"]), each["score"]) for each in record["found"]]
+        candidate = cycle.candidate(self._newest["/frame"]["frame_id"], stamp_ns, found, prior)
+        if isinstance(candidate, Missed):
+            return None
+        return _as_logged(candidate_record(candidate, prior, self._camera, found))
+
+
+def _as_logged(record: Record) -> dict[str, Any]:
+    """As it comes back from a log."""
+    return msgspec.json.decode(msgspec.json.encode(record, enc_hook=encode_other))
+
+
+def _camera(record: Record) -> CameraModel:
+    return CameraModel(**{**record, "distortion": tuple(record["distortion"])})
+
+
+def _pose(rows: Any) -> Pose:
+    matrix = np.reshape(np.array(rows, float), (3, 4))
+    return Pose(np.ascontiguousarray(matrix[:, :3]), matrix[:, 3].copy())
+
+
+def _covariance(lower: Any) -> Matrix:
+    matrix = np.zeros((6, 6))
+    matrix[_LOWER] = lower
+    return matrix + np.tril(matrix, -1).T
+
+
+def _box(box: Any) -> Box | None:
+    return None if box is None else Box(*box)
+
+
+def _numbers(values: Any) -> Any:
+    """What was not finite is null in a log."""
+    return tuple(math.nan if value is None else value for value in values)
+
+
+def _candidate(record: Record) -> Candidate:
+    return Candidate(
+        record["handoff_id"],
+        record["epoch"],
+        record["target_id"],
+        record["sequence"],
+        record["target_sequence"],
+        record["peer_capture_ns"],
+        None if record["box"] is None else Box(*_numbers(record["box"])),
+        None if record["reason"] is None else MissReason(record["reason"]),
+        _numbers(record["position_v_m"]),
+        _numbers(record["rotation_v_c2"]),
+        math.nan if record["sigma_m"] is None else record["sigma_m"],
+    )
+
+
+def _target(record: Record) -> Target:
+    return Target(
+        record["handoff_id"],
+        record["epoch"],
+        record["target_id"],
+        record["sequence"],
+        record["peer_capture_ns"],
+        _numbers(record["point_v_m"]),
+        _numbers(record["gravity_v"]),
+        math.nan if record["sigma_m"] is None else record["sigma_m"],
+    )
