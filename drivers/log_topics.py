@@ -301,7 +301,9 @@ TOPICS: dict[str, Topic] = {
             "point_v_m": _numbers("the target's point as carried to the capture, marker's frame, m"),
             "prior_px": _numbers("[u, v] where the target must appear, px"),
             "region": _numbers("[x0, y0, x1, y1] of the image that was searched, px"),
-            "found": _tables("what the detector found there", box=_numbers("[x, y, w, h], px"), score=_number("0 to 1")),
+            "found": _tables(
+                "what the detector found there", box=_numbers("[x, y, w, h], px"), score=_number("0 to 1")
+            ),
         },
     ),
     # --- guard ---

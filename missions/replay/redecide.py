@@ -17,9 +17,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from drivers.log import LogRecord, encode_other
-from drivers.tables import decode_table
-from missions.journal import agreement_record, candidate_record, counted, target_record
+from drivers.log.mcap_log import LogRecord, encode_other
+from drivers.rig.tables import decode_table
+from missions.leg.journal import agreement_record, candidate_record, counted, target_record
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Matrix, Pose
