@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from drivers.interfaces import View
-from drivers.log_topics import camera_record
+from drivers.log.topics import camera_record
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
 from flight.marker_view import MarkerFix, Motion
@@ -24,8 +24,6 @@ from path.rigid import transform_back
 from path.rotation import quat_from_R
 from path.sender import Pair
 from path.window import Evidence, Gate
-
-_LOWER = np.tril_indices(6)
 
 
 def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
@@ -180,7 +178,7 @@ def motion_record(motion: Motion, R_n_c: Matrix, R_n_v: Matrix | None, fix: Mark
         "q_n_c": quat_from_R(R_n_c),
         "q_n_v": None if R_n_v is None else quat_from_R(R_n_v),
         "T_c_v": _rows(fix.T_c_v) if isinstance(fix, MarkerFix) else None,
-        "covariance": fix.covariance[_LOWER] if isinstance(fix, MarkerFix) else None,
+        "covariance": fix.covariance.ravel() if isinstance(fix, MarkerFix) else None,
     }
 
 
@@ -195,6 +193,7 @@ def candidate_record(
         x, y = camera.ray(*prior.pixel)
         point_v_m = transform_back(prior.T_c2_v, (x * prior.depth_m, y * prior.depth_m, prior.depth_m))
     return {
+        "epoch": candidate.epoch,
         "sequence": candidate.sequence,
         "target_sequence": candidate.target_sequence,
         "capture_ns": candidate.capture_ns,

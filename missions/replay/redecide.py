@@ -22,16 +22,16 @@ from drivers.rig.tables import decode_table
 from missions.leg.journal import agreement_record, candidate_record, counted, target_record
 from path.camera import CameraModel
 from path.config import MethodConfig
-from path.geometry import Matrix, Pose
+from path.geometry import Pose
 from path.messages import Candidate, Role, Target
 from path.observations import Box, Depth, Detection, Missed, MissReason
 from path.receiver import ReceiverCycle
 from path.sender import SenderCycle
 
 Record = Mapping[str, Any]
+Answers = Mapping[tuple[int, int], Record]
 Change = Callable[[MethodConfig], MethodConfig]
 
-_LOWER = np.tril_indices(6)
 _NAN3 = (math.nan, math.nan, math.nan)
 
 
@@ -57,34 +57,47 @@ class Complete:
     epoch: int
 
 
-def redecide(records: Iterable[LogRecord], change: Change = lambda method: method) -> Iterator[Decided | Complete]:
+def redecide(
+    records: Iterable[LogRecord], change: Change = lambda method: method, answers: Answers | None = None
+) -> Iterator[Decided | Complete]:
     """Every decision of one drone's log, in its order.
 
     Args:
         change: of the method's settings, to see what would have been otherwise.
+        answers: what the other drone answers instead of what was heard of it, by epoch and sequence.
     """
     again: _Sender | _Receiver | None = None
     for each in records:
         if each.topic == "/setup":
             if again is not None:
                 yield from again.rest()
-            again = _again(each.record, change)
+            again = _again(each.record, change, answers or {})
         elif again is not None:
             yield from again.take(each)
     if again is not None:
         yield from again.rest()
 
 
-def _again(setup: Record, change: Change) -> _Sender | _Receiver:
+def other_answers(decided: Iterable[Decided | Complete]) -> dict[tuple[int, int], Record]:
+    """What D2 answers otherwise than it did, for ``redecide`` of D1's log."""
+    changed: dict[tuple[int, int], Record] = {}
+    for each in decided:
+        if isinstance(each, Decided) and each.topic == "/candidate" and not each.same and each.again is not None:
+            fields = ("target_sequence", "box", "reason", "position_v_m", "rotation_v_c2", "sigma_m")
+            changed[each.again["epoch"], each.again["sequence"]] = {name: each.again[name] for name in fields}
+    return changed
+
+
+def _again(setup: Record, change: Change, answers: Answers) -> _Sender | _Receiver:
     method = change(decode_table(setup["method"], MethodConfig, "/setup: method"))
-    return (_Sender if setup["role"] == Role.SENDER.value else _Receiver)(setup, method)
+    return _Sender(setup, method, answers) if setup["role"] == Role.SENDER.value else _Receiver(setup, method)
 
 
 class _Sender:
     """D1's cycle, for one session."""
 
-    def __init__(self, setup: Record, method: MethodConfig) -> None:
-        self._setup, self._method = setup, method
+    def __init__(self, setup: Record, method: MethodConfig, answers: Answers) -> None:
+        self._setup, self._method, self._answers = setup, method, answers
         self._cycle: SenderCycle | None = None
         self._epoch = 0
         self._complete = False
@@ -98,7 +111,8 @@ class _Sender:
         elif cycle is None:
             return
         elif each.topic == "/heard_candidate":
-            cycle.offer(_candidate(record), record["capture_ns"], each.stamp_ns)
+            otherwise = self._answers.get((record["epoch"], record["sequence"]), {})
+            cycle.offer(_candidate({**record, **otherwise}), record["capture_ns"], each.stamp_ns)
         elif each.topic == "/target":
             yield from self._observe(cycle, record)
         elif each.topic == "/agreement":
@@ -182,7 +196,9 @@ class _Receiver:
     def _answer(self, cycle: ReceiverCycle, stamp_ns: int, record: Record) -> dict[str, Any] | None:
         marker, motion = self._newest["/marker"], self._newest["/motion"]
         if marker["reason"] is None:
-            prior = cycle.prior(_pose(motion["T_c_v"]), _covariance(motion["covariance"]), stamp_ns)
+            prior = cycle.prior(
+                _pose(motion["T_c_v"]), np.reshape(np.array(motion["covariance"], float), (6, 6)), stamp_ns
+            )
         else:
             prior = Missed(MissReason(marker["reason"]))
         found = [Detection(Box(*each["box"]), each["score"]) for each in record["found"]]
@@ -198,18 +214,13 @@ def _as_logged(record: Record) -> dict[str, Any]:
 
 
 def _camera(record: Record) -> CameraModel:
-    return CameraModel(**{**record, "distortion": tuple(record["distortion"])})
+    values: dict[str, Any] = {**record, "distortion": tuple(record["distortion"])}
+    return CameraModel(**values)
 
 
 def _pose(rows: Any) -> Pose:
     matrix = np.reshape(np.array(rows, float), (3, 4))
     return Pose(np.ascontiguousarray(matrix[:, :3]), matrix[:, 3].copy())
-
-
-def _covariance(lower: Any) -> Matrix:
-    matrix = np.zeros((6, 6))
-    matrix[_LOWER] = lower
-    return matrix + np.tril(matrix, -1).T
 
 
 def _box(box: Any) -> Box | None:

@@ -284,12 +284,13 @@ TOPICS: dict[str, Topic] = {
             "q_n_c": _numbers("camera to north-east-down as reported, quaternion wxyz"),
             "q_n_v": _numbers("marker's frame to north-east-down as reported, quaternion wxyz"),
             "T_c_v": _numbers("the marker's pose in the camera: three rows of its matrix, one after another, m"),
-            "covariance": _numbers("of the pose T_c_v, lower triangle by rows; convention of path.prior"),
+            "covariance": _numbers("of that pose, 6 x 6 by rows; convention of path.prior"),
         },
     ),
     "/candidate": Topic(
         "D2's answer for one frame",
         {
+            "epoch": _whole("of the attempt"),
             "sequence": _whole("low 16 bits of the frame's id"),
             "target_sequence": _whole("of the newest message of D1 that was used"),
             "capture_ns": _CAPTURE,
