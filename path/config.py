@@ -11,7 +11,7 @@ GateKind = Literal["consecutive", "evidence"]
 TargetError = Literal["point", "ray"]
 
 WHOLE = ("hold_frames", "min_depth_pixels", "track_length", "block_pairs", "min_pairs")
-FRACTIONS = ("tau_min", "tau_max", "depth_center_fraction", "min_depth_valid")
+FRACTIONS = ("tau_min", "tau_max", "depth_center_fraction", "min_depth_valid", "block_share")
 MAY_BE_ZERO = ("pixel_sigma_px", "mount_sigma_m", "mount_sigma_deg", "target_center_sigma_m", "clock_sigma_s")
 
 
@@ -22,10 +22,13 @@ class EvidenceConfig:
     Attributes:
         alpha: bound on the probability that one attempt is accepted although the boxes show different things, for what
             the persistent errors do not explain.
-        block_s, block_pairs: a block of pairs is complete when it has this length on capture stamps and these pairs.
-        strength: mean of (S - tau) / (1 - tau) that a block needs to agree.
+        block_s, block_pairs: a block is complete when it has this length on capture stamps and so many compared pairs.
+        strength, block_share: the median of (S - tau) / (1 - tau), and the share of agreeing pairs, that a block needs.
         first_rate, next_rate: measured bounds on the probability that, under different things, the first block of a run
-            agrees; and that another one does after all before it did.
+            agrees; and that a later one does, whatever those before it did.
+        setback: what a later block that does not agree multiplies the evidence by; a larger one makes those that agree
+            worth less.
+        max_gap_s: a run ends after so long without an agreeing pair.
         min_s, min_pairs: no run is accepted that is shorter, whatever its evidence.
         max_pose_sigma_m: as ``MethodConfig.max_pose_sigma_m``, for this gate: what bounds the persistent errors.
     """
@@ -36,6 +39,9 @@ class EvidenceConfig:
     strength: float = 0.35
     first_rate: float = 3e-3
     next_rate: float = 0.5
+    setback: float = 0.1
+    block_share: float = 0.6
+    max_gap_s: float = 1.0
     min_s: float = 1.0
     min_pairs: int = 30
     max_pose_sigma_m: float = 0.03
@@ -44,7 +50,7 @@ class EvidenceConfig:
         """Raises ValueError naming the first field that cannot be right, and what is allowed."""
         for each in fields(self):
             _check(each.name, getattr(self, each.name))
-        for name in ("alpha", "strength", "first_rate", "next_rate"):
+        for name in ("alpha", "strength", "first_rate", "next_rate", "setback"):
             if not getattr(self, name) < 1.0:
                 raise ValueError(f"{name}: {getattr(self, name)!r} is not below 1")
         if self.first_rate > self.next_rate:
