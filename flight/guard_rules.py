@@ -10,9 +10,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Annotated
 
-from drivers.guard_interfaces import GuardView, Hand, Script, Vec3
 from drivers.interfaces import FlightMode
+from drivers.mavlink.guard_interfaces import GuardView, Hand, Script, Vec3
+from path.bounds import Bounds
 
 _FLOWN = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF, FlightMode.HOLD})
 _MOVING = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF})
@@ -44,17 +46,17 @@ class GuardRules:
             separation, that distance says nothing and is not looked at; the one measured on the marker always is.
     """
 
-    beat_age_s: float = 0.4
-    setpoint_gap_s: float = 0.4
-    patience_s: float = 0.5
-    hold_s: float = 2.0
-    ack_s: float = 0.5
-    confirm_s: float = 1.5
-    land_tries: int = 10
-    blind_s: float = 2.5
-    answer_age_s: float = 1.0
-    mode_grace_s: float = 1.2
-    position_error_m: float = 2.0
+    beat_age_s: Annotated[float, Bounds(0.05, 10.0)] = 0.4
+    setpoint_gap_s: Annotated[float, Bounds(0.05, 10.0)] = 0.4
+    patience_s: Annotated[float, Bounds(0.0, 10.0)] = 0.5
+    hold_s: Annotated[float, Bounds(0.0, 60.0)] = 2.0
+    ack_s: Annotated[float, Bounds(0.05, 10.0)] = 0.5
+    confirm_s: Annotated[float, Bounds(0.05, 10.0)] = 1.5
+    land_tries: Annotated[int, Bounds(1, 100, "times")] = 10
+    blind_s: Annotated[float, Bounds(0.1, 60.0)] = 2.5
+    answer_age_s: Annotated[float, Bounds(0.05, 60.0)] = 1.0
+    mode_grace_s: Annotated[float, Bounds(0.0, 30.0)] = 1.2
+    position_error_m: Annotated[float, Bounds(0.0, 100.0)] = 2.0
 
     def __post_init__(self) -> None:
         times = ("beat_age_s", "setpoint_gap_s", "ack_s", "confirm_s", "blind_s", "answer_age_s")

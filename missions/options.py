@@ -8,9 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from missions.campaign.levels import LevelName
-
 RigName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
+LevelName = Literal["none", "lossy", "harsh", "hostile"]
 OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 FileName = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 TrialName = Literal[
@@ -30,6 +29,7 @@ TrialName = Literal[
     "rendezvous",
     "beacon",
     "soak",
+    "real",
 ]
 Errors = Literal["exact", "careful", "careless"] | None
 Faults = Annotated[
@@ -189,7 +189,10 @@ class DoctorOptions:
 
 @dataclass(frozen=True, slots=True)
 class RigsOptions:
-    """List the rigs that come with PATH."""
+    """List the rigs that come with PATH, or check one of your own."""
+
+    check: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    """Check everything in this rig that can be checked without touching hardware, as before a flight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +212,7 @@ class TrialOptions:
 
     name: Annotated[TrialName, tyro.conf.Positional]
     """Which trial; `all` runs those of the paper and makes one page, in about a quarter of an hour on two cores.
-    `processes`, `rendezvous`, `beacon` and `soak` are asked for by name."""
+    `processes`, `rendezvous`, `beacon`, `soak` and, without --set, `real` are asked for by name."""
 
     out: OutFolder = None
     """Folder for the page, summary.json and the pictures; trials/<time>-<name> by default."""
@@ -239,6 +242,13 @@ class TrialOptions:
 
     board: FileName = None
     """TOML file that describes a photograph of a marker board, for `corners`; without it no photograph is measured."""
+
+    set: Annotated[tuple[tuple[Path, ...], ...], tyro.conf.arg(metavar="FILE ..."), tyro.conf.UseAppendAction] = ()
+    """TOML files that describe sets of photographs of a board, for `real` (docs/real.md); may be given several
+    times."""
+
+    photographs: OutFolder = None
+    """What the paths in --set's files are relative to; by default each file's own folder."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,12 +12,12 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode, VelocitySetpoint
-from drivers.mavsdk_geodesy import LocalTangent
-from drivers.rig import Origin
-from hil.autopilot import AutopilotConfig
-from hil.estimator import EstimatorConfig, WindConfig
-from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.world import World, WorldConfig
+from drivers.mavlink.geodesy import LocalTangent
+from drivers.rig.parts import Origin
+from hil.autopilot.autopilot import AutopilotConfig
+from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
+from hil.world.estimator import EstimatorConfig, WindConfig
+from hil.world.world import World, WorldConfig
 from path.messages import Role
 
 SYSID = 1
@@ -35,10 +35,10 @@ FORWARD = VelocitySetpoint((0.05, 0.0, 0.0), 0.0)
 class Bench:
     """Stepped by a thread; everything that touches the world takes ``lock``."""
 
-    def __init__(self, speed: float = 1.0) -> None:
+    def __init__(self, speed: float = 1.0, key: bytes | None = None) -> None:
         self._speed = speed
         exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
-        self.world = World(WorldConfig(WindConfig(0.0, gust_mps=0.0), exact, autopilot=QUICK), seed=1)
+        self.world = World(WorldConfig(wind=WindConfig(0.0, gust_mps=0.0), estimator=exact, autopilot=QUICK), seed=1)
         self.drone = self.world.drone(Role.SENDER)
         self.lock = threading.Lock()
         self.ground = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -46,7 +46,7 @@ class Bench:
         self.ground.setblocking(False)
         self.port = free_port()
         tangent = LocalTangent(ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.altitude_m)
-        config = MavlinkVehicleConfig(SYSID, self.ground.getsockname(), second=("127.0.0.1", self.port))
+        config = MavlinkVehicleConfig(SYSID, self.ground.getsockname(), second=("127.0.0.1", self.port), key=key)
         self.vehicle = MavlinkVehicle(config, self.drone, tangent)
         self.vehicle.tap = lambda _, message: self.wire.append(message)
         self.wire: list[Any] = []
@@ -82,15 +82,16 @@ class Bench:
             except BlockingIOError:
                 return
 
-    def in_air(self) -> None:
-        """Armed, climbed, in offboard control."""
+    def in_air(self, by_setpoints: bool = True) -> None:
+        """Armed, climbed, in offboard control; without setpoints it holds."""
         until(lambda: self.autopilot.armable)
         with self.lock:
             now_s = self.world.time_s
             assert self.autopilot.request_arm(now_s, True).accepted
             assert self.autopilot.request_takeoff(now_s, 1.0).accepted
         until(lambda: self.autopilot.mode is FlightMode.HOLD and not self.autopilot.landed)
-        self.select(FlightMode.OFFBOARD)
+        if by_setpoints:
+            self.select(FlightMode.OFFBOARD)
 
     def select(self, mode: FlightMode, by_pilot: bool = False) -> None:
         with self.lock:
@@ -102,9 +103,9 @@ class Bench:
 
 
 @contextmanager
-def bench(speed: float = 1.0) -> Generator[Bench]:
-    """The vehicle's time runs ``speed`` times as fast as ours."""
-    own, stop = Bench(speed), threading.Event()
+def bench(speed: float = 1.0, key: bytes | None = None) -> Generator[Bench]:
+    """The vehicle's time runs ``speed`` times as fast as ours; with a ``key`` it signs, and takes what is signed."""
+    own, stop = Bench(speed, key), threading.Event()
     thread = threading.Thread(target=own.run, args=(stop,))
     thread.start()
     try:

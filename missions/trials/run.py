@@ -22,18 +22,18 @@ from flight.command_end import CommandEnd
 from flight.outcome import violated_outcome
 from missions import rig_library
 from missions.options import TrialName, TrialOptions
-from missions.records import SUMMARY
-from missions.report import show
+from missions.report.command import show
+from missions.report.records import SUMMARY
 from missions.run_folder import new_folder
-from missions.trials.page import PAGE, Chapter, render_page
-from missions.trials.trial import Finding, TrialRequest, TrialResult, Verdict
+from missions.trials.shared.page import PAGE, Chapter, render_page
+from missions.trials.shared.trial import Finding, TrialRequest, TrialResult, Verdict
 from missions.work import open_work
 
 NAMES: tuple[str, ...] = tuple(
-    name for name in get_args(TrialName) if name not in ("all", "processes", "rendezvous", "beacon", "soak")
+    name for name in get_args(TrialName) if name not in ("all", "processes", "rendezvous", "beacon", "soak", "real")
 )
 """All that ``all`` runs: ``processes``, ``rendezvous`` and ``soak`` take half an hour each, ``beacon`` is
-``dynamic``'s."""
+``dynamic``'s; ``real`` runs when sets are named."""
 RIG = "sim-rendered"
 RIGS = {"beacon": "dynamic", "rendezvous": "sim-field", "soak": "sitl"}
 EXIT_FAILED = CommandEnd.FAILED.exit_code
@@ -47,10 +47,12 @@ def run(options: TrialOptions) -> int:
         PartError: for what was asked wrongly. With ``all``, a trial that fails is shown on the page, and the rest run.
     """
     whole = options.name == "all"
-    names = NAMES if whole else (options.name,)
-    trials = {name: importlib.import_module(f"missions.trials.{name}") for name in names}
+    names = (*NAMES, *(("real",) if options.set else ())) if whole else (options.name,)
+    trials = {name: importlib.import_module(f"missions.trials.{name}.trial") for name in names}
     rig = rig_library.load(options.rig or rig_of(options.name))
-    for option, file in (("--xfeat", options.xfeat), ("--board", options.board)):
+    sets = sets_of(options)
+    files = (("--xfeat", options.xfeat), ("--board", options.board), *(("--set", file) for file in sets))
+    for option, file in files:
         if file is not None and not file.is_file():
             raise PartError(f"{option} {file}: no such file", f"name a file that exists, or leave {option} out")
     folder = new_folder(options.out or Path("trials") / f"{datetime.now():%Y%m%d-%H%M%S}-{options.name}")
@@ -62,8 +64,9 @@ def run(options: TrialOptions) -> int:
             sys.stdout.write(f"\n{f'[{number}/{len(names)}] ' if whole else ''}{trial.TITLE}\n")
             sys.stdout.flush()
             request = TrialRequest(
-                rig, own, options.seed, options.quick, work, options.xfeat, options.board, options.logs, options.seconds
-            )
+                rig, own, options.seed, options.quick, work, options.xfeat, options.board, options.logs,
+                options.seconds, sets, options.photographs,
+            )  # fmt: skip
             begun, result, error = datetime.now(), None, ""
             try:
                 result = trial.run(request)
@@ -104,11 +107,19 @@ def command(options: TrialOptions, name: str) -> str:
         words += ["--xfeat", str(options.xfeat)]
     if options.board is not None and name == "corners":
         words += ["--board", str(options.board)]
+    if name == "real":
+        words += [word for file in sets_of(options) for word in ("--set", str(file))]
+        words += [] if options.photographs is None else ["--photographs", str(options.photographs)]
     if options.seconds:
         words += ["--seconds", f"{options.seconds:g}"]
     if options.logs is not None and name == "beacon":
         words += ["--logs", str(options.logs)]
     return shlex.join(words)
+
+
+def sets_of(options: TrialOptions) -> tuple[Path, ...]:
+    """The files of all ``--set``, which may be given several times and with several files each."""
+    return tuple(file for files in options.set for file in files)
 
 
 def rig_of(name: str) -> str:

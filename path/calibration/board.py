@@ -37,6 +37,8 @@ class Board:
         square_m: side of a square, as measured on the print.
         marker_m: side of the black frame of a ChArUco board's markers.
         dictionary: of these markers.
+        legacy: a ChArUco board as OpenCV drew it before version 4.6: with an even number of rows the top-left square
+            is a white one, with a marker in it.
 
     Raises:
         ValueError: naming the field that cannot be right.
@@ -48,6 +50,7 @@ class Board:
     square_m: float
     marker_m: float = 0.0
     dictionary: str = "DICT_4X4_50"
+    legacy: bool = False
 
     def __post_init__(self) -> None:
         if min(self.columns, self.rows) < 3 or (self.columns - 1) * (self.rows - 1) < FEWEST_CORNERS:
@@ -70,10 +73,21 @@ class Board:
         return np.stack((x.ravel(), y.ravel(), np.zeros(x.size)), axis=1).astype(np.float64) * self.square_m
 
     @property
+    def markers_o(self) -> dict[int, Array]:
+        """Corners of a ChArUco board's markers by id, shape (4, 3), metres, in the order of the print."""
+        if self.pattern == "chessboard":
+            return {}
+        charuco = _charuco_board(self)
+        corners = (np.asarray(points, np.float64).reshape(4, 3) for points in charuco.getObjPoints())
+        return dict(zip((int(i) for i in np.ravel(charuco.getIds())), corners, strict=True))
+
+    @property
     def text(self) -> str:
         """How messages name it."""
         size = f"{self.columns}x{self.rows} squares of {1000.0 * self.square_m:g} mm"
-        return f"chessboard, {size}" if self.pattern == "chessboard" else f"ChArUco, {size}, {self.dictionary}"
+        if self.pattern == "chessboard":
+            return f"chessboard, {size}"
+        return f"ChArUco, {size}, {self.dictionary}{', old pattern' if self.legacy else ''}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,7 +188,9 @@ def print_cells(board: Board) -> tuple[Image, float]:
 @lru_cache(maxsize=8)
 def _charuco_board(board: Board) -> cv2.aruco.CharucoBoard:
     size = (board.columns, board.rows)
-    return cv2.aruco.CharucoBoard(size, board.square_m, board.marker_m, dictionary_of(board.dictionary))
+    charuco = cv2.aruco.CharucoBoard(size, board.square_m, board.marker_m, dictionary_of(board.dictionary))
+    charuco.setLegacyPattern(board.legacy)
+    return charuco
 
 
 @lru_cache(maxsize=8)

@@ -121,16 +121,22 @@ def solve_intrinsics(views: Sequence[BoardView], board: Board, size: tuple[int, 
 
 def left_by(camera: CameraModel, views: Sequence[BoardView], board: Board) -> float:
     """What a given camera leaves of views when only their poses are fitted, rms in px: with the true one, the noise."""
-    matrix, lens = _matrices(camera)
+    matrix, lens = matrices_of(camera)
     return rms(np.concatenate([_refit(matrix, lens, board.corners_o[v.ids], v.corners_px)[1] for v in views]))
 
 
 def board_pose(camera: CameraModel, board: Board, view: BoardView) -> tuple[Pose, Array]:
     """``T_c_o`` of one view, and what it leaves, (n, 2) px. Raises NotSolvable."""
-    return _refit(*_matrices(camera), board.corners_o[view.ids], view.corners_px)
+    return pose_of_points(camera, board.corners_o[view.ids], view.corners_px)
 
 
-def _matrices(camera: CameraModel) -> tuple[Array, Array]:
+def pose_of_points(camera: CameraModel, points_o: Array, corners_px: Array) -> tuple[Pose, Array]:
+    """``T_c_o`` of points in a plane, (n, 3) seen at (n, 2), and what it leaves, (n, 2) px. Raises NotSolvable."""
+    return _refit(*matrices_of(camera), points_o, corners_px)
+
+
+def matrices_of(camera: CameraModel) -> tuple[Array, Array]:
+    """Camera matrix (3, 3) and distortion (5,), as OpenCV takes them."""
     matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
     return matrix, np.array(camera.distortion)
 

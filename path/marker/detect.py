@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from path.camera import CameraModel
 from path.marker.kernels import Array
 from path.marker.layout import MarkerLayout
-from path.marker.photometric import fit
+from path.marker.photometric import PhotometricFit, fit
 from path.marker.texture import cells, dictionary_of
 from path.observations import MarkerDetection, Region
 
@@ -134,17 +134,27 @@ def refine_corners(
     if _likeness(grey, quad, pattern[1:-1, 1:-1]) < MIN_LIKENESS:
         return None
     if refine == "photometric":
-        start = quad + offset
-        fitted = fit(grey, offset, start, camera, pattern)
-        if (
-            fitted is not None
-            and fitted.explained >= MIN_EXPLAINED
-            and fitted.contrast >= MIN_CONTRAST
-            and float(np.abs(fitted.corners_px - start).max()) < max(2.0, 0.15 * _side(quad))
-        ):
+        fitted = trusted_fit(grey, offset, quad, pattern, camera)
+        if fitted is not None:
             return fitted.corners_px, fitted.covariance_px2
     corners, covariance = _subpix(grey, quad, pattern.shape[0] - 2)
     return corners + offset, covariance
+
+
+def trusted_fit(
+    grey: NDArray[np.uint8], offset: tuple[int, int], quad: Array, pattern: Array, camera: CameraModel
+) -> PhotometricFit | None:
+    """The photometric fit from decoded corners, see ``refine_corners``; None where it is not to be trusted."""
+    start = quad + offset
+    fitted = fit(grey, offset, start, camera, pattern)
+    if (
+        fitted is None
+        or fitted.explained < MIN_EXPLAINED
+        or fitted.contrast < MIN_CONTRAST
+        or float(np.abs(fitted.corners_px - start).max()) >= max(2.0, 0.15 * _side(quad))
+    ):
+        return None
+    return fitted
 
 
 @lru_cache(maxsize=64)
