@@ -8,9 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from missions.campaign.levels import LevelName
-
 RigName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
+LevelName = Literal["none", "lossy", "harsh", "hostile"]
 OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 FileName = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 TrialName = Literal[
