@@ -235,7 +235,7 @@ TOPICS: dict[str, Topic] = {
             "counted": _flag("it advanced or restarted the count"),
             "reason": _reason("it did not agree"),
             "iou": _number("overlap of D1's box and D2's mapped one, 0 to 1"),
-            "tau": _number("overlap that was needed"),
+            "tau": _number("overlap that was needed; left out when nothing was compared"),
             "count": _whole("agreeing pairs in a row"),
             "needed": _whole("of them for a hand-over"),
             "evidence": _number("of the gate by evidence, nats"),
