@@ -22,6 +22,7 @@ TrialName = Literal[
     "ambiguity",
     "handshake",
     "evidence",
+    "recall",
     "thresholds",
     "link",
     "compute",
