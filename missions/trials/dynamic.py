@@ -21,12 +21,13 @@ from missions.trials.dynamic_flight import VERIFY_S, FlightOrder, Flown, fly, mo
 from missions.trials.dynamic_judge import SUBJECTS, Compared, Judged, judge, true_places
 from missions.trials.dynamic_pictures import draw_coast, draw_errors, draw_map
 from missions.trials.statistics import blocks_interval
-from missions.trials.trial import Picture, TrialRequest, TrialResult, trial_part
+from missions.trials.trial import Picture, TrialRequest, TrialResult
 
 Array = NDArray[np.float64]
 
 TITLE = "Dynamic: PATH's trajectories against ultrasonic beacons while everything moves"
 PAPER = "Receiver-View Projection Consistency, dynamic part"
+NEEDS = ("beacons", "estimator")
 
 FLIGHTS = 4
 QUICK_LEVEL = "sim"
@@ -36,7 +37,6 @@ QUICK_VERIFY_S = 8.0
 
 
 def run(request: TrialRequest) -> TrialResult:
-    trial_part(request.rig, "beacons")
     reference_of(request.rig)
     rig = request.rig
     if request.quick:  # the geometric sight instead of rendered frames: the same mission, seconds instead of minutes

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TextIO
 
 from drivers.clock import stopwatch_ns
-from drivers.interfaces import PartError
 from flight.command_end import CommandEnd
 from missions.options import VerifyOptions
+from missions.run_folder import claim_result, new_folder
 from missions.verify import wire
 from missions.verify.explore import Covering, Exact, Exploration, explore
 from missions.verify.model import Scope
@@ -77,10 +77,8 @@ def run(options: VerifyOptions) -> int:
     packet was taken. Raises PartError.
     """
     folder = options.out or Path("verify") / datetime.now().strftime("%Y%m%d-%H%M%S")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise PartError(f"cannot make {folder}: {error.strerror}", "name another folder with --out") from error
+    new_folder(folder)
+    claim_result(folder / SUMMARY, '"holds"')
     if options.wire:
         return _run_wire(options, folder)
     jobs = QUICK if options.quick else FULL
