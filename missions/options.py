@@ -8,12 +8,12 @@ from typing import Annotated, Literal
 
 import tyro
 
-from missions.campaign.levels import LevelName
 from path.bounds import Bounds
 
 Seed = Annotated[int, Bounds(0, 2**32 - 1, "(a seed)")]
 Jobs = Annotated[int, Bounds(0, 1024, "processes")]
 RigName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
+LevelName = Literal["none", "lossy", "harsh", "hostile"]
 OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 FileName = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 TrialName = Literal[

@@ -22,11 +22,11 @@ from flight.command_end import CommandEnd
 from flight.outcome import violated_outcome
 from missions import rig_library
 from missions.options import TrialName, TrialOptions
-from missions.records import SUMMARY
-from missions.report import show
+from missions.report.command import show
+from missions.report.records import SUMMARY
 from missions.run_folder import claim_result, new_folder
-from missions.trials.page import MADE_BY, PAGE, Chapter, render_page
-from missions.trials.trial import Finding, TrialRequest, TrialResult, Verdict, trial_part
+from missions.trials.shared.page import MADE_BY, PAGE, Chapter, render_page
+from missions.trials.shared.trial import Finding, TrialRequest, TrialResult, Verdict, trial_part
 from missions.work import open_work
 
 NAMES: tuple[str, ...] = tuple(
@@ -48,7 +48,7 @@ def run(options: TrialOptions) -> int:
     """
     whole = options.name == "all"
     names = (*NAMES, *(("real",) if options.set else ())) if whole else (options.name,)
-    trials = {name: importlib.import_module(f"missions.trials.{name}") for name in names}
+    trials = {name: importlib.import_module(f"missions.trials.{name}.trial") for name in names}
     rig = rig_library.load(options.rig or rig_of(options.name))
     for part in () if whole else getattr(trials[options.name], "NEEDS", ()):
         trial_part(rig, part)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from flight.harness import FlightReport, FlightRequest, RoleResult
+from flight.harness.flights import FlightReport, FlightRequest, RoleResult
 from flight.outcome import Outcome
 from path.messages import Role
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-import missions.handoff
+import missions.handoff.command
 from flight.command_end import CommandEnd
 from missions import cli
 from missions.options import HandoffOptions
@@ -36,7 +36,7 @@ def flown(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> Callable[..., N
         def harness_of(_: Any) -> Replayed:
             return Replayed(folder)
 
-        monkeypatch.setattr(missions.handoff, "harness_of", harness_of)
+        monkeypatch.setattr(missions.handoff.command, "harness_of", harness_of)
 
     return replay
 
@@ -48,8 +48,8 @@ def test_a_full_disk_at_the_end(
     what: str, followed: int, code: int,
 ) -> None:  # fmt: skip
     flown(followed_id=followed)
-    monkeypatch.setattr(missions.handoff, what, fail)
-    assert missions.handoff.run(HandoffOptions("sim", out=tmp_path / "flown", picture=False)) == code
+    monkeypatch.setattr(missions.handoff.command, what, fail)
+    assert missions.handoff.command.run(HandoffOptions("sim", out=tmp_path / "flown", picture=False)) == code
     said = capsys.readouterr()
     assert "No space left on device" in said.out + said.err
     assert "Traceback" not in said.err
