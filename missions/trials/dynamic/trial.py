@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missions import rig_library
-from missions.rig_library import trial_part
 from missions.trials.dynamic import report
 from missions.trials.dynamic.flight import VERIFY_S, FlightOrder, Flown, fly, moving, reference_of
 from missions.trials.dynamic.judge import SUBJECTS, Compared, Judged, judge, true_places

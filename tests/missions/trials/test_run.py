@@ -26,7 +26,7 @@ def trial(name: str, monkeypatch: pytest.MonkeyPatch, *, fails: bool = False) ->
 
     module = ModuleType(name)
     vars(module).update(TITLE=f"The {name} trial", PAPER="", run=run)
-    monkeypatch.setitem(sys.modules, f"missions.trials.{name}", module)
+    monkeypatch.setitem(sys.modules, f"missions.trials.{name}.trial", module)
 
 
 def test_a_trial_leaves_its_page_and_its_numbers(
