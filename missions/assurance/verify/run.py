@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections import Counter
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from typing import TextIO
 
 from drivers.clock import stopwatch_ns
 from flight.command_end import CommandEnd
-from missions.assurance.verify import wire
+from missions.assurance.verify import mutation_run, wire
 from missions.assurance.verify.explore import Covering, Exact, Exploration, explore
 from missions.assurance.verify.model import Scope
 from missions.assurance.verify.mutants import MUTANTS, SMALL, caught
@@ -79,6 +80,8 @@ def run(options: VerifyOptions) -> int:
     folder = options.out or Path("verify") / datetime.now().strftime("%Y%m%d-%H%M%S")
     new_folder(folder)
     claim_result(folder / SUMMARY, '"holds"')
+    if options.mutants:
+        return _run_mutants(options, folder)
     if options.wire:
         return _run_wire(options, folder)
     jobs = QUICK if options.quick else FULL
@@ -91,6 +94,17 @@ def run(options: VerifyOptions) -> int:
     show(explored, tried, wall_s, sys.stdout)
     sys.stdout.write(f"summary: {folder / SUMMARY}\n")
     return 0 if summary["holds"] else EXIT_BROKEN
+
+
+def _run_mutants(options: VerifyOptions, folder: Path) -> int:
+    began = stopwatch_ns()
+    jobs = options.jobs or os.cpu_count() or 1
+    tried = mutation_run.score(mutation_run.load_table(), options.seed, options.sample, jobs, Path(), sys.stdout)
+    figures = mutation_run.summarize(tried, options.seed, (stopwatch_ns() - began) * 1e-9)
+    (folder / SUMMARY).write_text(json.dumps(figures, indent=2) + "\n")
+    sys.stdout.write(f"mutants caught: {figures['mutants_caught']} of {figures['mutants']}\n")
+    sys.stdout.write(f"summary: {folder / SUMMARY}\n")
+    return 0 if figures["holds"] else EXIT_BROKEN
 
 
 def _run_wire(options: VerifyOptions, folder: Path) -> int:
