@@ -15,7 +15,7 @@ from drivers.rig.parts import Rig, with_errors
 from flight.harness.flights import Emit
 from flight.outcome import Outcome
 from missions import rig_library
-from missions.handoff.command import Programs, fly_once, name_simulators
+from missions.handoff.command import Programs, fly_once, name_simulators, unwritten
 from missions.leg.command import fly_from_drone
 from missions.options import FlyOptions, RoleOptions
 from missions.own.load import load_mission
@@ -24,7 +24,8 @@ from missions.report.command import figure, outcome_line, phase_table, show, vio
 from missions.report.progress import open_console
 from missions.report.records import SUMMARY, RunFacts, load_run
 from missions.report.summary import summarize
-from missions.run_folder import new_folder
+from missions.run_folder import unless_refused
+from missions.shown import say_unwritten
 from path.messages import Role
 
 KEPT = (
@@ -43,10 +44,13 @@ def run(options: FlyOptions) -> int:
     name_simulators(options)
     rig = with_errors(rig_library.load(options.rig), options.errors)
     programs = programs_of(options.mission)
-    folder = new_folder(options.out)
-    with open_console(sys.stdout) as console:
+    with unless_refused(options.out) as folder, open_console(sys.stdout) as console:
         facts = fly_once(rig, options.seed, options.fault, folder, console.show, programs)
-    report(folder, sys.stdout)
+    try:
+        report(folder, sys.stdout)
+    except OSError as error:
+        facts = unwritten(facts, error)
+        say_unwritten(error)
     return facts.exit_code
 
 
