@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections import Counter
 from dataclasses import dataclass
@@ -11,13 +12,13 @@ from pathlib import Path
 from typing import TextIO
 
 from drivers.clock import stopwatch_ns
-from drivers.interfaces import PartError
 from flight.command_end import CommandEnd
-from missions.assurance.verify import wire
+from missions.assurance.verify import mutation_run, wire
 from missions.assurance.verify.explore import Covering, Exact, Exploration, explore
 from missions.assurance.verify.model import Scope
 from missions.assurance.verify.mutants import MUTANTS, SMALL, caught
 from missions.options import VerifyOptions
+from missions.run_folder import claim_result, new_folder
 from missions.work import Work, open_work
 
 EXIT_BROKEN = CommandEnd.FAILED.exit_code
@@ -77,10 +78,10 @@ def run(options: VerifyOptions) -> int:
     packet was taken. Raises PartError.
     """
     folder = options.out or Path("verify") / datetime.now().strftime("%Y%m%d-%H%M%S")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise PartError(f"cannot make {folder}: {error.strerror}", "name another folder with --out") from error
+    new_folder(folder)
+    claim_result(folder / SUMMARY, '"holds"')
+    if options.mutants:
+        return _run_mutants(options, folder)
     if options.wire:
         return _run_wire(options, folder)
     jobs = QUICK if options.quick else FULL
@@ -93,6 +94,17 @@ def run(options: VerifyOptions) -> int:
     show(explored, tried, wall_s, sys.stdout)
     sys.stdout.write(f"summary: {folder / SUMMARY}\n")
     return 0 if summary["holds"] else EXIT_BROKEN
+
+
+def _run_mutants(options: VerifyOptions, folder: Path) -> int:
+    began = stopwatch_ns()
+    jobs = options.jobs or os.cpu_count() or 1
+    tried = mutation_run.score(mutation_run.load_table(), options.seed, options.sample, jobs, Path(), sys.stdout)
+    figures = mutation_run.summarize(tried, options.seed, (stopwatch_ns() - began) * 1e-9)
+    (folder / SUMMARY).write_text(json.dumps(figures, indent=2) + "\n")
+    sys.stdout.write(f"mutants caught: {figures['mutants_caught']} of {figures['mutants']}\n")
+    sys.stdout.write(f"summary: {folder / SUMMARY}\n")
+    return 0 if figures["holds"] else EXIT_BROKEN
 
 
 def _run_wire(options: VerifyOptions, folder: Path) -> int:

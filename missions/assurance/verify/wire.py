@@ -221,7 +221,9 @@ def a_message(role: Role, rng: Random) -> Message:
             if name in values:
                 values[name] %= most
         message = _meaning(wanted, values)
-        if message is not None and not (isinstance(message, Status) and message.role is not role):
+        if message is None or (isinstance(message, Status) and message.role is not role):
+            continue
+        if _sendable(message):
             return message
 
 
@@ -248,6 +250,15 @@ def _meaning(kind: type[Any], values: dict[str, int]) -> Message | None:
         return FROM_WIRE[kind](kind(**values))
     except OutOfRange:
         return None
+
+
+def _sendable(message: Message) -> bool:
+    """A few numbers can be heard and not said: the lowest that a field of both signs can hold."""
+    try:
+        TO_WIRE[type(message)](message)
+    except OutOfRange:
+        return False
+    return True
 
 
 def _resident_kib() -> float:
