@@ -69,8 +69,8 @@ class Attempt:
         reach: how much farther from the target D1 stays than it usually does.
         roll_deg: by which D2's camera is turned about its optical axis on its mount, as both drones know.
         limit_s: after so long without a commit it is a timeout.
-        whole: go on until the limit, whatever D1's window says. Otherwise the compiled form ends with the commit, or
-            as soon as there can be none any more.
+        whole: go on until the limit, whatever D1's window says. Otherwise it ends with the commit, or as soon as
+            there can be none any more.
     """
 
     seed: int
@@ -209,11 +209,7 @@ class EncounterPlayer(Protocol):
         ...
 
     def play(self, attempt: Attempt) -> Encounter:
-        """By the compiled form of the method: fast."""
-        ...
-
-    def play_by_method(self, attempt: Attempt) -> Encounter:
-        """The same attempt through the method itself: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle``."""
+        """Through the method itself: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle``."""
         ...
 
     def warmed(self) -> Self:

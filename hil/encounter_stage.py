@@ -5,15 +5,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flight.encounter import Attempt, Circumstances
 from hil.encounter_motion import P_W_N, RECEIVER, SENDER, Motion, Poses, exp_all, within
-from hil.encounter_pose import Print, mirrored
-from hil.encounter_relative import Reports, reports
-from hil.encounter_scene import TARGET_HEIGHT_M, Believed, Calibrated, Drawn, draw
+from hil.encounter_scene import TARGET_HEIGHT_M, Believed, Drawn, draw
 from hil.encounter_sight import (
     AT,
     FOLLOWER_SIZE,
@@ -33,10 +32,10 @@ from hil.encounter_sight import (
     sender_sees,
     with_lapses,
 )
-from hil.encounter_state import CANDIDATE_HEARD, RECEIVER_FRAME, SENDER_FRAME, TARGET_HEARD, Seen
-from hil.geometric_scene import car_parts, drone_parts, lens_row
+from hil.geometric_scene import car_parts, drone_parts
 from hil.geometric_sight import Sensor
 from path.camera import CameraModel
+from path.camera_kernels import lens_of
 from path.geometry import Pose
 
 Array = NDArray[np.float64]
@@ -52,6 +51,36 @@ BLOCK_S = 0.5
 HORIZON_S = 8.2  # how far an attempt is made ready at first
 CLOSEST_STEP_S = 0.02
 EPOCH_S = 10.0  # of the clocks, when an attempt begins
+SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD = 0, 1, 2, 3  # what happens
+
+
+class Seen(NamedTuple):
+    """What both cameras gave: see ``hil.encounter_sight``; numbers and stamps of the frames.
+
+    ``gravity_v``, ``gravity_c``: (n, 3) as each drone believes; ``R_n_c``: of D2's camera, (n, 3, 3).
+    ``shift_c``, ``turn``: what D2's pose is off by, (3,) and (3, 3).
+    ``own_velocity``: of D2 with each of its frames; ``peer_stamp``, ``peer_velocity``, ``peer_yaw``: D1's reports, and
+    ``heard``: (n,) how many of them D2 has by a frame.
+    """
+
+    number_1: Whole
+    stamp_1: Whole
+    own: Array
+    gravity_v: Array
+    number_2: Whole
+    stamp_2: Whole
+    markers: Array
+    found: Array
+    many: Whole
+    gravity_c: Array
+    R_n_c: Array
+    shift_c: Array
+    turn: Array
+    own_velocity: Array
+    peer_stamp: Whole
+    peer_velocity: Array
+    peer_yaw: Array
+    heard: Whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +102,6 @@ class Timed:
         """Those taken before."""
         count = int(np.searchsorted(self.taken_s, time_s))
         return Timed(self.number[:count], self.taken_s[:count], self.done_s[:count], self.heard_s[:count])
-
-
-def printed_marker(believed: Believed) -> Print:
-    marker = believed.rig.layout.markers[0]
-    T = marker.T_v_m
-    return Print(marker.corners_v, np.ascontiguousarray(T.R), T.t, marker.side_m, marker.side_sigma_m / marker.side_m)
 
 
 class Parts:
@@ -123,8 +146,8 @@ class Stage:
         self._depths = Depths(sensor.depth, *sensor.depth_noise, self.drawn.errors.depth_scale)
         self._corners_b = true.T_b_v.apply(true.corners_v)
         self._print = with_lapses(believed.noise.marker, faults.lapse_rate)
-        self._printed = printed_marker(believed)
-        self._lens_1 = lens_row(self.believed.camera_1)
+        self._T_v_m = believed.rig.layout.markers[0].T_v_m
+        self._lens_1 = lens_of(self.believed.camera_1)
         self._filled = [0, 0]
         self._follower: Array | None = None
         self._limit_s, self._lost_s = attempt.limit_s, believed.mission.deadlines.target_coast_s
@@ -179,14 +202,13 @@ class Stage:
             many[:second] = self.seen.many[:second]
         return own, markers, found, many
 
-    def _reports(self, receiver: Timed) -> tuple[Reports, Reports, Array, Whole]:
+    def _reports(self, receiver: Timed) -> tuple[Array, Whole, Array, Array, Whole]:
         """What both vehicles say of their motion, D1's yaw in it, and how much of it D2 has by each of its frames."""
         faults, motion = self.drawn.faults, self._motion
-        own = reports(_ns(receiver.taken_s) + self.clock_ns, motion.reported(receiver.taken_s, RECEIVER))
         said_s = np.arange(-2.0, self._horizon_s * STATUS_HZ) / STATUS_HZ
-        peer = reports(_ns(said_s), motion.reported(said_s, SENDER))
         heard = np.searchsorted(said_s + faults.delay_s + faults.jitter_s, receiver.done_s)
-        return own, peer, motion.yaw(said_s), np.maximum(heard, 1)
+        own, peer = motion.reported(receiver.taken_s, RECEIVER), motion.reported(said_s, SENDER)
+        return own, _ns(said_s), peer, motion.yaw(said_s), np.maximum(heard, 1)
 
     def _gravity_c(self, R_n_c2: Array, receiver: Timed) -> Array:
         """Gravity in D2's camera as D2 believes; while flipped, what makes the other planar solution the likely one."""
@@ -195,8 +217,7 @@ class Stage:
         for k in np.flatnonzero(within(receiver.taken_s, self.drawn.faults.flipped)).tolist():
             T_c_w = (Pose(flown.R[k], flown.t[k]) @ true.T_b_c2).inverse()
             T_w_v = Pose(flown.other_R[k], flown.other_t[k]) @ true.T_b_v
-            T_c_v, R, t = T_c_w @ T_w_v, np.empty((3, 3)), np.empty(3)
-            mirrored(np.ascontiguousarray(T_c_v.R), T_c_v.t, self._printed, R, t)
+            R = mirrored(T_c_w @ T_w_v, self._T_v_m)
             gravity_c[k] = R @ -T_w_v.R[2]
         return gravity_c
 
@@ -231,7 +252,7 @@ class Stage:
 
     @property
     def events(self) -> tuple[Whole, Whole, Whole]:
-        """What happens, to which frame, and when (ns), in the order of time: see ``hil.encounter_play``."""
+        """What happens, to which frame, and when (ns), in the order of time: see ``hil.encounter_by_method``."""
         sender, receiver = self.frames
         when = (sender.done_s, sender.heard_s, receiver.done_s, receiver.heard_s)
         kinds = (SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD)
@@ -266,6 +287,17 @@ class Stage:
         )
 
 
+def mirrored(T_c_v: Pose, T_v_m: Pose) -> Array:
+    """``R_c_v`` of a marker that faces the other way of the line of sight: about the second planar solution.
+
+    The marker's centre stays where it is; its axes turn by pi about the line to it, and by pi about its own normal.
+    """
+    centre = T_c_v.apply(T_v_m.t)
+    line = centre / np.linalg.norm(centre)
+    flip = T_v_m.R @ np.diag([-1.0, -1.0, 1.0]) @ T_v_m.R.T
+    return (2.0 * np.outer(line, line) - np.eye(3)) @ T_c_v.R @ flip
+
+
 def relative_roll(T_w_c1: Pose, T_w_c2: Pose) -> float:
     """Angle in rad by which "up" differs between two images: between the image directions of D1's x axis in both."""
     across = (T_w_c2.R.T @ T_w_c1.R)[:, 0]
@@ -277,7 +309,7 @@ def _ns(times_s: Array) -> Whole:
 
 
 def _eyes(camera: CameraModel, T_b_c: Pose, car: Array, drone: Array, boxes: object, seed: int) -> Eyes:
-    return Eyes(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_row(camera), car, drone, boxes, seed)  # type: ignore[arg-type]
+    return Eyes(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_of(camera), car, drone, boxes, seed)  # type: ignore[arg-type]
 
 
 def _things(frames: Timed, drawn: Drawn) -> tuple[Array, Array]:
@@ -292,14 +324,3 @@ def _flown(frames: Timed, poses: Poses, own: int, things: Array) -> Flown:
     """Both bodies in the world, ENU."""
     R, t = ([P_W_N @ each for each in poses.R_n_b], [each @ P_W_N.T for each in poses.t_n])
     return Flown(frames.number, R[own], t[own], R[1 - own], t[1 - own], things)
-
-
-def mounting(calibrated: Calibrated) -> Array:
-    """``T_v_c1`` as both believe it, (3, 4)."""
-    T_v_c = calibrated.T_b_v.inverse() @ calibrated.T_b_c1
-    return np.concatenate((T_v_c.R, T_v_c.t[:, None]), axis=1)
-
-
-def lever(T_b_x: Pose) -> Array:
-    """Of a part from its drone's centre, in its own axes."""
-    return T_b_x.R.T @ T_b_x.t

@@ -9,7 +9,7 @@ import numpy as np
 
 from missions.trials import handshake_encounters as encounters
 from missions.trials import handshake_flights as flights
-from missions.trials.handshake_encounters import FAULT_NAMES, GATES, Chunk, Compared, Judged, Tried
+from missions.trials.handshake_encounters import FAULT_NAMES, GATES, Chunk, Judged, Tried
 from missions.trials.handshake_flights import Flown
 from missions.trials.handshake_pictures import draw_faults, draw_times
 from missions.trials.statistics import bootstrap, upper_bound, wilson
@@ -19,8 +19,8 @@ from path.config import GateKind
 TITLE = "Handshake: 45 whole missions, and ten thousand encounters with faults, by both gates"
 PAPER = "Mutual Agreement Handshake"
 
-FLIGHTS, EVIDENCE_FLIGHTS, ATTEMPTS, COMPARED = 45, 15, 10_010, 42
-QUICK_FLIGHTS, QUICK_EVIDENCE_FLIGHTS, QUICK_ATTEMPTS, QUICK_COMPARED = 1, 0, 14, 1
+FLIGHTS, EVIDENCE_FLIGHTS, ATTEMPTS = 45, 15, 10_010
+QUICK_FLIGHTS, QUICK_EVIDENCE_FLIGHTS, QUICK_ATTEMPTS = 1, 0, 14
 TIMES, FAULTS = "handshake.png", "handshake-faults.png"
 PAPER_COMMITS, PAPER_MEDIAN_S, PAPER_P90_S = 42, 7.20, 7.95
 GOAL_MEDIAN_S = 2.0
@@ -42,11 +42,9 @@ def run(request: TrialRequest) -> TrialResult:
     player = encounters.player_of(rig)  # compiled here, before two processes would do it twice
     attempts = QUICK_ATTEMPTS if quick else ATTEMPTS
     chunks = request.work.map("encounters", encounters.play, encounters.asked_for(rig, request.seed, attempts))
-    both = [(rig, request.seed, index) for index in range(QUICK_COMPARED if quick else COMPARED)]
-    compared = request.work.map("encounters by the method itself", encounters.compare, both)
     rng = np.random.default_rng([request.seed, 11])
     tried = [each for chunk in chunks for each in chunk.tried]
-    summary = _summary(flown, tried, chunks, compared)
+    summary = _summary(flown, tried, chunks)
     draw_times(_by_gate(flown), _times(tried), len(tried), request.out / TIMES)
     draw_faults(tried, request.out / FAULTS)
     return TrialResult(
@@ -58,7 +56,7 @@ def run(request: TrialRequest) -> TrialResult:
             Picture(TIMES, "Time from the first agreeing pair to the commit, and the share of attempts done by then."),
             Picture(FAULTS, "Share of attempts that committed in time, by fault and gate, with 95 % intervals."),
         ),
-        notes=_notes(chunks, compared, attempts),
+        notes=_notes(chunks, attempts),
     )
 
 
@@ -71,9 +69,7 @@ _DRAWN = (
 # --- figures ------------------------------------------------------------------------------------------------------
 
 
-def _summary(
-    flown: Sequence[Flown], tried: Sequence[Tried], chunks: Sequence[Chunk], compared: Sequence[Compared]
-) -> dict[str, Any]:
+def _summary(flown: Sequence[Flown], tried: Sequence[Tried], chunks: Sequence[Chunk]) -> dict[str, Any]:
     by_gate = _by_gate(flown)
     paper = [_of(each, "consecutive") for each in tried]
     busy = sum(chunk.busy_s for chunk in chunks)
@@ -94,12 +90,6 @@ def _summary(
         },
         "gates": {gate: _gate_summary([_of(each, gate) for each in tried]) for gate in GATES},
         "faults": {name: _fault_summary([each for each in tried if each.fault == name]) for name in FAULT_NAMES},
-        "compiled": {
-            "attempts": len(compared),
-            "entries": sum(each.entries for each in compared),
-            "differing": sum(each.differing for each in compared),
-            "method_speed": sum(each.simulated_s for each in compared) / sum(each.busy_s for each in compared),
-        },
     }
 
 
@@ -224,7 +214,7 @@ def _encounter_findings(
     consecutive, evidence = gates["consecutive"], gates["evidence"]
     median, interval = _with_interval(times["evidence"], _median, rng)
     median_paper, interval_paper = _with_interval(times["consecutive"], _median, rng)
-    compiled, faults = summary["compiled"], encounters.wrong_by_fault(tried)
+    faults = encounters.wrong_by_fault(tried)
     near, beside = (_look_alikes(tried, within) for within in (NEAR_M, BESIDE_M))
     low, high = wilson(near, len(tried))
 
@@ -258,9 +248,6 @@ def _encounter_findings(
                 f"{evidence['commit_rate']:.1%} commit in {encounters.LIMIT_S:g} s"),
         Finding("encounters, times real time on one core", f"{summary['encounters']['speed']:.0f}",
                 "time this core spent on it", "", "≥ 100", verdict(summary["encounters"]["speed"] >= 100.0)),
-        Finding("entries that differ between the compiled method and the method itself",
-                f"{compiled['differing']} of {compiled['entries']}", f"{compiled['attempts']} attempts played twice",
-                "", "0", verdict(compiled["differing"] == 0)),
     )  # fmt: skip
 
 
@@ -323,17 +310,15 @@ def _fault_table(tried: Sequence[Tried], meanings: dict[Any, str]) -> Table:
     )  # fmt: skip
 
 
-def _notes(chunks: Sequence[Chunk], compared: Sequence[Compared], attempts: int) -> tuple[str, ...]:
-    entries = sum(each.entries for each in compared)
+def _notes(chunks: Sequence[Chunk], attempts: int) -> tuple[str, ...]:
     return (
         f"The {attempts} encounters are {len(FAULT_NAMES)} kinds of fault in equal numbers, {encounters.LIMIT_S:g} s "
         "each at the most. That is far more trouble than a field day has: the overall commit rate is that of this mix.",
         "An encounter is the hand-over alone: D2 is at its viewpoint and D1 follows its target. The messages of the "
         "commit itself (leases, accept, confirm) are in the missions and in the exploration of the protocol, not here; "
         "nor is what the wire's rounding takes away.",
-        f"Encounters go through a compiled form of the method. {entries} entries of {len(compared)} attempts were "
-        "played through MarkerView, ReceiverCycle and SenderCycle as well and compared one by one; both gates are the "
-        "method's own in all of them.",
+        "Encounters go through the method's own MarkerView, ReceiverCycle and SenderCycle, the ones that fly, and both "
+        "gates are the method's own in all of them.",
         "The object of a box is the one whose visible outline has its middle nearest to the box's. Two cars so close "
         "that the detector takes them for one can be counted as wrong by that.",
         f"Played: {sum(chunk.simulated_s for chunk in chunks) / 3600:.1f} h of hand-overs.",

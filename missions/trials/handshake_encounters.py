@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, get_args
 
@@ -21,7 +21,6 @@ GATES: tuple[GateKind, GateKind] = get_args(GateKind)
 FAULT_NAMES: tuple[FaultName, ...] = get_args(FaultName)
 CHUNK = 70
 LIMIT_S = 12.0
-IOU_TOLERANCE = 1e-4  # compiled descents end within 1e-7 m of the method's
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,39 +133,6 @@ def by_evidence(series: Series, method: MethodConfig) -> Judged:
     start = int(np.argmax(agreeing(series, own)))
     seconds = (int(series.now_ns[done]) - int(series.capture_ns[start])) * 1e-9
     return Judged(committed=True, seconds=seconds, right=bool(series.right[done]), same=bool(series.same[done]))
-
-
-@dataclass(frozen=True, slots=True)
-class Compared:
-    """One attempt played twice: by the compiled form of the method and by the method itself."""
-
-    entries: int
-    differing: int
-    simulated_s: float
-    busy_s: float
-
-
-def compare(asked: tuple[str, int, int]) -> Compared:
-    """The attempt of (rig, seed, index)."""
-    rig, seed, index = asked
-    player, attempt = player_of(rig), replace(attempt_of(seed, index), whole=True)
-    fast = player.play(attempt)
-    start_ns = busy_ns()
-    slow = player.play_by_method(attempt)
-    busy_s = (busy_ns() - start_ns) * 1e-9
-    return Compared(len(slow.series), differing(fast, slow), slow.simulated_s, busy_s)
-
-
-def differing(fast: Encounter, slow: Encounter) -> int:
-    """Entries that are not the same, those that only one of them has included."""
-    a, b = fast.series, slow.series
-    common = min(len(a), len(b))
-    same = np.ones(common, bool)
-    for field in fields(Series):
-        ours, theirs = getattr(a, field.name)[:common], getattr(b, field.name)[:common]
-        equal = np.abs(ours - theirs) <= IOU_TOLERANCE if ours.dtype.kind == "f" else ours == theirs
-        same &= equal.reshape(common, -1).all(axis=1)
-    return int(np.sum(~same)) + max(len(a), len(b)) - common
 
 
 def reasons(tried: Sequence[Tried]) -> dict[str, int]:

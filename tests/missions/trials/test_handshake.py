@@ -25,7 +25,6 @@ from missions.trials.handshake_encounters import (
     attempt_of,
     by_consecutive,
     by_evidence,
-    differing,
     play,
     player_of,
     reasons,
@@ -63,7 +62,6 @@ def test_a_mission_commits_and_nothing_is_handed_over_wrongly(result: TrialResul
     for gate in GATES:
         assert summary["gates"][gate]["wrong"] == 0
         assert 0.18 < summary["gates"][gate]["wrong_upper_95"] < 0.20  # 1 - 0.05^(1/14)
-    assert summary["compiled"]["differing"] == 0 and summary["compiled"]["entries"] > 400
     assert summary["gates"]["evidence"]["median_s"] < 2.0
     assert summary["gates"]["consecutive"]["median_s"] > 7.0
 
@@ -126,18 +124,6 @@ def test_a_wrong_hand_over_is_seen_and_counted() -> None:
     counted = wrong_by_fault([tried, good, lost])
     assert counted == {"consecutive": {"flip": 1}, "evidence": {"flip": 1}}
     assert reasons([tried, good, lost, lost]) == {"no_marker": 2}
-
-
-def test_one_changed_entry_is_one_that_differs() -> None:
-    found = misled()
-    iou, right = found.series.iou.copy(), found.series.right.copy()
-    iou[3, 1] += 0.01
-    right[5] ^= True
-    changed = replace(found, series=replace(found.series, iou=iou, right=right))
-    assert differing(found, found) == 0
-    assert differing(found, changed) == 2
-    short = player().play(Attempt(0, 0, limit_s=0.3))
-    assert differing(found, short) >= len(found.series) - len(short.series)
 
 
 def test_missions_are_all_different_and_two_gates_fly_the_same_ones() -> None:
