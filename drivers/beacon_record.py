@@ -14,7 +14,7 @@ from typing import Self
 
 from drivers.beacon_log import read_beacons
 from drivers.interfaces import BeaconError, BeaconFix
-from drivers.log import McapLog, read_log
+from drivers.log import McapLog, read_log, virtual_log
 from drivers.marvelmind_stream import MarvelmindStream
 from drivers.rig import PartContext
 
@@ -22,8 +22,9 @@ from drivers.rig import PartContext
 class BeaconRecorder:
     """Writes a record while the ports are read. ``write`` fits ``Marvelmind.on_bytes`` and never raises."""
 
-    def __init__(self, file: Path, latency_s: float) -> None:
-        self._log = McapLog(file)
+    def __init__(self, file: Path, latency_s: float, *, virtual: bool = False) -> None:
+        """``virtual``: what is written was heard in virtual time."""
+        self._log = virtual_log(file, "beacons") if virtual else McapLog(file, "beacons")
         self._log.write("/beacons", 0, {"latency_s": latency_s})
 
     def write(self, port: str, arrival_ns: int, data: bytes) -> None:

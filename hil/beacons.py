@@ -299,7 +299,8 @@ def _paths(world_log: Path, mounted: Mapping[str, Mounted]) -> tuple[Array, dict
 
 def _place(name: str, row: dict[str, Any], target_id: int, lever_m: Vec3) -> Array:
     if name == "target":
-        _, x, y, z, yaw = next(found for found in row["objects"] if found[0] == target_id)
+        target = next(found for found in row["objects"] if found["id"] == target_id)
+        (x, y, z), yaw = target["t"], target["yaw"]
         return np.array([x, y, z]) + R_from_rpy(0.0, 0.0, yaw) @ lever_m
     w, x, y, z = row[name]["q"]
     return np.array(row[name]["t"], float) + R_from_quat(normalized((w, x, y, z))) @ lever_m

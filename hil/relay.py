@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.guard_interfaces import Watched
-from drivers.log import McapLog
+from drivers.log import McapLog, virtual_log
 from drivers.rig import PartContext, Rig, RoleRig, create, part_context
 from drivers.stop_signals import stop_on_signals
 from drivers.tables import decode_table
@@ -121,8 +121,8 @@ class _Relay:
 
     def _new(self, name: str, own: RoleRig, built: Built) -> _Drone:
         harness = DroneHarness(self._world, name, self._request.seed, present_s, built)
-        log = McapLog(self._request.out / f"{name}.mcap", name, buffered=True)
         offset_ns = round(float(own.clock.options.get("offset_s", 0.0)) * 1e9)
+        log = virtual_log(self._request.out / f"{name}.mcap", name, offset_ns)
         return _Drone(name, own, harness, Disk(lambda duty: self._legs.on_duty(name, duty)), log, offset_ns)
 
     # --- the field ---

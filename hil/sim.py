@@ -14,7 +14,7 @@ from typing import Any
 
 from drivers.guard_interfaces import GuardLine, Watched
 from drivers.interfaces import PartError
-from drivers.log import McapLog, new_part
+from drivers.log import McapLog, new_part, virtual_log
 from drivers.rig import Rig, create, part_context
 from drivers.state_file import MemoryStore
 from drivers.stop_signals import stop_on_signals
@@ -149,7 +149,7 @@ class _Flight:
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
         stop_on_signals(self._interrupt)
-        with McapLog(request.out / "world.mcap", buffered=True) as log:
+        with virtual_log(request.out / "world.mcap", "world") as log:
             guarding = [asyncio.create_task(guard) for guard in self._guards()]
             truth = self._truth = TruthLog(log)
             truth.scene(self._true_rig, self._monitors.min_separation_m, clock_offsets(rig))
@@ -170,7 +170,8 @@ class _Flight:
             if spec is not None:
                 context = part_context(self._rig, role, self._parts)
                 line = self._parts.beat_lines[role] = MemoryBeatLine(context.clock)
-                log = McapLog(self._request.out / f"{role.value}.guard.mcap", buffered=True)
+                file = self._request.out / f"{role.value}.guard.mcap"
+                log = virtual_log(file, role.value, clock_offsets(self._rig)[role])
                 vehicle: Watched = create(spec, context)
                 yield _keep_watch(vehicle, GuardWatch(vehicle, line, context.clock, config, log), log)
 
@@ -213,8 +214,9 @@ class _Flight:
 
     def _start(self, role: Role) -> None:
         request = self._request
-        log = McapLog(new_part(request.out, role.value), role.value, buffered=True)
-        watched = WatchedLog(log, role, self._monitors, clock_offsets(self._rig)[role])
+        offset_ns = clock_offsets(self._rig)[role]
+        log = virtual_log(new_part(request.out, role.value), role.value, offset_ns)
+        watched = WatchedLog(log, role, self._monitors, offset_ns)
         store = self._stores[role]
         program = request.role_main(self._rig, role, watched, self._emit, self._stop[role], self._parts, store)
         self._programs[role] = _Program(log, watched, asyncio.ensure_future(program))

@@ -119,7 +119,7 @@ class SitlWorld:
         prepare(rig, lambda what: say({"event": "warming", "what": what}))
         gc.freeze()  # what is loaded by now stays: a full collection would stop the world for 0.1 s
         async with AsyncExitStack() as stack:
-            log = stack.enter_context(McapLog(self._out / "world.mcap"))
+            log = stack.enter_context(McapLog(self._out / "world.mcap", "world"))
             self._proxy = await stack.enter_async_context(
                 UdpFaultProxy(proxy_side(rig.sender), proxy_side(rig.receiver), self._seed)
             )

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from drivers.interfaces import Log
+from drivers.log_topics import camera_record
 from drivers.rig import Rig, RoleRig
 from hil.render.scene import CAR_BOXES
 from hil.world import World
@@ -28,9 +29,9 @@ class TruthLog:
         record = {
             "target_id": 0,
             "min_separation_m": min_separation_m,
-            "boxes": [[*center, *size] for center, size, _ in CAR_BOXES],
+            "boxes": [{"c": center, "s": size} for center, size, _ in CAR_BOXES],
             "clock_offset_ns": {role.value: offset for role, offset in clock_offset_ns.items()},
-            "cameras": {role.value: _camera(rig.role(role)) for role in Role},
+            "cameras": {role.value: camera_record(rig.role(role).camera) for role in Role},
             "mounts": {role.value: _mount(rig.role(role)) for role in Role},
         }
         self._log.write("/scene", self._epoch_ns, record)
@@ -42,7 +43,7 @@ class TruthLog:
             role.value: {**_pose(drone.T_w_b), "in_air": not world.drone(role).on_ground}
             for role, drone in snapshot.drones.items()
         }
-        record["objects"] = [[o.object_id, *o.position_w_m, o.yaw_rad] for o in snapshot.objects]
+        record["objects"] = [{"id": o.object_id, "t": o.position_w_m, "yaw": o.yaw_rad} for o in snapshot.objects]
         self._log.write("/truth", self._epoch_ns + round(world.time_s * 1e9), record)
 
     def modes(self, world: World) -> None:
@@ -70,12 +71,6 @@ class TruthLog:
 
     def violation(self, time_s: float, monitor: str, detail: str) -> None:
         self._log.write("/violation", self._epoch_ns + round(time_s * 1e9), {"monitor": monitor, "detail": detail})
-
-
-def _camera(own: RoleRig) -> dict[str, Any]:
-    camera = own.camera
-    names = ("width", "height", "fx", "fy", "cx", "cy")
-    return {**{name: getattr(camera, name) for name in names}, "distortion": camera.distortion}
 
 
 def _mount(own: RoleRig) -> dict[str, Any]:

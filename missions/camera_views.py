@@ -111,7 +111,7 @@ def _draw_receiver(axes: Axes, run: Run, stamp_ns: int) -> None:
     marker = _near([r for r in run.receiver.get("/marker", ()) if r.record["corners_px"]], stamp_ns)
     answer = _near(run.receiver.get("/candidate", ()), stamp_ns)
     if marker:
-        corners = np.array(marker["corners_px"])
+        corners = np.reshape(marker["corners_px"], (-1, 2))
         axes.add_patch(Polygon(corners, closed=True, fill=False, ec=MARKER, lw=LINE, label="marker"))
         axes.plot(*corners[0], "o", ms=3, color=MARKER)
     if region := answer.get("region"):

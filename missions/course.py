@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable
 from flight.harness import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
+from missions.journal import setup_record
 from missions.session import Session, as_end
 
 Course = Callable[[], Awaitable[None]]
@@ -36,6 +37,7 @@ async def run_course(session: Session, course: Course) -> MissionEnd | None:
     Whatever ends the course first (its own end, a MissionEnd in anything that was spawned, a part's error, a stop)
     decides the outcome.
     """
+    session.log.write("/setup", session.now_ns(), setup_record(session.rig, session.role, session.config))
     for beside in (
         session.pump,
         session.report,

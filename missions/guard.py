@@ -100,7 +100,7 @@ async def watch_vehicles(
             context = part_context(rig, role)
             vehicle: Watched = await stack.enter_async_context(create(spec, context))
             line = await stack.enter_async_context(UdpBeatLine(str(spec.options["bind"]), context.clock))
-            log: Log = stack.enter_context(McapLog(logs[role]))
+            log: Log = stack.enter_context(McapLog(logs[role], role.value))
             tell = Teller(role)
             guards.append(GuardWatch(vehicle, line, context.clock, config, log, tell, tell.warn))
             vehicles.append(vehicle)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from drivers.interfaces import View
+from drivers.log_topics import camera_record
+from drivers.rig import Rig
+from flight.config import MissionConfig
 from flight.marker_view import Motion
 from flight.tracking import Sighting
 from path.agreement import Agreed
 from path.camera import CameraModel
-from path.geometry import Matrix
-from path.messages import Candidate, Target
+from path.geometry import Matrix, Pose
+from path.messages import Candidate, Role, Target
 from path.observations import Box, MarkerDetection, Missed, MissReason
 from path.prior import Prior
 from path.rigid import transform_back
@@ -21,6 +25,32 @@ from path.sender import Pair
 from path.window import Evidence
 
 _LOWER = np.tril_indices(6)
+
+
+def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
+    """``/setup``: what a program was given, as far as its decisions and pictures of them depend on it."""
+    own, peer = (rig.sender, rig.receiver) if role is Role.SENDER else (rig.receiver, rig.sender)
+    origin = rig.origin
+    return {
+        "role": role.value,
+        "rig": rig.name,
+        "level": rig.level,
+        "handoff_id": config.handoff_id,
+        "target_id": config.target_id,
+        "method": asdict(rig.method),
+        "camera": camera_record(own.camera),
+        "peer_camera": camera_record(peer.camera),
+        "T_b_c": _rows(own.mount.T_b_c),
+        "T_b_v": _rows(rig.sender.mount.T_b_v),
+        "T_v_c1": _rows(rig.sender.mount.T_v_c),
+        "markers_v_m": np.concatenate([marker.corners_v.ravel() for marker in rig.layout.markers]),
+        "origin": [origin.latitude_deg, origin.longitude_deg, origin.altitude_m],
+    }
+
+
+def _rows(pose: Pose) -> Any:
+    """The upper three rows of its matrix, one after another."""
+    return np.column_stack((pose.R, pose.t)).ravel()
 
 
 def box_record(box: Box | None) -> list[float] | None:
@@ -88,7 +118,7 @@ def marker_record(
         "rotation_v_c2": rotation_v_c2,
         "sigma_m": sigma_m,
         "side_px": side_px,
-        "corners_px": found.corners_px,
+        "corners_px": found.corners_px.reshape(-1),
         "reason": None,
     }
 

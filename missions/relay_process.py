@@ -113,7 +113,7 @@ def _drone(config: RelayConfig, name: str) -> RelayDrone:
 
 
 def fly(rig: Rig, config: RelayConfig, name: str, out: Path, whole: bool) -> None:
-    with McapLog(new_part(out, name), frame=name) as log:
+    with McapLog(new_part(out, name), name) as log:
         store = StateFile(out / f"{name}.state.json", None)
         result = asyncio.run(_fly(rig, config, name, WatchedLog(log, name, whole), store))
         print(encode_event(with_log(result, log.failed)), flush=True)

@@ -39,7 +39,7 @@ def run_role(rig: Rig, role: Role, out: Path, state: Path, emit: Emit, parent: b
         state: file of what the role has to know when it is started again.
         parent: events go to stdout as lines of JSON, and a closed stdin means that the parent is gone: stop.
     """
-    with McapLog(new_part(out, role.value), frame="c1" if role is Role.SENDER else "c2") as log:
+    with McapLog(new_part(out, role.value), role.value) as log:
         result = asyncio.run(_run(rig, role, log, StateFile(state, role), _to_parent if parent else emit, parent))
         result = with_log(result, log.failed)
         if parent:

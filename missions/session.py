@@ -361,6 +361,7 @@ class Session:
             "bytes_received": counters.bytes_received,
             "dropped": dict(counters.dropped),
             "clock_offset_ns": self.alignment.offset_ns if self.alignment.ready else None,
+            "clock_uncertainty_ns": self.alignment.uncertainty_ns if self.alignment.ready else None,
         }
         self.log.write("/link", self.now_ns(), record)
 

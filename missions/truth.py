@@ -112,12 +112,12 @@ class Truth:
         return (values[k - 1] + share * (values[k] - values[k - 1])).tolist()
 
 
-def _objects(records: Sequence[Sequence[Sequence[float]]]) -> dict[int, Array]:
+def _objects(records: Sequence[Sequence[Mapping[str, Any]]]) -> dict[int, Array]:
     """(x, y, z, yaw) of every object by id, shape (n, 4), NaN while it is not there: look-alikes come and go."""
     found: dict[int, Array] = {}
     for k, objects in enumerate(records):
-        for object_id, *pose in objects:
-            found.setdefault(int(object_id), np.full((len(records), 4), np.nan))[k] = pose
+        for each in objects:
+            found.setdefault(each["id"], np.full((len(records), 4), np.nan))[k] = *each["t"], each["yaw"]
     for poses in found.values():
         there = np.isfinite(poses[:, 3])
         poses[there, 3] = np.unwrap(poses[there, 3])
@@ -172,7 +172,7 @@ def _scene(record: Mapping[str, Any]) -> Scene:
     return Scene(
         target_id=record["target_id"],
         min_separation_m=record["min_separation_m"],
-        boxes=np.array(record["boxes"], float),
+        boxes=np.array([[*box["c"], *box["s"]] for box in record["boxes"]], float),
         clock_offset_ns={role: record["clock_offset_ns"].get(role.value, 0) for role in Role},
         cameras={role: _camera(record["cameras"][role.value]) for role in Role},
         T_b_c={role: _pose(record["mounts"][role.value]["T_b_c"]) for role in Role},

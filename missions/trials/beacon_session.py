@@ -82,7 +82,11 @@ def _hear_afterwards(rig: Rig, seed: int, folder: Path) -> list[BeaconFix]:
             f"{rig.where('[reference]')}: nobody listens to the beacons",
             'name the part: [reference.beacons] with factory = "drivers.marvelmind:Marvelmind" and ports',
         )
-    stream, recorder, fixes = MarvelmindStream(), BeaconRecorder(folder / BEACON_RECORD, 0.0), list[BeaconFix]()
+    stream, recorder, fixes = (
+        MarvelmindStream(),
+        BeaconRecorder(folder / BEACON_RECORD, 0.0, virtual=True),
+        list[BeaconFix](),
+    )
 
     def hear(port: str, arrival_ns: int, data: bytes) -> None:
         recorder.write(port, arrival_ns, data)

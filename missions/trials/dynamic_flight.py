@@ -77,7 +77,7 @@ def fly(order: FlightOrder) -> Flown:
     order.folder.mkdir(parents=True, exist_ok=True)
     facts = fly_once(order.rig, order.seed, (), order.folder, lambda _: None)
     listen = import_factory(order.beacons, order.rig.where("trials.beacons"))
-    recorder = BeaconRecorder(order.folder / BEACON_RECORD, 0.0)
+    recorder = BeaconRecorder(order.folder / BEACON_RECORD, 0.0, virtual=True)
     truth = listen(order.folder / WORLD_LOG, recorder.write, order.seed, reference_of(order.rig).mounted)
     recorder.close()
     return Flown(order.folder, order.seed, facts.outcome, facts.simulated_s, truth)

@@ -178,10 +178,14 @@ def test_an_image_of_another_size_or_none_is_refused_with_its_name(tmp_path: Pat
 
 def write_log(file: Path, topics: Sequence[str]) -> None:
     with McapLog(file) as log:
-        for number, grey in enumerate(GREYS):
-            log.write("/state", 1000 * number, {"phase": "follow"})
-            for topic in topics:
-                log.image(topic, 1000 * number + 5, image(grey))
+        fill_log(log, topics)
+
+
+def fill_log(log: McapLog, topics: Sequence[str]) -> None:
+    for number, grey in enumerate(GREYS):
+        log.write("/phase", 1000 * number, {"phase": "follow", "note": ""})
+        for topic in topics:
+            log.image(topic, 1000 * number + 5, image(grey))
 
 
 def test_the_images_of_a_log_play_again_also_when_it_was_cut_off(tmp_path: Path) -> None:
@@ -190,7 +194,10 @@ def test_the_images_of_a_log_play_again_also_when_it_was_cut_off(tmp_path: Path)
     frames = list(open_recording(file).frames())
     assert [frame.stamp_ns for frame in frames] == [5, 1005, 2005, 3005, 4005]
     assert seen(frames) == list(GREYS)
-    file.write_bytes(file.read_bytes()[:4000])
+    with McapLog(file) as log:
+        fill_log(log, ["/image"])
+        killed = file.read_bytes()
+    file.write_bytes(killed[: len(killed) * 3 // 4])
     assert 0 < len(list(open_recording(file).frames())) < 5
 
 

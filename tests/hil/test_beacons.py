@@ -36,7 +36,7 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[BeaconFix], Be
             record = {
                 "sender": {"t": [0.5 * 0.04 * k, 0.0, 1.5], "q": [1.0, 0.0, 0.0, 0.0]},
                 "receiver": {"t": [1.0, 2.0, 1.0], "q": q},
-                "objects": [[3, 9.0, 9.0, 0.0, 0.0], [0, 4.0, 5.0, 0.0, np.pi]],
+                "objects": [{"id": 3, "t": [9.0, 9.0, 0.0], "yaw": 0.0}, {"id": 0, "t": [4.0, 5.0, 0.0], "yaw": np.pi}],
             }
             log.write("/truth", k * 40_000_000, record)
     stream, fixes = MarvelmindStream(), list[BeaconFix]()
@@ -95,10 +95,12 @@ def test_the_same_seed_gives_the_same_log(tmp_path: Path) -> None:
         for k in range(100):
             still = {"t": [0.0, 0.0, 1.0], "q": [1.0, 0.0, 0.0, 0.0]}
             log.write(
-                "/truth", k * 40_000_000, {"sender": still, "receiver": still, "objects": [[0, 1.0, 1.0, 0.0, 0.0]]}
+                "/truth",
+                k * 40_000_000,
+                {"sender": still, "receiver": still, "objects": [{"id": 0, "t": [1.0, 1.0, 0.0], "yaw": 0.0}]},
             )
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        recorder = BeaconRecorder(tmp_path / name, 0.0)
+        recorder = BeaconRecorder(tmp_path / name, 0.0, virtual=True)
         listen(tmp_path / "world.mcap", recorder.write, seed, MOUNTED)
         recorder.close()
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes() != (tmp_path / "c").read_bytes()

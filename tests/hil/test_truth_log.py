@@ -48,7 +48,7 @@ def test_the_scene_says_what_does_not_change(rig: Rig, records: dict[str, list[L
     assert scene.stamp_ns == 5_000_000_000
     assert (record["target_id"], record["min_separation_m"]) == (0, 0.7)
     assert record["clock_offset_ns"] == {"sender": 1_000, "receiver": 4_200}
-    assert all(len(box) == 6 and min(box[3:]) > 0.0 for box in record["boxes"])
+    assert all(len(box["c"]) == 3 and min(box["s"]) > 0.0 for box in record["boxes"])
     for role in Role:
         camera, own = record["cameras"][role.value], rig.role(role)
         assert {name: camera[name] for name in ("width", "height", "fx", "fy", "cx", "cy")} == {
@@ -73,9 +73,10 @@ def test_the_truth_is_where_everything_is(rig: Rig, records: dict[str, list[LogR
         assert R_from_quat(tuple(body["q"])) == pytest.approx(snapshot.drones[role].T_w_b.R, abs=1e-9)
         assert body["in_air"] is False
     assert truth.record["objects"] == [
-        pytest.approx([o.object_id, *o.position_w_m, o.yaw_rad]) for o in snapshot.objects
+        {"id": o.object_id, "t": pytest.approx(o.position_w_m), "yaw": pytest.approx(o.yaw_rad)}
+        for o in snapshot.objects
     ]
-    assert truth.record["objects"][0][0] == 0  # the target
+    assert truth.record["objects"][0]["id"] == 0  # the target
 
 
 def test_gaps_and_violations_are_written_down(records: dict[str, list[LogRecord]]) -> None:
