@@ -1,8 +1,8 @@
 """The seam between a trial and hand-overs without flights: what an attempt is asked for and what came of it.
 
-A rig names who plays encounters (``[trials] encounter = "hil.encounter:Encounters"``); nothing imports that. An
-encounter is the hand-over alone: D2 is at its viewpoint, both drones hold their places and verify until D1's window is
-complete or the time is over.
+A rig names who plays encounters (``[trials] encounter = "hil.montecarlo.encounter:Encounters"``); nothing imports
+that. An encounter is the hand-over alone: D2 is at its viewpoint, both drones hold their places and verify until D1's
+window is complete or the time is over.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Literal, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.rig import Rig
+from drivers.rig.parts import Rig
 from path.agreement import threshold
 from path.config import MethodConfig
 from path.window import FramePair, Gate

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Annotated
 
-from drivers.guard_interfaces import GuardView, Hand, Script, Vec3
 from drivers.interfaces import FlightMode
+from drivers.mavlink.guard_interfaces import GuardView, Hand, Script, Vec3
 from path.bounds import Bounds
 
 _FLOWN = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF, FlightMode.HOLD})

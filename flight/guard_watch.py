@@ -7,8 +7,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from drivers.guard_interfaces import Answer, BeatLine, GuardView, Script, Watched
 from drivers.interfaces import Clock, Log
+from drivers.mavlink.guard_interfaces import Answer, BeatLine, GuardView, Script, Watched
 from flight.config import MissionConfig
 from flight.guard_rules import Act, GuardState, Heard, Limits, Stage, decide
 

@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from drivers.rig import PartSpec, Rig, RoleRig, decode_part
-from drivers.tables import Problems, RigError, decode_table
+from drivers.rig.parts import PartSpec, Rig, RoleRig, decode_part
+from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
-from flight.relay import RelayConfig
+from flight.harness.relay import RelayConfig
 from flight.viewpoint import NoViewpoint, Scene, plan_viewpoint
 from path.messages import Role
 

@@ -28,8 +28,8 @@ def run(options: RigsOptions, out: TextIO | None = None) -> int:
 
 def check(name: str, stream: TextIO) -> int:
     """Say what is wrong with a rig; returns NOT_FIT when something is. Raises PartError when there is no such rig."""
-    from drivers.rig_file import find_rig  # noqa: PLC0415 (a list needs none of what it imports)
-    from drivers.tables import RigError  # noqa: PLC0415
+    from drivers.rig.file import find_rig  # noqa: PLC0415 (a list needs none of what it imports)
+    from drivers.rig.tables import RigError  # noqa: PLC0415
     from missions import rig_library  # noqa: PLC0415
 
     file = find_rig(name, [FOLDER])

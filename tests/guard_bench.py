@@ -12,12 +12,12 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode, VelocitySetpoint
-from drivers.mavsdk_geodesy import LocalTangent
-from drivers.rig import Origin
-from hil.autopilot import AutopilotConfig
-from hil.estimator import EstimatorConfig, WindConfig
-from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.world import World, WorldConfig
+from drivers.mavlink.geodesy import LocalTangent
+from drivers.rig.parts import Origin
+from hil.autopilot.autopilot import AutopilotConfig
+from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
+from hil.world.estimator import EstimatorConfig, WindConfig
+from hil.world.world import World, WorldConfig
 from path.messages import Role
 
 SYSID = 1

@@ -13,7 +13,9 @@ from typing import Annotated, TextIO
 import cv2
 import numpy as np
 
-from drivers.calibration_file import (
+from drivers.interfaces import PartError
+from drivers.recordings.recording import read_image
+from drivers.rig.calibration_file import (
     CalibrationError,
     MarkerPrint,
     MountCalibration,
@@ -22,12 +24,10 @@ from drivers.calibration_file import (
     read_camera,
     write_calibration,
 )
-from drivers.interfaces import PartError
-from drivers.mounts import CameraMount, MarkerMount
-from drivers.recordings import read_image
-from drivers.rig import Rig
-from drivers.rig_file import load_rig
-from drivers.tables import RigError, decode_table
+from drivers.rig.file import load_rig
+from drivers.rig.mounts import CameraMount, MarkerMount
+from drivers.rig.parts import Rig
+from drivers.rig.tables import RigError, decode_table
 from missions.calibrate.board import board_of
 from missions.calibrate.collect import image_files
 from missions.options import CalibrateMountOptions

@@ -14,10 +14,10 @@ import pytest
 from mcap.reader import McapReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from drivers.log import VIRTUAL_EPOCH_NS, McapLog
+from drivers.log.mcap_log import VIRTUAL_EPOCH_NS, McapLog
 from drivers.log_topics import TOPICS, schema_of
 from missions import rig_library
-from missions.handoff import fly_once
+from missions.handoff.command import fly_once
 
 SCALARS = ("boolean", "string", "number", "integer")
 LOGS = ("sender.mcap", "receiver.mcap", "sender.guard.mcap", "world.mcap")

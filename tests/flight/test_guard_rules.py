@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.guard_interfaces import GuardView, Hand, Script
 from drivers.interfaces import FlightMode
+from drivers.mavlink.guard_interfaces import GuardView, Hand, Script
 from flight.guard_rules import Act, GuardRules, GuardState, Heard, Limits, Stage, decide
 
 S = 1_000_000_000

@@ -15,7 +15,7 @@ from flight.config import MissionConfig
 from flight.guidance import norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.pilot import Pilot
-from hil.virtual_time import run_virtual
+from hil.harness.virtual_time import run_virtual
 
 YAW_HALF = (0.9238795325112867, 0.0, 0.0, 0.3826834323650898)  # 45 degrees to the right
 GROUND = VehicleState(0, 0, (0.0, 0.0, -1.5), (0.0, 0.0, 0.0), YAW_HALF, True, True, True, FlightMode.HOLD, 0.9)

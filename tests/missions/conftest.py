@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.log import McapLog
-from missions.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, RunFacts, write_facts
+from drivers.log.mcap_log import McapLog
+from missions.report.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, RunFacts, write_facts
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.messages import Role
