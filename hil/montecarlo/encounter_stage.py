@@ -252,7 +252,7 @@ class Stage:
 
     @property
     def events(self) -> tuple[Whole, Whole, Whole]:
-        """What happens, to which frame, and when (ns), in the order of time: see ``hil.montecarlo.encounter_by_method``."""
+        """What happens, to which frame, and when (ns), in the order of time."""
         sender, receiver = self.frames
         when = (sender.done_s, sender.heard_s, receiver.done_s, receiver.heard_s)
         kinds = (SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD)
