@@ -19,10 +19,13 @@ class EvidenceConfig:
     Attributes:
         alpha: bound on the probability that one attempt is accepted although the boxes show different things, for what
             the persistent errors do not explain.
-        block_s, block_pairs: a block of pairs is complete when it has this length on capture stamps and these pairs.
-        strength: mean of (S - tau) / (1 - tau) that a block needs to agree.
+        block_s, block_pairs: a block is complete when it has this length on capture stamps and so many compared pairs.
+        strength, block_share: the median of (S - tau) / (1 - tau), and the share of agreeing pairs, that a block needs.
         first_rate, next_rate: measured bounds on the probability that, under different things, the first block of a run
-            agrees; and that another one does after all before it did.
+            agrees; and that a later one does, whatever those before it did.
+        setback: what a later block that does not agree multiplies the evidence by; a larger one makes those that agree
+            worth less.
+        max_gap_s: a run ends after so long without an agreeing pair.
         min_s, min_pairs: no run is accepted that is shorter, whatever its evidence.
         max_pose_sigma_m: as ``MethodConfig.max_pose_sigma_m``, for this gate: what bounds the persistent errors.
     """
@@ -33,6 +36,9 @@ class EvidenceConfig:
     strength: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.35
     first_rate: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 3e-3
     next_rate: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.5
+    setback: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.1
+    block_share: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.6
+    max_gap_s: Annotated[float, Bounds(0.02, 60.0)] = 1.0
     min_s: Annotated[float, Bounds(0.05, 600.0)] = 1.0
     min_pairs: Annotated[int, Bounds(1, 100_000, "pairs")] = 30
     max_pose_sigma_m: Annotated[float, Bounds(0.0005, 1.0)] = 0.03

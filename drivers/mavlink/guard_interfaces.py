@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from drivers.interfaces import FlightMode, Part
+from drivers.interfaces import SURE, FlightMode, Part
 
 Vec3 = tuple[float, float, float]
 NOWHERE: Vec3 = (math.nan, math.nan, math.nan)
@@ -80,6 +80,7 @@ class GuardView:
     Attributes:
         acked: whether the last command was accepted; None while there is no answer.
         battery: 0..1, NaN until it was told.
+        mode_told: how many messages in a row have said this mode.
     """
 
     heartbeat_ns: int
@@ -90,6 +91,7 @@ class GuardView:
     position_n_m: Vec3
     battery: float
     acked: bool | None
+    mode_told: int = SURE
 
 
 class GuardLine(Part, Protocol):

@@ -80,7 +80,7 @@ class GuardMavlink:
         self._port: MavlinkPort | None = None
         self._kind: AutopilotKind | None = None
         self._heartbeat: tuple[int, Any] | None = None
-        self._custom_mode = 0
+        self._mode, self._mode_told = FlightMode.OTHER, 0
         self._position: tuple[int, tuple[float, float, float]] = (0, (math.nan, math.nan, math.nan))
         self._in_air = True  # until it is told: nothing is done in the air that would be wrong on the ground
         self._battery = math.nan
@@ -122,10 +122,11 @@ class GuardMavlink:
             position_ns=position_ns,
             armed=bool(heartbeat.base_mode & SAFETY_ARMED),
             in_air=self._in_air,
-            mode=self._kind.mode(self._custom_mode),
+            mode=self._mode,
             position_n_m=position_n_m,
             battery=self._battery,
             acked=self._acked,
+            mode_told=self._mode_told,
         )
 
     def hold(self) -> None:
@@ -175,7 +176,8 @@ class GuardMavlink:
         match message.get_msgId():
             case 0:  # HEARTBEAT
                 self._kind = next((kind for kind in KINDS if kind.mav_autopilot == message.autopilot), self._kind)
-                self._heartbeat, self._custom_mode = (now_ns, message), message.custom_mode
+                self._heartbeat = now_ns, message
+                self._note_mode(message.custom_mode)
             case 1:  # SYS_STATUS
                 if 0 <= message.battery_remaining <= 100:
                     self._battery = message.battery_remaining / 100.0
@@ -187,7 +189,12 @@ class GuardMavlink:
             case 245:  # EXTENDED_SYS_STATE
                 self._in_air = message.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
             case 436 if self._kind is not None:  # CURRENT_MODE: PX4 beats once a second, whatever it is asked for
-                if self._kind.news(message.custom_mode):
-                    self._custom_mode = message.custom_mode
+                if self._kind.news(message.custom_mode, self._mode, self._mode_told):
+                    self._note_mode(message.custom_mode)
             case _:
                 pass
+
+    def _note_mode(self, custom_mode: int) -> None:
+        if self._kind is not None:
+            mode = self._kind.mode(custom_mode)
+            self._mode, self._mode_told = mode, self._mode_told + 1 if mode is self._mode else 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.interfaces import FlightMode
+from drivers.interfaces import SURE, FlightMode
 
 # HEARTBEAT.base_mode (MAV_MODE_FLAG).
 CUSTOM_MODE_ENABLED = 1
@@ -33,10 +33,11 @@ class AutopilotKind:
     def mode(self, custom_mode: int) -> FlightMode:
         return self.modes.get(custom_mode, FlightMode.OTHER)
 
-    def news(self, custom_mode: int) -> bool:
-        """Whether a CURRENT_MODE is believed before a heartbeat says the same. OFFBOARD is not: having landed, PX4 goes
-        back to it before it says that it is disarmed."""
-        return self.mode(custom_mode) is not FlightMode.OFFBOARD
+    def news(self, custom_mode: int, before: FlightMode, told: int) -> bool:
+        """Whether a CURRENT_MODE is believed before a heartbeat says the same. OFFBOARD is only against a pilot's mode
+        that one message alone has told: having landed, PX4 goes back to it before it says that it is disarmed."""
+        one_alone = before is FlightMode.OTHER and told < SURE
+        return self.mode(custom_mode) is not FlightMode.OFFBOARD or one_alone
 
 
 def px4_custom_mode(main: int, sub: int) -> int:

@@ -30,6 +30,7 @@ class Heartbeat:
     arrival_ns: int
     autopilot: int
     armed: bool
+    told: int = 1  # how many in a row have said the same of arming
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,7 @@ class ReportedMode:
 
     arrival_ns: int
     custom_mode: int
+    told: int = 1  # how many in a row have said the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,12 +183,19 @@ class Telemetry:
             armable=not self.missing(),
             mode=self.mode,
             battery=self.battery or 0.0,
+            mode_told=self.mode_told,
+            armed_told=heartbeat.told,
         )
 
     @property
     def mode(self) -> FlightMode:
         reported = self.reported_mode
         return self.kind.mode(reported.custom_mode) if self.kind and reported else FlightMode.OTHER
+
+    @property
+    def mode_told(self) -> int:
+        """How many messages in a row have said this mode."""
+        return self.reported_mode.told if self.reported_mode else 0
 
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
         return self._history.attitude_at(stamp_ns)
@@ -230,15 +239,21 @@ class Telemetry:
         if not self._of_autopilot(message):
             return
         fields, now_ns = json.loads(message.fields_json), self.clock.now_ns()
-        self.reported_mode = ReportedMode(now_ns, int(fields["custom_mode"]))
-        armed = bool(int(fields["base_mode"]) & SAFETY_ARMED)
-        self.heartbeat = Heartbeat(now_ns, int(fields["autopilot"]), armed)
+        self._note_mode(now_ns, int(fields["custom_mode"]))
+        armed, before = bool(int(fields["base_mode"]) & SAFETY_ARMED), self.heartbeat
+        told = before.told + 1 if before is not None and before.armed is armed else 1
+        self.heartbeat = Heartbeat(now_ns, int(fields["autopilot"]), armed, told)
 
     def _on_current_mode(self, message: Any) -> None:
         if self._of_autopilot(message) and self.kind is not None:
             custom_mode = int(json.loads(message.fields_json)["custom_mode"])
-            if self.kind.news(custom_mode):
-                self.reported_mode = ReportedMode(self.clock.now_ns(), custom_mode)
+            if self.kind.news(custom_mode, self.mode, self.mode_told):
+                self._note_mode(self.clock.now_ns(), custom_mode)
+
+    def _note_mode(self, now_ns: int, custom_mode: int) -> None:
+        before = self.reported_mode
+        told = before.told + 1 if before is not None and before.custom_mode == custom_mode else 1
+        self.reported_mode = ReportedMode(now_ns, custom_mode, told)
 
     def _of_autopilot(self, message: Any) -> bool:
         return message.system_id == self._sysid and message.component_id == AUTOPILOT_COMPONENT

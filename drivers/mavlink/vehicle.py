@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Annotated, Literal, Self
 
-from drivers.interfaces import FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
+from drivers.interfaces import SURE, FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.modes import ARDUPILOT, CUSTOM_MODE_ENABLED, PX4, AutopilotKind
 from drivers.mavlink.parameters import Difference, differences
@@ -352,7 +352,7 @@ class MavsdkVehicle:
 
     async def _until_down(self, end_ns: int, timeout_s: float) -> None:
         """Until it is disarmed. Having landed, PX4 goes back to the mode before it, and tells so up to a heartbeat
-        before it tells that it is disarmed: another mode is a pilot's only when it stays armed."""
+        before it tells that it is disarmed: a mode of a script's is another's only when it stays armed."""
         session, telemetry = self._session, self._telemetry
 
         def down() -> bool:
@@ -361,12 +361,16 @@ class MavsdkVehicle:
         def lands() -> bool:
             return telemetry.mode is FlightMode.LAND
 
+        def pilots() -> bool:
+            return telemetry.mode is FlightMode.OTHER and telemetry.mode_told >= SURE
+
         while not down():
             left_s = (end_ns - self._clock.now_ns()) * 1e-9
             if not await session.until(lambda: down() or not lands(), left_s):
                 what = f"not on the ground {timeout_s:g} s after the landing began"
                 raise VehicleError(what, "land by remote control")
-            if not await session.until(lambda: down() or lands(), DISARM_NEWS_S):
+            await session.until(lambda: down() or lands() or pilots(), DISARM_NEWS_S)
+            if not (down() or lands()):
                 raise TakenOver(f"landing ended by a change to mode {telemetry.mode.value}", "the pilot has control")
 
     async def _climb(self, height_m: float, there: FlightMode, timeout_s: float) -> None:
@@ -393,7 +397,8 @@ class MavsdkVehicle:
 
         def ended() -> bool:
             late = self._clock.now_ns() > grace_ns
-            return not self.state.armed or (late and (held() or telemetry.mode not in expected))
+            other = telemetry.mode not in expected and telemetry.mode_told >= SURE
+            return not self.state.armed or (late and (held() or other))
 
         if not await self._session.until(lambda: arrived() or ended(), timeout_s):
             raise VehicleError(f"not at {height_m:g} m {timeout_s:g} s after the take-off began", "hold or land")

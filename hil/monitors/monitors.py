@@ -111,7 +111,7 @@ class Monitors:
     def _on_agreement(self, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
         if not record["agreed"]:
             if record["counted"]:
-                self._agreed.miss()
+                self._agreed.missed(record)
             return
         wrong = self._agreed.agreed(record)
         if wrong is not None:

@@ -118,11 +118,11 @@ async def watch_vehicles(
 
 
 async def _stop_when_alone(stop: asyncio.Event, guards: list[GuardWatch]) -> None:
-    """Once the role's program is gone and there is nothing to guard; or when it never came."""
+    """Once the role's program is gone and the vehicle is down, whoever flew it; or when it never came."""
     loop = asyncio.get_running_loop()
     end_s = loop.time() + NEVER_HEARD_S
     while not stop.is_set():
-        if any(guard.needed or guard.hears for guard in guards):
+        if any(guard.flown or guard.hears for guard in guards):
             end_s = loop.time() + ALONE_S
         if loop.time() > end_s:
             stop.set()

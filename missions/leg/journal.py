@@ -93,7 +93,7 @@ def agreement_record(pair: Pair, count: int, needed: int, evidence: Evidence | N
         "counted": agreed or not verdict.ignored,
         "reason": None if agreed else verdict.reason.value,
         "iou": verdict.iou,
-        "tau": verdict.tau if agreed else None,
+        "tau": pair.tau,
         "count": count,
         "needed": needed,
         "evidence": evidence.reached if evidence else None,

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 
-from drivers.interfaces import Capability, FlightMode, TakenOver, VehicleError, lacking
+from drivers.interfaces import SURE, Capability, FlightMode, TakenOver, VehicleError, VehicleState, lacking
 from drivers.mavlink.guard_interfaces import Script
+from flight.guard import in_doubt
 from flight.guidance import Anchor, norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
+from flight.pilot import DOUBT_S
 from flight.under_guard import UnderGuard
 from missions.leg.session import Session
 from path.messages import Role
@@ -17,6 +19,7 @@ _FIRST_FRAME_S = 10.0
 _SETTLED_M = 0.35
 _SCRIPT_LET_GO = frozenset({Outcome.PILOT_OVERRIDE})
 _DISARM_POLL_S = 0.1
+_POLL_S = 0.02
 _NO_MANOEUVRE = frozenset({Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcome.GUARD, Outcome.CRASHED})
 
 
@@ -82,7 +85,7 @@ async def bring_down(session: Session, end: MissionEnd | None, way_out: Anchor) 
     pilot, guard = session.pilot, session.guard
     if end is not None and end.outcome in _SCRIPT_LET_GO and not (guard and guard.taken):
         return _leave_to_pilot(session)
-    if not session.vehicle.state.armed:
+    if not (await _sure_state(session)).armed:
         pilot.let_go()
         return True
     if may_manoeuvre(session, end):
@@ -91,13 +94,28 @@ async def bring_down(session: Session, end: MissionEnd | None, way_out: Anchor) 
     pilot.let_go()
     if guard is not None and guard.taken:
         return await _leave_to_guard(session, guard)
-    mode = session.vehicle.state.mode
+    mode = (await _sure_state(session)).mode
     if mode is FlightMode.OTHER:
         pilot.override = pilot.override or f"mode is {mode.value}"
     if pilot.override:
         session.say("the pilot flies: the script does not land")
         return _leave_to_pilot(session)
     return await _land(session)
+
+
+async def _sure_state(session: Session) -> VehicleState:
+    """The vehicle's, once more than one message says that it is not armed, or in a pilot's mode; or it stays so."""
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + DOUBT_S
+    while in_doubt(state := session.vehicle.state, state.mode) or _may_be_a_pilots(state):
+        if loop.time() > end_s:
+            break
+        await asyncio.sleep(_POLL_S)
+    return state
+
+
+def _may_be_a_pilots(state: VehicleState) -> bool:
+    return state.mode is FlightMode.OTHER and state.mode_told < SURE
 
 
 def may_manoeuvre(session: Session, end: MissionEnd | None) -> bool:

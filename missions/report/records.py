@@ -24,9 +24,10 @@ Topics of a role (fields in the order of interest; a field that does not apply i
 Topics of the sender:
 
     /target          sequence, capture_ns, box [x, y, w, h], point_v_m, gravity_v, sigma_m, reason
-    /agreement       agreed, counted, reason, iou, tau, count, needed, evidence, evidence_needed (both null unless the
-                     gate is "evidence"), capture_ns (sender's clock), sequence, target_sequence, target_id, epoch,
-                     own_box, mapped_box. One per candidate that was judged.
+    /agreement       agreed, counted, reason, iou, tau (null when nothing was compared), count, needed,
+                     evidence, evidence_needed (both null unless the gate is "evidence"), capture_ns (sender's clock),
+                     sequence, target_sequence, target_id, epoch, own_box, mapped_box. One per candidate that was
+                     judged.
     /commit          target_id, epoch, lease_end_ns
 
 Topics of the receiver:

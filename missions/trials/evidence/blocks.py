@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,7 @@ from drivers.rig.parts import Rig
 from flight.encounter import PAIR, Attempt, EncounterPlayer, Series, agreeing, tell
 from path.config import MethodConfig
 from path.evidence import EvidenceGate
-from path.observations import MissReason
-from path.window import AgreementWindow, Evidence, FramePair
+from path.window import AgreementWindow
 
 NEVER = 1e-300
 LAGS = (1, 5, 10, 25, 50, 75)  # pairs of a 50 Hz stream
@@ -63,73 +62,6 @@ class Told:
     correlation: NDArray[np.float64]
 
 
-@dataclass(slots=True)
-class BlockTally:
-    """A gate that is never complete, and counts what became of its blocks: one that a miss ends, does not agree."""
-
-    gate: EvidenceGate
-    judged: list[int] = field(default_factory=lambda: [0, 0])
-    agreeing: list[int] = field(default_factory=lambda: [0, 0])
-
-    @classmethod
-    def of(cls, method: MethodConfig) -> BlockTally:
-        return cls(EvidenceGate(replace(method, evidence=replace(method.evidence, alpha=NEVER))))
-
-    @property
-    def blocks(self) -> Blocks:
-        first, later = zip(self.judged, self.agreeing, strict=True)
-        return Blocks(first, later)
-
-    @property
-    def count(self) -> int:
-        return self.gate.count
-
-    @property
-    def span_s(self) -> float:
-        return self.gate.span_s
-
-    @property
-    def complete(self) -> bool:
-        return False
-
-    @property
-    def evidence(self) -> Evidence:
-        return self.gate.evidence
-
-    def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
-        blocks = self.gate.blocks
-        refusal = self.gate.agree(pair, iou, tau)
-        if refusal is None:
-            self._note(blocks, ended=self.count == 0)  # it closed a weak block
-        return refusal
-
-    def disagree(self, peer_sequence: int, capture_ns: int) -> MissReason | None:
-        had, blocks = self.count, self.gate.blocks
-        refusal = self.gate.disagree(peer_sequence, capture_ns)
-        self._note(blocks, ended=had > 0 and self.count == 0)
-        return refusal
-
-    def restart(self, stamp_ns: int) -> None:
-        had, blocks = self.count, self.gate.blocks
-        self.gate.restart(stamp_ns)
-        self._note(blocks, ended=had > 0)
-
-    def expire(self, instant_ns: int) -> bool:
-        blocks = self.gate.blocks
-        expired = self.gate.expire(instant_ns)
-        self._note(blocks, ended=expired)
-        return expired
-
-    def refusal(self, peer_sequence: int) -> MissReason | None:
-        return self.gate.refusal(peer_sequence)
-
-    def _note(self, blocks: int, ended: bool) -> None:
-        stage = min(blocks, 1)
-        if ended or self.gate.blocks > blocks:
-            self.judged[stage] += 1
-            self.agreeing[stage] += not ended
-
-
 def play(batch: Batch) -> list[Told]:
     """Play the attempts and tell both gates, whatever either says."""
     player = batch.player(batch.rig, batch.method).warmed()
@@ -139,8 +71,9 @@ def play(batch: Batch) -> list[Told]:
 def _told(player: EncounterPlayer, method: MethodConfig, attempt: Attempt) -> Told:
     encounter = player.play(replace(attempt, whole=True))
     series = encounter.series
-    tally = BlockTally.of(method)
-    tell(series, tally, method)
+    never = EvidenceGate(replace(method, evidence=replace(method.evidence, alpha=NEVER)))
+    tell(series, never, method)
+    first, later = never.judged.first, never.judged.later
     agrees = agreeing(series, method)
     begin_ns = int(series.capture_ns[np.argmax(agrees)]) if agrees.any() else 0
     return Told(
@@ -148,7 +81,7 @@ def _told(player: EncounterPlayer, method: MethodConfig, attempt: Attempt) -> To
         evidence=_decided(series, tell(series, EvidenceGate(method), method), begin_ns),
         papers=_decided(series, tell(series, AgreementWindow(method), method), begin_ns),
         strength=mean_strength(series, method),
-        blocks=tally.blocks,
+        blocks=Blocks((first[0], first[1]), (later[0], later[1])),
         correlation=correlation(series.iou[series.kind == PAIR, 0]),
     )
 

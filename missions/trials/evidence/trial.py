@@ -30,7 +30,7 @@ TRUE_S, WRONG_S, FORCED_S = 10.0, 12.0, 12.0
 FAR_M, BESIDE_M = 1.0, 0.09  # of the wrong object that measures the rates: D1 is not disturbed by it
 ACCIDENT = 0.05  # mean strength up to which a wrong pair agrees by accident only
 NEAR_ACCIDENT = 0.2  # up to which later blocks are counted: few of the others have any; the rate is flat up to here
-SIGMA_M = 0.03  # of the persistent error, per axis across the line of sight
+SIGMA_M, MEASURED = 0.03, 148  # of the persistent error, per axis across the line of sight; from so many attempts
 SIDE_M, TAU = 0.33, 0.37  # mean of both boxes' sides on the target, and a usual threshold
 RATE_HZ = 50.0
 PICTURE = "evidence.png"
@@ -241,8 +241,8 @@ def _forced_table(played: Groups) -> Table:
 def _bound_table(method: MethodConfig) -> Table:
     own, reach = method.evidence, reach_m()
     rows = tuple(
-        (f"{d:.2f} m", f"{persistent_bound(d, reach, SIGMA_M):.1g}", f"{own.alpha:g}",
-         f"{min(1.0, persistent_bound(d, reach, SIGMA_M) + own.alpha):.2g}")
+        (f"{d:.2f} m", f"{persistent_bound(d, reach, SIGMA_M, MEASURED):.1g}", f"{own.alpha:g}",
+         f"{min(1.0, persistent_bound(d, reach, SIGMA_M, MEASURED) + own.alpha):.2g}")
         for d in (0.2, 0.25, 0.3, 0.35, 0.5, 1.0)
     )  # fmt: skip
     blocks = next(n for n in range(1, 100) if evidence_of(n, own) >= evidence_needed(1, own))

@@ -160,6 +160,28 @@ def test_a_second_vehicle_of_our_number_is_told_of_and_ignored() -> None:
     run(main)
 
 
+def test_what_one_packet_says_the_next_one_takes_back() -> None:
+    """Even from the vehicle's own address: whoever can write that into a packet is one voice between many."""
+
+    async def main(own: Bench) -> None:
+        async with guard_at(f"udpin://127.0.0.1:{own.port}") as guard:
+            await seen(guard, lambda _: True)
+            own.in_air()
+            await seen(guard, lambda view: view.mode is FlightMode.OFFBOARD and view.mode_told > 1)
+            forged = mavlink.MAVLink_heartbeat_message(2, 12, 129, 3 << 16, 4, 3)
+            packet = forged.pack(mavlink.MAVLink(None, srcSystem=SYSID, srcComponent=1))
+            for _ in range(3):
+                with own.lock:
+                    own.vehicle._channels[1].send(packet)
+                view = await seen(guard, lambda view: view.mode is FlightMode.OTHER)
+                assert view.mode_told == 1
+                await seen(guard, lambda view: view.mode is FlightMode.OFFBOARD and view.mode_told > 1)
+            own.select(FlightMode.OTHER, by_pilot=True)
+            await seen(guard, lambda view: view.mode is FlightMode.OTHER and view.mode_told > 1)
+
+    run(main)
+
+
 def test_with_a_key_only_what_is_signed_is_believed_and_the_vehicle_takes_what_is_sent(key_file: Path) -> None:
     async def main(own: Bench) -> None:
         config = GuardMavlinkConfig(f"udpin://127.0.0.1:{own.port}", BIND, SYSID, key_file=key_file)

@@ -97,7 +97,12 @@ def test_a_mode_is_news_without_a_heartbeat() -> None:
     telemetry._on_current_mode(Message('{"standard_mode":0,"custom_mode":196608,"intended_custom_mode":196608}'))
     assert mode() is FlightMode.OTHER  # POSCTL: a pilot's
     assert telemetry.heartbeat is beat  # whose age tells of a lost link
-    telemetry._on_current_mode(Message('{"standard_mode":0,"custom_mode":393216,"intended_custom_mode":393216}'))
+    offboard = Message('{"standard_mode":0,"custom_mode":393216,"intended_custom_mode":393216}')
+    telemetry._on_current_mode(offboard)
+    assert (mode(), telemetry.mode_told) == (FlightMode.OFFBOARD, 1)  # one packet's word against another's
+    for _ in range(2):
+        telemetry._on_current_mode(Message('{"standard_mode":0,"custom_mode":196608,"intended_custom_mode":196608}'))
+    telemetry._on_current_mode(offboard)
     assert mode() is FlightMode.OTHER  # a PX4 that has landed goes back to OFFBOARD before it tells that it is disarmed
 
 

@@ -88,7 +88,7 @@ def test_a_frame_without_a_target_says_why_and_has_a_number() -> None:
 
 def test_an_agreement() -> None:
     verdict = Agreed(iou=0.7, tau=0.3, count=12)
-    record = agreement_record(Pair(FOUND, 456, verdict, BOX, Box(11.0, 21.0, 30.0, 40.0)), 12, 350, None, 3)
+    record = agreement_record(Pair(FOUND, 456, verdict, BOX, Box(11.0, 21.0, 30.0, 40.0), 0.3), 12, 350, None, 3)
     check("/agreement", record)
     assert (record["agreed"], record["counted"], record["reason"]) == (True, True, None)
     assert (record["iou"], record["tau"], record["count"], record["needed"]) == (0.7, 0.3, 12, 350)

@@ -9,11 +9,12 @@ import pytest
 
 from flight.encounter import Attempt
 from missions import rig_library
-from missions.trials.evidence.blocks import LAGS, Batch, Blocks, BlockTally, Decided, Told, correlation, play
+from missions.trials.evidence.blocks import LAGS, Batch, Blocks, Decided, Told, correlation, play
 from missions.trials.evidence.trial import FORCED_WAYS, QUICK, SIDE_M, rate, reach_m, run
 from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
 from missions.work import open_work
 from path.config import MethodConfig
+from path.evidence import EvidenceGate
 from path.window import FramePair
 
 METHOD = MethodConfig(gate="evidence")
@@ -78,27 +79,26 @@ def pair_of(index: int) -> FramePair:
         ("+" * 61, Blocks((1, 1), (2, 2))),
         ("+" * 21 + "-" * 20, Blocks((1, 1), (1, 0))),  # a weak block
         ("-" * 21 + "+" * 21, Blocks((2, 1), (0, 0))),
-        ("+" * 30 + "x", Blocks((1, 1), (1, 0))),  # a miss within the second
-        ("+" * 30 + "m", Blocks((1, 1), (1, 0))),  # one of D1's own
-        ("+" * 10 + "x" * 5 + "+" * 21, Blocks((2, 1), (0, 0))),
-        ("+" * 10 + "." * 20 + "+" * 21, Blocks((2, 1), (0, 0))),  # a gap
+        ("+" * 30 + "x" * 5 + "m" * 5 + "+", Blocks((1, 1), (1, 1))),  # misses of both drones within the second
+        ("+" * 10 + "x" * 5 + "+" * 6, Blocks((1, 1), (0, 0))),
+        ("+" * 10 + "." * 60 + "+" * 21, Blocks((1, 1), (0, 0))),  # a gap
         ("xxmm", Blocks((0, 0), (0, 0))),
     ],
 )
 def test_blocks_are_counted_as_they_end(stream: str, expected: Blocks) -> None:
-    tally = BlockTally.of(METHOD)
+    gate = EvidenceGate(METHOD)
     for index, kind in enumerate(stream, 1):
         pair = pair_of(index)
         if kind == "m":
-            tally.restart(pair.capture_ns)
+            gate.restart(pair.capture_ns)
         elif kind != ".":
-            tally.expire(pair.capture_ns)
+            gate.expire(pair.capture_ns)
             if kind == "x":
-                tally.disagree(pair.peer_sequence, pair.capture_ns)
+                gate.disagree(pair.peer_sequence, pair.capture_ns)
             else:
-                tally.agree(pair, 0.8 if kind == "+" else 0.41, 0.4)
-        assert not tally.complete
-    assert tally.blocks == expected
+                gate.agree(pair, 0.8 if kind == "+" else 0.41, 0.4)
+    first, later = gate.judged.first, gate.judged.later
+    assert Blocks((first[0], first[1]), (later[0], later[1])) == expected
 
 
 def test_correlation_of_a_slow_wave_and_of_too_little() -> None:
