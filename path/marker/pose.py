@@ -24,7 +24,7 @@ from path.camera_kernels import lens_of
 from path.geometry import Pose
 from path.marker.kernels import finite, rays, whitening
 from path.marker.layout import Marker, MarkerLayout
-from path.marker.pose_kernels import Seen, facing, fit, of_layout
+from path.marker.pose_kernels import PoseProblem, facing, fit, of_layout
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason
 
@@ -155,7 +155,7 @@ def _seen(
     gravity_v: Vec3 | None,
     gravity_c: Vec3 | None,
     settings: PoseSettings,
-) -> Seen:
+) -> PoseProblem:
     points, middles, sizes = _prints(tuple([marker for _, marker in seen]))
     corners = [np.asarray(found.corners_px, np.float64) for found, _ in seen]
     pixels = np.ascontiguousarray(corners[0] if len(corners) == 1 else np.concatenate(corners))
@@ -168,7 +168,7 @@ def _seen(
         # the misfit of one direction turned into the other has the errors of both
         variance = settings.attitude_v_sigma_rad**2 + settings.attitude_c_sigma_rad**2
         down, weight = np.array([*gravity_v, *gravity_c]), 1.0 / max(variance, MIN_GRAVITY_RAD**2)
-    return Seen(points, pixels, whiteners, lens_of(camera), down, weight, middles, sizes, settings.focal_sigma)
+    return PoseProblem(points, pixels, whiteners, lens_of(camera), down, weight, middles, sizes, settings.focal_sigma)
 
 
 @lru_cache(maxsize=64)

@@ -244,7 +244,7 @@ def covariance(
     return math.sqrt((out[0, 0] + out[1, 1] + out[2, 2]) / 3.0)
 
 
-class Seen(NamedTuple):
+class PoseProblem(NamedTuple):
     """What a pose is estimated from.
 
     Attributes:
@@ -266,7 +266,7 @@ class Seen(NamedTuple):
     focal: float
 
 
-class Fit(NamedTuple):
+class PoseFit(NamedTuple):
     """The best pose, and the other planar solution.
 
     Attributes:
@@ -291,7 +291,7 @@ class Fit(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def fit(start_R: Array, start_t: Array, seen: Seen) -> Fit:
+def fit(start_R: Array, start_t: Array, seen: PoseProblem) -> PoseFit:
     """Descend from every start, (k, 3, 3) and (k, 3): the lowest end, and the other one when it is another.
 
     Where gravity leads all of them to one end, the other solution is the one that the corners alone keep.
@@ -310,7 +310,7 @@ def fit(start_R: Array, start_t: Array, seen: Seen) -> Fit:
             other_cost, other_R, other_t = cost, R, t
     spread = np.empty((6, 6))
     if not best_cost < np.inf:
-        return Fit(np.inf, np.inf, 1.0, best_R, best_t, spread, np.inf, False, np.inf, other_R, other_t)
+        return PoseFit(np.inf, np.inf, 1.0, best_R, best_t, spread, np.inf, False, np.inf, other_R, other_t)
     misfit = best_cost / (2 * seen.points.shape[0] - (4 if seen.weight > 0.0 else 6))
     misfit = misfit if misfit > MISFIT else 1.0
     sigma_m = covariance(
@@ -321,11 +321,13 @@ def fit(start_R: Array, start_t: Array, seen: Seen) -> Fit:
         rival = True
     else:
         other_cost, other_R, other_t = _mirrored(start_R, start_t, best_R, seen)
-    return Fit(best_cost, best_corners, misfit, best_R, best_t, spread, sigma_m, rival, other_cost, other_R, other_t)
+    return PoseFit(
+        best_cost, best_corners, misfit, best_R, best_t, spread, sigma_m, rival, other_cost, other_R, other_t
+    )
 
 
 @njit(cache=True, nogil=True)
-def _mirrored(start_R: Array, start_t: Array, best_R: Array, seen: Seen) -> tuple[float, Array, Array]:
+def _mirrored(start_R: Array, start_t: Array, best_R: Array, seen: PoseProblem) -> tuple[float, Array, Array]:
     """The planar solution that gravity excluded, where the corners alone keep it; else with an infinite cost."""
     farthest, far = 0, -1.0
     for k in range(start_R.shape[0]):

@@ -1,7 +1,7 @@
-"""Encounters: hand-overs without flights, many times faster than they would take (``flight.encounter``).
+"""Monte-Carlo hand-overs: without flights, many times faster than they would take (``flight.harness.montecarlo``).
 
-An encounter starts where an approach ends. Everything is drawn from the attempt's seed and index; observations are
-those of the geometric sight with errors that last on top. They go through the method itself.
+A hand-over starts where an approach ends. Everything is drawn from the attempt's seed and index; observations are
+those of the geometric perception with errors that last on top. They go through the method itself.
 """
 
 from __future__ import annotations
@@ -14,41 +14,41 @@ import numpy as np
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig
-from flight.encounter import PAIR, Attempt, Encounter, FaultName, agreeing
+from flight.harness.montecarlo import PAIR, Attempt, FaultName, MonteCarloHandover, agreeing
 from hil.geometric.perception import Sensor
 from hil.geometric.scene import CameraSetup
-from hil.montecarlo.encounter_by_method import REASONS, Told, run_cycles
-from hil.montecarlo.encounter_conditions import MEANINGS, conditions
-from hil.montecarlo.encounter_scene import Believed
-from hil.montecarlo.encounter_stage import EPOCH_S, Parts, Stage
+from hil.montecarlo.conditions import MEANINGS, conditions
+from hil.montecarlo.cycles import REASONS, CyclesRun, run_cycles
+from hil.montecarlo.scene import Believed
+from hil.montecarlo.setup import EPOCH_S, BodyBoxes, HandoverSetup
 from path.config import MethodConfig
 from path.messages import Role
 from path.observations import MissReason
 
 
-class Encounters:
-    """Implements ``flight.encounter.EncounterPlayer``."""
+class MonteCarloHandovers:
+    """Implements ``flight.harness.montecarlo.HandoverRunner``."""
 
     def __init__(self, rig: Rig, method: MethodConfig | None = None) -> None:
         if len(rig.layout.markers) != 1:
             raise PartError(
-                f"{rig.where('markers')}: encounters are played with one marker, not {len(rig.layout.markers)}",
+                f"{rig.where('markers')}: Monte-Carlo hand-overs need one marker, not {len(rig.layout.markers)}",
                 "use a rig with the paper's single marker",
             )
         self._method = method or rig.method
         self._believed = Believed.of(rig)
-        self._parts = Parts(self._believed)
+        self._parts = BodyBoxes(self._believed)
         mount = rig.sender.mount
         setup = CameraSetup(Role.SENDER, rig.sender.camera, mount.T_b_c, mount.T_b_v, rig.layout)
         self._sensor = Sensor(setup, self._believed.noise, self._method, 0)
 
     def warmed(self) -> Self:
-        self.play(Attempt(0, 0, limit_s=0.3))
+        self.run(Attempt(0, 0, limit_s=0.3))
         return self
 
-    def play(self, attempt: Attempt) -> Encounter:
-        stage = Stage(attempt, self._believed, self._sensor, self._parts)
-        return _encounter(attempt, stage, run_cycles(attempt, stage, self._believed, self._method), self._method)
+    def run(self, attempt: Attempt) -> MonteCarloHandover:
+        setup = HandoverSetup(attempt, self._believed, self._sensor, self._parts)
+        return _result(attempt, setup, run_cycles(attempt, setup, self._believed, self._method), self._method)
 
     def conditions(self) -> tuple[tuple[str, str], ...]:
         return conditions()
@@ -57,16 +57,16 @@ class Encounters:
         return MEANINGS
 
 
-def _encounter(attempt: Attempt, stage: Stage, told: Told, method: MethodConfig) -> Encounter:
+def _result(attempt: Attempt, setup: HandoverSetup, ran: CyclesRun, method: MethodConfig) -> MonteCarloHandover:
     """What came of an attempt by the paper's gate."""
-    series, done = told.series, told.done
+    series, done = ran.series, ran.done
     agrees = agreeing(series, method)
     misses = Counter(REASONS[code].value for code in series.reason[series.kind != PAIR].tolist())
     low = int(np.sum((series.kind == PAIR) & ~agrees))
     if low:
         misses[MissReason.LOW_IOU.value] += low
     first = int(np.argmax(agrees)) if agrees.any() else None
-    return Encounter(
+    return MonteCarloHandover(
         attempt=attempt,
         outcome="timeout" if done is None else "commit",
         start_s=None if first is None else int(series.capture_ns[first]) * 1e-9 - EPOCH_S,
@@ -74,7 +74,7 @@ def _encounter(attempt: Attempt, stage: Stage, told: Told, method: MethodConfig)
         right=None if done is None else bool(series.right[done]),
         same=None if done is None else bool(series.same[done]),
         misses=dict(misses),
-        simulated_s=told.simulated_s,
-        circumstances=stage.circumstances,
+        simulated_s=ran.simulated_s,
+        circumstances=setup.circumstances,
         series=series,
     )

@@ -1,4 +1,4 @@
-"""Encounters for the handshake: thousands of attempts, each judged by both gates on the same stream of pairs."""
+"""Monte-Carlo hand-overs by the thousand, each judged by both gates on the same stream of pairs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, get_args
 import numpy as np
 
 from drivers.clock import busy_ns
-from flight.encounter import Attempt, Encounter, EncounterPlayer, FaultName, Series, agreeing, tell
+from flight.harness.montecarlo import Attempt, FaultName, HandoverRunner, MonteCarloHandover, Series, agreeing, tell
 from missions import rig_library
 from missions.rig_library import trial_part
 from path.config import GateKind, MethodConfig
@@ -61,7 +61,7 @@ class Tried:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Attempts played by one process. ``busy_s``: what its core spent on them."""
+    """Attempts run by one process. ``busy_s``: what its core spent on them."""
 
     tried: tuple[Tried, ...]
     simulated_s: float
@@ -70,7 +70,7 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """``indices`` of the attempts to play."""
+    """``indices`` of the attempts to run."""
 
     rig: str
     seed: int
@@ -84,12 +84,12 @@ def asked_for(rig: str, seed: int, attempts: int) -> list[Asked]:
 
 
 @cache
-def player_of(rig_name: str) -> EncounterPlayer:
+def runner_of(rig_name: str) -> HandoverRunner:
     """One for each process: kernels are loaded once."""
     rig = rig_library.load(rig_name)
-    kind: Any = trial_part(rig, "encounter")
-    player: EncounterPlayer = kind(rig)
-    return player.warmed()
+    kind: Any = trial_part(rig, "montecarlo")
+    runner: HandoverRunner = kind(rig)
+    return runner.warmed()
 
 
 def attempt_of(seed: int, index: int) -> Attempt:
@@ -97,18 +97,18 @@ def attempt_of(seed: int, index: int) -> Attempt:
     return Attempt(seed, index, FAULT_NAMES[index % len(FAULT_NAMES)], limit_s=LIMIT_S)
 
 
-def play(asked: Asked) -> Chunk:
-    player, method = player_of(asked.rig), rig_library.load(asked.rig).method
+def run_chunk(asked: Asked) -> Chunk:
+    runner, method = runner_of(asked.rig), rig_library.load(asked.rig).method
     tried: list[Tried] = []
     start_ns, simulated_s = busy_ns(), 0.0
     for index in asked.indices:
         attempt = attempt_of(asked.seed, index)
-        found = player.play(attempt)
+        found = runner.run(attempt)
         evidence = by_evidence(found.series, method)
         simulated_s += found.simulated_s
         if not evidence.committed and found.simulated_s < attempt.limit_s:
             # all is said by the paper's gate, but not by the other one: go on
-            more = player.play(replace(attempt, whole=True))
+            more = runner.run(replace(attempt, whole=True))
             simulated_s += more.simulated_s
             evidence = by_evidence(more.series, method)
         judged = by_consecutive(found), evidence
@@ -116,7 +116,7 @@ def play(asked: Asked) -> Chunk:
     return Chunk(tuple(tried), simulated_s, (busy_ns() - start_ns) * 1e-9)
 
 
-def by_consecutive(found: Encounter) -> Judged:
+def by_consecutive(found: MonteCarloHandover) -> Judged:
     """The paper's gate has judged it already."""
     if found.start_s is None or found.commit_s is None:
         return NOT_COMMITTED

@@ -1,5 +1,7 @@
-"""An encounter made ready: frames, poses, messages and their arrivals as arrays; what is seen is filled in block by
-block, as far as it is played."""
+"""A Monte-Carlo hand-over made ready: frames, poses, messages and their arrivals as arrays.
+
+What is seen is filled in block by block, as far as the hand-over is run.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flight.encounter import Attempt, Circumstances
+from flight.harness.montecarlo import Attempt, Circumstances
 from hil.geometric.perception import Sensor
 from hil.geometric.scene import car_parts, drone_parts
-from hil.montecarlo.encounter_motion import P_W_N, RECEIVER, SENDER, Motion, Poses, exp_all, within
-from hil.montecarlo.encounter_scene import TARGET_HEIGHT_M, Believed, Drawn, draw
-from hil.montecarlo.encounter_sight import (
+from hil.montecarlo.motion import P_W_N, RECEIVER, SENDER, HandoverMotion, HandoverPoses, exp_all, within
+from hil.montecarlo.perception import (
     AT,
     FOLLOWER_SIZE,
     FOUND_COLUMNS,
@@ -27,13 +28,14 @@ from hil.montecarlo.encounter_sight import (
     RIVAL_AT,
     VELOCITY,
     VV,
+    CameraPath,
     Depths,
-    Eyes,
-    Flown,
+    TrueCamera,
     receiver_sees,
     sender_sees,
     with_lapses,
 )
+from hil.montecarlo.scene import TARGET_HEIGHT_M, Believed, Drawn, draw
 from path.camera import CameraModel
 from path.camera_kernels import lens_of
 from path.geometry import Pose
@@ -54,8 +56,8 @@ EPOCH_S = 10.0  # of the clocks, when an attempt begins
 SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD = 0, 1, 2, 3  # what happens
 
 
-class Seen(NamedTuple):
-    """What both cameras gave: see ``hil.montecarlo.encounter_sight``; numbers and stamps of the frames.
+class HandoverViews(NamedTuple):
+    """What both cameras gave: see ``hil.montecarlo.perception``; numbers and stamps of the frames.
 
     ``gravity_v``, ``gravity_c``: (n, 3) as each drone believes; ``R_n_c``: of D2's camera, (n, 3, 3).
     ``shift_c``, ``turn``: what D2's pose is off by, (3,) and (3, 3).
@@ -104,7 +106,7 @@ class Timed:
         return Timed(self.number[:count], self.taken_s[:count], self.done_s[:count], self.heard_s[:count])
 
 
-class Parts:
+class BodyBoxes:
     """Boxes of what is drawn: they are the same for every attempt, but for the plates of the marker."""
 
     def __init__(self, believed: Believed) -> None:
@@ -122,15 +124,15 @@ class Parts:
         return parts
 
 
-class Stage:
-    """One attempt before it is played. ``fill`` lets the cameras see."""
+class HandoverSetup:
+    """One attempt before it is run. ``fill`` lets the cameras see."""
 
-    def __init__(self, attempt: Attempt, believed: Believed, sensor: Sensor, parts: Parts) -> None:
+    def __init__(self, attempt: Attempt, believed: Believed, sensor: Sensor, parts: BodyBoxes) -> None:
         seeds = np.random.SeedSequence([attempt.seed, attempt.index]).spawn(STREAMS)
         streams = [np.random.default_rng(seed) for seed in seeds]
         self.drawn: Drawn = draw(attempt, believed, streams[:4])
         self.believed = believed.calibrated(attempt.roll_deg)
-        self._motion = Motion(self.drawn, streams[4])
+        self._motion = HandoverMotion(self.drawn, streams[4])
         faults = self.drawn.faults
         self.clock_ns = round((self.drawn.errors.clock_s + faults.clock_s) * 1e9)
         self.frames = tuple(
@@ -140,9 +142,9 @@ class Stage:
         look_seeds = streams[6].integers(1 << 62, size=2).tolist()
         true = self.drawn.errors.true
         boxes = self.drawn.errors.boxes
-        self._eyes_1 = _eyes(true.camera_1, true.T_b_c1, parts.car, parts.plain, boxes[0], look_seeds[0])
+        self._camera_1 = _true_camera(true.camera_1, true.T_b_c1, parts.car, parts.plain, boxes[0], look_seeds[0])
         marked = parts.marked(true.T_b_v)
-        self._eyes_2 = _eyes(true.camera_2, true.T_b_c2, parts.car, marked, boxes[1], look_seeds[1])
+        self._camera_2 = _true_camera(true.camera_2, true.T_b_c2, parts.car, marked, boxes[1], look_seeds[1])
         self._depths = Depths(sensor.depth, *sensor.depth_noise, self.drawn.errors.depth_scale)
         self._corners_b = true.T_b_v.apply(true.corners_v)
         self._print = with_lapses(believed.noise.marker, faults.lapse_rate)
@@ -184,7 +186,7 @@ class Stage:
         if self._follower is None:
             self._follower = self._following(sender.taken_s, target_1, at_1.drift)
         own, markers, found, many = self._room(len(sender.number), len(receiver.number), things_2.shape[1])
-        self.seen = Seen(
+        self.seen = HandoverViews(
             sender.number, _ns(sender.taken_s), own,
             np.ascontiguousarray((R_n_b1 @ calibrated.T_b_v.R)[:, 2]), receiver.number,
             _ns(receiver.taken_s) + self.clock_ns, markers, found, many, self._gravity_c(R_n_c2, receiver), R_n_c2,
@@ -239,13 +241,13 @@ class Stage:
         seen, (sender, receiver) = self.seen, self.frames
         first, last = self._filled[0], int(np.searchsorted(sender.taken_s, until_s))
         sender_sees(
-            first, last, self._eyes_1, self.flown_1, self._depths, self._holes, self._times_1, self._lost_s,
+            first, last, self._camera_1, self.flown_1, self._depths, self._holes, self._times_1, self._lost_s,
             self._R_n_c1, self._t_n_c1, self._lens_1, self._follower, seen.own,
         )  # fmt: skip
         self._filled[0] = max(first, last)
         first, last = self._filled[1], int(np.searchsorted(receiver.taken_s, until_s))
         receiver_sees(
-            first, last, self._eyes_2, self.flown_2, self._corners_b, self._print, self._hidden, self._swapped,
+            first, last, self._camera_2, self.flown_2, self._corners_b, self._print, self._hidden, self._swapped,
             seen.markers, seen.found, seen.many,
         )  # fmt: skip
         self._filled[1] = max(first, last)
@@ -275,13 +277,13 @@ class Stage:
         others = np.linalg.norm(things[1:, :2] - things[0, :2], axis=1)
         known = others[np.isfinite(others)]
         places = self.drawn.things.at(np.arange(0.0, self._limit_s, CLOSEST_STEP_S))[0]
-        apart = np.linalg.norm(places[:, 1:] - places[:, :1], axis=2)
+        distances = np.linalg.norm(places[:, 1:] - places[:, :1], axis=2)
         return Circumstances(
             range_1_m=float(np.linalg.norm(middle - T_w_c1.t)),
             range_2_m=float(np.linalg.norm(middle - T_w_c2.t)),
             marker_m=float(np.linalg.norm(marker - T_w_c2.t)),
             look_alike_m=float(known.min()) if len(known) else math.inf,
-            closest_m=float(np.min(apart, initial=math.inf, where=np.isfinite(apart))),
+            closest_m=float(np.min(distances, initial=math.inf, where=np.isfinite(distances))),
             relative_roll_deg=math.degrees(relative_roll(T_w_c1, T_w_c2)),
             target_mps=self.drawn.things.speed_mps,
         )
@@ -308,8 +310,8 @@ def _ns(times_s: Array) -> Whole:
     return np.rint((times_s + EPOCH_S) * 1e9).astype(np.int64)
 
 
-def _eyes(camera: CameraModel, T_b_c: Pose, car: Array, drone: Array, boxes: object, seed: int) -> Eyes:
-    return Eyes(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_of(camera), car, drone, boxes, seed)  # type: ignore[arg-type]
+def _true_camera(camera: CameraModel, T_b_c: Pose, car: Array, drone: Array, boxes: object, seed: int) -> TrueCamera:
+    return TrueCamera(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_of(camera), car, drone, boxes, seed)  # type: ignore[arg-type]
 
 
 def _things(frames: Timed, drawn: Drawn) -> tuple[Array, Array]:
@@ -320,7 +322,7 @@ def _things(frames: Timed, drawn: Drawn) -> tuple[Array, Array]:
     return things, places[:, 0]
 
 
-def _flown(frames: Timed, poses: Poses, own: int, things: Array) -> Flown:
+def _flown(frames: Timed, poses: HandoverPoses, own: int, things: Array) -> CameraPath:
     """Both bodies in the world, ENU."""
     R, t = ([P_W_N @ each for each in poses.R_n_b], [each @ P_W_N.T for each in poses.t_n])
-    return Flown(frames.number, R[own], t[own], R[1 - own], t[1 - own], things)
+    return CameraPath(frames.number, R[own], t[own], R[1 - own], t[1 - own], things)

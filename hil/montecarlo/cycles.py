@@ -1,5 +1,5 @@
 """Both drones' cycles of one Monte-Carlo hand-over: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle`` themselves,
-given frames and messages in the order of time, and a record of what D1's window was told."""
+given frames and messages in the order of time, and a record of what D1's window was ran."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.rig.parts import Mount
-from flight.encounter import MISS, OWN_MISS, PAIR, Attempt, Series
+from flight.harness.montecarlo import MISS, OWN_MISS, PAIR, Attempt, Series
 from flight.marker_view import MarkerFix, MarkerView, Motion
-from hil.montecarlo.encounter_scene import Believed
-from hil.montecarlo.encounter_sight import CLAIMED, FOUND, SEEN, SIGMA, STATUS, UNCLEAR, WHO, Z
-from hil.montecarlo.encounter_stage import (
+from hil.montecarlo.perception import CLAIMED, FOUND, SEEN, SIGMA, STATUS, UNCLEAR, WHO, Z
+from hil.montecarlo.scene import Believed
+from hil.montecarlo.setup import (
     BLOCK_S,
     CANDIDATE_HEARD,
     EPOCH_S,
     RECEIVER_FRAME,
     SENDER_FRAME,
-    Stage,
+    HandoverSetup,
 )
 from path.agreement import TwoViews, depth_in, iou, map_box
 from path.config import BoxMapping, MethodConfig
@@ -60,7 +60,7 @@ class _View:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class CyclesRun:
     """What D1's window was told, and for how long.
 
     ``done``: the entry with which it was complete for the first time; None when it never was.
@@ -71,22 +71,22 @@ class Told:
     simulated_s: float
 
 
-def run_cycles(attempt: Attempt, stage: Stage, believed: Believed, method: MethodConfig) -> Told:
+def run_cycles(attempt: Attempt, setup: HandoverSetup, believed: Believed, method: MethodConfig) -> CyclesRun:
     """Both cycles from the attempt's beginning until it is decided, or over."""
-    cycles = _Cycles(stage, believed, method)
-    kinds, which, now = stage.events
+    cycles = _Cycles(setup, believed, method)
+    kinds, which, now = setup.events
     events = list(zip(kinds.tolist(), which.tolist(), now.tolist(), strict=True))
     limit_ns, until_s, first = _ns(attempt.limit_s), 0.0, 0
     while first < len(events) and until_s < attempt.limit_s:
         until_s = min(until_s + BLOCK_S, attempt.limit_s)
-        stage.fill(until_s)
+        setup.fill(until_s)
         last = int(np.searchsorted(now, _ns(until_s)))
         if cycles.run(events[first:last], attempt.whole):
             break
         if not attempt.whole and cycles.hopeless(_ns(until_s), limit_ns):
             break
         first = last
-    return Told(cycles.record.series, cycles.done, until_s)
+    return CyclesRun(cycles.record.series, cycles.done, until_s)
 
 
 def _ns(time_s: float) -> int:
@@ -94,12 +94,12 @@ def _ns(time_s: float) -> int:
 
 
 class _Cycles:
-    """Both drones in one attempt. ``done``: see ``Told``."""
+    """Both drones in one attempt. ``done``: see ``CyclesRun``."""
 
-    def __init__(self, stage: Stage, believed: Believed, method: MethodConfig) -> None:
-        rig, calibrated = believed.rig, stage.believed
+    def __init__(self, setup: HandoverSetup, believed: Believed, method: MethodConfig) -> None:
+        rig, calibrated = believed.rig, setup.believed
         mount = calibrated.T_b_v.inverse() @ calibrated.T_b_c1
-        self._stage = stage
+        self._setup = setup
         self._marker_id = rig.layout.markers[0].id
         camera_1, camera_2 = calibrated.camera_1, calibrated.camera_2
         # the paper's gate decides when to stop; others are told the series afterwards
@@ -120,7 +120,7 @@ class _Cycles:
 
     def run(self, events: Sequence[tuple[int, int, int]], whole: bool) -> bool:
         """What happens, in this order; True when the window is complete and nothing after it is asked for."""
-        stage = self._stage
+        setup = self._setup
         for kind, which, now_ns in events:
             if kind == SENDER_FRAME:
                 self._sender_frame(which, now_ns)
@@ -134,7 +134,7 @@ class _Cycles:
                 candidate = self._candidates[which]
                 self._sender.offer(candidate, candidate.capture_ns, now_ns)
             elif which in self._targets:
-                self._receiver.on_target(self._targets[which], int(stage.seen.stamp_1[which]), now_ns + stage.clock_ns)
+                self._receiver.on_target(self._targets[which], int(setup.seen.stamp_1[which]), now_ns + setup.clock_ns)
         return False
 
     def hopeless(self, now_ns: int, limit_ns: int) -> bool:
@@ -143,7 +143,7 @@ class _Cycles:
         return begin_ns - SLACK_NS + self._hold_ns > limit_ns
 
     def _sender_frame(self, k: int, now_ns: int) -> None:
-        seen = self._stage.seen
+        seen = self._setup.seen
         row, stamp_ns, number = seen.own[k].tolist(), int(seen.stamp_1[k]), int(seen.number_1[k])
         box = Box(*row[1:5]) if row[STATUS] == SEEN else None
         depth = Depth(row[Z], row[SIGMA]) if box is not None and row[Z] > 0.0 else None
@@ -160,7 +160,7 @@ class _Cycles:
                 self._begin_ns = pair.capture_ns
 
     def _receiver_frame(self, k: int) -> None:
-        seen, cycle = self._stage.seen, self._receiver
+        seen, cycle = self._setup.seen, self._receiver
         stamp_ns, number = int(seen.stamp_2[k]), int(seen.number_2[k])
         view = _View(stamp_ns, seen.markers[k], self._marker_id)
         self._marker.note_motion(self._motion(k, stamp_ns))
@@ -187,7 +187,7 @@ class _Cycles:
 
     def _motion(self, k: int, stamp_ns: int) -> Motion:
         """What D2 has by its frame of how both vehicles move."""
-        seen = self._stage.seen
+        seen = self._setup.seen
         last = int(seen.heard[k]) - 1
         peer = int(seen.peer_stamp[last]), _vector(seen.peer_velocity[last]), float(seen.peer_yaw[last])
         return Motion(stamp_ns, _vector(seen.own_velocity[k]), *peer)
