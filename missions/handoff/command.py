@@ -8,6 +8,7 @@ import signal
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,11 @@ from missions.leg.process import fly_role
 from missions.options import ConformanceOptions, HandoffOptions
 from missions.report.command import make_report, series_table, show, summarize_many
 from missions.report.progress import open_console, open_tally
-from missions.report.records import FACTS, RUN, SUMMARY, RunFacts, load_run, write_facts
+from missions.report.records import RUN, SUMMARY, RunFacts, load_run, write_facts
 from missions.report.right_object import fly_watched
 from missions.report.summary import summarize
-from missions.run_folder import claim_folder, claim_result, new_folder
+from missions.run_folder import claim_result, claimed, new_folder, unless_refused
+from missions.shown import say_unwritten
 from path.messages import Role
 
 _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
@@ -35,12 +37,16 @@ def run(options: HandoffOptions) -> int:
     name_simulators(options)
     rig = with_errors(rig_library.load(options.rig), options.errors)
     harness_of(rig)
-    folder = new_folder(options.out)
-    if options.seeds > 1:
-        return fly_many(rig, options, folder)
-    with open_console(sys.stdout) as console:
-        facts = fly_once(rig, options.seed, options.fault, folder, console.show)
-    make_report(folder, options.picture, sys.stdout)
+    with unless_refused(options.out) as folder:
+        if options.seeds > 1:
+            return fly_many(rig, options, folder)
+        with open_console(sys.stdout) as console:
+            facts = fly_once(rig, options.seed, options.fault, folder, console.show)
+    try:
+        make_report(folder, options.picture, sys.stdout)
+    except OSError as error:
+        facts = unwritten(facts, error)
+        say_unwritten(error)
     return facts.exit_code
 
 
@@ -58,7 +64,7 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
     """
     jobs = 1 if rig.level not in ("sim", "sim-rendered") else options.jobs or os.cpu_count() or 1
     seeds = range(options.seed, options.seed + options.seeds)
-    claim_result(folder, SUMMARY, f"seed-*/{FACTS}")
+    claim_result(folder / SUMMARY, '"failed_seeds"')
     summaries: list[dict[str, Any]] = []
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_leave_signals_to_the_parent)
     try:
@@ -99,9 +105,10 @@ def _fly_seed(rig_file: str, errors: str | None, seed: int, faults: Sequence[str
 def harness_of(rig: Rig) -> Harness:
     """The harness a rig names. Raises PartError when it names none: then each role is started on its own drone."""
     if rig.harness is None:
+        named = rig_library.name_of(rig)
         raise PartError(
             f"rig {rig.name} is flown from its drones: it has no harness",
-            f"start `path-handoff sender --rig {rig.name}` on D1 and `path-handoff receiver --rig {rig.name}` on D2",
+            f"start `path-handoff sender --rig {named}` on D1 and `path-handoff receiver --rig {named}` on D2",
         )
     return import_factory(rig.harness, rig.where("harness"))()
 
@@ -109,7 +116,6 @@ def harness_of(rig: Rig) -> Harness:
 def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) -> RunFacts:
     """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was asked wrongly."""
     harness = harness_of(rig)
-    claim_folder(out, RUN)
 
     def command(role: Role) -> Sequence[str]:
         return [
@@ -125,7 +131,8 @@ def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) 
 
     attack = [sys.executable, "-m", "missions.assurance.verify.attack"]
     request = FlightRequest(rig, out, seed, tuple(faults), fly_role, command, emit, attack, guard_command)
-    report = fly_watched(harness, request)
+    with claimed(out, RUN):
+        report = fly_watched(harness, request)
     outcome, detail = judge(report)
     facts = RunFacts(
         rig=rig.name,
@@ -141,8 +148,20 @@ def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) 
         notes=tuple(report.notes),
         errors=dict(report.errors),
     )
-    write_facts(out, facts)
+    try:
+        write_facts(out, facts)
+    except OSError as error:
+        say_unwritten(error)
+        return unwritten(facts, error)
     return facts
+
+
+def unwritten(facts: RunFacts, error: OSError) -> RunFacts:
+    """The facts of a run of which something could not be written or shown: a commit then has its own outcome."""
+    if facts.outcome != Outcome.COMMITTED.label:
+        return facts
+    end, detail = Outcome.LOG_FAILED, f"{error.filename or 'the report'}: {error.strerror or error}"
+    return replace(facts, outcome=end.label, exit_code=end.exit_code, detail=detail)
 
 
 def judge(report: FlightReport) -> tuple[Outcome, str]:
