@@ -22,7 +22,7 @@ from path.messages import Role
 
 TITLE = "Evidence gate: the hand-over in less than two seconds, and what it is fooled by"
 PAPER = "Mutual Agreement Handshake"
-NEEDS = ("encounter",)
+NEEDS = ("montecarlo",)
 
 TRUE, WRONG, FORCED = 200, 500, 24  # attempts: true pairs, persistently wrong ones, of each forced kind
 QUICK = 3
