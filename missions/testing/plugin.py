@@ -33,7 +33,7 @@ def path_rig(request: pytest.FixtureRequest) -> Rig:
     from missions import rig_library  # noqa: PLC0415
 
     try:
-        return rig_library.load(request.config.getoption("--path-rig"))
+        return rig_library.load(str(request.config.getoption("--path-rig")))
     except PartError as error:
         pytest.fail(f"{error}\n  fix: {error.remedy}", pytrace=False)
 
@@ -43,7 +43,7 @@ def path_flights(request: pytest.FixtureRequest, path_rig: Rig) -> PytestFlights
     """Flies missions and handoffs on the rig of ``--path-rig``; a violated monitor fails the test."""
     from missions.testing.flights import PytestFlights  # noqa: PLC0415 (numpy and numba behind it)
 
-    runs = request.config.rootpath / request.config.getoption("--path-runs")
+    runs = request.config.rootpath / str(request.config.getoption("--path-runs"))
     own = runs / re.sub(r"[^\w.=-]+", "_", request.node.nodeid)
     flown = request.node.stash.setdefault(FLOWN, [])
     return PytestFlights(path_rig, own, request.path.parent, flown.append)
