@@ -303,7 +303,7 @@ class CampaignOptions:
     seed: Seed = 0
     """Seed of the campaign: with level and number it makes a run what it is."""
 
-    only: Annotated[int | None, tyro.conf.arg(metavar="NUMBER")] = None
+    only: Annotated[int | None, tyro.conf.arg(metavar="NUMBER"), Bounds(0, 2**31, "(a number)")] = None
     """Fly this run alone and tell its story: how a failure is looked at."""
 
     out: OutFolder = None
