@@ -226,18 +226,18 @@ def test_a_simulator_that_is_not_there(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_lands_a_flight_and_ends_it_by_name(tmp_path: Path, number: signal.Signals) -> None:
     command = [sys.executable, "-m", "missions.cli", "handoff", "--rig", "sitl-light", "--no-picture", "--out", "run"]
-    process = subprocess.Popen(
+    with subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
-    assert process.stdout is not None and process.stderr is not None
-    try:
-        assert any("take-off" in line for line in process.stdout)
-        process.send_signal(number)
-        assert process.wait(120.0) == 30
-        assert "Traceback" not in process.stderr.read()
-    finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        try:
+            assert any("take-off" in line for line in process.stdout)
+            process.send_signal(number)
+            _, errors = process.communicate(timeout=120.0)
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+    assert (process.returncode, "Traceback" in errors) == (30, False)
 
 
 # --- packets, and lines of programs --------------------------------------------------------------------------------
