@@ -24,6 +24,7 @@ from missions.options import (
     HandoffOptions,
     ReceiverOptions,
     RelayOptions,
+    ReplayOptions,
     ReportOptions,
     RigsOptions,
     SenderOptions,
@@ -42,6 +43,7 @@ MODULES: dict[type[object], str] = {
     DoctorOptions: "doctor.command",
     RigsOptions: "rig_list",
     ReportOptions: "report.command",
+    ReplayOptions: "replay.command",
     TrialOptions: "trials.run",
     VerifyOptions: "assurance.verify.run",
     CampaignOptions: "assurance.campaign.run",
@@ -64,6 +66,7 @@ examples:
   path-handoff handoff --rig sim --seed 7     the same course, as fast as it computes
   path-handoff handoff --fault link_loss=0.3  what happens when things go wrong
   path-handoff relay --drones 3 --hours 8     one target, handed round as batteries run down
+  path-handoff replay runs/20261104-101500    what was decided, decided again from the logs
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field
   path-handoff calibrate camera --images views --out d1.camera.toml
@@ -84,6 +87,7 @@ Command = (
     | Annotated[DoctorOptions, tyro.conf.subcommand("doctor")]
     | Annotated[RigsOptions, tyro.conf.subcommand("rigs")]
     | Annotated[ReportOptions, tyro.conf.subcommand("report")]
+    | Annotated[ReplayOptions, tyro.conf.subcommand("replay")]
     | Annotated[TrialOptions, tyro.conf.subcommand("trial")]
     | Annotated[VerifyOptions, tyro.conf.subcommand("verify")]
     | Annotated[CampaignOptions, tyro.conf.subcommand("campaign")]

@@ -212,6 +212,24 @@ class ReportOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """Decide again, from a run's logs, what its drones decided; or what they would have, with other settings."""
+
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+    """The folder of the run."""
+
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="method.NAME=VALUE"), tyro.conf.UseAppendAction] = ()
+    """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4; may be given several
+    times. Without any (and without --gate) every decision must come out as it was logged."""
+
+    gate: Literal["consecutive", "evidence"] | None = None
+    """The gate to decide with instead."""
+
+    picture: bool = True
+    """Draw replay.png when something is decided otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
 class TrialOptions:
     """Run one of the paper's experiments, or all of them, and hold what comes out against the paper."""
 

@@ -101,7 +101,7 @@ def test_a_first_block_that_does_not_agree_ends_the_run_and_the_next_one_needs_m
     needed = gate.evidence.needed
     feed(gate, range(21), TAU)
     assert (gate.count, gate.blocks, gate.evidence.reached) == (0, 0, 0.0)
-    assert feed(gate, range(21, 200)) == 21 + 100
+    assert feed(gate, range(21, 200)) == 21 + 120
     assert gate.evidence.needed > needed
 
 
@@ -133,7 +133,7 @@ def test_after_a_long_gap_everything_begins_anew() -> None:
     assert not gate.expire(pair_of(78 + 50).capture_ns)
     assert gate.expire(pair_of(78 + 51).capture_ns)
     assert gate.evidence.reached == 0.0
-    assert feed(gate, range(129, 400)) == 129 + 100  # five blocks in the second run
+    assert feed(gate, range(129, 400)) == 129 + 120  # six blocks in the second run
 
 
 def test_a_few_boxes_in_wrong_places_cost_nothing_and_many_the_block() -> None:
