@@ -424,3 +424,24 @@ def test_the_bound_holds_for_correlated_frames_where_one_for_independent_frames_
     assert false_rate <= MODEL_ALPHA
     assert true_rate > 0.5
     assert independent_test(wrong, np.random.default_rng([1, 4])) > 10.0 * MODEL_ALPHA
+
+
+def test_just_enough_evidence_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    gate = EvidenceGate(METHOD)
+    feed(gate, range(1000))
+    reached = gate.evidence.reached
+    monkeypatch.setattr("path.evidence.evidence_needed", lambda run, config: reached)  # pyright: ignore
+    assert gate.complete
+    monkeypatch.setattr("path.evidence.evidence_needed", lambda run, config: reached + 1e-9)  # pyright: ignore
+    assert not gate.complete
+
+
+def test_of_several_gates_the_answer_is_the_first_ones() -> None:
+    first, second = EvidenceGate(METHOD), EvidenceGate(METHOD)
+    second.agree(pair_of(0), CLEAR, 0.5)
+    both = SideBySide(first, second)
+    assert both.agree(pair_of(0), CLEAR, 0.5) is None  # the second one has it already
+    assert second.refusal(pair_of(0).peer_sequence) is MissReason.DUPLICATE
+    far_ns = 10**12
+    first.restart(0)
+    assert both.expire(far_ns) is False and second.count == 0
