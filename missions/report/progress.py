@@ -93,7 +93,7 @@ def _figures(progress: Progress) -> list[str]:
 def _advance(progress: Progress) -> str:
     """How far the agreement is: pairs, or evidence where it counts."""
     if progress.evidence is None:
-        return f"{progress.count}/{progress.needed}"
+        return f"{min(progress.count, progress.needed)}/{progress.needed}"
     reached, needed = progress.evidence
     return f"evidence {reached:.1f}/{needed:.1f}"
 
