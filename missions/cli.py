@@ -22,6 +22,7 @@ from missions.options import (
     DetectOptions,
     DoctorOptions,
     ExportOptions,
+    FlyOptions,
     GuardOptions,
     HandoffOptions,
     MergeOptions,
@@ -40,6 +41,7 @@ from path.bounds import out_of_bounds
 MODULES: dict[type[object], str] = {
     HandoffOptions: "handoff.command",
     RelayOptions: "relay.command",
+    FlyOptions: "own.command",
     SenderOptions: "leg.command",
     ReceiverOptions: "leg.command",
     GuardOptions: "guard.command",
@@ -72,6 +74,7 @@ examples:
   path-handoff handoff --fault link_loss=0.3  what happens when things go wrong
   path-handoff relay --drones 3 --hours 8     one target, handed round as batteries run down
   path-handoff replay runs/20261104-101500    what was decided, decided again from the logs
+  path-handoff fly mission.py --rig sim       a mission of your own (docs/own-missions.md)
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field
   path-handoff calibrate camera --images views --out d1.camera.toml
@@ -86,6 +89,7 @@ examples:
 Command = (
     Annotated[HandoffOptions, tyro.conf.subcommand("handoff")]
     | Annotated[RelayOptions, tyro.conf.subcommand("relay")]
+    | Annotated[FlyOptions, tyro.conf.subcommand("fly")]
     | Annotated[SenderOptions, tyro.conf.subcommand("sender")]
     | Annotated[ReceiverOptions, tyro.conf.subcommand("receiver")]
     | Annotated[GuardOptions, tyro.conf.subcommand("guard")]

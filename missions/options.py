@@ -139,6 +139,47 @@ class RoleOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class FlyOptions:
+    """Fly a mission of your own: both drones, and the world when the rig has a simulated one."""
+
+    mission: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MISSION.py")]
+    """The mission's file (docs/own-missions.md)."""
+
+    rig: RigName = "sim"
+    """A rig by name (see `path-handoff rigs`), or a rig's TOML file."""
+
+    seed: int = 0
+    """Seed of the world and of every noise: the same seed is the same run at the sim levels."""
+
+    fault: Faults = ()
+    """What is to go wrong, such as link_loss=0.3 or kill_sender@mission+5; may be given several times."""
+
+    errors: Errors = None
+    """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
+
+    out: OutFolder = None
+    """Folder for logs and summary; runs/<time> by default."""
+
+    drone: Literal["both", "sender", "receiver"] = "both"
+    """Fly this drone of the rig alone, as in the field: the other one is flown from its own computer."""
+
+    console: Literal["auto", "events"] = "auto"
+    """With --drone: as of `path-handoff sender`."""
+
+    state: FileName = None
+    """With --drone: as of `path-handoff sender`; a mission of your own writes nothing into it."""
+
+    guard: Literal["start", "expect", "none"] = "start"
+    """With --drone: as of `path-handoff sender`."""
+
+    px4: FileName = None
+    """PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too."""
+
+    ardupilot: FileName = None
+    """ArduCopter's SITL binary, for the rigs that fly it; PATH_ARDUPILOT names it too."""
+
+
+@dataclass(frozen=True, slots=True)
 class SenderOptions(RoleOptions):
     """Fly the sender alone, as in the field: the receiver runs on the other drone."""
 

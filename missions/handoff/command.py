@@ -6,20 +6,20 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, import_factory, with_errors
-from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleResult
+from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleMain, RoleResult
 from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
 from missions.leg.process import fly_role
-from missions.options import ConformanceOptions, HandoffOptions
+from missions.options import ConformanceOptions, FlyOptions, HandoffOptions
 from missions.report.command import make_report, series_table, show, summarize_many
 from missions.report.progress import open_console, open_tally
 from missions.report.records import RUN, SUMMARY, RunFacts, load_run, write_facts
@@ -50,7 +50,7 @@ def run(options: HandoffOptions) -> int:
     return facts.exit_code
 
 
-def name_simulators(options: HandoffOptions | ConformanceOptions) -> None:
+def name_simulators(options: HandoffOptions | FlyOptions | ConformanceOptions) -> None:
     """For the harness and its processes: what runs the autopilots of the rigs that fly real ones."""
     for variable, binary in (("PATH_PX4", options.px4), ("PATH_ARDUPILOT", options.ardupilot)):
         if binary is not None:
@@ -113,13 +113,33 @@ def harness_of(rig: Rig) -> Harness:
     return import_factory(rig.harness, rig.where("harness"))()
 
 
-def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) -> RunFacts:
+@dataclass(frozen=True, slots=True)
+class Programs:
+    """What both drones fly.
+
+    Attributes:
+        main: one role's program, in the harness's process.
+        arguments: what ``path-handoff`` is told to fly it in a process of its own, before what all such are told.
+        good: how both end when all goes well.
+    """
+
+    main: RoleMain
+    arguments: Callable[[Role], Sequence[str]]
+    good: Outcome
+
+
+HANDOFF = Programs(fly_role, lambda role: (role.value,), Outcome.COMMITTED)
+
+
+def fly_once(
+    rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit, programs: Programs = HANDOFF
+) -> RunFacts:
     """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was asked wrongly."""
     harness = harness_of(rig)
 
     def command(role: Role) -> Sequence[str]:
         return [
-            sys.executable, "-m", "missions.cli", role.value, "--rig", str(rig.file), "--out", str(out),
+            sys.executable, "-m", "missions.cli", *programs.arguments(role), "--rig", str(rig.file), "--out", str(out),
             "--console", "events", "--guard", "expect" if rig.role(role).guard else "none",
         ]  # fmt: skip
 
@@ -130,10 +150,10 @@ def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) 
         ]  # fmt: skip
 
     attack = [sys.executable, "-m", "missions.assurance.verify.attack"]
-    request = FlightRequest(rig, out, seed, tuple(faults), fly_role, command, emit, attack, guard_command)
+    request = FlightRequest(rig, out, seed, tuple(faults), programs.main, command, emit, attack, guard_command)
     with claimed(out, RUN):
         report = fly_watched(harness, request)
-    outcome, detail = judge(report)
+    outcome, detail = judge(report, programs.good)
     facts = RunFacts(
         rig=rig.name,
         level=rig.level,
@@ -157,14 +177,14 @@ def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) 
 
 
 def unwritten(facts: RunFacts, error: OSError) -> RunFacts:
-    """The facts of a run of which something could not be written or shown: a commit then has its own outcome."""
-    if facts.outcome != Outcome.COMMITTED.label:
+    """The facts of a run of which something could not be written or shown: a good end then has its own outcome."""
+    if facts.exit_code != 0:
         return facts
     end, detail = Outcome.LOG_FAILED, f"{error.filename or 'the report'}: {error.strerror or error}"
     return replace(facts, outcome=end.label, exit_code=end.exit_code, detail=detail)
 
 
-def judge(report: FlightReport) -> tuple[Outcome, str]:
+def judge(report: FlightReport, good: Outcome = Outcome.COMMITTED) -> tuple[Outcome, str]:
     """The outcome of the whole run: the harness's own failure and violated monitors first, then the roles' causes."""
     if report.failure:
         return Outcome.HARNESS_FAILED, report.failure
@@ -173,10 +193,10 @@ def judge(report: FlightReport) -> tuple[Outcome, str]:
     if report.interrupted:
         return Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
     results = [_dead(role) if result is None else result for role, result in report.results.items()]
-    ends = [result for result in results if result.outcome is not Outcome.COMMITTED]
+    ends = [result for result in results if result.outcome is not good]
     if not ends:
         if all(report.landed.values()):
-            return Outcome.COMMITTED, ""
+            return good, ""
         return Outcome.VEHICLE_REFUSED, "a vehicle did not land"
     # what one drone did because of the other is not the cause
     causes = [end for end in ends if end.outcome not in _CONSEQUENCES] or ends

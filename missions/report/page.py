@@ -21,7 +21,8 @@ NEAR_S = 1.0  # an image is of a phase when it is no farther from its beginning
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 66rem; padding: 0 1rem; color: #222 }
-h1 { font-size: 1.4rem } h2 { font-size: 1.1rem; margin: 2rem 0 .4rem } table { margin-top: .6rem } .good { background: #2a9d3a }
+h1 { font-size: 1.4rem } h2 { font-size: 1.1rem; margin: 2rem 0 .4rem }
+.good { background: #2a9d3a } table { margin-top: .6rem }
 .bad { background: #c0392b } .badge { color: #fff; padding: .15rem .6rem; border-radius: .3rem }
 table { border-collapse: collapse } td, th { padding: .15rem 1.2rem .15rem 0; text-align: left; vertical-align: top }
 th, .dim { color: #777; font-weight: normal } code { background: #f2f2f2; padding: .15rem .4rem; border-radius: .2rem }
