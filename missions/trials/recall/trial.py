@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from missions.trials.recall.detectors import Detector
-from missions.trials.recall.play import GATES, LIMIT_S, LOCKED_M, Judged, Pieces, orders, play
+from missions.trials.recall.handovers import GATES, LIMIT_S, LOCKED_M, Judged, Pieces, orders, run_pieces
 from missions.trials.shared.statistics import upper_bound
 from missions.trials.shared.trial import Finding, Table, TrialRequest, TrialResult, Verdict, verdict
 from path.config import GateKind
@@ -58,9 +58,9 @@ class Cell:
 
 def run(request: TrialRequest) -> TrialResult:
     asked = orders(request.seed, len(DETECTORS), QUICK if request.quick else OF_EACH)
-    player = request.part("encounter")
-    pieces = [Pieces(player, request.rig, DETECTORS, asked[k : k + BATCH]) for k in range(0, len(asked), BATCH)]
-    judged = [each for part in request.work.map("encounters", play, pieces) for each in part]
+    runner = request.part("montecarlo")
+    pieces = [Pieces(runner, request.rig, DETECTORS, asked[k : k + BATCH]) for k in range(0, len(asked), BATCH)]
+    judged = [each for part in request.work.map("Monte-Carlo hand-overs", run_pieces, pieces) for each in part]
     return result(judged, short=request.quick)
 
 
@@ -169,9 +169,9 @@ def _distance(judged: Judged) -> float:
 
 
 NOTES = (
-    "Every attempt is an encounter of its own; both gates judge the same one. Errors that last are drawn for each, as "
+    "Every attempt is a hand-over of its own; both gates judge the same one. Errors that last are drawn for each, as "
     "in the trial of the handshake.",
-    "Misses and inventions are laid over encounters whose boxes were found in every frame: a missed frame of D1 takes "
+    "Misses and inventions are laid over hand-overs whose boxes were found in every frame: a missed frame of D1 takes "
     "the pairs around it, and D2's prior once D1's newest sample is older than it may be carried. What a tracker that "
     "follows the target by other frames would do is not in it.",
     "A false positive is taken for the target, by either drone, and overlaps with nothing. One beside the target that "

@@ -1,4 +1,4 @@
-"""Detectors laid over encounters, and what the trial makes of both gates' commits."""
+"""Detectors laid over hand-overs, and what the trial makes of both gates' commits."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flight.encounter import MISS, PAIR, Series
+from flight.harness.montecarlo import MISS, PAIR, Series
 from missions import rig_library
 from missions.trials.recall import trial
 from missions.trials.recall.detectors import REASONS, Detector, spells, unwrapped, with_detector
-from missions.trials.recall.play import GATES, LOCKED_M, Commit, Judged, Order, orders
+from missions.trials.recall.handovers import GATES, LOCKED_M, Commit, Judged, Order, orders
 from missions.trials.shared.trial import TrialRequest
 from missions.work import open_work
 from path.config import MethodConfig
@@ -76,7 +76,7 @@ def test_invented_boxes_overlap_with_nothing() -> None:
     assert np.mean(seen.iou[:, 0] == 0.0) == pytest.approx(0.11, rel=0.2)
 
 
-def test_every_cell_has_every_kind_of_attempt_and_no_encounter_comes_twice() -> None:
+def test_every_cell_has_every_kind_of_attempt_and_no_hand_over_comes_twice() -> None:
     made = orders(3, 5, 32)
     assert len({order.attempt.index for order in made}) == len(made) == 160
     for cell in range(5):

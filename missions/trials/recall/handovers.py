@@ -1,4 +1,4 @@
-"""Encounters played once each, seen through detectors that miss and invent, and judged by both gates."""
+"""Monte-Carlo hand-overs run once each, seen through detectors that miss and invent, and judged by both gates."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from drivers.rig.parts import Rig
-from flight.encounter import Attempt, EncounterPlayer, Series, Wrong, tell
+from flight.harness.montecarlo import Attempt, HandoverRunner, Series, WrongAssociation, tell
 from missions.trials.recall.detectors import Detector, with_detector
 from path.config import GateKind, MethodConfig
 from path.evidence import make_gate
@@ -23,7 +23,7 @@ LOCKED_M = (0.3, 0.4, 0.6, 1.0)  # from the target to the object that D2 sees in
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """One attempt: an encounter of its own, through one pair of detectors. ``cell``: number of that pair."""
+    """One attempt: a hand-over of its own, through one pair of detectors. ``cell``: number of that pair."""
 
     cell: int
     group: Group
@@ -32,9 +32,9 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Pieces:
-    """Attempts for one process. ``player``: the class that plays them."""
+    """Attempts for one process. ``runner``: the class that runs them."""
 
-    player: type[EncounterPlayer]
+    runner: type[HandoverRunner]
     rig: Rig
     detectors: Sequence[Detector]
     orders: Sequence[Order]
@@ -59,7 +59,7 @@ class Judged:
 
 
 def orders(seed: int, detectors: int, of_each: int) -> list[Order]:
-    """Every attempt has an encounter of its own. Half have nothing but the errors that last, a quarter a look-alike
+    """Every attempt has a hand-over of its own. Half have nothing but the errors that last, a quarter a look-alike
     beside the target or driving past it, a quarter a D2 that sees only another object."""
     made: list[Order] = []
     for index in range(detectors * of_each):
@@ -69,17 +69,17 @@ def orders(seed: int, detectors: int, of_each: int) -> list[Order]:
         if group == "look-alike":
             attempt = replace(attempt, fault=("look_alike_near", "look_alike_crossing")[turn // 4 % 2])
         elif group == "wrong object":
-            attempt = replace(attempt, wrong=Wrong("lock", LOCKED_M[turn // 4 % len(LOCKED_M)]))
+            attempt = replace(attempt, wrong=WrongAssociation("lock", LOCKED_M[turn // 4 % len(LOCKED_M)]))
         made.append(Order(cell, group, attempt))
     return made
 
 
-def play(pieces: Pieces) -> list[Judged]:
-    player = pieces.player(pieces.rig).warmed()
+def run_pieces(pieces: Pieces) -> list[Judged]:
+    runner = pieces.runner(pieces.rig).warmed()
     method = pieces.rig.method
     judged: list[Judged] = []
     for order in pieces.orders:
-        series = player.play(order.attempt).series
+        series = runner.run(order.attempt).series
         rng = np.random.default_rng([order.attempt.seed, order.attempt.index, 0x64657465])
         seen = with_detector(series, pieces.detectors[order.cell], method, rng)
         judged.append(Judged(order, tuple(_commit(seen, replace(method, gate=gate)) for gate in GATES)))
