@@ -6,6 +6,8 @@ from flight.outcome import Outcome
 
 _ADVICE: dict[Outcome, str] = {
     Outcome.COMMITTED: "Nothing: look at the figures below their limits, and keep the folder.",
+    Outcome.FLOWN: "Nothing: look at the figures below, and keep the folder.",
+    Outcome.MISSION_FAILED: "Read what your own mission says went wrong, and mend that.",
     Outcome.NO_AGREEMENT: "See which misses there are below; replay the run with another gate or threshold "
     "(path-handoff replay).",
     Outcome.TARGET_NOT_FOUND: "Check the designated place, and try the detector on this run's images "
