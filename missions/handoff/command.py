@@ -129,7 +129,7 @@ def harness_of(rig: Rig) -> Harness:
 
 
 @dataclass(frozen=True, slots=True)
-class Programs:
+class FlightPrograms:
     """What both drones fly.
 
     Attributes:
@@ -143,11 +143,11 @@ class Programs:
     good: Outcome
 
 
-HANDOFF = Programs(fly_role, lambda role: (role.value,), Outcome.COMMITTED)
+HANDOFF = FlightPrograms(fly_role, lambda role: (role.value,), Outcome.COMMITTED)
 
 
 def fly_once(
-    rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit, programs: Programs = HANDOFF
+    rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit, programs: FlightPrograms = HANDOFF
 ) -> RunFacts:
     """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was asked wrongly."""
     harness = harness_of(rig)
