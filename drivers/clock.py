@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.rig import PartContext
+from drivers.rig.parts import PartContext
 
 
 @dataclass(frozen=True, slots=True)

@@ -140,6 +140,9 @@ class FlightMode(Enum):
     OTHER = "other"
 
 
+SURE = 2  # messages in a row: then a mode, or that a vehicle is not armed, is more than one packet's word
+
+
 @dataclass(frozen=True, slots=True)
 class VehicleState:
     """The newest telemetry of a vehicle, one value.
@@ -151,6 +154,7 @@ class VehicleState:
         q_n_b: attitude wxyz, body FRD to NED.
         heartbeat_ns: arrival of the newest heartbeat, role clock.
         position_sigma_m: horizontal standard deviation per axis, where the driver itself has to reckon the position.
+        mode_told, armed_told: how many messages in a row have said this mode, and whether it is armed.
     """
 
     stamp_ns: int
@@ -164,6 +168,8 @@ class VehicleState:
     mode: FlightMode
     battery: float
     position_sigma_m: float | None = None
+    mode_told: int = SURE
+    armed_told: int = SURE
 
 
 @dataclass(frozen=True, slots=True)

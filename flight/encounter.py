@@ -1,8 +1,8 @@
 """The seam between a trial and hand-overs without flights: what an attempt is asked for and what came of it.
 
-A rig names who plays encounters (``[trials] encounter = "hil.encounter:Encounters"``); nothing imports that. An
-encounter is the hand-over alone: D2 is at its viewpoint, both drones hold their places and verify until D1's window is
-complete or the time is over.
+A rig names who plays encounters (``[trials] encounter = "hil.montecarlo.encounter:Encounters"``); nothing imports
+that. An encounter is the hand-over alone: D2 is at its viewpoint, both drones hold their places and verify until D1's
+window is complete or the time is over.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from typing import Literal, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.rig import Rig
+from drivers.rig.parts import Rig
 from path.agreement import threshold
 from path.config import MethodConfig
+from path.evidence import strength
 from path.window import FramePair, Gate
 
 FaultName = Literal[
@@ -181,10 +182,11 @@ def tell(series: Series, gate: Gate, method: MethodConfig) -> int | None:
     column = 0 if method.box_mapping == "center" else 1
     entries = zip(
         series.kind.tolist(), series.now_ns.tolist(), series.sequence.tolist(), series.capture_ns.tolist(),
-        series.own.tolist(), series.iou[:, column].tolist(), series.z_m.tolist(), agrees, strict=True,
+        series.own.tolist(), series.iou[:, column].tolist(), series.z_m.tolist(), series.pose_sigma_m.tolist(), agrees,
+        strict=True,
     )  # fmt: skip
     judged_ns = None
-    for k, (kind, now_ns, sequence, capture_ns, own, iou, z_m, agreed) in enumerate(entries):
+    for k, (kind, now_ns, sequence, capture_ns, own, iou, z_m, sigma_m, agreed) in enumerate(entries):
         # D1 looks once it has judged all that came in by a frame
         if now_ns != judged_ns and gate.complete:
             return k - 1
@@ -197,7 +199,8 @@ def tell(series: Series, gate: Gate, method: MethodConfig) -> int | None:
             pair = FramePair(sequence, capture_ns, ((own[0], own[1]), (own[2], own[3])))
             gate.agree(pair, iou, threshold(z_m, method))
         else:
-            gate.disagree(sequence, capture_ns)
+            compared = kind == PAIR and sigma_m <= method.pose_sigma_limit_m
+            gate.disagree(sequence, capture_ns, strength(iou, threshold(z_m, method)) if compared else None)
     return len(series) - 1 if gate.complete else None
 
 

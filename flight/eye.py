@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drivers.interfaces import Vehicle
-from drivers.rig import Mount
+from drivers.rig.parts import Mount
 from flight.guidance import Vec3, add, scale
 from path.geometry import Matrix, Pose
 from path.rotation import R_from_quat

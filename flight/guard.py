@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from drivers.interfaces import FlightMode, VehicleState
+from drivers.interfaces import SURE, FlightMode, VehicleState
 from flight.config import GuardConfig
 from flight.outcome import MissionEnd, Outcome
 
@@ -34,6 +34,17 @@ def check_vehicle(state: VehicleState, now_ns: int, config: GuardConfig, command
         raise MissionEnd(Outcome.GUARD, f"outside the fence at ({north:.1f}, {east:.1f}) m, height {-down:.1f} m")
     if not state.battery >= config.min_battery:
         raise MissionEnd(Outcome.GUARD, f"battery at {100 * state.battery:.0f} %")
+
+
+def in_doubt(state: VehicleState, commanded: FlightMode) -> bool:
+    """Whether one message alone says that the vehicle is not the script's any more.
+
+    Nothing is sent until the next one says so, too, or takes it back: a pilot does not wait for it, and one forged
+    packet does not leave the vehicle to nobody.
+    """
+    if not state.armed:
+        return state.armed_told < SURE
+    return state.mode is not commanded and state.mode_told < SURE
 
 
 def check_separation(distance_m: float, minimum_m: float) -> None:

@@ -2,7 +2,7 @@
 
 A vehicle that a script flies is taken from it when the script's program falls silent, when setpoints stop, or when a
 limit stays broken although the script had time to react: first hold, then land. Whoever else changes the mode has won:
-the guard then does nothing until the vehicle is disarmed.
+the guard then does nothing until the vehicle is disarmed, or is back in a mode that only scripts fly while none does.
 """
 
 from __future__ import annotations
@@ -10,9 +10,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Annotated
 
-from drivers.guard_interfaces import GuardView, Hand, Script, Vec3
-from drivers.interfaces import FlightMode
+from drivers.interfaces import SURE, FlightMode
+from drivers.mavlink.guard_interfaces import GuardView, Hand, Script, Vec3
+from path.bounds import Bounds
 
 _FLOWN = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF, FlightMode.HOLD})
 _MOVING = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF})
@@ -39,22 +41,23 @@ class GuardRules:
         land_tries: how often the landing is commanded before the guard gives up.
         blind_s: what was last seen of the vehicle counts for this long; then nothing is sent.
         answer_age_s: a role whose guard is silent for this long ends its mission.
-        mode_grace_s: a mode that the script does not fly is somebody else's after this time; telemetry may be late.
+        mode_grace_s: a mode that the script does not fly is somebody else's after this time; telemetry may be late. So
+            long, too, a vehicle that was let go of stays in a mode that only scripts fly before the guard takes it.
         position_error_m: of the distance between the drones by their own positions. At or above the smallest
             separation, that distance says nothing and is not looked at; the one measured on the marker always is.
     """
 
-    beat_age_s: float = 0.4
-    setpoint_gap_s: float = 0.4
-    patience_s: float = 0.5
-    hold_s: float = 2.0
-    ack_s: float = 0.5
-    confirm_s: float = 1.5
-    land_tries: int = 10
-    blind_s: float = 2.5
-    answer_age_s: float = 1.0
-    mode_grace_s: float = 1.2
-    position_error_m: float = 2.0
+    beat_age_s: Annotated[float, Bounds(0.05, 10.0)] = 0.4
+    setpoint_gap_s: Annotated[float, Bounds(0.05, 10.0)] = 0.4
+    patience_s: Annotated[float, Bounds(0.0, 10.0)] = 0.5
+    hold_s: Annotated[float, Bounds(0.0, 60.0)] = 2.0
+    ack_s: Annotated[float, Bounds(0.05, 10.0)] = 0.5
+    confirm_s: Annotated[float, Bounds(0.05, 10.0)] = 1.5
+    land_tries: Annotated[int, Bounds(1, 100, "times")] = 10
+    blind_s: Annotated[float, Bounds(0.1, 60.0)] = 2.5
+    answer_age_s: Annotated[float, Bounds(0.05, 60.0)] = 1.0
+    mode_grace_s: Annotated[float, Bounds(0.0, 30.0)] = 1.2
+    position_error_m: Annotated[float, Bounds(0.0, 100.0)] = 2.0
 
     def __post_init__(self) -> None:
         times = ("beat_age_s", "setpoint_gap_s", "ack_s", "confirm_s", "blind_s", "answer_age_s")
@@ -127,7 +130,7 @@ class GuardState:
         shown_ns: when telemetry first showed what was commanded.
         tries: landings commanded.
         broken_ns: since when a limit is broken.
-        odd_ns: since when the mode is none that the script flies.
+        odd_ns: since when the mode is none that the script flies; of what was let go of, one that only scripts fly.
     """
 
     stage: Stage = Stage.WATCHING
@@ -163,6 +166,12 @@ def decide(
         return state, Act.NOTHING
     if not view.armed:
         return GuardState(), Act.NOTHING
+    return _armed(state, view, heard, now_ns, rules, limits)
+
+
+def _armed(
+    state: GuardState, view: GuardView, heard: Heard | None, now_ns: int, rules: GuardRules, limits: Limits
+) -> tuple[GuardState, Act]:
     match state.stage:
         case Stage.HOLDING:
             return _hold(state, view, now_ns, rules)
@@ -170,8 +179,16 @@ def decide(
             return _land(state, view, now_ns, rules)
         case Stage.WATCHING if heard is not None and heard.script.flies:
             return _watch(state, view, heard, now_ns, rules, limits)
+        case _ if was_let_go(state, heard):
+            return _let_go_of(state, view, heard, now_ns, rules)
         case _:
             return state, Act.NOTHING
+
+
+def was_let_go(state: GuardState, heard: Heard | None) -> bool:
+    """By the guard, or by the script."""
+    by_script = state.stage is Stage.WATCHING and heard is not None and heard.script is Script.LET_GO
+    return by_script or state.stage is Stage.LET_GO
 
 
 def _s(duration_ns: int) -> float:
@@ -236,10 +253,34 @@ def broken_limit(view: GuardView, heard: Heard, now_ns: int, rules: GuardRules, 
     return ""
 
 
+def flown_by_scripts_alone(view: GuardView) -> bool:
+    """Whether more than one message says that the vehicle is in a mode that no person flies."""
+    return view.mode in _MOVING and view.mode_told >= SURE
+
+
+def _let_go_of(
+    state: GuardState, view: GuardView, heard: Heard | None, now_ns: int, rules: GuardRules
+) -> tuple[GuardState, Act]:
+    """Somebody else has it, or so it seemed: what is in a script's mode again is flown by the living script, or by
+    nobody, and then it is taken."""
+    if not flown_by_scripts_alone(view):
+        return replace(state, odd_ns=None), Act.NOTHING
+    state = replace(state, odd_ns=_since(state.odd_ns, now_ns))
+    if _s(now_ns - _since(state.odd_ns, now_ns)) <= rules.mode_grace_s:
+        return state, Act.NOTHING
+    if heard is not None and heard.script.flies and _s(now_ns - heard.beat_ns) <= rules.beat_age_s:
+        return GuardState(), Act.NOTHING
+    why = f" ({state.reason})" if state.reason else ""
+    return _take(view, now_ns, f"let go of{why}, and in mode {view.mode.value}: nobody flies it")
+
+
 def _let_go(state: GuardState, view: GuardView) -> tuple[GuardState, Act]:
+    """One packet's word is not enough, but nothing is sent against it either."""
+    if view.mode_told < SURE:
+        return state, Act.NOTHING
     who = "a pilot changed the mode" if view.mode is FlightMode.OTHER else f"somebody else selected {view.mode.value}"
     why = f"{who} (taken before: {state.reason})" if state.reason else who
-    return replace(state, stage=Stage.LET_GO, reason=why), Act.NOTHING
+    return replace(state, stage=Stage.LET_GO, reason=why, odd_ns=None), Act.NOTHING
 
 
 # --- once it is taken ------------------------------------------------------------------------------------------------

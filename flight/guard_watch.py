@@ -7,10 +7,10 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from drivers.guard_interfaces import Answer, BeatLine, GuardView, Script, Watched
 from drivers.interfaces import Clock, Log
+from drivers.mavlink.guard_interfaces import Answer, BeatLine, GuardView, Script, Watched
 from flight.config import MissionConfig
-from flight.guard_rules import Act, GuardState, Heard, Limits, Stage, decide
+from flight.guard_rules import Act, GuardState, Heard, Limits, Stage, decide, flown_by_scripts_alone, was_let_go
 
 TICK_S = 0.02
 VIEW_PERIOD_S = 0.5  # of the vehicle in the log
@@ -56,9 +56,17 @@ class GuardWatch:
         view, heard = self._vehicle.view(), self._heard
         if view is None or not view.armed or not self.sees(self._clock.now_ns()):
             return False
+        if flown_by_scripts_alone(view) and was_let_go(self._state, heard):
+            return True  # who it was let go of for may not be there
         if self._state.stage is Stage.WATCHING:
             return heard is not None and heard.script.flies
         return self._state.stage in (Stage.HOLDING, Stage.LANDING)
+
+    @property
+    def flown(self) -> bool:
+        """It is armed, by whomever, and can be seen."""
+        view = self._vehicle.view()
+        return view is not None and view.armed and self.sees(self._clock.now_ns())
 
     @property
     def hears(self) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.interfaces import View
-from drivers.rig import Mount
+from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3
 from path.camera import CameraModel

@@ -7,12 +7,13 @@ from collections.abc import Callable
 
 from drivers.interfaces import Clock, FlightMode, Log, Vehicle, VehicleState, VelocitySetpoint
 from flight.config import MissionConfig
-from flight.guard import check_vehicle
+from flight.guard import check_vehicle, in_doubt
 from flight.guidance import Anchor, slew
 from flight.outcome import MissionEnd, Outcome
 from flight.under_guard import UnderGuard
 from path.rotation import yaw_of
 
+DOUBT_S = 0.3  # below every failsafe for setpoints
 Guidance = Callable[[VehicleState], VelocitySetpoint]
 
 
@@ -31,6 +32,7 @@ class Pilot:
         self.guidance: Guidance = self._stay
         self.in_control = False
         self.setpoints = 0  # sent since the beginning
+        self._doubt_ns: int | None = None  # since when one message says that somebody else took it
         self.override = ""  # how somebody else took the vehicle: nothing may be commanded any more
 
     def _stay(self, state: VehicleState) -> VelocitySetpoint:
@@ -69,6 +71,9 @@ class Pilot:
             state = self._vehicle.state
             if self._guard is not None:
                 self._guard.check_hand()  # first: that the guard changed the mode says more than that it was changed
+            if self._doubts(state, now_ns):
+                await asyncio.sleep(period_s)
+                continue
             check_vehicle(state, now_ns, self._config.guard, FlightMode.OFFBOARD)
             self._last = slew(self._last, self.guidance(state), period_s, self._config.max_accel_mps2)
             self._vehicle.fly(self._last)
@@ -79,6 +84,16 @@ class Pilot:
             # Late ticks are not made up for: after a stall one comes at once, and then again one each period.
             due_s = max(due_s + period_s, loop.time())
             await asyncio.sleep(due_s - loop.time())
+
+    def _doubts(self, state: VehicleState, now_ns: int) -> bool:
+        """Whether a takeover is to be confirmed or taken back yet. What nothing takes back in time has happened."""
+        if not in_doubt(state, FlightMode.OFFBOARD):
+            self._doubt_ns = None
+            return False
+        if self._doubt_ns is None:
+            self._doubt_ns = now_ns
+            self._log.write("/doubt", now_ns, {"mode": state.mode.value, "armed": state.armed})
+        return (now_ns - self._doubt_ns) * 1e-9 < DOUBT_S
 
     def let_go(self) -> None:
         """Stop sending setpoints; the caller has commanded, or is about to command, another mode."""

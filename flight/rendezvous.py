@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.interfaces import VehicleState, VelocitySetpoint
-from drivers.rig import Mount
+from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, scale, subtract
 from flight.lean import Lean

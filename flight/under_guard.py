@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
-from drivers.guard_interfaces import Answer, Beat, GuardLine, Hand
 from drivers.interfaces import Clock
+from drivers.mavlink.guard_interfaces import Answer, Beat, GuardLine, Hand
 from flight.guard_rules import GuardRules
 from flight.outcome import MissionEnd, Outcome
 

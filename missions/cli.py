@@ -29,18 +29,18 @@ from missions.options import (
 )
 
 MODULES: dict[type[object], str] = {
-    HandoffOptions: "handoff",
-    RelayOptions: "relay",
-    SenderOptions: "role",
-    ReceiverOptions: "role",
-    GuardOptions: "guard",
-    DoctorOptions: "doctor",
+    HandoffOptions: "handoff.command",
+    RelayOptions: "relay.command",
+    SenderOptions: "leg.command",
+    ReceiverOptions: "leg.command",
+    GuardOptions: "guard.command",
+    DoctorOptions: "doctor.command",
     RigsOptions: "rig_list",
-    ReportOptions: "report",
+    ReportOptions: "report.command",
     TrialOptions: "trials.run",
-    VerifyOptions: "verify.run",
-    CampaignOptions: "campaign.run",
-    ConformanceOptions: "conformance.run",
+    VerifyOptions: "assurance.verify.run",
+    CampaignOptions: "assurance.campaign.run",
+    ConformanceOptions: "assurance.conformance.run",
     CalibrateOptions: "calibrate.run",
     DetectOptions: "detect",
 }

@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 
 from drivers.clock import busy_ns, stopwatch_ns
+from drivers.detectors.tracked import TrackedDetector
 from drivers.interfaces import Detector, PartError
-from drivers.recordings import RecordedFrame, RecordingOptions, open_recording
-from drivers.rig import PartContext, PartSpec, create, decode_part, part_context
-from drivers.rig_file import load_rig
-from drivers.tracked_detector import TrackedDetector
-from missions.handoff import new_folder
+from drivers.recordings.recording import RecordedFrame, RecordingOptions, open_recording
+from drivers.rig.file import load_rig
+from drivers.rig.parts import PartContext, PartSpec, create, decode_part, part_context
+from missions.handoff.command import new_folder
 from missions.options import DetectOptions
 from missions.rig_list import FOLDER
 from missions.work import Bars
@@ -94,7 +94,7 @@ def _detector(options: DetectOptions) -> tuple[str, Detector]:
             "classes": list(options.classes),
             "min_score": options.min_score,
         }
-        spec = PartSpec("drivers.yolox_detector:YoloxDetector", table, "--model", None)
+        spec = PartSpec("drivers.detectors.yolox:YoloxDetector", table, "--model", None)
     else:
         _, sight = decode_part(rig.role(role).sight)
         spec = getattr(sight, "detector", None)
@@ -104,7 +104,7 @@ def _detector(options: DetectOptions) -> tuple[str, Detector]:
     if options.tracker != "none":
         inner = {"factory": spec.factory, **spec.options}
         tracked = {"detector": inner, "tracker": options.tracker, "every": options.every}
-        spec = PartSpec("drivers.tracked_detector:TrackedDetector", tracked, "--tracker", spec.base)
+        spec = PartSpec("drivers.detectors.tracked:TrackedDetector", tracked, "--tracker", spec.base)
         name = f"{name} every {options.every}, {options.tracker} between"
     return name, create(spec, context)
 

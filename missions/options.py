@@ -8,9 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from missions.campaign.levels import LevelName
-
 RigName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
+LevelName = Literal["none", "lossy", "harsh", "hostile"]
 OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 FileName = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 TrialName = Literal[
@@ -190,7 +189,10 @@ class DoctorOptions:
 
 @dataclass(frozen=True, slots=True)
 class RigsOptions:
-    """List the rigs that come with PATH."""
+    """List the rigs that come with PATH, or check one of your own."""
+
+    check: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    """Check everything in this rig that can be checked without touching hardware, as before a flight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,8 +267,15 @@ class VerifyOptions:
     wire: int = 0
     """Throw this many forged, altered and repeated packets at the link instead: 10000000 take about a minute."""
 
+    mutants: bool = False
+    """Instead, change the code of the protocol, its wiring, the wire and the guard's rules in small wrong ways, and see
+    whether the tests notice. In a checkout with what `.[dev]` brings; most of an hour on two cores."""
+
+    sample: int = 168
+    """How many changes, of more than a thousand."""
+
     seed: int = 0
-    """Seed of the forged packets."""
+    """Seed of the forged packets, and of which changes are made."""
 
 
 @dataclass(frozen=True, slots=True)

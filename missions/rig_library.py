@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
-from drivers.rig import Rig
-from drivers.rig_check import check_rig
-from drivers.rig_file import load_rig
-from drivers.tables import Problems, RigError, decode_table
+from drivers.interfaces import PartError
+from drivers.rig.check import check_rig
+from drivers.rig.file import load_rig
+from drivers.rig.parts import Rig, import_factory
+from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
+from flight.plausible import check_plausible
 from missions.rig_list import FOLDER
 
 
@@ -22,6 +25,7 @@ def load(name_or_path: str) -> Rig:
         except RigError as error:
             problems.absorb(error)
     problems.raise_any()
+    check_plausible(rig)
     return rig
 
 
@@ -33,6 +37,16 @@ def load_unchecked(name_or_path: str) -> Rig:
 def mission_of(rig: Rig) -> MissionConfig:
     """The rig's ``[mission]``. Raises RigError."""
     return decode_table(rig.mission, MissionConfig, rig.where("mission"))
+
+
+def trial_part(rig: Rig, name: str) -> Any:
+    """The factory that the rig's ``[trials]`` table names for ``name``. Raises PartError when it names none."""
+    if name not in rig.trials:
+        raise PartError(
+            f"{rig.where('trials')}: missing key '{name}'",
+            "trials need a rig whose harness knows the truth, such as sim-rendered",
+        )
+    return import_factory(rig.trials[name], rig.where(f"trials.{name}"))
 
 
 def shorter(rig: Rig) -> Rig:

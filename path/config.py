@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field, fields
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from path.bounds import Bounds, check_bounds
 
 BoxMapping = Literal["center", "corner"]
 GateKind = Literal["consecutive", "evidence"]
 TargetError = Literal["point", "ray"]
-
-WHOLE = ("hold_frames", "min_depth_pixels", "track_length", "block_pairs", "min_pairs")
-FRACTIONS = ("tau_min", "tau_max", "depth_center_fraction", "min_depth_valid")
-MAY_BE_ZERO = ("pixel_sigma_px", "mount_sigma_m", "mount_sigma_deg", "target_center_sigma_m", "clock_sigma_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,31 +19,33 @@ class EvidenceConfig:
     Attributes:
         alpha: bound on the probability that one attempt is accepted although the boxes show different things, for what
             the persistent errors do not explain.
-        block_s, block_pairs: a block of pairs is complete when it has this length on capture stamps and these pairs.
-        strength: mean of (S - tau) / (1 - tau) that a block needs to agree.
+        block_s, block_pairs: a block is complete when it has this length on capture stamps and so many compared pairs.
+        strength, block_share: the median of (S - tau) / (1 - tau), and the share of agreeing pairs, that a block needs.
         first_rate, next_rate: measured bounds on the probability that, under different things, the first block of a run
-            agrees; and that another one does after all before it did.
+            agrees; and that a later one does, whatever those before it did.
+        setback: what a later block that does not agree multiplies the evidence by; a larger one makes those that agree
+            worth less.
+        max_gap_s: a run ends after so long without an agreeing pair.
         min_s, min_pairs: no run is accepted that is shorter, whatever its evidence.
         max_pose_sigma_m: as ``MethodConfig.max_pose_sigma_m``, for this gate: what bounds the persistent errors.
     """
 
-    alpha: float = 1e-3
-    block_s: float = 0.4
-    block_pairs: int = 8
-    strength: float = 0.35
-    first_rate: float = 3e-3
-    next_rate: float = 0.5
-    min_s: float = 1.0
-    min_pairs: int = 30
-    max_pose_sigma_m: float = 0.03
+    alpha: Annotated[float, Bounds(0.0, 0.5, "of 1", above=True)] = 1e-3
+    block_s: Annotated[float, Bounds(0.01, 30.0)] = 0.4
+    block_pairs: Annotated[int, Bounds(1, 10000, "pairs")] = 8
+    strength: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.35
+    first_rate: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 3e-3
+    next_rate: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.5
+    setback: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.1
+    block_share: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.6
+    max_gap_s: Annotated[float, Bounds(0.02, 60.0)] = 1.0
+    min_s: Annotated[float, Bounds(0.05, 600.0)] = 1.0
+    min_pairs: Annotated[int, Bounds(1, 100_000, "pairs")] = 30
+    max_pose_sigma_m: Annotated[float, Bounds(0.0005, 1.0)] = 0.03
 
     def __post_init__(self) -> None:
         """Raises ValueError naming the first field that cannot be right, and what is allowed."""
-        for each in fields(self):
-            _check(each.name, getattr(self, each.name))
-        for name in ("alpha", "strength", "first_rate", "next_rate"):
-            if not getattr(self, name) < 1.0:
-                raise ValueError(f"{name}: {getattr(self, name)!r} is not below 1")
+        check_bounds(self)
         if self.first_rate > self.next_rate:
             raise ValueError(f"first_rate: {self.first_rate!r} is above next_rate = {self.next_rate!r}")
 
@@ -99,39 +98,39 @@ class MethodConfig:
     """
 
     box_mapping: BoxMapping = "center"
-    tau_min: float = 0.25
-    tau_max: float = 0.45
-    z0_m: float = 1.5
-    hold_frames: int = 350
-    hold_s: float = 7.0
-    max_gap_s: float = 0.2
-    max_age_s: float = 0.5
-    max_future_s: float = 0.05
-    max_bracket_s: float = 0.2
-    max_extrapolation_s: float = 0.2
-    slope_span_s: float = 0.2
-    track_length: int = 64
-    min_depth_m: float = 0.3
-    max_depth_m: float = 6.0
-    depth_center_fraction: float = 0.2
-    min_depth_valid: float = 0.5
-    min_depth_pixels: int = 12
-    max_depth_spread_m: float = 0.3
-    depth_sigma_at_1m_m: float = 0.005
-    pixel_sigma_px: float = 1.5
-    mount_sigma_m: float = 0.002
-    mount_sigma_deg: float = 0.2
-    target_center_sigma_m: float = 0.05
+    tau_min: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.25
+    tau_max: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.45
+    z0_m: Annotated[float, Bounds(0.05, 50.0)] = 1.5
+    hold_frames: Annotated[int, Bounds(1, 100_000, "frames")] = 350
+    hold_s: Annotated[float, Bounds(0.01, 600.0)] = 7.0
+    max_gap_s: Annotated[float, Bounds(0.005, 10.0)] = 0.2
+    max_age_s: Annotated[float, Bounds(0.01, 10.0)] = 0.5
+    max_future_s: Annotated[float, Bounds(0.001, 1.0)] = 0.05
+    max_bracket_s: Annotated[float, Bounds(0.005, 10.0)] = 0.2
+    max_extrapolation_s: Annotated[float, Bounds(0.001, 10.0)] = 0.2
+    slope_span_s: Annotated[float, Bounds(0.005, 10.0)] = 0.2
+    track_length: Annotated[int, Bounds(4, 100_000, "samples")] = 64
+    min_depth_m: Annotated[float, Bounds(0.05, 50.0)] = 0.3
+    max_depth_m: Annotated[float, Bounds(0.1, 100.0)] = 6.0
+    depth_center_fraction: Annotated[float, Bounds(0.01, 1.0, "of 1")] = 0.2
+    min_depth_valid: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.5
+    min_depth_pixels: Annotated[int, Bounds(1, 1_000_000, "px")] = 12
+    max_depth_spread_m: Annotated[float, Bounds(0.001, 10.0)] = 0.3
+    depth_sigma_at_1m_m: Annotated[float, Bounds(0.0, 1.0, above=True)] = 0.005
+    pixel_sigma_px: Annotated[float, Bounds(0.0, 100.0)] = 1.5
+    mount_sigma_m: Annotated[float, Bounds(0.0, 1.0)] = 0.002
+    mount_sigma_deg: Annotated[float, Bounds(0.0, 45.0)] = 0.2
+    target_center_sigma_m: Annotated[float, Bounds(0.0, 5.0)] = 0.05
     target_error: TargetError = "point"
-    clock_sigma_s: float = 0.005
-    relative_speed_mps: float = 1.0
-    relative_accel_mps2: float = 3.0
-    max_pose_sigma_m: float = 0.1
-    max_incidence_deg: float = 70.0
-    search_sigmas: float = 3.5
-    min_search_px: float = 16.0
-    max_search_px: float = 200.0
-    ambiguity_margin: float = 6.0
+    clock_sigma_s: Annotated[float, Bounds(0.0, 1.0)] = 0.005
+    relative_speed_mps: Annotated[float, Bounds(0.0, 50.0, above=True)] = 1.0
+    relative_accel_mps2: Annotated[float, Bounds(0.0, 50.0, above=True)] = 3.0
+    max_pose_sigma_m: Annotated[float, Bounds(0.0005, 10.0)] = 0.1
+    max_incidence_deg: Annotated[float, Bounds(1.0, 89.9)] = 70.0
+    search_sigmas: Annotated[float, Bounds(0.1, 20.0, "sigmas")] = 3.5
+    min_search_px: Annotated[float, Bounds(0.5, 4000.0)] = 16.0
+    max_search_px: Annotated[float, Bounds(0.5, 16384.0)] = 200.0
+    ambiguity_margin: Annotated[float, Bounds(0.0, 1000.0, "(squared distances)", above=True)] = 6.0
     gate: GateKind = "consecutive"
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
 
@@ -143,9 +142,7 @@ class MethodConfig:
             raise ValueError(f'target_error: {self.target_error!r} is neither "point" nor "ray"')
         if self.gate not in ("consecutive", "evidence"):
             raise ValueError(f'gate: {self.gate!r} is neither "consecutive" nor "evidence"')
-        for each in fields(self):
-            if each.name not in ("box_mapping", "gate", "target_error", "evidence"):
-                _check(each.name, getattr(self, each.name))
+        check_bounds(self)
         for low, high in (
             ("tau_min", "tau_max"),
             ("min_depth_m", "max_depth_m"),
@@ -153,10 +150,6 @@ class MethodConfig:
         ):
             if getattr(self, low) > getattr(self, high):
                 raise ValueError(f"{low}: {getattr(self, low)!r} is above {high} = {getattr(self, high)!r}")
-        if not self.max_incidence_deg < 90.0:
-            raise ValueError(f"max_incidence_deg: {self.max_incidence_deg!r} is not below 90")
-        if self.track_length < 4:
-            raise ValueError(f"track_length: {self.track_length!r} is below 4")
 
     @property
     def needed_pairs(self) -> int:
@@ -169,16 +162,3 @@ class MethodConfig:
         if self.gate == "evidence":
             return min(self.max_pose_sigma_m, self.evidence.max_pose_sigma_m)
         return self.max_pose_sigma_m
-
-
-def _check(name: str, value: object) -> None:
-    if name in WHOLE:
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise ValueError(f"{name}: {value!r} is not a whole number of at least 1")
-        return
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f"{name}: {value!r} is not a finite number")
-    if name in FRACTIONS and not 0.0 < value <= 1.0:
-        raise ValueError(f"{name}: {value!r} is not above 0 and at most 1")
-    if value < 0.0 or (value == 0.0 and name not in MAY_BE_ZERO):
-        raise ValueError(f"{name}: {value!r} is not {'at least' if name in MAY_BE_ZERO else 'above'} 0")

@@ -1,4 +1,4 @@
-"""The messages two drones exchange, as values. How they look on the wire is ``drivers.wire``.
+"""The messages two drones exchange, as values. How they look on the wire is ``drivers.link.wire``.
 
 Stamps are nanoseconds of the *sending* drone's clock; the receiver converts them (``flight.clocks``). An ``instance``
 names one receiver: a number of 24 bits that its program draws when it starts, or takes over from its record; never 0.

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
+from path.bounds import Bounds
 from path.camera import CameraModel
 from path.observations import Box, Depth
 
@@ -27,9 +29,9 @@ class TargetSize:
         pixel_sigma_px: of a box's width and height.
     """
 
-    apparent_m: float
-    sigma: float = 0.10
-    pixel_sigma_px: float = 2.0
+    apparent_m: Annotated[float, Bounds(0.02, 20.0)]
+    sigma: Annotated[float, Bounds(0.001, 1.0, "of 1")] = 0.10
+    pixel_sigma_px: Annotated[float, Bounds(0.01, 100.0)] = 2.0
 
     def __post_init__(self) -> None:
         for name in ("apparent_m", "sigma", "pixel_sigma_px"):

@@ -7,10 +7,10 @@ from bisect import insort
 from collections import Counter
 from dataclasses import dataclass
 
-from path.agreement import Agreed, TwoViews, Verdict, compare, plain_box
+from path.agreement import Agreed, TwoViews, Verdict, compare, plain_box, threshold
 from path.camera import CameraModel
 from path.config import MethodConfig
-from path.evidence import make_gate
+from path.evidence import make_gate, strength
 from path.geometry import Pose
 from path.messages import Candidate, Target, Vec3
 from path.observations import Box, Depth, Missed, MissReason
@@ -33,6 +33,7 @@ class Pair:
         capture_ns: when D2's frame was taken, D1's clock.
         own_box: D1's box at that instant, interpolated; None when there is none.
         mapped_box: D2's box in D1's image; None when it did not come to that.
+        tau: what the overlap had to be; None when nothing was compared.
     """
 
     candidate: Candidate | None
@@ -40,6 +41,7 @@ class Pair:
     verdict: Verdict
     own_box: Box | None = None
     mapped_box: Box | None = None
+    tau: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +89,7 @@ class SenderCycle:
     def observe(
         self, frame_id: int, stamp_ns: int, box: Box | None, depth: Depth | None, gravity_v: Vec3
     ) -> Target | Missed:
-        """D1's newest frame: the message to send, or why there is none. A miss restarts the count, unless ``ignored``.
+        """D1's newest frame: the message to send, or why there is none. The gate is told of a miss, unless ``ignored``.
 
         Args:
             frame_id: strictly increasing; its low 16 bits are the message's sequence.
@@ -179,14 +181,15 @@ class SenderCycle:
         at = self._track.at(capture_ns)
         reason = self._incomparable(candidate, capture_ns)
         if reason is not None or at is None or candidate.box is None:
-            verdict, own_box, mapped_box = Missed(reason or MissReason.NO_TRACK), None, None
+            verdict, own_box, mapped_box, tau = Missed(reason or MissReason.NO_TRACK), None, None, None
         else:
             x, y, w, h, *point, z1 = at.values
             own_box, point_v = Box(x, y, w, h), (point[0], point[1], point[2])
             T_v_c2 = rigid_from_quat(normalized(candidate.rotation_v_c2), candidate.position_v_m)
             verdict, mapped_box = compare(self._views, T_v_c2, own_box, z1, point_v, candidate.box, self._config)
-        verdict = self._count(candidate.sequence, capture_ns, at, verdict)
-        return Pair(candidate, capture_ns, verdict, own_box, mapped_box)
+            tau = None if verdict.iou is None else threshold(z1, self._config)
+        verdict = self._count(candidate.sequence, capture_ns, at, verdict, tau)
+        return Pair(candidate, capture_ns, verdict, own_box, mapped_box, tau)
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
         """Why a fresh candidate cannot even be compared, whatever D1 saw at that instant."""
@@ -199,10 +202,13 @@ class SenderCycle:
             return MissReason.STALE
         return None
 
-    def _count(self, sequence: int, capture_ns: int, at: Between | None, verdict: Verdict) -> Verdict:
+    def _count(
+        self, sequence: int, capture_ns: int, at: Between | None, verdict: Verdict, tau: float | None
+    ) -> Verdict:
         """Let the gate count a verdict; what it refuses becomes an ``ignored`` miss."""
         if isinstance(verdict, Missed) or at is None:
-            refusal = self.gate.disagree(sequence, capture_ns)
+            by = None if tau is None or verdict.iou is None else strength(verdict.iou, tau)
+            refusal = self.gate.disagree(sequence, capture_ns, by)
         else:
             own = (at.before.frame, at.before.stamp_ns), (at.after.frame, at.after.stamp_ns)
             refusal = self.gate.agree(FramePair(sequence, capture_ns, own), verdict.iou, verdict.tau)

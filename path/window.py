@@ -6,7 +6,8 @@ What is safe, and why:
 - Only an agreeing pair of a *new* D2 frame with a *new* D1 frame advances the count, at a *later* capture instant than
   anything counted or missed before. A loop that runs faster than the cameras, a repeated or late packet and a frozen
   camera advance nothing.
-- A fresh frame of either side that does not agree restarts the count, whatever its reason.
+- A fresh frame of either side that does not agree restarts the count, whatever its reason: the paper does not say what
+  a missed detection is, and "consecutive" is taken at its word.
 - What is no evidence (an old, repeated or broken packet, a packet lost) changes nothing by itself: otherwise an echo
   could hold a handoff up for ever. It cannot stretch a run either: two agreeing pairs more than ``max_gap_s`` apart do
   not belong to one run.
@@ -81,12 +82,15 @@ class Gate(Protocol):
         """An agreeing pair, ``iou >= tau``. Returns why it does not count (DUPLICATE or STALE), None when it does."""
         ...
 
-    def disagree(self, peer_sequence: int, capture_ns: int) -> MissReason | None:
-        """A D2 frame that does not agree. Returns why it is no new evidence, None when it restarted the run."""
+    def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
+        """A D2 frame that does not agree. Returns why it is no new evidence (DUPLICATE or STALE), else None.
+
+        ``by``: its strength, (S - tau) / (1 - tau), below 0; None when there was nothing to compare.
+        """
         ...
 
     def restart(self, stamp_ns: int) -> None:
-        """Something was missed at this instant (D1's clock): no run may reach across it."""
+        """A frame of D1 at this instant (D1's clock) did not show the target."""
         ...
 
     def expire(self, instant_ns: int) -> bool:
@@ -155,14 +159,24 @@ class AgreementWindow:
         self._count += 1
         return None
 
-    def disagree(self, peer_sequence: int, capture_ns: int) -> MissReason | None:
-        refusal = self.refusal(peer_sequence)
+    def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
+        """It restarts the run, by however much it disagrees."""
+        del by
+        refusal = self.skip(peer_sequence, capture_ns)
         if refusal is None:
-            self._peer = peer_sequence
             self.restart(capture_ns)
         return refusal
 
+    def skip(self, peer_sequence: int, capture_ns: int) -> MissReason | None:
+        """A D2 frame that adds nothing, and takes nothing. Returns why it is no new one."""
+        refusal = self.refusal(peer_sequence)
+        if refusal is None:
+            self._peer = peer_sequence
+            self._floor_ns = capture_ns if self._floor_ns is None else max(self._floor_ns, capture_ns)
+        return refusal
+
     def restart(self, stamp_ns: int) -> None:
+        """No run may reach across it."""
         self._count = 0
         self._floor_ns = stamp_ns if self._floor_ns is None else max(self._floor_ns, stamp_ns)
 

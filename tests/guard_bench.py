@@ -12,12 +12,12 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode, VelocitySetpoint
-from drivers.mavsdk_geodesy import LocalTangent
-from drivers.rig import Origin
-from hil.autopilot import AutopilotConfig
-from hil.estimator import EstimatorConfig, WindConfig
-from hil.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.world import World, WorldConfig
+from drivers.mavlink.geodesy import LocalTangent
+from drivers.rig.parts import Origin
+from hil.autopilot.autopilot import AutopilotConfig
+from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
+from hil.world.estimator import EstimatorConfig, WindConfig
+from hil.world.world import World, WorldConfig
 from path.messages import Role
 
 SYSID = 1
@@ -38,7 +38,7 @@ class Bench:
     def __init__(self, speed: float = 1.0, key: bytes | None = None) -> None:
         self._speed = speed
         exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
-        self.world = World(WorldConfig(WindConfig(0.0, gust_mps=0.0), exact, autopilot=QUICK), seed=1)
+        self.world = World(WorldConfig(wind=WindConfig(0.0, gust_mps=0.0), estimator=exact, autopilot=QUICK), seed=1)
         self.drone = self.world.drone(Role.SENDER)
         self.lock = threading.Lock()
         self.ground = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hil.render import kernels, sensor
 from hil.render.ground import ground_depth, ground_plane
 from hil.render.renderer import SUN_W, Renderer, lens_of, sense_depth, set_up
-from hil.snapshot import Snapshot
+from hil.world.snapshot import Snapshot
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.messages import Role

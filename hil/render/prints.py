@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.studio import Printing
+from flight.harness.renderer import Printing
 from hil.render.scene import BLADE, INK, PAPER, PLATE_SCALE
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from hil.render.ground import SCRATCH_ROWS, draw_ground, ground_plane
 from hil.render.scene import MARKER, car, drone, marked_drone
 from hil.render.sensor import SensorNoise
 from hil.render.textures import ground_pyramid
-from hil.snapshot import DroneTruth, ObjectTruth, Snapshot
+from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.marker.layout import MarkerLayout, single_marker

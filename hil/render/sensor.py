@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from hil.render.jit import kernel
 from hil.render.kernels import INTERIOR
 from hil.render.primitives import VEHICLE
+from path.bounds import Bounds
 
 F = np.float32
 POOL_MARGIN = 256  # the noise of a frame is a window of a fixed pool; this many positions each way
@@ -41,14 +43,14 @@ class SensorNoise:
         ValueError: naming the field that cannot be right.
     """
 
-    blur_sigma_px: float = 0.6
-    read_sigma: float = 1.2
-    shot_gain: float = 0.015
-    depth_sigma_at_1m_m: float = 0.005
-    depth_correlation_px: float = 1.0
-    depth_hole_rate: float = 0.25
-    min_depth_m: float = 0.3
-    max_depth_m: float = 6.0
+    blur_sigma_px: Annotated[float, Bounds(0.0, 20.0)] = 0.6
+    read_sigma: Annotated[float, Bounds(0.0, 100.0, "grey levels")] = 1.2
+    shot_gain: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.015
+    depth_sigma_at_1m_m: Annotated[float, Bounds(0.0, 1.0)] = 0.005
+    depth_correlation_px: Annotated[float, Bounds(0.0, 50.0)] = 1.0
+    depth_hole_rate: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.25
+    min_depth_m: Annotated[float, Bounds(0.0, 65.0)] = 0.3
+    max_depth_m: Annotated[float, Bounds(0.05, 65.0)] = 6.0
 
     def __post_init__(self) -> None:
         for field in fields(self):

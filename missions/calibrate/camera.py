@@ -13,10 +13,10 @@ from typing import TextIO
 
 import numpy as np
 
-from drivers.calibration_file import CalibrationError, CameraCalibration, CameraTable, Quality, write_calibration
 from drivers.interfaces import PartError
-from drivers.rig import PartSpec, create, decode_part, part_context
-from drivers.rig_file import load_rig
+from drivers.rig.calibration_file import CalibrationError, CameraCalibration, CameraTable, Quality, write_calibration
+from drivers.rig.file import load_rig
+from drivers.rig.parts import PartSpec, create, decode_part, part_context
 from missions.calibrate.board import board_of
 from missions.calibrate.collect import Collected, Look, from_camera, from_images, from_recording
 from missions.calibrate.diagnose import what_else

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import Camera, CameraError, PartError
-from drivers.recordings import IMAGE_SUFFIXES, RecordingError, RecordingOptions, open_recording, read_image
+from drivers.recordings.recording import IMAGE_SUFFIXES, RecordingError, RecordingOptions, open_recording, read_image
 from missions.work import Bars
 from path.calibration.board import Board, BoardView, find_board
 from path.calibration.judge import empty_places

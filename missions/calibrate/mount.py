@@ -8,12 +8,14 @@ import tomllib
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TextIO
+from typing import Annotated, TextIO
 
 import cv2
 import numpy as np
 
-from drivers.calibration_file import (
+from drivers.interfaces import PartError
+from drivers.recordings.recording import read_image
+from drivers.rig.calibration_file import (
     CalibrationError,
     MarkerPrint,
     MountCalibration,
@@ -22,17 +24,16 @@ from drivers.calibration_file import (
     read_camera,
     write_calibration,
 )
-from drivers.interfaces import PartError
-from drivers.mounts import CameraMount, MarkerMount
-from drivers.recordings import read_image
-from drivers.rig import Rig
-from drivers.rig_file import load_rig
-from drivers.tables import RigError, decode_table
+from drivers.rig.file import load_rig
+from drivers.rig.mounts import CameraMount, MarkerMount
+from drivers.rig.parts import Rig
+from drivers.rig.tables import RigError, decode_table
 from missions.calibrate.board import board_of
 from missions.calibrate.collect import image_files
 from missions.options import CalibrateMountOptions
 from missions.rig_list import FOLDER
 from missions.work import Bars
+from path.bounds import Bounds
 from path.calibration.board import Board, find_board
 from path.calibration.intrinsics import NotSolvable
 from path.calibration.mount import MountSolution, Pair, solve_mount
@@ -51,8 +52,8 @@ SIDE_SIGMAS = 4.0
 class MeasuredSigma:
     """How well a tape measure and a protractor were read, one standard deviation per axis."""
 
-    position_m: float
-    angle_deg: float
+    position_m: Annotated[float, Bounds(0.0, 1.0, above=True)]
+    angle_deg: Annotated[float, Bounds(0.0, 90.0, above=True)]
 
     def __post_init__(self) -> None:
         if not (self.position_m > 0.0 and self.angle_deg > 0.0):

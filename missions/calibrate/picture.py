@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.calibrate.collect import Collected
-from missions.palette import COUNT, DIM, FAULT
+from missions.report.palette import COUNT, DIM, FAULT
 from path.calibration.intrinsics import Intrinsics
 from path.calibration.judge import GRID, coverage, tilts_deg
 

@@ -22,11 +22,11 @@ from flight.command_end import CommandEnd
 from flight.outcome import violated_outcome
 from missions import rig_library
 from missions.options import TrialName, TrialOptions
-from missions.records import SUMMARY
-from missions.report import show
+from missions.report.command import show
+from missions.report.records import SUMMARY
 from missions.run_folder import new_folder
-from missions.trials.page import PAGE, Chapter, render_page
-from missions.trials.trial import Finding, TrialRequest, TrialResult, Verdict
+from missions.trials.shared.page import PAGE, Chapter, render_page
+from missions.trials.shared.trial import Finding, TrialRequest, TrialResult, Verdict
 from missions.work import open_work
 
 NAMES: tuple[str, ...] = tuple(
@@ -48,7 +48,7 @@ def run(options: TrialOptions) -> int:
     """
     whole = options.name == "all"
     names = (*NAMES, *(("real",) if options.set else ())) if whole else (options.name,)
-    trials = {name: importlib.import_module(f"missions.trials.{name}") for name in names}
+    trials = {name: importlib.import_module(f"missions.trials.{name}.trial") for name in names}
     rig = rig_library.load(options.rig or rig_of(options.name))
     sets = sets_of(options)
     files = (("--xfeat", options.xfeat), ("--board", options.board), *(("--set", file) for file in sets))

@@ -13,14 +13,14 @@ from typing import Any
 
 import pytest
 
-from drivers.beacon_log import write_beacons
-from drivers.beacon_record import BeaconRecorder, RecordedBeacons, RecordedBeaconsConfig
+from drivers.beacons.log import write_beacons
+from drivers.beacons.marvelmind import Marvelmind, MarvelmindConfig
+from drivers.beacons.record import BeaconRecorder, RecordedBeacons, RecordedBeaconsConfig
 from drivers.interfaces import BeaconError, BeaconFix, Beacons
-from drivers.marvelmind import Marvelmind, MarvelmindConfig
-from hil import marvelmind_bytes as sent
-from hil.beacon_pty import SerialCable
+from hil.beacons import marvelmind_bytes as sent
+from hil.beacons.pty import SerialCable
 from path.messages import Role
-from tests.drivers.link_ends import Context, WallClock, run
+from tests.drivers.link.link_ends import Context, WallClock, run
 
 CONTEXT: Any = Context(Role.SENDER, WallClock())
 MS = 1_000_000

@@ -23,20 +23,20 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import Camera, CameraError, Capability, Frame, lacking
-from drivers.realsense import RealSense, RealSenseConfig
-from drivers.recorded_camera import RecordedCamera, RecordedCameraConfig
-from drivers.rig import PartSpec
-from drivers.tello_camera import TelloCamera, TelloCameraConfig
-from hil.capture import Freeze
-from hil.rendered_camera import RenderedCamera, RenderedCameraConfig
-from hil.shared_camera import SharedCameraWriter
-from hil.shared_segment import folder as shared_memory
-from hil.snapshot import DroneTruth, Snapshot
+from drivers.realsense.camera import RealSense, RealSenseConfig
+from drivers.recordings.camera import RecordedCamera, RecordedCameraConfig
+from drivers.rig.parts import PartSpec
+from drivers.tello.camera import TelloCamera, TelloCameraConfig
+from hil.camera.capture import Freeze
+from hil.camera.rendered import RenderedCamera, RenderedCameraConfig
+from hil.camera.segment import folder as shared_memory
+from hil.camera.shared import SharedCameraWriter
+from hil.world.snapshot import DroneTruth, Snapshot
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.messages import Role
-from tests.drivers import tello_stand
-from tests.drivers.software_d415 import COLOR, FPS, Feed, context, recordings
+from tests.drivers.realsense.software_d415 import COLOR, FPS, Feed, context, recordings
+from tests.drivers.tello import tello_stand
 from tests.repeating import repeating
 
 PATIENCE_S = 10.0
@@ -84,7 +84,7 @@ async def shared(folder: Path) -> AsyncGenerator[Stage]:
     """What a role at level ``sitl`` has: the world writes into shared memory."""
     del folder
     run, plugged, numbers = f"test-{uuid.uuid4().hex[:12]}", [True], itertools.count(1)
-    source = PartSpec("hil.software_d415:SoftwareD415", {"run": run}, "test: source")
+    source = PartSpec("hil.camera.software_d415:SoftwareD415", {"run": run}, "test: source")
     size = COLOR.width, COLOR.height
     config = RealSenseConfig(source=source, fps=FPS, depth_size=size, silence_s=0.1)
     with SharedCameraWriter(run, Role.SENDER, size, size, FPS) as world:

@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.color_detector import ColorDetector, ColorDetectorConfig
+from drivers.detectors.color import ColorDetector, ColorDetectorConfig
+from drivers.detectors.tracked import TrackedDetector, TrackedDetectorConfig
+from drivers.detectors.yolox import YoloxDetector, YoloxDetectorConfig
 from drivers.interfaces import Detector
-from drivers.tables import decode_table
-from drivers.tracked_detector import TrackedDetector, TrackedDetectorConfig
-from drivers.yolox_detector import YoloxDetector, YoloxDetectorConfig
+from drivers.rig.tables import decode_table
 from path.agreement import iou
 from path.observations import Box, Region
-from tests.drivers.onnx_graphs import bright_cells_network
-from tests.drivers.test_color_detector import drawn
-from tests.drivers.test_tracked_detector import CONTEXT
-from tests.drivers.test_yolox_detector import WEIGHTS, clock_face
+from tests.drivers.detectors.onnx_graphs import bright_cells_network
+from tests.drivers.detectors.test_color import drawn
+from tests.drivers.detectors.test_tracked import CONTEXT
+from tests.drivers.detectors.test_yolox import WEIGHTS, clock_face
 
 Image = NDArray[np.uint8]
 
@@ -61,7 +61,7 @@ def color(folder: Path) -> Stage:
 
 def tracked(folder: Path) -> Stage:
     del folder
-    table = {"detector": {"factory": "drivers.color_detector:ColorDetector"}}
+    table = {"detector": {"factory": "drivers.detectors.color:ColorDetector"}}
     config = decode_table(table, TrackedDetectorConfig, "rig.toml: sender.sight.detector")
     return colored(TrackedDetector(config, CONTEXT))
 

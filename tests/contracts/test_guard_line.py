@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import pytest
 
-from drivers.guard_interfaces import Answer, Beat, BeatLine, GuardLine, Hand, Script
-from drivers.guard_line import UdpBeatLine, UdpGuardLine
-from hil.sim_guard import MemoryBeatLine
-from tests.drivers.link_ends import WallClock, free_ports, run, until
+from drivers.mavlink.guard_interfaces import Answer, Beat, BeatLine, GuardLine, Hand, Script
+from drivers.mavlink.guard_line import UdpBeatLine, UdpGuardLine
+from hil.harness.guard import MemoryBeatLine
+from tests.drivers.link.link_ends import WallClock, free_ports, run, until
 
 CLOCK = WallClock()
 

@@ -14,11 +14,11 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import Link, LinkError
-from drivers.link_end import MAX_WAITING
-from drivers.udp_link import UdpLink
-from hil.faulty_link import LinkFaults, MemoryHub, MemoryLink, ProxySide, UdpFaultProxy
+from drivers.link.end import MAX_WAITING
+from drivers.link.udp import UdpLink
+from hil.link.faulty import LinkFaults, MemoryHub, MemoryLink, ProxySide, UdpFaultProxy
 from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Message, Ping, Pong, Role
-from tests.drivers.link_ends import (
+from tests.drivers.link.link_ends import (
     STATUS,
     TARGET,
     Cable,

@@ -14,10 +14,10 @@ import pytest
 
 from drivers.clock import SystemClock, SystemClockConfig
 from drivers.interfaces import Clock, Kept, Log, RecordStore
-from drivers.log import McapLog
-from drivers.state_file import MemoryStore, StateFile
-from hil.clocks import OffsetClock, OffsetClockConfig
-from hil.virtual_time import run_virtual
+from drivers.log.mcap_log import McapLog
+from drivers.log.state_file import MemoryStore, StateFile
+from hil.harness.virtual_time import run_virtual
+from hil.world.clocks import OffsetClock, OffsetClockConfig
 from path.messages import AbortReason, Role
 from path.protocol.values import Handoff, SenderRecord
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import CameraError, Capability, Sight, lacking
-from drivers.pixel_sight import PixelSight, PixelSightConfig
-from drivers.tables import decode_table
-from hil.capture import Freeze
-from hil.virtual_time import run_virtual
+from drivers.perception.pixels import PixelSight, PixelSightConfig
+from drivers.rig.tables import decode_table
+from hil.camera.capture import Freeze
+from hil.harness.virtual_time import run_virtual
 from path.messages import Role
 from path.observations import Box, Region
-from tests.hil.test_geometric_sight import (
+from tests.hil.geometric.test_perception import (
     CAMERA,
     LoopClock,
     StubHarness,
@@ -30,8 +30,8 @@ from tests.hil.test_geometric_sight import (
 
 def pixel_sight(harness: StubHarness) -> Sight:
     table = {
-        "camera": {"factory": "hil.rendered_camera:RenderedCamera", "rate_hz": 50.0, "latency_s": 0.0},
-        "detector": {"factory": "drivers.color_detector:ColorDetector"},
+        "camera": {"factory": "hil.camera.rendered:RenderedCamera", "rate_hz": 50.0, "latency_s": 0.0},
+        "detector": {"factory": "drivers.detectors.color:ColorDetector"},
     }
     return PixelSight(decode_table(table, PixelSightConfig, "rig.toml: sender.sight"), context(harness))
 
@@ -39,8 +39,8 @@ def pixel_sight(harness: StubHarness) -> Sight:
 def flat_sight(harness: StubHarness) -> Sight:
     """Its camera has no depth, as a Tello's."""
     table = {
-        "camera": {"factory": "hil.tello_sim:SimTelloCamera", "rate_hz": 50.0, "latency_s": 0.0},
-        "detector": {"factory": "drivers.color_detector:ColorDetector"},
+        "camera": {"factory": "hil.tello.sim:SimTelloCamera", "rate_hz": 50.0, "latency_s": 0.0},
+        "detector": {"factory": "drivers.detectors.color:ColorDetector"},
     }
     return PixelSight(decode_table(table, PixelSightConfig, "rig.toml: sender.sight"), context(harness))
 

@@ -26,18 +26,18 @@ from drivers.interfaces import (
     VelocitySetpoint,
     lacking,
 )
-from drivers.rig import PartContext
-from drivers.tello import TelloVehicle
-from drivers.tello_config import TelloVehicleConfig
-from hil.sim_vehicle import SimVehicle, SimVehicleConfig
-from hil.tello_sim import SimTello, SimTelloConfig
-from hil.virtual_time import run_virtual
-from hil.world import SimDrone, World, WorldConfig
+from drivers.rig.parts import PartContext
+from drivers.tello.config import TelloVehicleConfig
+from drivers.tello.vehicle import TelloVehicle
+from hil.harness.virtual_time import run_virtual
+from hil.tello.sim import SimTello, SimTelloConfig
+from hil.vehicle.sim_vehicle import SimVehicle, SimVehicleConfig
+from hil.world.world import SimDrone, World, WorldConfig
 from path.messages import Role
-from tests.drivers import tello_stand
-from tests.drivers.mavsdk_bench import CONTEXT, QUICK, px4
-from tests.hil.test_sim_vehicle import Harness
-from tests.hil.test_sim_vehicle import context as sim_context
+from tests.drivers.mavlink.mavsdk_bench import CONTEXT, QUICK, px4
+from tests.drivers.tello import tello_stand
+from tests.hil.vehicle.test_sim_vehicle import Harness
+from tests.hil.vehicle.test_sim_vehicle import context as sim_context
 
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
 HEIGHT_M = 0.9

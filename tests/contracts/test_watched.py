@@ -12,17 +12,17 @@ from typing import Any
 
 import pytest
 
-from drivers.guard_interfaces import GuardView, Watched
-from drivers.guard_mavlink import GuardMavlink, GuardMavlinkConfig
 from drivers.interfaces import FlightMode
-from hil.autopilot import Ack
-from hil.sim_guard import SimGuard, SimGuardConfig
-from hil.virtual_time import run_virtual
-from hil.world import World, WorldConfig
+from drivers.mavlink.guard_interfaces import GuardView, Watched
+from drivers.mavlink.guard_link import GuardMavlink, GuardMavlinkConfig
+from hil.autopilot.autopilot import Ack
+from hil.harness.guard import SimGuard, SimGuardConfig
+from hil.harness.virtual_time import run_virtual
+from hil.world.world import World, WorldConfig
 from path.messages import Role
-from tests.drivers.test_guard_mavlink import BIND, CONTEXT
+from tests.drivers.mavlink.test_guard_link import BIND, CONTEXT
 from tests.guard_bench import bench
-from tests.hil.test_sim_vehicle import Harness, context
+from tests.hil.vehicle.test_sim_vehicle import Harness, context
 
 PATIENCE_S = 10.0
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import FlightMode, Vehicle, VehicleState
-from drivers.rig import Mount
+from drivers.rig.parts import Mount
 from flight.eye import Eye
 from path.geometry import Pose
 from path.messages import Quat

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.guard_interfaces import GuardView, Hand, Script
 from drivers.interfaces import FlightMode
+from drivers.mavlink.guard_interfaces import GuardView, Hand, Script
 from flight.guard_rules import Act, GuardRules, GuardState, Heard, Limits, Stage, decide
 
 S = 1_000_000_000
@@ -23,6 +23,7 @@ HEARD = Heard(NOW, Script.CONTROL, NOW)
 
 FLOWN = (FlightMode.OFFBOARD, FlightMode.TAKEOFF, FlightMode.HOLD)
 DOWN = (FlightMode.LAND, FlightMode.RETURN)
+MOVING = (FlightMode.OFFBOARD, FlightMode.TAKEOFF)
 FLIES = tuple(script for script in Script if script.flies)
 
 
@@ -202,8 +203,48 @@ def test_a_script_that_wakes_up_and_takes_control_is_landed(taken: GuardState, m
 def test_a_pilot_wins_at_any_time(taken: GuardState) -> None:
     state, act = later(taken, 0.1, FlightMode.OTHER)
     assert (state.stage, act) == (Stage.LET_GO, Act.NOTHING)
-    for mode in FlightMode:
+    for mode in set(FlightMode) - set(MOVING):
         assert later(state, 9.0, mode) == (state, Act.NOTHING)
+
+
+@pytest.mark.parametrize("state", [GuardState(), HOLDING, HELD, LANDING, COMING_DOWN])
+@pytest.mark.parametrize("script", [script for script in Script if script.flies])
+def test_one_message_alone_lets_nobody_go_and_nothing_is_sent_against_it(state: GuardState, script: Script) -> None:
+    view = replace(VIEW, mode=FlightMode.OTHER, mode_told=1)
+    after, act = step(state, view, dead(script))
+    assert act is Act.NOTHING and after.stage is state.stage
+    after, act = step(after, replace(VIEW, mode=FlightMode.OFFBOARD, mode_told=1), replace(HEARD, script=script))
+    assert after.stage is not Stage.LET_GO
+    assert step(state, replace(view, mode_told=2), dead(script))[0].stage is Stage.LET_GO
+
+
+LET_GO = GuardState(Stage.LET_GO, "a pilot changed the mode")
+GONE = replace(HEARD, script=Script.LET_GO, beat_ns=NOW - 9 * S)
+
+
+@pytest.mark.parametrize("mode", MOVING)
+@pytest.mark.parametrize(("state", "heard"), [(LET_GO, dead()), (LET_GO, None), (LET_GO, GONE), (GuardState(), GONE)])
+def test_what_was_let_go_of_and_nobody_took_is_taken_back(
+    state: GuardState, heard: Heard | None, mode: FlightMode
+) -> None:
+    begun, grace = state, RULES.mode_grace_s
+    for passed_s, told in ((0.0, 1), (0.1, 2), (grace, 9)):
+        now = NOW + ns(passed_s)
+        state, act = step(state, replace(VIEW, mode=mode, mode_told=told, heartbeat_ns=now), heard, now)
+        assert (state.stage, act) == (begun.stage, Act.NOTHING)
+    now = NOW + ns(grace + 0.11)
+    flickered, _ = step(state, replace(VIEW, mode=FlightMode.OTHER, mode_told=1, heartbeat_ns=now), heard, now)
+    assert flickered.odd_ns is None
+    state, act = step(state, replace(VIEW, mode=mode, heartbeat_ns=now), heard, now)
+    assert (state.stage, act) == (Stage.HOLDING, Act.HOLD)
+    assert "nobody flies it" in state.reason and begun.reason in state.reason
+
+
+def test_a_script_that_still_flies_is_watched_again() -> None:
+    state, _ = step(LET_GO)
+    now = NOW + ns(RULES.mode_grace_s + 0.1)
+    heard = replace(HEARD, beat_ns=now, setpoint_ns=now)
+    assert step(state, replace(VIEW, heartbeat_ns=now), heard, now) == (GuardState(), Act.NOTHING)
 
 
 def test_a_pilot_may_stop_the_landing_by_hold_too() -> None:
@@ -270,6 +311,7 @@ VIEWS = st.builds(
     position_n_m=st.tuples(*[st.floats(-40.0, 40.0) | st.just(math.nan)] * 3),
     battery=st.floats(0.0, 1.0) | st.just(math.nan),
     acked=st.none() | st.booleans(),
+    mode_told=st.integers(1, 3),
 )
 HEARDS = st.builds(
     Heard,
@@ -299,16 +341,20 @@ def test_whatever_it_sees(state: GuardState, view: GuardView, heard: Heard | Non
     if act is not Act.NOTHING:
         assert view.armed
         assert view.mode is not FlightMode.OTHER  # never against a pilot
-        assert state.stage not in (Stage.LET_GO, Stage.GAVE_UP)
+        assert state.stage is not Stage.GAVE_UP
+        assert state.stage is not Stage.LET_GO or (view.mode in MOVING and view.mode_told > 1)  # nobody's
         assert after.sent_ns == NOW and after.shown_ns is None
         assert NOW - view.heartbeat_ns <= ns(RULES.blind_s)
     if act is Act.HOLD:
-        assert state.stage is Stage.WATCHING and heard is not None and heard.script.flies
+        let_go = state.stage is Stage.LET_GO or (heard is not None and heard.script is Script.LET_GO)
+        assert let_go or (state.stage is Stage.WATCHING and heard is not None and heard.script.flies)
     if act is Act.LAND:
         assert after.stage is Stage.LANDING and after.tries <= RULES.land_tries
         assert view.mode not in (FlightMode.LAND, FlightMode.RETURN) or state.stage is Stage.LANDING
-    if state.stage is Stage.LET_GO and view.armed:
-        assert after == state
+    if state.stage is Stage.LET_GO and view.armed and view.mode not in MOVING:
+        assert replace(after, odd_ns=None) == replace(state, odd_ns=None)
+    if after.stage is Stage.LET_GO and state.stage is not Stage.LET_GO:
+        assert view.mode_told > 1
     if heard is None and state.stage is Stage.WATCHING:
         assert after.stage is Stage.WATCHING
 

@@ -9,12 +9,12 @@ from typing import Any, Self
 
 import pytest
 
-from drivers.guard_interfaces import Answer, Beat, GuardView, Hand, Script
 from drivers.interfaces import FlightMode
+from drivers.mavlink.guard_interfaces import Answer, Beat, GuardView, Hand, Script
 from flight.config import MissionConfig
 from flight.guard_rules import Stage
 from flight.guard_watch import GuardWatch, watch
-from hil.virtual_time import run_virtual
+from hil.harness.virtual_time import run_virtual
 
 CONFIG = MissionConfig()
 RULES = CONFIG.guard_process

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flight.harness import Progress, RoleResult, decode_event, encode_event
+from flight.harness.flights import Progress, RoleResult, decode_event, encode_event
 from flight.outcome import Outcome
 from path.messages import Role
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.rig import Mount
+from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3
 from flight.marker_view import MarkerFix, MarkerView, Motion, levelled

@@ -14,8 +14,8 @@ from drivers.interfaces import FlightMode, VehicleState, VelocitySetpoint
 from flight.config import MissionConfig
 from flight.guidance import norm, subtract
 from flight.outcome import MissionEnd, Outcome
-from flight.pilot import Pilot
-from hil.virtual_time import run_virtual
+from flight.pilot import DOUBT_S, Pilot
+from hil.harness.virtual_time import run_virtual
 
 YAW_HALF = (0.9238795325112867, 0.0, 0.0, 0.3826834323650898)  # 45 degrees to the right
 GROUND = VehicleState(0, 0, (0.0, 0.0, -1.5), (0.0, 0.0, 0.0), YAW_HALF, True, True, True, FlightMode.HOLD, 0.9)
@@ -274,5 +274,62 @@ def test_every_setpoint_is_logged() -> None:
         logged = [(stamp, r["velocity_n_mps"], r["yaw_rad"]) for _, stamp, r in flight.log.records]
         assert logged == flown
         assert {topic for topic, _, _ in flight.log.records} == {"/setpoint"}
+
+    fly(main())
+
+
+GONE = ({"mode": FlightMode.OTHER, "mode_told": 1}, {"armed": False, "armed_told": 1})
+
+
+@pytest.mark.parametrize("said", GONE)
+def test_one_message_that_somebody_took_it_stops_setpoints_until_it_is_taken_back(said: dict[str, Any]) -> None:
+    async def main() -> None:
+        flight = Flight()
+        task = await flight.for_a_while(1.0)
+        ours, vehicle = flight.vehicle.state_now, flight.vehicle
+        before = len(vehicle.flown)
+        vehicle.state_now = replace(ours, **said)
+        await asyncio.sleep(0.2)
+        assert len(vehicle.flown) == before and not task.done()
+        vehicle.state_now = ours
+        await asyncio.sleep(0.5)
+        assert len(vehicle.flown) > before + 10 and not task.done()
+        assert flight.pilot.override == "" and flight.pilot.in_control
+        assert [topic for topic, _, _ in flight.log.records].count("/doubt") == 1
+        task.cancel()
+
+    fly(main())
+
+
+@pytest.mark.parametrize(("said", "confirmed"), [(GONE[0], {"mode_told": 2}), (GONE[1], {"armed_told": 2})])
+def test_a_second_message_confirms_it_and_no_setpoint_is_sent_meanwhile(
+    said: dict[str, Any], confirmed: dict[str, Any]
+) -> None:
+    async def main() -> None:
+        flight = Flight()
+        task = await flight.for_a_while(1.0)
+        vehicle = flight.vehicle
+        before = len(vehicle.flown)
+        vehicle.state_now = replace(vehicle.state_now, **said)
+        await asyncio.sleep(0.1)
+        vehicle.state_now = replace(vehicle.state_now, **confirmed)
+        await asyncio.sleep(0.05)
+        assert task.done() and len(vehicle.flown) == before
+        assert (await ended(task)).outcome is Outcome.PILOT_OVERRIDE
+        assert flight.pilot.override
+
+    fly(main())
+
+
+def test_what_nothing_takes_back_has_happened() -> None:
+    async def main() -> None:
+        flight = Flight()
+        task = await flight.for_a_while(1.0)
+        vehicle = flight.vehicle
+        before = len(vehicle.flown)
+        vehicle.state_now = replace(vehicle.state_now, mode=FlightMode.HOLD, mode_told=1)
+        await asyncio.sleep(DOUBT_S + 0.1)
+        assert (await ended(task)).outcome is Outcome.PILOT_OVERRIDE
+        assert len(vehicle.flown) == before
 
     fly(main())

@@ -9,11 +9,11 @@ from typing import Any, Self
 
 import pytest
 
-from drivers.guard_interfaces import Answer, Beat, Hand, Script
+from drivers.mavlink.guard_interfaces import Answer, Beat, Hand, Script
 from flight.guard_rules import GuardRules
 from flight.outcome import MissionEnd, Outcome
 from flight.under_guard import UnderGuard
-from hil.virtual_time import run_virtual
+from hil.harness.virtual_time import run_virtual
 
 RULES = GuardRules()
 BEAT = Beat(Script.CLIMB, 0)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.log import McapLog
-from missions.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, RunFacts, write_facts
+from drivers.log.mcap_log import McapLog
+from missions.report.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, RunFacts, write_facts
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.messages import Role
@@ -196,7 +196,7 @@ class Synthetic:
             "rotation_v_c2": list(quat_from_R(pose.R)),
             "sigma_m": 0.01,
             "side_px": 24.0,
-            "corners_px": CAMERA.project(corners_c).tolist(),
+            "corners_px": CAMERA.project(corners_c).ravel().tolist(),
             "reason": None,
         }
 
@@ -229,7 +229,7 @@ class Synthetic:
         scene = {
             "target_id": 0,
             "min_separation_m": 0.7,
-            "boxes": BOXES,
+            "boxes": [{"c": box[:3], "s": box[3:]} for box in BOXES],
             "clock_offset_ns": {role.value: self._stamp(role, 0.0) for role in Role},
             "cameras": {role.value: camera for role in Role},
             "mounts": {role.value: {"T_b_c": unit, "T_b_v": marker} for role in Role},
@@ -237,7 +237,7 @@ class Synthetic:
         log.write("/scene", 0, scene)
         for k in range(round(36.0 / 0.05)):
             time_s = 0.05 * k
-            objects = [[i, *self.T_w_o(time_s, i).t.tolist(), 0.0] for i in (0, 1)]
+            objects = [{"id": i, "t": self.T_w_o(time_s, i).t.tolist(), "yaw": 0.0} for i in (0, 1)]
             bodies = {r.value: {**_pose(self.T_w_c(r, time_s)), "in_air": 5.0 < time_s < 33.0} for r in Role}
             log.write("/truth", round(time_s * 1e9), {**bodies, "objects": objects})
         log.write("/setpoint_gap", 0, {"role": "sender", "gap_s": 0.04})

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from drivers.interfaces import PartError
-from missions.records import FACTS, RUN
-from missions.relay import RELAY
+from missions.relay.command import RELAY
+from missions.report.records import FACTS, RUN
 from missions.run_folder import RunKind, claim_folder, claim_result
 
 RELAY_RUN = RunKind(RELAY, ("summary.json", "relay.png"), ("world", "D1", "D2"))

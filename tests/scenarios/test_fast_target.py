@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from missions import rig_library
-from missions.handoff import fly_once
-from missions.records import load_run
-from missions.summary import summarize
+from missions.handoff.command import fly_once
+from missions.report.records import load_run
+from missions.report.summary import summarize
 
 
 def test_a_target_at_a_metre_and_a_half_per_second_is_handed_over(tmp_path: Path) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivers.log import read_log
+from drivers.log.mcap_log import read_log
 from missions import rig_library
-from missions.handoff import fly_once
+from missions.handoff.command import fly_once
 
 
 def test_a_program_that_stalls_in_the_air_finds_its_vehicle_in_the_guards_hand(tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.rig_file import find_rig, read_rig
-from drivers.toml_text import toml_text
-from hil.shared_camera import folder
+from drivers.rig.file import find_rig, read_rig
+from drivers.rig.toml_text import toml_text
+from hil.camera.shared import folder
 from missions.rig_list import FOLDER
 from tests.run_processes import processes_of, wait_for_line
 

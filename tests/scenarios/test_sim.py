@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from drivers.rig import with_errors
+from drivers.rig.parts import with_errors
 from missions import rig_library
-from missions.handoff import fly_once
-from missions.records import RunFacts, load_run
-from missions.summary import summarize
+from missions.handoff.command import fly_once
+from missions.report.records import RunFacts, load_run
+from missions.report.summary import summarize
 from path.messages import Role
 
 LOGS = ("sender.mcap", "receiver.mcap", "world.mcap")

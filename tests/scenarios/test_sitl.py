@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.shared_camera import folder
+from hil.camera.shared import folder
 from tests.run_processes import processes_of, wait_for_line
 
 START_LIMIT_S = 240.0  # kernels may have to be compiled

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.rig import Rig
-from drivers.studio import Stage, StudioSetup
-from hil.studio import Studio
+from drivers.rig.parts import Rig
+from flight.harness.renderer import Stage, StudioSetup
+from hil.camera.pictures import Studio
 from missions import rig_library
-from missions.handoff import fly_once
-from missions.records import load_run
-from missions.summary import summarize
+from missions.handoff.command import fly_once
+from missions.report.records import load_run
+from missions.report.summary import summarize
 from path.geometry import Pose
 from path.marker.layout import Marker, MarkerLayout
 from path.marker.locate import Gravity, LocatedMarker, locate_marker

@@ -18,28 +18,29 @@ import pytest
 
 from drivers.clock import SystemClock, SystemClockConfig
 from drivers.interfaces import Link, Sight, Vehicle
-from drivers.mavsdk_vehicle import MavsdkVehicle, MavsdkVehicleConfig
-from drivers.pixel_sight import PixelSight, PixelSightConfig
-from drivers.rig import PartContext
-from drivers.tables import decode_table
-from drivers.tello import TelloVehicle
-from drivers.tello_config import TelloVehicleConfig
+from drivers.mavlink.vehicle import MavsdkVehicle, MavsdkVehicleConfig
+from drivers.perception.pixels import PixelSight, PixelSightConfig
+from drivers.rig.parts import PartContext
+from drivers.rig.tables import decode_table
+from drivers.tello.config import TelloVehicleConfig
+from drivers.tello.vehicle import TelloVehicle
 from flight.config import MissionConfig
 from flight.guidance import Anchor
-from flight.harness import RoleResult
+from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
-from hil import tello_video
+from hil.tello import video as tello_video
 from missions import rig_library
-from missions.course import fly_course
-from missions.session import Session
-from missions.steps import bring_down, take_off
+from missions.leg.course import fly_course
+from missions.leg.session import Session
+from missions.leg.steps import bring_down, take_off
 from path.messages import Role
 from path.rotation import yaw_of
-from tests.drivers import software_d415, tello_stand
-from tests.drivers.link_ends import STATUS, Cable, introduce, serial_links
-from tests.drivers.mavsdk_bench import CONTEXT, QUICK, SYSID, px4
-from tests.missions.test_session import Recorder
+from tests.drivers.link.link_ends import STATUS, Cable, introduce, serial_links
+from tests.drivers.mavlink.mavsdk_bench import CONTEXT, QUICK, SYSID, px4
+from tests.drivers.realsense import software_d415
+from tests.drivers.tello import tello_stand
+from tests.missions.leg.test_session import Recorder
 
 NO_CONTEXT: Any = None
 CLOCK = SystemClock(SystemClockConfig(), NO_CONTEXT)
@@ -60,14 +61,14 @@ class Stage:
 
 
 def sight(context: PartContext, camera: dict[str, Any]) -> PixelSight:
-    table = {"camera": camera, "detector": {"factory": "drivers.color_detector:ColorDetector"}}
+    table = {"camera": camera, "detector": {"factory": "drivers.detectors.color:ColorDetector"}}
     return PixelSight(decode_table(table, PixelSightConfig, "rig.toml: sender.sight"), context)
 
 
 @contextmanager
 def d415() -> Generator[tuple[Sight, software_d415.Feed]]:
     feed = software_d415.Feed()
-    camera = {"factory": "drivers.realsense:RealSense", "fps": software_d415.FPS, "silence_s": 0.2}
+    camera = {"factory": "drivers.realsense.camera:RealSense", "fps": software_d415.FPS, "silence_s": 0.2}
     seeing = sight(software_d415.context(), camera)
     opened: Any = seeing._camera
     opened.source = feed
@@ -106,7 +107,7 @@ def tello() -> Generator[Stage]:
     with pytest.MonkeyPatch.context() as patch, tello_stand.emulated(rate_hz=VIDEO_HZ, speed=4.0) as stand:
         patch.setattr(tello_video, "CORRUPT_SHARE", 1.0)
         context = tello_stand.context()
-        camera = {"factory": "drivers.tello_camera:TelloCamera", "rate_hz": VIDEO_HZ, **stand.address}
+        camera = {"factory": "drivers.tello.camera:TelloCamera", "rate_hz": VIDEO_HZ, **stand.address}
         yield Stage(
             TelloVehicle(TelloVehicleConfig(**stand.address), context),
             sight(context, camera),

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.depth_registration import DepthRegistration
-from hil.d415 import T_COLOR_DEPTH, depth_camera
+from drivers.realsense.registration import DepthRegistration
+from hil.camera.d415 import T_COLOR_DEPTH, depth_camera
 from hil.render.depth import DepthRenderer
 from hil.render.renderer import Renderer
 from hil.render.sensor import NOISE_FREE, SensorNoise
-from hil.snapshot import DroneTruth, ObjectTruth, Snapshot
+from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.marker.layout import single_marker

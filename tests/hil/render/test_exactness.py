@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hil.render.renderer import Renderer
 from hil.render.sensor import NOISE_FREE
-from hil.snapshot import Snapshot
+from hil.world.snapshot import Snapshot
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.marker.layout import single_marker

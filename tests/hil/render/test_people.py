@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.color_detector import ColorDetector, ColorDetectorConfig
-from drivers.studio import Imaging, Stage, StudioSetup, Thing
+from drivers.detectors.color import ColorDetector, ColorDetectorConfig
+from flight.harness.renderer import Imaging, Stage, StudioSetup, Thing
+from hil.camera.pictures import Studio
 from hil.render.people import HEIGHT_M, PARTS, person
 from hil.render.scene import GAP_M, PATTERN
-from hil.studio import Studio
 from path.camera import CameraModel
 from path.marker.layout import single_marker
 from path.messages import Role

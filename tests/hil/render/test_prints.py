@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.studio import Imaging, Printing, Stage, StudioSetup
+from flight.harness.renderer import Imaging, Printing, Stage, StudioSetup
+from hil.camera.pictures import LIGHTS, Studio
 from hil.render.prints import SHADED, marker_print
 from hil.render.scene import INK, PAPER, PLATE_SCALE
-from hil.studio import LIGHTS, Studio
 from path.marker.layout import single_marker
 from path.marker.texture import cells
 from path.messages import Role

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hil.render.renderer import STAGES, Renderer, warm_up
 from hil.render.scene import GAP_M
 from hil.render.sensor import NOISE_FREE, SensorNoise
-from hil.snapshot import Snapshot
+from hil.world.snapshot import Snapshot
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.marker.layout import Marker, MarkerLayout, single_marker

@@ -9,7 +9,7 @@ import pytest
 
 from hil.render.renderer import Renderer
 from hil.render.sensor import NOISE_FREE, SensorNoise, blur_taps, mixed, noise_pool
-from hil.snapshot import Snapshot
+from hil.world.snapshot import Snapshot
 from path.marker.layout import single_marker
 from path.messages import Role
 from tests.hil.render.views import LEVEL, TAIL, VGA, drone, hovering, looking_at, mount, scene

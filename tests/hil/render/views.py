@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.snapshot import DroneTruth, ObjectTruth, Snapshot
+from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.messages import Role

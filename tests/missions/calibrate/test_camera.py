@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from drivers.calibration_file import read_camera
 from drivers.interfaces import PartError
+from drivers.rig.calibration_file import read_camera
 from missions.calibrate.camera import BadViews, calibrate
 from missions.calibrate.collect import Chooser, Collected, Look, from_recording
 from missions.calibrate.run import run
@@ -77,8 +77,8 @@ def test_a_rigs_camera_is_calibrated_as_it_runs(folder: Path, tmp_path: Path) ->
     rig = tmp_path / "rig.toml"
     rig.write_text(
         text.replace(
-            'factory = "hil.rendered_camera:RenderedCamera"\nrate_hz = 50.0',
-            'factory = "drivers.recorded_camera:RecordedCamera"\nfile = "film"\npace = "fast"\nserial = "0815"',
+            'factory = "hil.camera.rendered:RenderedCamera"\nrate_hz = 50.0',
+            'factory = "drivers.recordings.camera:RecordedCamera"\nfile = "film"\npace = "fast"\nserial = "0815"',
             1,
         ),
         "utf-8",

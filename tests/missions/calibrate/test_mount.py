@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
-from drivers.calibration_file import (
+from drivers.interfaces import PartError
+from drivers.rig.calibration_file import (
     CalibrationError,
     CameraCalibration,
     CameraTable,
@@ -21,11 +22,10 @@ from drivers.calibration_file import (
     read_mount,
     write_calibration,
 )
-from drivers.interfaces import PartError
-from drivers.rig import Rig
-from drivers.rig_file import load_rig
-from drivers.studio import Stage, StudioSetup
-from hil.studio import Studio
+from drivers.rig.file import load_rig
+from drivers.rig.parts import Rig
+from flight.harness.renderer import Stage, StudioSetup
+from hil.camera.pictures import Studio
 from missions.calibrate.mount import solve_pairs
 from missions.calibrate.run import run
 from missions.options import CalibrateMountOptions, CalibrateOptions

@@ -12,7 +12,7 @@ from drivers.interfaces import PartError
 from missions import rig_library
 from missions.options import TrialOptions
 from missions.trials import run as command
-from missions.trials.trial import Finding, TrialRequest, TrialResult, trial_part
+from missions.trials.shared.trial import Finding, TrialRequest, TrialResult, trial_part
 
 
 def trial(name: str, monkeypatch: pytest.MonkeyPatch, *, fails: bool = False) -> None:

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.studio import Imaging
-from hil.studio import Studio
-from missions.trials import calibration_views
-from missions.trials.calibration_views import HERE as LEVEL
-from missions.trials.calibration_views import Held, grey, placed
+from flight.harness.renderer import Imaging
+from hil.camera.pictures import Studio
+from missions.trials.calibration import views as calibration_views
+from missions.trials.calibration.views import HERE as LEVEL
+from missions.trials.calibration.views import Held, grey, placed
 from path.calibration.board import Board, BoardView
 from path.camera import CameraModel
 from path.geometry import Pose

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.studio import IDEAL, REALISTIC, Imaging
+from flight.harness.renderer import IDEAL, REALISTIC, Imaging
 from path.calibration.board import Board, find_board, other_size, print_cells
 from tests.path.calibration.rendered import CAMERA, CHARUCO, CHESSBOARD, Held, grey, photographs, poses
 

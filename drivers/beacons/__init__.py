@@ -1,0 +1,1 @@
+"""Ultrasonic beacons: Marvelmind over serial ports, and records of them."""

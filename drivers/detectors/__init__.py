@@ -1,0 +1,1 @@
+"""Detectors of targets: colour, ONNX networks, and trackers between detections."""

@@ -1,0 +1,160 @@
+"""Detectors of the YOLOX family through onnxruntime. The weights are a file that a rig names; PATH comes without."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.detectors.coco import COCO
+from drivers.detectors.onnx_model import ModelError, OnnxModel, shown
+from drivers.detectors.yolox_boxes import STRIDES, decode, grid, suppress
+from drivers.interfaces import PartError
+from drivers.rig.tables import suggestion
+from path.bounds import Bounds
+from path.observations import Box, Detection, Region
+
+FILL = 114.0  # grey level around an image that does not fill the input
+REMEDY = (
+    "name a YOLOX model exported to ONNX as its authors' tools/export_onnx.py does, without decoding in it: "
+    "github.com/Megvii-BaseDetection/YOLOX, or export one with classes of your own"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class YoloxDetectorConfig:
+    """
+    Attributes:
+        model: the ONNX file, relative to the rig.
+        classes: names of what is looked for; empty: everything.
+        names: file with the names of the model's classes, one a line; None: the 80 of COCO.
+        min_score: objectness times class, below it nothing is found.
+        max_iou: of two boxes of one class that overlap more, the better one stays.
+        max_side_px: how large an object can be in the image; with a search region, the image is cut so far around it.
+        max_zoom: a cut-out is enlarged at most so much to fill the network's input.
+        threads: of onnxruntime.
+    """
+
+    model: Path
+    classes: tuple[str, ...] = ()
+    names: Path | None = None
+    min_score: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.3
+    max_iou: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.45
+    max_side_px: Annotated[float, Bounds(0.0, 16384.0, above=True)] = 300.0
+    max_zoom: Annotated[float, Bounds(1.0, 16.0, "times")] = 2.0
+    threads: Annotated[int, Bounds(0, 256, "threads")] = 1
+
+    def __post_init__(self) -> None:
+        for name in ("min_score", "max_iou"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise ValueError(f"{name}: {getattr(self, name)!r} is not within 0..1")
+        if self.max_side_px <= 0.0 or self.max_zoom < 1.0 or self.threads < 0:
+            raise ValueError("max_side_px must be positive, max_zoom at least 1, threads not negative")
+
+
+class YoloxDetector:
+    """Implements ``drivers.interfaces.Detector``. Stateless between calls."""
+
+    Config = YoloxDetectorConfig
+    whole_image = True  # what depth would cut off belongs to how a thing looks
+
+    def __init__(self, config: YoloxDetectorConfig, context: object | None = None) -> None:
+        """Raises ModelError (a missing file, or expected and found), PartError (a class that the model has not)."""
+        del context  # made like every part of a rig, but needs nothing of the role
+        self._config = config
+        self._model = OnnxModel(config.model, config.threads, REMEDY)
+        self._height, self._width, count = _checked(self._model, config.model)
+        self._cells, self._steps = grid(self._height, self._width)
+        self._scored = _scored(config, count)
+
+    def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]:
+        """Boxes of the classes looked for, best score first.
+
+        Args:
+            image: (h, w, 3) uint8 BGR.
+            region: only objects whose box centre is inside: the network sees the image around it, enlarged; None for
+                the whole image.
+        """
+        height, width = image.shape[:2]
+        window = _window(region, 0.5 * self._config.max_side_px, width, height)
+        if window is None:
+            return ()
+        x0, y0, x1, y1 = window
+        tensor, across, down = self._letterboxed(image[y0:y1, x0:x1])
+        raw = self._model.run(tensor)[0]
+        boxes, scores, classes = decode(raw, self._cells, self._steps, self._scored, self._config.min_score)
+        kept = suppress(boxes, scores, classes, self._config.max_iou)
+        found: list[Detection] = []
+        for (x, y, w, h), score in zip(boxes[kept].tolist(), scores[kept].tolist(), strict=True):
+            # edges to pixel centres: the first pixel's edge is at -0.5
+            left, top = (x - 0.5 * w) / across + x0 - 0.5, (y - 0.5 * h) / down + y0 - 0.5
+            box = Box(left, top, w / across, h / down)
+            if region is None or region.contains(*box.center):
+                found.append(Detection(box, min(1.0, score)))
+        return found
+
+    def _letterboxed(self, part: NDArray[np.uint8]) -> tuple[NDArray[np.float32], float, float]:
+        """The network's input, (1, 3, h, w) BGR 0..255 with grey right and below; how much larger it is, each way."""
+        height, width = part.shape[:2]
+        scale = min(self._height / height, self._width / width, self._config.max_zoom)
+        w, h = max(1, round(width * scale)), max(1, round(height * scale))
+        fitted = cv2.resize(part, (w, h), interpolation=cv2.INTER_LINEAR)
+        tensor = np.full((1, 3, self._height, self._width), FILL, np.float32)
+        tensor[0, :, :h, :w] = fitted.transpose(2, 0, 1)
+        return tensor, w / width, h / height
+
+
+def _checked(model: OnnxModel, file: Path) -> tuple[int, int, int]:
+    """Height and width of the input, number of classes. Raises ModelError."""
+    found = f"found {shown(model.input)} -> {shown(model.output)}"
+    sides = model.input[2:]
+    if len(model.input) != 4 or model.input[:2] != (1, 3) or not all(_whole_cells(side) for side in sides):
+        raise ModelError(f"{file}: expected an input of 1x3xHxW, H and W multiples of {STRIDES[-1]}, {found}", REMEDY)
+    height, width = (int(side) for side in sides)
+    cells = sum((height // stride) * (width // stride) for stride in STRIDES)
+    last = model.output[-1]
+    if len(model.output) != 3 or model.output[:2] != (1, cells) or not isinstance(last, int) or last < 6:
+        raise ModelError(f"{file}: expected an output of 1x{cells}x(5 + classes), {found}", REMEDY)
+    return height, width, last - 5
+
+
+def _whole_cells(side: int | str) -> bool:
+    return isinstance(side, int) and side > 0 and side % STRIDES[-1] == 0
+
+
+def _scored(config: YoloxDetectorConfig, count: int) -> NDArray[np.bool_]:
+    """Which of the model's classes are looked for. Raises PartError."""
+    names = COCO if config.names is None else _read_names(config.names)
+    if not config.classes:
+        return np.ones(count, np.bool_)
+    if len(names) != count:
+        source = "COCO has" if config.names is None else f"{config.names} names"
+        raise PartError(f"{config.model}: expected {count} names of classes, {source} {len(names)}",
+                        "name a file with one class a line: names = \"classes.txt\"")  # fmt: skip
+    for name in config.classes:
+        if name not in names:
+            raise PartError(f"classes: the model knows no '{name}'{suggestion(name, names)}",
+                            f"it knows {', '.join(names[:12])}{', ...' if len(names) > 12 else ''}")  # fmt: skip
+    return np.array([name in config.classes for name in names])
+
+
+def _read_names(file: Path) -> tuple[str, ...]:
+    try:
+        return tuple(line.strip() for line in file.read_text("utf-8").splitlines() if line.strip())
+    except (OSError, UnicodeDecodeError) as error:
+        raise PartError(f"{file}: {error}", "write the names of the model's classes into it, one a line") from error
+
+
+def _window(region: Region | None, reach_px: float, width: int, height: int) -> tuple[int, int, int, int] | None:
+    """The part of the image to look at, ``x0 y0 x1 y1``; None when the region is outside."""
+    if region is None:
+        return 0, 0, width, height
+    if region.clipped(width, height) is None:
+        return None
+    x0, y0 = max(int(region.x0 - reach_px), 0), max(int(region.y0 - reach_px), 0)
+    return x0, y0, min(int(region.x1 + reach_px) + 1, width), min(int(region.y1 + reach_px) + 1, height)

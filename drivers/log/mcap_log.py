@@ -1,0 +1,381 @@
+"""The log of a program: one MCAP file, readable to the last record whatever ended it.
+
+PATH's own records are JSON, with a JSON Schema each (``drivers.log_topics``); images, and what viewers draw, are
+Foxglove's messages (``drivers.log_foxglove``). Stamps in the file are UTC; the program's own clock, which is what
+records are written and read with, differs by a constant that the file's metadata tell.
+
+Records are written unbuffered, each with one system call, so that a killed program loses nothing it has logged; only a
+run in virtual time, which cannot lose a drone, buffers them. A file that is closed is then put into chunks with an
+index (``drivers.log_index``). Nothing in the log of a run in virtual time depends on the wall clock or the machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from io import FileIO
+from itertools import count
+from pathlib import Path
+from types import TracebackType
+from typing import IO, TYPE_CHECKING, Any, Self
+
+import msgspec
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, DataEnd, Footer, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from numpy.typing import NDArray
+
+from drivers.clock import wall_offset_ns
+from drivers.log_index import MAGIC, ChunkedFile, built, index_log
+from drivers.log_topics import blank, schema_of
+
+if TYPE_CHECKING:
+    from drivers import log_foxglove
+
+JPEG_QUALITY = 90
+VIRTUAL_EPOCH_NS = 1_767_225_600_000_000_000
+"""UTC of the beginning of every run in virtual time: 2026-01-01."""
+ABOUT = "path"
+OFFSET = "utc_minus_stamp_ns"
+IMAGE_SCHEMA = "foxglove.CompressedImage"
+_MESSAGE = struct.Struct("<BQHIQQ")  # head, then channel, sequence, log and publish time
+_IS_MESSAGE = int(Opcode.MESSAGE)
+
+
+class McapLog:
+    """A ``drivers.interfaces.Log``. Never raises: what goes wrong is kept in ``failed``, and the flight goes on.
+
+    Numbers that are not finite become null. NumPy scalars and arrays, enums (by value) and dataclasses may be in one.
+    """
+
+    def __init__(
+        self, path: Path, name: str = "", *, utc_minus_stamp_ns: int | None = None, buffered: bool = False
+    ) -> None:
+        """``name``: of the drone, for the frames that viewers draw.
+
+        ``utc_minus_stamp_ns``: UTC minus the clock of the stamps; None: that is this computer's monotonic one.
+        ``buffered``: what was logged last is lost when the process is killed; for runs in virtual time.
+        """
+        from drivers.log_foxglove import Standards  # noqa: PLC0415 (whoever only reads logs does not need it)
+
+        self.failed: str | None = None
+        self._standards = Standards(name)
+        self._utc_ns = wall_offset_ns(time.monotonic_ns) if utc_minus_stamp_ns is None else utc_minus_stamp_ns
+        self._channels: dict[str, int] = {}
+        self._count = 0
+        self._encoder = msgspec.json.Encoder(enc_hook=encode_other)
+        self._file: LooseFile | ChunkedFile | None = None
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = ChunkedFile(path) if buffered else LooseFile(path)
+            about = Metadata(name=ABOUT, metadata={"name": name, OFFSET: str(self._utc_ns)})
+            self._file.say(Opcode.HEADER, built(Header("", "path")))
+            self._file.say(Opcode.METADATA, built(about))
+        except OSError as error:
+            self._fail(error)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None:
+        self.close()
+
+    def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
+        """One JSON record with a stamp of the program's clock."""
+        if self._file is None:
+            return
+        try:
+            utc_ns = self._utc(stamp_ns)
+            known = {name: value for name, value in record.items() if value is not None}
+            data = self._encoder.encode(known)
+            if topic not in self._channels:
+                self._register(topic, "json", "path" + topic.replace("/", "."), "jsonschema", schema_of(topic))
+            self._write(topic, utc_ns, data)
+            for standard in self._standards.of(topic, utc_ns, record):
+                self._message(utc_ns, *standard)
+        except OSError as error:
+            self._fail(error)
+        except Exception as error:  # whatever was wrong with this record: the others go on, and so does the flight
+            self.failed = self.failed or f"{topic}: {error}"
+
+    def image(self, topic: str, stamp_ns: int, image: NDArray[np.uint8]) -> None:
+        """One BGR image, shape (h, w, 3), as JPEG."""
+        if self._file is None:
+            return
+        jpeg = _jpeg(image)
+        if jpeg is None:
+            self.failed = self.failed or f"{topic}: the image could not be encoded"
+            return
+        from drivers.log_foxglove import compressed_image  # noqa: PLC0415
+
+        try:
+            utc_ns = self._utc(stamp_ns)
+            self._message(utc_ns, topic, compressed_image(utc_ns, self._standards.camera, jpeg))
+            for standard in self._standards.of_image(utc_ns):
+                self._message(utc_ns, *standard)
+        except OSError as error:
+            self._fail(error)
+        except Exception as error:
+            self.failed = self.failed or f"{topic}: {error}"
+
+    def close(self) -> None:
+        """Close, and put the file into chunks with an index. Closing twice does nothing."""
+        file, self._file = self._file, None
+        if file is None:
+            return
+        try:
+            file.close()
+        except OSError as error:
+            self._fail(error)
+
+    def _utc(self, stamp_ns: int) -> int:
+        if not 0 <= stamp_ns < 1 << 63:
+            raise ValueError(f"stamp {stamp_ns} is not of a clock")
+        return stamp_ns + self._utc_ns
+
+    def _message(self, utc_ns: int, topic: str, message: log_foxglove.Message) -> None:
+        if topic not in self._channels:
+            schema = type(message).get_schema()
+            self._register(topic, "protobuf", schema.name, schema.encoding, schema.data)
+        self._write(topic, utc_ns, message.encode())
+
+    def _write(self, topic: str, utc_ns: int, data: bytes) -> None:
+        assert self._file is not None
+        self._count += 1
+        channel = self._channels[topic]
+        head = _MESSAGE.pack(_IS_MESSAGE, 22 + len(data), channel, self._count, utc_ns, utc_ns)
+        self._file.message(channel, utc_ns, head + data)
+
+    def _register(self, topic: str, encoding: str, name: str, kind: str, schema: bytes) -> None:
+        assert self._file is not None
+        number = len(self._channels) + 1
+        self._file.say(Opcode.SCHEMA, built(Schema(number, schema, kind, name)))
+        self._file.say(Opcode.CHANNEL, built(Channel(number, topic, encoding, {}, number)))
+        self._channels[topic] = number
+
+    def _fail(self, error: OSError) -> None:
+        """From here on nothing is written: what is in the file stays readable."""
+        self.failed = f"log not written: {error.strerror or error}" + (f": {error.filename}" if error.filename else "")
+        file, self._file = self._file, None
+        if file is not None:
+            with suppress(OSError):
+                file.close()
+
+
+def virtual_log(path: Path, name: str, clock_offset_ns: int = 0) -> McapLog:
+    """The log of a program in virtual time; ``clock_offset_ns``: its clock minus the run's time."""
+    return McapLog(path, name, utc_minus_stamp_ns=VIRTUAL_EPOCH_NS - clock_offset_ns, buffered=True)
+
+
+class LooseFile:
+    """A log message by message: each is on its way to the disk when ``message`` returns. Raises OSError."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._raw = FileIO(path, "wb")
+        try:
+            self._write(MAGIC)
+        except OSError:
+            self._raw.close()
+            raise
+
+    def say(self, opcode: int, record: bytes) -> None:
+        del opcode
+        self._write(record)
+
+    def message(self, channel: int, utc_ns: int, record: bytes) -> None:
+        del channel, utc_ns
+        self._write(record)
+
+    def _write(self, data: bytes) -> None:
+        left = memoryview(data)
+        while left:
+            left = left[self._raw.write(left) :]
+
+    def close(self) -> None:
+        """Put what was written into chunks."""
+        with self._raw:
+            self._write(built(DataEnd(0)) + built(Footer(0, 0, 0)) + MAGIC)
+        index_log(self._path)
+
+
+def _jpeg(image: NDArray[np.uint8]) -> bytes | None:
+    import cv2  # noqa: PLC0415 (a log without images does not need it)
+
+    try:
+        done, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    except cv2.error:
+        return None
+    return jpeg.tobytes() if done else None
+
+
+def encode_other(value: Any) -> Any:
+    """As JSON can hold it; an ``enc_hook`` of msgspec."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.asdict(value)
+    raise TypeError(f"cannot log a {type(value).__name__}")
+
+
+def new_part(folder: Path, name: str) -> Path:
+    """The file of a program's log: ``NAME.mcap``, after a restart ``NAME.2.mcap`` and so on. It is there from now on.
+
+    An earlier program's log is never written over; where nothing can be written the log will say so.
+    """
+    files = (folder / (f"{name}.mcap" if number == 1 else f"{name}.{number}.mcap") for number in count(1))
+    path = next(file for file in files if not file.exists())
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.open("xb").close()
+    except FileExistsError:
+        return new_part(folder, name) if path.exists() else path  # another program was quicker
+    except OSError:
+        pass
+    return path
+
+
+def parts(folder: Path, name: str) -> list[Path]:
+    """The logs that the programs of one role wrote into a folder, in their order."""
+    numbered = [(int(path.stem.rpartition(".")[2]), path) for path in folder.glob(f"{name}.*.mcap")
+                if path.stem.rpartition(".")[2].isdecimal()]  # fmt: skip
+    first = folder / f"{name}.mcap"
+    return [*([first] if first.is_file() else []), *(path for _, path in sorted(numbered))]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class LogRecord:
+    topic: str
+    stamp_ns: int
+    record: dict[str, Any]
+
+
+def read_log(path: Path) -> Iterator[LogRecord]:
+    """PATH's own records and the images of a log in the order they were written, up to where the file ends.
+
+    That may be in the middle of one. Stamps are those they were written with; what a record leaves out is null.
+
+    Raises:
+        OSError: when the file cannot be read.
+        ValueError: when it is no MCAP file.
+    """
+    with path.open("rb") as file:
+        begin = file.read(len(MAGIC))
+        if begin != MAGIC:
+            if MAGIC.startswith(begin):
+                return  # the process was killed before it had written anything
+            raise ValueError(f"{path} is not an MCAP file")
+        offset_ns = 0
+        decode = msgspec.json.Decoder().decode
+        try:
+            for found in messages(file):
+                if isinstance(found, Metadata):
+                    offset_ns = int(found.metadata.get(OFFSET, offset_ns)) if found.name == ABOUT else offset_ns
+                elif found.channel.encoding == "json":
+                    record = {**found.channel.blank, **decode(found.data)}
+                    yield LogRecord(found.channel.topic, found.utc_ns - offset_ns, record)
+                elif found.channel.schema.name == IMAGE_SCHEMA:
+                    yield LogRecord(found.channel.topic, found.utc_ns - offset_ns, image_record(found.data))
+        except (UnicodeDecodeError, msgspec.DecodeError):
+            return  # the process that wrote it was killed here
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class LoggedChannel:
+    """A topic as it is in the file. ``blank``: what a JSON record of it leaves out."""
+
+    topic: str
+    encoding: str
+    schema: Schema
+    blank: dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class LoggedMessage:
+    channel: LoggedChannel
+    utc_ns: int
+    data: bytes
+
+
+def messages(file: IO[bytes]) -> Iterator[LoggedMessage | Metadata]:
+    """What is in a log after its magic, in the order it was written, up to where it ends."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, LoggedChannel] = {}
+    records = StreamReader(file, skip_magic=True).records
+    while True:
+        try:
+            record = next(records)
+        except StopIteration:
+            return
+        except (McapError, struct.error, UnicodeDecodeError):
+            return  # the process that wrote it was killed here
+        match record:
+            case Message():
+                yield LoggedMessage(channels[record.channel_id], record.log_time, record.data)
+            case Schema():
+                schemas[record.id] = record
+            case Channel():
+                channels[record.id] = LoggedChannel(
+                    record.topic, record.message_encoding, schemas[record.schema_id], blank(record.topic)
+                )
+            case Metadata():
+                yield record
+            case DataEnd():
+                return  # what follows is said again
+            case _:
+                pass
+
+
+def image_record(data: bytes) -> dict[str, Any]:
+    """A Foxglove CompressedImage: ``frame_id``, ``format`` and ``data``. Raises ValueError for what is none."""
+    names = {2: "data", 3: "format", 4: "frame_id"}
+    record: dict[str, Any] = {"data": b"", "format": "", "frame_id": ""}
+    for number, value in _protobuf(data):
+        if number in names and isinstance(value, bytes):
+            record[names[number]] = value if number == 2 else value.decode()
+    return record
+
+
+def _protobuf(data: bytes) -> Iterator[tuple[int, int | bytes]]:
+    """The fields of a message: number, and an integer or what is in it."""
+    at = 0
+
+    def varint() -> int:
+        nonlocal at
+        value, shift = 0, 0
+        while True:
+            byte = data[at]
+            at += 1
+            value |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80:
+                return value
+
+    while at < len(data):
+        key = varint()
+        kind = key & 7
+        if kind not in (0, 2):
+            raise ValueError(f"field {key >> 3} of an image is of kind {kind}")
+        value = varint()
+        if kind == 2:
+            yield key >> 3, data[at : at + value]
+            at += value
+        else:
+            yield key >> 3, value
+
+
+def decode_image(record: Mapping[str, Any]) -> NDArray[np.uint8]:
+    """The pixels, BGR, of an image read from a log. Raises ValueError when it is none."""
+    import cv2  # noqa: PLC0415
+
+    pixels = cv2.imdecode(np.frombuffer(record["data"], np.uint8), cv2.IMREAD_COLOR)
+    if pixels is None:
+        raise ValueError("not an image")
+    return np.asarray(pixels, np.uint8)

@@ -1,0 +1,432 @@
+"""What is logged, as any viewer knows it: Foxglove's schemas, made from PATH's own records.
+
+    /calibration   CameraCalibration, of NAME/camera
+    /tf            FrameTransforms: world (ENU) - n (NED) - NAME/body (FRD) - NAME/camera, NAME/marker, and on D2
+                   NAME/camera - NAME/marker_seen, D1's marker as D2 measures it
+    /annotations   ImageAnnotations: boxes, marker, prior and search region of a frame, and the verdict on it
+    /3d            SceneUpdate: frustum, body, marker, target with its standard deviation, distance to the marker; of
+                   the world's log: the true bodies and objects
+    /position      LocationFix, where the vehicle believes to be
+    /log           Log: phases, notes, decisions
+
+Nothing here is read back by PATH. What changes with every frame is told ten times a second, and for every logged image.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from foxglove import Schema
+from foxglove.messages import (
+    CameraCalibration,
+    Color,
+    CompressedImage,
+    CubePrimitive,
+    FrameTransform,
+    FrameTransforms,
+    ImageAnnotations,
+    LinePrimitive,
+    LinePrimitiveLineType,
+    LocationFix,
+    LogLevel,
+    Point2,
+    Point3,
+    PointsAnnotation,
+    PointsAnnotationType,
+    Pose,
+    Quaternion,
+    SceneEntity,
+    SceneUpdate,
+    SpherePrimitive,
+    TextAnnotation,
+    TextPrimitive,
+    Timestamp,
+    Vector3,
+)
+from foxglove.messages import Log as Line
+
+from drivers.log_topics import blank
+from path.rotation import quat_from_R
+
+Record = Mapping[str, Any]
+
+
+class Message(Protocol):
+    """A message of Foxglove's."""
+
+    def encode(self) -> bytes: ...
+
+    @staticmethod
+    def get_schema() -> Schema: ...
+
+
+Standard = tuple[str, Message]
+
+PERIOD_NS = 90_000_000  # ten times a second, whatever the frames' rate
+AGAIN_NS = 1_000_000_000  # what does not change, for viewers that come late
+EARTH_M = 6_378_137.0
+SIGMAS = 3.0  # radius of the target's sphere
+FRUSTUM_M = 0.4
+FONT_PX = 14.0
+BODY_M = (0.35, 0.35, 0.1)
+
+BLUE, ORANGE, GREEN = Color(r=0.2, g=0.6, b=1.0, a=1.0), Color(r=1.0, g=0.6, b=0.1, a=1.0), Color(g=0.9, b=0.3, a=1.0)
+PINK, GREY, RED = Color(r=1.0, g=0.3, b=0.8, a=1.0), Color(r=0.6, g=0.6, b=0.6, a=0.8), Color(r=1.0, a=1.0)
+PALE_BLUE, PALE_ORANGE = Color(r=0.2, g=0.6, b=1.0, a=0.5), Color(r=1.0, g=0.6, b=0.1, a=0.5)
+GHOST, BACK = Color(r=0.3, g=0.9, b=0.3, a=0.35), Color(a=0.6)
+
+AS_IT_IS = (1.0, 0.0, 0.0, 0.0)
+ENU_OF_NED = Quaternion(w=0.0, x=math.sqrt(0.5), y=math.sqrt(0.5))
+LEVELS = {
+    "/violation": LogLevel.Error,
+    "/fault": LogLevel.Warning,
+    "/guard": LogLevel.Warning,
+    "/guard_alarm": LogLevel.Warning,
+}
+
+
+def compressed_image(stamp_ns: int, frame: str, jpeg: bytes) -> Message:
+    return CompressedImage(timestamp=time_of(stamp_ns), frame_id=frame, data=jpeg, format="jpeg")
+
+
+def time_of(stamp_ns: int) -> Timestamp:
+    return Timestamp(sec=stamp_ns // 1_000_000_000, nsec=stamp_ns % 1_000_000_000)
+
+
+class Standards:
+    """Of one log. Stamps are UTC."""
+
+    def __init__(self, name: str) -> None:
+        prefix = f"{name}/" if name else ""
+        self.camera, self._body, self._marker = f"{prefix}camera", f"{prefix}body", f"{prefix}marker"
+        self._seen = f"{prefix}marker_seen"
+        self._name = name
+        self._setup: Record | None = None
+        self._scene: Record | None = None
+        self._said_ns: dict[str, int] = {}
+        self._newest: dict[str, tuple[int, Record]] = {}
+        self._of: dict[str, Callable[[int, Record], Iterable[Standard]]] = {
+            "/setup": self._on_setup,
+            "/link": self._again,
+            "/state": self._on_state,
+            "/target": self._on_target,
+            "/track": self._on_frame,
+            "/agreement": self._on_agreement,
+            "/marker": self._on_marker,
+            "/candidate": self._on_frame,
+            "/scene": self._on_scene,
+            "/truth": self._on_truth,
+        }
+
+    def of(self, topic: str, stamp_ns: int, record: Record) -> Iterable[Standard]:
+        """What a record is to a viewer."""
+        if topic in _LINES:
+            return (self._line(topic, stamp_ns, {**blank(topic), **record}),)
+        make = self._of.get(topic)
+        return () if make is None else make(stamp_ns, {**blank(topic), **record})
+
+    def of_image(self, stamp_ns: int) -> Iterable[Standard]:
+        """What is drawn over an image, unless it was just told."""
+        return () if self._said_ns.get("/annotations") == stamp_ns else (self._annotations(stamp_ns),)
+
+    def _due(self, topic: str, stamp_ns: int, period_ns: int = PERIOD_NS) -> bool:
+        if stamp_ns - self._said_ns.get(topic, -AGAIN_NS) < period_ns:
+            return False
+        self._said_ns[topic] = stamp_ns
+        return True
+
+    def _line(self, topic: str, stamp_ns: int, record: Record) -> Standard:
+        level = LEVELS.get(topic, LogLevel.Info)
+        return "/log", Line(timestamp=time_of(stamp_ns), level=level, name=self._name, message=_LINES[topic](record))
+
+    # --- what does not change ------------------------------------------------------------------------------------
+
+    def _on_setup(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
+        self._setup = record
+        yield from self._again(stamp_ns, record)
+
+    def _again(self, stamp_ns: int, _: Record) -> Iterator[Standard]:
+        if self._setup is None or not self._due("/calibration", stamp_ns, AGAIN_NS // 2):
+            return
+        yield "/calibration", self._calibration(stamp_ns, self._setup["camera"])
+        mounts = [_transform(stamp_ns, self._body, self.camera, self._setup["T_b_c"])]
+        if self._setup["role"] == "sender":
+            mounts.append(_transform(stamp_ns, self._body, self._marker, self._setup["T_b_v"]))
+        north = FrameTransform(
+            timestamp=time_of(stamp_ns), parent_frame_id="world", child_frame_id="n", translation=Vector3(),
+            rotation=ENU_OF_NED,
+        )  # fmt: skip
+        yield "/tf", FrameTransforms(transforms=[north, *mounts])
+        yield "/3d", SceneUpdate(entities=self._bodies(stamp_ns, self._setup))
+
+    def _calibration(self, stamp_ns: int, camera: Record) -> Message:
+        fx, fy, cx, cy = (camera[name] for name in ("fx", "fy", "cx", "cy"))
+        return CameraCalibration(
+            timestamp=time_of(stamp_ns),
+            frame_id=self.camera,
+            width=camera["width"],
+            height=camera["height"],
+            distortion_model="plumb_bob",
+            D=list(camera["distortion"]),
+            K=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+            R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            P=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+        )
+
+    def _bodies(self, stamp_ns: int, setup: Record) -> list[SceneEntity]:
+        color = BLUE if setup["role"] == "sender" else ORANGE
+        body = CubePrimitive(pose=_pose((0.0, 0.0, 0.0), AS_IT_IS), size=_vector(BODY_M), color=color)
+        entities = [
+            self._entity(stamp_ns, self._body, "body", cubes=[body]),
+            self._entity(stamp_ns, self.camera, "frustum", lines=[_frustum(setup["camera"], color)]),
+        ]
+        if setup["role"] == "sender":
+            squares = [
+                LinePrimitive(
+                    type=LinePrimitiveLineType.LineLoop,
+                    points=[_point(c) for c in corners],
+                    color=PINK,
+                    thickness=0.004,
+                )
+                for corners in np.reshape(setup["markers_v_m"], (-1, 4, 3)).tolist()
+            ]
+            entities.append(self._entity(stamp_ns, self._marker, "marker", lines=squares))
+        return entities
+
+    def _entity(self, stamp_ns: int, frame: str, name: str, **parts: Any) -> SceneEntity:
+        entity_id = f"{self._name}/{name}"
+        return SceneEntity(timestamp=time_of(stamp_ns), frame_id=frame, id=entity_id, frame_locked=True, **parts)
+
+    # --- what a drone knows --------------------------------------------------------------------------------------
+
+    def _on_state(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
+        position = record["position_n_m"]
+        if not all(map(math.isfinite, position)):
+            return
+        yield "/tf", FrameTransforms(transforms=[_moved(stamp_ns, "n", self._body, position, record["q_n_b"])])
+        if self._setup is not None:
+            yield "/position", _fix(stamp_ns, self._setup["origin"], position)
+
+    def _on_target(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
+        self._newest["/target"] = stamp_ns, record
+        point = record["point_v_m"]
+        if point is not None and self._due("/3d", stamp_ns):
+            target = self._entity(
+                stamp_ns, self._marker, "target", spheres=[_sphere(point, record["sigma_m"], PALE_BLUE)]
+            )
+            yield "/3d", SceneUpdate(entities=[target])
+        yield from self._draw(stamp_ns)
+
+    def _on_frame(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
+        """``/track`` or ``/candidate``: the last word on a frame."""
+        self._newest["/candidate" if "prior_px" in record else "/track"] = stamp_ns, record
+        point = record.get("point_v_m")
+        if point is not None and self._due("/3d target", stamp_ns):
+            sphere = _sphere(point, record["sigma_m"], PALE_ORANGE)
+            target = self._entity(stamp_ns, self._seen, "target", spheres=[sphere])
+            yield "/3d", SceneUpdate(entities=[target])
+        yield from self._draw(stamp_ns)
+
+    def _on_agreement(self, stamp_ns: int, record: Record) -> Iterable[Standard]:
+        self._newest["/agreement"] = stamp_ns, record
+        return ()
+
+    def _on_marker(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
+        self._newest["/marker"] = stamp_ns, record
+        position = record["position_v_m"]
+        if position is not None and self._due("/3d", stamp_ns):
+            w, x, y, z = record["rotation_v_c2"]
+            back = (w, -x, -y, -z)
+            marker_c = -_turned(back, position)
+            yield "/tf", FrameTransforms(transforms=[_moved(stamp_ns, self.camera, self._seen, marker_c, back)])
+            yield "/3d", SceneUpdate(entities=[self._distance(stamp_ns, marker_c)])
+        candidate = self._newest.get("/candidate")
+        if candidate is None or stamp_ns - candidate[0] > 3 * PERIOD_NS:
+            yield from self._draw(stamp_ns)
+
+    def _distance(self, stamp_ns: int, marker_c: Sequence[float]) -> SceneEntity:
+        line = LinePrimitive(
+            type=LinePrimitiveLineType.LineStrip, points=[Point3(), _point(marker_c)], color=PINK, thickness=0.005
+        )
+        middle = _pose([c / 2 for c in marker_c], AS_IT_IS)
+        text = TextPrimitive(
+            pose=middle, billboard=True, font_size=0.08, color=PINK, text=f"{math.hypot(*marker_c):.2f} m"
+        )
+        return self._entity(stamp_ns, self.camera, "separation", lines=[line], texts=[text])
+
+    # --- over the images -----------------------------------------------------------------------------------------
+
+    def _draw(self, stamp_ns: int) -> Iterator[Standard]:
+        if self._due("/annotations", stamp_ns):
+            yield self._annotations(stamp_ns)
+
+    def _annotations(self, stamp_ns: int) -> Standard:
+        self._said_ns["/annotations"] = stamp_ns
+        points: list[PointsAnnotation] = []
+        texts: list[TextAnnotation] = []
+        for topic, color in (("/target", BLUE), ("/track", BLUE), ("/candidate", ORANGE)):
+            record = self._lately(topic, stamp_ns)
+            points += _box(stamp_ns, record.get("box"), color)
+        pair = self._lately("/agreement", stamp_ns)
+        points += _box(stamp_ns, pair.get("mapped_box"), ORANGE)
+        if pair:
+            texts.append(_text(stamp_ns, _verdict(pair), GREEN if pair["agreed"] else RED))
+        answer = self._lately("/candidate", stamp_ns)
+        if region := answer.get("region"):
+            x0, y0, x1, y1 = region
+            points += _box(stamp_ns, (x0, y0, x1 - x0, y1 - y0), GREY)
+        if prior := answer.get("prior_px"):
+            u, v = prior
+            cross = [(u - 6, v), (u + 6, v), (u, v - 6), (u, v + 6)]
+            points.append(_lines(stamp_ns, PointsAnnotationType.LineList, cross, GREY))
+        marker = self._lately("/marker", stamp_ns)
+        if marker.get("corners_px") is not None:
+            corners = np.reshape(marker["corners_px"], (-1, 2)).tolist()
+            points.append(_lines(stamp_ns, PointsAnnotationType.LineLoop, corners, PINK))
+        for topic in ("/target", "/candidate", "/marker"):
+            if reason := self._lately(topic, stamp_ns).get("reason"):
+                texts.append(_text(stamp_ns, reason, RED, line=1))
+                break
+        return "/annotations", ImageAnnotations(timestamp=time_of(stamp_ns), points=points, texts=texts)
+
+    def _lately(self, topic: str, stamp_ns: int) -> Record:
+        """The newest record of a topic, when it is of about this instant."""
+        newest = self._newest.get(topic)
+        return newest[1] if newest is not None and abs(stamp_ns - newest[0]) < 3 * PERIOD_NS else {}
+
+    # --- the world -----------------------------------------------------------------------------------------------
+
+    def _on_scene(self, stamp_ns: int, record: Record) -> Iterable[Standard]:
+        del stamp_ns
+        self._scene = record
+        return ()
+
+    def _on_truth(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
+        if self._scene is None or not self._due("/3d", stamp_ns):
+            return
+        bodies = [body for body in record.values() if isinstance(body, Mapping) and "q" in body]
+        cubes = [CubePrimitive(pose=_pose(body["t"], body["q"]), size=_vector(BODY_M), color=GHOST) for body in bodies]
+        for each in record["objects"]:
+            color = GREEN if each["id"] == self._scene["target_id"] else GREY
+            half = each["yaw"] / 2.0
+            turn = (math.cos(half), 0.0, 0.0, math.sin(half))
+            for part in self._scene["boxes"]:
+                center = np.array(each["t"]) + _turned(turn, part["c"])
+                cubes.append(CubePrimitive(pose=_pose(center, turn), size=_vector(part["s"]), color=color))
+        yield "/3d", SceneUpdate(entities=[self._entity(stamp_ns, "world", "truth", cubes=cubes)])
+
+
+_LINES: dict[str, Callable[[Record], str]] = {
+    "/phase": lambda r: f"phase {r['phase']}" + (f": {r['note']}" if r["note"] else ""),
+    "/note": lambda r: str(r["note"]),
+    "/outcome": lambda r: f"outcome {r['outcome']}" + (f": {r['detail']}" if r["detail"] else ""),
+    "/responsibility": lambda r: f"responsible: {r['responsible']}" + ("" if r["until_ns"] is None else ", in a lease"),
+    "/commit": lambda r: f"commit of target {r['target_id']} in epoch {r['epoch']}",
+    "/decision": lambda r: f"decision {r['outcome']}" + (f": {r['reason']}" if r["reason"] else ""),
+    "/refused": lambda r: f"refused: {r['why']}",
+    "/guard": lambda r: f"guard {r['stage']}: {r['act']} {r['reason']}",
+    "/guard_alarm": lambda r: f"guard ignores {r['ignored']}",
+    "/violation": lambda r: str(r["detail"]),
+    "/fault": lambda r: f"fault {r['fault']}",
+}
+
+
+def _verdict(pair: Record) -> str:
+    if pair["iou"] is None:
+        return f"{pair['reason']}  {pair['count']}/{pair['needed']}"
+    tau = "" if pair["tau"] is None else f" (needs {pair['tau']:.2f})"
+    return f"IoU {pair['iou']:.2f}{tau}  {pair['count']}/{pair['needed']}"
+
+
+def _turned(q: Sequence[float], point: Sequence[float]) -> Any:
+    w, *vector = q
+    axis, p = np.array(vector), np.array(point, float)
+    t = 2.0 * np.cross(axis, p)
+    return p + w * t + np.cross(axis, t)
+
+
+def _pose(t: Sequence[float], q: Sequence[float]) -> Pose:
+    return Pose(position=_vector(t), orientation=_quaternion(q))
+
+
+def _vector(t: Sequence[float]) -> Vector3:
+    return Vector3(x=t[0], y=t[1], z=t[2])
+
+
+def _quaternion(q: Sequence[float]) -> Quaternion:
+    return Quaternion(w=q[0], x=q[1], y=q[2], z=q[3])
+
+
+def _point(p: Sequence[float]) -> Point3:
+    return Point3(x=p[0], y=p[1], z=p[2])
+
+
+def _moved(stamp_ns: int, parent: str, child: str, t: Sequence[float], q: Sequence[float]) -> FrameTransform:
+    return FrameTransform(
+        timestamp=time_of(stamp_ns), parent_frame_id=parent, child_frame_id=child, translation=_vector(t),
+        rotation=_quaternion(q),
+    )  # fmt: skip
+
+
+def _transform(stamp_ns: int, parent: str, child: str, rows: Sequence[float]) -> FrameTransform:
+    """``rows``: the upper three of a pose's matrix, one after another."""
+    matrix = np.reshape(rows, (3, 4))
+    return _moved(stamp_ns, parent, child, matrix[:, 3].tolist(), quat_from_R(matrix[:, :3]))
+
+
+def _fix(stamp_ns: int, origin: Sequence[float], position_n_m: Sequence[float]) -> Message:
+    """On a sphere of the earth's size: for a map, over a field."""
+    latitude_deg, longitude_deg, altitude_m = origin
+    north, east, down = position_n_m
+    return LocationFix(
+        timestamp=time_of(stamp_ns),
+        frame_id="n",
+        latitude=latitude_deg + math.degrees(north / EARTH_M),
+        longitude=longitude_deg + math.degrees(east / (EARTH_M * math.cos(math.radians(latitude_deg)))),
+        altitude=altitude_m - down,
+    )
+
+
+def _frustum(camera: Record, color: Color) -> LinePrimitive:
+    """Without distortion: what the eye takes for the camera."""
+    edges = [
+        ((u - camera["cx"]) / camera["fx"] * FRUSTUM_M, (v - camera["cy"]) / camera["fy"] * FRUSTUM_M, FRUSTUM_M)
+        for u, v in ((0, 0), (camera["width"], 0), (camera["width"], camera["height"]), (0, camera["height"]))
+    ]
+    points: list[Point3] = []
+    for k, edge in enumerate(edges):
+        points += [Point3(), _point(edge), _point(edge), _point(edges[(k + 1) % 4])]
+    return LinePrimitive(type=LinePrimitiveLineType.LineList, points=points, color=color, thickness=0.01)
+
+
+def _sphere(point: Sequence[float], sigma_m: float, color: Color) -> SpherePrimitive:
+    size = 2.0 * SIGMAS * sigma_m
+    return SpherePrimitive(pose=_pose(point, AS_IT_IS), size=Vector3(x=size, y=size, z=size), color=color)
+
+
+def _box(stamp_ns: int, box: Sequence[float] | None, color: Color) -> list[PointsAnnotation]:
+    if box is None:
+        return []
+    x, y, w, h = box
+    corners = [(x, y), (x + w, y), (x + w, y + h), (x, y + h)]
+    return [_lines(stamp_ns, PointsAnnotationType.LineLoop, corners, color)]
+
+
+def _lines(
+    stamp_ns: int, kind: PointsAnnotationType, points: Sequence[Sequence[float]], color: Color
+) -> PointsAnnotation:
+    return PointsAnnotation(
+        timestamp=time_of(stamp_ns), type=kind, points=[Point2(x=u, y=v) for u, v in points], outline_color=color,
+        thickness=2.0,
+    )  # fmt: skip
+
+
+def _text(stamp_ns: int, text: str, color: Color, line: int = 0) -> TextAnnotation:
+    position = Point2(x=6.0, y=FONT_PX + 6.0 + line * (FONT_PX + 6.0))
+    return TextAnnotation(
+        timestamp=time_of(stamp_ns), position=position, text=text, font_size=FONT_PX, text_color=color,
+        background_color=BACK,
+    )  # fmt: skip

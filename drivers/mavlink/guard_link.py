@@ -1,0 +1,200 @@
+"""The guard's own MAVLink link to one vehicle, PX4 or ArduPilot: what it must see, and two commands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated, Any, Self
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from drivers.interfaces import FlightMode
+from drivers.link.key import signing_key
+from drivers.link.udp import address_of
+from drivers.mavlink.geodesy import LocalTangent
+from drivers.mavlink.guard_interfaces import GuardView
+from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS, SAFETY_ARMED, AutopilotKind
+from drivers.mavlink.port import URL, MavlinkPort
+from drivers.rig.parts import PartContext
+from path.bounds import Bounds
+
+HEARTBEAT, SYS_STATUS, GLOBAL_POSITION = 0, 1, 33
+COMMAND_ACK, EXTENDED_SYS_STATE, CURRENT_MODE = 77, 245, 436
+RATES_HZ = {HEARTBEAT: 10.0, CURRENT_MODE: 10.0, GLOBAL_POSITION: 10.0, EXTENDED_SYS_STATE: 5.0, SYS_STATUS: 2.0}
+WANTED = frozenset({*RATES_HZ, COMMAND_ACK})
+DO_SET_MODE, NAV_LAND, SET_MESSAGE_INTERVAL = 176, 21, 511
+IN_PROGRESS = 5
+OWN_HEARTBEAT_S = 1.0
+ASK_AGAIN_S = 3.0
+STALE_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class GuardMavlinkConfig:
+    """The ``[sender.guard]`` and ``[receiver.guard]`` tables of a rig.
+
+    Attributes:
+        url: a second way to the autopilot, ``udpin://127.0.0.1:14551`` (an endpoint of a MAVLink router),
+            ``udpout://10.0.0.2:14550``, ``serial:///dev/ttyTHS2:57600``; never the one the role uses.
+        vehicle_sysid: of the vehicle, as in ``[*.vehicle]``.
+        bind: where the role's program and its guard meet, on this computer.
+        key_file: of MAVLink 2's signatures, 32 bytes, mode 0600, the one that the autopilot was given
+            (SETUP_SIGNING); then only what is rightly signed is believed, and all that is sent is signed.
+        own_sysid, own_compid: who the guard is on MAVLink. Not the number that ArduPilot's MAV_GCS_SYSID or PX4's data
+            link loss watches: a guard that lives must not hide that the role's program died.
+    """
+
+    url: str
+    bind: str
+    vehicle_sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 1
+    own_sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 246
+    own_compid: Annotated[int, Bounds(1, 255, "(an id)")] = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+    key_file: Path | None = None
+
+    def __post_init__(self) -> None:
+        if URL.fullmatch(self.url) is None:
+            raise ValueError(
+                f"url: {self.url!r} is not like udpin://HOST:PORT, udpout://HOST:PORT, serial://DEVICE:BAUD"
+            )
+        host, _ = address_of(self.bind, "bind")
+        if not host.startswith("127."):
+            raise ValueError("bind: a guard listens on its own computer only, such as 127.0.0.1:14561")
+        for name in ("vehicle_sysid", "own_sysid", "own_compid"):
+            if not 1 <= getattr(self, name) <= 255:
+                raise ValueError(f"{name} must be within 1..255")
+        if self.vehicle_sysid == self.own_sysid:
+            raise ValueError("vehicle_sysid and own_sysid must differ")
+
+
+class GuardMavlink:
+    """A ``drivers.mavlink.guard_interfaces.Watched``. A command is one packet a call, never repeated here."""
+
+    Config = GuardMavlinkConfig
+
+    def __init__(self, config: GuardMavlinkConfig, context: PartContext) -> None:
+        self._config, self._clock, origin = config, context.clock, context.origin
+        self._tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+        self._port: MavlinkPort | None = None
+        self._kind: AutopilotKind | None = None
+        self._heartbeat: tuple[int, Any] | None = None
+        self._mode, self._mode_told = FlightMode.OTHER, 0
+        self._position: tuple[int, tuple[float, float, float]] = (0, (math.nan, math.nan, math.nan))
+        self._in_air = True  # until it is told: nothing is done in the air that would be wrong on the ground
+        self._battery = math.nan
+        self._commanded: int | None = None
+        self._acked: bool | None = None
+        self._asked_ns = 0
+        self._beat_ns = 0
+
+    @property
+    def name(self) -> str:
+        return f"vehicle {self._config.vehicle_sysid} on {self._config.url}"
+
+    @property
+    def ignored(self) -> Mapping[str, int]:
+        return {} if self._port is None else self._port.ignored
+
+    async def __aenter__(self) -> Self:
+        config = self._config
+        own = config.own_sysid, config.own_compid
+        key = signing_key(config.key_file)
+        self._port = MavlinkPort(config.url, config.vehicle_sysid, own, WANTED, self._clock.now_ns, key)
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None:
+        port, self._port = self._port, None
+        if port is not None:
+            port.close()
+
+    def view(self) -> GuardView | None:
+        self._read()
+        if self._heartbeat is None or self._kind is None:
+            return None
+        heartbeat_ns, heartbeat = self._heartbeat
+        position_ns, position_n_m = self._position
+        return GuardView(
+            heartbeat_ns=heartbeat_ns,
+            position_ns=position_ns,
+            armed=bool(heartbeat.base_mode & SAFETY_ARMED),
+            in_air=self._in_air,
+            mode=self._mode,
+            position_n_m=position_n_m,
+            battery=self._battery,
+            acked=self._acked,
+            mode_told=self._mode_told,
+        )
+
+    def hold(self) -> None:
+        if self._kind is None:
+            return  # it was never heard: there is nobody to command
+        main, sub = self._kind.set_mode[FlightMode.HOLD]
+        self._command(DO_SET_MODE, CUSTOM_MODE_ENABLED, main, sub)
+
+    def land(self) -> None:
+        if self._kind is None:
+            return
+        unset = math.nan if self._kind.unset is None else self._kind.unset
+        self._command(NAV_LAND, 0.0, 0.0, 0.0, unset, unset, unset)
+
+    # --- inside ---
+
+    def _command(self, command: int, *params: float) -> None:
+        self._commanded, self._acked = command, None
+        self._send_command(command, *params)
+
+    def _send_command(self, command: int, *params: float) -> None:
+        filled = [*params, *([0.0] * (7 - len(params)))]
+        target = self._config.vehicle_sysid, mavlink.MAV_COMP_ID_AUTOPILOT1
+        self._send(mavlink.MAVLink_command_long_message(*target, command, 0, *filled))
+
+    def _send(self, message: Any) -> None:
+        if self._port is not None:
+            self._port.send(message)
+
+    def _read(self) -> None:
+        if self._port is None:
+            return
+        now_ns = self._clock.now_ns()
+        for message in self._port.read():
+            self._take(message, now_ns)
+        if (now_ns - self._beat_ns) * 1e-9 >= OWN_HEARTBEAT_S:
+            self._beat_ns = now_ns
+            companion = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+            self._send(mavlink.MAVLink_heartbeat_message(*companion, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
+        late = (now_ns - self._position[0]) * 1e-9 > STALE_S
+        if self._heartbeat is not None and late and (now_ns - self._asked_ns) * 1e-9 >= ASK_AGAIN_S:
+            self._asked_ns = now_ns
+            for message_id, rate_hz in RATES_HZ.items():
+                self._send_command(SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
+
+    def _take(self, message: Any, now_ns: int) -> None:
+        match message.get_msgId():
+            case 0:  # HEARTBEAT
+                self._kind = next((kind for kind in KINDS if kind.mav_autopilot == message.autopilot), self._kind)
+                self._heartbeat = now_ns, message
+                self._note_mode(message.custom_mode)
+            case 1:  # SYS_STATUS
+                if 0 <= message.battery_remaining <= 100:
+                    self._battery = message.battery_remaining / 100.0
+            case 33:  # GLOBAL_POSITION_INT
+                place = message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3
+                self._position = now_ns, self._tangent.to_ned(*place)
+            case 77 if message.command == self._commanded and message.result != IN_PROGRESS:  # COMMAND_ACK
+                self._acked = message.result == mavlink.MAV_RESULT_ACCEPTED
+            case 245:  # EXTENDED_SYS_STATE
+                self._in_air = message.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
+            case 436 if self._kind is not None:  # CURRENT_MODE: PX4 beats once a second, whatever it is asked for
+                if self._kind.news(message.custom_mode, self._mode, self._mode_told):
+                    self._note_mode(message.custom_mode)
+            case _:
+                pass
+
+    def _note_mode(self, custom_mode: int) -> None:
+        if self._kind is not None:
+            mode = self._kind.mode(custom_mode)
+            self._mode, self._mode_told = mode, self._mode_told + 1 if mode is self._mode else 1

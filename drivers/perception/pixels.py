@@ -1,0 +1,225 @@
+"""The perception of a role with a camera: its frames, and what a detector and the marker finder see in them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from types import TracebackType
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import Camera, CameraError, Capability, Detector, Frame, lacking
+from drivers.perception.depth_mask import without_elsewhere
+from drivers.perception.depth_pieces import DepthSlice
+from drivers.perception.freshness import Freshness
+from drivers.rig.calibration_file import check_serial, check_size
+from drivers.rig.part_check import Finding, examined, rate_of
+from drivers.rig.parts import PartContext, PartSpec, create
+from path.agreement import iou
+from path.bounds import Bounds
+from path.camera import CameraModel
+from path.config import MethodConfig
+from path.marker.detect import detect_markers
+from path.marker.layout import MarkerLayout
+from path.monocular import TargetSize, monocular_range
+from path.observations import Box, Depth, Detection, MarkerDetection, Region
+from path.target import depth_sigma, registered_depth
+
+Corners = Literal["photometric", "subpix"]
+Ranging = Callable[[Box], Depth | None]
+DEPTH_SIGMAS = 2.0  # of the depth camera's own noise
+_TURNS = 3  # of the event loop before a frame that waits already: a setpoint takes as many from its timer to the wire
+RANGE_SIGMAS = 3.0  # of a range by the target's size
+UNCUT_IOU, CUT_SCORE = 0.85, 0.5  # of a box with the same before depth cut something off; of a piece that looks whole
+
+
+@dataclass(frozen=True, slots=True)
+class PixelSightConfig:
+    """
+    Attributes:
+        camera, detector: parts by name.
+        corners: how marker corners are refined.
+        method: of the method's settings, those about depth.
+        target: size of the target, for a camera without depth: how far away it is, is taken from its box.
+        max_old_frames: this many frames in a row with an old or repeated stamp are a fault of the camera's clock.
+    """
+
+    camera: PartSpec
+    detector: PartSpec
+    corners: Corners = "photometric"
+    method: MethodConfig = field(default_factory=MethodConfig)
+    target: TargetSize | None = None
+    max_old_frames: Annotated[int, Bounds(1, 10000, "frames")] = 30
+
+
+class PixelSight:
+    """Implements ``drivers.interfaces.Sight`` over a camera, which it opens, and a detector."""
+
+    Config = PixelSightConfig
+
+    def __init__(self, config: PixelSightConfig, context: PartContext) -> None:
+        self._config = config
+        self._camera: Camera = create(config.camera, context)
+        self._detector: Detector = create(config.detector, context)
+        self._layout = context.layout
+        self._calibrated_serial = context.camera_serial
+        size = config.target
+        self._ranging = None if size is None else partial(monocular_range, camera=context.camera, size=size)
+        self._freshness = Freshness(config.max_old_frames)
+
+    @property
+    def dropped(self) -> int:
+        """Frames that came with an old or repeated stamp or id and were not given on."""
+        return self._freshness.dropped
+
+    @property
+    def model(self) -> CameraModel:
+        return self._camera.model
+
+    @property
+    def lacks(self) -> frozenset[Capability]:
+        """What the camera lacks, but for ranges that the target's size gives."""
+        of_camera = lacking(self._camera)
+        return of_camera if self._ranging is None else of_camera - {Capability.RANGE}
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Frames a second that the camera is set to; None when it does not say."""
+        return rate_of(self._camera)
+
+    async def examine(self) -> Sequence[Finding]:
+        """What the camera says of itself, and whether it is the calibrated one."""
+        return [*await examined(self._camera), self._serial()]
+
+    def _serial(self) -> Finding:
+        """Another camera than the calibrated one is refused when it is opened."""
+        serial: str = getattr(self._camera, "serial", "")
+        if self._calibrated_serial and serial:
+            return Finding("ok", "calibration", f"is of this camera, serial {serial}")
+        silent = f"this camera is {serial}" if serial else "it is not compared with the camera's"
+        of = (
+            f"is of serial {self._calibrated_serial}"
+            if self._calibrated_serial
+            else "does not say of which camera it is"
+        )
+        fix = "calibrate it: `path-handoff calibrate camera` writes the serial number down" if serial else ""
+        return Finding("note", "calibration", f"{of}; {silent}", fix)
+
+    async def __aenter__(self) -> Self:
+        """Opens the camera. Raises CameraError, also when it is not the one that the calibration is of."""
+        camera = await self._camera.__aenter__()
+        try:
+            check_serial(self._calibrated_serial, getattr(camera, "serial", ""), "camera")
+        except CameraError:
+            await self._camera.__aexit__(None, None, None)
+            raise
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self._camera.__aexit__(kind, error, trace)
+
+    async def view(self, timeout_s: float) -> PixelView:
+        """The newest view not yet given.
+
+        Raises:
+            CameraError: none came in time, its size is not that of the calibration, or the camera's clock went back.
+        """
+        for _ in range(_TURNS):
+            await asyncio.sleep(0)
+        frame = await self._freshness.next(self._camera.read, timeout_s)
+        _check_size(frame, self.model)
+        config = self._config
+        return PixelView(frame, self.model, self._layout, self._detector, config.method, config.corners, self._ranging)
+
+
+class PixelView:
+    """Implements ``drivers.interfaces.View`` on one frame. Every question is answered from the pixels when asked."""
+
+    __slots__ = ("_corners", "_detector", "_frame", "_layout", "_method", "_model", "_ranging")
+
+    def __init__(
+        self,
+        frame: Frame,
+        model: CameraModel,
+        layout: MarkerLayout,
+        detector: Detector,
+        method: MethodConfig,
+        corners: Corners = "photometric",
+        ranging: Ranging | None = None,
+    ) -> None:
+        self._frame, self._model, self._layout = frame, model, layout
+        self._detector, self._method = detector, method
+        self._corners: Corners = corners
+        self._ranging = ranging  # in place of a depth stream
+
+    @property
+    def stamp_ns(self) -> int:
+        return self._frame.stamp_ns
+
+    @property
+    def frame_id(self) -> int:
+        return self._frame.frame_id
+
+    def targets(self, region: Region | None) -> Sequence[Detection]:
+        """Target-like objects with their box centre in ``region``, best score first.
+
+        With a depth stream, only those that are not known to be nearer or farther than the region says. What touches
+        them in the image, at another depth, is cut off; what is left of other things by that is odd in shape.
+        """
+        frame, detector = self._frame, self._detector
+        if region is None or region.any_depth:
+            return detector.detect(frame.color, region)
+        if frame.depth_mm is None:
+            return [each for each in detector.detect(frame.color, region) if self._may_be_within(region, each.box)]
+        near_m = region.near_m - DEPTH_SIGMAS * depth_sigma(region.near_m, self._method)
+        far_m = region.far_m + DEPTH_SIGMAS * depth_sigma(region.far_m, self._method)
+        if getattr(detector, "whole_image", False):
+            found = detector.detect(frame.color, region)
+            return [each for each in found if (z := self.depth(each.box)) is None or near_m <= z.z_m <= far_m]
+        depths = DepthSlice(frame.depth_mm, (near_m, far_m), self._method.depth_sigma_at_1m_m)
+        shown = without_elsewhere(frame.color, depths.depth_mm, depths.limits_m, depths.sigma_at_1m_m, region)
+        cut = depths.united(detector.detect(shown, region))
+        found = detector.detect(frame.color, region) if cut else ()
+        kept = [whole if (whole := _whole_of(each, found)) is not None else each for each in cut]
+        sure = [each for each in kept if each in found or each.score >= CUT_SCORE]
+        return sure or [each for each in kept if depths.is_thing(each)]
+
+    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
+        """Markers of the layout in ``region``."""
+        return detect_markers(self._frame.color, region, self._layout, self._model, refine=self._corners)
+
+    def depth(self, box: Box) -> Depth | None:
+        """Robust depth over a box (``path.target.registered_depth``); without a depth stream, by the target's size."""
+        depth_mm = self._frame.depth_mm
+        if depth_mm is not None:
+            return registered_depth(depth_mm, box, self._method)
+        return None if self._ranging is None else self._ranging(box)
+
+    def image(self) -> NDArray[np.uint8]:
+        return self._frame.color
+
+    def _may_be_within(self, region: Region, box: Box) -> bool:
+        """Whether a target in this box can be as far away as the region says; yes where that is not known."""
+        depth = None if self._ranging is None else self._ranging(box)
+        if depth is None:
+            return True
+        reach_m = RANGE_SIGMAS * depth.sigma_m
+        return region.near_m - reach_m <= depth.z_m <= region.far_m + reach_m
+
+
+def _whole_of(part: Detection, found: Sequence[Detection]) -> Detection | None:
+    """The same thing where nothing is cut off, and its edges are exact; None when there was something to cut off."""
+    whole = max(found, key=lambda each: iou(each.box, part.box), default=None)
+    return whole if whole is not None and iou(whole.box, part.box) >= UNCUT_IOU else None
+
+
+def _check_size(frame: Frame, model: CameraModel) -> None:
+    for kind, image in (("colour", frame.color), ("depth", frame.depth_mm)):
+        if image is not None:
+            check_size((model.width, model.height), (image.shape[1], image.shape[0]), f"{kind} stream")

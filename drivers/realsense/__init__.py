@@ -1,0 +1,1 @@
+"""Intel RealSense D400 cameras: colour with depth registered to it."""

@@ -1,0 +1,260 @@
+"""The part of ``pyrealsense2`` that the driver uses, with types; nothing else here knows that library.
+
+Frames are taken from the sensors through one bounded queue, not from librealsense's pipeline: it takes devices of the
+computer's USB only, and its syncer holds frames back.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import CameraError
+from drivers.perception.stamp_clock import Domain
+from drivers.realsense.library_import import import_realsense
+from path.camera import CameraModel
+from path.geometry import Pose
+
+Kind = Literal["color", "depth"]
+Filter = Literal["spatial", "temporal", "hole_filling"]
+FORMATS: dict[Kind, str] = {"color": "bgr8", "depth": "z16"}
+QUEUE_FRAMES = 8  # four pairs; when nobody takes them, the oldest go
+READOUT_LIMIT_US = 1_000_000
+WRAP_US = 1 << 32
+
+
+@dataclass(frozen=True, slots=True)
+class Streams:
+    """What a device is asked for. Sizes: (width, height) in px; ``exposure_us``: of the colour camera, 0 = its own."""
+
+    color_size: tuple[int, int]
+    depth_size: tuple[int, int]
+    fps: int
+    filters: tuple[Filter, ...] = ()
+    emitter: bool = True
+    exposure_us: int = 0
+
+    def size(self, kind: Kind) -> tuple[int, int]:
+        return self.color_size if kind == "color" else self.depth_size
+
+
+@dataclass(frozen=True, slots=True)
+class RawImage:
+    """One image as the device gives it.
+
+    Attributes:
+        number: counted by the device.
+        stamp_ns: middle of the exposure, clock of ``domain``.
+        pixels: (h, w, 3) uint8 BGR or (h, w) uint16 of the device's depth unit; a view of ``frame``'s memory.
+    """
+
+    kind: Kind
+    number: int
+    stamp_ns: int
+    domain: Domain
+    pixels: NDArray[np.uint8] | NDArray[np.uint16]
+    frame: Any
+
+
+class RealSenseDevice:
+    """A device with both of its streams running, from construction to ``close``.
+
+    Attributes:
+        depth: intrinsics of the depth stream; T_color_depth: factory extrinsics; unit_m: metres of one depth step.
+    """
+
+    def __init__(self, device: Any, streams: Streams, record: Path | None = None) -> None:
+        """
+        Args:
+            device: a ``pyrealsense2.device``.
+            record: write all frames to this file (``.db3``).
+
+        Raises:
+            CameraError: it has no such streams, is in use, or the file cannot be written.
+        """
+        self._rs = import_realsense()
+        self._device = device if record is None else _recorder(self._rs, device, record)
+        self._playback = device.as_playback() if device.is_playback() else None
+        self._queue = self._rs.frame_queue(QUEUE_FRAMES)
+        self._filters = [getattr(self._rs, f"{name}_filter")() for name in streams.filters]
+        self._running: list[Any] = []
+        try:
+            self._start(streams)
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self, streams: Streams) -> None:
+        if self._playback is not None:
+            self._playback.pause()  # else the first stream would run before the second is there
+        kinds: tuple[Kind, ...] = ("depth", "color")
+        found = {kind: _find(self._device, kind, streams) for kind in kinds}
+        depth_sensor, depth = found["depth"]
+        color_sensor, color = found["color"]
+        self.unit_m = float(depth_sensor.get_option(self._rs.option.depth_units))
+        self.depth = _intrinsics(self._rs, depth)
+        self.T_color_depth = _extrinsics(depth, color)
+        if self._playback is None:
+            _set_up(self._rs, depth_sensor, color_sensor, streams)
+        for sensor, profile in found.values():
+            try:
+                sensor.open(profile)
+                self._running.append(sensor)
+                sensor.start(self._queue)
+            except RuntimeError as error:
+                raise CameraError(
+                    f"{described(self._device)} does not start: {error}",
+                    "end the other program that uses it, or plug it in again",
+                ) from error
+        if self._playback is not None:
+            self._playback.resume()
+
+    @property
+    def at_end(self) -> bool:
+        """A recording that was played to its end."""
+        return self._playback is not None and self._playback.current_status() == self._rs.playback_status.stopped
+
+    def next(self, timeout_s: float) -> RawImage | None:
+        """The oldest image that waits, filtered if it is depth; None when none came in time."""
+        there, frame = self._queue.try_wait_for_frame(max(round(timeout_s * 1000.0), 0))
+        if not there:
+            return None
+        kind: Kind = "depth" if frame.is_depth_frame() else "color"
+        if kind == "depth":
+            for each in self._filters:
+                frame = each.process(frame)
+        domain = Domain(frame.get_frame_timestamp_domain().name)
+        stamp_ns = _mid_exposure_ns(self._rs, frame, domain)
+        return RawImage(kind, frame.get_frame_number(), stamp_ns, domain, np.asanyarray(frame.get_data()), frame)
+
+    def close(self) -> None:
+        """Stop what runs. What the library says to that is of no use any more."""
+        for sensor in self._running:
+            with suppress(RuntimeError):
+                sensor.stop()
+            with suppress(RuntimeError):
+                sensor.close()
+        self._running = []
+        self._device = self._playback = None  # a recording is complete when its recorder is gone
+
+
+def described(device: Any) -> str:
+    """``Intel RealSense D415 (serial 0123)``."""
+    info = import_realsense().camera_info
+    name, serial = (device.get_info(key) if device.supports(key) else "?" for key in (info.name, info.serial_number))
+    return f"{name} (serial {serial})"
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What a device says of itself; "" for what it does not say. ``recommended``: firmware, by this librealsense."""
+
+    name: str
+    serial: str
+    firmware: str
+    recommended: str
+    usb: str
+
+
+def identity_of(device: Any) -> Identity:
+    info = import_realsense().camera_info
+    keys = info.name, info.serial_number, info.firmware_version, info.recommended_firmware_version
+    said = [str(device.get_info(key)) if device.supports(key) else "" for key in (*keys, info.usb_type_descriptor)]
+    return Identity(*said)
+
+
+def serial_of(device: Any) -> str:
+    key = import_realsense().camera_info.serial_number
+    return str(device.get_info(key)) if device.supports(key) else ""
+
+
+def connected() -> list[Any]:
+    """The cameras on this computer's USB."""
+    return list(import_realsense().context().query_devices())
+
+
+def load_recording(file: Path) -> Any:
+    """A recording as a device. Raises CameraError when it cannot be read."""
+    try:
+        return import_realsense().context().load_device(str(file))
+    except RuntimeError as error:
+        raise CameraError(
+            f"{file} cannot be played: {error}", "name a RealSense recording (.db3, or .bag of an older library)"
+        ) from error
+
+
+def _recorder(rs: Any, device: Any, file: Path) -> Any:
+    try:
+        return rs.recorder(str(file), device)
+    except RuntimeError as error:
+        raise CameraError(f"{file} cannot be recorded: {error}", "name a folder that can be written to") from error
+
+
+def _find(device: Any, kind: Kind, streams: Streams) -> tuple[Any, Any]:
+    """Sensor and profile of one stream. Raises CameraError listing what there is."""
+    (width, height), offered = streams.size(kind), set[tuple[int, int, int]]()
+    for sensor in device.query_sensors():
+        for profile in sensor.get_stream_profiles():
+            if (profile.stream_type().name, profile.format().name) != (kind, FORMATS[kind]):
+                continue
+            video = profile.as_video_stream_profile()
+            if (video.width(), video.height(), video.fps()) == (width, height, streams.fps):
+                return sensor, video
+            offered.add((video.width(), video.height(), video.fps()))
+    listed = ", ".join(f"{w}x{h} at {fps}" for w, h, fps in sorted(offered)) or "none"
+    raise CameraError(
+        f"{described(device)} has no {kind} stream of {width}x{height} px at {streams.fps} Hz; it has: {listed}",
+        "choose one of these; a slow USB port hides the faster ones",
+    )
+
+
+def _intrinsics(rs: Any, profile: Any) -> CameraModel:
+    it = profile.get_intrinsics()
+    coefficients = tuple(float(k) for k in it.coeffs)
+    if any(coefficients) and it.model not in (rs.distortion.brown_conrady, rs.distortion.none):
+        raise CameraError(f"the depth stream has a lens of another kind: {it.model}", "use a camera of the D400 family")
+    k1, k2, p1, p2, k3 = coefficients
+    return CameraModel(it.width, it.height, it.fx, it.fy, it.ppx, it.ppy, (k1, k2, p1, p2, k3))
+
+
+def _extrinsics(depth: Any, color: Any) -> Pose:
+    it = depth.get_extrinsics_to(color)
+    R = np.array(it.rotation, float).reshape(3, 3).T  # column by column
+    return Pose(R, np.array(it.translation, float))
+
+
+def _set_up(rs: Any, depth_sensor: Any, color_sensor: Any, streams: Streams) -> None:
+    """Options that the sensors have; a frame rate that sinks in the dark is switched off."""
+    wanted = [
+        (depth_sensor, rs.option.emitter_enabled, float(streams.emitter)),
+        (color_sensor, rs.option.auto_exposure_priority, 0.0),
+        (color_sensor, rs.option.enable_auto_exposure, float(streams.exposure_us == 0)),
+    ]
+    if streams.exposure_us:
+        wanted.append((color_sensor, rs.option.exposure, streams.exposure_us / 100.0))  # in steps of 100 us
+    for sensor, option, value in wanted:
+        if not sensor.supports(option):
+            continue
+        try:
+            sensor.set_option(option, value)
+        except RuntimeError as error:
+            raise CameraError(f"{option.name} cannot be set to {value:g}: {error}", "leave that option out") from error
+
+
+def _mid_exposure_ns(rs: Any, frame: Any, domain: Domain) -> int:
+    """The frame's stamp is taken when its transfer begins; where the metadata tell, go back to the exposure."""
+    stamp_us = frame.get_timestamp() * 1000.0
+    keys = rs.frame_metadata_value
+    if frame.supports_frame_metadata(keys.frame_timestamp) and frame.supports_frame_metadata(keys.sensor_timestamp):
+        sent_us = frame.get_frame_metadata(keys.frame_timestamp)
+        exposed_us = frame.get_frame_metadata(keys.sensor_timestamp)
+        already = domain is Domain.HARDWARE and abs(stamp_us - exposed_us) < abs(stamp_us - sent_us)
+        readout_us = (sent_us - exposed_us) % WRAP_US
+        if not already and readout_us < READOUT_LIMIT_US:
+            stamp_us -= readout_us
+    return round(stamp_us * 1000.0)

@@ -1,0 +1,1 @@
+"""Films, image folders and logs, played as a camera."""

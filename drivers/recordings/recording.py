@@ -1,0 +1,274 @@
+"""Recordings of a camera as frames with stamps: a video file, a folder of images, or a log of PATH with images in it.
+
+A recording is opened once to see that it can be played at all, and then gives its frames in order as often as it is
+asked. Nothing is decoded before a frame is loaded.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import CameraError
+from drivers.log.mcap_log import LogRecord, decode_image, read_log
+from drivers.recordings.video_file import VIDEO_SUFFIXES, VideoError, video_frames
+
+Image = NDArray[np.uint8]
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+STAMPS_FILE = "stamps.csv"
+NS_DIGITS = 16  # file names of at least as many digits are nanoseconds
+SEARCHED = 5000  # records of a log in which its kinds of images are looked for
+REMEDY = "name a video file, a folder of images, or an .mcap log with images"
+
+
+class RecordingError(CameraError):
+    """A recording cannot be opened, or is damaged."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """Pixels of a frame: BGR, and depth in mm registered to it, if it was recorded."""
+
+    color: Image
+    depth_mm: NDArray[np.uint16] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFrame:
+    """One frame, not decoded yet. ``stamp_ns``: of the recording's own clock. ``load`` raises RecordingError."""
+
+    name: str
+    stamp_ns: int
+    load: Callable[[], Loaded]
+
+
+class Recording(Protocol):
+    """What was recorded. ``count``: frames, None when that is not known before they are read."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def count(self) -> int | None: ...
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        """From the beginning. Raises RecordingError where it is damaged."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingOptions:
+    """
+    Attributes:
+        rate_hz: of images without stamps; None: they are refused.
+        stamps: CSV with columns ``file`` and ``stamp_ns`` or ``stamp_s``; None: ``stamps.csv`` in the folder if there
+            is one, or else the names of the files when they are times.
+        depth: folder with a 16-bit image in mm of the same name for each image; None: no depth.
+        topic: of a log, which images; "" when it has only one kind.
+    """
+
+    rate_hz: float | None = None
+    stamps: Path | None = None
+    depth: Path | None = None
+    topic: str = ""
+
+    def __post_init__(self) -> None:
+        if self.rate_hz is not None and not self.rate_hz > 0.0:
+            raise ValueError(f"rate_hz: {self.rate_hz!r} is not positive")
+
+
+def open_recording(file: Path, options: RecordingOptions | None = None) -> Recording:
+    """A recording by what it is.
+
+    Raises:
+        RecordingError: there is none, of no known kind, empty or damaged at its first frame; with what was found.
+    """
+    options = options or RecordingOptions()
+    if not file.exists():
+        raise RecordingError(f"{file}: there is no such file or folder", REMEDY)
+    if file.is_dir():
+        recording: Recording = Folder(file, options)
+    elif file.suffix.lower() == ".mcap":
+        recording = Log(file, options.topic)
+    elif file.suffix.lower() in VIDEO_SUFFIXES:
+        recording = Video(file)
+    else:
+        raise RecordingError(f"{file}: a recording of kind '{file.suffix}' is not known", REMEDY)
+    first = next(recording.frames(), None)
+    if first is None:
+        raise RecordingError(f"{file}: there are no frames in it", REMEDY)
+    first.load()
+    return recording
+
+
+class Video:
+    """A video file, read with FFmpeg; its stamps are the presentation times of the frames."""
+
+    count: int | None = None
+
+    def __init__(self, file: Path) -> None:
+        self.name = str(file)
+        self._file = file
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        number = 0
+        try:
+            for stamp_ns, pixels in video_frames(self._file):
+                yield RecordedFrame(f"frame {number}", stamp_ns, lambda pixels=pixels: Loaded(pixels()))
+                number += 1
+        except VideoError as error:
+            raise RecordingError(
+                f"{self._file}: {error}" + (f" after {number} frames" if number else ""),
+                "is the file whole? `ffmpeg -i FILE -c copy OUT.mkv` often mends one",
+            ) from error
+
+
+class Folder:
+    """Images in a folder, in the order of their stamps. All must be of one size, which is seen when they are loaded."""
+
+    def __init__(self, folder: Path, options: RecordingOptions) -> None:
+        self.name = str(folder)
+        self._folder, self._depth = folder, options.depth
+        files = sorted((f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=_natural)
+        self._stamped = _stamped(folder, files, options) if files else []
+
+    @property
+    def count(self) -> int | None:
+        return len(self._stamped)
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        size: tuple[int, ...] | None = None
+
+        def load(file: Path) -> Loaded:
+            nonlocal size
+            color = read_image(file)
+            size = size or color.shape
+            if color.shape != size:
+                raise RecordingError(
+                    f"{file}: {color.shape[1]}x{color.shape[0]} px, the images before it have {size[1]}x{size[0]} px",
+                    "put images of one camera at one size into a folder of their own",
+                )
+            return Loaded(color, None if self._depth is None else _read_depth(self._depth / f"{file.stem}.png", color))
+
+        for stamp_ns, file in self._stamped:
+            yield RecordedFrame(file.name, stamp_ns, lambda file=file: load(file))
+
+
+class Log:
+    """Images in a log of PATH (MCAP), with the stamps they were logged with."""
+
+    count: int | None = None
+
+    def __init__(self, file: Path, topic: str) -> None:
+        self.name = str(file)
+        self._file = file
+        topics = self._topics()
+        if not topics:
+            raise RecordingError(f"{file}: there are no images in this log", REMEDY)
+        if topic not in topics and (topic or len(topics) > 1):
+            found = f"images at '{topic}'" if topic else "one kind of images"
+            raise RecordingError(f"{file}: expected {found}, found {', '.join(topics)}", "name one as topic")
+        self._topic = topic or topics[0]
+
+    def _topics(self) -> list[str]:
+        return sorted({r.topic for r in islice(self._records(), SEARCHED) if r.record.get("format") == "jpeg"})
+
+    def _records(self) -> Iterator[LogRecord]:
+        try:
+            yield from read_log(self._file)
+        except (OSError, ValueError) as error:
+            raise RecordingError(f"{self._file}: {error}", REMEDY) from error
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        for number, record in enumerate(each for each in self._records() if each.topic == self._topic):
+            yield RecordedFrame(f"image {number}", record.stamp_ns, lambda record=record: self._load(record))
+
+    def _load(self, record: LogRecord) -> Loaded:
+        try:
+            return Loaded(decode_image(record.record))
+        except (KeyError, ValueError) as error:
+            raise RecordingError(f"{self._file}: {self._topic} at {record.stamp_ns} ns: {error}", REMEDY) from error
+
+
+def read_image(file: Path) -> Image:
+    """BGR pixels (h, w, 3) of an image file. Raises RecordingError."""
+    pixels = cv2.imread(str(file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if pixels is None:
+        raise RecordingError(f"{file}: this is no image that can be read", "remove it, or record it again")
+    return np.asarray(pixels, np.uint8)
+
+
+def _read_depth(file: Path, color: Image) -> NDArray[np.uint16]:
+    pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise RecordingError(f"{file}: there is no depth image", "each image needs one of the same name, as 16-bit PNG")
+    if pixels.dtype != np.uint16 or pixels.shape != color.shape[:2]:
+        raise RecordingError(
+            f"{file}: expected 16-bit depth of {color.shape[1]}x{color.shape[0]} px, found {pixels.dtype} of "
+            f"{pixels.shape[1]}x{pixels.shape[0]} px",
+            "write depth registered to the colour image, in millimetres, as 16-bit PNG",
+        )
+    return np.asarray(pixels, np.uint16)
+
+
+def _natural(file: Path) -> list[tuple[int, str]]:
+    """Sorts img2 before img10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
+
+
+def _stamped(folder: Path, files: Sequence[Path], options: RecordingOptions) -> list[tuple[int, Path]]:
+    """Files with their stamps, in order. Raises RecordingError."""
+    table = options.stamps or (folder / STAMPS_FILE if (folder / STAMPS_FILE).exists() else None)
+    if table is not None:
+        stamps = _read_stamps(table)
+        missing = [file.name for file in files if file.name not in stamps]
+        if missing:
+            raise RecordingError(f"{table}: there is no stamp for {missing[0]} ({len(missing)} in all)",
+                                 "add a line for each image, or remove the images")  # fmt: skip
+        stamped = sorted(((stamps[file.name], file) for file in files), key=lambda pair: pair[0])
+    elif options.rate_hz is not None:
+        stamped = [(round(1e9 * number / options.rate_hz), file) for number, file in enumerate(files)]
+    else:
+        stamped = sorted(((_time_of(file, folder), file) for file in files), key=lambda pair: pair[0])
+    for (before, _), (stamp_ns, file) in pairwise(stamped):
+        if stamp_ns <= before:
+            raise RecordingError(f"{folder}: {file.name} has the stamp of another image", "correct the stamps")
+    return stamped
+
+
+def _time_of(file: Path, folder: Path) -> int:
+    """A stamp from a file's name: nanoseconds when it has as many digits, seconds when it has a decimal point."""
+    if file.stem.isdigit() and len(file.stem) >= NS_DIGITS:
+        return int(file.stem)
+    if re.fullmatch(r"\d+\.\d+", file.stem):
+        return round(float(file.stem) * 1e9)
+    raise RecordingError(
+        f"{folder}: the name of {file.name} is no time, and there is no {STAMPS_FILE}",
+        f"give rate_hz, or write {STAMPS_FILE} with the columns file and stamp_ns (or stamp_s)",
+    )
+
+
+def _read_stamps(file: Path) -> Mapping[str, int]:
+    remedy = "the columns are file and stamp_ns, or file and stamp_s"
+    try:
+        rows = list(csv.DictReader(file.read_text("utf-8-sig").splitlines()))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError(f"{file}: {error}", remedy) from error
+    stamps: dict[str, int] = {}
+    for number, row in enumerate(rows, 2):
+        try:
+            stamp = row.get("stamp_ns")
+            stamps[row["file"].strip()] = round(float(row["stamp_s"]) * 1e9) if stamp is None else int(stamp)
+        except (KeyError, ValueError, AttributeError, OverflowError, TypeError) as error:
+            raise RecordingError(f"{file}: line {number}: {dict(row)} has no file and stamp", remedy) from error
+    return stamps

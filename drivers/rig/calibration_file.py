@@ -1,0 +1,215 @@
+"""Calibrations on disk: TOML that a person can read, with a version, tied to one camera and one image size.
+
+A rig names them: ``[sender.camera] calibration = "d1.camera.toml"`` instead of the numbers, and
+``[sender.mount.marker] calibration = "d1.mount.toml"`` instead of measures.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+
+from drivers.interfaces import CameraError
+from drivers.rig.tables import RigError, decode_table
+from drivers.rig.toml_text import toml_text
+from path.bounds import Bounds
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.rotation import R_from_quat, normalized, quat_from_R
+
+VERSION = 1
+CAMERA_REMEDY = "make it again with `path-handoff calibrate camera`"
+MOUNT_REMEDY = "make it again with `path-handoff calibrate mount`"
+T = TypeVar("T")
+Vec3 = tuple[float, float, float]
+
+
+class CalibrationError(CameraError):
+    """A calibration cannot be read or written, or does not belong to what it is used with."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraTable:
+    """Intrinsics at exactly this stream size; distortion is Brown–Conrady k1 k2 p1 p2 k3."""
+
+    width: Annotated[int, Bounds(16, 16384, "px")]
+    height: Annotated[int, Bounds(16, 16384, "px")]
+    fx: Annotated[float, Bounds(10.0, 100000.0, "px")]
+    fy: Annotated[float, Bounds(10.0, 100000.0, "px")]
+    cx: Annotated[float, Bounds(0.0, 16384.0, "px")]
+    cy: Annotated[float, Bounds(0.0, 16384.0, "px")]
+    distortion: Annotated[tuple[float, float, float, float, float], Bounds(-100.0, 100.0, "of 1")]
+
+    def __post_init__(self) -> None:
+        if self.width <= 0 or self.height <= 0:
+            raise ValueError(f"the image size {self.width}x{self.height} must be positive")
+        if self.fx <= 0 or self.fy <= 0:
+            raise ValueError("fx and fy must be positive")
+        if not (0 <= self.cx < self.width and 0 <= self.cy < self.height):
+            raise ValueError(
+                f"the principal point ({self.cx:g}, {self.cy:g}) is outside {self.width}x{self.height}: "
+                "this calibration is of another stream size"
+            )
+
+    def model(self) -> CameraModel:
+        """Raises ValueError for a distortion that cannot be inverted."""
+        return CameraModel(self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion)
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How good a calibration is: rms of corners in px, of the solution and of views that were left out."""
+
+    rms_px: float
+    held_out_px: float
+    views: int
+    corners: int
+    coverage: float
+
+
+@dataclass(frozen=True, slots=True)
+class CameraCalibration:
+    """A camera's calibration as written.
+
+    Attributes:
+        made: date and time, ISO 8601.
+        serial: of the camera, "" when it is not known.
+        source, board: what it was made from, for people.
+        standard_errors: of each parameter.
+    """
+
+    kind: Literal["camera"]
+    version: int
+    made: str
+    serial: str
+    source: str
+    board: str
+    camera: CameraTable
+    standard_errors: Annotated[dict[str, float], Bounds(0.0, 1e6, "as the parameter")]
+    quality: Quality
+
+    def __post_init__(self) -> None:
+        _check_version(self.version)
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerPrint:
+    """A marker of the layout that a mount belongs to."""
+
+    id: Annotated[int, Bounds(0, 1023, "(an id)")]
+    side_m: Annotated[float, Bounds(0.005, 2.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class MountCalibration:
+    """``T_v_c1`` as written: where D1's camera is, seen from the marker.
+
+    Attributes:
+        serial: of D1's camera, "" when it is not known. ``markers``: the layout that defines frame ``v``.
+        position_v_m, q_v_c: of ``T_v_c1``, quaternion wxyz.
+        position_sigma_m, rotation_sigma_deg: standard errors, along the axes of ``v``.
+    """
+
+    kind: Literal["mount"]
+    version: int
+    made: str
+    serial: str
+    source: str
+    markers: tuple[MarkerPrint, ...]
+    position_v_m: Annotated[Vec3, Bounds(-3.0, 3.0)]
+    q_v_c: Annotated[tuple[float, float, float, float], Bounds(-1.1, 1.1, "of 1")]
+    position_sigma_m: Annotated[Vec3, Bounds(0.0, 1.0)]
+    rotation_sigma_deg: Annotated[Vec3, Bounds(0.0, 90.0)]
+    pairs: Annotated[int, Bounds(0, 1_000_000, "pairs")] = 0
+    rms_px: Annotated[float, Bounds(0.0, 1000.0)] = 0.0
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        _check_version(self.version)
+        normalized(self.q_v_c)
+
+    @property
+    def T_v_c(self) -> Pose:
+        return Pose(np.array(R_from_quat(normalized(self.q_v_c))), np.array(self.position_v_m))
+
+    @property
+    def largest_sigmas(self) -> tuple[float, float]:
+        """Metres and degrees."""
+        return max(self.position_sigma_m), max(self.rotation_sigma_deg)
+
+
+def _check_version(version: int) -> None:
+    if version != VERSION:
+        raise ValueError(f"version {version} of this file is not known; this program writes and reads {VERSION}")
+
+
+def read_camera(file: Path) -> CameraCalibration:
+    """Raises CalibrationError naming the file, and the key where there is one."""
+    return _read(file, CameraCalibration, CAMERA_REMEDY)
+
+
+def read_mount(file: Path) -> MountCalibration:
+    """Raises CalibrationError naming the file, and the key where there is one."""
+    return _read(file, MountCalibration, MOUNT_REMEDY)
+
+
+def write_calibration(file: Path, calibration: CameraCalibration | MountCalibration) -> None:
+    """Raises CalibrationError when it cannot be written."""
+    key = "[sender.camera]" if isinstance(calibration, CameraCalibration) else "[sender.mount.marker]"
+    comment = f'Made by `path-handoff calibrate {calibration.kind}`. In a rig: {key} calibration = "{file.name}"'
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(toml_text(_plain(asdict(calibration)), comment), "utf-8")
+    except OSError as error:
+        raise CalibrationError(f"cannot write {file}: {error.strerror}", "name another file with --out") from error
+
+
+def quaternion(pose: Pose) -> tuple[float, float, float, float]:
+    """wxyz of a pose's rotation."""
+    return normalized(quat_from_R(pose.R))
+
+
+def check_serial(calibrated: str, camera: str, what: str) -> None:
+    """Raises CalibrationError when both serial numbers are known and differ."""
+    if calibrated and camera and calibrated != camera:
+        raise CalibrationError(
+            f"{what}: the calibration is of the camera with serial number {calibrated}, this one is {camera}",
+            "name the calibration of this very camera in the rig, or calibrate it: `path-handoff calibrate camera`",
+        )
+
+
+def check_size(calibrated: tuple[int, int], stream: tuple[int, int], what: str) -> None:
+    """Raises CalibrationError when the sizes (width, height) differ."""
+    if calibrated != stream:
+        raise CalibrationError(
+            f"{what}: the calibration is for {calibrated[0]}x{calibrated[1]} px but the frames are "
+            f"{stream[0]}x{stream[1]} px",
+            "use the calibration of this stream, or set the stream to the calibrated size",
+        )
+
+
+def _read(file: Path, kind: type[T], remedy: str) -> T:
+    try:
+        return decode_table(tomllib.loads(file.read_text("utf-8")), kind, file.name, file.parent)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise CalibrationError(f"{file}: {reason}", remedy) from error
+    except RigError as error:
+        raise CalibrationError(str(error), remedy) from error
+
+
+def _plain(value: Any) -> Any:
+    """Numbers short enough to read: ten digits, and no NaN."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.10g}") if math.isfinite(value) else 0.0
+    return value

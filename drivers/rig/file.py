@@ -1,0 +1,265 @@
+"""A rig on disk: one TOML file that names the parts of both drones.
+
+name = "sitl"
+level = "sitl"
+harness = "hil.harness.sitl:Sitl"            # left out in the field
+[origin]                             # of the mission's local frame
+[method]                             # path.config.MethodConfig
+[mission]                            # decoded by the missions
+[world]                              # decoded by the harness
+[trials]                             # what trials measure against: studio = "hil.camera.pictures:Studio", ...
+[relay]                              # decoded by a relay: its drones, their batteries and homes
+[reference.sender], .receiver, .target   # beacons that trials measure against; [reference.beacons] is who listens
+[[markers]]                          # the marker layout on the sender, in frame v
+[sender.vehicle]                     # a part: its factory, and the options of its Config
+factory = "drivers.mavlink.vehicle:MavsdkVehicle"
+[sender.sight], [sender.link], [sender.clock], [sender.camera], [sender.mount.camera], [sender.mount.marker]
+[sender.guard]                       # may be left out: the guard's own link to the vehicle
+[receiver. ...]                      # the same, without mount.marker
+
+``like = "sitl"`` takes all of another rig but what is written; the other one is a name, or a file beside this one. A
+table that says ``factory`` or ``calibration`` is another part and taken as it is written, and so is a list; of any
+other table only the keys that are written differ. Relative paths start at the folder of the file that is flown.
+
+A camera may be ``calibration = "d1.camera.toml"`` instead of its numbers, and so may ``[sender.mount.marker]``.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from drivers.rig.calibration_file import CalibrationError, CameraTable, MountCalibration, read_camera
+from drivers.rig.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, axis_turn
+from drivers.rig.parts import Level, Mount, Origin, PartSpec, Reference, Rig, RoleRig
+from drivers.rig.tables import RigError, decode_table, suggestion
+from path.bounds import Bounds
+from path.camera import CameraModel
+from path.config import MethodConfig
+from path.geometry import Pose
+from path.marker.layout import Marker, MarkerLayout
+
+_WHOLE = frozenset(("factory", "calibration"))
+
+
+@dataclass(frozen=True, slots=True)
+class _Camera:
+    """Intrinsics, written out or from a file. ``serial``: of the camera they are of, "" when it is not known."""
+
+    model: CameraModel
+    serial: str
+
+    @classmethod
+    def from_table(cls, table: Any, where: str, base: Path | None) -> _Camera:
+        """Used by ``decode_table``. Raises RigError."""
+        try:
+            if isinstance(table, Mapping) and "calibration" in table:
+                file = read_camera(decode_table(table, CalibrationName, where, base).calibration)
+                return cls(file.camera.model(), file.serial)
+            return cls(decode_table(table, CameraTable, where, base).model(), "")
+        except CalibrationError as error:
+            raise RigError([f"{where}.calibration: {error}"], error.remedy) from error
+        except ValueError as error:
+            raise RigError([f"{where}: {error}"]) from error
+
+
+@dataclass(frozen=True, slots=True)
+class _SenderMount:
+    camera: CameraMount
+    marker: MarkerPlace
+
+
+@dataclass(frozen=True, slots=True)
+class _ReceiverMount:
+    camera: CameraMount
+
+
+@dataclass(frozen=True, slots=True)
+class _Marker:
+    """One fiducial of the layout: ``roll_deg`` turns it about its own normal, pitch and yaw about ``v``'s x and y."""
+
+    id: Annotated[int, Bounds(0, 1023, "(an id)")]
+    side_m: Annotated[float, Bounds(0.005, 2.0)]
+    side_sigma_m: Annotated[float, Bounds(0.0, 0.1)] = 0.0001
+    position_v_m: Annotated[Vec3, Bounds(-3.0, 3.0)] = (0.0, 0.0, 0.0)
+    rpy_deg: Annotated[Vec3, Bounds(-180.0, 180.0)] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        self.marker()
+
+    def marker(self) -> Marker:
+        """Raises ValueError for a marker that cannot be."""
+        roll, pitch, yaw = self.rpy_deg
+        turn = axis_turn(1, yaw) @ axis_turn(0, pitch) @ axis_turn(2, roll)
+        return Marker(self.id, self.side_m, self.side_sigma_m, Pose(turn, np.array(self.position_v_m)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Sender:
+    vehicle: PartSpec
+    sight: PartSpec
+    link: PartSpec
+    clock: PartSpec
+    camera: _Camera
+    mount: _SenderMount
+    guard: PartSpec | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Receiver:
+    vehicle: PartSpec
+    sight: PartSpec
+    link: PartSpec
+    clock: PartSpec
+    camera: _Camera
+    mount: _ReceiverMount
+    guard: PartSpec | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _RigTable:
+    name: str
+    level: Level
+    origin: Origin
+    markers: tuple[_Marker, ...]
+    sender: _Sender
+    receiver: _Receiver
+    description: str = ""
+    harness: str | None = None
+    marker_dictionary: str = "DICT_4X4_50"
+    method: MethodConfig = field(default_factory=MethodConfig)
+    mission: dict[str, Any] = field(default_factory=dict[str, Any])
+    world: dict[str, Any] = field(default_factory=dict[str, Any])
+    trials: dict[str, str] = field(default_factory=dict[str, str])
+    reference: Reference | None = None
+    relay: dict[str, Any] = field(default_factory=dict[str, Any])
+
+    def __post_init__(self) -> None:
+        self.layout()
+        if self.sender.mount.marker.calibrated is not None:
+            _check_mount(self.sender.mount.marker.calibrated, self)
+
+    def layout(self) -> MarkerLayout:
+        """Raises ValueError for a layout that cannot be."""
+        return MarkerLayout(tuple(m.marker() for m in self.markers), self.marker_dictionary)
+
+
+def _check_mount(mount: MountCalibration, rig: _RigTable) -> None:
+    """Raises ValueError when a mount is of other markers or another camera, or less sure than the method is told."""
+    here = "sender.mount.marker.calibration"
+    printed, calibrated = {m.id: m.side_m for m in rig.markers}, {m.id: m.side_m for m in mount.markers}
+    if printed.keys() != calibrated.keys() or any(abs(printed[i] - calibrated[i]) > 1e-6 for i in printed):
+        raise ValueError(f"{here}: it is of the markers {_shown(calibrated)}, this rig has {_shown(printed)}")
+    if mount.serial and rig.sender.camera.serial and mount.serial != rig.sender.camera.serial:
+        raise ValueError(
+            f"{here}: it is of the camera with serial number {mount.serial}, "
+            f"sender.camera.calibration of {rig.sender.camera.serial}"
+        )
+    position_m, angle_deg = mount.largest_sigmas
+    if position_m > rig.method.mount_sigma_m * 1.001 or angle_deg > rig.method.mount_sigma_deg * 1.001:
+        raise ValueError(
+            f"method: mount_sigma_m = {rig.method.mount_sigma_m:g} and mount_sigma_deg = "
+            f"{rig.method.mount_sigma_deg:g} promise more than {here} has: {position_m:.2g} m and {angle_deg:.2g} deg"
+        )
+
+
+def _shown(markers: Mapping[int, float]) -> str:
+    return ", ".join(f"{i} ({1000.0 * side:g} mm)" for i, side in sorted(markers.items()))
+
+
+def find_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Path:
+    """The TOML file of a rig: a path, or a bare name looked up in the folders of ``search``. Raises RigError."""
+    path = Path(name_or_path)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        if path.is_file():
+            return path
+        raise RigError([f"{path}: no such rig file"])
+    for folder in search:
+        if (folder / f"{path}.toml").is_file():
+            return folder / f"{path}.toml"
+    names = sorted(file.stem for folder in search for file in folder.glob("*.toml"))
+    raise RigError(
+        [f"no rig named '{path}'{suggestion(str(path), names)}; there are: {', '.join(names) or 'none'}"],
+        "name one of these, or the path of a rig's .toml file",
+    )
+
+
+def read_rig(path: Path, search: Sequence[Path] = ()) -> dict[str, Any]:
+    """The tables of a rig file, those of the rig that it is like among them; not checked. Raises RigError."""
+    return _read(path, search, ())
+
+
+def _read(path: Path, search: Sequence[Path], after: tuple[Path, ...]) -> dict[str, Any]:
+    try:
+        table = tomllib.loads(path.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise RigError([f"{path.name}: {error}"]) from error
+    if "like" not in table:
+        return table
+    like, where = table.pop("like"), f"{path.name}: like"
+    if not isinstance(like, str):
+        raise RigError([f"{where} is {like!r}; expected the name of a rig, or a rig file beside this one"])
+    try:
+        other = find_rig(path.parent / like if like.endswith(".toml") else like, search)
+    except RigError as error:
+        raise RigError([f"{where}: {line}" for line in error.problems], error.remedy) from error
+    if other.resolve() in (each.resolve() for each in (*after, path)):
+        raise RigError([f"{where} = {like!r} leads back to {other.name}"], "let one of them stand on its own")
+    return _but_for(_read(other, search, (*after, path)), table)
+
+
+def _but_for(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """``base`` with what ``own`` says instead."""
+    made = dict(base)
+    for key, value in own.items():
+        before = made.get(key)
+        if isinstance(value, dict) and isinstance(before, dict) and not _WHOLE & value.keys():
+            made[key] = _but_for(before, value)
+        else:
+            made[key] = value
+    return made
+
+
+def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
+    """Read and decode a rig. Raises RigError with all that is wrong in the file itself."""
+    path = find_rig(name_or_path, search)
+    table = read_rig(path, search)
+    written = decode_table(table, _RigTable, path.name, path.parent)
+    T_b_v = written.sender.mount.marker.pose(written.sender.mount.camera.pose())
+    return Rig(
+        name=written.name,
+        description=written.description,
+        level=written.level,
+        harness=written.harness,
+        origin=written.origin,
+        method=written.method,
+        mission=written.mission,
+        world=written.world,
+        trials=written.trials,
+        layout=written.layout(),
+        sender=_role_rig(written.sender, T_b_v),
+        receiver=_role_rig(written.receiver, T_b_v),
+        file=path,
+        reference=written.reference,
+        relay=written.relay,
+        folders=tuple(search),
+    )
+
+
+def _role_rig(written: _Sender | _Receiver, T_b_v: Pose) -> RoleRig:
+    mount, camera = Mount(written.mount.camera.pose(), T_b_v), written.camera
+    return RoleRig(
+        vehicle=written.vehicle,
+        sight=written.sight,
+        link=written.link,
+        clock=written.clock,
+        camera=camera.model,
+        mount=mount,
+        camera_serial=camera.serial,
+        guard=written.guard,
+    )

@@ -1,0 +1,84 @@
+"""What a part may tell ``doctor`` besides what its Protocol asks of it.
+
+The short test of each kind of part is the same for all of its drivers and uses the Protocol alone
+(``missions.doctor.perception``, ``doctor_link``, ``doctor_vehicle``, ``doctor_beacons``). What only a driver can know,
+such as a firmware, whose clock stamps its frames or why a vehicle does not arm, it says itself.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+COUNT_S, POLL_S = 1.5, 0.002
+
+State = Literal["ok", "note", "fault"]
+
+
+@dataclass(frozen=True, slots=True)
+class Enough:
+    """Shares of a rate that was asked for: below ``well`` it is a note, below ``at_all`` a fault."""
+
+    well: float
+    at_all: float
+
+
+REPORTS = Enough(0.9, 0.5)  # of a state: the next one is as good
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What was found out about one thing. ``note``: a flight is possible, something else is not, or was not tested."""
+
+    state: State
+    name: str
+    detail: str
+    fix: str = ""
+
+
+class Examined(Protocol):
+    """A part that knows more of itself than its Protocol asks."""
+
+    async def examine(self) -> Sequence[Finding]:
+        """Asked while the part is open and has run for a while. Moves nothing, sets nothing, and is bounded in time.
+
+        ``Finding.name`` is what was looked at; of whom is added by who asks. Raises PartError.
+        """
+        ...
+
+
+async def examined(part: object) -> Sequence[Finding]:
+    """What a part says of itself; nothing when it has nothing to say."""
+    examine = getattr(part, "examine", None)
+    return () if examine is None else await examine()
+
+
+def rate_of(part: object) -> float | None:
+    """How often a part is set to give something, Hz: its attribute ``rate_hz``; None when it has none."""
+    return getattr(part, "rate_hz", None)
+
+
+async def counted(newest: Mapping[str, Callable[[], int | None]], wanted_hz: float, fix: str) -> Sequence[Finding]:
+    """How often each of some streams brings something new, against what was asked for.
+
+    Args:
+        newest: by the stream's name, when its newest came; None before.
+        fix: for those that are slow.
+    """
+    loop = asyncio.get_running_loop()
+    seen: dict[str, set[int | None]] = {name: set() for name in newest}
+    start_s = loop.time()
+    while (seconds := loop.time() - start_s) < COUNT_S:
+        for name, read in newest.items():
+            seen[name].add(read())
+        await asyncio.sleep(POLL_S)
+    return [rate_finding(name, (len(stamps) - 1) / seconds, wanted_hz, fix) for name, stamps in seen.items()]
+
+
+def rate_finding(name: str, found_hz: float, wanted_hz: float, fix: str, enough: Enough = REPORTS) -> Finding:
+    detail = f"{found_hz:.1f} of {wanted_hz:g} a second"
+    if found_hz >= enough.well * wanted_hz:
+        return Finding("ok", name, detail)
+    return Finding("fault" if found_hz < enough.at_all * wanted_hz else "note", name, detail, fix)

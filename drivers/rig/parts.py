@@ -1,0 +1,234 @@
+"""A rig as values: the parts of both drones by name, and how a part is made from its name.
+
+How a rig is written is ``drivers.rig.file``; what is checked before anything moves is ``drivers.rig.check``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from drivers.beacons.log import Mounted
+from drivers.interfaces import Clock
+from drivers.rig.tables import RigError, decode_table, suggestion
+from path.bounds import Bounds
+from path.camera import CameraModel
+from path.config import MethodConfig
+from path.geometry import Pose
+from path.marker.layout import MarkerLayout
+from path.messages import Role
+
+Level = Literal["sim", "sim-rendered", "sitl", "hitl", "field"]
+
+
+@dataclass(frozen=True, slots=True)
+class PartSpec:
+    """A part by name: ``factory`` is ``module:Class``; ``options`` are decoded as ``Class.Config``.
+
+    May be a field of another part's Config (``[sender.sight.camera]``), which then opens it itself.
+    """
+
+    factory: str
+    options: Mapping[str, Any]
+    where: str
+    base: Path | None = None  # relative paths in the options start here
+
+    @classmethod
+    def from_table(cls, table: Any, where: str, base: Path | None) -> PartSpec:
+        """Used by ``decode_table``. Raises RigError when ``factory`` is missing or no ``module:Class``."""
+        if not isinstance(table, Mapping):
+            raise RigError([f"{where}: expected a table with a factory"])
+        factory = table.get("factory")
+        if not isinstance(factory, str) or factory.count(":") != 1:
+            raise RigError([f"{where}: missing key 'factory', such as \"drivers.mavlink.vehicle:MavsdkVehicle\""])
+        return cls(factory, {key: value for key, value in table.items() if key != "factory"}, where, base)
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where the mission's local frames (NED ``n`` and ENU ``w``) have their zero."""
+
+    latitude_deg: Annotated[float, Bounds(-90.0, 90.0)]
+    longitude_deg: Annotated[float, Bounds(-180.0, 180.0)]
+    altitude_m: Annotated[float, Bounds(-500.0, 9000.0)]
+
+    def __post_init__(self) -> None:
+        if not (-90.0 <= self.latitude_deg <= 90.0 and -180.0 <= self.longitude_deg <= 180.0):
+            raise ValueError("latitude_deg must be within -90..90 and longitude_deg within -180..180")
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """How camera and marker sit on their drone.
+
+    Attributes:
+        T_b_c: camera to body (FRD) of the role's own drone.
+        T_b_v: marker frame to body (FRD) of the *sender*, for both roles.
+    """
+
+    T_b_c: Pose
+    T_b_v: Pose
+
+    @property
+    def T_v_c(self) -> Pose:
+        """``T_v_c1``, the sender's fixed mounting; without meaning for the receiver."""
+        return self.T_b_v.inverse() @ self.T_b_c
+
+
+@dataclass(frozen=True, slots=True)
+class PartContext:
+    """What a part may know of its role besides its own options.
+
+    ``harness`` is the in-process substitute world at the sim levels (parts of ``hil`` cast it), else None.
+    ``camera_serial``: as in ``RoleRig``.
+    """
+
+    role: Role
+    clock: Clock
+    camera: CameraModel
+    mount: Mount
+    layout: MarkerLayout
+    origin: Origin
+    harness: object | None = None
+    camera_serial: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """The ultrasonic system that trials in flight measure against: its beacons, and who listens to them.
+
+    Attributes:
+        sender, receiver: with the lever in the drone's body (FRD).
+        target: with the lever in the target's frame, x ahead and z up.
+        beacons: a part that is a ``drivers.interfaces.Beacons``; None where a harness makes their records up.
+        telemetry_late_s: what the vehicles' states, stamped on arrival, are late by as far as it is known.
+    """
+
+    sender: Mounted
+    receiver: Mounted
+    target: Mounted
+    beacons: PartSpec | None = None
+    telemetry_late_s: Annotated[float, Bounds(0.0, 0.5)] = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.telemetry_late_s <= 0.5:
+            raise ValueError("telemetry_late_s must be within 0 and 0.5 s")
+        if len({own.address for own in self.mounted.values()}) < 3:
+            raise ValueError("two beacons have the same address")
+
+    @property
+    def mounted(self) -> dict[str, Mounted]:
+        return {"sender": self.sender, "receiver": self.receiver, "target": self.target}
+
+
+@dataclass(frozen=True, slots=True)
+class RoleRig:
+    """One drone of the rig. ``camera_serial``: of the camera that ``camera`` is the calibration of, "" if not known."""
+
+    vehicle: PartSpec
+    sight: PartSpec
+    link: PartSpec
+    clock: PartSpec
+    camera: CameraModel
+    mount: Mount
+    camera_serial: str = ""
+    guard: PartSpec | None = None  # the guard's own way to the vehicle, in a process of its own
+
+    @property
+    def parts(self) -> tuple[PartSpec, ...]:
+        every = self.clock, self.vehicle, self.sight, self.link
+        return every if self.guard is None else (*every, self.guard)
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A whole rig. ``mission``, ``world`` and ``relay`` stay tables: who uses them decodes them with ``decode_table``.
+
+    ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None without beacons;
+    ``folders`` are where a rig that this one is like was looked up by name.
+    """
+
+    name: str
+    description: str
+    level: Level
+    harness: str | None
+    origin: Origin
+    method: MethodConfig
+    mission: Mapping[str, Any]
+    world: Mapping[str, Any]
+    trials: Mapping[str, str]
+    layout: MarkerLayout
+    sender: RoleRig
+    receiver: RoleRig
+    file: Path
+    reference: Reference | None = None
+    relay: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    folders: tuple[Path, ...] = ()
+
+    def role(self, role: Role) -> RoleRig:
+        return self.sender if role is Role.SENDER else self.receiver
+
+    def where(self, table: str) -> str:
+        """How messages name a table of this rig."""
+        return f"{self.file.name}: {table}"
+
+
+def with_errors(rig: Rig, level: str | None) -> Rig:
+    """The rig with another level of errors (``[world.errors]``), if one is given.
+
+    Raises RigError for a rig that flies in the real world.
+    """
+    if level is None:
+        return rig
+    if rig.harness is None:
+        raise RigError([f"rig {rig.name} has no world of its own to be drawn with errors"], "leave out --errors")
+    return dataclasses.replace(rig, world={**rig.world, "errors": {"level": level}})
+
+
+def import_factory(factory: str, where: str) -> Any:
+    """The class named ``module:Class``. Raises RigError naming ``where``."""
+    module_name, _, class_name = factory.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise RigError([f"{where}: cannot import {module_name}: {error}"]) from error
+    if not hasattr(module, class_name):
+        classes = [name for name, value in vars(module).items() if hasattr(value, "Config")]
+        hint = suggestion(class_name, classes)
+        raise RigError([f"{where}: {module_name} has no {class_name}{hint}"])
+    return getattr(module, class_name)
+
+
+def decode_part(spec: PartSpec) -> tuple[Any, Any]:
+    """The part's class and its decoded Config. Raises RigError."""
+    kind = import_factory(spec.factory, f"{spec.where}.factory")
+    config = getattr(kind, "Config", None)
+    if config is None or not dataclasses.is_dataclass(config):
+        raise RigError([f"{spec.where}.factory: {spec.factory} is no part: it has no Config dataclass"])
+    return kind, decode_table(spec.options, config, spec.where, spec.base)  # type: ignore[arg-type]
+
+
+def create(spec: PartSpec, context: PartContext) -> Any:
+    """Make the part a spec names. Entering it, with ``async with``, is what opens it. Raises RigError."""
+    kind, config = decode_part(spec)
+    return kind(config, context)
+
+
+class _NoClock:
+    """Stands in while the clock itself is made."""
+
+    def now_ns(self) -> int:
+        raise RuntimeError("the clock cannot be used while it is made")
+
+
+def part_context(rig: Rig, role: Role, harness: object | None = None) -> PartContext:
+    """The context of one role's parts, with its clock made. Raises RigError."""
+    own = rig.role(role)
+    early = PartContext(
+        role, _NoClock(), own.camera, own.mount, rig.layout, rig.origin, harness, camera_serial=own.camera_serial
+    )
+    return dataclasses.replace(early, clock=create(own.clock, early))

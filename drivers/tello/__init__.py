@@ -1,0 +1,1 @@
+"""DJI Tello: the vehicle and its camera behind djitellopy."""

@@ -1,0 +1,173 @@
+"""The seam between a mission and what it flies on: what a harness is asked for and what it answers.
+
+A rig names its harness (``harness = "hil.harness.sim:SimHarness"``); nothing imports one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+from drivers.interfaces import Log, RecordStore
+from drivers.mavlink.guard_interfaces import GuardLine
+from drivers.rig.parts import Rig
+from flight.outcome import Outcome
+from path.messages import Role
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What a role tells the console, a few times a second.
+
+    ``count`` of the ``needed`` agreeing pairs; ``evidence``: reached and needed, when pairs are not all that counts.
+    """
+
+    role: Role
+    stamp_ns: int
+    phase: str
+    count: int
+    needed: int
+    iou: float | None
+    tau: float | None
+    separation_m: float | None
+    link_bytes_per_s: float
+    responsible: bool
+    note: str
+    evidence: tuple[float, float] | None = None
+
+
+Emit = Callable[[Progress], None]
+
+
+@dataclass(frozen=True, slots=True)
+class RoleResult:
+    """How one role's program ended."""
+
+    role: Role
+    outcome: Outcome
+    detail: str
+    responsible: bool
+    landed: bool
+    log_failure: str = ""  # why the log is not whole; the flight went on
+
+
+def with_log(result: RoleResult, failure: str | None) -> RoleResult:
+    """The result, with what went wrong with the role's log: a commit whose log is not whole has its own outcome."""
+    if not failure:
+        return result
+    outcome = Outcome.LOG_FAILED if result.outcome is Outcome.COMMITTED else result.outcome
+    return replace(result, outcome=outcome, detail=result.detail or failure, log_failure=failure)
+
+
+def encode_event(event: Progress | RoleResult) -> str:
+    """One line of JSON: how a role's program tells its parent process."""
+    if isinstance(event, Progress):
+        return json.dumps({"event": "progress", **asdict(event), "role": event.role.value})
+    record = {**asdict(event), "role": event.role.value, "outcome": event.outcome.label}
+    return json.dumps({"event": "result", **record})
+
+
+def decode_event(line: str | bytes) -> Progress | RoleResult | None:
+    """The event of a line; None when the line is none (a library's own output)."""
+    try:
+        record = json.loads(line)
+        kind, role = record.pop("event"), Role(record.pop("role"))
+        if kind == "progress":
+            evidence = record.pop("evidence")
+            return Progress(role=role, evidence=tuple(evidence) if evidence else None, **record)
+        if kind == "result":
+            return RoleResult(role=role, outcome=Outcome.from_label(record.pop("outcome")), **record)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        pass
+    return None
+
+
+class InProcess(Protocol):
+    """A harness whose world is in the role's own process; its parts know it as more than this."""
+
+    @property
+    def seed(self) -> int:
+        """Whatever is drawn by chance is drawn from it, so that a run can be repeated."""
+        ...
+
+    def guard_line(self, role: Role) -> GuardLine:
+        """A program's way to its role's guard, in a rig with one."""
+        ...
+
+
+class RoleMain(Protocol):
+    """One role's whole program, from opening its parts to the vehicle on the ground."""
+
+    def __call__(
+        self,
+        rig: Rig,
+        role: Role,
+        log: Log,
+        emit: Emit,
+        stop: asyncio.Event,
+        harness: InProcess | None,
+        store: RecordStore,
+    ) -> Awaitable[RoleResult]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class FlightRequest:
+    """One run.
+
+    Attributes:
+        faults: as written by the user, ``NAME[=VALUE][@WHEN[+SECONDS]]``.
+        role_main: for harnesses that run the roles in this process.
+        role_command: the command line of one role, for harnesses that run them as processes.
+        attack_command: of a program that floods the link; the harness adds what it has to know.
+        guard_command: the same of its guard.
+    """
+
+    rig: Rig
+    out: Path
+    seed: int
+    faults: Sequence[str]
+    role_main: RoleMain
+    role_command: Callable[[Role], Sequence[str]]
+    emit: Emit
+    attack_command: Sequence[str] = ()
+    guard_command: Callable[[Role], Sequence[str]] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FlightReport:
+    """What the harness saw of a run.
+
+    Attributes:
+        results: by role; None for a program that died.
+        landed: by role, in truth.
+        violations: number of violations by monitor name; empty when all held.
+        simulated_s, wall_s: duration of the run on the mission's clock and on the wall.
+        failure: why the harness itself failed; empty when it did not.
+        figures: what the monitors timed, in s by name: "commit_s", from COMMIT to the sender's decision, and "gap_s",
+            the longest time with nobody responsible; without what did not happen.
+        errors: what the world was drawn with: the level's name, and standard deviations by what they are of; empty in
+            the real one.
+    """
+
+    results: Mapping[Role, RoleResult | None]
+    landed: Mapping[Role, bool]
+    violations: Mapping[str, int]
+    simulated_s: float
+    wall_s: float
+    interrupted: bool = False
+    failure: str = ""
+    notes: Sequence[str] = field(default_factory=tuple)
+    figures: Mapping[str, float] = field(default_factory=dict[str, float])
+    errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])
+
+
+class Harness(Protocol):
+    """Flies both roles in a world of its own."""
+
+    def fly(self, request: FlightRequest) -> FlightReport:
+        """Blocks until both programs ended and both vehicles are down, or the bound on that is over."""
+        ...

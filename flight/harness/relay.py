@@ -1,0 +1,236 @@
+"""The seam of a relay: what a rig says about it, what a harness with many drones is asked for and what it answers.
+
+A relay hands one target from drone to drone as batteries run down. Each drone runs one program at a time, and each
+hand-over is a *leg* between two of them, on a link of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, Protocol
+
+from drivers.interfaces import Log, RecordStore
+from drivers.rig.calibration_file import CameraTable
+from drivers.rig.parts import Mount, PartSpec, Rig, RoleRig
+from flight.harness.flights import Emit, InProcess, RoleResult
+from path.bounds import Bounds
+
+Point = tuple[float, float]
+
+OFTEN = frozenset({
+    "/frame", "/target", "/track", "/setpoint", "/state", "/agreement", "/candidate", "/marker", "/motion", "/link",
+    "/guard_view",
+})  # fmt: skip
+"""What is logged many times a second: hours of it are left out unless they are asked for."""
+WATCHED: Mapping[str, float] = {
+    "/phase": 0.0, "/responsibility": 0.0, "/epoch": 0.0, "/commit": 0.0, "/decision": 0.0, "/agreement": 0.0,
+    "/frame": 0.2, "/target": 0.2, "/track": 0.2,
+}  # fmt: skip
+"""What the monitors read of a drone's log, and how many seconds at least are between two of a kind."""
+
+
+@dataclass(frozen=True, slots=True)
+class RelayDrone:
+    """One drone of a relay. What is not said here is as in the rig's ``[sender]``.
+
+    Attributes:
+        home_m: (E, N) in m, where it stands and comes back to.
+        link: in either role; where it is not said, it is that of the role.
+        battery: its charge at the beginning, 0..1.
+    """
+
+    name: str
+    home_m: Annotated[Point, Bounds(-1000, 1000)]
+    clock: PartSpec | None = None
+    sight: PartSpec | None = None
+    vehicle: PartSpec | None = None
+    guard: PartSpec | None = None
+    link: PartSpec | None = None
+    camera: CameraTable | None = None
+    heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
+    battery: Annotated[float, Bounds(0.05, 1.0, "of 1")] = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class RelayConfig:
+    """The ``[relay]`` table of a rig.
+
+    Attributes:
+        harness: ``module:Class`` of a world with many drones.
+        drones: in the order in which they are called for the first time.
+        hours: for how long, when nothing else is asked for.
+        reserve: of the charge; no drone may be below it before it has landed.
+        endurance_s: how long a full battery carries a drone, as far as is known before it is seen to run down.
+        swap_s: from landing until the drone stands ready with a full battery.
+        home_s: what a drone is granted for its way home and the landing.
+        attempts: how many reliefs may fail, one after the other, before the target has to be given up.
+        least_s: no relief takes off for less time than this: it could not take over before the other has to go home.
+        return_height_m: of the way home, above everything that goes on below.
+        follow_s: how long the drone that took over stays a receiver, for the other to hear that it did.
+        clear_m, clear_s: how far, and how long after it was last heard, a relief that failed is kept away from.
+    """
+
+    harness: str
+    drones: tuple[RelayDrone, ...]
+    hours: Annotated[float, Bounds(0.0, 1000.0, above=True)] = 8.0
+    reserve: Annotated[float, Bounds(0.05, 0.95, "of 1")] = 0.25
+    endurance_s: Annotated[float, Bounds(10.0, 36000.0)] = 1080.0
+    swap_s: Annotated[float, Bounds(0.0, 36000.0, above=True)] = 300.0
+    home_s: Annotated[float, Bounds(1.0, 3600.0)] = 60.0
+    attempts: Annotated[int, Bounds(1, 100, "times")] = 2
+    least_s: Annotated[float, Bounds(0.0, 3600.0)] = 45.0
+    return_height_m: Annotated[float, Bounds(0.3, 100.0)] = 4.0
+    follow_s: Annotated[float, Bounds(0.0, 600.0)] = 6.0
+    clear_m: Annotated[float, Bounds(0.0, 100.0)] = 1.5
+    clear_s: Annotated[float, Bounds(0.0, 600.0)] = 20.0
+
+    def __post_init__(self) -> None:
+        names = [drone.name for drone in self.drones]
+        if len(names) < 2 or len(set(names)) < len(names):
+            raise ValueError("drones: at least two, each with a name of its own")
+        if not 0.0 < self.reserve < 1.0:
+            raise ValueError("reserve must be between 0 and 1")
+        if min(self.endurance_s, self.swap_s, self.home_s) <= 0.0 or self.attempts < 1:
+            raise ValueError("endurance_s, swap_s and home_s must be above 0, attempts at least 1")
+
+
+def pair_of(rig: Rig, sender: RelayDrone, receiver: RelayDrone) -> Rig:
+    """The rig of one leg: these two drones in these two roles."""
+    return replace(rig, sender=_role(rig, sender, "sender"), receiver=_role(rig, receiver, "receiver"))
+
+
+def _role(rig: Rig, drone: RelayDrone, role: str) -> RoleRig:
+    built = rig.sender
+    camera = built.camera if drone.camera is None else drone.camera.model()
+    mount = Mount(built.mount.T_b_c, built.mount.T_b_v)
+    return replace(
+        built,
+        clock=drone.clock or built.clock,
+        sight=drone.sight or built.sight,
+        vehicle=drone.vehicle or built.vehicle,
+        guard=drone.guard or built.guard,
+        link=drone.link or (built.link if role == "sender" else rig.receiver.link),
+        camera=camera,
+        mount=mount,
+    )
+
+
+class DroneProgram(Protocol):
+    """What runs on one drone, from opening its parts to the vehicle on the ground."""
+
+    def __call__(
+        self, name: str, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess, store: RecordStore
+    ) -> Awaitable[RoleResult]: ...
+
+
+class RelayField(Protocol):
+    """The place where a relay is flown, as those who stand there can act on it."""
+
+    def begin(self, name: str, program: DroneProgram) -> Awaitable[RoleResult | None]:
+        """Start a drone's program; None when it died. The drone is switched on, if it is not."""
+        ...
+
+    def open_leg(self, number: int, sender: str, receiver: str) -> None:
+        """Give two drones a link to each other; it takes the place of any that either had."""
+        ...
+
+    def landed(self, name: str) -> bool:
+        """Whether it is seen to stand on the ground, its motors off."""
+        ...
+
+    def swap(self, name: str) -> None:
+        """Carry a drone to its home, give it a full battery and switch it off until it is called."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class DroneProcesses:
+    """How the drones' programs are run as processes, and reach those on the ground: lines of JSON, either way.
+
+    Attributes:
+        command: of a drone's program. It prints ``flight.harness.flights.encode_event``'s lines, ``{"event": "record",
+            "record": [drone, topic, stamp_ns, record]}`` of what is ``WATCHED``, and what it has to say to the ground.
+        guard_command: of the guard beside it, in a rig with guards.
+        news: what a drone has to know at present; it is told whenever that changes, on its stdin.
+        heard: takes what a drone's program said to the ground.
+    """
+
+    command: Callable[[str], Sequence[str]]
+    guard_command: Callable[[str], Sequence[str]]
+    news: Callable[[str], Mapping[str, Any]]
+    heard: Callable[[str, Mapping[str, Any]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class RelayRequest:
+    """One relay.
+
+    Attributes:
+        processes: for a harness whose drones' programs are processes of their own.
+        hours: how long it is to last, about.
+        main: flies it to its end; told to stop by the event.
+        faults: by the number of their leg; of 0 those of all legs.
+        whole_log: everything into the logs, not only what is rare.
+    """
+
+    rig: Rig
+    config: RelayConfig
+    out: Path
+    seed: int
+    faults: Mapping[int, Sequence[str]]
+    main: Callable[[RelayField, asyncio.Event, Emit], Awaitable[None]]
+    emit: Emit
+    processes: DroneProcesses
+    hours: float = 8.0
+    whole_log: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """One flight in truth, from switching on to the ground."""
+
+    drone: str
+    began_s: float
+    ended_s: float
+    battery: float  # when it stood, or the smallest while it was armed
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """The truth now and then: who is responsible (by their own word), and every battery."""
+
+    time_s: float
+    responsible: tuple[str, ...]
+    battery: tuple[float, ...]
+    airborne: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RelayReport:
+    """What the harness saw.
+
+    ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``errors``: as in ``FlightReport``.
+    """
+
+    violations: Mapping[str, int]
+    notes: Sequence[str]
+    gaps_s: Mapping[int, float]
+    flown: Sequence[Flown]
+    samples: Sequence[Sample]
+    closest_m: float
+    simulated_s: float
+    wall_s: float
+    interrupted: bool = False
+    failure: str = ""
+    log_failure: str = ""
+    closest_pair: Sequence[str] = field(default_factory=tuple)
+    errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])
+
+
+class RelayHarness(Protocol):
+    def fly(self, request: RelayRequest) -> RelayReport:
+        """Blocks until the relay is over and every drone is down, or the bound on that is over."""
+        ...

@@ -1,0 +1,298 @@
+"""A multicopter autopilot in the manner of PX4: modes, failsafes and acknowledgements, stepped and without I/O.
+
+The same object flies behind the in-process vehicle and behind the MAVLink endpoint. Nothing here knows truth except
+``truth_on_ground``, which stands for the land detector. Times are seconds of the world's clock.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+
+from drivers.interfaces import FlightMode, VelocitySetpoint
+from hil.autopilot.guidance import Guidance, limited
+from hil.autopilot.values import (
+    Ack,
+    AutopilotConfig,
+    Estimate,
+    OffboardSession,
+    RateCommand,
+    Severity,
+    StatusText,
+)
+from path.messages import Vec3
+
+__all__ = [
+    "Ack",
+    "Autopilot",
+    "AutopilotConfig",
+    "Estimate",
+    "OffboardSession",
+    "RateCommand",
+    "Severity",
+    "StatusText",
+]
+
+OK = Ack(True)
+
+
+class Autopilot:
+    """Modes, arming, failsafes and the position loop of one multicopter.
+
+    Call ``step`` at a steady rate (50 Hz is enough) and the ``request_*`` methods and ``setpoint`` between steps.
+    Every command is idempotent: MAVSDK resends without saying so. ``status_texts`` and ``offboard_sessions`` only
+    grow; readers keep their own index.
+    """
+
+    def __init__(self, config: AutopilotConfig, seed: int) -> None:
+        self.config = config
+        self.mode = FlightMode.HOLD
+        self.armed = False
+        self.landed = True
+        self.battery = 1.0
+        self.pilot_in_control = False
+        self.killed = False  # by the pilot's switch: the motors stand still until the next boot
+        self.home_n_m: Vec3 | None = None
+        self.reasons: tuple[str, ...] = ("starting",)
+        self.status_texts: list[StatusText] = []
+        self.offboard_sessions: list[OffboardSession] = []
+        self._settle_s = config.settle_s * random.Random(seed).uniform(0.9, 1.1)
+        self._boot_s: float | None = None
+        self._now_s = 0.0
+        self._estimate = Estimate(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        self._armed_s = 0.0
+        self._contact_s: float | None = None
+        self._landed_s: float | None = None  # since when on the ground after a flight
+        self._setpoint = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
+        self._setpoint_s = -math.inf
+        self._offboard_lost_s: float | None = None
+        self._companion_s: float | None = None  # when a ground station was last heard
+        self._battery_landing = False  # the low battery has made it land already; the pilot may still take over
+        self._guidance = Guidance(config)
+
+    @property
+    def armable(self) -> bool:
+        return not self.reasons
+
+    @property
+    def _battery_low(self) -> bool:
+        return self.battery <= self.config.low_battery
+
+    @property
+    def newest_setpoint_s(self) -> float:
+        """When it came; minus infinity before the first."""
+        return self._setpoint_s
+
+    @property
+    def setpoint_gap_s(self) -> float:
+        """Longest time between setpoints in any OFFBOARD session so far."""
+        return max((session.max_gap_s for session in self.offboard_sessions), default=0.0)
+
+    # --- commands ---
+
+    def set_battery(self, fraction: float) -> None:
+        """Charge left, 0..1 (a fault, or a harness that starts with a used battery)."""
+        self.battery = min(1.0, max(0.0, fraction))
+
+    def kill(self, now_s: float) -> None:
+        """The pilot's kill switch: the motors stop at once, wherever the vehicle is. The mode stays as it was."""
+        self.killed, self.armed = True, False
+        if self.mode is FlightMode.OFFBOARD:
+            self.offboard_sessions[-1].end_s = now_s
+        self._say(now_s, Severity.CRITICAL, "Kill switch engaged")
+
+    def request_arm(self, now_s: float, arm: bool, force: bool = False) -> Ack:
+        """Arm or disarm. ``force`` skips no check of arming; disarming by it stops the motors, in the air too."""
+        if arm == self.armed:
+            return OK
+        if arm:
+            if self.reasons:
+                return self._refuse(now_s, f"Arming denied: {self.reasons[0]}")
+            self._arm(now_s)
+            return OK
+        if not self.landed and not force:
+            return self._refuse(now_s, "Disarming denied: in the air")
+        self._disarm(now_s, "by force" if force else "by command")
+        return OK
+
+    def request_takeoff(self, now_s: float, height_m: float) -> Ack:
+        """Climb to ``height_m`` above home, then HOLD by itself. NaN: the default height."""
+        height_m = self.config.default_takeoff_m if math.isnan(height_m) else height_m
+        if self.mode is FlightMode.TAKEOFF and height_m == self._guidance.climb_to_m:
+            return OK
+        if not self.armed:
+            return self._refuse(now_s, "Takeoff denied: not armed")
+        if self._battery_low:
+            return self._refuse(now_s, "Takeoff denied: battery low")
+        if not self.landed:
+            return self._refuse(now_s, "Takeoff denied: already in the air")
+        if not 0.0 < height_m <= self.config.max_height_m:
+            return self._refuse(now_s, f"Takeoff denied: height {height_m:g} m outside 0..{self.config.max_height_m:g}")
+        self._guidance.climb_to_m, self._landed_s = height_m, None
+        self._enter(now_s, FlightMode.TAKEOFF)
+        return OK
+
+    def request_mode(self, now_s: float, mode: FlightMode, by_pilot: bool = False) -> Ack:
+        """Change the mode. OFFBOARD wants a setpoint younger than ``offboard_loss_s``; OTHER is the pilot's alone."""
+        if mode is FlightMode.TAKEOFF:
+            return self.request_takeoff(now_s, math.nan)
+        if mode is FlightMode.OTHER and not by_pilot:
+            return self._refuse(now_s, "Mode denied: only a pilot selects it")
+        if mode is FlightMode.OFFBOARD and now_s - self._setpoint_s > self.config.offboard_loss_s:
+            return self._refuse(now_s, "Offboard denied: no recent setpoint")
+        if self._battery_landing and not by_pilot and mode is not FlightMode.LAND:
+            return self._refuse(now_s, "Mode denied: battery low, landing")
+        if by_pilot:
+            self.pilot_in_control = True
+            self._say(now_s, Severity.INFO, f"Pilot selected {mode.value}")
+        if mode is not self.mode or self._offboard_lost_s is not None:
+            self._enter(now_s, mode)
+        return OK
+
+    def setpoint(self, now_s: float, setpoint: VelocitySetpoint) -> bool:
+        """Take a setpoint; False (ignored, not counted as arrived) when it has a non-finite number."""
+        if not all(map(math.isfinite, (*setpoint.velocity_n_mps, setpoint.yaw_rad))):
+            return False
+        self._note_gap(now_s)
+        self._setpoint, self._setpoint_s = setpoint, now_s
+        return True
+
+    def companion_heard(self, now_s: float) -> None:
+        """A ground station's heartbeat came."""
+        self._companion_s = now_s
+
+    def step(self, now_s: float, estimate: Estimate, truth_on_ground: bool) -> RateCommand:
+        """Advance to ``now_s``: failsafes, then the position loop of the mode. Times must not go back."""
+        if self._boot_s is None:
+            self._boot_s = self._now_s = now_s
+            self._guidance.enter(now_s, estimate)
+        dt, self._now_s, self._estimate = now_s - self._now_s, now_s, estimate
+        self._drain_battery(dt)
+        self._check_health(now_s)
+        self._detect_ground(now_s, truth_on_ground)
+        if self.armed:
+            self._failsafes(now_s)
+        return self._command(now_s)
+
+    # --- state changes ---
+
+    def _say(self, now_s: float, severity: Severity, text: str) -> None:
+        self.status_texts.append(StatusText(now_s, severity, text))
+
+    def _refuse(self, now_s: float, reason: str) -> Ack:
+        self._say(now_s, Severity.CRITICAL, reason)
+        return Ack(False, reason)
+
+    def _arm(self, now_s: float) -> None:
+        self.armed, self._armed_s, self._landed_s = True, now_s, None
+        self.pilot_in_control = False
+        self.home_n_m = self._estimate.position_n_m
+        if self.mode is not FlightMode.OFFBOARD:
+            self._enter(now_s, FlightMode.HOLD)
+        self._say(now_s, Severity.INFO, "Armed")
+
+    def _disarm(self, now_s: float, why: str) -> None:
+        self.armed, self._landed_s = False, None
+        self._enter(now_s, FlightMode.HOLD)
+        self._say(now_s, Severity.INFO, f"Disarmed {why}")
+
+    def _enter(self, now_s: float, mode: FlightMode) -> None:
+        if self.mode is FlightMode.OFFBOARD:
+            self._note_gap(now_s)
+            self.offboard_sessions[-1].end_s = now_s
+            self.offboard_sessions[-1].ended_by = mode
+        self.mode, self._offboard_lost_s = mode, None
+        self._guidance.enter(now_s, self._estimate)
+        if mode is FlightMode.OFFBOARD:
+            self.offboard_sessions.append(OffboardSession(now_s))
+
+    def _note_gap(self, now_s: float) -> None:
+        if self.mode is FlightMode.OFFBOARD and self.armed:
+            session = self.offboard_sessions[-1]
+            session.max_gap_s = max(session.max_gap_s, now_s - self._setpoint_s)
+
+    # --- what happens by itself ---
+
+    def _drain_battery(self, dt: float) -> None:
+        if self.armed:
+            self.set_battery(self.battery - dt / self.config.endurance_s * (0.1 if self.landed else 1.0))
+
+    def _check_health(self, now_s: float) -> None:
+        assert self._boot_s is not None
+        checks = (
+            (now_s - self._boot_s < self._settle_s, "position estimate is settling"),
+            (self._battery_low, "battery low"),
+            (self.killed, "kill switch engaged"),
+            (bool(self.config.arming_fault), self.config.arming_fault),
+        )
+        self.reasons = tuple(reason for failed, reason in checks if failed)
+        if self.home_n_m is None and not self.reasons:
+            self.home_n_m = self._estimate.position_n_m
+
+    def _detect_ground(self, now_s: float, contact: bool) -> None:
+        if not contact:
+            self._contact_s = self._landed_s = None
+            self.landed = False
+            return
+        if self._contact_s is None:
+            self._contact_s = now_s
+        if not self.landed and now_s - self._contact_s >= self.config.land_detect_s:
+            self.landed, self._landed_s = True, now_s
+            self._say(now_s, Severity.INFO, "Landing detected")
+
+    def _failsafes(self, now_s: float) -> None:
+        config = self.config
+        if self.landed:
+            if self._landed_s is None and self.mode in (FlightMode.LAND, FlightMode.RETURN):
+                self._landed_s = now_s
+            if self._landed_s is not None and now_s - self._landed_s >= config.land_disarm_s:
+                self._disarm(now_s, "by landing")
+            elif self._idle(now_s):
+                self._disarm(now_s, "by auto preflight disarming")
+        elif self._battery_low and not self._battery_landing:
+            self._say(now_s, Severity.CRITICAL, "Low battery, landing")
+            self._enter(now_s, FlightMode.LAND)
+        self._battery_landing = self._battery_low and not self.landed
+        self._watch_setpoints(now_s)
+        heard_s = self._companion_s
+        lost = heard_s is not None and now_s - heard_s > config.companion_loss_s
+        if lost and not self.landed and self.mode is not FlightMode.LAND:
+            self._enter(now_s, FlightMode.LAND)
+            self._say(now_s, Severity.CRITICAL, "No ground station, landing")
+
+    def _watch_setpoints(self, now_s: float) -> None:
+        """OFFBOARD without setpoints holds, and lands when nobody speaks up for ``offboard_land_s``."""
+        config = self.config
+        self._note_gap(now_s)
+        if self.mode is FlightMode.OFFBOARD and now_s - self._setpoint_s > config.offboard_loss_s:
+            self._enter(now_s, FlightMode.HOLD)
+            self._offboard_lost_s = now_s
+            self._say(now_s, Severity.CRITICAL, "No offboard setpoints, holding")
+        elif self._offboard_lost_s is not None and now_s - self._offboard_lost_s >= config.offboard_land_s:
+            self._enter(now_s, FlightMode.LAND)
+            self._say(now_s, Severity.CRITICAL, "No offboard setpoints, landing")
+
+    def _idle(self, now_s: float) -> bool:
+        """Armed on the ground for ``idle_disarm_s`` without having flown, and not about to."""
+        waiting = self._landed_s is None and self.mode is not FlightMode.TAKEOFF
+        return waiting and now_s - self._armed_s >= self.config.idle_disarm_s
+
+    def _command(self, now_s: float) -> RateCommand:
+        if not self.armed:
+            return RateCommand(None, self._guidance.yaw_rad, False)
+        assert self.home_n_m is not None
+        velocity, yaw = None, self._guidance.yaw_rad
+        if self.mode is FlightMode.TAKEOFF and self._guidance.height_reached(self._estimate, self.home_n_m):
+            self._enter(now_s, FlightMode.HOLD)
+            self._guidance.hold_height(self.home_n_m)
+        if self.mode is FlightMode.OFFBOARD:
+            limits = self.config.max_horizontal_mps, self.config.max_up_mps, self.config.max_down_mps
+            stale = now_s - self._setpoint_s > self.config.setpoint_stale_s
+            wanted = (0.0, 0.0, 0.0) if stale else self._setpoint.velocity_n_mps
+            velocity, yaw = limited(wanted, *limits), self._setpoint.yaw_rad
+        else:
+            velocity = self._guidance.velocity(now_s, self.mode, self._estimate, self.home_n_m)
+        climbing = velocity is not None and velocity[2] < 0.0
+        if self.landed and not (climbing and self.mode in (FlightMode.TAKEOFF, FlightMode.OFFBOARD)):
+            velocity = None  # on the ground only these two modes lift off
+        return RateCommand(velocity, yaw, True)

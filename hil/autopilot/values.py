@@ -1,0 +1,102 @@
+"""What goes into and comes out of the autopilot: settings, estimate, commands, answers and texts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Annotated
+
+from drivers.interfaces import FlightMode
+from path.bounds import Bounds
+from path.messages import Quat, Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotConfig:
+    """Times and limits. Defaults are near PX4's, shortened where a wait would only cost simulation time.
+
+    What PX4 and ArduCopter were measured to do is in docs/conformance.md; rig ``sitl`` has PX4's figures.
+    """
+
+    settle_s: Annotated[float, Bounds(0.0, 120.0)] = 2.5  # from the first step until armable, ± 10 % by seed
+    arming_fault: str = ""  # when set, never armable, for this reason
+    # kept to whatever is asked for, changes shown with the next; 0: as asked, changes at once
+    heartbeat_hz: Annotated[float, Bounds(0.0, 50.0)] = 0.0
+    spool_s: Annotated[float, Bounds(0.0, 20.0)] = 1.0
+    climb_mps: Annotated[float, Bounds(0.1, 10.0)] = 1.0
+    land_mps: Annotated[float, Bounds(0.1, 10.0)] = 0.7
+    touchdown_mps: Annotated[float, Bounds(0.05, 5.0)] = 0.4  # below 1 m over home
+    max_horizontal_mps: Annotated[float, Bounds(0.1, 30.0)] = 3.0
+    max_up_mps: Annotated[float, Bounds(0.1, 20.0)] = 1.5
+    max_down_mps: Annotated[float, Bounds(0.1, 20.0)] = 1.0
+    hold_gain_hz: Annotated[float, Bounds(0.05, 10.0)] = 1.0  # position error to velocity
+    max_height_m: Annotated[float, Bounds(1.0, 1000.0)] = 30.0
+    default_takeoff_m: Annotated[float, Bounds(0.3, 100.0)] = 1.5
+    return_height_m: Annotated[float, Bounds(0.3, 100.0)] = 2.5
+    return_mps: Annotated[float, Bounds(0.1, 30.0)] = 1.5
+    offboard_loss_s: Annotated[float, Bounds(0.05, 60.0)] = 0.5
+    offboard_land_s: Annotated[float, Bounds(0.0, 600.0)] = 1.0  # in HOLD after the loss, before LAND
+    setpoint_stale_s: Annotated[float, Bounds(0.05, 600.0)] = (
+        math.inf
+    )  # a setpoint older than this counts as standing still
+    companion_loss_s: Annotated[float, Bounds(0.1, 600.0)] = (
+        math.inf
+    )  # without a ground station's heartbeat for this long it lands
+    land_detect_s: Annotated[float, Bounds(0.0, 10.0)] = 0.3  # ground contact this long is a landing
+    land_disarm_s: Annotated[float, Bounds(0.0, 60.0)] = 1.0  # after that
+    idle_disarm_s: Annotated[float, Bounds(0.1, 3600.0)] = 10.0
+    endurance_s: Annotated[float, Bounds(10.0, 36000.0)] = 900.0  # full battery, flying
+    low_battery: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.1  # lands by itself; scripts should come down earlier
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What the estimator says. Position (N, E, D) from the mission origin, velocity NED, attitude wxyz body to NED."""
+
+    time_s: float
+    position_n_m: Vec3
+    velocity_n_mps: Vec3
+    q_n_b: Quat
+
+
+@dataclass(frozen=True, slots=True)
+class RateCommand:
+    """To the velocity loop. ``velocity_n_mps`` None: motors idle on the ground; ``thrust_on`` False: motors off."""
+
+    velocity_n_mps: Vec3 | None
+    yaw_rad: float
+    thrust_on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """Answer to a command. ``reason`` says why it was refused, empty when accepted."""
+
+    accepted: bool
+    reason: str = ""
+
+
+class Severity(Enum):
+    """MAVLink MAV_SEVERITY numbers."""
+
+    CRITICAL = 2
+    WARNING = 4
+    INFO = 6
+
+
+@dataclass(frozen=True, slots=True)
+class StatusText:
+    time_s: float
+    severity: Severity
+    text: str
+
+
+@dataclass(slots=True)
+class OffboardSession:
+    """One stay in OFFBOARD. ``max_gap_s`` is the longest time between setpoints, the last open one included (S8)."""
+
+    start_s: float
+    max_gap_s: float = 0.0
+    end_s: float | None = None
+    ended_by: FlightMode | None = None

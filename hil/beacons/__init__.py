@@ -1,0 +1,1 @@
+"""Ultrasonic beacons of a simulated world, and the bytes that they send."""

@@ -1,0 +1,100 @@
+"""The camera of level ``sim-rendered``: frames drawn by the renderer, in virtual time.
+
+The truth is looked at when the picture is taken; drawing it goes on in a thread while other events happen, and only
+the reader of the frame waits for it. So two cameras draw on two cores, and what they draw depends on nothing but the
+seed.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Annotated, Any, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import CameraError, Frame
+from drivers.rig.parts import PartContext
+from hil.camera.capture import CaptureTicker, CaptureTiming, SensorHarness, timing_of, true_camera
+from hil.render.renderer import Renderer
+from hil.render.sensor import SensorNoise
+from hil.world.snapshot import Snapshot
+from path.bounds import Bounds
+from path.camera import CameraModel
+
+_Image = tuple[NDArray[np.uint8], NDArray[np.uint16]]
+
+
+@dataclass(frozen=True, slots=True)
+class RenderedCameraConfig:
+    """When frames are taken (see ``hil.camera.capture.timing_of``), and the noise of the sensor."""
+
+    rate_hz: Annotated[float, Bounds(1.0, 300.0)] = 30.0
+    phase_s: Annotated[float | None, Bounds(0.0, 10.0)] = None
+    latency_s: Annotated[float, Bounds(0.0, 2.0)] = 0.02
+    noise: SensorNoise = field(default_factory=SensorNoise)
+
+    def timing(self, context: PartContext) -> CaptureTiming:
+        return timing_of(context.role, self.rate_hz, self.phase_s, self.latency_s)
+
+    def __post_init__(self) -> None:
+        CaptureTiming(self.rate_hz, self.phase_s or 0.0, self.latency_s)
+
+
+class RenderedCamera:
+    """Implements ``drivers.interfaces.Camera`` for a rig whose harness is a ``SensorHarness``."""
+
+    Config = RenderedCameraConfig
+
+    def __init__(self, config: RenderedCameraConfig, context: PartContext) -> None:
+        if context.harness is None:
+            raise CameraError(
+                "a rendered camera needs a simulated world", "use it with a harness such as hil.harness.sim"
+            )
+        harness = cast(SensorHarness, context.harness)
+        self._model = context.camera
+        self._role = context.role
+        true = true_camera(context, harness.built)
+        self._errors = true.errors
+        self._renderer = Renderer(true.camera, true.T_b_c, true.T_b_v, true.layout, config.noise, harness.seed)
+        name = f"the {context.role.value}'s rendered camera"
+        self._ticker: CaptureTicker[Future[_Image]] = CaptureTicker(
+            name, config.timing(context), context.role, context.clock, harness, self._draw
+        )
+        self._thread: ThreadPoolExecutor | None = None
+
+    @property
+    def model(self) -> CameraModel:
+        return self._model
+
+    @property
+    def skipped(self) -> int:
+        """Frames that were replaced by a newer one before they were read."""
+        return self._ticker.skipped
+
+    async def __aenter__(self) -> Self:
+        # One thread: the renderer keeps scratch buffers, and frames of one camera come one after the other anyway.
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=f"draw-{self._role.value}")
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ticker.close()
+        if self._thread is not None:
+            self._thread.shutdown(wait=True, cancel_futures=True)
+            self._thread = None
+
+    async def read(self, timeout_s: float) -> Frame:
+        """The newest frame not yet given. Raises CameraError when none was taken in time."""
+        if self._thread is None:
+            raise CameraError("the rendered camera is not open", "open it with `async with`")
+        capture = await self._ticker.next(timeout_s)
+        color, depth_mm = capture.content.result()
+        return Frame(capture.stamp_ns, capture.frame_id, color, self._errors.measured_mm(depth_mm))
+
+    def _draw(self, snapshot: Snapshot, frame_id: int) -> Future[Any]:
+        assert self._thread is not None, "nothing is captured before somebody reads"
+        return self._thread.submit(self._renderer.render, snapshot, self._role, frame_id)

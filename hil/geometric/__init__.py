@@ -1,0 +1,1 @@
+"""Perception of level ``sim``: observations straight from the geometry, with measured noise."""

@@ -1,0 +1,125 @@
+"""Markers as the geometric sight sees them: which are found, and their noisy corners. Compiled."""
+
+# pyright: reportMissingParameterType=false
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hil.geometric.kernels import EYE, NEAREST_M, distorted, gauss, kernel, mix, nearest, uniform
+
+
+class MarkerNoise(NamedTuple):
+    """How found marker corners differ from the true ones, and when a marker is found."""
+
+    half_side_px: float
+    half_side_per_scale_px: float
+    side_slope_per_px: float
+    lapse_rate: float
+    corner_sigma_px2: float
+    corner_floor_px: float
+    corner_spread: float
+    claimed_factor: float
+    coarse_rate: float
+    coarse_sigma_px: float
+    max_incidence_cos: float
+
+
+LARGEST_SCALE = 4.0  # of the finder (path.marker.detect)
+PLATE_GAP_M = 0.004  # what is so little in front of a marker is its own plate
+
+
+@kernel
+def marker(boxes, extents, per_car, frame, lens, R, t, corners, region, scale, noise, key, slow_key, found):
+    """The corners of one marker as the finder gives them.
+
+    Args:
+        R, t: the sender in the world; corners: (4, 3) of the marker in the sender's body frame, in the order of the
+            print.
+        slow_key: changes only now and then: for what goes wrong for a while.
+        region: x0 y0 x1 y1, what is searched; scale: how much the finder enlarges it.
+        found: (9,) filled: u v of each corner, then the standard deviation that is claimed for each coordinate (px).
+
+    Returns:
+        Whether the marker is found.
+    """
+    at, pixels = np.empty((4, 3)), np.empty((4, 2))
+    if not _project(frame, lens, R, t, corners, at, pixels) or _facing(at) < noise.max_incidence_cos:
+        return False
+    side = np.inf
+    for k in range(4):
+        a, b = pixels[k], pixels[(k + 1) % 4]
+        side = min(side, math.hypot(b[0] - a[0], b[1] - a[1]))
+    half = noise.half_side_px + noise.half_side_per_scale_px * (LARGEST_SCALE - scale)
+    chance = 1.0 / (1.0 + math.exp(-noise.side_slope_per_px * (side - half)))
+    lapse = uniform(mix(slow_key, 202)) < noise.lapse_rate
+    if lapse or not _inside(pixels, region, lens, side / 12.0) or uniform(mix(key, 200)) > chance:
+        return False
+    if _covered(boxes, extents, per_car, lens, at):
+        return False
+    draws = np.empty(9)
+    gauss(key, draws)
+    sigma = math.hypot(noise.corner_sigma_px2 / side, noise.corner_floor_px)
+    found[8] = noise.claimed_factor * sigma
+    sigma *= math.exp(noise.corner_spread * draws[8])
+    if uniform(mix(key, 201)) < noise.coarse_rate:
+        sigma = found[8] = noise.coarse_sigma_px
+    for k in range(8):
+        found[k] = pixels[k // 2, k % 2] + sigma * draws[k]
+    return True
+
+
+@kernel
+def _project(frame, lens, R, t, corners, at, pixels):
+    """Corners in the camera frame, ``at`` (4, 3), and their pixels (4, 2); False when one is behind the camera."""
+    for k in range(4):
+        at[k] = 0.0
+        for i in range(3):
+            w = R[i, 0] * corners[k, 0] + R[i, 1] * corners[k, 1] + R[i, 2] * corners[k, 2] + t[i] - frame[EYE + i]
+            for j in range(3):
+                at[k, j] += frame[3 * j + i] * w
+        z = at[k, 2]
+        if z < NEAREST_M or at[k, 0] ** 2 + at[k, 1] ** 2 > (lens[11] * z) ** 2:
+            return False
+        pixels[k, 0], pixels[k, 1] = distorted(lens, at[k, 0] / z, at[k, 1] / z)
+    return True
+
+
+@kernel
+def _inside(pixels, region, lens, margin):
+    """Whether all corners, and ``margin`` px of white around them, are in the region and in the image."""
+    low_u, low_v = max(region[0], -0.5) + margin, max(region[1], -0.5) + margin
+    high_u, high_v = min(region[2], lens[9] - 0.5) - margin, min(region[3], lens[10] - 0.5) - margin
+    u, v = pixels[:, 0], pixels[:, 1]
+    return low_u <= u.min() and u.max() <= high_u and low_v <= v.min() and v.max() <= high_v
+
+
+@kernel
+def _facing(at):
+    """Cosine between the print's normal and the line of sight; ``at`` (4, 3): corners in the camera frame."""
+    across, up, middle = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        across[i], up[i] = at[1, i] - at[0, i], at[0, i] - at[3, i]
+        middle[i] = 0.25 * (at[0, i] + at[1, i] + at[2, i] + at[3, i])
+    nx = across[1] * up[2] - across[2] * up[1]
+    ny = across[2] * up[0] - across[0] * up[2]
+    nz = across[0] * up[1] - across[1] * up[0]
+    size = math.sqrt((nx * nx + ny * ny + nz * nz) * (middle[0] ** 2 + middle[1] ** 2 + middle[2] ** 2))
+    return -(nx * middle[0] + ny * middle[1] + nz * middle[2]) / size
+
+
+@kernel
+def _covered(boxes, extents, per_car, lens, at):
+    """Whether a part of the sender is in front of the marker's middle or of a point near a corner."""
+    for k in range(5):
+        x, y, z = 0.0, 0.0, 0.0
+        for corner in range(4):
+            weight = 0.25 if k == 4 else (0.925 if corner == k else 0.025)
+            x, y, z = x + weight * at[corner, 0], y + weight * at[corner, 1], z + weight * at[corner, 2]
+        u, v = distorted(lens, x / z, y / z)
+        if nearest(boxes, extents, per_car, x / z, y / z, u, v, -1)[0] < z - PLATE_GAP_M:
+            return True
+    return False

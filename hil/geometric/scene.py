@@ -1,0 +1,103 @@
+"""The geometric sight's picture of one instant: what the truth puts where in one camera's image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.geometric import kernels, targets
+from hil.render.scene import CAR_BOXES, SOLID, Model, drone, marked_drone
+from hil.world.snapshot import Snapshot
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.marker.layout import MarkerLayout
+from path.messages import Role
+
+Array = NDArray[np.float64]
+FACES_OF_A_BOX = 6
+
+
+def lens_row(camera: CameraModel) -> Array:
+    """A camera as the kernels take it."""
+    row = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion, camera.width, camera.height]
+    return np.array([*row, min(camera.max_radius, 1e6)])
+
+
+def car_parts() -> Array:
+    """Boxes of a car, (b, 15): centre, half sides, axes."""
+    rows = [[*centre, *(0.5 * side for side in size), *np.eye(3).ravel()] for centre, size, _ in CAR_BOXES]
+    return np.array(rows, float)
+
+
+def drone_parts(T_b_v: Pose, layout: MarkerLayout, *, marked: bool) -> Array:
+    """Boxes of a drone in body FRD, (d, 15), with the backs of its marker plates when it carries them."""
+    return _boxes(marked_drone(T_b_v, layout, hidden=False) if marked else drone())
+
+
+def _boxes(model: Model) -> Array:
+    """The boxes a model's solid faces make up: six each, in opposite pairs."""
+    corners = model.corners[model.kinds == SOLID].reshape(-1, FACES_OF_A_BOX, 9)
+    middles = corners[:, :, 0:3] + 0.5 * (corners[:, :, 3:6] + corners[:, :, 6:9])
+    across = 0.5 * (middles[:, 0::2] - middles[:, 1::2])  # (d, 3, 3): half sides as vectors, one a row
+    half = np.linalg.norm(across, axis=2)
+    axes = np.swapaxes(across / half[:, :, None], 1, 2)
+    return np.concatenate((middles.mean(axis=1), half, axes.reshape(-1, 9)), axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSetup:
+    """What does not change between the frames of one camera."""
+
+    role: Role
+    camera: CameraModel
+    T_b_c: Pose
+    T_b_v: Pose
+    layout: MarkerLayout
+    lens: Array = field(init=False)
+    car: Array = field(init=False)
+    other: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lens", lens_row(self.camera))
+        object.__setattr__(self, "car", car_parts())
+        marked = self.role is not Role.SENDER
+        object.__setattr__(self, "other", drone_parts(self.T_b_v, self.layout, marked=marked))
+
+
+NO_DRONE = np.empty((0, 15))
+STILL = Pose(np.eye(3), np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """The bodies of one instant before one camera; columns as in ``hil.geometric.kernels``. The other drone is last."""
+
+    boxes: Array
+    extents: Array
+    frame: Array
+
+
+def place(setup: CameraSetup, snapshot: Snapshot) -> Placed:
+    """Put the snapshot's cars, and the other drone, before the camera."""
+    own = snapshot.drones[setup.role].T_w_b
+    others = [truth.T_w_b for role, truth in snapshot.drones.items() if role is not setup.role]
+    other, parts = (others[0], setup.other) if others else (STILL, NO_DRONE)
+    things = np.array([(*thing.position_w_m, thing.yaw_rad) for thing in snapshot.objects], float).reshape(-1, 4)
+    count = len(things)
+    boxes = np.empty((count * len(setup.car) + len(parts), kernels.BOX_COLUMNS))
+    extents = np.empty((count + 1, kernels.EXTENT_COLUMNS))
+    frame = np.empty(kernels.FRAME_COLUMNS)
+    kernels.place(
+        own.R, own.t, setup.T_b_c.R, setup.T_b_c.t, setup.lens, things, setup.car, other.R, other.t, parts,
+        boxes, extents, frame,
+    )  # fmt: skip
+    return Placed(boxes, extents, frame)
+
+
+def outlines(setup: CameraSetup, placed: Placed) -> Array:
+    """What is visible of each car, (n, SEEN_COLUMNS), without noise."""
+    seen = np.empty((len(placed.extents) - 1, targets.SEEN_COLUMNS))
+    targets.outlines(placed.boxes, placed.extents, len(setup.car), setup.lens, seen)
+    return seen

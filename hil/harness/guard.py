@@ -1,0 +1,171 @@
+"""The guard of the sim levels: the same rules behind the same loop, in this process and in virtual time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import TracebackType
+from typing import Protocol, Self, cast
+
+from drivers.interfaces import Clock, FlightMode, VehicleError
+from drivers.mavlink.guard_interfaces import Answer, Beat, GuardView
+from drivers.rig.parts import PartContext
+from hil.world.world import World
+from path.messages import Role
+
+TICK_S = 0.05  # in the loop of a thousand runs; the program beside a real role ticks faster
+
+
+class GuardHarness(Protocol):
+    """What the guard needs of ``PartContext.harness``; ``lost_vehicles`` have lost every link."""
+
+    @property
+    def world(self) -> World: ...
+
+    @property
+    def lost_vehicles(self) -> set[Role]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class SimGuardConfig:
+    """Nothing can be set: the rules are the mission's."""
+
+
+class SimGuard:
+    """A ``drivers.mavlink.guard_interfaces.Watched`` on a drone of ``hil.world.world``."""
+
+    Config = SimGuardConfig
+
+    def __init__(self, config: SimGuardConfig, context: PartContext) -> None:
+        del config
+        if context.harness is None:
+            raise VehicleError(
+                "hil.harness.guard:SimGuard needs the simulated world in the same process",
+                "use it in a rig of level sim or sim-rendered, with a harness",
+            )
+        self._harness = cast(GuardHarness, context.harness)
+        self._role, self._clock = context.role, context.clock
+        self._seen: GuardView | None = None
+        self._acked: bool | None = None
+        self._open = False
+        self.ignored: dict[str, int] = {}  # nothing else speaks here
+
+    @property
+    def name(self) -> str:
+        return f"the {self._role.value}'s simulated vehicle"
+
+    async def __aenter__(self) -> Self:
+        self._open = True
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None:
+        self._open = False
+
+    @property
+    def _reached(self) -> bool:
+        return self._open and self._role not in self._harness.lost_vehicles
+
+    def view(self) -> GuardView | None:
+        if not self._reached:
+            return self._seen and replace(self._seen, acked=self._acked)
+        drone, now_ns = self._harness.world.drone(self._role), self._clock.now_ns()
+        autopilot = drone.autopilot
+        self._seen = GuardView(
+            heartbeat_ns=now_ns,
+            position_ns=now_ns,
+            armed=autopilot.armed,
+            in_air=not autopilot.landed,
+            mode=autopilot.mode,
+            position_n_m=drone.estimate.position_n_m,
+            battery=autopilot.battery,
+            acked=self._acked,
+        )
+        return self._seen
+
+    def hold(self) -> None:
+        self._request(FlightMode.HOLD)
+
+    def land(self) -> None:
+        self._request(FlightMode.LAND)
+
+    def _request(self, mode: FlightMode) -> None:
+        self._acked = None
+        if self._reached:
+            world = self._harness.world
+            self._acked = world.drone(self._role).autopilot.request_mode(world.time_s, mode).accepted
+
+
+@dataclass(slots=True)
+class _Mailbox:
+    """The newest beat, its arrival and who sent it."""
+
+    beat: tuple[int, Beat, MemoryGuardLine] | None = None
+
+
+@dataclass(slots=True)
+class MemoryGuardLine:
+    """The role's end; ``cut`` when its program was killed."""
+
+    clock: Clock
+    _box: _Mailbox
+    name: str = "this process"
+    cut: bool = False
+    answered: tuple[int, Answer] | None = None
+    _open: bool = False
+
+    async def __aenter__(self) -> Self:
+        self._open = True
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None:
+        self._open = False
+
+    def beat(self, beat: Beat) -> None:
+        if self._open and not self.cut:
+            self._box.beat = self.clock.now_ns(), beat, self
+
+    def answer(self) -> tuple[int, Answer] | None:
+        return self.answered
+
+
+@dataclass(slots=True)
+class MemoryBeatLine:
+    """The guard's end, of all programs that one role has one after the other."""
+
+    clock: Clock
+    ignored: dict[str, int] = field(default_factory=dict[str, int])  # nothing else speaks here
+    _box: _Mailbox = field(default_factory=_Mailbox)
+    _newest: MemoryGuardLine | None = None
+    _from: MemoryGuardLine | None = None
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None: ...
+
+    def newest(self) -> tuple[int, Beat] | None:
+        newest, self._box.beat = self._box.beat, None
+        if newest is None:
+            return None
+        arrival_ns, beat, self._from = newest
+        return arrival_ns, beat
+
+    def answer(self, answer: Answer) -> None:
+        if self._from is not None:
+            self._from.answered = self.clock.now_ns(), answer
+
+    def role_end(self) -> MemoryGuardLine:
+        """For a program that begins."""
+        self.cut()
+        self._newest = MemoryGuardLine(self.clock, self._box)
+        return self._newest
+
+    def cut(self) -> None:
+        """The program is dead."""
+        if self._newest is not None:
+            self._newest.cut = True

@@ -1,0 +1,65 @@
+"""Faults of the world and of the link, switched on. What ends or blinds a program is each harness's own business."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Protocol
+
+from drivers.interfaces import FlightMode
+from hil.link.faulty import LinkFaults
+from hil.world.world import Fleet, Name
+
+SAGGED = 0.15
+
+_OF_LINK = {
+    "link_loss": ("loss",),
+    "link_delay": ("delay_s", "jitter_s"),
+    "link_jitter": ("jitter_s",),
+    "link_duplicate": ("duplicate",),
+    "link_corrupt": ("corrupt",),
+    "link_reorder": ("reorder",),
+}
+
+
+class FaultyLink(Protocol):
+    """The faults between the drones, both ways: ``hil.link.faulty.MemoryHub`` and ``UdpFaultProxy``."""
+
+    @property
+    def faults(self) -> LinkFaults: ...
+
+    @faults.setter
+    def faults(self, faults: LinkFaults, /) -> None: ...
+
+    def interrupt(self, seconds: float) -> None: ...
+
+
+def inject_in_world(name: str, role: Name | None, world: Fleet[Name], value: float | None = None) -> None:
+    """A fault of the world; any other changes nothing here."""
+    match name:
+        case "lookalike":
+            world.send_lookalike()
+        case "marker_hidden":
+            world.hide_marker(True)
+        case "depth_holes":
+            world.depth_holes(True)
+        case "pilot_takeover" if role is not None:
+            world.drone(role).autopilot.request_mode(world.time_s, FlightMode.OTHER, by_pilot=True)
+        case "motor_kill" if role is not None:
+            world.drone(role).autopilot.kill(world.time_s)
+        case "no_failsafe":
+            for drone in world.names:
+                autopilot = world.drone(drone).autopilot
+                autopilot.config = replace(autopilot.config, offboard_loss_s=math.inf)
+        case "battery_sag" if role is not None:
+            world.battery(role, SAGGED if value is None else value)
+        case _:
+            pass
+
+
+def inject_on_link(name: str, value: float, link: FaultyLink) -> None:
+    """A fault of the link beside those that are there already; any other changes nothing here."""
+    if name == "link_out":
+        link.interrupt(value)
+    elif name in _OF_LINK:
+        link.faults = replace(link.faults, **dict.fromkeys(_OF_LINK[name], value))

@@ -1,0 +1,199 @@
+"""The world of a relay: drones by name on one field, and what the parts of one of them are connected to.
+
+A drone's parts are made once and stay open while its role changes: to its own vehicle and its own eyes it is always the
+receiver, who sees the other drone's marker when there is another drone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from drivers.mavlink.guard_interfaces import GuardLine
+from flight.harness.relay import RelayDrone
+from hil.autopilot.autopilot import Autopilot
+from hil.camera.capture import Freeze
+from hil.harness.guard import MemoryBeatLine
+from hil.link.faulty import MemoryHub
+from hil.world.errors import Built
+from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
+from hil.world.world import STEP_HZ, Fleet, HomeConfig, SimDrone, WorldConfig, at_home
+from path.messages import Role
+
+OWN, OTHER = Role.RECEIVER, Role.SENDER
+
+
+class RelayWorld(Fleet[str]):
+    """Drones that are switched on one by one. What is off stands at its home and costs nothing."""
+
+    def __init__(self, config: WorldConfig, seed: int, drones: tuple[RelayDrone, ...]) -> None:
+        """Raises ValueError when the objects do not fit."""
+        self._homes = {drone.name: HomeConfig(drone.home_m, drone.heading_deg) for drone in drones}
+        self._seeds = np.random.SeedSequence([seed, 0x52454C]).spawn(len(drones))
+        self._boots = dict.fromkeys(self._homes, 0)
+        self.on: set[str] = set()
+        self._truths: dict[str, DroneTruth] | None = None
+        self._objects: tuple[ObjectTruth, ...] | None = None
+        super().__init__(config, seed, self._homes, {})
+        for drone in drones:
+            self.battery(drone.name, drone.battery)
+
+    def switch_on(self, name: str) -> None:
+        """With a position solution of its own, which has not wandered yet."""
+        self._sensors.begin_anew(self.names.index(name), self.config.estimator)
+        self._drones[name].telemetry.clear()
+        self.on.add(name)
+
+    def swap(self, name: str) -> None:
+        """At its home, with a full battery, off; its autopilot will start anew."""
+        row, self._boots[name] = self.names.index(name), self._boots[name] + 1
+        self._states[row] = at_home(self._homes[name], self.config.airframe.leg_m)
+        self._commands[row] = 0.0
+        seed = int(
+            np.random.SeedSequence((*self._seeds[row].generate_state(2), self._boots[name])).generate_state(1)[0]
+        )
+        self._drones[name].autopilot = Autopilot(self.config.autopilot, seed)
+        self.on.discard(name)
+        self._changed()
+
+    def _sense(self) -> None:
+        rows, time_s = self._sensors.tick(self._states), self._step / STEP_HZ
+        for i, (name, drone) in enumerate(self._drones.items()):
+            if name in self.on:
+                drone.sense(time_s, rows[i].tolist())
+
+    def _command(self) -> None:
+        self._commanded_step = self._step
+        for i, (name, drone) in enumerate(self._drones.items()):
+            if name in self.on:
+                self._commands[i] = drone.command(self._step / STEP_HZ)
+
+    def _changed(self) -> None:
+        self._truths = self._objects = None
+
+    # --- truth ---
+
+    def truth(self) -> dict[str, DroneTruth]:
+        if self._truths is None:
+            self._truths = self.truths()
+        return self._truths
+
+    @property
+    def objects(self) -> tuple[ObjectTruth, ...]:
+        if self._objects is None:
+            self._objects = self._traffic.at(self.time_s)
+        return self._objects
+
+    @property
+    def airborne(self) -> tuple[str, ...]:
+        return tuple(name for name, drone in self._drones.items() if not drone.on_ground)
+
+    def closest(self) -> tuple[float, tuple[str, ...]]:
+        """Smallest true distance between two drones in the air, and which."""
+        airborne = self.airborne
+        least: tuple[float, tuple[str, ...]] = (math.inf, ())
+        for i, one in enumerate(airborne):
+            for other in airborne[:i]:
+                apart = math.dist(self._drones[one].true_position_n_m, self._drones[other].true_position_n_m)
+                least = min(least, (apart, (other, one)))
+        return least
+
+    @property
+    def batteries(self) -> tuple[float, ...]:
+        """In the order of ``names``."""
+        return tuple(round(drone.autopilot.battery, 4) for drone in self._drones.values())
+
+    def landed(self, name: str) -> bool:
+        """Whether it stands on the ground, its motors off."""
+        drone = self._drones[name]
+        return drone.on_ground and not drone.autopilot.armed
+
+    def view(self, own: str, other: str | None) -> Snapshot:
+        """The truth at ``time_s`` as far as a pair is concerned."""
+        truth = self.truth()
+        drones = {OWN: truth[own]} if other is None else {OTHER: truth[other], OWN: truth[own]}
+        return Snapshot(self.time_s, drones, self.objects, self._marker_hidden, self._depth_holes)
+
+
+class PairView:
+    """A world of two, for the parts of one drone."""
+
+    def __init__(self, world: RelayWorld, own: str) -> None:
+        self._world = world
+        self._own = own
+        self.other: str | None = None
+        self._seen: Snapshot | None = None
+        self._seen_other: str | None = None
+
+    @property
+    def time_s(self) -> float:
+        return self._world.time_s
+
+    def drone(self, role: Role) -> SimDrone:
+        """Its own, whatever it is called: a part knows no other vehicle."""
+        del role
+        return self._world.drone(self._own)
+
+    def snapshot(self) -> Snapshot:
+        if self._seen is None or self._seen.time_s != self._world.time_s or self._seen_other != self.other:
+            self._seen, self._seen_other = self._world.view(self._own, self.other), self.other
+        return self._seen
+
+
+class DroneHarness:
+    """``PartContext.harness`` of one drone's parts, and ``flight.harness.flights.InProcess`` of its program.
+
+    Attributes:
+        role: in the leg under way.
+        hub: of that leg's link.
+    """
+
+    def __init__(self, world: RelayWorld, name: str, seed: int, present_s: Callable[[], float], built: Built) -> None:
+        self._world = world
+        self.built = built
+        self._present_s = present_s
+        self.name = name
+        self.seed = seed * 64 + world.names.index(name)
+        self.view = PairView(world, name)
+        self.role = Role.RECEIVER
+        self.hub = MemoryHub(self.seed)  # a link to nobody
+        self.beats: MemoryBeatLine | None = None
+        self.frozen = False
+        self.silent = False
+        self.lost = False
+
+    @property
+    def world(self) -> PairView:
+        """At the loop's present."""
+        now_s = self._present_s()
+        if now_s != self._world.time_s:
+            self._world.advance(now_s)
+        return self.view
+
+    @property
+    def frozen_cameras(self) -> Mapping[Role, Freeze]:
+        return {OWN: Freeze.SILENT} if self.frozen else {}
+
+    @property
+    def silent_vehicles(self) -> set[Role]:
+        return set(Role) if self.silent else set()
+
+    @property
+    def lost_vehicles(self) -> set[Role]:
+        return set(Role) if self.lost else set()
+
+    def guard_line(self, role: Role) -> GuardLine:
+        del role
+        assert self.beats is not None, "the rig has no guard"
+        return self.beats.role_end()
+
+    def join(self, role: Role, other: str | None, hub: MemoryHub) -> None:
+        """From now on this drone is one end of a leg."""
+        self.role, self.view.other, self.hub = role, other, hub
+
+
+def present_s() -> float:
+    return asyncio.get_running_loop().time()

@@ -1,0 +1,1 @@
+"""The link between simulated drones, with its faults."""

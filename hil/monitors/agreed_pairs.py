@@ -1,0 +1,123 @@
+"""What the safety monitors make of a sender's agreeing pairs: the run under way, recounted from the records alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from path.config import MethodConfig
+
+ROUNDING = 1e-9
+
+
+@dataclass(slots=True)
+class AgreedPairs:
+    """The run of agreeing pairs, and its blocks when the gate goes by evidence (S5, S6).
+
+    It takes a role's word only where that claims less: a run that begins again for a reason the records of D2's answers
+    do not show, such as a frame of D1's own without the target.
+    """
+
+    method: MethodConfig
+    pairs: int = 0
+    first_ns: int = 0
+    last_ns: int = -1
+    target_id: int = -1
+    epoch: int | None = None
+    runs: int = 0  # of the epoch
+    logs: float = 0.0  # log10 of the run's evidence
+    agrees: bool = False  # the newest pair that was compared
+    block_ns: int = 0  # where the block under way begins
+    block: list[tuple[float, bool]] = field(default_factory=list[tuple[float, bool]])  # strength, and whether it agrees
+
+    @property
+    def span_s(self) -> float:
+        return (self.last_ns - self.first_ns) * 1e-9 if self.pairs else 0.0
+
+    @property
+    def reached(self) -> float:
+        """log10 of the evidence of the run under way; 0 without any."""
+        return self.logs if self.pairs else 0.0
+
+    @property
+    def full(self) -> bool:
+        """Whether the run is enough for a commit, by the gate of the rig."""
+        if self.method.gate == "evidence":
+            own = self.method.evidence
+            needed = math.log10(self.runs * (self.runs + 1) / own.alpha) if self.runs else math.inf
+            enough = self.agrees and self.reached >= needed - ROUNDING
+            return enough and self.pairs >= own.min_pairs and self.span_s >= own.min_s - ROUNDING
+        return self.pairs >= self.method.hold_frames and self.span_s >= self.method.hold_s - ROUNDING
+
+    def __str__(self) -> str:
+        evidence = f", evidence {self.reached:.2f} in run {self.runs}" if self.method.gate == "evidence" else ""
+        return f"{self.pairs} pairs, {self.span_s:.2f} s{evidence}"
+
+    def missed(self, record: Mapping[str, Any]) -> None:
+        """An answer that does not agree: the end of pairs in a row; as evidence, only what was compared counts."""
+        if self.method.gate != "evidence":
+            self.pairs = 0
+            return
+        iou, tau = record["iou"], record["tau"]
+        if iou is None or tau is None:
+            return
+        self.agrees = False
+        if self.pairs:
+            self._compare(int(record["capture_ns"]), iou, tau)
+
+    def agreed(self, record: Mapping[str, Any]) -> str | None:
+        """An agreeing pair that the role counted; what is wrong with that, None when nothing is."""
+        capture_ns, iou, tau = int(record["capture_ns"]), record["iou"], record["tau"]
+        if capture_ns <= self.last_ns or iou is None or tau is None or not iou >= tau:
+            return f"a pair counted that must not: {dict(record)}"
+        gap_ns = capture_ns - self.last_ns
+        if record["epoch"] != self.epoch:
+            self.epoch, self.runs, self.pairs = record["epoch"], 0, 0
+        if (
+            self.pairs == 0
+            or record["count"] == 1
+            or record["target_id"] != self.target_id
+            or gap_ns > round(self.max_gap_s * 1e9)
+        ):
+            self._begin(capture_ns, int(record["target_id"]))
+        self.pairs += 1
+        self.last_ns, self.agrees = capture_ns, True
+        if self.method.gate == "evidence":
+            self._compare(capture_ns, iou, tau)
+        if record["count"] > self.pairs:
+            return f"the role counts {record['count']}, the monitor {self.pairs}"
+        claimed = record["evidence"]
+        if claimed is not None and claimed > self.reached + ROUNDING:
+            return f"the role has evidence {claimed:.2f}, the monitor {self.reached:.2f}"
+        return None
+
+    @property
+    def max_gap_s(self) -> float:
+        return self.method.evidence.max_gap_s if self.method.gate == "evidence" else self.method.max_gap_s
+
+    def _begin(self, capture_ns: int, target_id: int) -> None:
+        self.pairs, self.first_ns, self.target_id = 0, capture_ns, target_id
+        self.runs += 1
+        self.logs, self.block_ns, self.block = 0.0, capture_ns, []
+
+    def _compare(self, capture_ns: int, iou: float, tau: float) -> None:
+        own = self.method.evidence
+        self.block.append(((iou - tau) / max(1.0 - tau, ROUNDING), iou >= tau))
+        if capture_ns - self.block_ns < round(own.block_s * 1e9) or len(self.block) < own.block_pairs:
+            return
+        middle = float(np.median([strength for strength, _ in self.block]))
+        share = sum(agrees for _, agrees in self.block) / len(self.block)
+        good = middle >= own.strength - ROUNDING and share >= own.block_share - ROUNDING
+        if self.logs == 0.0:
+            self.logs = -math.log10(own.first_rate) if good else 0.0
+        elif good:
+            self.logs += math.log10((1.0 - (1.0 - own.next_rate) * own.setback) / own.next_rate)
+        else:
+            self.logs += math.log10(own.setback)
+        self.block_ns, self.block = capture_ns, []
+        if self.logs <= ROUNDING:
+            self.pairs, self.logs = 0, 0.0

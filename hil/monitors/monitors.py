@@ -1,0 +1,150 @@
+"""Safety monitors of a run: they see truth and every decision of both roles, and count what must never happen.
+
+Records are those the roles log; a monitor recomputes from them and believes no role's own count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivers.interfaces import Log
+from flight.config import GuardConfig
+from hil.autopilot.values import OffboardSession
+from hil.monitors.agreed_pairs import AgreedPairs
+from hil.monitors.claims import Claims, in_world_time
+from hil.monitors.leases import LeaseMonitor
+from hil.monitors.scripts import ScriptMonitor
+from path.config import MethodConfig
+from path.messages import Role
+
+MAX_SETPOINT_GAP_S = 0.2
+MAX_FAILSAFE_S = 1.0
+LEASES = frozenset({"/responsibility", "/commit", "/epoch", "/decision"})
+
+
+@dataclass(slots=True)
+class Monitors:
+    """S1 to S10, L1 and L2. Stamps are of the world's clock.
+
+    S1, S5, S6, S8 and S9 are here; S2, S3, S4, L1 and L2 in ``leases``; S7 and S10 in ``scripts``.
+    """
+
+    method: MethodConfig
+    min_separation_m: float
+    guard: GuardConfig = field(default_factory=GuardConfig)
+    violations: Counter[str] = field(default_factory=Counter[str])
+    details: list[str] = field(default_factory=list[str])
+    closest_m: float = math.inf
+    _claims: Claims[Role] = field(default_factory=Claims[Role])
+    _too_close: bool = False
+    _agreed: AgreedPairs = field(init=False)
+    _committed: set[int] = field(default_factory=set[int])
+
+    leases: LeaseMonitor = field(init=False)
+    scripts: ScriptMonitor = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._agreed = AgreedPairs(self.method)
+        self.leases = LeaseMonitor(self._violated)
+        self.scripts = ScriptMonitor(self._violated, self.guard)
+
+    def on_record(self, role: Role, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        """One record of a role's log."""
+        if topic == "/frame":
+            self.scripts.on_frame(role, stamp_w_ns * 1e-9)
+        elif topic == "/agreement":
+            self._on_agreement(stamp_w_ns, record)
+        elif topic == "/phase":
+            self.scripts.on_phase(role, stamp_w_ns * 1e-9, str(record["phase"]))
+        elif topic in LEASES:
+            self.leases.on_record(role, topic, stamp_w_ns, record)
+            if topic == "/responsibility":
+                self._on_responsibility(role, stamp_w_ns, record)
+            elif topic == "/commit":
+                self._on_commit(stamp_w_ns, record)
+
+    def on_death(self, role: Role) -> None:
+        """Its program does not run any more: it does nothing, until it is started again and says what it is."""
+        self._claims.drop(role)
+        self.leases.on_death(role)
+        self.scripts.on_death(role)
+
+    def on_truth(self, time_s: float, separation_m: float, both_in_air: bool) -> None:
+        """True distance between the two bodies (S9); each excursion below the minimum counts once."""
+        if not both_in_air:
+            return
+        self.closest_m = min(self.closest_m, separation_m)
+        too_close = separation_m < self.min_separation_m
+        if too_close and not self._too_close:
+            self._violated("S9", time_s, f"separation {separation_m:.2f} m is below {self.min_separation_m:.2f} m")
+        self._too_close = too_close
+
+    def on_offboard(self, role: Role, sessions: Iterable[OffboardSession], cut_off_s: Sequence[float] = ()) -> None:
+        """Setpoint gaps of one vehicle (S8).
+
+        Args:
+            cut_off_s: when the harness itself stopped the setpoints (a killed program, a dead link to the vehicle):
+                then a gap is no violation as long as the vehicle held and landed in time. World's clock.
+        """
+        for session in sessions:
+            end_s = math.inf if session.end_s is None else session.end_s
+            cut_off = any(session.start_s <= at_s <= end_s for at_s in cut_off_s)
+            longest = MAX_FAILSAFE_S if cut_off else MAX_SETPOINT_GAP_S
+            if session.max_gap_s > longest:
+                self._violated("S8", session.start_s, f"{role.value}: {session.max_gap_s:.3f} s between setpoints")
+            elif cut_off and session.max_gap_s > MAX_SETPOINT_GAP_S and session.end_s is None:
+                self._violated("S8", session.start_s, f"{role.value}: no failsafe after the setpoints stopped")
+
+    def _violated(self, name: str, time_s: float, what: str) -> None:
+        self.violations[name] += 1
+        self.details.append(f"{name} at {time_s:.2f} s: {what}")
+
+    def _on_responsibility(self, role: Role, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        self._claims.note(role, record)
+        if len(self._claims.holders(stamp_w_ns * 1e-9)) > 1:
+            self._violated("S1", stamp_w_ns * 1e-9, "two responsible drones")
+
+    def _on_agreement(self, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        if not record["agreed"]:
+            if record["counted"]:
+                self._agreed.missed(record)
+            return
+        wrong = self._agreed.agreed(record)
+        if wrong is not None:
+            self._violated("S6", stamp_w_ns * 1e-9, wrong)
+
+    def _on_commit(self, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        if record["epoch"] in self._committed:  # said again, until it is answered
+            return
+        self._committed.add(record["epoch"])
+        agreed = self._agreed
+        same = (record["target_id"], record["epoch"]) == (agreed.target_id, agreed.epoch)
+        if not (same and agreed.full):
+            what = f"commit to target {record['target_id']} after {agreed}"
+            self._violated("S5", stamp_w_ns * 1e-9, what)
+
+
+class WatchedLog:
+    """A role's log that the monitors read as it is written. ``offset_ns``: role clock minus world clock."""
+
+    def __init__(self, log: Log, role: Role, monitors: Monitors, offset_ns: int) -> None:
+        self._log = log
+        self._role = role
+        self._monitors = monitors
+        self._offset_ns = offset_ns
+        self.ended = False  # the program was killed: what it does on its way out has not happened
+
+    def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
+        if self.ended:
+            return
+        seen = in_world_time(record, self._offset_ns) if topic in LEASES else record
+        self._monitors.on_record(self._role, topic, stamp_ns - self._offset_ns, seen)
+        self._log.write(topic, stamp_ns, record)
+
+    def image(self, topic: str, stamp_ns: int, image: Any) -> None:
+        if not self.ended:
+            self._log.image(topic, stamp_ns, image)

@@ -1,0 +1,256 @@
+"""What must never happen in a relay: the monitors of a handoff for each leg, and those of all drones together.
+
+Of all drones: at most one is responsible (S1), nobody is for no longer than lease, uncertainty and guard allow (L2),
+all that are in the air keep their separation (S9), none is below the reserve before it has landed, and who is
+responsible has the right object. Gaps that a dead program or an orphan leaves are outcomes, not gaps of the protocol.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+from drivers.interfaces import Log
+from drivers.rig.parts import Rig, RoleRig
+from flight.config import MissionConfig
+from flight.harness.relay import OFTEN, Flown, RelayConfig, Sample
+from flight.outcome import OBJECT_MONITOR
+from hil.harness.relay_world import RelayWorld
+from hil.monitors.claims import Claims, in_world_time
+from hil.monitors.leases import GAP_S
+from hil.monitors.monitors import LEASES, Monitors
+from hil.monitors.scripts import ScriptMonitor, VehicleTruth, pixel_of, vehicle_truth
+from hil.world.snapshot import DroneTruth, ObjectTruth
+from path.messages import Role
+
+Seen = tuple[Mapping[str, DroneTruth], Sequence[ObjectTruth]]
+LOOK_S = 1.0  # at the object that the responsible drone has
+
+
+@dataclass(slots=True)
+class Leg:
+    """Two drones, and the monitors of their hand-over."""
+
+    number: int
+    roles: dict[str, Role]
+    monitors: Monitors
+
+
+@dataclass(slots=True)
+class _Flight:
+    began_s: float
+    battery: float = math.inf  # the smallest while it was armed
+    told: bool = False
+
+
+@dataclass(slots=True)
+class RelayMonitors:
+    """Stamps are of the world's clock. ``on_truth`` is to be called often while drones are in the air.
+
+    Attributes:
+        seen: drones and objects at a time of the world's clock, for records that are older than the world's present.
+    """
+
+    rig: Rig
+    config: RelayConfig
+    mission: MissionConfig
+    world: RelayWorld
+    own: Mapping[str, RoleRig]
+    violations: Counter[str] = field(default_factory=Counter[str])
+    details: list[str] = field(default_factory=list[str])
+    flown: list[Flown] = field(default_factory=list[Flown])
+    gaps_s: dict[int, float] = field(default_factory=dict[int, float])
+    closest_m: float = math.inf
+    closest_pair: tuple[str, ...] = ()
+    samples: list[Sample] = field(default_factory=list[Sample])
+    claims: Claims[str] = field(default_factory=Claims[str])
+    scripts: ScriptMonitor = field(init=False)
+    members: Mapping[str, Enum] = field(init=False)
+    seen: Callable[[float], Seen] | None = None
+    _legs: dict[str, Leg] = field(default_factory=dict[str, Leg])
+    _all_legs: list[Leg] = field(default_factory=list[Leg])
+    _flights: dict[str, _Flight] = field(default_factory=dict[str, _Flight])
+    _alone_s: float | None = None
+    _near: set[tuple[str, ...]] = field(default_factory=set[tuple[str, ...]])
+    _looked_s: dict[str, float] = field(default_factory=dict[str, float])
+    _wrong: set[str] = field(default_factory=set[str])
+
+    def __post_init__(self) -> None:
+        drones: Any = Enum("Drone", {name: name for name in self.world.names})  # made of the rig's names
+        self.members = drones.__members__
+        self.scripts = ScriptMonitor(self.violated, self.mission.guard, tuple(self.members.values()))
+
+    def violated(self, name: str, time_s: float, what: str) -> None:
+        self.violations[name] += 1
+        self.details.append(f"{name} at {time_s:.2f} s: {what}")
+
+    # --- told by the harness ---
+
+    def on_leg(self, number: int, sender: str, receiver: str) -> None:
+        monitors = Monitors(self.rig.method, self.mission.separation.minimum_m, self.mission.guard)
+        leg = Leg(number, {sender: Role.SENDER, receiver: Role.RECEIVER}, monitors)
+        self._legs[sender] = self._legs[receiver] = leg
+        self._all_legs.append(leg)
+
+    def on_switched_on(self, name: str, now_s: float) -> None:
+        self._flights[name] = _Flight(now_s)
+
+    def on_swap(self, name: str, now_s: float) -> None:
+        """Before its autopilot is started anew."""
+        flight, autopilot = self._flights.pop(name, None), self.world.drone(name).autopilot
+        if flight is not None:
+            self.flown.append(Flown(name, flight.began_s, now_s, min(flight.battery, autopilot.battery)))
+
+    def on_offboard(self, name: str, cut_off_s: list[float]) -> None:
+        """S8 of one flight, before its autopilot is started anew."""
+        judge = Monitors(self.rig.method, 0.0)
+        judge.on_offboard(Role.SENDER, self.world.drone(name).autopilot.offboard_sessions, cut_off_s)
+        for detail in judge.details:
+            self.violations["S8"] += 1
+            self.details.append(detail.replace(Role.SENDER.value, name))
+
+    def on_death(self, name: str) -> None:
+        if name in self._legs:
+            leg = self._legs[name]
+            leg.monitors.on_death(leg.roles[name])
+        self.scripts.on_death(self.members[name])
+        self.claims.drop(name)
+        self._alone_s = None
+
+    def on_record(self, name: str, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        now_s, member = stamp_w_ns * 1e-9, self.members[name]
+        leg = self._legs.get(name)
+        if leg is not None:
+            leg.monitors.on_record(leg.roles[name], topic, stamp_w_ns, record)
+        if topic == "/frame":
+            self.scripts.on_frame(member, now_s)
+        elif topic == "/phase":
+            self.scripts.on_phase(member, now_s, str(record["phase"]))
+        elif topic == "/responsibility":
+            self._on_responsibility(name, now_s, record)
+        elif topic in ("/target", "/track"):
+            self._on_box(name, now_s, record["box"])
+
+    # --- truth ---
+
+    def on_truth(self, now_s: float) -> None:
+        world = self.world
+        apart_m, pair = world.closest()
+        if apart_m < self.closest_m:
+            self.closest_m, self.closest_pair = apart_m, pair
+        too_near = apart_m < self.mission.separation.minimum_m
+        if too_near and pair not in self._near:
+            self._near.add(pair)
+            self.violated("S9", now_s, f"{' and '.join(pair)} are {apart_m:.2f} m apart")
+        if not too_near:
+            self._near.clear()
+        for name, flight in self._flights.items():
+            autopilot = world.drone(name).autopilot
+            if not autopilot.armed:
+                continue
+            flight.battery = min(flight.battery, autopilot.battery)
+            if flight.battery < self.config.reserve and not flight.told:
+                flight.told = True
+                self.violated("reserve", now_s, f"{name} flies with its battery at {100 * flight.battery:.1f} %")
+
+    def on_vehicles(self, now_s: float, vehicles: Mapping[Enum, VehicleTruth]) -> None:
+        """S7 and S10, when the records up to then are known; seldom is enough."""
+        self.scripts.on_truth(now_s, vehicles)
+
+    def vehicles(self) -> dict[Enum, VehicleTruth]:
+        """The truth about those that are switched on, now."""
+        world, truth = self.world, self.world.truth()
+        return {
+            self.members[name]: vehicle_truth(
+                world.drone(name).autopilot, truth[name], self.own[name], world.objects[0]
+            )
+            for name in world.names if name in world.on
+        }  # fmt: skip
+
+    def sample(self, now_s: float, batteries: tuple[float, ...], airborne: tuple[str, ...]) -> None:
+        self.samples.append(Sample(round(now_s, 2), tuple(sorted(self.claims.holders(now_s))), batteries, airborne))
+
+    def findings(self) -> dict[str, Any]:
+        """After ``close``: those fields of a ``flight.harness.relay.RelayReport`` that say what was seen."""
+        return {
+            "violations": dict(self.violations),
+            "notes": tuple(self.details),
+            "gaps_s": dict(self.gaps_s),
+            "flown": tuple(self.flown),
+            "samples": tuple(self.samples),
+            "closest_m": self.closest_m if math.isfinite(self.closest_m) else math.nan,
+            "closest_pair": self.closest_pair,
+        }
+
+    def close(self) -> None:
+        """The relay is over: what the legs' monitors found counts."""
+        for leg in self._all_legs:
+            # two of a leg that are responsible at once are already told of, and so is what S7 and S10 found
+            for name, count in leg.monitors.violations.items():
+                if name not in ("S1", "L2"):
+                    self.violations[name] += count
+            kept = [detail for detail in leg.monitors.details if not detail.startswith(("S1 ", "L2 "))]
+            self.details += [f"leg {leg.number}: {detail}" for detail in kept]
+            gap_s = leg.monitors.leases.gap_s
+            if gap_s is not None:
+                self.gaps_s[leg.number] = gap_s
+
+    def _on_responsibility(self, name: str, now_s: float, record: Mapping[str, Any]) -> None:
+        before = name in self.claims.holders(now_s)
+        self.claims.note(name, record)
+        holders = self.claims.holders(now_s)
+        if not record["responsible"]:
+            if before:
+                self._alone_s = None if holders else now_s
+            return
+        if len(holders) > 1:
+            self.violated("S1", now_s, f"responsible at once: {', '.join(sorted(holders))}")
+        if self._alone_s is not None:
+            alone_s, self._alone_s = now_s - self._alone_s, None
+            if alone_s > GAP_S:
+                self.violated("L2", now_s, f"nobody was responsible for {alone_s:.2f} s, the bound is {GAP_S:.2f} s")
+
+    def _on_box(self, name: str, now_s: float, box: list[float] | None) -> None:
+        """The object in the middle of what the responsible drone takes for the target must be the target."""
+        if box is None or name not in self.claims.holders(now_s) or now_s - self._looked_s.get(name, -LOOK_S) < LOOK_S:
+            return
+        self._looked_s[name] = now_s
+        u, v = box[0] + 0.5 * box[2], box[1] + 0.5 * box[3]
+        drones, objects = (self.world.truth(), self.world.objects) if self.seen is None else self.seen(now_s)
+        drone, own = drones[name], self.own[name]
+        off = {thing.object_id: math.dist((u, v), pixel_of(drone, own, thing)) for thing in objects}
+        found = min(off, key=lambda number: math.inf if math.isnan(off[number]) else off[number])
+        if found != 0 and name not in self._wrong:
+            self._wrong.add(name)
+            self.violated(OBJECT_MONITOR, now_s, f"{name} is responsible and looks at object {found}")
+        elif found == 0:
+            self._wrong.discard(name)
+
+
+class RelayLog:
+    """The log of one drone's program, which the monitors read as it is written.
+
+    Args:
+        log: where it goes; of what comes ``OFTEN`` only when ``whole``.
+        offset_ns: the drone's clock minus the world's.
+    """
+
+    def __init__(self, log: Log, name: str, monitors: RelayMonitors, offset_ns: int, whole: bool) -> None:
+        self._log, self._name, self._monitors, self._offset_ns, self._whole = log, name, monitors, offset_ns, whole
+        self.ended = False  # the program was killed: what it does on its way out has not happened
+
+    def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
+        if self.ended:
+            return
+        seen = in_world_time(record, self._offset_ns) if topic in LEASES else record
+        self._monitors.on_record(self._name, topic, stamp_ns - self._offset_ns, seen)
+        if self._whole or topic not in OFTEN:
+            self._log.write(topic, stamp_ns, record)
+
+    def image(self, topic: str, stamp_ns: int, image: Any) -> None:
+        if not self.ended and self._whole:
+            self._log.image(topic, stamp_ns, image)

@@ -1,0 +1,175 @@
+"""What no script may do, from true states and the roles' phases: S7 and S10.
+
+S7 is held as far as it can be measured: while the camera of a drone whose mission goes on truly has the target's middle
+in its image, one such drone looks at its frames (a record of one, at most ``LOOKS_S`` old). A mission goes on from the
+moment a role follows the target, or searches for the other drone, until it departs, lands or its program dies.
+
+S10: once a pilot has the vehicle, no setpoint comes any more and no script changes the mode; once a pilot has stopped
+its motors, it is sent nothing and not armed again; below the battery's limit, or outside the fence, the mission ends.
+What was under way when it happened may still arrive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from drivers.interfaces import FlightMode
+from drivers.rig.parts import Rig, RoleRig
+from flight.config import GuardConfig
+from flight.phases import Phase
+from hil.autopilot.autopilot import Autopilot
+from hil.world.snapshot import DroneTruth, ObjectTruth
+from hil.world.world import World
+from path.messages import Role, Vec3
+
+Violated = Callable[[str, float, str], None]
+
+LOOKS_S = 1.0
+NOTICED_S = 1.5  # mode and battery come with heartbeats; then the script ends its mission
+FENCE_SLACK_M = 0.5  # of the vehicle's own estimate
+
+WATCHING = frozenset(phase.title for phase in (Phase.FOLLOW, Phase.SEARCH, Phase.APPROACH, Phase.VERIFY))
+ENDING = frozenset(phase.title for phase in (Phase.DEPART, Phase.LAND, Phase.DONE))
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleTruth:
+    """Of one vehicle, at an instant.
+
+    Attributes:
+        killed: the pilot has stopped the motors.
+        setpoint_s: when the newest setpoint arrived, world's clock.
+        position_n_m: true, north, east, down.
+        sees_target: the target's middle is in its camera's image.
+    """
+
+    mode: FlightMode
+    armed: bool
+    pilot: bool
+    killed: bool
+    battery: float
+    low_battery: float
+    setpoint_s: float
+    position_n_m: Vec3
+    sees_target: bool
+
+
+@dataclass(slots=True)
+class ScriptMonitor:
+    """Each kind of violation of a role counts once."""
+
+    violated: Violated
+    guard: GuardConfig = field(default_factory=GuardConfig)
+    drones: Iterable[Enum] = Role
+    _phase: dict[Enum, str] = field(init=False)
+    _looked_s: dict[Enum, float] = field(init=False)
+    _since_s: dict[tuple[str, Enum], float] = field(default_factory=dict[tuple[str, Enum], float])
+    _mode: dict[Enum, FlightMode] = field(default_factory=dict[Enum, FlightMode])  # a pilot's
+    _told: set[str] = field(default_factory=set[str])
+
+    def __post_init__(self) -> None:
+        self._phase = dict.fromkeys(self.drones, "")
+        self._looked_s = dict.fromkeys(self.drones, 0.0)
+
+    def on_phase(self, role: Enum, now_s: float, phase: str) -> None:
+        if phase in WATCHING and self._phase[role] not in WATCHING:
+            self._looked_s[role] = now_s  # from here on it has to
+        self._phase[role] = phase
+
+    def on_frame(self, role: Enum, now_s: float) -> None:
+        self._looked_s[role] = now_s
+
+    def on_death(self, role: Enum) -> None:
+        self._phase[role] = ""
+
+    def on_truth(self, now_s: float, vehicles: Mapping[Any, VehicleTruth]) -> None:
+        self._observed(now_s, vehicles)
+        for role, vehicle in vehicles.items():
+            self._obeyed(role, now_s, vehicle)
+
+    def _observed(self, now_s: float, vehicles: Mapping[Any, VehicleTruth]) -> None:
+        """S7."""
+        watching = [role for role in vehicles if self._phase[role] in WATCHING]
+        seen = any(vehicles[role].sees_target for role in watching)
+        if not seen or any(now_s - self._looked_s[role] <= LOOKS_S for role in watching):
+            return
+        self._once("S7", now_s, "a camera has the target in its image, and nobody looks")
+
+    def _obeyed(self, role: Enum, now_s: float, vehicle: VehicleTruth) -> None:
+        """S10."""
+        north, east, down = vehicle.position_n_m
+        limit = self.guard
+        outside = (north * north + east * east) ** 0.5 > limit.fence_radius_m + FENCE_SLACK_M
+        outside = outside or -down > limit.fence_height_m + FENCE_SLACK_M
+        ruled = {
+            "pilot": vehicle.armed and vehicle.pilot,
+            "kill": vehicle.killed,
+            "battery": vehicle.armed and vehicle.battery < limit.min_battery,
+            "fence": vehicle.armed and outside,
+        }
+        for reason, rules in ruled.items():
+            if not rules:
+                self._since_s.pop((reason, role), None)
+                if reason == "pilot":
+                    self._mode.pop(role, None)
+                continue
+            since_s = self._since_s.setdefault((reason, role), now_s)
+            if now_s - since_s > NOTICED_S:
+                self._after(reason, role, since_s, now_s, vehicle)
+
+    def _after(self, reason: str, role: Enum, since_s: float, now_s: float, vehicle: VehicleTruth) -> None:
+        who = role.value
+        if reason == "pilot":
+            if vehicle.setpoint_s > since_s + NOTICED_S:
+                self._once("S10", now_s, f"the {who}'s script sends setpoints to a pilot's vehicle")
+            mode = self._mode.setdefault(role, vehicle.mode)
+            if vehicle.mode is not mode and vehicle.battery > vehicle.low_battery:
+                self._once("S10", now_s, f"the {who}'s script took the vehicle from its pilot: {vehicle.mode.value}")
+        elif reason == "kill":
+            if vehicle.armed or vehicle.setpoint_s > since_s + NOTICED_S:
+                self._once("S10", now_s, f"the {who}'s script flies a vehicle whose motors the pilot stopped")
+        elif vehicle.mode is FlightMode.OFFBOARD and self._phase[role] not in ENDING and self._phase[role]:
+            self._once("S10", now_s, f"the {who}'s mission goes on against its limit: {reason}")
+
+    def _once(self, name: str, now_s: float, what: str) -> None:
+        if what not in self._told:
+            self._told.add(what)
+            self.violated(name, now_s, what)
+
+
+def vehicles_of(world: World, rig: Rig) -> dict[Role, VehicleTruth]:
+    """The truth about both vehicles, now."""
+    snapshot = world.snapshot()
+    return {
+        role: vehicle_truth(world.drone(role).autopilot, drone, rig.role(role), snapshot.objects[0])
+        for role, drone in snapshot.drones.items()
+    }
+
+
+def vehicle_truth(autopilot: Autopilot, drone: DroneTruth, own: RoleRig, target: ObjectTruth) -> VehicleTruth:
+    """The truth about one vehicle."""
+    u, v = pixel_of(drone, own, target)
+    east, north, up = drone.T_w_b.t.tolist()
+    return VehicleTruth(
+        mode=autopilot.mode,
+        armed=autopilot.armed,
+        pilot=autopilot.pilot_in_control,
+        killed=autopilot.killed,
+        battery=autopilot.battery,
+        low_battery=autopilot.config.low_battery,
+        setpoint_s=autopilot.newest_setpoint_s,
+        position_n_m=(north, east, -up),
+        sees_target=0.0 <= u < own.camera.width and 0.0 <= v < own.camera.height,  # NaN behind the camera
+    )
+
+
+def pixel_of(drone: DroneTruth, own: RoleRig, thing: ObjectTruth) -> tuple[float, float]:
+    """Where an object's origin is in a drone's image; NaN behind the camera."""
+    thing_b_m = drone.T_w_b.R.T @ (np.array(thing.position_w_m) - drone.T_w_b.t)
+    thing_c_m = own.mount.T_b_c.R.T @ (thing_b_m - own.mount.T_b_c.t)
+    return own.camera.project_point(tuple(thing_c_m.tolist()))

@@ -1,0 +1,1 @@
+"""Monte-Carlo hand-overs: many attempts without flights."""

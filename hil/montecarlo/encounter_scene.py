@@ -1,0 +1,302 @@
+"""What is drawn for one encounter: who stands where, errors that last, what goes wrong and when.
+
+Every group has its own stream of random numbers, so that one fault or another changes nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.rig.parts import Rig
+from drivers.rig.tables import decode_table
+from flight.config import MissionConfig
+from flight.encounter import Attempt, FaultName
+from flight.viewpoint import Scene, Viewpoint, plan_viewpoint
+from hil.geometric.noise import ObservationNoise
+from hil.geometric.targets import TargetNoise
+from hil.montecarlo.encounter_faults import Faults, direction, draw_faults
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.rotation import exp
+
+Array = NDArray[np.float64]
+Generator = np.random.Generator
+
+TARGET_HEIGHT_M = 0.08  # of its middle
+# Ranges and standard deviations of what is drawn; the trial prints them.
+BEHIND_M, HEIGHT_M, SIDE_M = (1.2, 1.7), (1.3, 1.8), 0.10
+PLACE_SIGMA_M, YAW_SIGMA_RAD = 0.07, math.radians(3.0)  # D2 at its viewpoint
+SIDE_SIGMA = 0.005  # printed side, relative
+FOCAL_SIGMA, CENTRE_SIGMA_PX = 0.002, 1.0
+MOUNT_SIGMA_M, MOUNT_SIGMA_RAD = 0.002, math.radians(0.2)
+DEPTH_SIGMA = 0.01  # relative
+EDGE_BIAS_PX = 1.5  # of each edge of a detector's boxes
+CLOCK_SIGMA_S = 0.002
+MOVING_SHARE, SPEED_MPS, TURN_RAD_S = 0.75, (0.05, 0.4), 0.15
+LOOK_ALIKES_M, PARKED_GAP_M = (1.2, 2.0), 1.0
+CROSSING_PAST_M, CROSSING_MPS, CROSSING_HALF_S = (0.36, 0.40), 1.0, 3.5
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """What both drones believe of themselves."""
+
+    camera_1: CameraModel
+    camera_2: CameraModel
+    T_b_c1: Pose
+    T_b_c2: Pose
+    T_b_v: Pose
+    corners_v: Array  # (4, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Believed:
+    """The rig as the encounters need it."""
+
+    rig: Rig
+    mission: MissionConfig
+    noise: ObservationNoise
+
+    @classmethod
+    def of(cls, rig: Rig) -> Believed:
+        return cls(rig, decode_table(rig.mission, MissionConfig, rig.where("[mission]")), ObservationNoise())
+
+    def calibrated(self, roll_deg: float) -> Calibrated:
+        rig = self.rig
+        mount = rig.receiver.mount.T_b_c
+        rolled = Pose(mount.R @ exp(np.array([0.0, 0.0, math.radians(roll_deg)])), mount.t)
+        corners = rig.layout.markers[0].corners_v
+        return Calibrated(
+            rig.sender.camera, rig.receiver.camera, rig.sender.mount.T_b_c, rolled, rig.sender.mount.T_b_v, corners
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the drones hold: D1 from the target, D2's body from D1's, local NED; D1 heads north."""
+
+    sender_n_m: Array
+    receiver_n_m: Array
+    receiver_yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Things:
+    """The target (row 0) and its look-alikes.
+
+    Attributes:
+        start: (m, 2) north and east at time 0, of an attached one from the target.
+        velocity: (m, 2) m/s; of an attached one relative to the target.
+        attached: (m,) whether it drives along with the target.
+        span_s: (m, 2) from when to when it is there.
+        yaw_rad: (m,) clockwise from north; of an attached one from the target's.
+        speed_mps, heading_rad, turn_rad_s: the target's own motion.
+    """
+
+    start: Array
+    velocity: Array
+    attached: NDArray[np.bool_]
+    span_s: Array
+    yaw_rad: Array
+    speed_mps: float
+    heading_rad: float
+    turn_rad_s: float
+
+    def at(self, times_s: Array) -> tuple[Array, Array]:
+        """North and east, shape (n, m, 2), NaN where there is none, and yaw (n, m)."""
+        heading = self.heading_rad + self.turn_rad_s * times_s
+        mean = self.heading_rad + 0.5 * self.turn_rad_s * times_s
+        half = 0.5 * self.turn_rad_s * times_s
+        chord = self.speed_mps * times_s * np.sinc(half / math.pi)
+        target = np.stack((chord * np.cos(mean), chord * np.sin(mean)), axis=1)
+        there = self.start + self.velocity * times_s[:, None, None] + self.attached[:, None] * target[:, None]
+        there[:, 0] = target
+        gone = (times_s[:, None] < self.span_s[:, 0]) | (times_s[:, None] > self.span_s[:, 1])
+        there[gone] = np.nan
+        return there, self.yaw_rad + np.where(self.attached, heading[:, None], 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """What differs from what is believed, for the whole attempt: the truth where it can be given."""
+
+    true: Calibrated
+    tilt_bias: Array  # (2, 3) of each drone's attitude estimate, rotation vector in the body
+    lean: Array  # (2, 3) roll, pitch, yaw in the mean
+    clock_s: float  # D2's stamps as D1 converts them, minus the truth
+    depth_scale: float
+    boxes: tuple[TargetNoise, TargetNoise]
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """One attempt's circumstances. ``shift_c``, ``turn_c``: of D2's pose, m and rad in its camera's axes."""
+
+    place: Place
+    things: Things
+    errors: Errors
+    faults: Faults
+    shift_c: Array
+    turn_c: Array
+
+
+def draw(attempt: Attempt, believed: Believed, streams: list[Generator]) -> Drawn:
+    """``streams``: of place, things, errors and faults."""
+    calibrated = believed.calibrated(attempt.roll_deg)
+    place = _place(believed, attempt.reach, streams[0])
+    errors = _errors(believed, calibrated, streams[2])
+    names, faults = draw_faults(attempt.fault, streams[3])
+    things = _things(attempt, names, streams[1])
+    shift, turn = np.zeros(3), np.zeros(3)
+    if attempt.wrong is not None:
+        shift, turn = _bias(attempt, calibrated, place, things, streams[1])
+        if attempt.wrong.kind == "lock":
+            faults = replace(faults, swapped=np.array([[-1.0, math.inf]]))
+    return Drawn(place, things, errors, faults, shift, turn)
+
+
+def level(yaw_rad: float) -> Array:
+    """Attitude of a level drone, body FRD to NED."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _place(believed: Believed, reach: float, rng: Generator) -> Place:
+    """Both drones as the mission would place them, each a little beside."""
+    mission, sender, receiver = believed.mission, believed.rig.sender, believed.rig.receiver
+    T_b_v, camera = sender.mount.T_b_v, receiver.camera
+    while True:
+        behind, height, side = rng.uniform(*BEHIND_M), rng.uniform(*HEIGHT_M), SIDE_M * rng.standard_normal()
+        behind, height = reach * behind, reach * height
+        sender_n = np.array([-behind, side, -height])
+        target_h = -sender_n - T_b_v.t - np.array([0.0, 0.0, TARGET_HEIGHT_M])
+        scene = Scene(target_h, T_b_v.R[:, 2], believed.rig.layout.markers[0].side_m, -T_b_v.t)
+        plan = plan_viewpoint(scene, camera, receiver.mount.T_b_c, mission.rendezvous, mission.separation)
+        beside, turn = PLACE_SIGMA_M * rng.standard_normal(3), YAW_SIGMA_RAD * rng.standard_normal()
+        mirrored = rng.random() < 0.5
+        if isinstance(plan, Viewpoint):
+            break
+    across = -1.0 if mirrored and abs(side) < SIDE_M else 1.0  # the other side is as good when the target is ahead
+    yaw = across * plan.yaw_h_rad + turn
+    camera_h = np.array(plan.camera_h_m) * (1.0, across, 1.0)
+    receiver_n = T_b_v.t + camera_h - level(yaw) @ receiver.mount.T_b_c.t + beside
+    return Place(sender_n, receiver_n, yaw)
+
+
+def _things(attempt: Attempt, names: tuple[FaultName, ...], rng: Generator) -> Things:
+    """The target, three look-alikes that keep away, and what a fault adds."""
+    moving = rng.random() < MOVING_SHARE
+    speed, heading = rng.uniform(*SPEED_MPS), rng.uniform(-math.pi, math.pi)
+    turn = rng.uniform(-TURN_RAD_S, TURN_RAD_S)
+    rows: list[tuple[Array, Array, bool, tuple[float, float], float]] = []
+    always = (-math.inf, math.inf)
+    yaw = rng.uniform(-math.pi, math.pi)
+    rows.append((np.zeros(2), np.zeros(2), True, always, yaw))
+    times = np.linspace(0.0, attempt.limit_s, 40)
+    alone = Things(
+        np.zeros((1, 2)), np.zeros((1, 2)), np.array([True]), np.array([always]), np.zeros(1),
+        speed if moving else 0.0, heading, turn,
+    )  # fmt: skip
+    path = alone.at(times)[0][:, 0]
+    for k in range(3):
+        for _ in range(20):
+            start = rng.uniform(*LOOK_ALIKES_M) * direction(rng)
+            apart = start[None] if k == 0 else start - path
+            if np.hypot(apart[:, 0], apart[:, 1]).min() >= PARKED_GAP_M:
+                rows.append((start, np.zeros(2), k == 0, always, rng.uniform(-math.pi, math.pi)))
+                break
+    extra = np.random.default_rng(int(rng.integers(1 << 62)))
+    if attempt.wrong is not None:
+        rows.insert(1, _beside(attempt.wrong.distance_m, attempt.wrong.crossing, extra))
+    for name in names:
+        if name == "look_alike_near":
+            rows.insert(1, _beside(extra.uniform(0.3, 1.0), False, extra))
+        elif name == "detector_swap":
+            rows.insert(1, _beside(extra.uniform(0.3, 0.8), False, extra))
+        elif name == "look_alike_crossing":
+            rows.insert(1, _beside(extra.uniform(*CROSSING_PAST_M), True, extra))
+    starts, velocities, attached, spans, yaws = zip(*rows, strict=True)
+    return Things(
+        np.array(starts), np.array(velocities), np.array(attached), np.array(spans), np.array(yaws),
+        alone.speed_mps, heading, turn,
+    )  # fmt: skip
+
+
+def _beside(distance_m: float, crossing: bool, rng: Generator) -> tuple[Array, Array, bool, tuple[float, float], float]:
+    """A look-alike at a distance from the target, along with it or past it."""
+    aside = direction(rng)
+    middle_s, yaw = rng.uniform(1.0, 6.0), rng.uniform(-math.pi, math.pi)
+    if not crossing:
+        return distance_m * aside, np.zeros(2), True, (-math.inf, math.inf), yaw
+    velocity = CROSSING_MPS * np.array([-aside[1], aside[0]])
+    span = middle_s - CROSSING_HALF_S, middle_s + CROSSING_HALF_S
+    return distance_m * aside - middle_s * velocity, velocity, True, span, math.atan2(velocity[1], velocity[0])
+
+
+def _errors(believed: Believed, calibrated: Calibrated, rng: Generator) -> Errors:
+    true = Calibrated(
+        _other_lens(calibrated.camera_1, rng),
+        _other_lens(calibrated.camera_2, rng),
+        _other_mount(calibrated.T_b_c1, rng),
+        _other_mount(calibrated.T_b_c2, rng),
+        _other_mount(calibrated.T_b_v, rng),
+        calibrated.corners_v * (1.0 + SIDE_SIGMA * rng.standard_normal()),
+    )
+    bias = np.radians([0.5, 0.5, 2.0]) * rng.standard_normal((2, 3))
+    lean = np.radians([1.5, 1.5, 1.5]) * rng.standard_normal((2, 3))
+    edges = EDGE_BIAS_PX * rng.standard_normal((2, 4))
+    base = believed.noise.targets
+    boxes = [
+        base._replace(
+            bias_left_px=base.bias_left_px + a,
+            bias_top_px=base.bias_top_px + b,
+            bias_right_px=base.bias_right_px + c,
+            bias_bottom_px=base.bias_bottom_px + d,
+        )
+        for a, b, c, d in edges.tolist()
+    ]
+    clock_s, depth = CLOCK_SIGMA_S * rng.standard_normal(), 1.0 + DEPTH_SIGMA * rng.standard_normal()
+    return Errors(true, bias, lean, clock_s, depth, (boxes[0], boxes[1]))
+
+
+def _other_lens(camera: CameraModel, rng: Generator) -> CameraModel:
+    scale = 1.0 + FOCAL_SIGMA * rng.standard_normal()
+    u, v = (CENTRE_SIGMA_PX * rng.standard_normal(2)).tolist()
+    return replace(camera, fx=camera.fx * scale, fy=camera.fy * scale, cx=camera.cx + u, cy=camera.cy + v)
+
+
+def _other_mount(T: Pose, rng: Generator) -> Pose:
+    return Pose(T.R @ exp(MOUNT_SIGMA_RAD * rng.standard_normal(3)), T.t + MOUNT_SIGMA_M * rng.standard_normal(3))
+
+
+def _bias(
+    attempt: Attempt, calibrated: Calibrated, place: Place, things: Things, rng: Generator
+) -> tuple[Array, Array]:
+    """What must be wrong with D2's pose, m and rad in its camera, for the prior to fall on the look-alike."""
+    wrong = attempt.wrong
+    assert wrong is not None
+    residual = wrong.residual_m * rng.standard_normal(3)
+    if wrong.kind == "lock":
+        return np.zeros(3), np.zeros(3)
+    R_c_n = (level(place.receiver_yaw_rad) @ calibrated.T_b_c2.R).T
+    # it stays at its distance, or the bias is that of its closest
+    away = things.start[1]
+    if wrong.crossing:
+        along = things.velocity[1]
+        away = away - along * (away @ along) / (along @ along)
+    offset = R_c_n @ np.array([away[0], away[1], 0.0]) + residual
+    if wrong.kind == "shift":
+        return offset, np.zeros(3)
+    to_target = R_c_n @ (-place.sender_n_m - calibrated.T_b_v.t - np.array([0.0, 0.0, TARGET_HEIGHT_M]))
+    return np.zeros(3), _turn_between(to_target, to_target + offset)
+
+
+def _turn_between(a: Array, b: Array) -> Array:
+    """Rotation vector of the smallest turn that takes the direction of one vector to that of another."""
+    axis = np.cross(a, b)
+    size = float(np.linalg.norm(axis))
+    return axis * (math.atan2(size, float(a @ b)) / size) if size > 0.0 else axis

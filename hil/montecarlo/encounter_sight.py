@@ -1,0 +1,371 @@
+"""What both cameras see in an encounter, frame by frame: the geometric sight's kernels in loops, and D1's follower.
+
+The same kernels, noise and rules as ``hil.geometric.perception`` and ``flight.tracking.follow``;
+a test holds them together.
+"""
+
+# pyright: reportMissingParameterType=false
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from flight.tracking import (
+    _ACCELERATION_SIGMA_MPS2,
+    _AMBIGUITY,
+    _DEPTH_FLOOR_M,
+    _DEPTH_SIGMAS,
+    _GATE_FLOOR_M,
+    _GATE_LEAST_M,
+    _GATE_MOST_M,
+    _MEASUREMENT_SIGMA_M,
+    _MIN_DESCENT,
+    _RIVAL_REACH_M,
+    _RIVAL_S,
+    _RIVAL_SHARE,
+    _UNSEEN_REACH_M,
+    _UNSEEN_S,
+    MIN_SCORE,
+)
+from hil.geometric.kernels import BOX_COLUMNS, EXTENT_COLUMNS, FRAME_COLUMNS, distorted, fold, kernel, place
+from hil.geometric.markers import LARGEST_SCALE, MarkerNoise, marker
+from hil.geometric.perception import DEPTH, MARKERS, SLOW_FRAMES, SLOW_MARKERS, SLOW_TARGETS, TARGETS
+from hil.geometric.targets import (
+    DETECTION_COLUMNS,
+    SEEN_COLUMNS,
+    SHARE,
+    DepthSettings,
+    TargetNoise,
+    depth_over,
+    detections,
+    outlines,
+)
+from path.marker.kernels import undistort
+
+# Columns of what D1 has of a frame: status, box, depth and its standard deviation, whose box it is.
+STATUS, BOX, Z, SIGMA, WHO = 0, 1, 5, 6, 7
+OWN_COLUMNS = 8
+SEEN, LOST, UNCLEAR = 0.0, 1.0, 2.0
+# Columns of a found marker: corners u v, claimed standard deviation; whether there is one.
+CLAIMED, FOUND = 8, 9
+MARKER_COLUMNS = 10
+# Columns of a detection: x, y, w, h, score, whose box it is.
+SCORE, WHOSE = 4, 5
+FOUND_COLUMNS = 6
+# The follower: position 3, velocity 3, variances pp, pv, vv, stamp in s; the nearest other object, m, and when, s;
+# whether it has begun: D1 is given the right object, and has followed it for a while.
+POSITION, VELOCITY, PP, PV, VV, AT, RIVAL, RIVAL_AT, BEGUN = 0, 3, 6, 7, 8, 9, 10, 11, 12
+FOLLOWER_SIZE = 13
+NOBODY = -1.0
+NOTHING = -1  # instead of a row
+
+
+class Eyes(NamedTuple):
+    """One camera and its perception: the truth of it.
+
+    Attributes:
+        R_b_c, t_b_c: on its drone. lens: as in ``hil.geometric.kernels``.
+        car, drone: boxes of a car and of the other drone.
+        seed: of its random numbers.
+    """
+
+    R_b_c: np.ndarray
+    t_b_c: np.ndarray
+    lens: np.ndarray
+    car: np.ndarray
+    drone: np.ndarray
+    noise: TargetNoise
+    seed: int
+
+
+class Depths(NamedTuple):
+    """The depth camera; ``scale``: how much too far it measures."""
+
+    settings: DepthSettings
+    sigma_m: float
+    common_sigma_m: float
+    scale: float
+
+
+class Flown(NamedTuple):
+    """Frames of one drone: number (n,), poses of both drones in the world, everything on the ground (n, m, 4)."""
+
+    frame: np.ndarray
+    R: np.ndarray
+    t: np.ndarray
+    other_R: np.ndarray
+    other_t: np.ndarray
+    things: np.ndarray
+
+
+@kernel
+def _before(eyes, flown, k, things, ids, boxes, extents, frame):
+    """Put everything before the camera; how many things there are."""
+    count = 0
+    for i in range(flown.things.shape[1]):
+        if not math.isnan(flown.things[k, i, 0]):
+            things[count] = flown.things[k, i]
+            ids[count] = i
+            count += 1
+    place(
+        flown.R[k], flown.t[k], eyes.R_b_c, eyes.t_b_c, eyes.lens, things[:count], eyes.car, flown.other_R[k],
+        flown.other_t[k], eyes.drone, boxes[: count * eyes.car.shape[0] + eyes.drone.shape[0]], extents[: count + 1],
+        frame,
+    )  # fmt: skip
+    return count
+
+
+@kernel
+def _boxes_of(eyes, number, count, ids, boxes, extents, region, seen, rows, found):
+    """The detector's boxes of a frame and whose they are: that object's whose outline is the nearest."""
+    bodies = boxes[: count * eyes.car.shape[0] + eyes.drone.shape[0]]
+    outlines(bodies, extents[: count + 1], eyes.car.shape[0], eyes.lens, seen[:count])
+    key = fold(fold(eyes.seed, number), TARGETS)
+    slow_key = fold(fold(eyes.seed, number // SLOW_FRAMES), SLOW_TARGETS)
+    many = detections(seen[:count], eyes.lens, region, eyes.noise, key, slow_key, rows)
+    for i in range(many):
+        found[i, :DETECTION_COLUMNS] = rows[i]
+        u, v = rows[i, 0] + 0.5 * rows[i, 2], rows[i, 1] + 0.5 * rows[i, 3]
+        best = np.inf
+        for j in range(count):
+            if seen[j, SHARE] > 0.0:
+                off = math.hypot(0.5 * (seen[j, 0] + seen[j, 2]) - u, 0.5 * (seen[j, 1] + seen[j, 3]) - v)
+                if off < best:
+                    best, found[i, WHOSE] = off, ids[j]
+    return many
+
+
+@kernel
+def predicted(follower, at_s, point):
+    """Where the followed object is at an instant, into ``point``; its standard deviation per axis."""
+    dt = max(0.0, at_s - follower[AT])
+    for i in range(3):
+        point[i] = follower[POSITION + i] + dt * follower[VELOCITY + i]
+    spread = (_ACCELERATION_SIGMA_MPS2 * dt * dt / 2.0) ** 2
+    return math.sqrt(follower[PP] + 2.0 * dt * follower[PV] + dt * dt * follower[VV] + spread)
+
+
+@kernel
+def _updated(follower, measured, at_s):
+    dt = at_s - follower[AT]
+    if dt < 0.0:
+        return
+    q, r = _ACCELERATION_SIGMA_MPS2**2, _MEASUREMENT_SIGMA_M**2
+    pp = follower[PP] + 2.0 * dt * follower[PV] + dt * dt * follower[VV] + q * dt**4 / 4.0
+    pv = follower[PV] + dt * follower[VV] + q * dt**3 / 2.0
+    vv = follower[VV] + q * dt * dt
+    gain_p, gain_v = pp / (pp + r), pv / (pp + r)
+    for i in range(3):
+        position = follower[POSITION + i] + dt * follower[VELOCITY + i]
+        innovation = measured[i] - position
+        follower[POSITION + i] = position + gain_p * innovation
+        follower[VELOCITY + i] += gain_v * innovation
+    follower[PP], follower[PV], follower[VV] = (1.0 - gain_p) * pp, (1.0 - gain_p) * pv, vv - gain_v * pv
+    follower[AT] = at_s
+
+
+@kernel
+def _gate(follower, sigma, at_s):
+    most = _GATE_MOST_M
+    if at_s - follower[RIVAL_AT] <= _RIVAL_S:
+        most = min(most, _RIVAL_SHARE * follower[RIVAL])
+    return max(_GATE_LEAST_M, min(3.0 * sigma + _GATE_FLOOR_M, most))
+
+
+@kernel
+def _rival(found, many, row):
+    """Distance of the nearest other detection from the chosen one."""
+    nearest = np.inf
+    for i in range(many):
+        if i != row and found[i, SCORE] >= MIN_SCORE:
+            off = math.hypot(
+                found[i, 0] + 0.5 * found[i, 2] - found[row, 0] - 0.5 * found[row, 2],
+                found[i, 1] + 0.5 * found[i, 3] - found[row, 1] - 0.5 * found[row, 3],
+            )
+            nearest = min(nearest, off)
+    return nearest
+
+
+@kernel
+def _designated(found, many):
+    """Row of the target's own detection, and no doubt about it."""
+    for i in range(many):
+        if found[i, WHOSE] == 0.0 and found[i, SCORE] >= MIN_SCORE:
+            return i, False
+    return NOTHING, False
+
+
+@kernel
+def _chosen(found, many, u, v, gate, alone):
+    """Row of the detection nearest to a pixel, ``NOTHING`` when none is in the gate; whether another may be meant too.
+
+    ``alone``: any other may.
+    """
+    first, second, row = np.inf, np.inf, -1
+    for i in range(many):
+        if found[i, SCORE] < MIN_SCORE:
+            continue
+        off = math.hypot(found[i, 0] + 0.5 * found[i, 2] - u, found[i, 1] + 0.5 * found[i, 3] - v)
+        if off < first:
+            first, second, row = off, first, i
+        elif off < second:
+            second = off
+    if row < 0 or first > gate:
+        return NOTHING, False
+    return row, (alone and second < np.inf) or first > _AMBIGUITY * second
+
+
+@kernel
+def sees(lens, x, y, z):
+    """Whether the camera sees a point, and its pixel."""
+    if not z > 0.1 or x * x + y * y > (lens[11] * z) ** 2:
+        return False, 0.0, 0.0
+    u, v = distorted(lens, x / z, y / z)
+    return -0.5 <= u < lens[9] - 0.5 and -0.5 <= v < lens[10] - 0.5, u, v
+
+
+@kernel
+def sender_sees(first, last, eyes, flown, depths, holes, times, lost_s, R_n_c, t_n_c, lens, follower, own):
+    """D1's frames ``first`` to ``last``: its detector, its follower, its depth camera.
+
+    Args:
+        holes: (n,) whether nothing is measured on objects.
+        times: (n,) s. lost_s: a target that was not seen for longer is given up.
+        R_n_c, t_n_c: the camera as D1 believes it to be, (n, 3, 3) and (n, 3); lens: as it believes.
+        follower: (FOLLOWER_SIZE,), changed.
+        own: (n, OWN_COLUMNS), filled.
+    """
+    most = flown.things.shape[1]
+    things, ids = np.empty((most, 4)), np.empty(most, np.int64)
+    boxes, extents = np.empty((most * eyes.car.shape[0] + eyes.drone.shape[0], BOX_COLUMNS)), np.empty((most + 1, 6))
+    frame, region, point, measured = np.empty(FRAME_COLUMNS), np.empty(4), np.empty(3), np.empty(3)
+    seen, rows = np.empty((most, SEEN_COLUMNS)), np.empty((most, DETECTION_COLUMNS))
+    found = np.empty((most, FOUND_COLUMNS))
+    for k in range(first, last):
+        out = own[k]
+        out[STATUS], out[Z], out[WHO] = LOST, -1.0, NOBODY
+        sigma = predicted(follower, times[k], point)
+        x, y, z = _in_camera(R_n_c[k], t_n_c[k], point)
+        visible, u, v = sees(lens, x, y, z)
+        if not visible or (follower[BEGUN] and times[k] - follower[AT] > lost_s):
+            continue
+        gate_m, scale = _gate(follower, sigma, times[k]), lens[0] / z
+        unseen = times[k] - follower[AT] > _UNSEEN_S
+        gate = scale * gate_m
+        reach = scale * (_UNSEEN_REACH_M if unseen else max(gate_m / _AMBIGUITY, _RIVAL_REACH_M))
+        region[0], region[1], region[2], region[3] = u - reach, v - reach, u + reach, v + reach
+        count = _before(eyes, flown, k, things, ids, boxes, extents, frame)
+        many = _boxes_of(eyes, flown.frame[k], count, ids, boxes, extents, region, seen, rows, found)
+        row, unsure = _chosen(found, many, u, v, gate, unseen) if follower[BEGUN] else _designated(found, many)
+        if row != NOTHING:
+            rival = _rival(found, many, row)
+            if rival < np.inf and (rival / scale <= follower[RIVAL] or times[k] - follower[RIVAL_AT] > _RIVAL_S):
+                follower[RIVAL], follower[RIVAL_AT] = rival / scale, times[k]
+        if row == NOTHING or unsure:
+            out[STATUS] = UNCLEAR if unsure else LOST
+            continue
+        out[STATUS], out[WHO] = SEEN, found[row, WHOSE]
+        box = (found[row, 0], found[row, 1], found[row, 2], found[row, 3])
+        out[BOX], out[BOX + 1], out[BOX + 2], out[BOX + 3] = box
+        key = fold(fold(fold(fold(eyes.seed, flown.frame[k]), DEPTH), int(16.0 * box[0])), int(16.0 * box[1]))
+        bodies = boxes[: count * eyes.car.shape[0] + eyes.drone.shape[0]]
+        noise = (depths.sigma_m, depths.common_sigma_m)
+        depth, out[SIGMA] = depth_over(
+            bodies,
+            extents[: count + 1],
+            eyes.car.shape[0],
+            frame,
+            eyes.lens,
+            holes[k],
+            box,
+            depths.settings,
+            noise,
+            key,
+        )
+        ray_x, ray_y = _ray(lens, box[0] + 0.5 * box[2], box[1] + 0.5 * box[3])
+        depth *= depths.scale
+        if depth > 0.0 and (
+            not follower[BEGUN] or _shows(depth, out[SIGMA], ray_x, ray_y, R_n_c[k], t_n_c[k], point, sigma)
+        ):
+            out[Z] = depth
+        else:  # it is taken to be as high as it was
+            falling = R_n_c[k, 2, 0] * ray_x + R_n_c[k, 2, 1] * ray_y + R_n_c[k, 2, 2]
+            if falling < _MIN_DESCENT:
+                continue
+            depth = (follower[POSITION + 2] - t_n_c[k, 2]) / falling
+        for i in range(3):
+            along = R_n_c[k, i, 0] * ray_x + R_n_c[k, i, 1] * ray_y + R_n_c[k, i, 2]
+            measured[i] = t_n_c[k, i] + depth * along
+        if follower[BEGUN] == 0.0:  # its own errors are in what it has followed
+            follower[BEGUN], follower[POSITION : POSITION + 3] = 1.0, measured
+        _updated(follower, measured, times[k])
+
+
+@kernel
+def _shows(depth, depth_sigma, ray_x, ray_y, R_n_c, t_n_c, point, sigma):
+    """Whether a depth on a ray puts the object where it can be."""
+    off2 = 0.0
+    for i in range(3):
+        along = R_n_c[i, 0] * ray_x + R_n_c[i, 1] * ray_y + R_n_c[i, 2]
+        off2 += (t_n_c[i] + depth * along - point[i]) ** 2
+    return math.sqrt(off2) <= _DEPTH_FLOOR_M + _DEPTH_SIGMAS * math.hypot(sigma, depth_sigma)
+
+
+@kernel
+def _in_camera(R_n_c, t_n_c, point):
+    dx, dy, dz = point[0] - t_n_c[0], point[1] - t_n_c[1], point[2] - t_n_c[2]
+    return (
+        R_n_c[0, 0] * dx + R_n_c[1, 0] * dy + R_n_c[2, 0] * dz,
+        R_n_c[0, 1] * dx + R_n_c[1, 1] * dy + R_n_c[2, 1] * dz,
+        R_n_c[0, 2] * dx + R_n_c[1, 2] * dy + R_n_c[2, 2] * dz,
+    )
+
+
+@kernel
+def _ray(lens, u, v):
+    return undistort(u, v, lens, (u - lens[2]) / lens[0], (v - lens[3]) / lens[1])
+
+
+@kernel
+def receiver_sees(first, last, eyes, flown, corners_b, print_noise, hidden, swapped, markers, found, many):
+    """D2's frames ``first`` to ``last``: the sender's marker and the detector's boxes of the whole image.
+
+    Args:
+        corners_b: (4, 3) of the marker in the sender's body; print_noise: ``MarkerNoise``.
+        hidden, swapped: (n,) whether the marker is covered, whether the detector is blind for the target.
+        markers: (n, MARKER_COLUMNS), found: (n, m, FOUND_COLUMNS), many: (n,): filled.
+    """
+    most = flown.things.shape[1]
+    things, ids = np.empty((most, 4)), np.empty(most, np.int64)
+    boxes = np.empty((most * eyes.car.shape[0] + eyes.drone.shape[0], BOX_COLUMNS))
+    extents, frame = np.empty((most + 1, EXTENT_COLUMNS)), np.empty(FRAME_COLUMNS)
+    everywhere = np.array((-np.inf, -np.inf, np.inf, np.inf))
+    seen, rows = np.empty((most, SEEN_COLUMNS)), np.empty((most, DETECTION_COLUMNS))
+    for k in range(first, last):
+        number = flown.frame[k]
+        count = _before(eyes, flown, k, things, ids, boxes, extents, frame)
+        bodies, bounds = boxes[: count * eyes.car.shape[0] + eyes.drone.shape[0]], extents[: count + 1]
+        markers[k, FOUND] = 0.0
+        key, slow_key = fold(eyes.seed, number), fold(eyes.seed, number // SLOW_FRAMES)
+        if not hidden[k] and marker(
+            bodies, bounds, eyes.car.shape[0], frame, eyes.lens, flown.other_R[k], flown.other_t[k], corners_b,
+            everywhere, LARGEST_SCALE, print_noise, fold(key, MARKERS), fold(slow_key, SLOW_MARKERS), markers[k, :9],
+        ):  # fmt: skip
+            markers[k, FOUND] = 1.0
+        total = _boxes_of(eyes, number, count, ids, boxes, extents, everywhere, seen, rows, found[k])
+        if swapped[k]:
+            kept = 0
+            for i in range(total):
+                if found[k, i, WHOSE] != 0.0:
+                    found[k, kept] = found[k, i]
+                    kept += 1
+            total = kept
+        many[k] = total
+
+
+def with_lapses(noise: MarkerNoise, rate: float) -> MarkerNoise:
+    """The marker missed more often."""
+    return noise._replace(lapse_rate=noise.lapse_rate + rate)

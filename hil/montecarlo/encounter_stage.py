@@ -1,0 +1,305 @@
+"""An encounter made ready: frames, poses, messages and their arrivals as arrays; what is seen is filled in block by
+block, as far as it is played."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flight.encounter import Attempt, Circumstances
+from hil.geometric.perception import Sensor
+from hil.geometric.scene import car_parts, drone_parts, lens_row
+from hil.montecarlo.encounter_motion import P_W_N, RECEIVER, SENDER, Motion, Poses, exp_all, within
+from hil.montecarlo.encounter_pose import Print, mirrored
+from hil.montecarlo.encounter_relative import Reports, reports
+from hil.montecarlo.encounter_scene import TARGET_HEIGHT_M, Believed, Calibrated, Drawn, draw
+from hil.montecarlo.encounter_sight import (
+    AT,
+    FOLLOWER_SIZE,
+    FOUND_COLUMNS,
+    MARKER_COLUMNS,
+    OWN_COLUMNS,
+    POSITION,
+    PP,
+    RIVAL,
+    RIVAL_AT,
+    VELOCITY,
+    VV,
+    Depths,
+    Eyes,
+    Flown,
+    receiver_sees,
+    sender_sees,
+    with_lapses,
+)
+from hil.montecarlo.encounter_state import CANDIDATE_HEARD, RECEIVER_FRAME, SENDER_FRAME, TARGET_HEARD, Seen
+from path.camera import CameraModel
+from path.geometry import Pose
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+RATE_HZ = 50.0
+STATUS_HZ = 10.0
+SENDER_LATENCY_S, RECEIVER_LATENCY_S = (0.008, 0.020), (0.010, 0.030)  # from a frame to the end of its processing
+LATENCY_JITTER_S = 0.002
+FOLLOWER_SIGMA_M, FOLLOWER_SIGMA_MPS = 0.02, 0.05
+STREAMS = 7
+BLOCK_S = 0.5
+HORIZON_S = 8.2  # how far an attempt is made ready at first
+CLOSEST_STEP_S = 0.02
+EPOCH_S = 10.0  # of the clocks, when an attempt begins
+
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """Frames of one camera.
+
+    Attributes:
+        number: (n,) running number; frames that a frozen camera did not give are left out.
+        taken_s, done_s, heard_s: (n,) when it was taken, when its processing ended, when the other drone heard of it;
+            infinite for a message that was lost.
+    """
+
+    number: Whole
+    taken_s: Array
+    done_s: Array
+    heard_s: Array
+
+    def until(self, time_s: float) -> Timed:
+        """Those taken before."""
+        count = int(np.searchsorted(self.taken_s, time_s))
+        return Timed(self.number[:count], self.taken_s[:count], self.done_s[:count], self.heard_s[:count])
+
+
+def printed_marker(believed: Believed) -> Print:
+    marker = believed.rig.layout.markers[0]
+    T = marker.T_v_m
+    return Print(marker.corners_v, np.ascontiguousarray(T.R), T.t, marker.side_m, marker.side_sigma_m / marker.side_m)
+
+
+class Parts:
+    """Boxes of what is drawn: they are the same for every attempt, but for the plates of the marker."""
+
+    def __init__(self, believed: Believed) -> None:
+        T_b_v, layout = believed.rig.sender.mount.T_b_v, believed.rig.layout
+        self.car = car_parts()
+        self.plain, self._marked = (drone_parts(T_b_v, layout, marked=on) for on in (False, True))
+        self._v_b = T_b_v.inverse()
+
+    def marked(self, T_b_v: Pose) -> Array:
+        """The sender, its plates where the marker truly is."""
+        parts, plates = self._marked.copy(), len(self.plain)
+        moved = T_b_v @ self._v_b
+        parts[plates:, :3] = moved.apply(parts[plates:, :3])
+        parts[plates:, 6:] = (moved.R @ parts[plates:, 6:].reshape(-1, 3, 3)).reshape(-1, 9)
+        return parts
+
+
+class Stage:
+    """One attempt before it is played. ``fill`` lets the cameras see."""
+
+    def __init__(self, attempt: Attempt, believed: Believed, sensor: Sensor, parts: Parts) -> None:
+        seeds = np.random.SeedSequence([attempt.seed, attempt.index]).spawn(STREAMS)
+        streams = [np.random.default_rng(seed) for seed in seeds]
+        self.drawn: Drawn = draw(attempt, believed, streams[:4])
+        self.believed = believed.calibrated(attempt.roll_deg)
+        self._motion = Motion(self.drawn, streams[4])
+        faults = self.drawn.faults
+        self.clock_ns = round((self.drawn.errors.clock_s + faults.clock_s) * 1e9)
+        self.frames = tuple(
+            self._timed(attempt.limit_s, latency, frozen, streams[5])
+            for latency, frozen in zip((SENDER_LATENCY_S, RECEIVER_LATENCY_S), faults.frozen, strict=True)
+        )
+        look_seeds = streams[6].integers(1 << 62, size=2).tolist()
+        true = self.drawn.errors.true
+        boxes = self.drawn.errors.boxes
+        self._eyes_1 = _eyes(true.camera_1, true.T_b_c1, parts.car, parts.plain, boxes[0], look_seeds[0])
+        marked = parts.marked(true.T_b_v)
+        self._eyes_2 = _eyes(true.camera_2, true.T_b_c2, parts.car, marked, boxes[1], look_seeds[1])
+        self._depths = Depths(sensor.depth, *sensor.depth_noise, self.drawn.errors.depth_scale)
+        self._corners_b = true.T_b_v.apply(true.corners_v)
+        self._print = with_lapses(believed.noise.marker, faults.lapse_rate)
+        self._printed = printed_marker(believed)
+        self._lens_1 = lens_row(self.believed.camera_1)
+        self._filled = [0, 0]
+        self._follower: Array | None = None
+        self._limit_s, self._lost_s = attempt.limit_s, believed.mission.deadlines.target_coast_s
+        self._prepare(min(HORIZON_S, attempt.limit_s))
+
+    def _timed(self, limit_s: float, latency: tuple[float, float], frozen: Array, rng: np.random.Generator) -> Timed:
+        faults, count = self.drawn.faults, math.ceil(limit_s * RATE_HZ)
+        taken = rng.uniform(0.0, 1.0 / RATE_HZ) + np.arange(count) / RATE_HZ
+        first = int(rng.integers(1, 60000))
+        done = taken + rng.uniform(*latency) + rng.exponential(LATENCY_JITTER_S, count)
+        done = np.maximum.accumulate(done)
+        heard = done + faults.delay_s + rng.uniform(0.0, faults.jitter_s, count)
+        heard[rng.random(count) < faults.loss] = math.inf
+        there = ~within(taken, frozen)
+        return Timed(first + np.flatnonzero(there), taken[there], done[there], heard[there])
+
+    def _prepare(self, horizon_s: float) -> None:
+        """Poses of all frames up to a time."""
+        self._horizon_s, drawn, calibrated = horizon_s, self.drawn, self.believed
+        faults = drawn.faults
+        sender, receiver = (frames.until(horizon_s) for frames in self.frames)
+        (things_1, target_1), (things_2, target_2) = _things(sender, drawn), _things(receiver, drawn)
+        at_1, at_2 = self._motion.poses(sender.taken_s, target_1), self._motion.poses(receiver.taken_s, target_2)
+        self.flown_1 = _flown(sender, at_1, SENDER, things_1)
+        self.flown_2 = _flown(receiver, at_2, RECEIVER, things_2)
+        self._times_1 = sender.taken_s
+        self._holes = within(sender.taken_s, faults.holes)
+        self._hidden = within(receiver.taken_s, faults.hidden)
+        self._swapped = within(receiver.taken_s, faults.swapped)
+        R_n_b1 = at_1.estimated(SENDER)
+        self._R_n_c1 = R_n_b1 @ calibrated.T_b_c1.R
+        self._t_n_c1 = at_1.t_n[SENDER] + at_1.drift + R_n_b1 @ calibrated.T_b_c1.t
+        R_n_c2 = at_2.estimated(RECEIVER) @ calibrated.T_b_c2.R
+        if self._follower is None:
+            self._follower = self._following(sender.taken_s, target_1, at_1.drift)
+        own, markers, found, many = self._room(len(sender.number), len(receiver.number), things_2.shape[1])
+        self.seen = Seen(
+            sender.number, _ns(sender.taken_s), own,
+            np.ascontiguousarray((R_n_b1 @ calibrated.T_b_v.R)[:, 2]), receiver.number,
+            _ns(receiver.taken_s) + self.clock_ns, markers, found, many, self._gravity_c(R_n_c2, receiver), R_n_c2,
+            drawn.shift_c, exp_all(drawn.turn_c[None])[0], *self._reports(receiver),
+        )  # fmt: skip
+
+    def _room(self, frames_1: int, frames_2: int, most: int) -> tuple[Array, Array, Array, Whole]:
+        """For what will be seen, with what was seen already."""
+        own, markers = np.zeros((frames_1, OWN_COLUMNS)), np.zeros((frames_2, MARKER_COLUMNS))
+        found, many = np.zeros((frames_2, most, FOUND_COLUMNS)), np.zeros(frames_2, np.int64)
+        first, second = self._filled
+        if first or second:
+            own[:first] = self.seen.own[:first]
+            markers[:second], found[:second] = self.seen.markers[:second], self.seen.found[:second]
+            many[:second] = self.seen.many[:second]
+        return own, markers, found, many
+
+    def _reports(self, receiver: Timed) -> tuple[Reports, Reports, Array, Whole]:
+        """What both vehicles say of their motion, D1's yaw in it, and how much of it D2 has by each of its frames."""
+        faults, motion = self.drawn.faults, self._motion
+        own = reports(_ns(receiver.taken_s) + self.clock_ns, motion.reported(receiver.taken_s, RECEIVER))
+        said_s = np.arange(-2.0, self._horizon_s * STATUS_HZ) / STATUS_HZ
+        peer = reports(_ns(said_s), motion.reported(said_s, SENDER))
+        heard = np.searchsorted(said_s + faults.delay_s + faults.jitter_s, receiver.done_s)
+        return own, peer, motion.yaw(said_s), np.maximum(heard, 1)
+
+    def _gravity_c(self, R_n_c2: Array, receiver: Timed) -> Array:
+        """Gravity in D2's camera as D2 believes; while flipped, what makes the other planar solution the likely one."""
+        gravity_c = np.ascontiguousarray(R_n_c2[:, 2])
+        true, flown = self.drawn.errors.true, self.flown_2
+        for k in np.flatnonzero(within(receiver.taken_s, self.drawn.faults.flipped)).tolist():
+            T_c_w = (Pose(flown.R[k], flown.t[k]) @ true.T_b_c2).inverse()
+            T_w_v = Pose(flown.other_R[k], flown.other_t[k]) @ true.T_b_v
+            T_c_v, R, t = T_c_w @ T_w_v, np.empty((3, 3)), np.empty(3)
+            mirrored(np.ascontiguousarray(T_c_v.R), T_c_v.t, self._printed, R, t)
+            gravity_c[k] = R @ -T_w_v.R[2]
+        return gravity_c
+
+    def _following(self, times_s: Array, target: Array, drift: Array) -> Array:
+        """D1 has followed the target for a while: where it is, and how it moves."""
+        row = np.zeros(FOLLOWER_SIZE)
+        row[POSITION : POSITION + 2] = target[0] + drift[0, :2]
+        row[POSITION + 2] = -TARGET_HEIGHT_M
+        row[VELOCITY : VELOCITY + 2] = (target[5] - target[0]) / (times_s[5] - times_s[0])
+        row[PP], row[VV] = FOLLOWER_SIGMA_M**2, FOLLOWER_SIGMA_MPS**2
+        row[AT] = row[RIVAL_AT] = times_s[0]
+        row[RIVAL] = math.inf
+        return row
+
+    def fill(self, until_s: float) -> None:
+        """What the cameras see of frames taken before ``until_s``."""
+        if until_s > self._horizon_s:
+            self._prepare(self._limit_s)
+        seen, (sender, receiver) = self.seen, self.frames
+        first, last = self._filled[0], int(np.searchsorted(sender.taken_s, until_s))
+        sender_sees(
+            first, last, self._eyes_1, self.flown_1, self._depths, self._holes, self._times_1, self._lost_s,
+            self._R_n_c1, self._t_n_c1, self._lens_1, self._follower, seen.own,
+        )  # fmt: skip
+        self._filled[0] = max(first, last)
+        first, last = self._filled[1], int(np.searchsorted(receiver.taken_s, until_s))
+        receiver_sees(
+            first, last, self._eyes_2, self.flown_2, self._corners_b, self._print, self._hidden, self._swapped,
+            seen.markers, seen.found, seen.many,
+        )  # fmt: skip
+        self._filled[1] = max(first, last)
+
+    @property
+    def events(self) -> tuple[Whole, Whole, Whole]:
+        """What happens, to which frame, and when (ns), in the order of time: see ``hil.montecarlo.encounter_play``."""
+        sender, receiver = self.frames
+        when = (sender.done_s, sender.heard_s, receiver.done_s, receiver.heard_s)
+        kinds = (SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD)
+        times = np.concatenate(when)
+        kind = np.concatenate([np.full(len(w), k) for w, k in zip(when, kinds, strict=True)])
+        which = np.concatenate([np.arange(len(w)) for w in when])
+        order = np.argsort(times, kind="stable")
+        order = order[np.isfinite(times[order])]
+        return kind[order].astype(np.int64), which[order].astype(np.int64), _ns(times[order])
+
+    @property
+    def circumstances(self) -> Circumstances:
+        """In truth, at the beginning."""
+        things = self.flown_2.things[0]
+        middle = np.array([things[0, 0], things[0, 1], TARGET_HEIGHT_M])
+        true = self.drawn.errors.true
+        T_w_c1 = Pose(self.flown_1.R[0], self.flown_1.t[0]) @ true.T_b_c1
+        T_w_c2 = Pose(self.flown_2.R[0], self.flown_2.t[0]) @ true.T_b_c2
+        marker = self.flown_2.other_R[0] @ true.T_b_v.t + self.flown_2.other_t[0]
+        others = np.linalg.norm(things[1:, :2] - things[0, :2], axis=1)
+        known = others[np.isfinite(others)]
+        places = self.drawn.things.at(np.arange(0.0, self._limit_s, CLOSEST_STEP_S))[0]
+        apart = np.linalg.norm(places[:, 1:] - places[:, :1], axis=2)
+        return Circumstances(
+            range_1_m=float(np.linalg.norm(middle - T_w_c1.t)),
+            range_2_m=float(np.linalg.norm(middle - T_w_c2.t)),
+            marker_m=float(np.linalg.norm(marker - T_w_c2.t)),
+            look_alike_m=float(known.min()) if len(known) else math.inf,
+            closest_m=float(np.min(apart, initial=math.inf, where=np.isfinite(apart))),
+            relative_roll_deg=math.degrees(relative_roll(T_w_c1, T_w_c2)),
+            target_mps=self.drawn.things.speed_mps,
+        )
+
+
+def relative_roll(T_w_c1: Pose, T_w_c2: Pose) -> float:
+    """Angle in rad by which "up" differs between two images: between the image directions of D1's x axis in both."""
+    across = (T_w_c2.R.T @ T_w_c1.R)[:, 0]
+    return math.atan2(across[1], across[0])
+
+
+def _ns(times_s: Array) -> Whole:
+    return np.rint((times_s + EPOCH_S) * 1e9).astype(np.int64)
+
+
+def _eyes(camera: CameraModel, T_b_c: Pose, car: Array, drone: Array, boxes: object, seed: int) -> Eyes:
+    return Eyes(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_row(camera), car, drone, boxes, seed)  # type: ignore[arg-type]
+
+
+def _things(frames: Timed, drawn: Drawn) -> tuple[Array, Array]:
+    """Everything on the ground in the world, ENU and yaw (n, m, 4), and the target's north and east, (n, 2)."""
+    places, yaw = drawn.things.at(frames.taken_s)
+    things = np.zeros((*yaw.shape, 4))
+    things[..., 0], things[..., 1], things[..., 3] = places[..., 1], places[..., 0], 0.5 * math.pi - yaw
+    return things, places[:, 0]
+
+
+def _flown(frames: Timed, poses: Poses, own: int, things: Array) -> Flown:
+    """Both bodies in the world, ENU."""
+    R, t = ([P_W_N @ each for each in poses.R_n_b], [each @ P_W_N.T for each in poses.t_n])
+    return Flown(frames.number, R[own], t[own], R[1 - own], t[1 - own], things)
+
+
+def mounting(calibrated: Calibrated) -> Array:
+    """``T_v_c1`` as both believe it, (3, 4)."""
+    T_v_c = calibrated.T_b_v.inverse() @ calibrated.T_b_c1
+    return np.concatenate((T_v_c.R, T_v_c.t[:, None]), axis=1)
+
+
+def lever(T_b_x: Pose) -> Array:
+    """Of a part from its drone's centre, in its own axes."""
+    return T_b_x.R.T @ T_b_x.t

@@ -1,0 +1,1 @@
+"""A Tello on the wire, for an unmodified djitellopy."""

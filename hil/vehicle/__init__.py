@@ -1,0 +1,1 @@
+"""The embedded autopilot, its MAVLink, and the processes of real autopilots."""

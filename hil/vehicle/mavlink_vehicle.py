@@ -1,0 +1,282 @@
+"""A MAVLink 2 endpoint around a simulated drone, for an unmodified MAVSDK to connect to: a small PX4 on loopback.
+
+It has no thread and no clock: whoever steps the world calls ``pump`` at 200-250 Hz.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from drivers.interfaces import FlightMode, VelocitySetpoint
+from drivers.link.key import signing_time
+from drivers.mavlink.geodesy import LocalTangent
+from hil.autopilot.autopilot import Ack
+from hil.vehicle.channel import Address, Channel
+from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, Drone, Flight
+from hil.vehicle.parameters import Parameters
+from path.messages import Vec3
+from path.rotation import yaw_of
+
+ACCEPTED, DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
+UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
+NOT_NOW = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+FORCE_MAGIC = 21196.0
+
+# POSITION_TARGET_TYPEMASK
+IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW = 0b111, 0b111000, 1 << 10
+
+
+@dataclass(frozen=True, slots=True)
+class MavlinkVehicleConfig:
+    """Where a vehicle is on the wire.
+
+    Attributes:
+        sysid: its MAVLink system id.
+        remote: where MAVSDK listens (``udpin``).
+        bind: its own address; port 0 takes a free one.
+        second: where a second ground station or companion listens, on a port of its own with streams of its own.
+        key: of MAVLink 2's signatures: it signs, and takes nothing that is not signed.
+    """
+
+    sysid: int
+    remote: Address
+    bind: Address = ("127.0.0.1", 0)
+    second: Address | None = None
+    key: bytes | None = None
+
+
+class MavlinkVehicle:
+    """One drone on the wire. Faults: while ``silent`` nothing is sent and whatever comes in is lost.
+
+    Attributes:
+        received: messages for this vehicle by type, counted.
+        malformed: messages that could not be understood.
+        tap: called with (now_s, message) for every message from anybody; for tests and logs.
+    """
+
+    def __init__(self, config: MavlinkVehicleConfig, drone: Drone, tangent: LocalTangent) -> None:
+        self._config = config
+        self._drone = drone
+        self._tangent = tangent
+        self._local_origin_n_m: Vec3 | None = None
+        self._channels = [Channel(config.bind, config.remote)]
+        if config.second is not None:
+            self._channels.append(Channel((config.bind[0], 0), config.second))
+        self._mav: Any = mavlink.MAVLink(None, srcSystem=config.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
+        if config.key is not None:
+            self._mav.signing.secret_key, self._mav.signing.sign_outgoing = config.key, True
+            self._mav.signing.timestamp = signing_time()
+        self._parameters = Parameters(drone.autopilot.config)
+        self._shown: tuple[FlightMode, bool] | None = None
+        self._texts_sent = 0
+        beat_hz = drone.autopilot.config.heartbeat_hz
+        self._own_beat_s = 1.0 / beat_hz if beat_hz > 0.0 else None
+        for channel in self._channels:
+            channel.beat_every(self._own_beat_s)
+        self.silent = False
+        self.received: Counter[str] = Counter()
+        self.malformed = 0
+        self.tap: Callable[[float, Any], None] | None = None
+        self._commands: dict[int, Callable[[Flight, Any], int]] = {
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
+            mavlink.MAV_CMD_NAV_LAND: lambda flight, _: self._request(flight, FlightMode.LAND),
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda flight, _: self._request(flight, FlightMode.RETURN),
+            mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
+        }
+
+    @property
+    def address(self) -> Address:
+        """Where it listens itself, for a second ground station."""
+        return self._channels[0].address
+
+    def close(self) -> None:
+        for channel in self._channels:
+            channel.close()
+
+    def pump(self, now_s: float) -> None:
+        """Take all that came in, act on it, send what is due. ``now_s`` is the time the drone was stepped to."""
+        if self._local_origin_n_m is None:
+            self._local_origin_n_m = self._drone.estimate.position_n_m
+        flight = Flight(now_s, self._drone.autopilot, self._drone.estimate, self._tangent, self._local_origin_n_m)
+        for channel in self._channels:
+            self._receive(flight, channel)
+        if not self.silent:
+            self._send_texts(flight)
+            self._send_due(flight)
+
+    # --- out ---
+
+    def _send(self, channel: Channel, message: Any, to: Address | None = None) -> None:
+        packet = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
+        channel.send(packet, to)
+
+    def _send_texts(self, flight: Flight) -> None:
+        texts = flight.autopilot.status_texts
+        while self._texts_sent < len(texts):
+            text = texts[self._texts_sent]
+            self._texts_sent += 1
+            for channel in self._channels:
+                message = mavlink.MAVLink_statustext_message(text.severity.value, text.text.encode()[:50])
+                self._send(channel, message)
+
+    def _send_due(self, flight: Flight) -> None:
+        shown = flight.autopilot.mode, flight.autopilot.armed
+        changed = shown != self._shown and self._own_beat_s is None  # a change is told at once
+        self._shown = shown
+        for channel in self._channels:
+            if changed:
+                channel.heartbeat_now()
+            # By the estimate's time and not by ours: a stream as fast as the estimator then carries every estimate
+            # once, at once, instead of beating against it with up to a period of delay.
+            for message in channel.due(flight.estimate.time_s):
+                self._send_message(flight, channel, message)
+
+    def _send_message(self, flight: Flight, channel: Channel, message: int) -> None:
+        made = STREAMS[message][0](flight)
+        if made is not None:
+            self._send(channel, made)
+
+    # --- in ---
+
+    def _receive(self, flight: Flight, channel: Channel) -> None:
+        for packet, sender in channel.packets():
+            if self.silent:
+                continue
+            for frame in _frames(packet):
+                message = self._decode(frame)
+                if message is None:
+                    self.malformed += 1
+                else:
+                    self._take(flight, message, channel, sender)
+
+    def _decode(self, frame: bytearray) -> Any | None:
+        """None for what is damaged or of an unknown id: then pymavlink has checked no CRC."""
+        try:
+            message = self._mav.decode(frame)
+        except mavlink.MAVError:
+            return None
+        return message if message.get_msgId() in mavlink.mavlink_map else None
+
+    def _take(self, flight: Flight, message: Any, channel: Channel, sender: Address) -> None:
+        if self.tap is not None:
+            self.tap(flight.now_s, message)
+        if getattr(message, "target_system", self._config.sysid) not in (0, self._config.sysid):
+            return
+        kind = message.get_type()
+        self.received[kind] += 1
+        if kind == "SET_POSITION_TARGET_LOCAL_NED":
+            self._setpoint(flight, message)
+        elif kind in ("COMMAND_LONG", "COMMAND_INT"):
+            self._command(flight, message, channel, sender)
+        elif kind == "HEARTBEAT" and message.type == mavlink.MAV_TYPE_GCS:
+            flight.autopilot.companion_heard(flight.now_s)
+        elif kind == "TIMESYNC" and message.tc1 == 0:
+            self._send(channel, mavlink.MAVLink_timesync_message(round(flight.now_s * 1e9) + 1, message.ts1), sender)
+        elif kind.startswith("PARAM_"):
+            for answer in self._parameters.answer(message):
+                self._send(channel, answer, sender)
+
+    def _setpoint(self, flight: Flight, message: Any) -> None:
+        """Velocity, position by a proportional loop, or both, in MAV_FRAME_LOCAL_NED; the rest is ignored."""
+        mask = message.type_mask
+        by_velocity, by_position = not mask & IGNORE_VELOCITY, not mask & IGNORE_POSITION
+        if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or not (by_velocity or by_position):
+            return
+        north, east, down = (message.vx, message.vy, message.vz) if by_velocity else (0.0, 0.0, 0.0)
+        if by_position:
+            gain_hz, (n, e, d) = flight.autopilot.config.hold_gain_hz, flight.local_n_m
+            north += gain_hz * (message.x - n)
+            east += gain_hz * (message.y - e)
+            down += gain_hz * (message.z - d)
+        yaw = yaw_of(flight.estimate.q_n_b) if mask & IGNORE_YAW else message.yaw
+        if not flight.autopilot.setpoint(flight.now_s, VelocitySetpoint((north, east, down), yaw)):
+            self.malformed += 1
+
+    def _command(self, flight: Flight, message: Any, channel: Channel, sender: Address) -> None:
+        command = message.command
+        after: int | None = None
+        if command == mavlink.MAV_CMD_REQUEST_MESSAGE:
+            after = _whole(message.param1)
+            result = DENIED if after not in STREAMS else ACCEPTED
+        elif command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            result = self._set_interval(flight, channel, message)
+        elif command in self._commands:
+            result = self._commands[command](flight, message)
+        else:
+            result = UNSUPPORTED
+        if after is not None and result == ACCEPTED and STREAMS[after][0](flight) is None:
+            result = NOT_NOW
+        to = message.get_srcSystem(), message.get_srcComponent()
+        self._send(channel, mavlink.MAVLink_command_ack_message(command, result, 255, 0, *to), sender)
+        if after is not None and result == ACCEPTED:
+            self._send_message(flight, channel, after)
+
+    def _set_interval(self, flight: Flight, channel: Channel, message: Any) -> int:
+        which, interval_us = _whole(message.param1), _whole(message.param2)
+        if which is None or interval_us is None:
+            return DENIED
+        if which == mavlink.MAVLINK_MSG_ID_HEARTBEAT and self._own_beat_s is not None:
+            return ACCEPTED  # and goes on as it did
+        return ACCEPTED if channel.set_interval(which, interval_us, flight.estimate.time_s) else DENIED
+
+    def _arm(self, flight: Flight, message: Any) -> int:
+        arm = _whole(message.param1)
+        if arm not in (0, 1):
+            return DENIED
+        return _not_now(flight.autopilot.request_arm(flight.now_s, arm == 1, message.param2 == FORCE_MAGIC))
+
+    def _take_off(self, flight: Flight, message: Any) -> int:
+        """Without an altitude, and MAVSDK gives none, the height is MIS_TAKEOFF_ALT over home."""
+        home, altitude_m = flight.autopilot.home_n_m, float(getattr(message, "param7", math.nan))
+        height_m = self._parameters.take_off_m
+        if home is not None and math.isfinite(altitude_m):
+            height_m = altitude_m - self._tangent.to_global(*home)[2]
+        return _result(flight.autopilot.request_takeoff(flight.now_s, height_m))
+
+    def _set_mode(self, flight: Flight, message: Any) -> int:
+        main, sub = _whole(message.param2), _whole(message.param3)
+        if main in PILOT_MODES:
+            return self._request(flight, FlightMode.OTHER, by_pilot=True)
+        if main == OFFBOARD:
+            return self._request(flight, FlightMode.OFFBOARD)
+        if main == AUTO and sub in AUTO_MODES:
+            if AUTO_MODES[sub] is FlightMode.TAKEOFF:
+                return _result(flight.autopilot.request_takeoff(flight.now_s, self._parameters.take_off_m))
+            return self._request(flight, AUTO_MODES[sub])
+        return DENIED
+
+    def _request(self, flight: Flight, mode: FlightMode, by_pilot: bool = False) -> int:
+        return _not_now(flight.autopilot.request_mode(flight.now_s, mode, by_pilot))
+
+
+def _frames(packet: bytes) -> Iterator[bytearray]:
+    """The messages of one datagram. Unlike a byte stream's, its damaged end must not wait for the next one."""
+    rest = bytearray(packet)
+    while rest:
+        overhead = 12 if rest[0] == mavlink.PROTOCOL_MARKER_V2 else 8
+        signed = overhead == 12 and len(rest) > 2 and bool(rest[2] & mavlink.MAVLINK_IFLAG_SIGNED)
+        size = overhead + (rest[1] if len(rest) > 1 else 0) + (mavlink.MAVLINK_SIGNATURE_BLOCK_LEN if signed else 0)
+        yield rest[:size]
+        rest = rest[size:]
+
+
+def _whole(value: float) -> int | None:
+    """A command parameter that stands for a whole number; None for NaN and infinities."""
+    return int(value) if math.isfinite(value) else None
+
+
+def _result(ack: Ack) -> int:
+    return ACCEPTED if ack.accepted else DENIED
+
+
+def _not_now(ack: Ack) -> int:
+    """As PX4 answers what it would do another time: arming, disarming, a mode."""
+    return ACCEPTED if ack.accepted else NOT_NOW

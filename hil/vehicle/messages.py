@@ -1,0 +1,210 @@
+"""The telemetry of the embedded vehicle as MAVLink messages, numbered and scaled as PX4 sends them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from drivers.interfaces import FlightMode
+from drivers.mavlink.geodesy import LocalTangent
+from hil.autopilot.autopilot import Autopilot, Estimate
+from path.messages import Vec3
+from path.rotation import rpy_from_quat, yaw_of
+
+# px4_custom_mode.h: main mode in bits 16-23, sub mode in bits 24-31. A pilot's mode shows as POSCTL.
+AUTO, OFFBOARD = 4, 6
+AUTO_MODES = {2: FlightMode.TAKEOFF, 3: FlightMode.HOLD, 5: FlightMode.RETURN, 6: FlightMode.LAND}
+PILOT_MODES = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 5: "ACRO", 7: "STABILIZED"}
+CUSTOM_MODES = {
+    **{mode: AUTO << 16 | sub << 24 for sub, mode in AUTO_MODES.items()},
+    FlightMode.OFFBOARD: OFFBOARD << 16,
+    FlightMode.OTHER: 3 << 16,
+}
+
+_ALWAYS_HEALTHY = (
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+)
+_WATCHED = _ALWAYS_HEALTHY | mavlink.MAV_SYS_STATUS_SENSOR_GPS | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+_LANDED_STATES = {
+    FlightMode.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
+    FlightMode.LAND: mavlink.MAV_LANDED_STATE_LANDING,
+}
+_CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+)
+FULL_MV, EMPTY_MV = 16_800, 13_200  # four lithium cells
+
+
+class Drone(Protocol):
+    """What of a simulated drone is seen on the wire: ``hil.world.world.SimDrone``."""
+
+    @property
+    def autopilot(self) -> Autopilot: ...
+
+    @property
+    def estimate(self) -> Estimate: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One instant of a vehicle. ``local_origin_n_m``: where its own local frame began, which is not the mission's."""
+
+    now_s: float
+    autopilot: Autopilot
+    estimate: Estimate
+    tangent: LocalTangent
+    local_origin_n_m: Vec3
+
+    @property
+    def boot_ms(self) -> int:
+        """Of the estimate, which may be older than the message."""
+        return int(self.estimate.time_s * 1e3) & 0xFFFFFFFF
+
+    @property
+    def boot_us(self) -> int:
+        return int(self.estimate.time_s * 1e6)
+
+    @property
+    def local_n_m(self) -> Vec3:
+        (n, e, d), (n0, e0, d0) = self.estimate.position_n_m, self.local_origin_n_m
+        return n - n0, e - e0, d - d0
+
+
+def heartbeat(flight: Flight) -> Any:
+    autopilot = flight.autopilot
+    base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+    if autopilot.armed:
+        base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    status = mavlink.MAV_STATE_STANDBY if autopilot.landed else mavlink.MAV_STATE_ACTIVE
+    kind, make = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4
+    return mavlink.MAVLink_heartbeat_message(kind, make, base, CUSTOM_MODES[autopilot.mode], status, 3)
+
+
+def current_mode(flight: Flight) -> Any:
+    custom_mode = CUSTOM_MODES[flight.autopilot.mode]
+    return mavlink.MAVLink_current_mode_message(mavlink.MAV_STANDARD_MODE_NON_STANDARD, custom_mode, custom_mode)
+
+
+def sys_status(flight: Flight) -> Any:
+    autopilot = flight.autopilot
+    healthy = _ALWAYS_HEALTHY
+    if autopilot.home_n_m is not None:
+        healthy |= mavlink.MAV_SYS_STATUS_SENSOR_GPS
+    if autopilot.armable or autopilot.armed:
+        healthy |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    millivolts, percent = _voltage_mv(autopilot), round(autopilot.battery * 100.0)
+    return mavlink.MAVLink_sys_status_message(
+        _WATCHED, _WATCHED, healthy, 200, millivolts, -1, percent, 0, 0, 0, 0, 0, 0
+    )
+
+
+def gps_raw_int(flight: Flight) -> Any:
+    latitude, longitude, altitude_m = _global(flight)
+    fixed = flight.autopilot.home_n_m is not None
+    fix = mavlink.GPS_FIX_TYPE_3D_FIX if fixed else mavlink.GPS_FIX_TYPE_NO_FIX
+    satellites = 12 if fixed else 3
+    return mavlink.MAVLink_gps_raw_int_message(
+        flight.boot_us, fix, latitude, longitude, round(altitude_m * 1e3), 80, 120, 0, 0xFFFF, satellites
+    )
+
+
+def attitude(flight: Flight) -> Any:
+    rpy = rpy_from_quat(flight.estimate.q_n_b)
+    return mavlink.MAVLink_attitude_message(flight.boot_ms, *rpy, 0.0, 0.0, 0.0)
+
+
+def attitude_quaternion(flight: Flight) -> Any:
+    return mavlink.MAVLink_attitude_quaternion_message(flight.boot_ms, *flight.estimate.q_n_b, 0.0, 0.0, 0.0)
+
+
+def local_position_ned(flight: Flight) -> Any:
+    position, velocity = flight.local_n_m, flight.estimate.velocity_n_mps
+    return mavlink.MAVLink_local_position_ned_message(flight.boot_ms, *position, *velocity)
+
+
+def global_position_int(flight: Flight) -> Any | None:
+    """Only once there is a global position, like the real one."""
+    home = flight.autopilot.home_n_m
+    if home is None:
+        return None
+    latitude, longitude, altitude_m = _global(flight)
+    relative_m = home[2] - flight.estimate.position_n_m[2]
+    vx, vy, vz = (_int16(v * 1e2) for v in flight.estimate.velocity_n_mps)
+    heading_cdeg = round(math.degrees(yaw_of(flight.estimate.q_n_b)) * 1e2) % 36_000
+    return mavlink.MAVLink_global_position_int_message(
+        flight.boot_ms, latitude, longitude, round(altitude_m * 1e3), round(relative_m * 1e3), vx, vy, vz, heading_cdeg
+    )
+
+
+def battery_status(flight: Flight) -> Any:
+    cell_mv = _voltage_mv(flight.autopilot) // 4
+    voltages = [cell_mv] * 4 + [0xFFFF] * 6
+    percent = round(flight.autopilot.battery * 100.0)
+    lithium = mavlink.MAV_BATTERY_TYPE_LIPO
+    return mavlink.MAVLink_battery_status_message(0, 0, lithium, 0x7FFF, voltages, -1, -1, -1, percent)
+
+
+def home_position(flight: Flight) -> Any | None:
+    home = flight.autopilot.home_n_m
+    if home is None:
+        return None
+    latitude_deg, longitude_deg, altitude_m = flight.tangent.to_global(*home)
+    (n, e, d), (n0, e0, d0) = home, flight.local_origin_n_m
+    local = n - n0, e - e0, d - d0
+    place = round(latitude_deg * 1e7), round(longitude_deg * 1e7), round(altitude_m * 1e3)
+    return mavlink.MAVLink_home_position_message(*place, *local, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
+
+
+def extended_sys_state(flight: Flight) -> Any:
+    autopilot = flight.autopilot
+    landed = _LANDED_STATES.get(autopilot.mode, mavlink.MAV_LANDED_STATE_IN_AIR)
+    if autopilot.landed:
+        landed = mavlink.MAV_LANDED_STATE_ON_GROUND
+    return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, landed)
+
+
+def autopilot_version(_flight: Flight) -> Any:
+    version = 1 << 24 | 16 << 16 | 255  # 1.16.0, release
+    none = [0] * 8
+    return mavlink.MAVLink_autopilot_version_message(_CAPABILITIES, version, 0, 0, 0, none, none, none, 0, 0, 0)
+
+
+STREAMS: dict[int, tuple[Callable[[Flight], Any | None], float]] = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: (heartbeat, 2.0),
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: (sys_status, 2.0),
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: (gps_raw_int, 1.0),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: (attitude, 10.0),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (attitude_quaternion, 30.0),
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (local_position_ned, 30.0),
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (global_position_int, 10.0),
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: (battery_status, 0.5),
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: (home_position, 0.5),
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (extended_sys_state, 5.0),
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (autopilot_version, 0.0),
+    mavlink.MAVLINK_MSG_ID_CURRENT_MODE: (current_mode, 0.5),
+}
+"""Message id: how it is made, and its rate in Hz until another is asked for (0: only on request)."""
+
+
+def _voltage_mv(autopilot: Autopilot) -> int:
+    return round(EMPTY_MV + (FULL_MV - EMPTY_MV) * autopilot.battery)
+
+
+def _global(flight: Flight) -> tuple[int, int, float]:
+    """Latitude and longitude in 1e-7 degrees, altitude above mean sea level in metres."""
+    latitude_deg, longitude_deg, altitude_m = flight.tangent.to_global(*flight.estimate.position_n_m)
+    return round(latitude_deg * 1e7), round(longitude_deg * 1e7), altitude_m
+
+
+def _int16(value: float) -> int:
+    return max(-32_768, min(32_767, round(value)))

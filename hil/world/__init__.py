@@ -1,0 +1,1 @@
+"""The truth: drones, targets, wind, what estimators get wrong, and faults."""

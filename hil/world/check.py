@@ -1,0 +1,27 @@
+"""What is checked of a rig's ``[world]`` before anything moves."""
+
+from __future__ import annotations
+
+import math
+
+from drivers.rig.parts import Rig
+from drivers.rig.tables import Problems, decode_table
+from flight.config import MissionConfig
+from hil.world.world import WorldConfig
+
+
+def check_world(rig: Rig) -> None:
+    """Raises RigError for a ``[world]`` that cannot be, or that does not fit the mission's fence."""
+    config = decode_table(rig.world, WorldConfig, rig.where("world"))
+    fence_m = decode_table(rig.mission, MissionConfig, rig.where("mission")).guard.fence_radius_m
+    problems = Problems()
+    for key, place in (
+        ("sender_home.position_m", config.sender_home.position_m),
+        ("receiver_home.position_m", config.receiver_home.position_m),
+        ("target.start_m", config.target.start_m),
+    ):
+        away_m = math.hypot(*place)
+        if away_m > fence_m:
+            what = f"{away_m:g} m from the origin; mission.guard.fence_radius_m is {fence_m:g} m"
+            problems.add(rig.where(f"world.{key}"), what)
+    problems.raise_any()

@@ -1,0 +1,245 @@
+"""The ground vehicles: where the target and its look-alikes are at any time, as functions of time fixed by the seed.
+
+The target drives round a smooth closed loop that starts where it is parked. Some look-alikes drive the same loop a
+fixed way ahead or behind, the others are parked beside it; all keep their distance at every time, which is checked
+when they are placed. Only a look-alike that is sent (a fault) comes close, past the target but never through it.
+Positions are (E, N) in metres, angles counter-clockwise from east.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.world.snapshot import ObjectTruth
+from path.bounds import Bounds
+
+Point = tuple[float, float]
+Array = NDArray[np.float64]
+
+RAMP_S = 2.0  # from parked to full speed
+LOOP_POINTS = 1024
+LOOK_ALIKE_GAP_M = 0.8  # between two look-alikes
+HOME_GAP_M = 1.5  # nothing is parked where drones stand
+PLACEMENTS = 2000
+CROSSING_MPS = 1.0  # relative to the target
+CROSSING_START_M = 3.5
+CROSSING_S = 2.0 * CROSSING_START_M / CROSSING_MPS
+CROSSING_PAST_M = (0.36, 0.4)  # between the centres, at the closest; two cars side by side need 0.31 m at most
+CROSSING_GAP_M = 0.45  # to every other object
+
+
+@dataclass(frozen=True, slots=True)
+class TargetConfig:
+    """The target waits at ``start_m`` until ``start_time_s``, then drives, never leaving ``radius_m`` around it.
+
+    ``to_and_fro_s``: period of driving ahead and back along the loop, ``speed_mps`` being the fastest; 0: always ahead.
+    """
+
+    start_m: Annotated[Point, Bounds(-1000, 1000)] = (0.0, 4.0)
+    start_time_s: Annotated[float, Bounds(0.0, 3600.0)] = 20.0
+    speed_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.3
+    radius_m: Annotated[float, Bounds(1.0, 500.0)] = 4.0
+    # from the start to the middle of the loop, counter-clockwise from east
+    loop_bearing_deg: Annotated[float, Bounds(-360.0, 360.0)] = 90.0
+    loop_bearing_sigma_deg: Annotated[float, Bounds(0.0, 360.0)] = 20.0
+    to_and_fro_s: Annotated[float, Bounds(0.0, 3600.0)] = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.speed_mps >= 0.0 and self.radius_m >= 1.0 and min(self.start_time_s, self.to_and_fro_s) >= 0.0):
+            raise ValueError("speed_mps, start_time_s and to_and_fro_s must not be negative, radius_m at least 1")
+
+
+@dataclass(frozen=True, slots=True)
+class LookAlikeConfig:
+    """``count`` look-alikes, ``driving`` of them on the target's loop, the others parked beside it."""
+
+    count: Annotated[int, Bounds(0, 50, "objects")] = 3
+    driving: Annotated[int, Bounds(0, 50, "objects")] = 1
+    min_distance_m: Annotated[float, Bounds(1.0, 100.0)] = 1.2
+    max_distance_m: Annotated[float, Bounds(1.0, 100.0)] = 2.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.driving <= self.count:
+            raise ValueError("driving must be within 0..count")
+        if not 1.0 <= self.min_distance_m < self.max_distance_m:
+            raise ValueError("min_distance_m must be at least 1.0 and below max_distance_m")
+
+
+class Loop:
+    """A closed smooth curve by arc length. ``points`` (n, 2) are evenly spaced along it."""
+
+    def __init__(self, config: TargetConfig, rng: np.random.Generator) -> None:
+        """A circle bent by its second and third harmonic: convex, its tightest turn about half its mean radius."""
+        angle = np.linspace(0.0, 2.0 * math.pi, 4 * LOOP_POINTS + 1)
+        bend = rng.uniform(0.03, (0.12, 0.05)), rng.uniform(0.0, 2.0 * math.pi, 2)
+        ripple = sum(bend[0][k] * np.cos((k + 2) * angle + bend[1][k]) for k in range(2))
+        mean_radius_m = config.radius_m / 2.4
+        radius = mean_radius_m * (1.0 + ripple)
+        bearing = math.radians(config.loop_bearing_deg + config.loop_bearing_sigma_deg * rng.standard_normal())
+        turn = 1.0 if rng.random() < 0.5 else -1.0
+        heading = bearing + math.pi + turn * angle
+        curve = np.column_stack((radius * np.cos(heading), radius * np.sin(heading)))
+        curve += np.array(config.start_m) - curve[0]
+        along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))))
+        self.length_m = float(along[-1])
+        even = np.arange(LOOP_POINTS + 1) * (self.length_m / LOOP_POINTS)
+        self.points: Array = np.column_stack([np.interp(even, along, curve[:, k]) for k in range(2)])
+        step = np.diff(self.points, axis=0)
+        middle = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+        turned = 2.0 * math.pi * turn
+        yaw = 0.5 * (middle + np.concatenate(([middle[-1] - turned], middle[:-1])))
+        self._x, self._y = self.points[:, 0].tolist(), self.points[:, 1].tolist()
+        self._yaw = [*yaw.tolist(), float(yaw[0]) + turned]
+
+    def at(self, along_m: float) -> tuple[float, float, float]:
+        """(E, N, yaw) a way along the loop, in either direction."""
+        place = (along_m / self.length_m) % 1.0 * LOOP_POINTS
+        k = min(int(place), LOOP_POINTS - 1)
+        f = place - k
+        x, y, yaw = self._x, self._y, self._yaw
+        return x[k] + f * (x[k + 1] - x[k]), y[k] + f * (y[k + 1] - y[k]), yaw[k] + f * (yaw[k + 1] - yaw[k])
+
+    def closest(self, point: Point) -> float:
+        """Distance in m from a point to the loop."""
+        return float(np.min(np.hypot(self.points[:, 0] - point[0], self.points[:, 1] - point[1])))
+
+    def closest_chord(self, apart_m: float) -> float:
+        """Shortest distance between two objects that stay ``apart_m`` apart along the loop."""
+        shift = round(apart_m / self.length_m * LOOP_POINTS)
+        away = self.points[:-1] - np.roll(self.points[:-1], shift, axis=0)
+        return float(np.min(np.hypot(away[:, 0], away[:, 1])))
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """A straight pass, relative to the target: along ``along``, at ``beside`` from it (unit vectors times metres)."""
+
+    object_id: int
+    start_s: float
+    along: Point
+    beside: Point
+
+
+class Traffic:
+    """All ground vehicles. ``at`` is a pure function of time, but for the look-alikes sent so far."""
+
+    def __init__(
+        self,
+        target: TargetConfig,
+        look_alikes: LookAlikeConfig,
+        keep_clear: Sequence[Point],
+        seed: np.random.SeedSequence,
+    ) -> None:
+        """Place everything. ``keep_clear``: where the drones stand. Raises ValueError when there is no room."""
+        loop_seed, place_seed, crossing_seed = seed.spawn(3)
+        self._config = target
+        self._loop = Loop(target, np.random.default_rng(loop_seed))
+        self._crossing_rng = np.random.default_rng(crossing_seed)
+        self._crossings: list[Crossing] = []
+        self._apart = _driving(self._loop, look_alikes)
+        parked = _parked(self._loop, look_alikes, keep_clear, self._apart, np.random.default_rng(place_seed))
+        self._parked = tuple(
+            ObjectTruth(1 + len(self._apart) + k, (x, y, 0.0), yaw, 0.0) for k, (x, y, yaw) in enumerate(parked)
+        )
+
+    def _driven(self, time_s: float) -> tuple[float, float]:
+        """How far along the loop everything has driven, and how fast: a smooth start, then steadily, or to and fro."""
+        since = (time_s - self._config.start_time_s) / RAMP_S
+        speed = self._config.speed_mps
+        if since <= 0.0:
+            return 0.0, 0.0
+        if self._config.to_and_fro_s > 0.0:
+            turn = 2.0 * math.pi / self._config.to_and_fro_s
+            angle = turn * (time_s - self._config.start_time_s)
+            return speed / turn * (1.0 - math.cos(angle)), speed * math.sin(angle)
+        if since < 1.0:
+            return speed * RAMP_S * (since**3 - 0.5 * since**4), speed * (3.0 * since**2 - 2.0 * since**3)
+        return speed * RAMP_S * (since - 0.5), speed
+
+    def at(self, time_s: float) -> tuple[ObjectTruth, ...]:
+        """The target (first, id 0), its look-alikes, and those that are just passing."""
+        along_m, speed = self._driven(time_s)
+        on_loop = [
+            ObjectTruth(k, (x, y, 0.0), yaw, speed)
+            for k, (x, y, yaw) in enumerate(self._loop.at(along_m + apart) for apart in (0.0, *self._apart))
+        ]
+        passing = [
+            self._passing(crossing, time_s, on_loop[0])
+            for crossing in self._crossings
+            if 0.0 <= time_s - crossing.start_s <= CROSSING_S
+        ]
+        return (*on_loop, *self._parked, *passing)
+
+    def _passing(self, crossing: Crossing, time_s: float, target: ObjectTruth) -> ObjectTruth:
+        way = CROSSING_MPS * (time_s - crossing.start_s) - CROSSING_START_M
+        (ax, ay), (bx, by), (x, y, _) = crossing.along, crossing.beside, target.position_w_m
+        vx = CROSSING_MPS * ax + target.speed_mps * math.cos(target.yaw_rad)
+        vy = CROSSING_MPS * ay + target.speed_mps * math.sin(target.yaw_rad)
+        position = x + way * ax + bx, y + way * ay + by, 0.0
+        return ObjectTruth(crossing.object_id, position, math.atan2(vy, vx), math.hypot(vx, vy))
+
+    def send_lookalike(self, now_s: float) -> None:
+        """Drive one more look-alike across, ``CROSSING_PAST_M`` past the target; it is there for ``CROSSING_S``."""
+        past_m = float(self._crossing_rng.uniform(*CROSSING_PAST_M))
+        flip = 1.0 if self._crossing_rng.random() < 0.5 else -1.0
+        heading = self.at(now_s + 0.5 * CROSSING_S)[0].yaw_rad
+        number = 1 + len(self._apart) + len(self._parked) + len(self._crossings)
+        choices: list[tuple[float, float, Crossing]] = []
+        for k in range(-12, 12):  # square across first, then slanted ever more
+            angle = heading + flip * (math.pi / 2.0 + math.pi * k / 12.0)
+            for side in (past_m, -past_m):
+                along = math.cos(angle), math.sin(angle)
+                crossing = Crossing(number, now_s, along, (-side * along[1], side * along[0]))
+                clear_m = min(self._clearance(crossing), CROSSING_GAP_M)
+                choices.append((clear_m, abs(math.sin(angle - heading)), crossing))
+        self._crossings.append(max(choices, key=lambda choice: choice[:2])[2])
+
+    def _clearance(self, crossing: Crossing) -> float:
+        """Closest approach in m to anything but the target."""
+        closest = math.inf
+        for time_s in np.linspace(crossing.start_s, crossing.start_s + CROSSING_S, 71).tolist():
+            target, *others = self.at(time_s)
+            x, y, _ = self._passing(crossing, time_s, target).position_w_m
+            closest = min(closest, *(math.hypot(x - o.position_w_m[0], y - o.position_w_m[1]) for o in others), closest)
+        return closest
+
+
+def _driving(loop: Loop, config: LookAlikeConfig) -> list[float]:
+    """How far along the loop from the target each driving look-alike keeps: behind, ahead, further behind, ..."""
+    apart: list[float] = []
+    for k in range(config.driving):
+        side, gap = (-1.0 if k % 2 == 0 else 1.0), config.min_distance_m * (1.2 + k // 2)
+        while loop.closest_chord(side * gap) < config.min_distance_m:
+            gap += 0.05
+            if gap > 0.5 * loop.length_m:
+                raise ValueError("look_alikes: no room on the target's loop; fewer driving, or a larger radius_m")
+        apart.append(side * gap)
+    if any(loop.closest_chord(a - b) < LOOK_ALIKE_GAP_M for i, a in enumerate(apart) for b in apart[:i]):
+        raise ValueError("look_alikes: they do not fit on the target's loop; fewer driving, or a larger radius_m")
+    return apart
+
+
+def _parked(
+    loop: Loop, config: LookAlikeConfig, keep_clear: Sequence[Point], apart: Sequence[float], rng: np.random.Generator
+) -> list[tuple[float, float, float]]:
+    """Places (E, N, yaw) beside the loop: the first near the start, the others anywhere along it."""
+    placed: list[tuple[float, float, float]] = []
+    for _ in range(PLACEMENTS):
+        if len(placed) == config.count - len(apart):
+            return placed
+        reach = 1.5 if not placed else 0.5 * loop.length_m
+        x, y, heading = loop.at(float(rng.uniform(-reach, reach)))
+        aside = float(rng.uniform(config.min_distance_m, config.max_distance_m)) * (1.0 if rng.random() < 0.5 else -1.0)
+        x, y = x - aside * math.sin(heading), y + aside * math.cos(heading)
+        yaw = float(rng.uniform(-math.pi, math.pi))
+        free = all(math.hypot(x - p[0], y - p[1]) >= LOOK_ALIKE_GAP_M for p in placed)
+        clear = all(math.hypot(x - p[0], y - p[1]) >= HOME_GAP_M for p in keep_clear)
+        if free and clear and loop.closest((x, y)) >= config.min_distance_m:
+            placed.append((x, y, yaw))
+    raise ValueError("look_alikes: no room to park them all beside the target's loop; fewer, or a larger radius_m")

@@ -1,0 +1,330 @@
+"""The truth: two drones with their autopilots, wind, the target and its look-alikes, and the faults of the world.
+
+Physics runs in fixed steps on a grid of its own and the autopilots on every fourth of them, so that how often and how
+finely ``advance`` is called changes nothing. Random numbers come from one stream for each purpose: what one consumer
+draws never shifts another's. World frame ``w`` is ENU with its origin on the ground, drones are reckoned in NED ``n``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from drivers.interfaces import FlightMode
+from hil.autopilot.autopilot import Autopilot, AutopilotConfig, Estimate
+from hil.autopilot.simulator import SimulatorConfig
+from hil.world.dynamics import (
+    COMMAND_SIZE,
+    CONTACT,
+    MOTORS_FLY,
+    MOTORS_IDLE,
+    MOTORS_OFF,
+    ROTOR_PHASE,
+    AirframeConfig,
+    Array,
+    fly,
+    poses_w,
+    standing,
+)
+from hil.world.errors import ErrorsConfig
+from hil.world.estimator import EstimatorConfig, Sensors, WindConfig
+from hil.world.snapshot import DroneTruth, Snapshot
+from hil.world.targets import LookAlikeConfig, Point, TargetConfig, Traffic
+from path.bounds import Bounds
+from path.geometry import Pose
+from path.messages import Quat, Role, Vec3
+
+STEP_HZ = 200
+STEPS_PER_TICK = 4
+TICK_S = STEPS_PER_TICK / STEP_HZ
+TELEMETRY_TICKS = 128
+ROLES = (Role.SENDER, Role.RECEIVER)
+
+Name = TypeVar("Name", bound=Hashable)
+
+
+@dataclass(frozen=True, slots=True)
+class HomeConfig:
+    """Where a drone stands at the start: (E, N) in m, nose direction clockwise from north."""
+
+    position_m: Annotated[Point, Bounds(-1000, 1000)] = (0.0, 0.0)
+    heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ApartConfig:
+    """How far apart the drones' positions are from the start, besides the errors of their estimators.
+
+    The receiver's is the one that is off, in a direction drawn by seed; upward or downward likewise.
+    """
+
+    across_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0
+    height_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0
+
+    def __post_init__(self) -> None:
+        if self.across_m < 0.0 or self.height_m < 0.0:
+            raise ValueError("across_m and height_m must not be negative")
+
+
+@dataclass(frozen=True, slots=True)
+class WorldConfig:
+    """The ``[world]`` table of a rig."""
+
+    errors: ErrorsConfig = field(default_factory=ErrorsConfig)
+    wind: WindConfig = field(default_factory=WindConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
+    apart: ApartConfig = field(default_factory=ApartConfig)
+    airframe: AirframeConfig = field(default_factory=AirframeConfig)
+    autopilot: AutopilotConfig = field(default_factory=AutopilotConfig)
+    target: TargetConfig = field(default_factory=TargetConfig)
+    look_alikes: LookAlikeConfig = field(default_factory=LookAlikeConfig)
+    sender_home: HomeConfig = field(default_factory=HomeConfig)
+    receiver_home: HomeConfig = field(default_factory=lambda: HomeConfig((1.5, -3.0)))
+    sender_simulator: SimulatorConfig | None = None
+    receiver_simulator: SimulatorConfig | None = None
+
+    def __post_init__(self) -> None:
+        if math.dist(self.sender_home.position_m, self.receiver_home.position_m) < 1.0:
+            raise ValueError("sender_home and receiver_home must be at least 1 m apart")
+        if (self.sender_simulator is None) != (self.receiver_simulator is None):
+            raise ValueError("either both drones have a simulator of their own, or none")
+
+    def home(self, role: Role) -> HomeConfig:
+        return self.sender_home if role is Role.SENDER else self.receiver_home
+
+    def simulator(self, role: Role) -> SimulatorConfig | None:
+        return self.sender_simulator if role is Role.SENDER else self.receiver_simulator
+
+
+class Telemetry(NamedTuple):
+    """What a drone could say of itself at one tick."""
+
+    time_s: float
+    estimate: Estimate
+    mode: FlightMode
+    armed: bool
+    landed: bool
+    armable: bool
+    battery: float
+
+
+class SimDrone:
+    """One drone: its autopilot, what it believes, and (for the harness alone) what is true.
+
+    Attributes:
+        autopilot: commands go here, between two calls of ``World.advance``.
+        estimate: the newest one, at most a tick old.
+        telemetry: one entry a tick, newest last, the last ``TELEMETRY_TICKS`` of them.
+    """
+
+    def __init__(self, autopilot: Autopilot, state: Array) -> None:
+        self.autopilot = autopilot
+        self.estimate = Estimate(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        self.telemetry: deque[Telemetry] = deque(maxlen=TELEMETRY_TICKS)
+        self._state = state
+
+    @property
+    def on_ground(self) -> bool:
+        """Truth: whether it stands on its legs."""
+        return bool(self._state[CONTACT])
+
+    @property
+    def true_position_n_m(self) -> Vec3:
+        n, e, d = self._state[:3].tolist()
+        return n, e, d
+
+    @property
+    def true_velocity_n_mps(self) -> Vec3:
+        n, e, d = self._state[3:6].tolist()
+        return n, e, d
+
+    @property
+    def true_q_n_b(self) -> Quat:
+        w, x, y, z = self._state[6:10].tolist()
+        return w, x, y, z
+
+    def sense(self, time_s: float, row: list[float]) -> None:
+        """Take the estimate of a tick: position, velocity, attitude in one row. Only the world calls this."""
+        n, e, d, vn, ve, vd, w, x, y, z = row
+        self.estimate = Estimate(time_s, (n, e, d), (vn, ve, vd), (w, x, y, z))
+        own = self.autopilot
+        said = Telemetry(time_s, self.estimate, own.mode, own.armed, own.landed, own.armable, own.battery)
+        self.telemetry.append(said)
+
+    def command(self, time_s: float) -> tuple[float, ...]:
+        """Step the autopilot at a tick; a command row of ``hil.world.dynamics``. Only the world calls this."""
+        command = self.autopilot.step(time_s, self.estimate, bool(self._state[CONTACT]))
+        if command.velocity_n_mps is None:
+            return (MOTORS_IDLE if command.thrust_on else MOTORS_OFF), 0.0, 0.0, 0.0, command.yaw_rad
+        return MOTORS_FLY, *command.velocity_n_mps, command.yaw_rad
+
+
+class Fleet(Generic[Name]):
+    """Drones by name with their autopilots, and the traffic on the ground, as a function of the seed and of what the
+    autopilots are told.
+    """
+
+    def __init__(
+        self, config: WorldConfig, seed: int, homes: Mapping[Name, HomeConfig], off: Mapping[Name, Vec3]
+    ) -> None:
+        """``off``: NED errors of positions besides the estimators'. Raises ValueError when the objects do not fit."""
+        self.config = config
+        traffic, sensors, autopilots = np.random.SeedSequence(seed).spawn(3)
+        keep_clear = [home.position_m for home in homes.values()]
+        self._traffic = Traffic(config.target, config.look_alikes, keep_clear, traffic)
+        estimator = config.estimator.times(config.errors.sizes)
+        self._sensors = Sensors(config.wind, estimator, TICK_S, sensors.spawn(len(homes)))
+        for i, name in enumerate(homes):
+            self._sensors.position_bias[i] += off.get(name, (0.0, 0.0, 0.0))
+        self._airframe = config.airframe.row()
+        self._states = np.stack([at_home(home, config.airframe.leg_m) for home in homes.values()])
+        self._commands = np.zeros((len(homes), COMMAND_SIZE))
+        self._drones = {
+            name: SimDrone(Autopilot(config.autopilot, int(own.generate_state(1)[0])), self._states[i])
+            for i, (name, own) in enumerate(zip(homes, autopilots.spawn(len(homes)), strict=True))
+        }
+        self._step = 0
+        self._commanded_step = -1
+        self._marker_hidden = False
+        self._depth_holes = False
+        self.time_s = 0.0
+        self._sense()
+
+    @property
+    def names(self) -> tuple[Name, ...]:
+        return tuple(self._drones)
+
+    def drone(self, name: Name) -> SimDrone:
+        return self._drones[name]
+
+    def advance(self, to_s: float) -> None:
+        """Let time pass until ``to_s``, the time since the world began. Raises ValueError for the past."""
+        if to_s < self.time_s:
+            raise ValueError(f"the world is at {self.time_s} s and cannot go back to {to_s} s")
+        last = math.floor(to_s * STEP_HZ + 1e-6)
+        while self._step < last:
+            into_tick = self._step % STEPS_PER_TICK
+            if into_tick == 0 and self._commanded_step != self._step:
+                self._command()
+            steps = min(STEPS_PER_TICK - into_tick, last - self._step)
+            sensors = self._sensors
+            errors = sensors.velocity_errors, sensors.attitude_errors
+            fly(self._states, self._commands, sensors.winds, *errors, self._airframe, 1.0 / STEP_HZ, steps)
+            self._step += steps
+            if self._step % STEPS_PER_TICK == 0:
+                self._sense()
+        if to_s > self.time_s:
+            self.time_s = to_s
+            self._changed()
+
+    def _sense(self) -> None:
+        rows, time_s = self._sensors.tick(self._states).tolist(), self._step / STEP_HZ
+        for drone, row in zip(self._drones.values(), rows, strict=True):
+            drone.sense(time_s, row)
+
+    def _command(self) -> None:
+        self._commanded_step = self._step
+        for i, drone in enumerate(self._drones.values()):
+            self._commands[i] = drone.command(self._step / STEP_HZ)
+
+    def _changed(self) -> None:
+        """What was worked out of the truth as it was is of no use any more."""
+
+    def truths(self) -> dict[Name, DroneTruth]:
+        """Of every drone at ``time_s``; between two physics steps they are carried on by their velocities."""
+        poses = np.empty((len(self._drones), 12))
+        poses_w(self._states, self._late_s(), poses)
+        return {
+            name: DroneTruth(
+                Pose(pose[:9].reshape(3, 3), pose[9:]), (row[4], row[3], -row[5]), row[ROTOR_PHASE],
+                drone.autopilot.armed,
+            )
+            for (name, drone), row, pose in zip(self._drones.items(), self._states.tolist(), poses, strict=True)
+        }  # fmt: skip
+
+    def _late_s(self) -> float:
+        """From the time of the state rows to ``time_s``."""
+        return self.time_s - self._step / STEP_HZ
+
+    # --- faults ---
+
+    def hide_marker(self, hidden: bool) -> None:
+        """Cover the markers, or uncover them."""
+        self._marker_hidden = hidden
+        self._changed()
+
+    def depth_holes(self, holes: bool) -> None:
+        """Let the depth cameras measure nothing on objects, or let them see again."""
+        self._depth_holes = holes
+        self._changed()
+
+    def send_lookalike(self) -> None:
+        """One more look-alike drives across, close past the target, and away; it is gone after seven seconds."""
+        self._traffic.send_lookalike(self.time_s)
+        self._changed()
+
+    def battery(self, name: Name, fraction: float) -> None:
+        """Set what is left of a drone's charge, 0..1."""
+        self._drones[name].autopilot.set_battery(fraction)
+
+    def gps_jump(self, name: Name, vector_n_m: Vec3) -> None:
+        """Shift a drone's position estimate by a NED vector, for good."""
+        self._sensors.position_bias[list(self._drones).index(name)] += vector_n_m
+
+
+class World(Fleet[Role]):
+    """Everything that is true of a pair."""
+
+    def __init__(self, config: WorldConfig, seed: int) -> None:
+        """Raises ValueError when the objects do not fit."""
+        self._snapshot: Snapshot | None = None
+        self.min_separation_m = math.inf  # of the two bodies, while both were in the air
+        off = {Role.RECEIVER: receiver_off(config.apart, seed)}
+        super().__init__(config, seed, {role: config.home(role) for role in ROLES}, off)
+
+    def _sense(self) -> None:
+        super()._sense()
+        if self.both_in_air:
+            self.min_separation_m = min(self.min_separation_m, self.separation_m)
+
+    def _changed(self) -> None:
+        self._snapshot = None
+
+    # --- truth ---
+
+    @property
+    def separation_m(self) -> float:
+        """True distance between the two bodies."""
+        sender, receiver = self._states[:, :3].tolist()
+        return math.dist(sender, receiver)
+
+    @property
+    def both_in_air(self) -> bool:
+        return not (self._states[0, CONTACT] or self._states[1, CONTACT])
+
+    def snapshot(self) -> Snapshot:
+        """The truth at ``time_s``."""
+        if self._snapshot is None:
+            objects = self._traffic.at(self.time_s)
+            self._snapshot = Snapshot(self.time_s, self.truths(), objects, self._marker_hidden, self._depth_holes)
+        return self._snapshot
+
+
+def receiver_off(apart: ApartConfig, seed: int) -> Vec3:
+    """The constant part of the receiver's position error, NED: what it believes less what is true."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(4)[3])  # after the seeds of the fleet
+    angle, up = rng.uniform(0.0, 2.0 * math.pi), bool(rng.integers(2))
+    return (
+        apart.across_m * math.cos(angle), apart.across_m * math.sin(angle), -apart.height_m if up else apart.height_m
+    )  # fmt: skip
+
+
+def at_home(home: HomeConfig, leg_m: float) -> Array:
+    """State row of a drone that stands there."""
+    east, north = home.position_m
+    return standing(north, east, math.radians(home.heading_deg), leg_m)

@@ -1,0 +1,51 @@
+"""Runs of the machines, as pieces of a campaign and shown one by one."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from missions import rig_library
+from missions.assurance.campaign.machines import Machines, OpenChannel, Run
+from missions.assurance.campaign.plan import Plan, draw
+from missions.assurance.campaign.results import RunLine
+from missions.rig_library import trial_part
+
+if TYPE_CHECKING:
+    from missions.assurance.campaign.run import Order
+
+
+def fly(order: Order) -> list[RunLine]:
+    channel = _channel(order.rig)
+    return [
+        _line(level, number, Machines(draw(order.seed, level, number), channel).run()) for level, number in order.runs
+    ]
+
+
+def replay(order: Order, out: Path | None) -> RunLine:
+    """The run's story on the terminal; it has no logs."""
+    del out
+    (level, number), *_ = order.runs
+    plan = draw(order.seed, level, number)
+    sys.stdout.write(_story_of(plan))
+
+    def tell(time_s: float, who: str, what: str) -> None:
+        sys.stdout.write(f"{time_s:9.3f} s  {who:<9}{what}\n")
+
+    return _line(level, number, Machines(plan, _channel(order.rig), tell).run())
+
+
+def _channel(rig: str) -> OpenChannel:
+    return trial_part(rig_library.load(rig), "channel")
+
+
+def _line(level: str, number: int, run: Run) -> RunLine:
+    rounded = {name: round(value, 4) for name, value in run.figures.items()}
+    return RunLine(number, level, run.outcome, run.violations, run.beyond, rounded)
+
+
+def _story_of(plan: Plan) -> str:
+    """What was drawn, a line each."""
+    return "".join(f"{field.name}: {getattr(plan, field.name)}\n" for field in dataclasses.fields(plan))

@@ -1,0 +1,38 @@
+"""What is kept of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from missions.resumable_lines import KeptLines
+
+FILE = "runs.jsonl"
+FORMAT = "path-handoff campaign 1"
+
+
+@dataclass(frozen=True, slots=True)
+class RunLine:
+    """One run.
+
+    Attributes:
+        number, level: with the campaign's program and seed, what the run was drawn from.
+        outcome: how it ended.
+        violations: each "NAME at T s: what".
+        beyond: the same after a clock was set, which is outside every lease's assumptions.
+        figures: seconds by name, such as "decided_s"; what was not measured is not there.
+    """
+
+    number: int
+    level: str
+    outcome: str
+    violations: tuple[str, ...] = ()
+    beyond: tuple[str, ...] = ()
+    figures: Mapping[str, float] = field(default_factory=dict[str, float])
+
+
+def kept_results(folder: Path, asked: Mapping[str, Any]) -> KeptLines[RunLine]:
+    """The file of a campaign in its folder; a folder that holds another campaign is refused."""
+    return KeptLines(folder / FILE, RunLine, {"format": FORMAT, **asked})

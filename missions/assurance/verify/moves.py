@@ -1,0 +1,291 @@
+"""What can happen next in a world, and whether it may: every step is held against the invariants of the hand-over."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from missions.assurance.verify.effects import Effect, Effects
+from missions.assurance.verify.model import HANDOFF_ID, OTHER_ID, RECEIVER_ID, TARGET_ID, UNREAD, Scope, World
+from missions.assurance.verify.rules import (
+    Dead,
+    across_rules,
+    lowest_epoch,
+    responsible_receiver,
+    responsible_sender,
+    used_epoch,
+)
+from path.messages import AbortReason
+from path.protocol import receiver, sender
+from path.protocol.values import (
+    AbortRequested,
+    AgreementComplete,
+    Handoff,
+    NewMission,
+    Offer,
+    Outcome,
+    ReceiverRecord,
+    SenderEvent,
+    SenderRecord,
+    Tick,
+    VerifyAgain,
+)
+
+TICK = "a tick passes"
+
+_CLOCKS = ((True, ""), (False, ", after a reboot"))
+_PILOT = AbortRequested(AbortReason.PILOT)
+
+
+class Move(NamedTuple):
+    """One step: what happened, what came of it, and the invariant it broke ("" when none)."""
+
+    what: str
+    world: World
+    broken: str = ""
+
+
+class Moves:
+    """All steps from a world, of one scope."""
+
+    def __init__(self, scope: Scope) -> None:
+        self.scope = scope
+        self.effects = Effects(scope)
+        self._senders = self.effects.senders.values
+        self._receivers = self.effects.receivers.values
+
+    def start(self, skew: int) -> World:
+        """Nothing has begun; the receiver observes."""
+        effects, scope = self.effects, self.scope
+        state, held = effects.senders(sender.Idle()), effects.receivers(receiver.Observing())
+        kept, noted = effects.sender_records(SenderRecord()), effects.receiver_records(ReceiverRecord())
+        if not scope.crashes:
+            kept = noted = UNREAD
+        packets = effects.said(state, held, skew)
+        return World(state, held, skew, packets, scope.crashes, scope.aborts, scope.attempts, kept, noted, 0, 0)
+
+    def sender_of(self, world: World) -> sender.SenderState | Dead:
+        return self._senders[world.sender]
+
+    def receiver_of(self, world: World) -> receiver.ReceiverState | Dead:
+        return self._receivers[world.receiver]
+
+    def names(self, state: int, held: int) -> tuple[str, str]:
+        """Of a pair of the machines' states, by their numbers."""
+        return type(self._senders[state]).__name__, type(self._receivers[held]).__name__
+
+    def __call__(self, world: World) -> Iterator[Move]:
+        if not isinstance(self.sender_of(world), Dead):
+            for effect in self.effects.heard_by_sender(world.sender, world.packets):
+                yield from self._sender_does(world, effect)
+            yield from self._sender_program(world)
+        if not isinstance(self.receiver_of(world), Dead):
+            for effect in self.effects.heard_by_receiver(world.receiver, world.skew, world.packets):
+                yield from self._receiver_does(world, effect)
+            if world.aborts:
+                told = self.effects.receiver_told(world.receiver, world.skew, _PILOT, "a pilot takes the receiver")
+                yield from self._receiver_does(world._replace(aborts=world.aborts - 1), told)
+        yield from self._time(world)
+        yield from self._crashes(world)
+
+    # --- time -------------------------------------------------------------------------------------------------
+
+    def _time(self, world: World) -> Iterator[Move]:
+        """Either program notices what is due, at once or late by up to the guard; or a tick passes."""
+        guard, uncertainty = self.scope.guard, self.scope.uncertainty
+        gives, takes = self.sender_of(world), self.receiver_of(world)
+        due = None if isinstance(gives, Dead) else sender.wake_ns(gives)
+        waiting = None if isinstance(takes, Dead) else receiver.wake_ns(takes)
+        if due is not None and due <= 0:
+            effect = self.effects.sender_told(world.sender, Tick(), "the sender notices the time")
+            yield from self._sender_does(world, _awaited(effect, world.sender))
+        if waiting is not None and waiting <= world.skew:
+            effect = self.effects.receiver_told(world.receiver, world.skew, Tick(), "the receiver notices the time")
+            yield from self._receiver_does(world, _awaited(effect, world.receiver))
+        if due is not None and 1 - due > guard:
+            return
+        for skew in range(max(world.skew - 1, -uncertainty), min(world.skew + 1, uncertainty) + 1):
+            if waiting is None or skew + 1 - waiting <= guard:
+                yield self._tick(world, skew)
+
+    def _tick(self, world: World, skew: int) -> Move:
+        effects = self.effects
+        state = effects.aged("sender", effects.senders, world.sender)
+        held = effects.aged("receiver", effects.receivers, world.receiver)
+        after = World(
+            state,
+            held,
+            skew,
+            effects.packets_aged(world.packets) | effects.said(state, held, skew),
+            world.crashes,
+            world.aborts,
+            world.attempts,
+            effects.aged("sender record", effects.sender_records, world.sender_kept),
+            effects.aged("receiver record", effects.receiver_records, world.receiver_kept),
+            world.agreed,
+            min(world.alone + 1, self.scope.longest_gap + 1) if self._nobody(world) else 0,
+        )
+        return Move(TICK, after, self._overdue(after))
+
+    def _nobody(self, world: World) -> bool:
+        """Nobody is responsible, though whoever would have to be runs."""
+        gives, takes = self.sender_of(world), self.receiver_of(world)
+        if isinstance(gives, Dead | sender.Idle) or sender.is_responsible(gives):
+            return False  # of a sender that is idle nothing is asked
+        if isinstance(takes, Dead):
+            return not isinstance(gives, sender.HandedOver)
+        return not receiver.is_responsible(takes, world.skew)
+
+    def _overdue(self, world: World) -> str:
+        """L1: everything that waits, ends. L2: no gap but the orphan, and neither side takes that for all well."""
+        state, held = self.sender_of(world), self.receiver_of(world)
+        latest = -self.scope.guard
+        match state:
+            case sender.Offering() | sender.Verifying():
+                late = state.end_ns < latest
+            case sender.AwaitingAccept():
+                late = state.take_back_ns < latest
+            case sender.HandedOver(settled=None):
+                late = state.settle_end_ns < latest
+            case _:
+                late = False
+        match held:
+            case receiver.Provisional():
+                late = late or held.lease_end_ns < world.skew + latest
+            case receiver.LetGo(settled=None):
+                late = late or held.settle_end_ns < world.skew + latest
+            case _:
+                pass
+        if late:
+            return "L1"
+        if world.alone <= self.scope.longest_gap:
+            return ""
+        if not (isinstance(state, sender.HandedOver) and isinstance(held, receiver.LetGo)):
+            return "L2"
+        if held.settled is Outcome.TAKEN_BACK:
+            return "L2"  # the receiver believes that all is well
+        no_pilot = world.aborts == self.scope.aborts  # who may have let go of what the sender knows to be held
+        return "L2" if state.settled is Outcome.HANDED_OVER and no_pilot else ""
+
+    # --- the sender's program ---------------------------------------------------------------------------------
+
+    def _sender_program(self, world: World) -> Iterator[Move]:
+        state = self.sender_of(world)
+        if world.attempts:
+            begun = world._replace(attempts=world.attempts - 1)
+            if isinstance(state, sender.Keeping | sender.TakenBack) or self._free(world):
+                yield from self._tell_sender(begun, Offer(HANDOFF_ID, TARGET_ID), "the sender offers the target")
+            if isinstance(state, sender.TakenBack):
+                yield from self._tell_sender(begun, VerifyAgain(), "the sender verifies again")
+        if isinstance(state, sender.Keeping | sender.TakenBack | sender.HandedOver):
+            yield from self._tell_sender(world, NewMission(), "the sender has landed, and begins a new mission")
+        if isinstance(state, sender.Verifying):
+            yield from self._agreements(world, state.live)
+        if world.aborts:
+            yield from self._tell_sender(world._replace(aborts=world.aborts - 1), _PILOT, "a pilot takes the sender")
+
+    def _free(self, world: World) -> bool:
+        """An idle sender takes off, and offers, only when it has heard that the receiver holds nothing."""
+        gives, takes = self.sender_of(world), self.receiver_of(world)
+        if not isinstance(gives, sender.Idle):
+            return False
+        return gives.epoch == 0 or not (isinstance(takes, Dead) or receiver.is_responsible(takes, world.skew))
+
+    def _agreements(self, world: World, live: Handoff) -> Iterator[Move]:
+        """The one that the window counted, and those of which nothing may come (S5)."""
+        nonce, told = 100 * live.epoch, self.scope.uncertainty
+        whole = AgreementComplete(live.epoch, TARGET_ID, nonce, told, RECEIVER_ID)
+        yield from self._tell_sender(world._replace(agreed=live.epoch), whole, "the agreement is complete")
+        for wrong, what in (
+            (
+                AgreementComplete(live.epoch - 1, TARGET_ID, nonce, told, RECEIVER_ID),
+                "an agreement of an earlier attempt is told",
+            ),
+            (
+                AgreementComplete(live.epoch, OTHER_ID, nonce, told, RECEIVER_ID),
+                "an agreement on another object is told",
+            ),
+            (AgreementComplete(live.epoch, TARGET_ID, nonce, None, RECEIVER_ID), "an agreement is told without clocks"),
+            (AgreementComplete(live.epoch, TARGET_ID, nonce, told, None), "an agreement is told with two receivers"),
+        ):
+            yield from self._tell_sender(world, wrong, what)
+
+    def _tell_sender(self, world: World, event: SenderEvent, what: str) -> Iterator[Move]:
+        return self._sender_does(world, self.effects.sender_told(world.sender, event, what))
+
+    # --- crashes ----------------------------------------------------------------------------------------------
+
+    def _crashes(self, world: World) -> Iterator[Move]:
+        """Killed at any moment, with whatever is on disk; started again at any later one."""
+        gives, takes = self.sender_of(world), self.receiver_of(world)
+        if world.crashes and not isinstance(gives, Dead):
+            yield Move("the sender is killed", self._sender_killed(world, world.sender_kept))
+        if world.crashes and not isinstance(takes, Dead):
+            yield Move("the receiver is killed", self._receiver_killed(world, world.receiver_kept))
+        if isinstance(gives, Dead):
+            for same_clock, how in _CLOCKS:
+                state, kept = self.effects.sender_restored(world.sender_kept, same_clock)
+                alone = world.alone if same_clock else 0  # a new clock begins anew what is waited for
+                up = world._replace(sender=state, sender_kept=kept, alone=alone)
+                mine = self.effects.sender_records.values[world.sender_kept].duty == "mine"
+                lost = "L2" if mine and not responsible_sender(self.sender_of(up)) else ""
+                yield self._checked(world, up, f"the sender is started again{how}", lost)
+        if isinstance(takes, Dead):
+            for same_clock, how in _CLOCKS:
+                held, kept = self.effects.receiver_restored(world.receiver_kept, world.skew, same_clock)
+                up = world._replace(receiver=held, receiver_kept=kept)
+                yield self._checked(world, up, f"the receiver is started again{how}", "")
+
+    def _sender_killed(self, world: World, kept: int) -> World:
+        state = self.sender_of(world)
+        dead = self.effects.senders(Dead(used_epoch(state), isinstance(state, sender.HandedOver)))
+        return world._replace(sender=dead, sender_kept=kept, crashes=world.crashes - 1)
+
+    def _receiver_killed(self, world: World, kept: int) -> World:
+        dead = self.effects.receivers(Dead(lowest_epoch(self.receiver_of(world))))
+        return world._replace(receiver=dead, receiver_kept=kept, crashes=world.crashes - 1)
+
+    # --- a machine's step, with all that may interrupt it -----------------------------------------------------
+
+    def _sender_does(self, world: World, effect: Effect) -> Iterator[Move]:
+        broken = effect.broken
+        if any(commit != (world.agreed, TARGET_ID) for commit in effect.commits):
+            broken = broken or "S5"
+        kept = world.sender_kept if effect.kept < 0 else effect.kept
+        after = world._replace(sender=effect.state, sender_kept=kept, packets=world.packets | effect.sent)
+        yield self._checked(world, after, effect.what, broken)
+        if world.crashes:
+            for sent, half_kept in effect.halves:
+                half = world._replace(packets=world.packets | sent)
+                dead = self._sender_killed(half, world.sender_kept if half_kept < 0 else half_kept)
+                yield Move(f"{effect.what}; it is killed half-way", dead)
+
+    def _receiver_does(self, world: World, effect: Effect) -> Iterator[Move]:
+        kept = world.receiver_kept if effect.kept < 0 else effect.kept
+        after = world._replace(receiver=effect.state, receiver_kept=kept, packets=world.packets | effect.sent)
+        yield self._checked(world, after, effect.what, effect.broken)
+        if world.crashes:
+            for sent, half_kept in effect.halves:
+                half = world._replace(packets=world.packets | sent)
+                dead = self._receiver_killed(half, world.receiver_kept if half_kept < 0 else half_kept)
+                yield Move(f"{effect.what}; it is killed half-way", dead)
+
+    def _checked(self, before: World, after: World, what: str, broken: str) -> Move:
+        now, holds = self.sender_of(after), self.receiver_of(after)
+        gives, takes = responsible_sender(now), responsible_receiver(holds, after.skew)
+        broken = broken or across_rules(self.sender_of(before), now, self.receiver_of(before), holds)
+        if gives and takes:
+            broken = broken or "S1"
+        alone = 0 if gives or takes else after.alone
+        sender_kept, receiver_kept = after.sender_kept, after.receiver_kept
+        if not after.crashes:  # nobody will ever read it
+            sender_kept = sender_kept if isinstance(now, Dead) else UNREAD
+            receiver_kept = receiver_kept if isinstance(holds, Dead) else UNREAD
+        packets = after.packets | self.effects.said(after.sender, after.receiver, after.skew)
+        world = after._replace(packets=packets, alone=alone, sender_kept=sender_kept, receiver_kept=receiver_kept)
+        return Move(what, world, broken)
+
+
+def _awaited(effect: Effect, state: int) -> Effect:
+    """A machine that asked to be told of this instant has to make something of it (L1)."""
+    return effect._replace(broken="L1") if effect.state == state and not effect.broken else effect

@@ -1,0 +1,1 @@
+"""``path-handoff doctor``: is everything there, and as it should be, before anything moves?"""

@@ -1,0 +1,210 @@
+"""The short test of a role's eye: frames for two seconds, and what is found in the last of them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncIterator, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import Capability, Clock, Detector, Sight, View, lacking
+from drivers.rig.part_check import Enough, Finding, examined, rate_finding, rate_of
+from path.camera import CameraModel
+from path.marker.layout import MarkerLayout
+from path.observations import Box, MarkerDetection
+
+SETTLE_S, SAMPLE_S, FRAME_S = 0.5, 2.0, 2.0
+KEPT = 6  # frames that are looked into
+FRAMES = Enough(0.95, 0.8)  # of the rate that the rig sets: a hand-over counts each of them
+MANY_MISSED = 0.05
+OLD_MS = 500.0
+DARK, BLACK, GLARING = 40.0, 8.0, 0.2  # mean grey level; share of pixels at their limit
+WHITE = 250
+SURE_PX, SMALLEST_PX = 20.0, 12.0  # side of a marker: always found; found two times in three
+STREAM_FIX = "a USB 3 port and cable, no other load on this computer, more light if its exposure is long"
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """Frames as they came: instants and ages in ns of the role's clock, and the last few of them."""
+
+    stamps_ns: tuple[int, ...]
+    ids: tuple[int, ...]
+    ages_ns: tuple[int, ...]
+    last: tuple[View, ...]
+
+    @property
+    def seconds(self) -> float:
+        return (self.stamps_ns[-1] - self.stamps_ns[0]) * 1e-9
+
+
+async def check_sight(sight: Sight, clock: Clock, layout: MarkerLayout | None) -> AsyncIterator[Finding]:
+    """Open, look, close. ``layout``: of the markers that this role must see; None when it needs none.
+
+    Raises PartError for what ends the test.
+    """
+    start_ns = clock.now_ns()
+    async with sight:
+        await sight.view(FRAME_S)
+        yield Finding("ok", "opens", f"first frame after {(clock.now_ns() - start_ns) * 1e-9:.1f} s")
+        sample = await _sampled(sight, clock)
+        yield rate(sample, rate_of(sight))
+        yield missed(sample)
+        yield age(sample)
+        for own in await examined(sight):
+            yield own
+        for finding in _pictures(sight, sample):
+            yield finding
+        yield _targets(sample, rate_of(sight), clock)
+        if layout is not None:
+            yield markers([view.markers(None) for view in sample.last], layout)
+
+
+async def _sampled(sight: Sight, clock: Clock) -> Sample:
+    await _frames(sight, clock, SETTLE_S)  # what waited since it was opened, and automatic exposure
+    return await _frames(sight, clock, SAMPLE_S)
+
+
+async def _frames(sight: Sight, clock: Clock, seconds: float) -> Sample:
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + seconds
+    stamps: list[int] = []
+    ids: list[int] = []
+    ages: list[int] = []
+    last: deque[View] = deque(maxlen=KEPT)
+    while loop.time() < end_s or len(stamps) < 2:
+        view = await sight.view(FRAME_S)
+        stamps.append(view.stamp_ns)
+        ids.append(view.frame_id)
+        ages.append(clock.now_ns() - view.stamp_ns)
+        last.append(view)
+    return Sample(tuple(stamps), tuple(ids), tuple(ages), tuple(last))
+
+
+def rate(sample: Sample, wanted_hz: float | None) -> Finding:
+    """Frames that came in a second, against what the rig sets."""
+    found_hz = (len(sample.ids) - 1) / sample.seconds
+    if wanted_hz is None:
+        return Finding("ok", "rate", f"{found_hz:.1f} frames a second")
+    return rate_finding("rate", found_hz, wanted_hz, STREAM_FIX, FRAMES)
+
+
+def missed(sample: Sample) -> Finding:
+    """Frames that the camera counted and that never came, or came too late to be the newest."""
+    given = sample.ids[-1] - sample.ids[0]
+    lost = given - (len(sample.ids) - 1)
+    gap_ms = float(np.max(np.diff(sample.stamps_ns))) * 1e-6
+    detail = f"{lost} of {given} ({100.0 * lost / given:.0f} %), longest gap {gap_ms:.0f} ms"
+    return (
+        Finding("note", "missed", detail, STREAM_FIX) if lost > MANY_MISSED * given else Finding("ok", "missed", detail)
+    )
+
+
+def age(sample: Sample) -> Finding:
+    """How old frames are when they come: what is below zero or very old is stamped by another clock."""
+    median_ms, most_ms = float(np.median(sample.ages_ns)) * 1e-6, max(sample.ages_ns) * 1e-6
+    detail = f"frames are {median_ms:.0f} ms old when they come, {most_ms:.0f} ms at most"
+    if median_ms < 0.0 or median_ms > OLD_MS:
+        return Finding(
+            "fault", "stamps", detail, "the camera's clock is not this computer's: let its clock be set first"
+        )
+    return Finding("ok", "stamps", detail)
+
+
+def _pictures(sight: Sight, sample: Sample) -> Iterator[Finding]:
+    view = sample.last[-1]
+    if (image := view.image()) is not None:
+        model = sight.model
+        yield Finding(
+            "ok", "size", f"{image.shape[1]}x{image.shape[0]}, as its calibration {model.width}x{model.height}"
+        )
+        yield brightness(image)
+    if Capability.RANGE not in lacking(sight):
+        yield _range(view, sight.model)
+
+
+def brightness(image: NDArray[np.uint8]) -> Finding:
+    """Whether there is a picture at all, and light enough to see by. ``image``: (h, w, 3) BGR."""
+    grey, glaring = float(image.mean()), float((image.max(axis=2) >= WHITE).mean())
+    detail = f"mean {grey:.0f} of 255, {100.0 * glaring:.0f} % overexposed"
+    if grey < BLACK:
+        return Finding("fault", "brightness", detail, "take the lens cap off, or put the light on")
+    if grey < DARK:
+        return Finding("note", "brightness", detail, "more light, or a longer exposure")
+    if glaring > GLARING:
+        return Finding("note", "brightness", detail, "a shorter exposure, or turn away from the light")
+    return Finding("ok", "brightness", detail)
+
+
+def _range(view: View, model: CameraModel) -> Finding:
+    third = Box(model.width / 3, model.height / 3, model.width / 3, model.height / 3)
+    depth = view.depth(third)
+    if depth is None:
+        return Finding(
+            "note",
+            "range",
+            "none in the middle of the image",
+            "point it at something within its limits, and look again",
+        )
+    return Finding("ok", "range", f"{depth.z_m:.2f} m in the middle of the image")
+
+
+def markers(found: Sequence[Sequence[MarkerDetection]], layout: MarkerLayout) -> Finding:
+    """The largest marker in each of some frames: which, and how large."""
+    largest = [max(each, key=side_px) for each in found if each]
+    wanted = ", ".join(str(marker.id) for marker in layout.markers)
+    if not largest:
+        detail = f"no marker of this rig (id {wanted}) in {len(found)} frames"
+        return Finding("note", "marker", detail, "hold the sender's marker into its view, and look again")
+    side = float(np.median([side_px(each) for each in largest]))
+    ids = ", ".join(str(number) for number in sorted({each.marker_id for each in largest}))
+    detail = f"id {ids} in {len(largest)} of {len(found)} frames, side {side:.0f} px"
+    if side >= SURE_PX:
+        return Finding("ok", "marker", detail)
+    need = f"it is always found from {SURE_PX:.0f} px on, below {SMALLEST_PX:.0f} px mostly not: come nearer"
+    return Finding("note", "marker", detail, need)
+
+
+def side_px(marker: MarkerDetection) -> float:
+    """Mean length of its four sides in the image."""
+    corners = marker.corners_px
+    return float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
+
+
+def check_detector(detector: Detector, model: CameraModel, rate_hz: float | None, clock: Clock) -> Finding:
+    """How long it takes at least, for a grey image of the camera's size. The first one loads things and is left out.
+
+    How long it takes for what the camera sees is told with its frames.
+    """
+    image = np.full((model.height, model.width, 3), 128, np.uint8)
+    took_ms: list[float] = []
+    for _ in range(1 + KEPT):
+        start_ns = clock.now_ns()
+        detector.detect(image, None)
+        took_ms.append((clock.now_ns() - start_ns) * 1e-6)
+    median = float(np.median(took_ms[1:]))
+    return _timed("time", f"{median:.1f} ms for a grey image of {model.width}x{model.height}", median, rate_hz)
+
+
+def _targets(sample: Sample, rate_hz: float | None, clock: Clock) -> Finding:
+    """What the detector finds in the last frames, whole, and how long that takes."""
+    took_ms: list[float] = []
+    counts: list[int] = []
+    for view in sample.last:
+        start_ns = clock.now_ns()
+        counts.append(len(view.targets(None)))
+        took_ms.append((clock.now_ns() - start_ns) * 1e-6)
+    median = float(np.median(took_ms))
+    seen = f"{min(counts)} to {max(counts)}" if max(counts) else "none"
+    detail = f"{seen} in each of {len(counts)} whole frames, {median:.1f} ms"
+    return _timed("targets", detail, median, rate_hz)
+
+
+def _timed(name: str, detail: str, median_ms: float, rate_hz: float | None) -> Finding:
+    if rate_hz is not None and median_ms > 1000.0 / rate_hz:
+        fix = "a smaller model, more `threads`, or a lower frame rate; with a search region it may still keep up"
+        return Finding("note", name, f"{detail}: more than a frame's {1000.0 / rate_hz:.0f} ms", fix)
+    return Finding("ok", name, detail)

@@ -1,0 +1,180 @@
+"""The part of ``doctor`` that talks to a vehicle: what it tells for two seconds, and its parameters. Nothing moves."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from collections.abc import AsyncIterator, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Protocol
+
+from drivers.interfaces import Clock, PartError, Vehicle, VehicleError, VehicleState
+from drivers.rig.part_check import Finding, examined
+from drivers.rig.parts import Rig, create, part_context
+from path.messages import Role
+
+SET = "run doctor again with --vehicle ROLE --set-parameters, or set it from its ground station"
+SAMPLE_S, POLL_S, READY_S = 2.0, 0.005, 5.0
+OLD_S = 0.5  # telemetry: the mission's own guard lands the vehicle when it is older (telemetry_age_s)
+SLOWEST_HEARTBEAT_S = 1.5
+
+
+class Difference(Protocol):
+    """One parameter that is not as wanted; its text says all."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def wanted(self) -> float: ...
+
+    @property
+    def found(self) -> float | None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What a vehicle told while it was listened to.
+
+    Attributes:
+        oldest_s: age of its newest telemetry at its worst; None when it never said where it is.
+        heartbeats: how many came.
+    """
+
+    oldest_s: float | None
+    heartbeats: int
+    seconds: float
+
+
+async def check_flyer(vehicle: Vehicle, clock: Clock, min_battery: float) -> AsyncIterator[Finding]:
+    """Open, listen, compare parameters, close. Nothing is armed, set or moved. Raises VehicleError.
+
+    Args:
+        min_battery: at which the mission ends, as a share.
+    """
+    async with vehicle:
+        yield Finding("ok", "connects", "heartbeat and attitude came")
+        heard = await _heard(vehicle, clock)
+        for finding in streams(heard):
+            yield finding
+        for own in await examined(vehicle):
+            yield own
+        state = await _ready(vehicle)
+        for finding in condition(state, min_battery):
+            yield finding
+        if hasattr(vehicle, "parameter_differences"):
+            for finding in await _parameters(vehicle):
+                yield finding
+
+
+async def _heard(vehicle: Vehicle, clock: Clock) -> Heard:
+    loop = asyncio.get_running_loop()
+    ages_s: list[float] = []
+    heartbeats: set[int] = set()
+    start_s = loop.time()
+    while (seconds := loop.time() - start_s) < SAMPLE_S:
+        state = vehicle.state
+        heartbeats.add(state.heartbeat_ns)
+        if state.stamp_ns:
+            ages_s.append((clock.now_ns() - state.stamp_ns) * 1e-9)
+        await asyncio.sleep(POLL_S)
+    return Heard(max(ages_s, default=None), len(heartbeats), seconds)
+
+
+async def _ready(vehicle: Vehicle) -> VehicleState:
+    """Its state once it can be armed, or after READY_S."""
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + READY_S
+    while not (state := vehicle.state).armable and loop.time() < end_s:  # noqa: ASYNC110 (state is read)
+        await asyncio.sleep(POLL_S)
+    return state
+
+
+def streams(heard: Heard) -> Iterator[Finding]:
+    """Whether it tells where it is, and that it lives."""
+    fix = "check cable or radio"
+    if heard.oldest_s is None:
+        yield Finding("fault", "telemetry", "attitude, but no position", "see what its ground station says of its GPS")
+    else:
+        detail = f"never older than {1e3 * heard.oldest_s:.0f} ms"
+        late = heard.oldest_s > OLD_S
+        yield Finding("fault", "telemetry", detail, fix) if late else Finding("ok", "telemetry", detail)
+    detail = f"{heard.heartbeats} in {heard.seconds:.1f} s"
+    if heard.heartbeats < heard.seconds / SLOWEST_HEARTBEAT_S:
+        yield Finding("fault", "heartbeat", detail, fix)
+    else:
+        yield Finding("ok", "heartbeat", detail)
+
+
+def condition(state: VehicleState, min_battery: float) -> Iterator[Finding]:
+    """Whether a mission could begin with it as it is."""
+    if state.armed or state.in_air:
+        yield Finding("fault", "armed", "it is armed", "land it, disarm it, and look again")
+    else:
+        yield Finding("ok", "armed", "it is disarmed")
+    detail = f"{100.0 * state.battery:.0f} %, the mission ends at {100.0 * min_battery:.0f} %"
+    enough = state.battery > min_battery and math.isfinite(state.battery)
+    yield Finding("ok" if enough else "fault", "battery", detail, "" if enough else "charge or change it")
+    if state.armable:
+        yield Finding("ok", "ready to arm", "yes")
+    else:
+        fix = "give it a clear sky and do what its ground station shows"
+        yield Finding("fault", "ready to arm", f"not within {READY_S:g} s", fix)
+
+
+async def _parameters(vehicle: Any) -> list[Finding]:
+    wrong: Sequence[Difference] = await vehicle.parameter_differences()
+    if not wrong:
+        return [Finding("ok", "parameters", "are as the rig wants them")]
+    return [Finding("fault", "parameters", str(each), SET) for each in wrong]
+
+
+def check_vehicle(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> Iterator[Finding]:
+    """Connect, compare, set, record in ``folder``. Nothing moves."""
+    try:
+        yield from asyncio.run(_check(rig, role, set_parameters, folder))
+    except PartError as error:
+        yield Finding("fault", role.value, str(error), error.remedy)
+
+
+async def _check(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> list[Finding]:
+    vehicle: Any = create(rig.role(role).vehicle, part_context(rig, role))
+    if not hasattr(vehicle, "parameter_differences"):
+        return [Finding("ok", role.value, "this vehicle has no parameters to compare")]
+    async with vehicle:
+        wrong: Sequence[Difference] = await vehicle.parameter_differences()
+        if not wrong:
+            return [Finding("ok", role.value, "parameters are as the rig wants them")]
+        if not set_parameters:
+            return [Finding("fault", role.value, str(each), SET) for each in wrong]
+        if vehicle.state.armed:
+            raise VehicleError("the vehicle is armed: no parameter was set", "disarm it first")
+        changed: list[Difference] = []
+        try:
+            for each in wrong:
+                await vehicle.set_parameter(each)
+                changed.append(each)
+        finally:
+            record = _record(folder, rig, role, changed)
+    done = [Finding("note", role.value, f"set: {each}") for each in wrong]
+    return [*done, Finding("ok", role.value, f"what was set is recorded in {record}")]
+
+
+def _record(folder: Path, rig: Rig, role: Role, changed: Sequence[Difference]) -> Path | None:
+    """What each parameter was and is now, so that it can be undone."""
+    if not changed:
+        return None
+    folder.mkdir(parents=True, exist_ok=True)
+    now = datetime.now()
+    file = folder / f"{now:%Y%m%d-%H%M%S}-{role.value}.json"
+    record = {
+        "rig": rig.name,
+        "role": role.value,
+        "time": now.isoformat(timespec="seconds"),
+        "parameters": [{"name": each.name, "before": each.found, "after": each.wanted} for each in changed],
+    }
+    file.write_text(json.dumps(record, indent=2) + "\n", "utf-8")
+    return file

@@ -1,0 +1,1 @@
+"""``path-handoff guard``: holds and lands a drone whose script does not."""

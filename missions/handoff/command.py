@@ -1,0 +1,169 @@
+"""``path-handoff handoff``: both roles and their world from one terminal, the run folder, and many runs by seed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from drivers.interfaces import PartError
+from drivers.rig.parts import Rig, import_factory, with_errors
+from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleResult
+from flight.outcome import Outcome, violated_outcome
+from missions import rig_library
+from missions.leg.process import fly_role
+from missions.options import ConformanceOptions, HandoffOptions
+from missions.report.command import make_report, series_table, show, summarize_many
+from missions.report.progress import open_console, open_tally
+from missions.report.records import FACTS, RUN, SUMMARY, RunFacts, load_run, write_facts
+from missions.report.right_object import fly_watched
+from missions.report.summary import summarize
+from missions.run_folder import claim_folder, claim_result, new_folder
+from path.messages import Role
+
+_CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
+
+
+def run(options: HandoffOptions) -> int:
+    """``path-handoff handoff``; returns the run's exit code. Raises PartError for what was asked wrongly."""
+    name_simulators(options)
+    rig = with_errors(rig_library.load(options.rig), options.errors)
+    harness_of(rig)
+    folder = new_folder(options.out)
+    if options.seeds > 1:
+        return fly_many(rig, options, folder)
+    with open_console(sys.stdout) as console:
+        facts = fly_once(rig, options.seed, options.fault, folder, console.show)
+    make_report(folder, options.picture, sys.stdout)
+    return facts.exit_code
+
+
+def name_simulators(options: HandoffOptions | ConformanceOptions) -> None:
+    """For the harness and its processes: what runs the autopilots of the rigs that fly real ones."""
+    for variable, binary in (("PATH_PX4", options.px4), ("PATH_ARDUPILOT", options.ardupilot)):
+        if binary is not None:
+            os.environ[variable] = str(binary.resolve())
+
+
+def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
+    """Runs with seeds from ``options.seed`` on, each in a folder of its own; 0 when nothing unsafe happened in any.
+
+    A run that ended in a named failure is counted, not an error; a wrong hand-over or a violated monitor is one.
+    """
+    jobs = 1 if rig.level not in ("sim", "sim-rendered") else options.jobs or os.cpu_count() or 1
+    seeds = range(options.seed, options.seed + options.seeds)
+    claim_result(folder, SUMMARY, f"seed-*/{FACTS}")
+    summaries: list[dict[str, Any]] = []
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_leave_signals_to_the_parent)
+    try:
+        with open_tally(sys.stdout, len(seeds)) as tally:
+            asked = str(rig.file), options.errors
+            runs = [pool.submit(_fly_seed, *asked, seed, options.fault, folder) for seed in seeds]
+            for done in as_completed(runs):
+                summary = done.result()
+                summaries.append(summary)
+                tally.add(summary["outcome"])
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    series = summarize_many(sorted(summaries, key=lambda summary: summary["seed"]))
+    (folder / SUMMARY).write_text(json.dumps(series, indent=2) + "\n", "utf-8")
+    show(series_table(series), sys.stdout)
+    sys.stdout.write(f"\n{folder}: {SUMMARY}, and a folder for each seed\n")
+    return exit_code_of_many(series)
+
+
+def exit_code_of_many(series: Mapping[str, Any]) -> int:
+    """0 unless a monitor was violated in one of the runs."""
+    return violated_outcome(series["monitors"]).exit_code if series["monitors"] else Outcome.COMMITTED.exit_code
+
+
+def _leave_signals_to_the_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _fly_seed(rig_file: str, errors: str | None, seed: int, faults: Sequence[str], folder: Path) -> dict[str, Any]:
+    """One run of many, in a worker process."""
+    own = new_folder(folder / f"seed-{seed:04d}")
+    fly_once(with_errors(rig_library.load(rig_file), errors), seed, faults, own, lambda _: None)
+    summary = summarize(load_run(own))
+    (own / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+    return summary
+
+
+def harness_of(rig: Rig) -> Harness:
+    """The harness a rig names. Raises PartError when it names none: then each role is started on its own drone."""
+    if rig.harness is None:
+        raise PartError(
+            f"rig {rig.name} is flown from its drones: it has no harness",
+            f"start `path-handoff sender --rig {rig.name}` on D1 and `path-handoff receiver --rig {rig.name}` on D2",
+        )
+    return import_factory(rig.harness, rig.where("harness"))()
+
+
+def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) -> RunFacts:
+    """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was asked wrongly."""
+    harness = harness_of(rig)
+    claim_folder(out, RUN)
+
+    def command(role: Role) -> Sequence[str]:
+        return [
+            sys.executable, "-m", "missions.cli", role.value, "--rig", str(rig.file), "--out", str(out),
+            "--console", "events", "--guard", "expect" if rig.role(role).guard else "none",
+        ]  # fmt: skip
+
+    def guard_command(role: Role) -> Sequence[str]:
+        return [
+            sys.executable, "-m", "missions.cli", "guard", "--rig", str(rig.file), "--role", role.value,
+            "--out", str(out), "--console", "events",
+        ]  # fmt: skip
+
+    attack = [sys.executable, "-m", "missions.assurance.verify.attack"]
+    request = FlightRequest(rig, out, seed, tuple(faults), fly_role, command, emit, attack, guard_command)
+    report = fly_watched(harness, request)
+    outcome, detail = judge(report)
+    facts = RunFacts(
+        rig=rig.name,
+        level=rig.level,
+        seed=seed,
+        outcome=outcome.label,
+        exit_code=outcome.exit_code,
+        detail=detail,
+        faults=tuple(faults),
+        simulated_s=round(report.simulated_s, 3),
+        wall_s=report.wall_s,
+        violations=dict(report.violations),
+        notes=tuple(report.notes),
+        errors=dict(report.errors),
+    )
+    write_facts(out, facts)
+    return facts
+
+
+def judge(report: FlightReport) -> tuple[Outcome, str]:
+    """The outcome of the whole run: the harness's own failure and violated monitors first, then the roles' causes."""
+    if report.failure:
+        return Outcome.HARNESS_FAILED, report.failure
+    if report.violations:
+        return violated_outcome(report.violations), "; ".join(report.notes)
+    if report.interrupted:
+        return Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
+    results = [_dead(role) if result is None else result for role, result in report.results.items()]
+    ends = [result for result in results if result.outcome is not Outcome.COMMITTED]
+    if not ends:
+        if all(report.landed.values()):
+            return Outcome.COMMITTED, ""
+        return Outcome.VEHICLE_REFUSED, "a vehicle did not land"
+    # what one drone did because of the other is not the cause
+    causes = [end for end in ends if end.outcome not in _CONSEQUENCES] or ends
+    cause = causes[0]
+    return cause.outcome, f"{cause.role.value}: {cause.detail}"
+
+
+def _dead(role: Role) -> RoleResult:
+    return RoleResult(role, Outcome.CRASHED, "its program died", responsible=False, landed=False)

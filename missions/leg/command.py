@@ -1,0 +1,30 @@
+"""``path-handoff sender`` and ``receiver``: one drone's side of a handoff, in a process of its own."""
+
+from __future__ import annotations
+
+import sys
+
+from drivers.log.mcap_log import parts
+from missions import rig_library
+from missions.guard.start import with_guard
+from missions.leg.process import run_role
+from missions.options import ReceiverOptions, RoleOptions
+from missions.report.progress import open_console
+from missions.run_folder import new_folder
+from path.messages import Role
+
+
+def run(options: RoleOptions) -> int:
+    """Fly one role to its end; returns its outcome's exit code. Raises PartError when the rig or a part is refused."""
+    role = Role.RECEIVER if isinstance(options, ReceiverOptions) else Role.SENDER
+    rig = rig_library.load(options.rig)
+    folder = new_folder(options.out)
+    rig = with_guard(rig, role, options.guard, folder)
+    state = options.state or (options.out or folder.parent) / f"{role.value}.state.json"
+    if options.console == "events":
+        return run_role(rig, role, folder, state, lambda _: None, parent=True).outcome.exit_code
+    with open_console(sys.stdout) as console:
+        result = run_role(rig, role, folder, state, console.show, parent=False)
+    sys.stdout.write(f"{role.value}: {result.outcome.label}: {result.detail or result.outcome.meaning}\n")
+    sys.stdout.write(f"log: {parts(folder, role.value)[-1]}\n")
+    return result.outcome.exit_code

@@ -1,0 +1,100 @@
+"""How a role's course is flown: what runs beside it, what may end it, and the way down whatever happens."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from flight.harness.flights import RoleResult
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from missions.leg.journal import setup_record
+from missions.leg.session import Session, as_end
+
+Course = Callable[[], Awaitable[None]]
+Recovery = Callable[[MissionEnd | None], Awaitable[bool]]
+
+
+async def fly_course(session: Session, course: Course, recover: Recovery) -> RoleResult:
+    """Run a mission to its end: the course, then the recovery that brings the vehicle down.
+
+    What was spawned goes on until the vehicle is down: the pilot keeps flying, and the other drone keeps hearing from
+    this one.
+    """
+    end: MissionEnd | None = None
+    landed = False
+    try:
+        end = await run_course(session, course)
+        landed = await run_recovery(session, recover, end)
+    finally:
+        await close_session(session)
+    return conclude(session, end, landed)
+
+
+async def run_course(session: Session, course: Course) -> MissionEnd | None:
+    """The course, and what runs beside every course; None when it came to its own end.
+
+    Whatever ends the course first (its own end, a MissionEnd in anything that was spawned, a part's error, a stop)
+    decides the outcome.
+    """
+    session.log.write("/setup", session.now_ns(), setup_record(session.rig, session.role, session.config))
+    for beside in (
+        session.pump,
+        session.report,
+        session.log_state,
+        session.log_cpu,
+        session.stopped,
+        session.keep_guard,
+    ):
+        session.spawn(beside())
+    flown = asyncio.ensure_future(course())
+    try:
+        await asyncio.wait([flown, session.ended], return_when=asyncio.FIRST_COMPLETED)
+        if flown.done():
+            error = flown.exception()
+            end = as_end(error) if error else None
+        else:
+            end = session.ended.result()
+    finally:
+        await _cancel(flown)  # of a program that is itself cancelled nothing goes on
+    if end is not None and session.guard is not None:
+        end = session.guard.behind(end)
+    if end is not None:
+        session.say(str(end))
+    return end
+
+
+async def run_recovery(session: Session, recover: Recovery, end: MissionEnd | None) -> bool:
+    """Whether the script landed the vehicle."""
+    try:
+        return await recover(end)
+    except Exception as error:
+        as_end(error)  # prints what nobody foresaw
+        session.say(f"not landed by the script: {error}")
+        return False
+
+
+async def close_session(session: Session) -> None:
+    """Nothing of it runs any more."""
+    await session.cancel_spawned()
+    if session.guard is not None:
+        session.guard.beat(session.beat())  # the last word on whose the vehicle is
+
+
+def conclude(session: Session, end: MissionEnd | None, landed: bool) -> RoleResult:
+    """The program's last records. A course that came to its own end may still lose the vehicle on its way home."""
+    if end is None and session.pilot.override:
+        end = MissionEnd(Outcome.PILOT_OVERRIDE, session.pilot.override)
+    outcome, detail = (end.outcome, end.detail) if end else (Outcome.COMMITTED, "")
+    session.log.write(
+        "/outcome",
+        session.now_ns(),
+        {"outcome": outcome.label, "detail": detail, "responsible": session.responsible, "landed": landed},
+    )
+    session.enter(Phase.DONE, outcome.label)
+    return RoleResult(session.role, outcome, detail, session.responsible, landed)
+
+
+async def _cancel(task: asyncio.Future[None]) -> None:
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)

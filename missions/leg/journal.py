@@ -1,0 +1,164 @@
+"""Decisions as log records, in the fields that ``missions.report.records`` lists."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from drivers.interfaces import View
+from drivers.log_topics import camera_record
+from drivers.rig.parts import Rig
+from flight.config import MissionConfig
+from flight.marker_view import Motion
+from flight.tracking import Sighting
+from path.agreement import Agreed
+from path.camera import CameraModel
+from path.geometry import Matrix, Pose
+from path.messages import Candidate, Role, Target
+from path.observations import Box, MarkerDetection, Missed, MissReason
+from path.prior import Prior
+from path.rigid import transform_back
+from path.rotation import quat_from_R
+from path.sender import Pair
+from path.window import Evidence
+
+_LOWER = np.tril_indices(6)
+
+
+def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
+    """``/setup``: what a program was given, as far as its decisions and pictures of them depend on it."""
+    own, peer = (rig.sender, rig.receiver) if role is Role.SENDER else (rig.receiver, rig.sender)
+    origin = rig.origin
+    return {
+        "role": role.value,
+        "rig": rig.name,
+        "level": rig.level,
+        "handoff_id": config.handoff_id,
+        "target_id": config.target_id,
+        "method": asdict(rig.method),
+        "camera": camera_record(own.camera),
+        "peer_camera": camera_record(peer.camera),
+        "T_b_c": _rows(own.mount.T_b_c),
+        "T_b_v": _rows(rig.sender.mount.T_b_v),
+        "T_v_c1": _rows(rig.sender.mount.T_v_c),
+        "markers_v_m": np.concatenate([marker.corners_v.ravel() for marker in rig.layout.markers]),
+        "origin": [origin.latitude_deg, origin.longitude_deg, origin.altitude_m],
+    }
+
+
+def _rows(pose: Pose) -> Any:
+    """The upper three rows of its matrix, one after another."""
+    return np.column_stack((pose.R, pose.t)).ravel()
+
+
+def box_record(box: Box | None) -> list[float] | None:
+    return None if box is None else [box.x, box.y, box.w, box.h]
+
+
+def frame_record(view: View, now_ns: int) -> dict[str, Any]:
+    """``/frame``: which frame a cycle is of, and how long after its capture the cycle began."""
+    return {"frame_id": view.frame_id, "age_ns": now_ns - view.stamp_ns}
+
+
+def track_record(seen: Sighting | MissReason) -> dict[str, Any]:
+    """``/track``: what one frame gave a drone that follows the target on its own."""
+    return {
+        "box": box_record(seen.box) if isinstance(seen, Sighting) else None,
+        "reason": seen.value if isinstance(seen, MissReason) else None,
+    }
+
+
+def target_record(message: Target | Missed, frame_id: int, capture_ns: int, box: Box | None) -> dict[str, Any]:
+    """``/target``: what one frame of D1 gave."""
+    sent = isinstance(message, Target)
+    return {
+        "sequence": message.sequence if sent else frame_id & 0xFFFF,
+        "capture_ns": capture_ns,
+        "box": box_record(box),
+        "point_v_m": message.point_v_m if sent else None,
+        "gravity_v": message.gravity_v if sent else None,
+        "sigma_m": message.sigma_m if sent else None,
+        "reason": None if sent else message.reason.value,
+    }
+
+
+def agreement_record(pair: Pair, count: int, needed: int, evidence: Evidence | None, target_id: int) -> dict[str, Any]:
+    """``/agreement``: what one answer of D2 was worth."""
+    verdict, candidate = pair.verdict, pair.candidate
+    agreed = isinstance(verdict, Agreed)
+    return {
+        "agreed": agreed,
+        "counted": agreed or not verdict.ignored,
+        "reason": None if agreed else verdict.reason.value,
+        "iou": verdict.iou,
+        "tau": pair.tau,
+        "count": count,
+        "needed": needed,
+        "evidence": evidence.reached if evidence else None,
+        "evidence_needed": evidence.needed if evidence else None,
+        "capture_ns": pair.capture_ns,
+        "sequence": candidate.sequence if candidate else None,
+        "target_sequence": candidate.target_sequence if candidate else None,
+        "target_id": target_id,
+        "epoch": candidate.epoch if candidate else None,
+        "own_box": box_record(pair.own_box),
+        "mapped_box": box_record(pair.mapped_box),
+    }
+
+
+def marker_record(
+    capture_ns: int, position_v_m: Any, rotation_v_c2: Any, sigma_m: float, side_px: float, found: MarkerDetection
+) -> dict[str, Any]:
+    """``/marker``: a pose of D2's camera in the marker's frame."""
+    return {
+        "capture_ns": capture_ns,
+        "position_v_m": position_v_m,
+        "rotation_v_c2": rotation_v_c2,
+        "sigma_m": sigma_m,
+        "side_px": side_px,
+        "corners_px": found.corners_px.reshape(-1),
+        "reason": None,
+    }
+
+
+def marker_miss_record(capture_ns: int, missed: Missed) -> dict[str, Any]:
+    """``/marker`` of a frame without a pose."""
+    return {"capture_ns": capture_ns, "position_v_m": None, "corners_px": None, "reason": missed.reason.value}
+
+
+def motion_record(motion: Motion, R_n_c: Matrix, R_n_v: Matrix | None, covariance: Matrix | None) -> dict[str, Any]:
+    """``/motion``: what the relative-pose filter was given with one frame."""
+    return {
+        "own_stamp_ns": motion.own_stamp_ns,
+        "own_n_mps": motion.own_n_mps,
+        "peer_stamp_ns": motion.peer_stamp_ns,
+        "peer_n_mps": motion.peer_n_mps,
+        "q_n_c": quat_from_R(R_n_c),
+        "q_n_v": None if R_n_v is None else quat_from_R(R_n_v),
+        "covariance": None if covariance is None else covariance[_LOWER],
+    }
+
+
+def candidate_record(candidate: Candidate, prior: Prior | Missed, camera: CameraModel) -> dict[str, Any]:
+    """``/candidate``: what D2 answered for one frame."""
+    looked = isinstance(prior, Prior)
+    region = prior.region if looked else None
+    point_v_m = None
+    if looked:
+        x, y = camera.ray(*prior.pixel)
+        point_v_m = transform_back(prior.T_c2_v, (x * prior.depth_m, y * prior.depth_m, prior.depth_m))
+    return {
+        "sequence": candidate.sequence,
+        "target_sequence": candidate.target_sequence,
+        "capture_ns": candidate.capture_ns,
+        "box": box_record(candidate.box),
+        "reason": candidate.reason.value if candidate.reason else None,
+        "position_v_m": candidate.position_v_m,
+        "rotation_v_c2": candidate.rotation_v_c2,
+        "sigma_m": candidate.sigma_m,
+        "point_v_m": point_v_m,
+        "prior_px": prior.pixel if looked else None,
+        "region": [region.x0, region.y0, region.x1, region.y1] if region else None,
+    }

@@ -1,0 +1,59 @@
+"""One role as a process of its own: in the field on its own companion, in ``sitl`` as a child of ``handoff``."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+from drivers.interfaces import Log, RecordStore
+from drivers.log.mcap_log import McapLog, new_part
+from drivers.log.state_file import StateFile
+from drivers.rig.parts import Rig
+from drivers.stop_signals import stop_at_end_of_input, stop_on_signals
+from flight.harness.flights import Emit, InProcess, Progress, RoleResult, encode_event, with_log
+from missions.leg.receiver import run_receiver
+from missions.leg.sender import run_sender
+from path.messages import Role
+
+_MAINS = {Role.SENDER: run_sender, Role.RECEIVER: run_receiver}
+
+
+async def fly_role(
+    rig: Rig,
+    role: Role,
+    log: Log,
+    emit: Emit,
+    stop: asyncio.Event,
+    harness: InProcess | None,
+    store: RecordStore,
+) -> RoleResult:
+    """The program of either role in the world's own process (``flight.harness.flights.RoleMain``)."""
+    return await _MAINS[role](rig, role, log, emit, stop, harness, store)
+
+
+def run_role(rig: Rig, role: Role, out: Path, state: Path, emit: Emit, parent: bool) -> RoleResult:
+    """Fly one role to its end; ``stop_signals`` land the vehicle. Raises PartError when a part cannot be opened.
+
+    Args:
+        out: folder of the log; a new part of it when there is one already.
+        state: file of what the role has to know when it is started again.
+        parent: events go to stdout as lines of JSON, and a closed stdin means that the parent is gone: stop.
+    """
+    with McapLog(new_part(out, role.value), role.value) as log:
+        result = asyncio.run(_run(rig, role, log, StateFile(state, role), _to_parent if parent else emit, parent))
+        result = with_log(result, log.failed)
+        if parent:
+            print(encode_event(result), flush=True)
+        return result
+
+
+def _to_parent(progress: Progress) -> None:
+    print(encode_event(progress), flush=True)
+
+
+async def _run(rig: Rig, role: Role, log: McapLog, store: StateFile, emit: Emit, parent: bool) -> RoleResult:
+    stop = asyncio.Event()
+    stop_on_signals(stop.set)
+    if parent:
+        stop_at_end_of_input(stop.set)
+    return await _MAINS[role](rig, role, log, emit, stop, None, store)

@@ -1,0 +1,382 @@
+"""D2, the receiver: flies to the sender by its marker, finds the target where the sender says, takes it over."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from contextlib import AsyncExitStack
+from typing import Any
+
+import numpy as np
+
+from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
+from drivers.rig.parts import Rig
+from flight.config import MissionConfig
+from flight.eye import Eye
+from flight.guard import check_separation
+from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, norm, subtract
+from flight.harness.flights import Emit, InProcess, RoleResult
+from flight.marker_view import MarkerFix, MarkerView, Motion
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from flight.rendezvous import Rendezvous
+from flight.tracking import TargetTrack, follow, place
+from flight.viewpoint import NoViewpoint
+from missions.leg.course import fly_course
+from missions.leg.handover import ReceiverHandover
+from missions.leg.journal import (
+    candidate_record,
+    frame_record,
+    marker_miss_record,
+    marker_record,
+    motion_record,
+    track_record,
+)
+from missions.leg.session import Session, open_session
+from missions.leg.steps import bring_down, preflight, take_off
+from missions.rig_library import mission_of
+from path.geometry import Matrix, Pose
+from path.messages import Candidate, Role, Status, Target
+from path.observations import Depth, Missed
+from path.prior import Prior
+from path.protocol.values import Handoff
+from path.receiver import ReceiverCycle
+from path.rigid import inverse_as_quat, rigid
+from path.rotation import yaw_of
+
+_FIXES_TO_APPROACH = 5
+_ARRIVED_S = 0.6
+_RETREAT_M = 1.8
+_ABLE_S = 0.5
+_REPLAN_S = 0.5
+_PEER_POLL_S = 0.25
+_LOOK_S = 0.05
+_FINDING = (Phase.STAND_OFF, Phase.SEARCH, Phase.APPROACH)
+
+
+async def run_receiver(
+    rig: Rig,
+    role: Role,
+    log: Log,
+    emit: Emit,
+    stop: asyncio.Event,
+    harness: InProcess | None,
+    store: RecordStore,
+) -> RoleResult:
+    """The receiver's whole program. ``store`` keeps what it has to know after a restart. Raises PartError."""
+    config = mission_of(rig)
+    async with AsyncExitStack() as stack:
+        session = await open_session(stack, rig, role, config, log, emit, stop, harness)
+        receiver = Receiver(session, store)
+        return await fly_course(session, receiver.course, receiver.recover)
+
+
+class Receiver:
+    """The receiver's course and what it does with every frame and message."""
+
+    def __init__(self, session: Session, store: RecordStore) -> None:
+        rig, config = session.rig, session.config
+        self._session = session
+        self._config: MissionConfig = config
+        self._camera = rig.receiver.camera
+        self._eye = Eye(session.vehicle, rig.receiver.mount)
+        x, y, z = rig.sender.mount.T_v_c.t.tolist()
+        self._sender_eye_v: Vec3 = (x, y, z)
+        self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config)
+        self._handover = ReceiverHandover(session, store, self._able)
+        self._cycle: ReceiverCycle | None = None
+        self._rendezvous = Rendezvous(
+            config, self._camera, rig.receiver.mount, rig.layout, self._marker, self._peer, session.now_ns
+        )
+        self._newest: Target | None = None
+        self._live: Handoff | None = None
+        self._following = False
+        self._watching = True
+        self._seen: View | None = None
+        self._track: TargetTrack | None = None
+        self._keep_n_m: Vec3 = (0.0, 0.0, 0.0)
+        session.on_message = self._on_message
+        session.on_status = self._handover.on_status
+
+    # --- course --------------------------------------------------------------------------------------------------
+
+    async def course(self) -> None:
+        session, config, deadlines = self._session, self._config, self._config.deadlines
+        await self._handover.resume()
+        await preflight(session)
+        session.spawn(self._watch_peer())
+        self._handover.start()
+
+        session.enter(Phase.WAITING, "for the sender to follow the target")
+        await session.until(
+            lambda: self._newest is not None, deadlines.receiver_ready_s, Outcome.PEER_ABORTED, "no target was sent"
+        )
+        await self._until_planned(deadlines.viewpoint_s)  # the wind's part is known only in the air
+        await take_off(session, config.receiver_take_off_height_m)
+
+        session.spawn(self._watch())
+        await self._find_marker(self._near)
+        left = config.rendezvous.go_arounds
+        while why := await self._approach():
+            if not left:
+                raise why
+            left -= 1
+            session.say(f"goes around: {why.detail}")
+            await self._find_marker(lambda: False)
+
+        session.enter(Phase.VERIFY)
+        session.observing = True
+        await self._handover.until_held(2.0 * deadlines.verify_s)
+
+        session.enter(Phase.FOLLOW, "responsible for the target")
+        await asyncio.sleep(config.follow_after_s)
+
+    async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
+        """To the stand-off, or until it is near enough; then look for the marker."""
+        session, rendezvous, deadlines = self._session, self._rendezvous, self._config.deadlines
+        session.enter(Phase.STAND_OFF)
+        session.pilot.guidance = rendezvous.to_stand_off
+        await session.until(
+            lambda: rendezvous.at_stand_off(session.vehicle.state) or near_enough(),
+            deadlines.stand_off_s,
+            Outcome.APPROACH_FAILED,
+            "the stand-off was not reached",
+        )
+        session.enter(Phase.SEARCH)
+        rendezvous.begin_search()
+        session.pilot.guidance = rendezvous.search
+        await session.until(
+            lambda: self._marker.fixes(session.now_ns()) >= _FIXES_TO_APPROACH,
+            deadlines.search_s,
+            Outcome.MARKER_NOT_FOUND,
+            "the sender's marker was not seen",
+        )
+
+    async def _approach(self) -> MissionEnd | None:
+        """To the planned viewpoint; what the mission would end with when something is out of its bounds.
+
+        It has arrived once the camera is there, slow, for a while.
+        """
+        session, rendezvous, deadlines = self._session, self._rendezvous, self._config.deadlines
+        await self._until_planned(deadlines.viewpoint_s)
+        session.enter(Phase.APPROACH)
+        session.pilot.guidance = rendezvous.to_viewpoint
+        loop = asyncio.get_running_loop()
+        end_s, steady_since_s = loop.time() + deadlines.approach_s, loop.time()
+        while loop.time() - steady_since_s <= _ARRIVED_S:
+            unseen_s = self._marker.unseen_s(session.now_ns())
+            if unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
+                return MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
+            if out := rendezvous.out_of_bounds():
+                return MissionEnd(Outcome.APPROACH_FAILED, out)
+            if loop.time() > end_s:
+                return MissionEnd(Outcome.APPROACH_FAILED, f"no viewpoint reached in {deadlines.approach_s:.0f} s")
+            await asyncio.sleep(_LOOK_S)
+            if not rendezvous.at_viewpoint():
+                steady_since_s = loop.time()
+        return None
+
+    async def recover(self, end: MissionEnd | None) -> bool:
+        self._watching = False
+        self._handover.end(end)
+        state = self._session.vehicle.state
+        yaw_rad = yaw_of(state.q_n_b)
+        back = from_heading((-_RETREAT_M, 0.0, 0.0), yaw_rad)
+        landed = await self._come_down(end, Anchor(add(state.position_n_m, back), yaw_rad))
+        await self._handover.finish()
+        return landed
+
+    async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
+        """Whether the script landed the vehicle."""
+        return await bring_down(self._session, end, way_out)
+
+    def _peer(self) -> Status:
+        peer = self._session.peer
+        assert peer is not None, "preflight waits for the sender's first Status"
+        return peer
+
+    def _near(self) -> bool:
+        """By the marker already as near as the stand-off, which reported positions put farther on."""
+        session = self._session
+        now_ns = session.now_ns()
+        relative = self._marker.predict(now_ns) if self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH else None
+        return relative is not None and norm(relative.marker_n_m) < self._rendezvous.stand_off_m
+
+    async def _until_planned(self, timeout_s: float) -> None:
+        """Plan until there is a viewpoint: the sender may still be on its way to its place behind the target."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + timeout_s
+        assert self._newest is not None
+        while isinstance(plan := self._rendezvous.plan(self._newest), NoViewpoint):
+            if loop.time() > end_s:
+                raise MissionEnd(Outcome.NO_VIEWPOINT, str(plan))
+            await asyncio.sleep(_REPLAN_S)
+        place = ", ".join(f"{part:+.2f}" for part in plan.camera_h_m)
+        note = f"viewpoint ({place}) m from the marker, {plan.marker_px:.0f} px, margin {plan.margin_px:.0f} px"
+        self._session.say(note)
+
+    # --- guidance ------------------------------------------------------------------------------------------------
+
+    def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
+        """Keep the place relative to the target that the hand-over found this drone in."""
+        assert self._track is not None
+        target, _ = self._track.predict(self._session.now_ns())
+        north, east, _ = self._track.velocity_n_mps
+        error = subtract(add(target, self._keep_n_m), state.position_n_m)
+        velocity = close_in(
+            error, (north, east, 0.0), self._config.follow.gain_per_s, self._config.follow.max_speed_mps
+        )
+        return VelocitySetpoint(velocity, bearing(subtract(target, state.position_n_m)))
+
+    # --- what runs beside the course -----------------------------------------------------------------------------
+
+    async def _watch(self) -> None:
+        """Look at every frame, at some once the target is held. Raises CameraError when the camera stops."""
+        session, guard = self._session, self._config.guard
+        while self._watching:
+            view = await session.sight.view(guard.frame_age_s)
+            session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
+            R_n_b = self._eye.R_n_b(view.stamp_ns)
+            self._rendezvous.lean.note(R_n_b)
+            if self._handover.holds:
+                self._follow_once(view, R_n_b)
+            else:
+                self._cycle_once(view, R_n_b)
+            session.log_image(view)
+            self._seen = view
+            if session.phase is Phase.FOLLOW:
+                await session.skip_frames()
+
+    async def _watch_peer(self) -> None:
+        """The sender must be heard until this drone holds the target; within a lease, the lease decides."""
+        session = self._session
+        while not self._handover.holds_for_good:
+            if not self._handover.within_lease:
+                session.require_peer()
+                if session.peer is not None and session.peer.phase >= Phase.DEPART:
+                    raise MissionEnd(Outcome.PEER_ABORTED, "the sender is on its way down")
+            await asyncio.sleep(_PEER_POLL_S)
+
+    def _cycle_once(self, view: View, R_n_b: Matrix) -> None:
+        """One cycle of PATH: the marker gives the pose, the pose the prior, the detector looks there, D1 gets a box."""
+        session, cycle = self._session, self._cycle
+        if cycle is None:
+            return
+        stamp_ns = view.stamp_ns
+        gravity_v = cycle.gravity_v(stamp_ns)
+        T_n_c = self._eye.T_n_c(stamp_ns, R_n_b)
+        motion = self._motion()
+        self._marker.note_motion(motion)
+        with session.stage("marker"):
+            fix = self._marker.look(view, T_n_c.R, gravity_v, self._eye.gravity_c(R_n_b))
+        with session.stage("log"):
+            session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
+            covariance = fix.covariance if isinstance(fix, MarkerFix) else None
+            session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, covariance))
+        self._judge_marker(stamp_ns)
+        with session.stage("projection"):
+            prior = cycle.prior(fix.T_c_v, fix.covariance, stamp_ns) if isinstance(fix, MarkerFix) else fix
+            if isinstance(prior, Prior):
+                self._marker.note_target(prior, T_n_c.R)
+        if session.phase is not Phase.VERIFY:
+            return
+        with session.stage("target"):
+            found = view.targets(prior.region) if isinstance(prior, Prior) else ()
+            candidate = cycle.candidate(view.frame_id, stamp_ns, found, prior)
+        if isinstance(candidate, Missed):
+            return
+        with session.stage("link"):
+            session.link.send(candidate)
+        with session.stage("log"):
+            session.log.write("/candidate", stamp_ns, candidate_record(candidate, prior, self._camera))
+        if candidate.box is not None and isinstance(prior, Prior):
+            with session.stage("depth"):
+                self._note_found(view, T_n_c, candidate, prior)
+
+    def _motion(self) -> Motion:
+        """Both vehicles' newest reports."""
+        session, peer, own = self._session, self._peer(), self._session.vehicle.state
+        peer_ns = session.alignment.to_own_ns(peer.stamp_ns) if session.alignment.ready else session.peer_heard_ns
+        return Motion(own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad)
+
+    def _judge_marker(self, stamp_ns: int) -> None:
+        """Separation from the marker's own measurement, and how long it may stay unseen."""
+        session, deadlines = self._session, self._config.deadlines
+        relative = self._marker.predict(stamp_ns)
+        if relative is not None:
+            distance_m = norm(relative.marker_n_m)
+            session.note_separation(distance_m)
+            check_separation(distance_m, self._config.separation.minimum_m)
+            if session.phase in _FINDING:
+                self._rendezvous.note_seen(session.vehicle.state, relative.marker_n_m)
+        unseen_s = self._marker.unseen_s(stamp_ns)
+        if session.phase is Phase.VERIFY and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
+            raise MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
+
+    def _note_found(self, view: View, T_n_c: Pose, candidate: Candidate, prior: Prior) -> None:
+        """Keep the target's own position ready, so that following can begin in the frame that hands it over."""
+        assert candidate.box is not None
+        depth = view.depth(candidate.box) or Depth(prior.depth_m, 0.0)
+        position = place(candidate.box, depth, self._camera, T_n_c, -self._config.target.height_m)
+        if self._track is None:
+            self._track = TargetTrack(position, view.stamp_ns, self._config.follow.target_accel_mps2)
+        else:
+            self._track.update(position, view.stamp_ns)
+
+    def _follow_once(self, view: View, R_n_b: Matrix) -> None:
+        """After the hand-over: this drone's own track of the target."""
+        session, track = self._session, self._track
+        if track is None:
+            raise MissionEnd(Outcome.TARGET_LOST, "the target was handed over but never located")
+        if session.pilot.in_control and session.phase is Phase.FOLLOW and not self._following:
+            self._keep_n_m = subtract(session.vehicle.state.position_n_m, track.position_n_m)
+            session.pilot.guidance = self._follow_target
+            self._following = True
+        seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+        unseen_s = (view.stamp_ns - track.seen_ns) * 1e-9
+        session.log.write("/track", view.stamp_ns, track_record(seen))
+        if unseen_s > self._config.deadlines.target_coast_s and session.phase is Phase.FOLLOW:
+            raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
+
+    # --- messages ------------------------------------------------------------------------------------------------
+
+    def _on_message(self, received: Received) -> None:
+        held = self._handover.holds
+        self._handover.on_message(received)
+        if self._handover.holds and not held and self._seen is not None:
+            self._session.log_image(self._seen, wanted=True)
+        if isinstance(received.message, Target):
+            self._on_target(received.message)
+
+    def _on_target(self, target: Target) -> None:
+        """Where the target is. The protocol has seen the message first and says which attempt is live."""
+        session, live = self._session, self._handover.live
+        if live is None or not session.alignment.ready:
+            return
+        if live.follows(self._live):
+            self._live = live
+            self._cycle = ReceiverCycle(
+                self._camera,
+                session.rig.method,
+                handoff_id=live.handoff_id,
+                epoch=live.epoch,
+                target_id=live.target_id,
+                sender=(session.rig.sender.camera, self._sender_eye_v),
+            )
+        assert self._cycle is not None
+        missed = self._cycle.on_target(target, session.alignment.to_own_ns(target.capture_ns), session.now_ns())
+        if missed is None:
+            self._newest = target
+
+    def _able(self) -> bool:
+        """Whether the target was seen lately, by this drone itself."""
+        track = self._track
+        return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 < _ABLE_S
+
+    def _marker_record(self, stamp_ns: int, fix: MarkerFix | Missed) -> dict[str, Any]:
+        if isinstance(fix, Missed):
+            return marker_miss_record(stamp_ns, fix)
+        rotation, position = inverse_as_quat(rigid(fix.T_c_v))
+        sigma_m = math.sqrt(float(np.trace(fix.covariance[:3, :3])) / 3.0)
+        return marker_record(stamp_ns, position, rotation, sigma_m, fix.side_px, fix.detections[0])

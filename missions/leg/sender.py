@@ -1,0 +1,333 @@
+"""D1, the sender: finds the target, follows it, runs its side of PATH, hands over, leaves and lands."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from contextlib import AsyncExitStack
+from dataclasses import replace
+
+from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
+from drivers.rig.parts import Rig
+from flight.config import MissionConfig
+from flight.eye import Eye
+from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, subtract
+from flight.harness.flights import Emit, InProcess, RoleResult
+from flight.lean import Lean
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from flight.tracking import Sighting, TargetTrack, acquire, follow
+from missions.leg.course import fly_course
+from missions.leg.handover import SenderHandover
+from missions.leg.journal import agreement_record, frame_record, target_record, track_record
+from missions.leg.session import Session, open_session
+from missions.leg.steps import bring_down, preflight, take_off
+from missions.rig_library import mission_of
+from path.agreement import Agreed
+from path.geometry import Matrix
+from path.messages import Candidate, Role, Target
+from path.observations import Box, Missed, MissReason
+from path.rotation import yaw_of
+from path.sender import Pair, SenderCycle
+from path.window import Gate
+
+_STEADY_FRAMES = 5
+_PEER_POLL_S = 0.25
+_STEADY_M = 0.25
+_ROOM = 0.2  # of the image, at each side, when the target is acquired
+_WIDER = 1.4  # times the distance, to see it again
+
+
+async def run_sender(
+    rig: Rig,
+    role: Role,
+    log: Log,
+    emit: Emit,
+    stop: asyncio.Event,
+    harness: InProcess | None,
+    store: RecordStore,
+) -> RoleResult:
+    """The sender's whole program. ``store`` keeps what it has to know after a restart. Raises PartError."""
+    config = mission_of(rig)
+    async with AsyncExitStack() as stack:
+        session = await open_session(stack, rig, role, config, log, emit, stop, harness)
+        sender = Sender(session, store)
+        return await fly_course(session, sender.course, sender.recover)
+
+
+class Sender:
+    """The sender's course and what it does with every frame and message."""
+
+    def __init__(self, session: Session, store: RecordStore) -> None:
+        rig, config = session.rig, session.config
+        self._session = session
+        self._config: MissionConfig = config
+        self._camera = rig.sender.camera
+        self._eye = Eye(session.vehicle, rig.sender.mount)
+        self._lean = Lean()
+        ahead, right, down = rig.sender.mount.T_b_c.R[:, 2].tolist()
+        self._axis_b: Vec3 = (ahead, right, down)
+        self._heading_rad = math.radians(config.heading_deg)
+        self._track: TargetTrack | None = None
+        self._steady: list[Vec3] = []
+        self._watching = True
+        self._handover = SenderHandover(session, store)
+        self._cycle: SenderCycle | None = None
+        self._receiver_side: float | None = None  # as measured on the marker: -1 left of D1, 1 right
+        self._candidates = 0
+        self._way_out: Anchor | None = None
+        session.on_message = self._on_message
+        session.on_status = self._handover.on_status
+
+    # --- course --------------------------------------------------------------------------------------------------
+
+    async def course(self) -> None:
+        await self._handover.resume()
+        await preflight(self._session)
+        await self._handover.until_free()
+        await take_off(self._session, self._config.take_off_height_m)
+        await self.acquire()
+        await self.hand_over()
+
+    async def acquire(self) -> None:
+        """From the air above the take-off place until the target is tracked."""
+        session, deadlines = self._session, self._config.deadlines
+        session.enter(Phase.ACQUIRE)
+        session.pilot.guidance = self._to_first_place
+        session.spawn(self._watch())
+        await session.until(
+            lambda: self._track is not None,
+            deadlines.acquire_s,
+            Outcome.TARGET_NOT_FOUND,
+            "no object was clearly the designated one",
+        )
+
+    async def hand_over(self) -> None:
+        """Follow the tracked target, and offer it, until the other drone is known to hold it."""
+        session, deadlines = self._session, self._config.deadlines
+        session.enter(Phase.FOLLOW, "target acquired, waiting for the receiver")
+        session.observing = True
+        await self._handover.offer()
+        self._begin_attempt()
+        session.pilot.guidance = self._follow_target
+        session.spawn(self._watch_peer())
+        await session.until(
+            lambda: self._candidates > 0,
+            deadlines.receiver_ready_s,
+            Outcome.NO_AGREEMENT,
+            "the receiver never sent a candidate",
+        )
+
+        session.enter(Phase.VERIFY)
+        await self._handover.until_decided(deadlines.verify_s, self._begin_attempt)
+        session.say("handed over")
+        session.pilot.guidance = self._leave_watching  # not behind the target: a receiver that died hangs beside it
+        await self._handover.until_settled()
+        session.observing = False
+
+    def _begin_attempt(self) -> None:
+        """A count of its own for every epoch."""
+        rig, config = self._session.rig, self._config
+        self._cycle = SenderCycle(
+            rig.sender.camera,
+            rig.receiver.camera,
+            rig.sender.mount.T_v_c,
+            rig.method,
+            handoff_id=config.handoff_id,
+            epoch=self._handover.epoch,
+            target_id=config.target_id,
+        )
+
+    async def recover(self, end: MissionEnd | None) -> bool:
+        self._watching = False
+        self._handover.end(end)
+        landed = await self._come_down(end, self._leave())
+        await self._handover.finish()
+        return landed
+
+    async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
+        """Whether the script landed the vehicle."""
+        return await bring_down(self._session, end, way_out)
+
+    def _leave(self) -> Anchor:
+        """Where to go before landing: away from the receiver, sideways, and the same place however often asked."""
+        if self._way_out is None:
+            state = self._session.vehicle.state
+            aside_m = 0.0 if self._track is None else -self._side_of_receiver(state) * self._config.depart_m
+            aside = from_heading((0.0, aside_m, 0.0), self._heading_rad)
+            self._way_out = Anchor(add(state.position_n_m, aside), yaw_of(state.q_n_b))
+        return self._way_out
+
+    def _side_of_receiver(self, state: VehicleState) -> float:
+        """-1 left, 1 right; by both drones' own positions until it was measured on the marker."""
+        if self._receiver_side is not None:
+            return self._receiver_side
+        peer = self._session.peer
+        if peer is None:
+            return -1.0
+        _, right_m, _ = from_heading(subtract(peer.position_n_m, state.position_n_m), -self._heading_rad)
+        return 1.0 if right_m > 0.0 else -1.0
+
+    def _may_regain(self) -> bool:
+        """Whether there is room to back off: the receiver is not on its way to this drone yet."""
+        peer = self._session.peer
+        return peer is None or peer.phase < Phase.STAND_OFF
+
+    def _regaining(self) -> bool:
+        """The target was out of sight for a while: more of the ground is seen from farther off."""
+        track = self._track
+        if track is None or not self._may_regain():
+            return False
+        return (self._session.now_ns() - track.seen_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
+
+    def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
+        """To where the designated place is in view."""
+        target = self._config.target
+        place = self._view_of((target.north_m, target.east_m, -target.height_m))
+        return Anchor(place, self._heading_rad).hold(state)
+
+    def _view_of(self, target_n_m: Vec3) -> Vec3:
+        """Behind and above the target, in the heading it was approached with; a drone that leans stands aside."""
+        keep, wider = self._config.follow, _WIDER if self._regaining() else 1.0
+        below_m = wider * (keep.height_m - self._config.target.height_m)
+        place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
+        return add(place, self._lean.aim(self._axis_b, self._heading_rad, below_m))
+
+    def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
+        """Keep the target in view from behind."""
+        assert self._track is not None
+        session, keep = self._session, self._config.follow
+        if session.phase is Phase.VERIFY and session.peer_silence_s() > self._config.guard.near_silence_s:
+            # the receiver may hang or sink where it was last, and the target may lead there
+            return VelocitySetpoint((0.0, 0.0, 0.0), self._heading_rad)
+        target, _ = self._track.predict(session.now_ns())
+        north, east, _ = self._track.velocity_n_mps
+        error = subtract(self._view_of(target), state.position_n_m)
+        velocity = close_in(error, (north, east, 0.0), keep.gain_per_s, keep.max_speed_mps)
+        return VelocitySetpoint(velocity, self._heading_rad)
+
+    def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
+        """Make room, the eyes still on the target: nobody has it for sure until the hand-over is settled."""
+        assert self._track is not None
+        target, _ = self._track.predict(self._session.now_ns())
+        return replace(self._leave().hold(state), yaw_rad=bearing(subtract(target, state.position_n_m)))
+
+    # --- what runs beside the course -----------------------------------------------------------------------------
+
+    async def _watch(self) -> None:
+        """Look at every frame while the receiver is near, else at some. Raises CameraError when the camera stops."""
+        session = self._session
+        while self._watching:
+            view = await session.sight.view(self._config.guard.frame_age_s)
+            R_n_b = self._eye.R_n_b(view.stamp_ns)
+            self._lean.note(R_n_b)
+            if self._track is None:
+                self._try_to_acquire(view, R_n_b)
+            else:
+                self._cycle_once(view, R_n_b, self._track)
+            if session.phase is not Phase.VERIFY and (session.peer is None or session.peer.phase < Phase.SEARCH):
+                await session.skip_frames()
+
+    async def _watch_peer(self) -> None:
+        """The receiver must be heard for as long as the hand-over is undecided."""
+        while not self._handover.handed_over:
+            if not self._handover.released:
+                self._session.require_peer()
+            await asyncio.sleep(_PEER_POLL_S)
+
+    def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
+        """Take the object at the designated place for the target once it was seen there in several frames."""
+        target = self._config.target
+        place = (target.north_m, target.east_m, -target.height_m)
+        T_n_c = self._eye.T_n_c(view.stamp_ns, R_n_b)
+        found = acquire(view, T_n_c, self._camera, place, target.radius_m)
+        if isinstance(found, MissReason) or not self._well_inside(found[0].box):
+            self._steady.clear()
+            return
+        position = found[1]
+        if self._steady and math.dist(position, self._steady[-1]) > _STEADY_M:
+            self._steady.clear()
+        self._steady.append(position)
+        if len(self._steady) >= _STEADY_FRAMES:
+            self._track = TargetTrack(position, view.stamp_ns, self._config.follow.target_accel_mps2)
+
+    def _well_inside(self, box: Box) -> bool:
+        """Whether a gust would not take it out of the image at once."""
+        u, v = box.center
+        room_u, room_v = _ROOM * self._camera.width, _ROOM * self._camera.height
+        return room_u <= u <= self._camera.width - room_u and room_v <= v <= self._camera.height - room_v
+
+    def _cycle_once(self, view: View, R_n_b: Matrix, track: TargetTrack) -> None:
+        """One cycle of PATH: follow the box, say where the target is, judge the receiver's answers."""
+        session = self._session
+        with session.stage("target"):
+            seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+        unseen_s, deadlines = (view.stamp_ns - track.seen_ns) * 1e-9, self._config.deadlines
+        bearable_s = deadlines.target_coast_s
+        if session.phase is not Phase.VERIFY:
+            bearable_s += deadlines.target_regain_s
+        if unseen_s > bearable_s and not self._handover.handed_over:
+            raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
+        cycle = self._cycle
+        if cycle is None:
+            session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
+            session.log.write("/track", view.stamp_ns, track_record(seen))
+            return
+        box, depth = (seen.box, seen.depth) if isinstance(seen, Sighting) else (None, None)
+        with session.stage("projection"):
+            message = cycle.observe(view.frame_id, view.stamp_ns, box, depth, self._eye.gravity_v(R_n_b))
+        if isinstance(message, Target):
+            with session.stage("link"):
+                session.link.send(message)
+        with session.stage("log"):
+            self._log_frame(view, seen, message)
+        with session.stage("agreement"):
+            pairs = cycle.evaluate_ready(session.now_ns())
+        with session.stage("log"):
+            for pair in pairs:
+                self._note_pair(pair, cycle.gate)
+        if cycle.gate.complete and not self._handover.released:
+            session.log_image(view, wanted=True)
+            self._handover.agreed(self._config.target_id)
+
+    # --- messages and records ------------------------------------------------------------------------------------
+
+    def _on_message(self, received: Received) -> None:
+        message = received.message
+        if isinstance(message, Candidate):
+            self._on_candidate(message)
+        self._handover.on_message(received)
+
+    def _on_candidate(self, candidate: Candidate) -> None:
+        session, cycle = self._session, self._cycle
+        if cycle is None or not session.alignment.ready:
+            return
+        capture_ns = session.alignment.to_own_ns(candidate.capture_ns)
+        missed = cycle.offer(candidate, capture_ns, session.now_ns())
+        if missed is None:
+            self._candidates += 1
+            if candidate.box is not None:
+                x, y, z = candidate.position_v_m
+                self._receiver_side = 1.0 if x > 0.0 else -1.0
+                session.shown.separation_m = math.sqrt(x * x + y * y + z * z)
+
+    def _note_pair(self, pair: Pair, gate: Gate) -> None:
+        """Log one verdict and show it."""
+        session, verdict = self._session, pair.verdict
+        count, evidence = gate.count, gate.evidence
+        if isinstance(verdict, Agreed):
+            count, evidence = verdict.count, verdict.evidence  # of this pair: the gate may already have seen the next
+        session.shown.count, session.shown.iou = count, verdict.iou
+        session.shown.evidence = evidence
+        record = agreement_record(pair, count, session.rig.method.needed_pairs, evidence, self._config.target_id)
+        session.log.write("/agreement", session.now_ns(), record)
+
+    def _log_frame(self, view: View, seen: Sighting | MissReason, message: Target | Missed) -> None:
+        session = self._session
+        box = seen.box if isinstance(seen, Sighting) else None
+        session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
+        record = target_record(message, view.frame_id, view.stamp_ns, box)
+        if isinstance(seen, MissReason):
+            record["reason"] = seen.value
+        session.log.write("/target", view.stamp_ns, record)
+        session.log_image(view)

@@ -1,0 +1,437 @@
+"""What both roles have in common: their parts, the link pump, status, clocks, waits, and how a mission ends."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import math
+import random
+import sys
+import traceback
+from collections.abc import Callable, Coroutine
+from contextlib import AbstractContextManager, AsyncExitStack, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+
+from drivers.interfaces import (
+    CameraError,
+    Clock,
+    Link,
+    LinkError,
+    Log,
+    Received,
+    Sight,
+    StateError,
+    TakenOver,
+    Vehicle,
+    VehicleError,
+    View,
+)
+from drivers.mavlink.guard_interfaces import NOWHERE, Beat, GuardLine, Script
+from drivers.mavlink.guard_line import UdpGuardLine
+from drivers.rig.parts import PartSpec, Rig, RoleRig, create, part_context
+from drivers.stages import Stages
+from flight.clocks import ClockAlignment, answer
+from flight.config import MissionConfig
+from flight.harness.flights import Emit, InProcess, Progress
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from flight.pilot import Pilot
+from flight.under_guard import UnderGuard
+from path.marker.warm_up import warm_up
+from path.messages import Ping, Pong, Role, Status
+from path.protocol.values import TakeResponsibility
+from path.rotation import yaw_of
+from path.window import Evidence
+
+_POLL_S = 0.05
+_ENDS = (
+    (CameraError, Outcome.CAMERA_LOST),
+    (TakenOver, Outcome.PILOT_OVERRIDE),  # before what it is a kind of
+    (VehicleError, Outcome.VEHICLE_REFUSED),
+    (LinkError, Outcome.PEER_LOST),
+    (StateError, Outcome.STATE_LOST),
+)
+_PROGRESS_PERIOD_S = 0.2
+_STATE_PERIOD_S = 0.1
+_BEAT_PERIOD_S = 0.05
+_CPU_PERIOD_S = 1.0
+_PEER_PLACE_S = 1.0  # where the other drone was longer ago is not where it is
+
+
+def _ignore(_: object) -> None:
+    pass
+
+
+def _no_instance() -> int:
+    return 0
+
+
+@dataclass(slots=True)
+class Shown:
+    """What the console shows of the handshake; the role keeps it current."""
+
+    count: int = 0
+    evidence: Evidence | None = None
+    iou: float | None = None
+    tau: float | None = None
+    separation_m: float | None = None
+    note: str = ""
+
+
+class Session:
+    """One role's open parts and its shared machinery. Made by ``open_session``."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        role: Role,
+        config: MissionConfig,
+        log: Log,
+        emit: Emit,
+        stop: asyncio.Event,
+        parts: tuple[Clock, Vehicle, Sight, Link],
+        entropy: random.Random,
+        guard: UnderGuard | None = None,
+        stages: Stages | None = None,
+    ) -> None:
+        self.guard = guard
+        self._stages = stages  # None in virtual time, in which logs tell nothing of the machine
+        self.script = Script.IDLE
+        self._measured_m = math.nan
+        self.rig = rig
+        self.role = role
+        self.own: RoleRig = rig.role(role)
+        self.config = config
+        self.log = log
+        self.stop = stop
+        self.entropy = entropy
+        self.clock, self.vehicle, self.sight, self.link = parts
+        self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
+        self.alignment = ClockAlignment()
+        self.phase = Phase.PREFLIGHT
+        self.shown = Shown()
+        self.peer: Status | None = None
+        self.peer_heard_ns = 0
+        self.claim: TakeResponsibility | None = None
+        self.instance: Callable[[], int] = _no_instance  # what a Status of this drone names
+        self.observing = False
+        self.on_message: Callable[[Received], None] = _ignore
+        self.on_status: Callable[[Status], None] = _ignore
+        self.ended: asyncio.Future[MissionEnd] = asyncio.get_running_loop().create_future()
+        self._spawned: list[asyncio.Task[None]] = []
+        self._emit = emit
+        self._pings = 0
+        self._image_ns = -(1 << 62)
+        self._traffic: list[tuple[float, int]] = []
+
+    # --- time and waiting ---------------------------------------------------------------------------------------
+
+    def now_ns(self) -> int:
+        return self.clock.now_ns()
+
+    def peer_silence_s(self) -> float:
+        return (self.now_ns() - self.peer_heard_ns) * 1e-9
+
+    def require_peer(self) -> None:
+        """Raise MissionEnd(PEER_LOST) when the other drone was not heard for too long; near it that is sooner."""
+        guard = self.config.guard
+        limit_s = guard.near_silence_s if self.phase is Phase.VERIFY else guard.peer_silence_s
+        silence_s = self.peer_silence_s()
+        if silence_s > limit_s:
+            raise MissionEnd(Outcome.PEER_LOST, f"nothing heard from the other drone for {silence_s:.1f} s")
+
+    async def until(self, condition: Callable[[], bool], timeout_s: float, outcome: Outcome, detail: str) -> None:
+        """Wait for a condition; raises MissionEnd(outcome) when it did not come true in time."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + timeout_s
+        while not condition():
+            if loop.time() > end_s:
+                raise MissionEnd(outcome, f"{detail} within {timeout_s:.0f} s")
+            await asyncio.sleep(_POLL_S)
+
+    async def skip_frames(self) -> None:
+        """Let frames pass: following alone needs only ``follow_hz`` of them a second."""
+        await asyncio.sleep(0.8 / self.config.follow_hz)
+
+    # --- under guard ---------------------------------------------------------------------------------------------
+
+    def note_separation(self, distance_m: float) -> None:
+        """Between the two bodies, as it was just measured."""
+        self.shown.separation_m = self._measured_m = distance_m
+
+    def set_script(self, script: Script) -> None:
+        """What the script is about to do with the vehicle; the guard knows it before the vehicle does."""
+        self.script = script
+        if self.guard is not None:
+            self.guard.beat(self.beat())
+
+    def beat(self) -> Beat:
+        """What the guard is told; a measured distance once."""
+        script = self.script
+        if self.pilot.override:
+            script = Script.LET_GO
+        elif self.pilot.in_control:
+            script = Script.CONTROL
+        measured_m, self._measured_m = self._measured_m, math.nan
+        near = self.peer is not None and self.peer_silence_s() < _PEER_PLACE_S
+        place = self.peer.position_n_m if self.peer is not None and near else NOWHERE
+        return Beat(script, self.pilot.setpoints, measured_m, place)
+
+    async def confirm_guard(self) -> None:
+        """Before a command that moves the vehicle. Raises MissionEnd when the guard has it, or there is none."""
+        if self.guard is not None:
+            await self.guard.confirm(self.beat())
+
+    async def keep_guard(self) -> None:
+        """Beat for ever. The course ends when the guard took the flying vehicle from the script, or is gone."""
+        alarm = ""
+        while self.guard is not None:
+            beat = self.beat()
+            self.guard.beat(beat)
+            answer = self.guard.look()
+            if answer is not None and answer.alarm not in ("", alarm):
+                alarm = answer.alarm
+                self.say(f"ALARM: the guard ignores {alarm}")
+            try:
+                if beat.script in (Script.CLIMB, Script.CONTROL):
+                    self.guard.check()
+            except MissionEnd as end:
+                if not self.ended.done():
+                    self.ended.set_result(end)
+            await asyncio.sleep(_BEAT_PERIOD_S)
+
+    # --- processor time ------------------------------------------------------------------------------------------
+
+    def stage(self, name: str) -> AbstractContextManager[None]:
+        """What is done within is a stage of a frame's cycle; stages do not contain one another."""
+        return nullcontext() if self._stages is None else self._stages(name)
+
+    async def log_cpu(self) -> None:
+        """Log what processor time went to, for ever."""
+        while self._stages is not None:
+            self.log.write("/cpu", self.now_ns(), {"spent_ns": self._stages.spent_ns()})
+            await asyncio.sleep(_CPU_PERIOD_S)
+
+    # --- what the others see -------------------------------------------------------------------------------------
+
+    def enter(self, phase: Phase, note: str = "") -> None:
+        self.phase = phase
+        self.shown.note = note
+        self.log.write("/phase", self.now_ns(), {"phase": phase.title, "note": note})
+        self.show()
+
+    def say(self, note: str) -> None:
+        """One line for the crew."""
+        self.shown.note = note
+        self.log.write("/note", self.now_ns(), {"note": note})
+        self.show()
+
+    @property
+    def responsible(self) -> bool:
+        """Whether this drone is at this very instant: a lease that is over is over, whatever was slept through."""
+        return self.responsible_at(self.now_ns())
+
+    def responsible_at(self, now_ns: int) -> bool:
+        return self.claim is not None and self.claim.at(now_ns)
+
+    def set_claim(self, claim: TakeResponsibility | None) -> None:
+        """What this drone is responsible by from now on; None: it is not."""
+        self.claim = claim
+        record = {"responsible": claim is not None, "until_ns": None if claim is None else claim.until_ns}
+        self.log.write("/responsibility", self.now_ns(), record)
+
+    def show(self) -> None:
+        counters, evidence = self.link.counters, self.shown.evidence
+        self._emit(
+            Progress(
+                role=self.role,
+                stamp_ns=self.now_ns(),
+                phase=self.phase.title,
+                count=self.shown.count,
+                needed=self.rig.method.needed_pairs,
+                iou=self.shown.iou,
+                tau=self.shown.tau,
+                separation_m=self.shown.separation_m,
+                link_bytes_per_s=self._bytes_per_s(counters.bytes_sent + counters.bytes_received),
+                responsible=self.responsible,
+                note=self.shown.note,
+                evidence=(evidence.reached, evidence.needed) if evidence else None,
+            )
+        )
+
+    def _bytes_per_s(self, total: int) -> float:
+        now_s = asyncio.get_running_loop().time()
+        self._traffic.append((now_s, total))
+        while now_s - self._traffic[0][0] > 2.0:
+            self._traffic.pop(0)
+        first_s, first = self._traffic[0]
+        return (total - first) / (now_s - first_s) if now_s > first_s else 0.0
+
+    def log_image(self, view: View, wanted: bool = False) -> None:
+        """Log the camera's image, ``image_hz`` times a second at the most, unless this one is ``wanted``."""
+        period_ns = round(1e9 / self.config.image_hz)
+        if view.stamp_ns - self._image_ns < (1 if wanted else period_ns):
+            return
+        image = view.image()
+        if image is not None:
+            self._image_ns = view.stamp_ns
+            self.log.image("/image", view.stamp_ns, image)
+
+    # --- background tasks ----------------------------------------------------------------------------------------
+
+    async def pump(self) -> None:
+        """Take messages from the link for ever: clocks and status here, the rest to the role."""
+        while True:
+            received = await self.link.receive()
+            self.peer_heard_ns = received.arrival_ns
+            message = received.message
+            if isinstance(message, Ping):
+                self.link.send(answer(message, received.arrival_ns, self.now_ns()))
+            elif isinstance(message, Pong):
+                self.alignment.on_pong(message, received.arrival_ns)
+            elif isinstance(message, Status):
+                self.peer = message
+                self.on_status(message)
+            else:
+                self.on_message(received)
+
+    async def report(self) -> None:
+        """Send Status and Ping, and tell the console, for ever. Raises MissionEnd when a clock was stepped."""
+        rate_hz = self.config.status_hz if self.role is Role.SENDER else self.config.receiver_status_hz
+        period_s = 1.0 / rate_hz
+        pings_every = max(1, round(rate_hz / self.config.ping_hz))
+        shows_every = max(1, round(_PROGRESS_PERIOD_S / period_s))
+        tick = 0
+        while True:
+            self.link.send(self._status())
+            if self.alignment.fault:
+                raise MissionEnd(Outcome.CLOCK_FAULT, "the other drone's clock was stepped, or this one's")
+            if tick % (pings_every if self.alignment.ready else 1) == 0:
+                self._pings += 1
+                self.link.send(Ping(self._pings, self.now_ns()))
+            if tick % shows_every == 0:
+                self.show()
+            if tick % round(rate_hz) == 0:
+                self._log_link()
+            tick += 1
+            await asyncio.sleep(period_s)
+
+    async def log_state(self) -> None:
+        """Log where the vehicle believes to be, for ever."""
+        logged_ns = 0  # what no position was known at
+        while True:
+            state = self.vehicle.state
+            if state.stamp_ns > logged_ns:
+                logged_ns = state.stamp_ns
+                record = {
+                    "position_n_m": state.position_n_m,
+                    "velocity_n_mps": state.velocity_n_mps,
+                    "q_n_b": state.q_n_b,
+                    "mode": state.mode.value,
+                    "armed": state.armed,
+                    "battery": state.battery,
+                }
+                self.log.write("/state", logged_ns, record)
+            await asyncio.sleep(_STATE_PERIOD_S)
+
+    def _status(self) -> Status:
+        state, now_ns = self.vehicle.state, self.now_ns()
+        return Status(
+            role=self.role,
+            stamp_ns=now_ns,
+            position_n_m=state.position_n_m,
+            velocity_n_mps=state.velocity_n_mps,
+            yaw_rad=yaw_of(state.q_n_b),
+            phase=int(self.phase),
+            responsible=self.responsible_at(now_ns),
+            observing=self.observing,
+            battery=state.battery,
+            instance=self.instance(),
+        )
+
+    def _log_link(self) -> None:
+        counters = self.link.counters
+        record: dict[str, Any] = {
+            "packets_sent": counters.packets_sent,
+            "packets_received": counters.packets_received,
+            "bytes_sent": counters.bytes_sent,
+            "bytes_received": counters.bytes_received,
+            "dropped": dict(counters.dropped),
+            "clock_offset_ns": self.alignment.offset_ns if self.alignment.ready else None,
+            "clock_uncertainty_ns": self.alignment.uncertainty_ns if self.alignment.ready else None,
+        }
+        self.log.write("/link", self.now_ns(), record)
+
+    def spawn(self, task: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        """Run beside the course until the vehicle is down; an error in it ends the course."""
+        spawned = asyncio.create_task(task)
+        self._spawned.append(spawned)
+        spawned.add_done_callback(self._on_done)
+        return spawned
+
+    def _on_done(self, task: asyncio.Task[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None and not self.ended.done():
+            self.ended.set_result(as_end(error))
+
+    async def cancel_spawned(self) -> None:
+        for task in self._spawned:
+            task.cancel()
+        await asyncio.gather(*self._spawned, return_exceptions=True)
+
+    async def stopped(self) -> None:
+        await self.stop.wait()
+        raise MissionEnd(Outcome.INTERRUPTED, "told to stop")
+
+
+async def open_session(
+    stack: AsyncExitStack,
+    rig: Rig,
+    role: Role,
+    config: MissionConfig,
+    log: Log,
+    emit: Emit,
+    stop: asyncio.Event,
+    harness: InProcess | None,
+) -> Session:
+    """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after. Raises PartError."""
+    cv2.setNumThreads(1)  # frames are small: more threads cost more than they gain, and take the other processes' cores
+    warm_up()
+    if harness is None:
+        gc.freeze()  # what is loaded by now stays: collections in flight need not walk it, for 0.1 s each
+    context = part_context(rig, role, harness)
+    own = rig.role(role)
+    link: Link = await stack.enter_async_context(create(own.link, context))
+    sight: Sight = await stack.enter_async_context(create(own.sight, context))
+    vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
+    entropy = entropy_of(role.value, context.clock, harness)
+    guard: UnderGuard | None = None
+    if own.guard is not None:
+        line = guard_line_of(own.guard, role, context.clock, harness)
+        guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
+    parts = (context.clock, vehicle, sight, link)
+    return Session(rig, role, config, log, emit, stop, parts, entropy, guard, Stages() if harness is None else None)
+
+
+def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Random:
+    """What a program draws by chance; in virtual time from the seed, and after a restart not the same again."""
+    return random.SystemRandom() if harness is None else random.Random(f"{name} {clock.now_ns()} {harness.seed}")
+
+
+def guard_line_of(guard: PartSpec, role: Role, clock: Clock, harness: InProcess | None) -> GuardLine:
+    """A program's way to its role's guard."""
+    return UdpGuardLine(str(guard.options.get("bind", "")), clock) if harness is None else harness.guard_line(role)
+
+
+def as_end(error: BaseException) -> MissionEnd:
+    """Any error as the named end it means. Errors nobody foresaw are printed: they are bugs."""
+    if isinstance(error, MissionEnd):
+        return error
+    for kind, outcome in _ENDS:
+        if isinstance(error, kind):
+            return MissionEnd(outcome, str(error))
+    traceback.print_exception(error, file=sys.stderr)
+    return MissionEnd(Outcome.CRASHED, f"{type(error).__name__}: {error}")

@@ -1,0 +1,169 @@
+"""Steps that both roles fly alike: preflight, take-off, the way down."""
+
+from __future__ import annotations
+
+import asyncio
+
+from drivers.interfaces import SURE, Capability, FlightMode, TakenOver, VehicleError, VehicleState, lacking
+from drivers.mavlink.guard_interfaces import Script
+from flight.guard import in_doubt
+from flight.guidance import Anchor, norm, subtract
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from flight.pilot import DOUBT_S
+from flight.under_guard import UnderGuard
+from missions.leg.session import Session
+from path.messages import Role
+
+_FIRST_FRAME_S = 10.0
+_SETTLED_M = 0.35
+_SCRIPT_LET_GO = frozenset({Outcome.PILOT_OVERRIDE})
+_DISARM_POLL_S = 0.1
+_POLL_S = 0.02
+_NO_MANOEUVRE = frozenset({Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcome.GUARD, Outcome.CRASHED})
+
+
+async def preflight(session: Session) -> None:
+    """Camera gives frames, vehicle is armable, the other drone is heard and its clock known. Nothing moves before."""
+    await check_own(session)
+    await hear_peer(session)
+
+
+async def check_own(session: Session) -> None:
+    """Camera gives frames, vehicle is armable, and the guard watches it."""
+    session.enter(Phase.PREFLIGHT)
+    check_capabilities(session)
+    deadlines = session.config.deadlines
+    await session.sight.view(_FIRST_FRAME_S)
+    await session.vehicle.wait_armable(deadlines.armable_s)
+    guard = session.guard
+    if guard is not None:
+        what = "the guard's process did not answer and see the vehicle"
+        await session.until(lambda: guard.watching, deadlines.guard_s, Outcome.GUARD_LOST, what)
+
+
+async def hear_peer(session: Session) -> None:
+    """The other drone is heard, and its clock is known."""
+    deadlines = session.config.deadlines
+    await session.until(
+        lambda: session.peer is not None, deadlines.peer_s, Outcome.PEER_LOST, "the other drone was not heard"
+    )
+    await session.until(
+        lambda: session.alignment.ready, deadlines.peer_s, Outcome.CLOCK_FAULT, "the clocks were not aligned"
+    )
+
+
+def check_capabilities(session: Session) -> None:
+    """Raise MissionEnd(UNFIT) when a part lacks what the course or the rig's ``needs`` ask of it."""
+    needed = set(session.config.needs)
+    if session.role is Role.SENDER:
+        needed.add(Capability.RANGE)  # it has to say where the target is
+    for name, part in (("vehicle", session.vehicle), ("sight", session.sight)):
+        missing = sorted(each.value for each in needed & lacking(part))
+        if missing:
+            raise MissionEnd(Outcome.UNFIT, f"the {session.role.value}'s {name} has no {', '.join(missing)}")
+
+
+async def take_off(session: Session, height_m: float) -> None:
+    """Arm, climb, take control. Refusals end the mission: no motion command is sent twice."""
+    session.enter(Phase.TAKE_OFF)
+    session.set_script(Script.CLIMB)
+    await session.confirm_guard()
+    await session.vehicle.arm()
+    await session.confirm_guard()
+    await session.vehicle.take_off(height_m, session.config.deadlines.take_off_s)
+    await session.confirm_guard()
+    await session.pilot.take_control()
+    session.spawn(session.pilot.run())
+
+
+async def bring_down(session: Session, end: MissionEnd | None, way_out: Anchor) -> bool:
+    """Leave the other drone's way, to ``way_out``, then land. Returns whether the vehicle is down.
+
+    A pilot who took over keeps the vehicle; a vehicle that is lost or refuses is not flown any farther.
+    """
+    pilot, guard = session.pilot, session.guard
+    if end is not None and end.outcome in _SCRIPT_LET_GO and not (guard and guard.taken):
+        return _leave_to_pilot(session)
+    if not (await _sure_state(session)).armed:
+        pilot.let_go()
+        return True
+    if may_manoeuvre(session, end):
+        session.enter(Phase.DEPART)
+        await _depart(session, way_out)
+    pilot.let_go()
+    if guard is not None and guard.taken:
+        return await _leave_to_guard(session, guard)
+    mode = (await _sure_state(session)).mode
+    if mode is FlightMode.OTHER:
+        pilot.override = pilot.override or f"mode is {mode.value}"
+    if pilot.override:
+        session.say("the pilot flies: the script does not land")
+        return _leave_to_pilot(session)
+    return await _land(session)
+
+
+async def _sure_state(session: Session) -> VehicleState:
+    """The vehicle's, once more than one message says that it is not armed, or in a pilot's mode; or it stays so."""
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + DOUBT_S
+    while in_doubt(state := session.vehicle.state, state.mode) or _may_be_a_pilots(state):
+        if loop.time() > end_s:
+            break
+        await asyncio.sleep(_POLL_S)
+    return state
+
+
+def _may_be_a_pilots(state: VehicleState) -> bool:
+    return state.mode is FlightMode.OTHER and state.mode_told < SURE
+
+
+def may_manoeuvre(session: Session, end: MissionEnd | None) -> bool:
+    """Whether the vehicle is still the script's to fly somewhere, after the course ended this way."""
+    barred = _NO_MANOEUVRE | _SCRIPT_LET_GO
+    return session.pilot.in_control and (end is None or end.outcome not in barred)
+
+
+async def _land(session: Session) -> bool:
+    session.enter(Phase.LAND)
+    session.set_script(Script.LANDING)
+    try:
+        await session.vehicle.land(session.config.deadlines.land_s)
+    except VehicleError as error:
+        session.say(f"landing not confirmed: {error}")
+        if isinstance(error, TakenOver):
+            session.pilot.override = str(error)
+            return _leave_to_pilot(session)
+        return False
+    session.set_script(Script.IDLE)
+    return True
+
+
+def _leave_to_pilot(session: Session) -> bool:
+    """Send nothing more; whether it is down already: a pilot may have landed it, or stopped the motors there."""
+    session.pilot.let_go()
+    session.set_script(Script.LET_GO)
+    state = session.vehicle.state
+    return not (state.armed or state.in_air)
+
+
+async def _leave_to_guard(session: Session, guard: UnderGuard) -> bool:
+    """Send nothing more, and stay until the guard has brought the vehicle down; whether it has."""
+    session.set_script(Script.LET_GO)
+    session.enter(Phase.LAND, f"the guard has the vehicle: {guard.taken}")
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + session.config.deadlines.land_s
+    while session.vehicle.state.armed and loop.time() < end_s:  # noqa: ASYNC110 (telemetry has no event)
+        await asyncio.sleep(_DISARM_POLL_S)
+    return not session.vehicle.state.armed
+
+
+async def _depart(session: Session, way_out: Anchor) -> None:
+    """Fly the way out under guard; when that fails, what follows (landing) is still right."""
+    session.pilot.guidance = way_out.hold
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + session.config.deadlines.depart_s
+    while session.pilot.in_control and loop.time() < end_s:
+        if norm(subtract(way_out.position_n_m, session.vehicle.state.position_n_m)) < _SETTLED_M:
+            return
+        await asyncio.sleep(0.05)

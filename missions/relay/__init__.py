@@ -1,0 +1,1 @@
+"""``path-handoff relay``: one target, handed from drone to drone."""

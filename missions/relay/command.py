@@ -1,0 +1,138 @@
+"""``path-handoff relay``: one target, handed from drone to drone as batteries run down, and what came of it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from drivers.interfaces import PartError
+from drivers.rig.parts import Rig, import_factory, with_errors
+from flight.harness.flights import Emit, Progress
+from flight.harness.relay import RelayConfig, RelayField, RelayHarness, RelayReport, RelayRequest
+from flight.outcome import Outcome, violated_outcome
+from missions import rig_library
+from missions.options import RelayOptions
+from missions.relay.base import Base, Event, Tell
+from missions.relay.config import relay_of
+from missions.relay.process import processes_of
+from missions.relay.report import relay_table, summarize_relay
+from missions.relay.role import program_of
+from missions.report.command import show
+from missions.run_folder import RunKind, claim_folder, new_folder
+
+SUMMARY, RELAY, PICTURE = "summary.json", "relay.json", "relay.png"
+
+
+def run(options: RelayOptions) -> int:
+    """``path-handoff relay``; returns the relay's exit code. Raises PartError for what was asked wrongly."""
+    rig = with_errors(rig_library.load(options.rig), options.errors)
+    config = relay_of(rig, options.drones)
+    hours = hours_of(config, options)
+    if not hours > 0.0:
+        raise PartError(f"--hours {hours:g} is not above 0", "give the hours that it is to last, such as 8")
+    folder = new_folder(options.out)
+    sys.stdout.write(f"{options.drones} drones, {hours:g} h: {folder}\n")
+    summary, record = fly_relay(rig, config, options, folder, _Teller().tell)
+    if options.picture:
+        from missions.relay.picture import draw_relay  # noqa: PLC0415 (matplotlib takes a second to import)
+
+        draw_relay(record, summary, folder / PICTURE)
+    show(relay_table(summary), sys.stdout)
+    written = [name for name in (SUMMARY, RELAY, PICTURE) if (folder / name).exists()]
+    sys.stdout.write(f"\n{folder}: {', '.join(written)}\n")
+    return int(summary["exit_code"])
+
+
+def hours_of(config: RelayConfig, options: RelayOptions) -> float:
+    return config.hours if options.hours is None else options.hours
+
+
+def faults_of(texts: Sequence[str]) -> dict[int, list[str]]:
+    """Faults by the number of their leg, 0 for all. Raises PartError."""
+    faults: dict[int, list[str]] = {}
+    for text in texts:
+        leg, colon, fault = text.partition(":")
+        if colon and not (leg.isdecimal() and int(leg) >= 1):
+            raise PartError(f"--fault {text}: {leg!r} is no number of a leg", "write it as 3:kill_receiver@approach")
+        faults.setdefault(int(leg) if colon else 0, []).append(fault if colon else text)
+    return faults
+
+
+def fly_relay(
+    rig: Rig, config: RelayConfig, options: RelayOptions, out: Path, tell: Tell
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """One relay to its end; writes its logs, ``relay.json`` and ``summary.json``. Returns summary and record."""
+    harness: RelayHarness = import_factory(config.harness, rig.where("[relay] harness"))()
+    claim_folder(out, RunKind(RELAY, (SUMMARY, PICTURE), ("world", *(drone.name for drone in config.drones))))
+    base = Base(config, tell, hours_of(config, options))
+
+    async def main(ground: RelayField, stop: asyncio.Event, emit: Emit) -> None:
+        del emit
+        await base.run(ground, stop, program_of(rig, config, base))
+
+    faults, processes = faults_of(options.fault), processes_of(rig, config, out, base, options.logs)
+    request = RelayRequest(
+        rig, config, out, options.seed, faults, main, _quiet, processes, base.hours, options.logs
+    )  # fmt: skip
+    report = harness.fly(request)
+    outcome, detail = judge(base, report)
+    record = {"outcome": outcome.label, **record_of(config, base, report)}
+    summary = summarize_relay(rig, config, options, base, report, outcome, detail)
+    (out / RELAY).write_text(json.dumps(record, indent=1) + "\n", "utf-8")
+    (out / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+    return summary, record
+
+
+def judge(base: Base, report: RelayReport) -> tuple[Outcome, str]:
+    """The outcome of the whole relay: the harness's own failure and violated monitors first."""
+    if report.failure:
+        return Outcome.HARNESS_FAILED, report.failure
+    if report.violations:
+        return violated_outcome(report.violations), "; ".join(report.notes[:3])
+    if report.interrupted:
+        return Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
+    if base.outcome is Outcome.COMMITTED and report.log_failure:
+        return Outcome.LOG_FAILED, report.log_failure
+    return base.outcome, base.detail
+
+
+def record_of(config: RelayConfig, base: Base, report: RelayReport) -> dict[str, Any]:
+    """``relay.json``: every leg, every flight, every word to the crew, and the batteries now and then."""
+    return {
+        "drones": [drone.name for drone in config.drones],
+        "reserve": config.reserve,
+        "legs": [
+            {
+                "leg": leg.number, "sender": leg.sender, "receiver": leg.receiver, "called_s": round(leg.called_s, 2),
+                "held_s": None if leg.held_s is None else round(leg.held_s, 2), "outcome": leg.outcome,
+                "detail": leg.detail, "battery": round(leg.battery, 4),
+                "gap_s": round(report.gaps_s[leg.number], 4) if leg.number in report.gaps_s else None,
+            }
+            for leg in base.legs
+        ],
+        "flights": [
+            {"drone": f.drone, "began_s": round(f.began_s, 2), "ended_s": round(f.ended_s, 2),
+             "battery": round(f.battery, 4)}
+            for f in report.flown
+        ],
+        "events": [{"time_s": e.time_s, "drone": e.drone, "what": e.what, "text": e.text} for e in base.events],
+        "samples": [[s.time_s, list(s.responsible), list(s.battery), list(s.airborne)] for s in report.samples],
+        "violations": list(report.notes),
+    }  # fmt: skip
+
+
+def _quiet(_: Progress) -> None:
+    pass
+
+
+class _Teller:
+    """The crew's lines, as they come."""
+
+    def tell(self, event: Event) -> None:
+        minutes = event.time_s / 60.0
+        sys.stdout.write(f"{minutes:8.1f} min  {event.drone:<4} {event.what:<11} {event.text}\n")
+        sys.stdout.flush()

@@ -1,0 +1,82 @@
+"""The line between the base of a relay and a drone's program in a process of its own: what each says to the other.
+
+The base's answers come as news, whenever they change: who asks one need not wait. A program's words are lines of JSON.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from flight.outcome import MissionEnd, Outcome
+from missions.relay.base import Base, Leg, Order
+
+Say = Callable[[Mapping[str, Any]], None]
+
+
+def news_of(base: Base, name: str) -> dict[str, Any]:
+    """What a drone's program has to know at present."""
+    leg = base.leg_of(name)
+    return {"order": base.order_of(name).value, "leg": leg and asdict(leg), "over": base.over}
+
+
+def hear(base: Base, name: str, word: Mapping[str, Any]) -> None:
+    """Pass on to the base what a drone's program said; what is no word of it is passed over."""
+    match word:
+        case {"event": "ask", "battery": float(battery), "wait_s": float(wait_s)}:
+            base.ask(name, battery, wait_s)
+        case {"event": "holds"}:
+            base.holds(name)
+        case {"event": "leg_failed", "outcome": str(label), "detail": str(detail)}:
+            base.leg_failed(name, MissionEnd(Outcome.from_label(label), detail))
+        case _:
+            pass
+
+
+class FarBase:
+    """The base, as a drone's program in another process knows it (``missions.relay.base.Ground``).
+
+    A leg that is over for this drone stays over, whatever older news is still on the line.
+    """
+
+    def __init__(self, name: str, say: Say) -> None:
+        self._name, self._say = name, say
+        self._order: Order | None = None
+        self._leg: Leg | None = None
+        self._ended = 0  # number of the newest leg that is over
+        self.over = False
+
+    @property
+    def told(self) -> bool:
+        """Whether there was any news yet."""
+        return self._order is not None
+
+    def on_news(self, news: Mapping[str, Any]) -> None:
+        self._order, self.over = Order(news["order"]), bool(news["over"])
+        self._leg = None if news["leg"] is None else Leg(**news["leg"])
+
+    def order_of(self, name: str) -> Order:
+        assert name == self._name and self._order is not None, "asked before there was any news"
+        return self._order
+
+    def leg_of(self, name: str) -> Leg | None:
+        assert name == self._name
+        return self._leg if self._leg is not None and self._leg.number > self._ended else None
+
+    def ask(self, name: str, battery: float, wait_s: float) -> None:
+        assert name == self._name
+        self._say({"event": "ask", "battery": battery, "wait_s": wait_s})
+
+    def holds(self, name: str) -> None:
+        self._end_leg(name)
+        self._say({"event": "holds"})
+
+    def leg_failed(self, name: str, end: MissionEnd) -> None:
+        self._end_leg(name)
+        self._say({"event": "leg_failed", "outcome": end.outcome.label, "detail": end.detail})
+
+    def _end_leg(self, name: str) -> None:
+        leg = self.leg_of(name)
+        if leg is not None:
+            self._ended = leg.number

@@ -1,0 +1,145 @@
+"""One drone's program of a relay, and its guard, as processes of their own: children of ``path-handoff relay``.
+
+    python -m missions.relay.process program RIG DRONES NAME FOLDER whole|rare
+    python -m missions.relay.process guard   RIG DRONES NAME FOLDER
+
+What the base knows comes in on stdin as lines of JSON; what the drone says, and what the monitors read of its log, goes
+out on stdout. A closed stdin ends it, gently.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+
+from drivers.interfaces import Log
+from drivers.log.json_lines import JsonLines
+from drivers.log.mcap_log import McapLog, encode_other, new_part
+from drivers.log.state_file import StateFile
+from drivers.rig.parts import Rig
+from drivers.stop_signals import stop_on_signals
+from flight.harness.flights import Progress, RoleResult, encode_event, with_log
+from flight.harness.relay import OFTEN, WATCHED, DroneProcesses, RelayConfig, RelayDrone, pair_of
+from missions import rig_library
+from missions.guard.command import watch_vehicles
+from missions.relay.base import Base
+from missions.relay.config import relay_of
+from missions.relay.line import FarBase, hear, news_of
+from missions.relay.role import Flight
+from path.messages import Role
+
+
+def processes_of(rig: Rig, config: RelayConfig, out: Path, base: Base, whole_log: bool) -> DroneProcesses:
+    """How the harness starts the processes of this relay's drones."""
+
+    def command(what: str, name: str, *more: str) -> Sequence[str]:
+        drones = str(len(config.drones))
+        return [sys.executable, "-m", "missions.relay.process", what, str(rig.file), drones, name, str(out), *more]
+
+    return DroneProcesses(
+        command=lambda name: command("program", name, "whole" if whole_log else "rare"),
+        guard_command=lambda name: command("guard", name),
+        news=lambda name: news_of(base, name),
+        heard=lambda name, word: hear(base, name, word),
+    )
+
+
+class WatchedLog:
+    """The log of a drone's program, of which the monitors in another process read what they judge by."""
+
+    def __init__(self, log: Log, name: str, whole: bool) -> None:
+        self._log, self._name, self._whole = log, name, whole
+        self._encoder = msgspec.json.Encoder(enc_hook=encode_other)
+        self._shown_ns: dict[str, int] = {}
+
+    def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
+        if self._whole or topic not in OFTEN:
+            self._log.write(topic, stamp_ns, record)
+        if stamp_ns - self._shown_ns.get(topic, -(1 << 62)) >= WATCHED.get(topic, math.inf) * 1e9:
+            self._shown_ns[topic] = stamp_ns
+            shown = self._encoder.encode({"event": "record", "record": [self._name, topic, stamp_ns, record]})
+            print(shown.decode(), flush=True)
+
+    def image(self, topic: str, stamp_ns: int, image: Any) -> None:
+        if self._whole:
+            self._log.image(topic, stamp_ns, image)
+
+
+def _say(word: Mapping[str, Any]) -> None:
+    print(json.dumps(word), flush=True)
+
+
+def _show(progress: Progress) -> None:
+    print(encode_event(progress), flush=True)
+
+
+async def _fly(rig: Rig, config: RelayConfig, name: str, log: Log, store: StateFile) -> RoleResult:
+    """Listen until there is an order, then fly it to its end."""
+    base, stop, ordered = FarBase(name, _say), asyncio.Event(), asyncio.Event()
+    loop, standard_input = asyncio.get_running_loop(), sys.stdin.fileno()
+    lines = JsonLines(standard_input)
+
+    def read() -> None:
+        news = lines.read()
+        if news is None:
+            loop.remove_reader(standard_input)
+            stop.set()
+        for each in news or ():
+            base.on_news(each)
+        if news is None or base.told:
+            ordered.set()
+
+    stop_on_signals(stop.set)
+    loop.add_reader(standard_input, read)
+    await ordered.wait()
+    if not base.told:
+        raise SystemExit(f"{name} was never told what for")
+    cv2.setNumThreads(1)  # as any role in real time
+    gc.freeze()
+    return await Flight(rig, config, base, name, log, _show, stop, None, store).run()
+
+
+def _drone(config: RelayConfig, name: str) -> RelayDrone:
+    return next(drone for drone in config.drones if drone.name == name)
+
+
+def fly(rig: Rig, config: RelayConfig, name: str, out: Path, whole: bool) -> None:
+    with McapLog(new_part(out, name), name) as log:
+        store = StateFile(out / f"{name}.state.json", None)
+        result = asyncio.run(_fly(rig, config, name, WatchedLog(log, name, whole), store))
+        print(encode_event(with_log(result, log.failed)), flush=True)
+
+
+def guard(rig: Rig, config: RelayConfig, name: str, out: Path) -> int:
+    """Watch the drone's vehicle until stdin is closed."""
+    own = pair_of(rig, _drone(config, name), _drone(config, name))
+    assert own.receiver.guard is not None, f"{name} has no guard"
+    logs = {Role.RECEIVER: new_part(out, f"{name}.guard")}
+    return asyncio.run(
+        watch_vehicles(
+            own, rig_library.mission_of(rig), {Role.RECEIVER: own.receiver.guard}, logs,
+            until_input_ends=True, while_flown=False,
+        )
+    )  # fmt: skip
+
+
+def main() -> None:
+    what, rig_file, drones, name, folder, *logs = sys.argv[1:]
+    rig = rig_library.load_unchecked(rig_file)
+    config = relay_of(rig, int(drones))
+    if what == "guard":
+        sys.exit(guard(rig, config, name, Path(folder)))
+    fly(rig, config, name, Path(folder), logs == ["whole"])
+
+
+if __name__ == "__main__":
+    main()

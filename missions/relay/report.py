@@ -1,0 +1,121 @@
+"""The figures of a relay (``summary.json``) and the table at its end. Pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from drivers.rig.parts import Rig
+from flight.harness.relay import RelayConfig, RelayReport
+from flight.outcome import Outcome
+from missions.options import RelayOptions
+from missions.relay.base import Base
+from path.protocol.values import ProtocolConfig
+
+LATE_S = 0.2
+PROTOCOL = ProtocolConfig()
+GAP_BOUND_S = PROTOCOL.lease_s + PROTOCOL.max_uncertainty_s + PROTOCOL.guard_s + LATE_S
+"""How long nobody may be responsible (docs/campaign.md)."""
+
+
+def summarize_relay(
+    rig: Rig, config: RelayConfig, options: RelayOptions, base: Base, report: RelayReport, outcome: Outcome, detail: str
+) -> dict[str, Any]:
+    """Everything ``summary.json`` holds; null where there is nothing to say."""
+    done = [leg for leg in base.legs if leg.outcome == Outcome.COMMITTED.label]
+    took = [leg.held_s - leg.called_s for leg in done if leg.held_s is not None]
+    return {
+        "outcome": outcome.label,
+        "exit_code": outcome.exit_code,
+        "detail": detail,
+        "rig": rig.name,
+        "seed": options.seed,
+        "errors": dict(report.errors),
+        "drones": len(config.drones),
+        "hours": base.hours,
+        "faults": list(options.fault),
+        "simulated_s": round(report.simulated_s, 2),
+        "wall_s": round(report.wall_s, 1),
+        "legs": len(base.legs),
+        "legs_handed_over": len(done),
+        "legs_ended": dict(sorted(Counter(leg.outcome or "unfinished" for leg in base.legs).items())),
+        "alarms": sum(event.what == "alarm" for event in base.events),
+        "leg_s": spread(took),
+        "gap_s": spread(list(report.gaps_s.values())),
+        "gap_bound_s": round(GAP_BOUND_S, 2),
+        "landings": {drone.name: spread([f.battery for f in report.flown if f.drone == drone.name])
+                     for drone in config.drones},
+        "reserve": config.reserve,
+        "closest_m": None if report.closest_m != report.closest_m else round(report.closest_m, 3),
+        "closest_pair": list(report.closest_pair),
+        "violations": dict(sorted(report.violations.items())),
+        "notes": list(report.notes),
+    }  # fmt: skip
+
+
+def spread(values: Sequence[float]) -> dict[str, float] | None:
+    """Number, smallest, median and largest."""
+    if not values:
+        return None
+    low, median, high = (round(float(np.percentile(values, q)), 4) for q in (0, 50, 100))
+    return {"number": len(values), "min": low, "median": median, "max": high}
+
+
+def relay_table(summary: Mapping[str, Any]) -> RenderableType:
+    """What a person wants to know of one relay."""
+    good = summary["outcome"] == Outcome.COMMITTED.label
+    head = Text.assemble((f" {summary['outcome']} ", "bold black on green" if good else "bold white on red"))
+    head.append(f"  rig {summary['rig']}, seed {summary['seed']}, {summary['drones']} drones")
+    if summary["faults"]:
+        head.append(f", faults: {', '.join(summary['faults'])}", "yellow")
+    parts: list[RenderableType] = [Text(), head]
+    if summary["detail"]:
+        parts.append(Text(f"  {summary['detail']}", "yellow"))
+    figures = Table.grid(padding=(0, 3))
+    for name, value in _rows(summary):
+        figures.add_row(Text(name, "dim"), value)
+    landings = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
+    for title in ("", "flights", "battery at landing: min", "median", "max"):
+        landings.add_column(title, justify="left" if not title else "right")
+    for name, each in summary["landings"].items():
+        cells = ("0", "-", "-", "-") if each is None else _cells(each)
+        landings.add_row(name, *cells)
+    return Group(*parts, Text(), figures, Text(), landings)
+
+
+def _cells(each: Mapping[str, float]) -> tuple[str, ...]:
+    return str(each["number"]), *(f"{100 * each[key]:.1f} %" for key in ("min", "median", "max"))
+
+
+def _rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
+    ended = ", ".join(f"{name} {count}" for name, count in s["legs_ended"].items()) or "none"
+    closest = "-" if s["closest_m"] is None else f"{s['closest_m']:.2f} m, {' and '.join(s['closest_pair'])}"
+    violated = ", ".join(f"{name} {count}" for name, count in s["violations"].items())
+    speed = f"{s['simulated_s'] / s['wall_s']:.0f} x real time ({s['wall_s']:.0f} s)" if s["wall_s"] > 0.0 else "-"
+    return [
+        ("simulated", _lasted(s["simulated_s"])),
+        ("legs", f"{s['legs']}: {ended}"),
+        ("from the call to holding", _shown(s["leg_s"], 1)),
+        ("nobody responsible", f"{_shown(s['gap_s'], 4)} (bound {s['gap_bound_s']:.2f} s)"),
+        ("no relief ready, said", f"{s['alarms']} times"),
+        ("smallest separation", closest),
+        ("reserve", f"{100 * s['reserve']:.0f} %"),
+        ("monitors", violated or "no violation"),
+        ("speed", speed),
+    ]
+
+
+def _lasted(seconds: float) -> str:
+    return f"{seconds / 3600.0:.2f} h" if seconds >= 3600.0 else f"{seconds / 60.0:.1f} min"
+
+
+def _shown(each: Mapping[str, float] | None, digits: int) -> str:
+    if each is None:
+        return "-"
+    return f"median {each['median']:.{digits}f} s, {each['min']:.{digits}f} to {each['max']:.{digits}f} s"

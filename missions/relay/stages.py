@@ -1,0 +1,146 @@
+"""What a drone is in a relay, one after the other: the relief that takes the target over, and the holder that has it.
+
+Both are a handoff's roles. They differ from them in what comes before and after: a relief does not land, a holder has
+its track of the target from the start, and both fly home instead of landing where they are.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable
+from typing import Protocol
+
+from drivers.interfaces import LinkCounters, Received, RecordStore, VehicleState, VelocitySetpoint
+from flight.guidance import Anchor
+from flight.outcome import MissionEnd
+from flight.phases import Phase
+from flight.tracking import TargetTrack
+from missions.leg.receiver import Receiver
+from missions.leg.sender import Sender
+from missions.leg.session import Session
+from missions.leg.steps import check_own, hear_peer, take_off
+from missions.relay.base import Leg
+from path.messages import Message
+
+
+class Conduct(Protocol):
+    """What holds for a drone of a relay in either role."""
+
+    async def watch_battery(self, holder: Holder, *, ask: bool) -> None:
+        """For ever. Raises MissionEnd(NO_RELIEF) when it is time to go home."""
+        ...
+
+    def clear_of_the_failed(self, state: VehicleState, wanted: VelocitySetpoint) -> VelocitySetpoint:
+        """The setpoint, led away from a relief that failed nearby."""
+        ...
+
+    def come_home(self, session: Session, end: MissionEnd | None, aside: Anchor) -> Awaitable[bool]:
+        """Whether the script landed the vehicle."""
+        ...
+
+
+class Nobody:
+    """The link of a drone that has no other one to talk to yet (``drivers.interfaces.Link``)."""
+
+    def __init__(self) -> None:
+        self.counters = LinkCounters()
+
+    async def __aenter__(self) -> Nobody:
+        return self
+
+    async def __aexit__(self, *_: object) -> None: ...
+
+    def send(self, message: Message) -> None:
+        """There is nobody to hear it."""
+
+    async def receive(self) -> Received:
+        return await asyncio.get_running_loop().create_future()
+
+
+class Holder(Sender):
+    """The responsible drone: alone with the target, or handing it over."""
+
+    def __init__(self, session: Session, store: RecordStore, conduct: Conduct, track: TargetTrack | None) -> None:
+        super().__init__(session, store)
+        self._track = track
+        self._conduct = conduct
+
+    @property
+    def track(self) -> TargetTrack | None:
+        return self._track
+
+    @property
+    def decided(self) -> bool:
+        """Committed, or given away already: what the battery says comes too late."""
+        return self._handover.released
+
+    async def find(self) -> None:
+        """From the ground until the target is tracked."""
+        session = self._session
+        await self._handover.resume()
+        await check_own(session)
+        await take_off(session, self._config.take_off_height_m)
+        await self.acquire()
+
+    async def resume(self) -> None:
+        await self._handover.resume()
+
+    async def keep(self, called: asyncio.Event) -> None:
+        """Follow the target alone, for as long as no relief is on its way."""
+        self._go_on("responsible, alone")
+        self._session.spawn(self._conduct.watch_battery(self, ask=True))
+        await called.wait()
+
+    async def pass_on(self, leg: Leg) -> None:
+        """The whole hand-over to a relief that is called."""
+        session = self._session
+        self._go_on(f"{leg.receiver} is called")
+        session.spawn(self._conduct.watch_battery(self, ask=False))
+        await hear_peer(session)
+        await self.hand_over()
+
+    async def give_up_leg(self, end: MissionEnd) -> None:
+        """The relief will not take it: say so, and keep the target."""
+        self._handover.end(end)
+        await self._handover.finish()
+
+    def _go_on(self, note: str) -> None:
+        session = self._session
+        session.enter(Phase.FOLLOW, note)
+        session.observing = True
+        session.pilot.guidance = self._follow_target
+        session.spawn(self._watch())
+
+    def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
+        wanted = super()._follow_target(state)
+        return self._conduct.clear_of_the_failed(state, wanted)
+
+    async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
+        return await self._conduct.come_home(self._session, end, way_out)
+
+
+class Relief(Receiver):
+    """The drone that is called: the receiver of a handoff, which does not land after it."""
+
+    def __init__(self, session: Session, store: RecordStore, conduct: Conduct) -> None:
+        super().__init__(session, store)
+        self._conduct = conduct
+
+    @property
+    def track(self) -> TargetTrack | None:
+        return self._track
+
+    async def resume(self) -> None:
+        await self._handover.resume()
+
+    async def leave_role(self) -> None:
+        """Hear nothing more as a receiver, and have everything written down. Raises StateError."""
+        self._session.on_message = self._session.on_status = _ignore
+        await self._handover.finish()
+
+    async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
+        return await self._conduct.come_home(self._session, end, way_out)
+
+
+def _ignore(_: object) -> None:
+    pass

@@ -1,0 +1,202 @@
+"""``path-handoff report``, and the end of every run: summary.json, the table, the picture."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from missions.options import ReportOptions
+from missions.report.records import PICTURE, SUMMARY, load_run
+from missions.report.summary import summarize
+from path.messages import Role
+
+Rows = list[tuple[str, str]]
+
+
+def run(options: ReportOptions) -> int:
+    """``path-handoff report``. Raises RunFolderError."""
+    make_report(options.folder, options.picture, sys.stdout)
+    return 0
+
+
+def make_report(folder: Path, picture: bool, stream: TextIO) -> dict[str, Any]:
+    """Write summary.json, and run.png if wanted, into a run's folder; show the table. Returns the summary.
+
+    Raises:
+        RunFolderError: when the folder is no run's.
+        OSError: when it cannot be written to.
+    """
+    recorded = load_run(folder)
+    summary = summarize(recorded)
+    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+    if picture:
+        from missions.report.picture import draw_run  # noqa: PLC0415 (matplotlib takes a second to import)
+
+        draw_run(recorded, summary, folder / PICTURE)
+    show(summary_table(summary), stream)
+    written = [name for name in (SUMMARY, PICTURE) if (folder / name).exists()]
+    stream.write(f"\n{folder}: {', '.join(written)}\n")
+    return summary
+
+
+def show(content: RenderableType, stream: TextIO) -> None:
+    """Print to a stream, with colour on a terminal only."""
+    Console(file=stream, highlight=False, width=None if stream.isatty() else 110).print(content)
+
+
+def summary_table(summary: Mapping[str, Any]) -> RenderableType:
+    """What a person wants to know of one run."""
+    good = summary["outcome"] == "committed"
+    head = Text.assemble((f" {summary['outcome']} ", "bold black on green" if good else "bold white on red"))
+    head.append(f"  rig {summary['rig']}, seed {summary['seed']}")
+    if summary["errors"]:
+        head.append(f", errors: {summary['errors']['level']}")
+    if summary["faults"]:
+        head.append(f", faults: {', '.join(summary['faults'])}", "yellow")
+    parts: list[RenderableType] = [Text(), head]
+    if summary["detail"]:
+        parts.append(Text(f"  {summary['detail']}", "yellow"))
+    parts += [Text(f"  {note}", "yellow") for note in summary["notes"] if note != summary["detail"]]
+    parts += [Text(), _phase_table(summary["phases"]), Text(), _figures(summary)]
+    return Group(*parts)
+
+
+def _phase_table(phases: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
+    for title in ("sender", "from", "for", "receiver", "from", "for"):
+        table.add_column(title, justify="left" if title in ("sender", "receiver") else "right")
+    columns = [[(p["phase"], p["start_s"], p["duration_s"]) for p in phases[role.value]] for role in Role]
+    for k in range(max(len(column) for column in columns)):
+        cells: list[str] = []
+        for column in columns:
+            if k < len(column):
+                name, start_s, duration_s = column[k]
+                cells += [name, _number(start_s, "s", 1), _number(duration_s, "s", 1)]
+            else:
+                cells += ["", "", ""]
+        table.add_row(*cells)
+    return table
+
+
+def _figures(summary: Mapping[str, Any]) -> Table:
+    table = Table.grid(padding=(0, 3))
+    for name, value in _figure_rows(summary):
+        table.add_row(Text(name, "dim"), value)
+    return table
+
+
+def _figure_rows(s: Mapping[str, Any]) -> Rows:
+    """(name, value) in reading order; values that are not known are a dash."""
+    frames = [
+        f"{name} {_number(f['hz'], 'Hz', 1)}, {_number(f['missed'], 'missed', 0)}" for name, f in s["frames"].items()
+    ]
+    link = [f"{name} {_number(rate, '', 0)}" for name, rate in s["link_sent_bytes_per_s"].items()]
+    wrong = {True: "YES", False: "no", None: "-"}[s["wrong_handover"]]
+    return [
+        ("committed after", _number(s["t_commit_s"], "s", 2)),
+        ("agreement took", _number(s["agreement_s"], "s", 2)),
+        ("agreeing pairs", _pairs(s)),
+        ("IoU, median", f"{_number(s['iou_median'], '', 3)} (needed {_number(s['tau_median'], '', 3)})"),
+        ("misses", _counts(s["misses"])),
+        ("frames", "; ".join(frames)),
+        ("error of D2", _error(s, "d2_error")),
+        ("error of target", _error(s, "target_error")),
+        ("wrong object handed over", wrong),
+        ("smallest separation", _separation(s)),
+        ("link, both ways", f"{_number(s['link_bytes_per_s'], 'B/s', 0)} ({', '.join(link)})"),
+        ("monitors", _counts(s["monitors"]) if s["monitors"] else "no violation"),
+        ("speed", f"{_number(s['realtime_factor'], '', 1)} x real time ({_number(s['wall_s'], 's', 1)})"),
+    ]
+
+
+def _pairs(summary: Mapping[str, Any]) -> str:
+    pairs = f"{summary['pairs_agreed']} of {summary['pairs_judged']}, {_number(summary['pairs_hz'], 'Hz', 1)}"
+    most = summary["evidence_max"]
+    return pairs if most is None else f"{pairs}; evidence {most:.1f} at most"
+
+
+def _error(summary: Mapping[str, Any], name: str) -> str:
+    median_m, p95_m = summary[f"{name}_m"], summary[f"{name}_p95_m"]
+    if median_m is None:
+        return "-"
+    return f"{median_m * 1000:.1f} mm median, {p95_m * 1000:.1f} mm p95"
+
+
+def _separation(summary: Mapping[str, Any]) -> str:
+    limit = summary["separation_limit_m"]
+    return _number(summary["min_separation_m"], "m", 2) + ("" if limit is None else f" (limit {limit:.2f} m)")
+
+
+def _number(value: float | None, unit: str, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f} {unit}".rstrip()
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
+
+
+# --- many runs -------------------------------------------------------------------------------------------------
+
+
+def summarize_many(summaries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Figures over the summaries of several runs; quantiles over the runs that have the figure."""
+    outcomes: dict[str, int] = {}
+    misses: dict[str, int] = {}
+    monitors: dict[str, int] = {}
+    for summary in summaries:
+        _add(outcomes, {summary["outcome"]: 1})
+        _add(misses, summary["misses"])
+        _add(monitors, summary["monitors"])
+    names = ("t_commit_s", "agreement_s", "iou_median", "min_separation_m", "d2_error_m", "target_error_m")
+    return {
+        "runs": len(summaries),
+        "outcomes": outcomes,
+        "commit_rate": round(outcomes.get("committed", 0) / max(1, len(summaries)), 4),
+        "wrong_handovers": sum(summary["wrong_handover"] is True for summary in summaries),
+        "monitors": monitors,
+        "misses": misses,
+        "failed_seeds": {str(s["seed"]): s["outcome"] for s in summaries if s["outcome"] != "committed"},
+        **{name: _quantiles([s[name] for s in summaries if s[name] is not None]) for name in names},
+        "link_bytes_per_s": _quantiles([s["link_bytes_per_s"] for s in summaries if s["link_bytes_per_s"] is not None]),
+        "realtime_factor": _quantiles([s["realtime_factor"] for s in summaries if s["realtime_factor"] is not None]),
+    }
+
+
+def series_table(series: Mapping[str, Any]) -> RenderableType:
+    """What a person wants to know of several runs."""
+    counts = Table.grid(padding=(0, 3))
+    counts.add_row(Text("runs", "dim"), f"{series['runs']}: {_counts(series['outcomes'])}")
+    counts.add_row(Text("committed", "dim"), f"{series['commit_rate'] * 100:.1f} %")
+    counts.add_row(Text("wrong object handed over", "dim"), str(series["wrong_handovers"]))
+    counts.add_row(Text("monitors", "dim"), _counts(series["monitors"]) if series["monitors"] else "no violation")
+    counts.add_row(Text("misses", "dim"), _counts(series["misses"]))
+    if series["failed_seeds"]:
+        failed = ", ".join(f"{seed} {outcome}" for seed, outcome in series["failed_seeds"].items())
+        counts.add_row(Text("seeds without a commit", "dim"), failed)
+    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
+    for title in ("", "min", "median", "p95", "max"):
+        table.add_column(title, justify="left" if not title else "right")
+    for name, quantiles in series.items():
+        if isinstance(quantiles, dict) and "median" in quantiles:
+            table.add_row(name, *(f"{quantiles[key]:.4g}" for key in ("min", "median", "p95", "max")))
+    return Group(Text(), counts, Text(), table)
+
+
+def _add(total: dict[str, int], counts: Mapping[str, int]) -> None:
+    for name, count in counts.items():
+        total[name] = total.get(name, 0) + count
+
+
+def _quantiles(values: Sequence[float]) -> dict[str, float] | None:
+    if not values:
+        return None
+    low, median, p95, high = (round(float(np.percentile(values, q)), 4) for q in (0, 50, 95, 100))
+    return {"min": low, "median": median, "p95": p95, "max": high}

@@ -1,0 +1,1 @@
+"""Look-alikes: PATH, ORB and XFeat on the same frames."""

@@ -1,0 +1,180 @@
+"""PATH on one pair of frames: what D1 and D2 believe of themselves, and their own cycles on the pixels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.interfaces import Detector, Frame
+from drivers.perception.pixels import PixelView
+from flight.harness.renderer import Shot
+from missions.trials.ambiguity.stage import CAMERAS, Scene, camera_mount, layout, marker_mount
+from path import rotation
+from path.agreement import Agreed
+from path.camera import CameraModel
+from path.config import MethodConfig
+from path.geometry import Matrix, Pose
+from path.marker.layout import MarkerLayout
+from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
+from path.messages import Role, Target, Vec3
+from path.observations import Box, Missed, MissReason, Region
+from path.prior import Prior
+from path.receiver import ReceiverCycle
+from path.sender import SenderCycle
+
+STAMP_NS = 1_000_000_000
+BODY_M, DEPTH_SIGMAS = 0.3, 2.0  # how far a person's surfaces are from the point D1 measured, and depth noise of D2
+MEDIAN_PX, GREY = 5, 110
+REGION_ERROR_PX, REGION_MARGIN_PX = 10.0, 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Standard deviations of what the drones believe wrongly; all but the noise are systematic.
+
+    Every stage draws them anew, as if it were another pair of drones: otherwise all frames would share one error.
+    """
+
+    printed_size: float = 0.005  # relative
+    focal: float = 0.002  # relative, each camera
+    mount_rad: float = math.radians(0.2)  # per axis, T_v_c1
+    mount_m: float = 0.002
+    attitude_bias_rad: float = math.radians(0.5)  # roll and pitch, each drone
+    attitude_noise_rad: float = math.radians(0.2)
+
+
+@dataclass(frozen=True, slots=True)
+class Beliefs:
+    """What the drones think is so."""
+
+    camera1: CameraModel
+    camera2: CameraModel
+    layout: MarkerLayout
+    T_v_c1: Pose
+    gravity_v: Vec3
+    gravity_c2: Vec3
+    marker_region: Region  # where D2 expects D1's marker, from the frames before
+
+
+@dataclass(frozen=True, slots=True)
+class PathAnswer:
+    """What PATH made of a pair of frames.
+
+    Attributes:
+        box: D2's candidate; None when it found none.
+        reason: why there is none.
+        agreed: D1 mapped the candidate back and the IoU was enough.
+        prior: where D2 expected the target, when it came to that.
+        mapped: the candidate in D1's image.
+    """
+
+    box: Box | None
+    reason: MissReason | None
+    agreed: bool = False
+    prior: Prior | None = None
+    mapped: Box | None = None
+
+
+def beliefs(scene: Scene, errors: Errors, rng: np.random.Generator) -> Beliefs:
+    """The truth with errors drawn from their distributions."""
+    T_b_c, T_b_v = camera_mount(), marker_mount(scene.side)
+    T_v_c = T_b_v.inverse() @ T_b_c
+    mounted = Pose(rotation.exp(rng.normal(0.0, errors.mount_rad, 3)) @ T_v_c.R, T_v_c.t)
+    side_m = scene.wanted.marker_side_m
+    focal1, focal2 = 1.0 + rng.normal(0.0, errors.focal, 2)
+    return Beliefs(
+        _focused(CAMERAS[Role.SENDER], focal1),
+        _focused(CAMERAS[Role.RECEIVER], focal2),
+        layout(side_m * (1.0 + rng.normal(0.0, errors.printed_size))),
+        Pose(mounted.R, mounted.t + rng.normal(0.0, errors.mount_m, 3)),
+        _down(_attitude(scene, Role.SENDER, errors, rng) @ T_b_v.R),
+        _down(_attitude(scene, Role.RECEIVER, errors, rng) @ T_b_c.R),
+        _marker_region(scene, T_b_v, rng),
+    )
+
+
+def run_path(
+    beliefs: Beliefs,
+    config: MethodConfig,
+    shots: dict[Role, Shot],
+    box1: Box | None,
+    detector: Detector,
+    *,
+    depth2: bool = True,
+) -> PathAnswer:
+    """One pair of frames, taken at one instant, through the project's own cycles of both drones.
+
+    Args:
+        box1: what D1 tracks.
+        depth2: D2's camera has depth, as D1's has.
+    """
+    one, two = (
+        PixelView(
+            Frame(STAMP_NS, 1, shots[role].color, shots[role].depth_mm if role is Role.SENDER or depth2 else None),
+            beliefs.camera1 if role is Role.SENDER else beliefs.camera2,
+            beliefs.layout,
+            detector,
+            config,
+        )
+        for role in (Role.SENDER, Role.RECEIVER)
+    )
+    sender = SenderCycle(beliefs.camera1, beliefs.camera2, beliefs.T_v_c1, config, handoff_id=1, epoch=1, target_id=1)
+    receiver = ReceiverCycle(beliefs.camera2, config, handoff_id=1, epoch=1, target_id=1)
+    message = sender.observe(1, STAMP_NS, box1, None if box1 is None else one.depth(box1), beliefs.gravity_v)
+    if not isinstance(message, Target):
+        return PathAnswer(None, message.reason)
+    receiver.on_target(message, STAMP_NS, STAMP_NS)
+    settings = PoseSettings(
+        max_incidence_rad=math.radians(config.max_incidence_deg), max_sigma_m=config.max_pose_sigma_m
+    )
+    pose = estimate_pose(
+        two.markers(beliefs.marker_region),
+        beliefs.layout,
+        beliefs.camera2,
+        receiver.gravity_v(STAMP_NS),
+        beliefs.gravity_c2,
+        settings,
+    )
+    prior = receiver.prior(pose.T_c_v, pose.covariance, STAMP_NS) if isinstance(pose, MarkerPose) else pose
+    found = two.targets(prior.region) if isinstance(prior, Prior) else ()
+    candidate = receiver.candidate(1, STAMP_NS, found, prior)
+    known = prior if isinstance(prior, Prior) else None
+    if isinstance(candidate, Missed) or candidate.box is None:
+        return PathAnswer(None, candidate.reason, prior=known)
+    sender.offer(candidate, STAMP_NS, STAMP_NS)
+    (pair,) = sender.evaluate_ready(STAMP_NS)
+    return PathAnswer(
+        candidate.box,
+        None if isinstance(pair.verdict, Agreed) else pair.verdict.reason,
+        isinstance(pair.verdict, Agreed),
+        known,
+        pair.mapped_box,
+    )
+
+
+def _focused(camera: CameraModel, factor: float) -> CameraModel:
+    return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+
+
+def _attitude(scene: Scene, role: Role, errors: Errors, rng: np.random.Generator) -> Matrix:
+    """``R_n_b`` as the drone's own estimate has it."""
+    R_n_w = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    tilt = rng.normal(0.0, errors.attitude_bias_rad, 2) + rng.normal(0.0, errors.attitude_noise_rad, 2)
+    return rotation.exp(np.array([*tilt, 0.0])) @ R_n_w @ scene.stage.T_w_b[role].R
+
+
+def _down(R_n_x: Matrix) -> Vec3:
+    x, y, z = R_n_x[2].tolist()
+    return x, y, z
+
+
+def _marker_region(scene: Scene, T_b_v: Pose, rng: np.random.Generator) -> Region:
+    """Where a D2 that has seen the marker in the frames before looks for it: off by some pixels, with room around."""
+    T_c_v = scene.T_w_c(Role.RECEIVER).inverse() @ scene.stage.T_w_b[Role.SENDER] @ T_b_v
+    x, y, z = T_c_v.t.tolist()
+    camera = CAMERAS[Role.RECEIVER]
+    u, v = np.array(camera.project_point((x, y, z))) + rng.normal(0.0, REGION_ERROR_PX, 2)
+    half = 0.75 * scene.wanted.marker_side_m * camera.fx / z + REGION_MARGIN_PX
+    return Region(u - half, v - half, u + half, v + half)

@@ -1,0 +1,1 @@
+"""Accuracy in flight against ultrasonic beacons."""

@@ -1,0 +1,96 @@
+"""A whole accuracy session with beacons: flown and recorded, or from the records of one, to errors by segment."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from drivers.interfaces import PartError
+from missions import rig_library
+from missions.report.records import Run, load_run
+from missions.report.truth import truth_of
+from missions.trials.beacon import report
+from missions.trials.beacon.session import Session, fly_session, load_session, record_session
+from missions.trials.dynamic.flight import heard_of, reference_of
+from missions.trials.dynamic.judge import Measured, against_truth, measure, offset_error_s, true_path
+from missions.trials.dynamic.pictures import draw_errors, draw_map
+from missions.trials.shared.trial import Picture, Table, TrialRequest, TrialResult
+
+TITLE = "Beacons: one session's trajectories against an ultrasonic reference"
+PAPER = "Receiver-View Projection Consistency, dynamic part"
+RIG = "dynamic"
+QUICK_RIG = "dynamic-sim"
+ERRORS = "errors.csv"
+
+
+def run(request: TrialRequest) -> TrialResult:
+    rig = request.rig
+    if request.quick and rig.name == RIG:
+        rig = rig_library.load(QUICK_RIG)
+    reference_of(rig)
+    if request.logs is not None:
+        session = load_session(request.logs)
+    elif rig.harness is not None:
+        (session,) = request.work.map("session flown", _fly, [(request, rig.file)])
+    else:
+        return _recorded(request)
+    heard = heard_of(session.fixes, reference_of(rig).mounted)
+    flown = load_run(session.folder)
+    try:
+        measured = measure(flown, heard, rig, request.seed)
+    except ValueError as error:
+        raise PartError(
+            f"{session.folder}: the records of beacons and drones cannot be laid together: {error}",
+            "were the beacons of [reference] in the air and rated well, and did D2 see the marker while they moved?",
+        ) from error
+    segments = report.segments_of(flown, measured)
+    rows = report.errors_of(measured, segments, request.seed)
+    report.write_errors(request.out / ERRORS, rows)
+    error_s = _draw(session, flown, measured, request.out)
+    return TrialResult(
+        summary=report.summary(measured, rows, error_s),
+        findings=report.findings(measured, rows, error_s),
+        noise=None
+        if session.truth is None
+        else Table("What the harness put in", ("what", "value"), session.truth.noise),
+        tables=(report.alignment(measured), report.table(rows)),
+        pictures=(
+            Picture("map.png", "From above: left in the beacons' frame, right seen from D1"),
+            Picture("errors.png", "Errors over time"),
+        ),
+        notes=(*session.notes, "A constant latency of the beacons cannot be told from an offset between the clocks."),
+    )
+
+
+def _fly(order: tuple[TrialRequest, Path]) -> Session:
+    request, rig_file = order
+    return fly_session(rig_library.load(str(rig_file)), request.seed, request.out)
+
+
+def _draw(session: Session, flown: Run, measured: Measured, out: Path) -> float | None:
+    """Both pictures; the error of the clock's offset where it is known."""
+    truth, beacons = truth_of(flown.world), session.truth
+    if truth is None or beacons is None:
+        draw_map(measured, out / "map.png")
+        draw_errors(measured, out / "errors.png")
+        return None
+    draw_map(measured, out / "map.png", lambda name, t: true_path(truth, name, beacons, t))
+    draw_errors(measured, out / "errors.png", against_truth(flown, truth, measured.motions))
+    return offset_error_s(measured, beacons, truth)
+
+
+def _recorded(request: TrialRequest) -> TrialResult:
+    """In the field the drones are flown from their own computers; here the beacons are recorded meanwhile."""
+
+    def show(line: str) -> None:
+        sys.stdout.write(f"{line}\n")
+        sys.stdout.flush()
+
+    show("recording the beacons; Ctrl-C when both drones have landed")
+    fixes = record_session(request.rig, request.out, request.seconds, show)
+    note = (
+        f"Copy sender.mcap and receiver.mcap into {request.out}, then: "
+        f"path-handoff trial beacon --rig {request.rig.file} --logs {request.out}"
+    )
+    show(note)
+    return TrialResult({"positions": len(fixes)}, (), notes=(note,))

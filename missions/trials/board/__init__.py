@@ -1,0 +1,1 @@
+"""Corners on a photograph of a board."""

@@ -1,0 +1,1 @@
+"""How good calibrations of rendered boards are."""

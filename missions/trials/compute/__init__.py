@@ -1,0 +1,1 @@
+"""Processor time by stage, and against ORB and XFeat."""

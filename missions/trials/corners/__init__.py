@@ -1,0 +1,1 @@
+"""Corners of the marker by every method, on rendered frames."""

@@ -1,0 +1,111 @@
+"""Attempts played, told to both gates, and what the blocks of the gate "evidence" did in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.rig.parts import Rig
+from flight.encounter import PAIR, Attempt, EncounterPlayer, Series, agreeing, tell
+from path.config import MethodConfig
+from path.evidence import EvidenceGate
+from path.window import AgreementWindow
+
+NEVER = 1e-300
+LAGS = (1, 5, 10, 25, 50, 75)  # pairs of a 50 Hz stream
+ENOUGH_PAIRS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Attempts for one process. ``player``: the class that plays them."""
+
+    player: type[EncounterPlayer]
+    rig: Rig
+    method: MethodConfig
+    attempts: Sequence[Attempt]
+
+
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """What a gate made of an attempt: how long after the first agreeing pair it was complete; with the right box?"""
+
+    after_s: float | None
+    right: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """Blocks judged and agreeing: the first of their run, and those after agreeing ones."""
+
+    first: tuple[int, int]
+    later: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """One attempt.
+
+    Attributes:
+        strength: mean over all pairs, agreeing or not; NaN with too few of them.
+        correlation: (len(LAGS),) of the overlap in its series; NaN with too few pairs.
+    """
+
+    attempt: Attempt
+    evidence: Decided
+    papers: Decided
+    strength: float
+    blocks: Blocks
+    correlation: NDArray[np.float64]
+
+
+def play(batch: Batch) -> list[Told]:
+    """Play the attempts and tell both gates, whatever either says."""
+    player = batch.player(batch.rig, batch.method).warmed()
+    return [_told(player, batch.method, attempt) for attempt in batch.attempts]
+
+
+def _told(player: EncounterPlayer, method: MethodConfig, attempt: Attempt) -> Told:
+    encounter = player.play(replace(attempt, whole=True))
+    series = encounter.series
+    never = EvidenceGate(replace(method, evidence=replace(method.evidence, alpha=NEVER)))
+    tell(series, never, method)
+    first, later = never.judged.first, never.judged.later
+    agrees = agreeing(series, method)
+    begin_ns = int(series.capture_ns[np.argmax(agrees)]) if agrees.any() else 0
+    return Told(
+        attempt=attempt,
+        evidence=_decided(series, tell(series, EvidenceGate(method), method), begin_ns),
+        papers=_decided(series, tell(series, AgreementWindow(method), method), begin_ns),
+        strength=mean_strength(series, method),
+        blocks=Blocks((first[0], first[1]), (later[0], later[1])),
+        correlation=correlation(series.iou[series.kind == PAIR, 0]),
+    )
+
+
+def _decided(series: Series, done: int | None, begin_ns: int) -> Decided:
+    if done is None:
+        return Decided(None, True)
+    return Decided((int(series.now_ns[done]) - begin_ns) * 1e-9, bool(series.right[done]))
+
+
+def mean_strength(series: Series, method: MethodConfig) -> float:
+    """Of all pairs whose boxes were compared."""
+    pairs = series.kind == PAIR
+    if np.sum(pairs) < ENOUGH_PAIRS:
+        return float("nan")
+    scale = np.minimum(1.0, (method.z0_m / series.z_m[pairs]) ** 2)
+    tau = method.tau_min + (method.tau_max - method.tau_min) * scale
+    return float(np.mean((series.iou[pairs, 0] - tau) / (1.0 - tau)))
+
+
+def correlation(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Autocorrelation at ``LAGS``; NaN for a series that is too short or constant."""
+    off = values - np.mean(values) if len(values) else values
+    variance = float(np.mean(off * off)) if len(values) >= 3 * LAGS[-1] else 0.0
+    if variance <= 0.0:
+        return np.full(len(LAGS), np.nan)
+    return np.array([float(np.mean(off[:-lag] * off[lag:])) / variance for lag in LAGS])

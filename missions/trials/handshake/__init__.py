@@ -1,0 +1,1 @@
+"""Whole attempts: commits, time-outs, and times."""

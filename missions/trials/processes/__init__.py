@@ -1,0 +1,1 @@
+"""Programs killed and links cut."""

@@ -1,0 +1,1 @@
+"""Photographs of boards: corners and poses against the whole board."""

@@ -1,0 +1,217 @@
+"""Where a board's corners really are in a photograph: its pose, and what lens and paper do beyond it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import PartError
+from missions.trials.real.corners import by_photometry, starts
+from missions.trials.real.set import REMEDY, RealSet
+from path import rotation
+from path.calibration.board import find_board
+from path.calibration.intrinsics import NotSolvable, matrices_of, pose_of_points, solve_intrinsics
+from path.camera import CameraModel
+from path.geometry import Matrix, Pose
+
+STEP_M = 1e-4  # of numerical derivatives on the board
+MARKER_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # of a side, in a marker's own frame
+PASSES = 10
+OUTLIER_PX = 0.3  # residuals beyond it count less and less in what all views have in common
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photograph:
+    """One view: the board's reference corners found in it, (n, 3) metres and (n, 2) px."""
+
+    name: str
+    grey: Image
+    points_o: Array
+    corners_px: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardSeen:
+    """A board's place in one photograph.
+
+    Attributes:
+        T_c_o: of the plane that fits best. ``bend``: (k, 2) px, coefficients of the polynomials of ``order`` in the
+            board's coordinates about ``middle`` over ``reach`` by which the corners leave it.
+        left_px: what neither explains of the reference corners, rms per axis.
+    """
+
+    camera: CameraModel
+    T_c_o: Pose
+    bend: Array
+    order: int
+    middle: Array
+    reach: float
+    left_px: float
+
+    def pixels(self, points_o: Array) -> Array:
+        """Where points (n, 3) of the board are, (n, 2)."""
+        smooth = _powers((points_o[:, :2] - self.middle) / self.reach, self.order) @ self.bend
+        return self.camera.project(self.T_c_o.apply(points_o)) + smooth
+
+    def pose_under(self, T_o_m: Pose, side_m: float) -> Pose:
+        """``T_c_m`` of the surface under a marker of this side, where the board is not flat."""
+        square = np.column_stack([side_m * MARKER_CORNERS, np.zeros(4)])
+        start, pixels = self.T_c_o @ T_o_m, self.pixels(T_o_m.apply(square))
+        matrix, lens = matrices_of(self.camera)
+        turn, _ = cv2.Rodrigues(start.R)
+        turn, shift = cv2.solvePnPRefineLM(square, pixels, matrix, lens, turn, start.t.reshape(3, 1).copy())
+        return Pose(rotation.exp(np.asarray(turn, np.float64).ravel()), np.asarray(shift, np.float64).ravel())
+
+    def slopes(self, points_o: Array) -> Array:
+        """Derivatives (n, 2, 2) of these pixels by x and y on the board, px / m."""
+        here = self.pixels(points_o)
+        along = [(self.pixels(points_o + STEP_M * np.eye(3)[axis]) - here) / STEP_M for axis in (0, 1)]
+        return np.stack(along, axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetSeen:
+    """All photographs of a set that show its board.
+
+    Attributes:
+        sigmas: relative standard errors of fx and fy and those of cx and cy in px, None when the camera was given.
+        starts: of each view, corners good to a pixel, by id.
+    """
+
+    camera: CameraModel
+    sigmas: tuple[float, float, float, float] | None
+    photographs: tuple[Photograph, ...]
+    boards: tuple[BoardSeen, ...]
+    starts: tuple[dict[int, Matrix], ...]
+
+
+def look_at_set(own: RealSet, images: Sequence[Path]) -> SetSeen:
+    """Find the board in photographs, and its camera when the file names none. Raises PartError."""
+    greys = [(file.name, read_grey(file)) for file in images]
+    if own.board is None:
+        return _look_at_grid(own, greys)
+    shots: list[Photograph] = []
+    views = []
+    for name, grey in greys:
+        view = find_board(grey, own.board)
+        if view is not None:
+            shots.append(Photograph(name, grey, own.board.corners_o[view.ids], view.corners_px))
+            views.append(view)
+    if len(shots) < 3 and (own.file.camera is None or not shots):
+        raise PartError(f"{own.name}: the board is found in {len(shots)} photographs", REMEDY)
+    camera, sigmas = _given(own, greys[0][1]), None
+    if camera is None:
+        try:
+            solution = solve_intrinsics(views, own.board, (greys[0][1].shape[1], greys[0][1].shape[0]))
+        except NotSolvable as error:
+            raise PartError(f"{own.name}: {error}", REMEDY) from error
+        if solution.camera is None:
+            raise PartError(f"{own.name}: {solution.camera_problem}", "name a [camera]")
+        camera, s = solution.camera, solution.sigmas
+        sigmas = (s[0] / camera.fx, s[1] / camera.fy, s[2], s[3])
+        shots = [
+            Photograph(shot.name, shot.grey, own.board.corners_o[view.ids], view.corners_px)
+            for shot, view in zip(shots, solution.views, strict=True)
+        ]
+    boards = tuple(_see(camera, shot, own.file.bend_order) for shot in shots)
+    begun = tuple(starts(own, shot.grey) for shot in shots)
+    return SetSeen(camera, sigmas, tuple(shots), boards, begun)
+
+
+def read_grey(file: Path) -> Image:
+    grey = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    if grey is None:
+        raise PartError(f"{file}: no image that can be read", REMEDY)
+    return np.asarray(grey, np.uint8)
+
+
+def _look_at_grid(own: RealSet, greys: Sequence[tuple[str, Image]]) -> SetSeen:
+    """A grid's own markers are its reference; their side is what fits best."""
+    camera = _given(own, greys[0][1])
+    assert camera is not None  # the file says so
+    shots: list[Photograph] = []
+    begun: list[dict[int, Matrix]] = []
+    for name, grey in greys:
+        start = starts(own, grey)
+        found = by_photometry(own, grey, start, camera)
+        if len(found) >= 2:
+            points = np.concatenate([own.markers[i].corners_o for i in found])
+            shots.append(Photograph(name, grey, points, np.concatenate([f.corners_px for f in found.values()])))
+            begun.append(start)
+    if not shots:
+        raise PartError(f"{own.name}: no photograph shows the grid", REMEDY)
+    side_m = own.file.side_m
+    for _ in range(3):
+        boards = tuple(_see(camera, shot, own.file.bend_order) for shot in shots)
+        side_m *= 1.0 + growth([(s.corners_px, b, s.points_o) for s, b in zip(shots, boards, strict=True)])
+        shots = [Photograph(s.name, s.grey, _grown(s.points_o, side_m), s.corners_px) for s in shots]
+    boards = tuple(_see(camera, shot, own.file.bend_order) for shot in shots)
+    return SetSeen(camera, None, tuple(shots), boards, tuple(begun))
+
+
+def _grown(corners_o: Array, side_m: float) -> Array:
+    """Markers (4 n, 3) about their centres, with another side."""
+    quads = corners_o.reshape(-1, 4, 3)
+    middles = quads.mean(axis=1, keepdims=True)
+    old = np.linalg.norm(quads[:, 1] - quads[:, 0], axis=1)[:, None, None]
+    return (middles + (quads - middles) * side_m / old).reshape(-1, 3)
+
+
+def growth(seen: Sequence[tuple[Array, BoardSeen, Array]]) -> float:
+    """How much larger markers are than their corners (4 n, 3) say, relative; seen at (4 n, 2) px."""
+    errors, pulls = [], []
+    for corners_px, board, points_o in seen:
+        quads = points_o.reshape(-1, 4, 3)
+        out = (quads - quads.mean(axis=1, keepdims=True)).reshape(-1, 3)[:, :2]
+        errors.append(corners_px - board.pixels(points_o))
+        pulls.append(np.einsum("kij,kj->ki", board.slopes(points_o), out))
+    return float(robust_solution(np.concatenate(pulls).reshape(-1, 1), np.concatenate(errors).ravel())[0])
+
+
+def robust_solution(design: Array, wanted: Array) -> Array:
+    """Least squares in which what is far beyond ``OUTLIER_PX`` counts little."""
+    weights = np.ones(len(wanted))
+    solution = np.zeros(design.shape[1])
+    for _ in range(PASSES):
+        root = np.sqrt(weights)
+        solution = np.asarray(np.linalg.lstsq(design * root[:, None], wanted * root, rcond=None)[0], np.float64)
+        weights = 1.0 / (1.0 + ((wanted - design @ solution) / OUTLIER_PX) ** 2)
+    return solution
+
+
+def _given(own: RealSet, grey: Image) -> CameraModel | None:
+    named = own.file.camera
+    if named is None:
+        return None
+    height, width = grey.shape
+    try:
+        return CameraModel(width, height, named.fx, named.fy, named.cx, named.cy, named.distortion)
+    except ValueError as error:
+        raise PartError(f"{own.name}: camera: {error}", REMEDY) from error
+
+
+def _see(camera: CameraModel, shot: Photograph, order: int) -> BoardSeen:
+    try:
+        pose, errors = pose_of_points(camera, shot.points_o, shot.corners_px)
+    except NotSolvable as error:
+        raise PartError(f"{shot.name}: {error}", REMEDY) from error
+    flat = shot.points_o[:, :2]
+    middle, reach = flat.mean(axis=0), float(np.ptp(flat, axis=0).max()) / 2.0
+    smooth = _powers((flat - middle) / reach, order)
+    bend = np.column_stack([robust_solution(smooth, errors[:, axis]) for axis in (0, 1)])
+    left = errors - smooth @ bend
+    free = max(left.size - 2 * smooth.shape[1], 1)
+    return BoardSeen(camera, pose, bend, order, middle, reach, float(np.sqrt((left**2).sum() / free)))
+
+
+def _powers(xy: Array, order: int) -> Array:
+    x, y = xy.T
+    return np.column_stack([x**i * y**j for i in range(order + 1) for j in range(order + 1 - i)])

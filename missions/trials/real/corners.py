@@ -1,0 +1,77 @@
+"""Corners of a board's markers in a photograph, by method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from missions.trials.board.trial import BOARD_TITLES, NATIVE, Refinement
+from missions.trials.real.set import RealSet
+from path.camera import CameraModel
+from path.geometry import Matrix
+from path.marker.detect import refine_corners, trusted_fit
+
+METHODS: tuple[str, ...] = ("none", "subpix", "contour", "apriltag", "photometric")
+METHOD_TITLES = {name: BOARD_TITLES[name] for name in METHODS}
+START = "contour"
+NAMED = ("filter", "coarse print", "shadow")  # what a fit can call wrong, in its order
+FELL_BACK = "fell back to SUBPIX"
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundMarker:
+    """Corners (4, 2) px of one marker, their covariance (8, 8) where the method has one, and what it called wrong."""
+
+    corners_px: Matrix
+    covariance_px2: Matrix | None = None
+    wrong: tuple[str, ...] = ()
+
+
+Corners = dict[int, FoundMarker]
+
+
+def starts(own: RealSet, grey: Image) -> dict[int, Matrix]:
+    """Corners good to a pixel, by id."""
+    return {i: found.corners_px for i, found in _by_opencv(own, grey, NATIVE[START]).items()}
+
+
+def corners_by(method: str, own: RealSet, grey: Image, start: Mapping[int, Matrix], camera: CameraModel) -> Corners:
+    """Every marker of the board that a method finds."""
+    if method == "photometric":
+        return by_photometry(own, grey, start, camera)
+    return _by_opencv(own, grey, NATIVE[method])
+
+
+def by_photometry(own: RealSet, grey: Image, start: Mapping[int, Matrix], camera: CameraModel) -> Corners:
+    """The project's own corners; where the fit is not to be trusted those it falls back to."""
+    found: Corners = {}
+    for marker_id, quad in start.items():
+        pattern, begun = own.markers[marker_id].pattern, np.ascontiguousarray(quad)
+        fitted = trusted_fit(grey, (0, 0), begun, pattern, camera)
+        if fitted is not None:
+            wrong = tuple(name for name, is_wrong in zip(NAMED, fitted.wrong, strict=True) if is_wrong)
+            found[marker_id] = FoundMarker(fitted.corners_px, fitted.covariance_px2, wrong)
+            continue
+        refined = refine_corners(grey, (0, 0), begun, pattern, camera, "subpix")
+        if refined is not None:
+            found[marker_id] = FoundMarker(*refined, (FELL_BACK,))
+    return found
+
+
+def _by_opencv(own: RealSet, grey: Image, refinement: Refinement) -> Corners:
+    if own.dictionary is None:
+        return {}
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = refinement.flag
+    quads, ids, _ = cv2.aruco.ArucoDetector(own.dictionary, parameters).detectMarkers(grey)
+    found: Corners = {}
+    for quad, marker_id in zip(quads, np.ravel(ids) if quads else (), strict=True):
+        if int(marker_id) in own.markers:
+            found[int(marker_id)] = FoundMarker(np.asarray(quad, float).reshape(4, 2) - refinement.pixel_centre)
+    return found

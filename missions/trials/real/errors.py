@@ -1,0 +1,103 @@
+"""Errors of corners against the board, with the print as the views show it: what all views agree on is the print's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missions.trials.real.board import SetSeen, growth, robust_solution
+from missions.trials.real.corners import Corners, FoundMarker
+from missions.trials.real.set import RealSet
+from path.geometry import Matrix
+
+FEWEST_VIEWS = 3  # that tell a print from the errors of its views
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenMarker:
+    """One marker in one view.
+
+    Attributes:
+        nominal_px: (4, 2), found minus where the board says it is, all markers printed alike.
+        error_px: the same without what all views of this marker have in common; scaled for what that takes away.
+        slopes: (4, 2, 2) px / m on the board.
+    """
+
+    view: int
+    marker_id: int
+    found: FoundMarker
+    nominal_px: Array
+    error_px: Array
+    slopes: Array
+
+    @property
+    def chi2(self) -> float:
+        """Squared error over stated covariance, per number; nan without a covariance."""
+        if self.found.covariance_px2 is None:
+            return math.nan
+        e = self.error_px.ravel()
+        return float(e @ np.linalg.solve(self.found.covariance_px2, e)) / len(e)
+
+    @property
+    def side_px(self) -> float:
+        corners = self.found.corners_px
+        return float(np.mean(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """All markers of one method, and the print as it sees it.
+
+    Attributes:
+        growth: how much larger all markers are than the file says, relative.
+        print_m: by id, (4, 2) metres by which corners are off on the board beyond that.
+    """
+
+    seen: tuple[SeenMarker, ...]
+    growth: float
+    print_m: dict[int, Array]
+
+
+def printed(own: RealSet, larger: float, marker_id: int) -> Matrix:
+    """A marker's corners (4, 3) on the board, all markers so much larger than the file says."""
+    corners = own.markers[marker_id].corners_o
+    middle = corners.mean(axis=0)
+    return middle + (corners - middle) * (1.0 + larger)
+
+
+def measure_set(own: RealSet, seen: SetSeen, found: Sequence[Corners]) -> Measured:
+    """Errors of what a method found in each view."""
+    raw: list[SeenMarker] = []
+    pairs = list(zip(seen.boards, found, strict=True))
+    sizes = [(one.corners_px, board, own.markers[i].corners_o) for board, some in pairs for i, one in some.items()]
+    larger = growth(sizes) if sizes else 0.0
+    for view, (board, corners) in enumerate(pairs):
+        for marker_id, one in corners.items():
+            points = printed(own, larger, marker_id)
+            error = one.corners_px - board.pixels(points)
+            raw.append(SeenMarker(view, marker_id, one, error, error, board.slopes(points)))
+    by_id: dict[int, list[SeenMarker]] = {}
+    for marker in raw:
+        by_id.setdefault(marker.marker_id, []).append(marker)
+    print_m = {i: _print_of(markers) for i, markers in by_id.items() if len(markers) >= FEWEST_VIEWS}
+    measured = [_without_print(m, print_m.get(m.marker_id), len(by_id[m.marker_id])) for m in raw]
+    return Measured(tuple(measured), larger, print_m)
+
+
+def _print_of(markers: Sequence[SeenMarker]) -> Array:
+    slopes, errors = np.stack([m.slopes for m in markers]), np.stack([m.nominal_px for m in markers])
+    return np.stack([robust_solution(slopes[:, c].reshape(-1, 2), errors[:, c].ravel()) for c in range(4)])
+
+
+def _without_print(marker: SeenMarker, print_m: Array | None, views: int) -> SeenMarker:
+    if print_m is None:
+        return marker
+    left = marker.nominal_px - np.einsum("kij,kj->ki", marker.slopes, print_m)
+    error = left * math.sqrt(views / (views - 1))
+    return SeenMarker(marker.view, marker.marker_id, marker.found, marker.nominal_px, error, marker.slopes)

@@ -1,0 +1,167 @@
+"""A set of photographs of one printed board, as a TOML file describes it."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import PartError
+from drivers.recordings.recording import IMAGE_SUFFIXES
+from drivers.rig.tables import RigError, decode_table
+from missions.trials.board.file import BoardCamera, dictionary_named, framed_pattern
+from path.calibration.board import Board
+from path.geometry import Matrix
+from path.marker.layout import DICTIONARIES
+
+REMEDY = "correct the set's file: docs/real.md describes it"
+FEWEST_MARKERS = 4
+GRID_CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])  # of a side, y down, as printed
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class RealSetFile:
+    """The file.
+
+    Attributes:
+        images: a folder of photographs, or one; relative to the file, or to the folder that the command names.
+        pattern: "charuco", "chessboard", or "grid": markers alone, in rows.
+        columns, rows: squares of a ChArUco board or chessboard; markers of a grid.
+        pitch_m: side of a square; from marker to marker in a grid.
+        side_m: of the markers' black frame, nominal (it is measured on the photographs); 0 on a chessboard.
+        dictionary: of the markers: one of OpenCV's, or a file as its ``writeDictionary`` gives it (a grid's only).
+        first_id: of a grid: markers are numbered along rows from the top-left one.
+        legacy: a ChArUco board as OpenCV drew it before 4.6.
+        camera: calibration of the photographs; None: from the set itself.
+        gravity_sigma_deg: how well gravity is known between marker and camera, per axis; it is drawn from the board's
+            pose with that error. ``down``: gravity in a marker's frame (x right, y up as printed, z to the viewer).
+        scaled_side_m: errors are given for a marker of this side.
+        bend_order: order of the polynomials by which lens and paper may leave the board's plane.
+        flat: whether the board is stiff, so that a marker's true pose is that of the whole board's plane; of a curled
+            sheet it is that of the surface under the marker, as the polynomials tell it.
+    """
+
+    images: Path
+    pattern: Literal["charuco", "chessboard", "grid"]
+    columns: int
+    rows: int
+    pitch_m: float
+    side_m: float = 0.0
+    dictionary: str = "DICT_4X4_50"
+    first_id: int = 0
+    legacy: bool = False
+    camera: BoardCamera | None = None
+    gravity_sigma_deg: float = 0.5
+    down: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    scaled_side_m: float = 0.040
+    bend_order: int = 2
+    flat: bool = True
+
+    def __post_init__(self) -> None:
+        if self.pattern == "grid":
+            if self.camera is None:
+                raise ValueError("camera: a grid of markers cannot tell its camera: name its calibration")
+            if min(self.columns, self.rows) < 1 or self.columns * self.rows < FEWEST_MARKERS:
+                raise ValueError(f"rows, columns: {self.rows} x {self.columns} are not {FEWEST_MARKERS} markers")
+            if not 0.0 < self.side_m < self.pitch_m < math.inf:
+                raise ValueError(f"side_m, pitch_m: {self.side_m} and {self.pitch_m} leave no space between markers")
+        elif self.dictionary not in DICTIONARIES:
+            raise ValueError(f"dictionary: {self.dictionary!r} is none of {', '.join(DICTIONARIES)}")
+        if not 0.0 < self.gravity_sigma_deg <= 10.0:
+            raise ValueError(f"gravity_sigma_deg: {self.gravity_sigma_deg} is not between 0 and 10 degrees")
+        if not 1e-3 <= self.scaled_side_m <= 10.0:
+            raise ValueError(f"scaled_side_m: {self.scaled_side_m} is not between 1 mm and 10 m")
+        if not 0 <= self.bend_order <= 4:
+            raise ValueError(f"bend_order: {self.bend_order} is not 0 to 4")
+        if not 0.99 < math.hypot(*self.down) < 1.01:
+            raise ValueError(f"down: {self.down} is no direction of length 1")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PrintedMarker:
+    """One marker on the board.
+
+    Attributes:
+        pattern: cells within a white border, 0 black and 1 white. ``corners_o``: (4, 3), metres in the board's frame
+            (x right, y down as printed, z away from the viewer), as it was meant to be printed.
+    """
+
+    pattern: Matrix
+    corners_o: Matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RealSet:
+    """Photographs, the board's own corners (None of a grid) and its markers by id (none on a chessboard)."""
+
+    name: str
+    file: RealSetFile
+    images: tuple[Path, ...]
+    board: Board | None
+    dictionary: cv2.aruco.Dictionary | None
+    markers: dict[int, PrintedMarker]
+
+
+def read_set(path: Path, photographs: Path | None = None) -> RealSet:
+    """The set that a TOML file describes.
+
+    Args:
+        photographs: what its paths are relative to, by default the file's own folder.
+
+    Raises:
+        PartError: naming the file, and the key where there is one.
+    """
+    base = photographs or path.parent
+    try:
+        described = decode_table(tomllib.loads(path.read_text("utf-8")), RealSetFile, path.name, base)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise PartError(f"{path}: {error}", REMEDY) from error
+    except RigError as error:
+        raise PartError(str(error), REMEDY) from error
+    images = _images(described.images, path)
+    if described.pattern == "grid":
+        dictionary = dictionary_named(described.dictionary, base / path.name)
+        count = described.columns * described.rows
+        if described.first_id < 0 or described.first_id + count > len(dictionary.bytesList):
+            raise PartError(f"{path.name}: first_id: the dictionary has {len(dictionary.bytesList)} markers", REMEDY)
+        return RealSet(path.stem, described, images, None, dictionary, _grid(described, dictionary))
+    try:
+        board = Board(
+            described.pattern, described.columns, described.rows, described.pitch_m, described.side_m,
+            described.dictionary, described.legacy,
+        )  # fmt: skip
+    except ValueError as error:
+        raise PartError(f"{path.name}: {error}", REMEDY) from error
+    dictionary = dictionary_named(described.dictionary, path)
+    markers = {
+        marker_id: PrintedMarker(framed_pattern(dictionary, marker_id), corners)
+        for marker_id, corners in board.markers_o.items()
+    }
+    return RealSet(path.stem, described, images, board, dictionary if markers else None, markers)
+
+
+def _images(place: Path, path: Path) -> tuple[Path, ...]:
+    if place.is_dir():
+        files = tuple(sorted(file for file in place.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES))
+    else:
+        files = (place,) if place.is_file() else ()
+    if not files:
+        raise PartError(f"{path.name}: images: {place} has no photograph", REMEDY)
+    return files
+
+
+def _grid(described: RealSetFile, dictionary: cv2.aruco.Dictionary) -> dict[int, PrintedMarker]:
+    markers: dict[int, PrintedMarker] = {}
+    for k in range(described.columns * described.rows):
+        centre = np.array([k % described.columns, k // described.columns]) * described.pitch_m
+        corners = np.column_stack([centre + described.side_m * GRID_CORNERS, np.zeros(4)])
+        markers[described.first_id + k] = PrintedMarker(framed_pattern(dictionary, described.first_id + k), corners)
+    return markers

@@ -1,0 +1,176 @@
+"""Real images decide: corners and poses on photographs of boards, held against the boards themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drivers.interfaces import PartError
+from missions.trials.real.corners import METHOD_TITLES, METHODS
+from missions.trials.real.pictures import draw_sets
+from missions.trials.real.score import Figure95, SetScore, SetTask, score_set
+from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
+
+TITLE = "Photographs of boards: corners and poses of single markers against the whole board"
+PAPER = ""
+
+LARGE_PX = 40.0  # side from which on the goals of large markers hold
+GOAL_CORNERS_PX = 0.10
+GOAL_HONEST = (0.7, 1.5)
+GOAL_PLATE_M = 0.005
+PICTURE = "real.png"
+POSE_TITLES = {
+    "single": "one marker, gravity",
+    "without_gravity": "one marker, no gravity",
+    "plate": "two markers, gravity",
+    "perfect_corners": "the board's own corners, gravity",
+}
+
+
+def run(request: TrialRequest) -> TrialResult:
+    if not request.sets:
+        return _nothing()
+    names = [file.stem for file in request.sets]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise PartError(f"--set: {twice[0]} is named twice", "sets are told apart by the names of their files")
+    tasks = [SetTask(file, request.photographs, request.seed, request.quick) for file in request.sets]
+    scores = request.work.map("sets", score_set, tasks)
+    draw_sets(scores, request.out / PICTURE)
+    return TrialResult(
+        summary={"sets": {score.name: score.summary() for score in scores}},
+        findings=tuple(finding for score in scores for finding in _findings(score)),
+        tables=(_corner_table(scores), _pose_table(scores), _set_table(scores)),
+        pictures=(Picture(PICTURE, "A view of each set, corners by method, D2's error by what the pose rests on."),),
+        notes=(
+            "The board's pose comes from all its corners; what all views of a marker agree on is the print's, not an "
+            "error of its corners. The row of the board's own corners is the floor: what gravity, print, and a board "
+            "that is not flat leave when the corners are as the whole board says.",
+            "Intervals are 95 %, views drawn together. Honesty is the median chi-square per number over what it is "
+            "when the covariance is right: 1 is honest, 4 means errors twice as large as stated.",
+        ),
+    )
+
+
+def _nothing() -> TrialResult:
+    reason = "no set of photographs was named (--set)"
+    return TrialResult({"sets": {}, "reason": reason}, (Finding("photographs of boards", "not measured", note=reason),))
+
+
+def _findings(score: SetScore) -> list[Finding]:
+    found: list[Finding] = []
+    single, corners = score.poses.get("single"), score.corners.get("photometric")
+    if single is not None:
+        large = score.side_px >= LARGE_PX
+        found.append(_length(score, "D2, mean, mm", single.d2_mean_m, 0.010 if large else 0.015))
+        if large:
+            found.append(_length(score, "D2, median, mm", single.d2_median_m, 0.008))
+        found.append(_honesty(score, "honesty of poses", single.chi2))
+        found.append(
+            Finding(f"{score.name}: flips", f"{single.flips} of {single.poses}", goal="0",
+                    verdict=verdict(single.flips == 0))
+        )  # fmt: skip
+    if "plate" in score.poses:
+        found.append(_length(score, "D2 by two markers, mean, mm", score.poses["plate"].d2_mean_m, GOAL_PLATE_M))
+    if corners is not None:
+        rival = score.corners.get("apriltag")
+        limit = min(GOAL_CORNERS_PX, rival.robust_px.value if rival is not None else GOAL_CORNERS_PX)
+        found.append(
+            Finding(f"{score.name}: corners, px robust per axis", corners.robust_px.text(3), goal=f"≤ {limit:.3f}",
+                    verdict=verdict(corners.robust_px.value <= limit))
+        )  # fmt: skip
+        if corners.chi2 is not None:
+            found.append(_honesty(score, "honesty of corners", corners.chi2))
+    if not found:
+        found.append(Finding(f"{score.name}: corners of the board, px rms per axis", f"{score.board_px:.3f}"))
+    return found
+
+
+def _length(score: SetScore, what: str, figure: Figure95, goal_m: float) -> Finding:
+    low, high = figure.interval
+    return Finding(
+        f"{score.name}: {what}", f"{1e3 * figure.value:.1f}", f"{1e3 * low:.1f} to {1e3 * high:.1f}",
+        goal=f"≤ {1e3 * goal_m:g}", verdict=verdict(figure.value <= goal_m),
+    )  # fmt: skip
+
+
+def _honesty(score: SetScore, what: str, figure: Figure95) -> Finding:
+    low, high = GOAL_HONEST
+    return Finding(
+        f"{score.name}: {what}", f"{figure.value:.2f}", f"{figure.interval[0]:.2f} to {figure.interval[1]:.2f}",
+        goal=f"{low:g} to {high:g}", verdict=verdict(low <= figure.value <= high),
+    )  # fmt: skip
+
+
+def _corner_table(scores: Sequence[SetScore]) -> Table:
+    rows = [
+        (
+            score.name,
+            METHOD_TITLES[method],
+            str(own.found),
+            own.robust_px.text(3),
+            f"{own.nominal_px:.3f}",
+            f"{own.rms_px:.3f}",
+            "" if own.stated_px is None else f"{own.stated_px:.3f}",
+            "" if own.chi2 is None else own.chi2.text(2),
+        )
+        for score in scores
+        for method in METHODS
+        if (own := score.corners.get(method)) is not None
+    ]
+    return Table(
+        "Corners against the board, px per axis",
+        ("set", "method", "markers", "robust", "markers printed alike", "rms", "stated", "honesty"),
+        tuple(rows),
+        "Robust: 1.48 times the median size. Each method measures the print with its own corners, where three views "
+        "or more show a marker: a bias that is the same everywhere is not counted, except in the column of markers "
+        "printed alike, in which only their common side is free.",
+    )
+
+
+def _pose_table(scores: Sequence[SetScore]) -> Table:
+    rows = [
+        (
+            score.name,
+            title,
+            str(own.poses),
+            own.d2_mean_m.text(1, 1e3),
+            own.d2_median_m.text(1, 1e3),
+            own.d2_p95_m.text(0, 1e3),
+            own.rotation_median_deg.text(2),
+            str(own.flips),
+            ", ".join(f"{count} {reason}" for reason, count in own.refused.items()),
+            own.chi2.text(2) if kind != "perfect_corners" else "",
+        )
+        for score in scores
+        for kind, title in POSE_TITLES.items()
+        if (own := score.poses.get(kind)) is not None
+    ]
+    return Table(
+        "Poses against the board's, D2 in mm for a marker of the scaled side",
+        ("set", "from", "poses", "D2 mean", "median", "p95", "rotation, median deg", "flips", "refused", "honesty"),
+        tuple(rows),
+    )
+
+
+def _set_table(scores: Sequence[SetScore]) -> Table:
+    rows = [
+        (
+            score.name,
+            f"{score.views} of {score.images}",
+            "" if not score.markers else f"{score.side_px:.0f}",
+            f"{score.board_px:.3f}",
+            "" if score.print_m is None else f"{1e3 * score.print_m:.3f}",
+            f"{score.camera[0]:.1f}",
+            "given" if score.camera_sigmas is None else f"{100.0 * score.camera_sigmas[0]:.2f} %",
+            ", ".join(f"{name} {count}" for name, count in score.named.items()),
+        )
+        for score in scores
+    ]
+    return Table(
+        "The sets",
+        ("set", "views with the board", "marker, px", "board left, px", "print off, mm", "fx", "its error",
+         "called wrong"),
+        tuple(rows),
+        "Board left: what neither pose nor bend explain of the board's own corners. Print off: by how much the corners "
+        "of the markers are off on the print, rms over all of them. Called wrong: what the photometric fits named.",
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Detectors that miss and invent, and what both gates make of it."""

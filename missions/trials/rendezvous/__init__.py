@@ -1,0 +1,1 @@
+"""From bad positions, in wind."""

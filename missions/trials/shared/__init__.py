@@ -1,0 +1,1 @@
+"""What trials share: how one is run and judged, statistics, and the page."""

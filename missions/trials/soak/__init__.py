@@ -1,0 +1,1 @@
+"""Twenty minutes in real time."""

@@ -1,0 +1,1 @@
+"""D2's and the target's position from one frame."""

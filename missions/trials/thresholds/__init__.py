@@ -1,0 +1,1 @@
+"""The sweep that chose the thresholds."""

@@ -1,0 +1,152 @@
+"""The log: what is written comes back, whatever happened to the process or the disk."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.log.mcap_log import VIRTUAL_EPOCH_NS, LogRecord, McapLog, decode_image, new_part, parts, read_log
+
+
+class Colour(Enum):
+    RED = "red"
+
+
+@dataclass(frozen=True)
+class Point:
+    x: float
+    y: float
+
+
+def written(path: Path, count: int) -> list[LogRecord]:
+    with McapLog(path, utc_minus_stamp_ns=VIRTUAL_EPOCH_NS) as log:
+        for k in range(count):
+            log.write("/odd" if k % 2 else "/even", 1_000 * k, {"k": k})
+        assert log.failed is None
+    return list(read_log(path))
+
+
+def test_records_come_back_in_order(tmp_path: Path) -> None:
+    records = written(tmp_path / "deep" / "a.mcap", 5)
+    assert records[1] == LogRecord("/odd", 1_000, {"k": 1})
+    assert [r.record["k"] for r in records] == [0, 1, 2, 3, 4]
+
+
+def test_values_of_all_kinds_are_encoded(tmp_path: Path) -> None:
+    record = {
+        "array": np.array([1.0, math.nan]),
+        "scalar": np.float32(0.5),
+        "count": np.int64(3),
+        "infinite": math.inf,
+        "tuple": (1, 2),
+        "enum": Colour.RED,
+        "point": Point(1.0, -math.inf),
+        "nested": {"none": None},
+    }
+    with McapLog(tmp_path / "a.mcap") as log:
+        log.write("/t", 1, record)
+        assert log.failed is None
+    (only,) = read_log(tmp_path / "a.mcap")
+    assert only.record == {
+        "array": [1.0, None],
+        "scalar": 0.5,
+        "count": 3,
+        "infinite": None,
+        "tuple": [1, 2],
+        "enum": "red",
+        "point": {"x": 1.0, "y": None},
+        "nested": {"none": None},
+    }
+
+
+def test_a_log_is_readable_while_it_is_written_and_however_it_is_cut(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with McapLog(path) as log:
+        for k in range(20):
+            log.write("/state", k, {"k": k, "text": "x" * 50})
+        open_bytes = path.read_bytes()
+        assert len(list(read_log(path))) == 20  # as after a kill -9
+    counts: list[int] = []
+    for length in range(8, len(open_bytes), 7):
+        (tmp_path / "cut.mcap").write_bytes(open_bytes[:length])
+        records = list(read_log(tmp_path / "cut.mcap"))
+        assert [r.record["k"] for r in records] == list(range(len(records)))
+        counts.append(len(records))
+    assert counts == sorted(counts)
+    assert counts[-1] >= 19
+
+
+def test_the_same_records_give_the_same_bytes(tmp_path: Path) -> None:
+    written(tmp_path / "a.mcap", 50)
+    written(tmp_path / "b.mcap", 50)
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_images_are_foxglove_jpegs(tmp_path: Path) -> None:
+    image = np.zeros((48, 64, 3), np.uint8)
+    image[:, 32:] = (0, 128, 255)
+    with McapLog(tmp_path / "a.mcap", "D1") as log:
+        log.image("/image", 2_000_000_003, image)
+    (only,) = read_log(tmp_path / "a.mcap")
+    assert only.stamp_ns == 2_000_000_003
+    assert (only.record["frame_id"], only.record["format"]) == ("D1/camera", "jpeg")
+    assert np.abs(decode_image(only.record).astype(int) - image).mean() < 2.0
+
+
+def test_a_full_disk_is_remembered_and_stops_nothing() -> None:
+    with McapLog(Path("/dev/full")) as log:
+        for k in range(3):
+            log.write("/state", k, {})
+            log.image("/image", k, np.zeros((4, 4, 3), np.uint8))
+        assert log.failed is not None
+        assert "No space left" in log.failed
+
+
+def test_an_unwritable_folder_is_remembered(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    log = McapLog(tmp_path / "file" / "a.mcap")
+    log.write("/state", 0, {})
+    log.close()
+    assert log.failed is not None
+
+
+def test_one_bad_record_does_not_cost_the_others(tmp_path: Path) -> None:
+    with McapLog(tmp_path / "a.mcap") as log:
+        log.write("/state", 0, {"bad": object()})
+        log.write("/state", -1, {})
+        log.write("/state", 1, {})
+        assert log.failed is not None
+        assert "cannot log a object" in log.failed
+    assert [r.stamp_ns for r in read_log(tmp_path / "a.mcap")] == [1]
+
+
+def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"something else")
+    with pytest.raises(ValueError, match="not an MCAP file"):
+        list(read_log(tmp_path / "a.mcap"))
+
+
+def test_no_program_writes_over_the_log_of_an_earlier_one(tmp_path: Path) -> None:
+    for k in range(11):
+        with McapLog(new_part(tmp_path / "run", "sender")) as log:
+            log.write("/state", k, {"k": k})
+    (tmp_path / "run" / "sender.old.mcap").touch()
+    (tmp_path / "run" / "receiver.mcap").touch()
+    files = parts(tmp_path / "run", "sender")
+    assert [file.name for file in files[:2]] == ["sender.mcap", "sender.2.mcap"]
+    assert [record.stamp_ns for file in files for record in read_log(file)] == list(range(11))
+
+
+def test_a_program_killed_before_it_wrote_anything_leaves_a_log_of_nothing(tmp_path: Path) -> None:
+    assert list(read_log(new_part(tmp_path, "sender"))) == []
+
+
+def test_where_nothing_can_be_written_the_log_says_so(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    log = McapLog(new_part(tmp_path / "file", "sender"))
+    assert log.failed is not None

@@ -1,0 +1,116 @@
+"""The autopilot's parameters against the rig's: compared over the wire, refused where they differ, set when told to."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import threading
+import time
+from collections.abc import Generator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.interfaces import PartError, VehicleError
+from drivers.mavlink.geodesy import LocalTangent
+from drivers.mavlink.parameters import Difference, differences
+from drivers.mavlink.vehicle import MavsdkVehicle
+from drivers.rig.parts import Rig, create, part_context
+from hil.autopilot.autopilot import AutopilotConfig
+from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
+from hil.world.world import World, WorldConfig
+from missions import rig_library
+from missions.doctor import command as doctor
+from missions.doctor import vehicle as doctor_vehicle
+from missions.options import DoctorOptions
+from path.messages import Role
+
+LIMIT_S = 15.0
+AS_IT_IS = {"COM_RC_IN_MODE": 4.0, "COM_OF_LOSS_T": 0.5}
+
+
+def test_differences_are_named_in_the_order_of_the_rig() -> None:
+    wanted = {"A": 1.0, "B": 0.5, "C": 3.0}
+    wrong = differences(wanted, {"C": 2.0, "B": 0.5000001, "A": None})
+    assert wrong == (Difference("A", 1.0, None), Difference("C", 3.0, 2.0))
+    assert [str(each) for each in wrong] == ["A is not there, the rig wants 1", "C is 2, the rig wants 3"]
+
+
+@pytest.fixture
+def url() -> Generator[str]:
+    """Where an embedded vehicle, system 5, sends to; it lives in a thread."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    world = World(WorldConfig(autopilot=AutopilotConfig(settle_s=0.1)), seed=1)
+    tangent = LocalTangent(47.4, 8.5, 480.0)
+    endpoint = MavlinkVehicle(MavlinkVehicleConfig(5, ("127.0.0.1", port)), world.drone(Role.SENDER), tangent)
+    stop, start_s = threading.Event(), time.monotonic()
+
+    def run() -> None:
+        while not stop.wait(0.004):
+            world.advance(time.monotonic() - start_s)
+            endpoint.pump(world.time_s)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield f"udpin://127.0.0.1:{port}"
+    finally:
+        stop.set()
+        thread.join()
+        endpoint.close()
+
+
+def rig_with(url: str, parameters: dict[str, float]) -> Rig:
+    rig = rig_library.load("sitl-px4")
+    options: dict[str, Any] = {**rig.sender.vehicle.options, "url": url, "parameters": parameters}
+    return replace(rig, sender=replace(rig.sender, vehicle=replace(rig.sender.vehicle, options=options)))
+
+
+def opened(rig: Rig) -> MavsdkVehicle:
+    return create(rig.sender.vehicle, part_context(rig, Role.SENDER))
+
+
+def test_nothing_is_armed_with_other_parameters_than_the_rigs(url: str) -> None:
+    async def fly() -> None:
+        async with opened(rig_with(url, AS_IT_IS)) as vehicle:
+            assert await vehicle.parameter_differences() == ()
+            await vehicle.wait_armable(LIMIT_S)
+        wrong = {**AS_IT_IS, "COM_OBL_RC_ACT": 0.0, "NO_SUCH": 1.0}
+        async with opened(rig_with(url, wrong)) as vehicle:
+            with pytest.raises(
+                VehicleError, match="COM_OBL_RC_ACT is 4, the rig wants 0; NO_SUCH is not there"
+            ) as caught:
+                await vehicle.wait_armable(LIMIT_S)
+            assert "--set-parameters" in caught.value.remedy
+
+    asyncio.run(fly())
+
+
+def test_the_doctor_compares_sets_and_records(url: str, tmp_path: Path) -> None:
+    rig = rig_with(url, {**AS_IT_IS, "MIS_TAKEOFF_ALT": 2.75})
+    (before,) = doctor_vehicle.check_vehicle(rig, Role.SENDER, False, tmp_path)
+    assert (before.state, before.detail) == ("fault", "MIS_TAKEOFF_ALT is 1.5, the rig wants 2.75")
+    done = list(doctor_vehicle.check_vehicle(rig, Role.SENDER, True, tmp_path))
+    assert [finding.state for finding in done] == ["note", "ok"]
+    (file,) = tmp_path.iterdir()
+    assert json.loads(file.read_text())["parameters"] == [{"name": "MIS_TAKEOFF_ALT", "before": 1.5, "after": 2.75}]
+    (after,) = doctor_vehicle.check_vehicle(rig, Role.SENDER, False, tmp_path)
+    assert (after.state, after.detail) == ("ok", "parameters are as the rig wants them")
+
+
+def test_a_parameter_that_is_not_taken_is_a_fault(url: str, tmp_path: Path) -> None:
+    rig = rig_with(url, {"COM_OF_LOSS_T": 2.0})
+    (finding,) = doctor_vehicle.check_vehicle(rig, Role.SENDER, True, tmp_path)
+    assert finding.state == "fault"
+    assert "COM_OF_LOSS_T" in finding.detail
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_setting_needs_to_know_whose() -> None:
+    with pytest.raises(PartError, match="whose parameters"):
+        list(doctor.asked(DoctorOptions("sitl-px4", set_parameters=True), lambda _: None))

@@ -1,0 +1,156 @@
+"""The world and the parent of a relay in real time: what is judged, in which order, and what is refused."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.rig.parts import Rig
+from drivers.rig.tables import RigError
+from flight.harness.flights import Progress
+from flight.harness.relay import DroneProcesses, RelayRequest
+from hil.harness.children import end, spawn
+from hil.harness.relay_faults import LegFaults
+from hil.harness.relay_live import Hindsight
+from hil.harness.relay_sitl import RECORD, _Relay, check_drones
+from hil.harness.relay_sitl_world import drones_of
+from hil.world.faults import Fault, parse_fault
+from missions import rig_library
+from path.messages import Role
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return rig_library.load("relay-sitl")
+
+
+class Judge:
+    """In the place of the monitors."""
+
+    seen: Any = None
+
+    def __init__(self) -> None:
+        self.judged: list[Any] = []
+
+    def on_record(self, *about: Any) -> None:
+        self.judged.append(about)
+
+    def on_death(self, name: str) -> None:
+        self.judged.append(name)
+
+
+def test_what_is_told_of_late_is_judged_in_its_turn() -> None:
+    judge: Any = Judge()
+    hindsight = Hindsight(judge)
+    hindsight.put(5.02, "on_record", "D2", "takes over")
+    hindsight.put(5.01, "on_record", "D1", "lets go")
+    hindsight.put(5.01, "on_death", "D1")
+    hindsight.judge(5.0)
+    assert judge.judged == []
+    hindsight.judge(5.015)
+    hindsight.judge(6.0)
+    assert judge.judged == [("D1", "lets go"), "D1", ("D2", "takes over")]
+
+
+def test_a_record_is_judged_by_the_truth_of_its_time() -> None:
+    judge: Any = Judge()
+    hindsight = Hindsight(judge)
+    for k in range(1000):
+        truth: Any = ({"at": k}, ())
+        hindsight.remember(k * 0.02, truth)
+    assert judge.seen(19.0)[0] == {"at": 950}
+    assert len(hindsight._truth) < 250
+
+
+def test_each_drone_is_its_own_on_the_wire(rig: Rig) -> None:
+    config = drones_of(rig, 3)
+    check_drones(rig, config)
+    first, second, *_ = config.drones
+    with pytest.raises(RigError, match="D2 needs a vehicle"):
+        check_drones(rig, replace(config, drones=(first, replace(second, link=None))))
+    assert first.link is not None
+    with pytest.raises(RigError, match="is already used"):
+        check_drones(rig, replace(config, drones=(first, replace(second, link=replace(first.link, where="D2's")))))
+
+
+def test_the_faults_of_a_leg_are_its_own_and_follow_its_roles() -> None:
+    begun: list[tuple[int, str]] = []
+
+    def inject(leg: int, fault: Fault) -> None:
+        begun.append((leg, fault.name))
+
+    texts = {0: ["link_loss=0.1"], 2: ["kill_receiver@approach", "kill_sender@released"]}
+    legs = LegFaults({leg: [parse_fault(text) for text in faults] for leg, faults in texts.items()}, inject)
+
+    def says(name: str, role: Role, phase: str) -> None:
+        legs.on_progress(name, Progress(role, 0, phase, 0, 30, None, None, None, 0.0, False, ""))
+
+    legs.open_leg(1, "D1", "D2")
+    says("D2", Role.RECEIVER, "approach")
+    assert begun == [(1, "link_loss")]
+    legs.open_leg(2, "D2", "D3")
+    says("D2", Role.RECEIVER, "approach")  # what it still was
+    says("D1", Role.RECEIVER, "approach")  # not in this leg
+    assert begun[1:] == [(2, "link_loss")]
+    assert legs.waits_for_duty("D2") and not legs.waits_for_duty("D3") and not legs.waits_for_duty("D1")
+    legs.on_duty("D2", "released")
+    says("D3", Role.RECEIVER, "approach")
+    assert begun[2:] == [(2, "kill_sender"), (2, "kill_receiver")]
+    assert (legs.end_of(2, Role.RECEIVER), legs.end_of(1, Role.RECEIVER)) == ("D3", "D2")
+
+
+WRITES_DOWN = """
+import sys
+with open({file!r}, "w") as file:
+    file.writelines(sys.stdin)
+"""
+DIES_IN_THE_MIDDLE = """
+import os, signal
+print({record!r})
+print('{{"event": "ask", "battery": 0.5, "wait_s": 9.0}}')
+print({half!r}, end="", flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_program_did_not_finish_saying_is_not_passed_on(rig: Rig, tmp_path: Path) -> None:
+    record = '{"event":"record","record":["D1","/phase",1,{"phase":"follow"}]}'
+    said: list[Any] = []
+    nothing: Any = None
+
+    def heard(name: str, word: Any) -> None:
+        said.append((name, word["event"]))
+
+    processes = DroneProcesses(nothing, nothing, nothing, heard)
+    request = RelayRequest(rig, drones_of(rig, 3), tmp_path, 1, {}, nothing, nothing, processes)
+
+    async def main() -> object:
+        relay = _Relay(request, {})
+        python = [sys.executable, "-I", "-S", "-c"]
+        relay._world = await spawn([*python, WRITES_DOWN.format(file=str(tmp_path / "told"))], tmp_path / "world.txt")
+        dies = DIES_IN_THE_MIDDLE.format(record=record, half=record[:40])
+        program = await spawn([*python, dies], tmp_path / "D1.txt")
+        result = await relay._listen(relay._drones["D1"], program)
+        await end([relay._world, program])
+        return result
+
+    assert asyncio.run(main()) is None
+    assert (tmp_path / "told").read_text() == record + "\n"
+    assert said == [("D1", "ask")]
+
+
+def test_the_parent_knows_a_record_from_other_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    from missions.relay.process import WatchedLog  # noqa: PLC0415 (what it says is all that is asked for)
+
+    class NoLog:
+        def write(self, topic: str, stamp_ns: int, record: Any) -> None: ...
+
+        def image(self, topic: str, stamp_ns: int, image: Any) -> None: ...
+
+    WatchedLog(NoLog(), "D1", whole=False).write("/phase", 1, {"phase": "follow"})
+    assert capsys.readouterr().out.encode().startswith(RECORD)

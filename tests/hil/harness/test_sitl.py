@@ -1,0 +1,382 @@
+"""The parent of a run in real time, with small programs in the places of the world and the roles."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import sys
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.link.udp import address_of
+from drivers.log.mcap_log import McapLog, new_part
+from drivers.log.state_file import StateFile
+from flight.harness.flights import FlightReport, FlightRequest, Progress, RoleResult, encode_event
+from flight.outcome import Outcome
+from hil.harness import children, sitl
+from hil.harness.live_world import proxy_side
+from hil.world.faults import AT_COUNT, FaultTrigger, parse_fault
+from missions import rig_library
+from path.messages import Role
+from path.protocol.values import Handoff, ReceiverRecord
+
+
+@pytest.fixture(scope="module")
+def rig() -> Any:
+    return rig_library.load("sitl")
+
+
+def result(role: Role, outcome: Outcome = Outcome.COMMITTED) -> RoleResult:
+    return RoleResult(role, outcome, "", responsible=False, landed=True)
+
+
+def progress(role: Role, count: int = 0) -> Progress:
+    return Progress(role, 0, "verify", count, 350, None, None, None, 0.0, False, "")
+
+
+def saying(*lines: object, then: str = "") -> str:
+    """A program that prints lines, events as JSON, and does something."""
+    texts = [line if isinstance(line, str) else encode_event(line) for line in lines]  # type: ignore[arg-type]
+    return "\n".join([*(f"print({text!r}, flush=True)" for text in texts), textwrap.dedent(then)])
+
+
+WRITES_DOWN = """
+import sys
+with open({file!r}, "a") as file:
+    for line in sys.stdin:
+        file.write(line)
+        file.flush()
+"""
+Programs = Mapping[Role, str | Sequence[str]]
+UNTIL_STDIN_ENDS = "import sys; sys.stdin.read()"
+
+
+@dataclass
+class Stage:
+    """A run folder, the programs in it, and what the console was shown."""
+
+    rig: Any
+    out: Path
+    shown: list[Progress] = field(default_factory=list[Progress])
+    processes: list[asyncio.subprocess.Process] = field(default_factory=list[asyncio.subprocess.Process])
+    on_progress: Any = None
+
+    @property
+    def request(self) -> FlightRequest:
+        no_role: Any = None  # roles are processes here
+        return FlightRequest(self.rig, self.out, 1, (), no_role, lambda role: [], self.show)
+
+    def show(self, shown: Progress) -> None:
+        self.shown.append(shown)
+        if self.on_progress is not None:
+            self.on_progress(shown)
+
+    async def start(self, name: str, program: str) -> asyncio.subprocess.Process:
+        command: Sequence[str] = [sys.executable, "-I", "-S", "-c", program]
+        process = await children.spawn(command, self.out / f"{name}.stderr.txt")
+        self.processes.append(process)
+        return process
+
+    async def supervise(self, programs: Programs, faults: Sequence[str] = (), world: str = "") -> sitl._Run:
+        """One run to its end; ``world`` writes down what it is told. A role's programs start one after another."""
+        run = sitl._Run(self.request)
+        trigger = FaultTrigger([parse_fault(text) for text in faults])
+        left = {role: iter([own] if isinstance(own, str) else own) for role, own in programs.items()}
+        try:
+            world_process = await self.start("world", world or WRITES_DOWN.format(file=str(self.out / "told")))
+            crew = sitl._Crew(
+                world_process,
+                lambda role: self.start(role.value, next(left[role])),
+                lambda rate: self.start("attack", f"print({rate})"),
+            )
+            await sitl._supervise(run, trigger, crew)
+        finally:
+            await children.end(self.processes)
+        return run
+
+    def told(self) -> list[Any]:
+        """What the world was told, apart from when."""
+        told = [json.loads(line) for line in (self.out / "told").read_text().splitlines()]
+        return [{name: value for name, value in command.items() if name != "at_ns"} for command in told]
+
+
+@pytest.fixture
+def stage(rig: Any, tmp_path: Path) -> Stage:
+    return Stage(rig, tmp_path)
+
+
+def gone(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return True
+    return state == "Z"
+
+
+# --- supervising -------------------------------------------------------------------------------------------------
+
+
+def test_results_are_collected_and_progress_shown_whatever_else_is_printed(stage: Stage) -> None:
+    programs = {role: saying("[Info] a library says hello", progress(role), "{}", result(role), "bye") for role in Role}
+    run = asyncio.run(stage.supervise(programs))
+    assert run.results == {role: result(role) for role in Role}
+    assert sorted(shown.role.value for shown in stage.shown) == ["receiver", "sender"]
+    assert not run.interrupted
+
+
+def test_a_program_that_dies_has_no_result(stage: Stage) -> None:
+    programs = {Role.SENDER: saying(result(Role.SENDER)), Role.RECEIVER: "raise SystemExit(3)"}
+    assert asyncio.run(stage.supervise(programs)).results == {Role.SENDER: result(Role.SENDER)}
+
+
+def test_a_fault_that_is_due_is_told_to_the_world(stage: Stage) -> None:
+    programs = {
+        Role.SENDER: saying(progress(Role.SENDER, AT_COUNT - 1), progress(Role.SENDER, AT_COUNT)),
+        Role.RECEIVER: saying(result(Role.RECEIVER)),
+    }
+    asyncio.run(stage.supervise(programs, ["marker_hidden"]))
+    assert stage.told() == [{"fault": "marker_hidden", "value": 0.0}]
+
+
+def test_a_fault_that_kills_kills_the_program_and_no_other(stage: Stage) -> None:
+    programs = {
+        Role.SENDER: saying(progress(Role.SENDER, AT_COUNT), result(Role.SENDER)),
+        Role.RECEIVER: saying(then="import time; time.sleep(600)"),
+    }
+    run = asyncio.run(stage.supervise(programs, ["kill_receiver"]))
+    assert run.results == {Role.SENDER: result(Role.SENDER)}
+    assert stage.processes[2].returncode == -signal.SIGKILL
+    assert stage.told() == [{"fault": "kill_receiver", "value": 0.0}]
+
+
+def test_a_program_is_started_again_after_its_death(stage: Stage) -> None:
+    programs = {
+        Role.SENDER: [
+            saying(progress(Role.SENDER, AT_COUNT), then="import time; time.sleep(600)"),
+            saying(progress(Role.SENDER, AT_COUNT), result(Role.SENDER, Outcome.RESTARTED)),
+        ],
+        Role.RECEIVER: saying(result(Role.RECEIVER)),
+    }
+    run = asyncio.run(stage.supervise(programs, ["kill_sender=0.05"]))
+    assert run.results[Role.SENDER].outcome is Outcome.RESTARTED
+    assert [process.returncode for process in stage.processes].count(-signal.SIGKILL) == 1
+    assert stage.told() == [{"fault": "kill_sender", "value": 0.05}]
+
+
+def test_a_record_that_is_written_down_is_a_moment_too(stage: Stage) -> None:
+    """It is noticed on the disk: nobody but the file says so."""
+    provisional = StateFile(stage.out / "x", Role.RECEIVER)
+    provisional.save(ReceiverRecord(1, "provisional", Handoff(1, 1, 1)))
+    text, file = (stage.out / "x").read_text(), str(stage.out / "receiver.state.json")
+    writes = f"import time; open({file!r}, 'w').write({text!r}); time.sleep(600)"
+    programs = {Role.SENDER: saying(result(Role.SENDER)), Role.RECEIVER: writes}
+    run = asyncio.run(stage.supervise(programs, ["kill_receiver@provisional"]))
+    assert list(run.results) == [Role.SENDER]
+
+
+RUNS = """
+import time
+begun_s = last_s = time.monotonic()
+"""
+STANDS_STILL = """
+while last_s - begun_s < 60.0:
+    time.sleep(0.01)
+    now_s = time.monotonic()
+    if now_s - last_s > 0.4:  # it slept longer than it meant to
+        break
+    last_s = now_s
+print(LAST, flush=True)
+"""
+
+
+def test_a_program_that_stalls_goes_on_afterwards(stage: Stage) -> None:
+    programs = {
+        Role.SENDER: f"LAST = {encode_event(result(Role.SENDER))!r}\n{RUNS}"
+        + saying(progress(Role.SENDER, AT_COUNT), then=STANDS_STILL),
+        Role.RECEIVER: saying(result(Role.RECEIVER)),
+    }
+    run = asyncio.run(stage.supervise(programs, ["stall_sender=0.5"]))
+    assert set(run.results) == set(Role)
+    assert stage.told() == [{"fault": "stall_sender", "value": 0.5}]
+
+
+def test_a_program_that_is_stopped_for_good_is_ended_at_last(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(children, "STOPPED_S", 0.2)
+    programs = {
+        Role.SENDER: saying(progress(Role.SENDER, AT_COUNT), then="import time; time.sleep(600)"),
+        Role.RECEIVER: saying(result(Role.RECEIVER)),
+    }
+    run = asyncio.run(stage.supervise(programs, ["stop_sender"]))
+    assert set(run.results) == {Role.RECEIVER}
+    assert [process.returncode for process in stage.processes].count(-signal.SIGKILL) == 1
+
+
+def test_a_world_that_dies_in_flight_is_the_harness_s_failure(stage: Stage) -> None:
+    programs = dict.fromkeys(Role, UNTIL_STDIN_ENDS)
+    with pytest.raises(children.HarnessFailure, match=r"world.stderr.txt"):
+        asyncio.run(stage.supervise(programs, world="raise SystemExit(1)"))
+    assert all(process.returncode is not None for process in stage.processes)
+
+
+def test_a_signal_stops_the_roles_gently(stage: Stage) -> None:
+    """They may land: what they say after it is still heard."""
+    lands = """
+        import signal
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # it may come while the first line is written
+        print(FIRST, flush=True)
+        signal.sigwait({signal.SIGTERM})
+        print(LAST, flush=True)
+    """
+    programs = {
+        role: f"FIRST, LAST = {encode_event(progress(role))!r}, {encode_event(result(role, Outcome.INTERRUPTED))!r}\n"
+        + textwrap.dedent(lands)
+        for role in Role
+    }
+
+    def when_both_are_flying(_: Progress) -> None:
+        if len(stage.shown) == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    stage.on_progress = when_both_are_flying
+    run = asyncio.run(stage.supervise(programs))
+    assert run.interrupted
+    assert {end.outcome for end in run.results.values()} == {Outcome.INTERRUPTED}
+
+
+def test_nothing_is_left_behind_not_even_a_child_of_a_child(stage: Stage) -> None:
+    mother = """
+        import os, sys, time
+        pid = os.fork()
+        if pid == 0:
+            os.closerange(0, 3)
+            time.sleep(20)
+        print(pid, flush=True)
+        sys.stdin.read()
+    """
+
+    async def main() -> int:
+        process = await stage.start("mother", textwrap.dedent(mother))
+        assert process.stdout is not None
+        child = int(await process.stdout.readline())
+        assert not gone(child)
+        await children.end(stage.processes)
+        return child
+
+    child = asyncio.run(main())
+    assert all(process.returncode is not None for process in stage.processes)
+    for _ in range(1000):  # the kernel may take a moment to clean up
+        if gone(child):
+            break
+        os.sched_yield()
+    assert gone(child)
+
+
+def test_the_children_of_a_run_share_its_name(stage: Stage) -> None:
+    async def main() -> bytes:
+        process = await stage.start("child", f"import os; print(os.environ[{children.RUN_VARIABLE!r}])")
+        output, _ = await process.communicate()
+        await children.end(stage.processes)
+        return output
+
+    assert asyncio.run(main()).decode().strip() == children.run_name()
+
+
+def test_what_a_program_writes_to_stderr_is_kept(stage: Stage) -> None:
+    asyncio.run(stage.supervise(dict.fromkeys(Role, "import sys; sys.stderr.write('why')")))
+    assert (stage.out / "sender.stderr.txt").read_text() == "why"
+
+
+# --- the report --------------------------------------------------------------------------------------------------
+
+
+def report(stage: Stage, failure: str = "", **changes: Any) -> FlightReport:
+    run = sitl._Run(stage.request)
+    run.results = {role: result(role) for role in Role}
+    run.finished = {"landed": {"sender": True, "receiver": True}, "violations": {}, "details": []}
+    for name, value in changes.items():
+        setattr(run, name, value)
+    return sitl._report(run, failure, 50.0)
+
+
+def log_responsibility(stage: Stage, role: Role, *changes: tuple[int, bool], ended: bool = True) -> None:
+    with McapLog(new_part(stage.out, role.value)) as log:
+        for stamp_ns, responsible in changes:
+            log.write("/responsibility", stamp_ns, {"responsible": responsible, "until_ns": None})
+        if ended:
+            log.write("/outcome", changes[-1][0] + 1, {"outcome": "committed"})
+
+
+def test_a_good_run_reports_no_violation(stage: Stage) -> None:
+    log_responsibility(stage, Role.SENDER, (10, True), (20, False))
+    log_responsibility(stage, Role.RECEIVER, (30, True))
+    good = report(stage)
+    assert (good.violations, good.failure, list(good.notes)) == ({}, "", [])
+    assert good.landed == dict.fromkeys(Role, True)
+    assert good.results == {role: result(role) for role in Role}
+
+
+def test_the_logs_of_both_roles_are_judged_in_the_order_of_time(stage: Stage) -> None:
+    """The receiver's log is read after the sender's; what counts is when it was written."""
+    log_responsibility(stage, Role.SENDER, (10, True), (30, False))
+    log_responsibility(stage, Role.RECEIVER, (20, True))
+    assert report(stage).violations == {"S1": 1}
+
+
+def test_the_logs_of_a_role_s_programs_are_judged_one_after_another(stage: Stage) -> None:
+    """A dead program is responsible for nothing; one that was started again is what it says."""
+    log_responsibility(stage, Role.SENDER, (10, True), ended=False)
+    log_responsibility(stage, Role.RECEIVER, (20, True))
+    assert report(stage).violations == {}
+    log_responsibility(stage, Role.SENDER, (30, True))
+    assert report(stage).violations == {"S1": 1}
+
+
+def test_what_the_world_saw_is_added(stage: Stage) -> None:
+    log_responsibility(stage, Role.SENDER, (10, True))
+    log_responsibility(stage, Role.RECEIVER, (20, True))
+    finished = {
+        "landed": {"sender": True, "receiver": False},
+        "violations": {"S1": 1, "S9": 2},
+        "details": ["S9 at 3.00 s: near"],
+    }
+    bad = report(stage, finished=finished)
+    assert bad.violations == {"S1": 2, "S9": 2}
+    assert bad.landed == {Role.SENDER: True, Role.RECEIVER: False}
+    assert "S9 at 3.00 s: near" in bad.notes
+
+
+def test_a_dead_program_is_named_with_its_last_words(stage: Stage) -> None:
+    (stage.out / "receiver.stderr.txt").write_text("Traceback\n  ...\nValueError: no such camera\n")
+    dead = report(stage, results={Role.SENDER: result(Role.SENDER)})
+    assert dead.results[Role.RECEIVER] is None
+    (note,) = dead.notes
+    assert note.startswith("the receiver's program died") and note.endswith("ValueError: no such camera")
+
+
+def test_a_world_without_findings_is_a_failure(stage: Stage) -> None:
+    silent = report(stage, finished=None)
+    assert silent.failure == "the world gave no findings"
+    assert silent.landed == dict.fromkeys(Role, False)
+
+
+# --- wiring ------------------------------------------------------------------------------------------------------
+
+
+def test_the_proxy_is_where_each_link_believes_the_other_drone_to_be(rig: Any) -> None:
+    for role in (Role.SENDER, Role.RECEIVER):
+        side, link = proxy_side(rig.role(role)), rig.role(role).link.options
+        assert side.listen == address_of(link["peer"], "peer")
+        assert side.end == address_of(link["bind"], "bind")
+
+
+def test_no_two_ends_of_a_run_share_a_port(rig: Any) -> None:
+    sides = [proxy_side(rig.role(role)) for role in Role]
+    ends = [end for side in sides for end in (side.listen, side.end)]
+    assert len(set(ends)) == 4

@@ -1,0 +1,41 @@
+"""Who is on the air hears both drones, and is taken for either."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+
+from hil.link.air import Air
+from hil.link.faulty import ProxySide, UdpFaultProxy
+
+
+def udp() -> socket.socket:
+    end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    end.bind(("127.0.0.1", 0))
+    end.setblocking(False)
+    return end
+
+
+def test_packets_are_overheard_and_sent_with_the_peer_s_address() -> None:
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        with udp() as sender, udp() as receiver, udp() as stranger, udp() as free, udp() as other:
+            listens = free.getsockname(), other.getsockname()
+            free.close()
+            other.close()
+            sides = ProxySide(listens[0], sender.getsockname()), ProxySide(listens[1], receiver.getsockname())
+            async with UdpFaultProxy(*sides, seed=1) as proxy, Air(proxy) as air, asyncio.timeout(10.0):
+                where = ("127.0.0.1", air.port)
+                await loop.sock_sendto(sender, b"before", listens[0])
+                assert await loop.sock_recv(receiver, 100) == b"before"
+                await loop.sock_sendto(stranger, b"\1forged", where)
+                data, source = await loop.sock_recvfrom(receiver, 100)
+                assert (data, source) == (b"forged", listens[1])  # as if the proxy, so the peer, had sent it
+                await loop.sock_sendto(sender, b"true", listens[0])
+                assert await loop.sock_recv(stranger, 100) == b"\1true"
+                await loop.sock_sendto(stranger, b"", where)
+                await loop.sock_sendto(stranger, b"\7x", where)  # no such side
+                await loop.sock_sendto(stranger, b"\0back", where)
+                assert await loop.sock_recvfrom(sender, 100) == (b"back", listens[0])
+
+    asyncio.run(main())

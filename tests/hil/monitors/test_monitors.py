@@ -1,0 +1,371 @@
+"""Each monitor sees what it is there for, and is silent about a good run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.interfaces import FlightMode
+from hil.autopilot.values import OffboardSession
+from hil.monitors.monitors import Monitors, WatchedLog
+from path.config import MethodConfig
+from path.evidence import EvidenceGate
+from path.messages import Role
+from path.window import FramePair
+
+METHOD = MethodConfig(hold_frames=5, hold_s=0.4, max_gap_s=0.2)
+PERIOD_NS = 100_000_000
+
+
+@pytest.fixture
+def monitors() -> Monitors:
+    return Monitors(METHOD, 0.7)
+
+
+def pairs(number: int, first: int = 1, **changes: Any) -> Iterator[dict[str, Any]]:
+    """Agreeing pairs as the sender logs them."""
+    for k in range(number):
+        capture_ns = (first + k) * PERIOD_NS
+        record = {"agreed": True, "counted": True, "iou": 0.7, "tau": 0.3, "count": k + 1, "target_id": 1, "epoch": 1}
+        yield {**record, "evidence": None, "capture_ns": capture_ns, **changes}
+
+
+def judge(monitors: Monitors, *records: dict[str, Any]) -> None:
+    for record in records:
+        monitors.on_record(Role.SENDER, "/agreement", record["capture_ns"] + 1, record)
+
+
+def commit(monitors: Monitors, target_id: int = 1) -> None:
+    give(monitors, 10 * PERIOD_NS, target_id=target_id)
+
+
+def give(monitors: Monitors, stamp_ns: int, epoch: int = 1, target_id: int = 1, **changes: Any) -> None:
+    """Release and COMMIT, as the sender logs them."""
+    monitors.on_record(Role.SENDER, "/epoch", stamp_ns, {"epoch": epoch, "duty": "released"})
+    record = {"target_id": target_id, "epoch": epoch, "nonce": 7, "lease_end_ns": stamp_ns + 1_500_000_000}
+    monitors.on_record(Role.SENDER, "/commit", stamp_ns, {**record, **changes})
+
+
+def responsible(monitors: Monitors, role: Role, is_so: bool) -> None:
+    monitors.on_record(role, "/responsibility", 5, {"responsible": is_so, "until_ns": None})
+
+
+def test_a_good_run_violates_nothing(monitors: Monitors) -> None:
+    responsible(monitors, Role.SENDER, True)
+    judge(monitors, *pairs(5))
+    responsible(monitors, Role.SENDER, False)
+    commit(monitors)
+    responsible(monitors, Role.RECEIVER, True)
+    responsible(monitors, Role.RECEIVER, True)  # provisionally, then for good
+    for k in range(100):
+        monitors.on_truth(k * 0.02, 1.2 + 0.1 * math.sin(k), both_in_air=True)
+    for role in Role:
+        monitors.on_offboard(role, [OffboardSession(3.0, 0.06, 50.0, FlightMode.LAND)])
+    monitors.on_record(Role.SENDER, "/phase", 5, {"phase": "land"})
+    assert dict(monitors.violations) == {}
+    assert monitors.details == []
+    assert monitors.closest_m == pytest.approx(1.1, abs=0.01)
+
+
+# --- S1 ------------------------------------------------------------------------------------------------------------
+
+
+def test_s1_two_responsible_drones(monitors: Monitors) -> None:
+    responsible(monitors, Role.SENDER, True)
+    assert not monitors.violations
+    responsible(monitors, Role.RECEIVER, True)
+    assert dict(monitors.violations) == {"S1": 1}
+    assert "two responsible" in monitors.details[0]
+
+
+def test_s1_nobody_is_no_violation(monitors: Monitors) -> None:
+    for role in (Role.SENDER, Role.RECEIVER):
+        responsible(monitors, role, True)
+        responsible(monitors, role, False)
+    assert not monitors.violations
+
+
+# --- S5 ------------------------------------------------------------------------------------------------------------
+
+
+def test_s5_a_commit_without_enough_pairs(monitors: Monitors) -> None:
+    judge(monitors, *pairs(4))
+    commit(monitors)
+    assert dict(monitors.violations) == {"S5": 1}
+    assert "after 4 pairs" in monitors.details[0]
+
+
+def test_s5_a_commit_too_soon(monitors: Monitors) -> None:
+    quick = [{**record, "capture_ns": record["capture_ns"] // 2} for record in pairs(8)]
+    judge(monitors, *quick)
+    commit(monitors)
+    assert dict(monitors.violations) == {"S5": 1}
+    assert "0.35 s" in monitors.details[0]
+
+
+def test_s5_a_commit_to_another_target(monitors: Monitors) -> None:
+    judge(monitors, *pairs(5))
+    commit(monitors, target_id=2)
+    assert dict(monitors.violations) == {"S5": 1}
+
+
+def test_s5_a_commit_out_of_nothing(monitors: Monitors) -> None:
+    commit(monitors)
+    assert dict(monitors.violations) == {"S5": 1}
+
+
+@pytest.mark.parametrize("changes", [{"agreed": False, "reason": "low_iou", "iou": 0.1, "tau": None, "count": 0}])
+def test_s5_a_miss_in_between_restarts_the_count(monitors: Monitors, changes: dict[str, Any]) -> None:
+    first, missed, rest = pairs(3), next(pairs(1, 4, **changes)), pairs(4, 5)
+    judge(monitors, *first, missed, *rest)
+    assert not monitors.violations
+    commit(monitors)
+    assert dict(monitors.violations) == {"S5": 1}
+
+
+def test_s5_what_is_no_evidence_does_not_restart_it(monitors: Monitors) -> None:
+    ignored = next(pairs(1, 2, agreed=False, counted=False, reason="duplicate", tau=None))
+    first, rest = list(pairs(5))[:3], list(pairs(5))[3:]
+    judge(monitors, *first, ignored, *rest)
+    commit(monitors)
+    assert not monitors.violations
+
+
+# --- S6 ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"capture_ns": 3 * PERIOD_NS},  # the same frame again
+        {"capture_ns": 2 * PERIOD_NS},  # an older one
+        {"iou": 0.29},
+        {"iou": None},
+        {"tau": None},
+        {"iou": math.nan},
+    ],
+)
+def test_s6_a_pair_that_must_not_count(monitors: Monitors, changes: dict[str, Any]) -> None:
+    judge(monitors, *pairs(3))
+    judge(monitors, *pairs(1, 4, **{"count": 4, **changes}))
+    assert dict(monitors.violations) == {"S6": 1}
+
+
+def test_s6_an_old_frame_stays_old_across_a_miss(monitors: Monitors) -> None:
+    judge(monitors, *pairs(3), *pairs(1, 4, agreed=False, iou=0.0, tau=None, count=0))
+    judge(monitors, *pairs(1, 3))
+    assert dict(monitors.violations) == {"S6": 1}
+
+
+def test_s6_a_role_that_counts_more_than_there_was(monitors: Monitors) -> None:
+    judge(monitors, *pairs(3), *pairs(1, 4, count=5))
+    assert dict(monitors.violations) == {"S6": 1}
+    assert "counts 5, the monitor 4" in monitors.details[0]
+
+
+@pytest.mark.parametrize(
+    ("later", "first"), [({"count": 4}, 7), ({"count": 4, "target_id": 2}, 4)], ids=["a gap", "another target"]
+)
+def test_s6_a_count_that_should_have_begun_again(monitors: Monitors, later: dict[str, Any], first: int) -> None:
+    judge(monitors, *pairs(3), *pairs(1, first, **later))
+    assert dict(monitors.violations) == {"S6": 1}
+    assert "the monitor 1" in monitors.details[0]
+
+
+def test_a_count_that_begins_again_after_a_gap_is_right(monitors: Monitors) -> None:
+    judge(monitors, *pairs(3), *pairs(5, 10))
+    commit(monitors)
+    assert not monitors.violations
+
+
+# --- the gate "evidence" ----------------------------------------------------------------------------------------------
+
+EVIDENCE = MethodConfig(gate="evidence")
+BLOCK = 20  # pairs at 50 Hz
+
+
+@dataclass
+class Stream:
+    """An evidence gate and what its sender logs of it, read by monitors."""
+
+    monitors: Monitors = field(default_factory=lambda: Monitors(EVIDENCE, 0.7))
+    gate: EvidenceGate = field(default_factory=lambda: EvidenceGate(EVIDENCE))
+    epoch: int = 1
+
+    def pair(self, index: int, iou: float = 0.8, **changes: Any) -> None:
+        capture_ns = index * 20_000_000
+        own = (index, capture_ns), (index + 1, capture_ns + 20_000_000)
+        refusal = self.gate.agree(FramePair(index, capture_ns, own), iou, 0.4)
+        evidence = self.gate.evidence.reached
+        record = {"agreed": refusal is None, "counted": refusal is None, "iou": iou, "tau": 0.4, "target_id": 1}
+        record |= {"count": self.gate.count, "evidence": evidence, "epoch": self.epoch, "capture_ns": capture_ns}
+        judge(self.monitors, {**record, **changes})
+
+    def pairs(self, first: int, number: int, iou: float = 0.8) -> None:
+        for index in range(first, first + number):
+            self.pair(index, iou)
+
+    def commit(self, **changes: Any) -> dict[str, int]:
+        give(self.monitors, 10, **{"epoch": self.epoch, **changes})
+        return dict(self.monitors.violations)
+
+
+def test_evidence_enough_for_a_commit_is_enough_for_the_monitors() -> None:
+    stream = Stream()
+    stream.pairs(0, 4 * BLOCK + 1)
+    assert stream.gate.complete
+    assert stream.commit() == {}
+
+
+def test_s5_a_commit_a_pair_too_soon() -> None:
+    stream = Stream()
+    stream.pairs(0, 4 * BLOCK)
+    assert stream.commit() == {"S5": 1}
+    assert "80 pairs, 1.58 s, evidence 3.08 in run 1" in stream.monitors.details[0]
+
+
+def test_s5_a_later_run_needs_more_and_the_monitors_know() -> None:
+    stream = Stream()
+    stream.pairs(0, 2 * BLOCK + 1)
+    stream.pairs(2 * BLOCK + 1, BLOCK, 0.41)  # weak: agreeing pairs all of them
+    stream.pairs(3 * BLOCK + 1, 4 * BLOCK + 1)
+    assert not stream.gate.complete
+    assert stream.commit() == {"S5": 1}
+
+
+def test_s5_is_silent_about_a_run_that_began_again_for_a_reason_of_the_senders_own() -> None:
+    stream = Stream()
+    stream.pairs(0, 30)
+    stream.gate.restart(29 * 20_000_000)
+    stream.pairs(30, 6 * BLOCK + 1)
+    assert stream.gate.complete
+    assert stream.commit() == {}
+
+
+def test_s5_what_was_agreed_in_another_epoch_is_nothing() -> None:
+    stream = Stream()
+    stream.pairs(0, 4 * BLOCK + 1)
+    assert stream.commit(epoch=2) == {"S5": 1}
+
+
+def test_s5_a_new_epoch_begins_with_all_of_alpha_and_without_any_pair() -> None:
+    stream = Stream()
+    for first in range(0, 600, 30):  # many short runs
+        stream.pairs(first, 20)
+        stream.gate.restart((first + 20) * 20_000_000)
+    stream.gate, stream.epoch = EvidenceGate(EVIDENCE), 2
+    stream.pairs(601, 4 * BLOCK + 1)
+    assert stream.commit() == {}
+
+
+def test_a_commit_said_again_is_not_judged_again() -> None:
+    stream = Stream()
+    stream.pairs(0, 4 * BLOCK + 1)
+    stream.commit()
+    judge(stream.monitors, next(pairs(1, 700, agreed=False, tau=None)))
+    assert stream.commit() == {}
+
+
+def test_s6_a_role_that_claims_more_evidence_than_there_is() -> None:
+    stream = Stream()
+    stream.pairs(0, 2 * BLOCK)
+    stream.pair(2 * BLOCK, evidence=4.4)
+    assert dict(stream.monitors.violations) == {"S6": 1}
+    assert "the role has evidence 4.40, the monitor 2.80" in stream.monitors.details[0]
+
+
+@given(st.lists(st.tuples(st.sampled_from("aaaaaaaaawmsg"), st.integers(1, 50), st.floats(0.4, 1.0)), max_size=12))
+@settings(max_examples=100)
+def test_gate_and_monitors_never_differ(script: list[tuple[str, int, float]]) -> None:
+    """Whatever comes in, in whatever order: what the gate completes is full for the monitors, and nothing else."""
+    stream, index = Stream(), 0
+    for kind, length, iou in script:
+        if kind in "aw":
+            for _ in range(length):
+                index += 1
+                stream.pair(index, iou if kind == "a" else 0.42)
+                stream.pair(max(0, index - 3), 1.0)  # an old one
+                assert stream.gate.complete == stream.monitors._agreed.full  # pyright: ignore[reportPrivateUsage]
+        elif kind == "m":
+            index += 1
+            stream.gate.disagree(index, index * 20_000_000)
+            judge(stream.monitors, next(pairs(1, agreed=False, tau=None, capture_ns=index * 20_000_000)))
+        elif kind == "s":
+            index += 1
+            stream.gate.restart(index * 20_000_000)
+        else:
+            index += length
+    assert not stream.monitors.violations
+
+
+# --- S8 ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("gap_s", "ended_by", "cut_off", "violated"),
+    [
+        (0.19, FlightMode.LAND, False, False),
+        (0.21, FlightMode.LAND, False, True),
+        (0.21, None, False, True),
+        (0.51, FlightMode.HOLD, True, False),  # the vehicle's own failsafe
+        (1.10, FlightMode.HOLD, True, True),  # it came too late
+        (0.90, None, True, True),  # it never came: still in offboard control, without setpoints
+        (0.04, None, True, False),  # cut off when nothing was flown any more
+    ],
+)
+def test_s8_setpoint_gaps(
+    monitors: Monitors, gap_s: float, ended_by: FlightMode | None, cut_off: bool, violated: bool
+) -> None:
+    end_s = None if ended_by is None else 9.0
+    sessions = [OffboardSession(1.0, 0.05, 2.0, FlightMode.LAND), OffboardSession(3.0, gap_s, end_s, ended_by)]
+    monitors.on_offboard(Role.RECEIVER, sessions, [8.0] if cut_off else [])
+    assert dict(monitors.violations) == ({"S8": 1} if violated else {})
+    assert all("receiver" in detail for detail in monitors.details)
+
+
+# --- S9 ------------------------------------------------------------------------------------------------------------
+
+
+def test_s9_each_excursion_counts_once(monitors: Monitors) -> None:
+    for k, separation_m in enumerate([1.0, 0.69, 0.60, 0.65, 0.71, 0.69, 0.8]):
+        monitors.on_truth(k * 0.02, separation_m, both_in_air=True)
+    assert dict(monitors.violations) == {"S9": 2}
+    assert monitors.closest_m == 0.60
+    assert monitors.details[0] == "S9 at 0.02 s: separation 0.69 m is below 0.70 m"
+
+
+def test_s9_is_about_flight(monitors: Monitors) -> None:
+    monitors.on_truth(0.0, 0.3, both_in_air=False)
+    assert not monitors.violations
+    assert monitors.closest_m == math.inf
+
+
+# --- the watched log -----------------------------------------------------------------------------------------------
+
+
+@dataclass
+class ListLog:
+    records: list[tuple[str, int, Any]] = field(default_factory=list[tuple[str, int, Any]])
+
+    def write(self, topic: str, stamp_ns: int, record: Any) -> None:
+        self.records.append((topic, stamp_ns, record))
+
+    def image(self, topic: str, stamp_ns: int, image: Any) -> None:
+        self.records.append((topic, stamp_ns, image))
+
+
+def test_a_watched_log_passes_everything_on_and_tells_the_monitors_world_time(monitors: Monitors) -> None:
+    log = ListLog()
+    responsible(monitors, Role.RECEIVER, True)
+    watched = WatchedLog(log, Role.SENDER, monitors, offset_ns=4_000_000_000)
+    record = {"responsible": True, "until_ns": None}
+    watched.write("/responsibility", 6_500_000_000, record)
+    watched.image("/image", 7, None)  # type: ignore[arg-type]
+    assert log.records == [("/responsibility", 6_500_000_000, record), ("/image", 7, None)]
+    assert monitors.details == ["S1 at 2.50 s: two responsible drones"]

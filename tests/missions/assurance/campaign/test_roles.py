@@ -1,0 +1,35 @@
+"""What goes wrong in a run of the roles: drawn from its arguments alone, and orders that the harness understands."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.world.faults import parse_fault
+from missions.assurance.campaign.levels import LEVELS
+from missions.assurance.campaign.results import RunLine
+from missions.assurance.campaign.role_runs import CONCERNS, draw, fly
+from missions.assurance.campaign.run import Order
+from missions.options import LevelName
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_every_fault_drawn_is_one_that_can_be_ordered(level: LevelName) -> None:
+    for number in range(200):
+        seed, faults = draw(0, level, number)
+        assert (seed, faults) == draw(0, level, number)
+        for fault in faults:
+            parse_fault(fault)
+
+
+def test_the_hostile_level_has_every_kind() -> None:
+    names = {
+        fault.partition("=")[0].partition("@")[0] for number in range(200) for fault in draw(0, "hostile", number)[1]
+    }
+    assert names >= {*CONCERNS, "kill_sender", "kill_receiver", "link_out", "link_loss"}
+
+
+def test_one_whole_run_of_both_programs() -> None:
+    (line,) = fly(Order("sim", 0, (("none", 0),)))
+    assert isinstance(line, RunLine)
+    assert (line.outcome, line.violations) == ("commit", ())
+    assert 0.0 < line.figures["gap_s"] < 0.1

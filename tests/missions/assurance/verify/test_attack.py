@@ -1,0 +1,119 @@
+"""A flood from a third process, on real sockets: true packets come through it, and nothing else does."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from drivers.interfaces import Received
+from drivers.link.udp import UdpLink, UdpLinkConfig, address_of
+from hil.link.air import Air
+from hil.link.faulty import ProxySide, UdpFaultProxy
+from hil.world.faults import FaultError
+from missions import rig_library
+from missions.assurance.verify.attack import RECORDING, Attacker, attack, earlier_flights
+from missions.handoff.command import fly_once
+from path.messages import Message, Ping, Pong, Role, Status
+from tests.drivers.link.link_ends import Context, WallClock, until
+
+RATE_HZ = 2000.0
+
+
+def free_ports(count: int) -> list[int]:
+    ends = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    for end in ends:
+        end.bind(("127.0.0.1", 0))
+    ports = [int(end.getsockname()[1]) for end in ends]
+    for end in ends:
+        end.close()
+    return ports
+
+
+def status(role: Role, stamp_ns: int) -> Status:
+    return Status(role, stamp_ns, (1.0, 2.0, -1.5), (0.0, 0.0, 0.0), 0.1, 3, role is Role.SENDER, True, 0.5)
+
+
+async def talk(role: Role, link: UdpLink, heard: list[Message]) -> None:
+    """A Status and a Ping twenty times a second; pings are answered."""
+
+    async def speak() -> None:
+        for number in range(1, 10_000):
+            link.send(status(role, number * 1_000_000))
+            link.send(Ping(number, number))
+            await asyncio.sleep(0.05)
+
+    speaker = asyncio.create_task(speak())
+    try:
+        while True:
+            received: Received = await link.receive()
+            if isinstance(received.message, Ping):
+                link.send(Pong(received.message.nonce, received.message.sent_ns, 1, 2))
+            else:
+                heard.append(received.message)
+    finally:
+        speaker.cancel()
+
+
+def test_two_drones_that_are_flooded_from_the_start_hear_each_other_and_nobody_else(tmp_path: Path) -> None:
+    key = tmp_path / "pair.key"
+    key.write_bytes(os.urandom(32))
+    key.chmod(0o600)
+    sender, receiver, to_receiver, to_sender = (f"127.0.0.1:{port}" for port in free_ports(4))
+    ends = address_of(sender, "sender"), address_of(receiver, "receiver")
+    sides = ProxySide(address_of(to_receiver, ""), ends[0]), ProxySide(address_of(to_sender, ""), ends[1])
+    places = {Role.SENDER: (sender, to_receiver), Role.RECEIVER: (receiver, to_sender)}
+    links = {
+        role: UdpLink(UdpLinkConfig(bind, peer, key), Context(role, WallClock()))
+        for role, (bind, peer) in places.items()
+    }
+    heard: dict[Role, list[Message]] = {role: [] for role in Role}
+
+    async def main() -> Attacker:
+        loop = asyncio.get_running_loop()
+        async with asyncio.timeout(30.0), UdpFaultProxy(*sides, seed=1) as proxy, Air(proxy) as air:
+            attacker = Attacker(("127.0.0.1", air.port), ends, Random(1), [])
+            transport, _ = await loop.create_datagram_endpoint(lambda: attacker, local_addr=("127.0.0.1", 0))
+            tasks = [asyncio.create_task(attacker.flood(RATE_HZ))]
+            async with links[Role.SENDER], links[Role.RECEIVER]:
+                tasks += [asyncio.create_task(talk(role, link, heard[role])) for role, link in links.items()]
+                await until(lambda: min(len(each) for each in heard.values()) >= 40 and attacker.sent >= 1500)
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
+            transport.abort()
+            return attacker
+
+    attacker = asyncio.run(main())
+    for role, peer in ((Role.SENDER, Role.RECEIVER), (Role.RECEIVER, Role.SENDER)):
+        statuses = [one for one in heard[role] if isinstance(one, Status)]
+        stamps = [one.stamp_ns for one in statuses]
+        assert statuses == [status(peer, stamp) for stamp in stamps]  # nothing forged or altered
+        assert stamps == sorted(set(stamps))  # nothing twice
+        dropped = links[role].counters.dropped
+        assert {"stranger", "bad_signature", "replayed"} <= set(dropped)
+        assert sum(dropped.values()) > 0.2 * attacker.sent
+
+
+def test_what_was_heard_is_there_for_the_next_attack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / f"earlier{RECORDING}").write_text("0 0102\n1 ff\n")
+    assert earlier_flights(tmp_path / "run") == [(0, b"\x01\x02"), (1, b"\xff")]
+    reading, writing = os.pipe()
+    os.close(writing)  # whoever started it is gone
+    with os.fdopen(reading) as stdin, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as air:
+        monkeypatch.setattr("sys.stdin", stdin)
+        air.bind(("127.0.0.1", 0))
+        asyncio.run(attack(100.0, air.getsockname()[1], (("127.0.0.1", 9), ("127.0.0.1", 9)), 1, tmp_path / "run"))
+    assert (tmp_path / f"run{RECORDING}").exists()
+    assert "sent" in (tmp_path / "run" / "attack.txt").read_text()
+
+
+@pytest.mark.parametrize(("rig", "says"), [("sim", "real sockets"), ("sitl", "no key_file")])
+def test_an_attack_that_would_show_nothing_is_refused(tmp_path: Path, rig: str, says: str) -> None:
+    with pytest.raises(FaultError, match=says):
+        fly_once(rig_library.load(rig), 1, ["attack=100"], tmp_path, lambda _: None)

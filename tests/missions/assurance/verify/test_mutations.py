@@ -1,0 +1,135 @@
+"""Wrong changes by rule, and the score of the tests against them: on small modules, and a sample of the real ones."""
+
+from __future__ import annotations
+
+import ast
+import io
+import json
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from drivers.interfaces import PartError
+from missions.assurance.verify import mutation_run, run
+from missions.assurance.verify.mutation_run import Suite, Table, Trials, choose, load_table, score, summarize
+from missions.assurance.verify.mutations import mutated, mutations
+from missions.options import VerifyOptions
+
+ROOT = Path(__file__).parents[4]
+
+CASES = {
+    "def f(a, b):\n    return a < b": {"compare: a < b -> a <= b"},
+    "def f(a, b):\n    return a is not b": {"compare: a is not b -> a is b"},
+    "def f(a, b):\n    return a and b": {"logic: a and b -> a or b"},
+    "def f(a):\n    if a:\n        return a": {"negate: if a: -> if not a:"},
+    "def f(a):\n    return a + 7": {"sign: a + 7 -> a - 7", "number: 7 -> 8"},
+    "def f():\n    return True": {"number: True -> False"},
+    "def f(a, b):\n    return min(a, b)": {"sign: min(a, b) -> max(a, b)"},
+    "def f(a):\n    a.go()": {"forget: a.go() -> pass"},
+    "def f(a):\n    a.b = a": {"forget: a.b = a -> pass"},
+    "def f(a):\n    return replace(a, b=a)": {"keyword: replace(a, b=a) -> replace(a)"},
+    "def f(a):\n    return State(a, b=a)": set[str](),
+    "def f(a, b):\n    return a, (b,)": {"element: (a, (b,)) -> (a, ())"},
+    "def f(a):\n    match a:\n        case 1 if a:\n            return a\n        case _:\n            return f": {
+        "negate: case 1 if a: -> case 1 if not a:",
+        "case: case 1 if a: -> case _:",
+    },
+    'def f(a: int = 3) -> int:\n    """Words."""\n    assert a > 1\n    raise ValueError(f"{a + 1}")': {
+        "number: 3 -> 4"
+    },
+    "LIMIT = 5\n\n\nclass A:\n    width: int = 7": set[str](),
+}
+
+
+@pytest.mark.parametrize("source", CASES)
+def test_each_operator(source: str) -> None:
+    found = mutations("m.py", source)
+    assert {f"{one.operator}: {one.what}" for one in found} == CASES[source]
+    for one in found:
+        assert ast.dump(ast.parse(mutated(source, one))) != ast.dump(ast.parse(source))
+
+
+def test_the_same_change_in_two_places_has_two_names() -> None:
+    first, second = mutations("m.py", "class A:\n    def f(self, a):\n        return (a < 0.5) == (a < 0.5)")[1:]
+    assert second.name == f"{first.name} (no. 2)" and first.where == "A.f" and first.line == 3
+
+
+def test_every_wrong_version_of_the_real_modules_is_python_and_has_a_name_of_its_own() -> None:
+    for suite in load_table().suites:
+        source = (ROOT / suite.file).read_text()
+        found = mutations(suite.file, source)
+        assert len(found) > 20 and len({one.name for one in found}) == len(found)
+        for one in found[:: max(1, len(found) // 12)]:
+            compile(mutated(source, one), suite.file, "exec")
+
+
+def test_what_is_called_equivalent_is_a_change_that_can_be_made() -> None:
+    table = load_table()
+    names = {one.name for suite in table.suites for one in mutations(suite.file, (ROOT / suite.file).read_text())}
+    assert set(table.equivalent) <= names
+    assert all(len(why) > 20 for why in table.equivalent.values())
+
+
+def test_a_seed_is_a_choice_and_every_file_has_its_share() -> None:
+    table = load_table()
+    chosen = choose(table, 3, 168, ROOT)
+    assert chosen == choose(table, 3, 168, ROOT) != choose(table, 4, 168, ROOT)
+    assert len({one.name for _, one in chosen}) == 168
+    counts = Counter(suite.file for suite, _ in chosen)
+    assert set(counts) == {suite.file for suite in table.suites} and min(counts.values()) >= mutation_run.LEAST
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A module, of which the tests notice one wrong change and not the other."""
+    (tmp_path / "sums.py").write_text(
+        "def unseen(a, b):\n    return a < b\n\n\ndef seen(a, b):\n    return a > b\n\n\ndef one():\n    return 1\n"
+    )
+    (tmp_path / "test_sums.py").write_text("from sums import seen\n\n\ndef test_seen():\n    assert not seen(1, 1)\n")
+    return tmp_path
+
+
+def test_the_score_counts_what_the_tests_notice_and_names_what_they_do_not(project: Path) -> None:
+    nobody = "sums.py one: number: 1 -> 2"
+    table = Table((Suite("sums.py", ("test_sums.py",)),), {nobody: "nobody calls it"})
+    stream = io.StringIO()
+    tried = score(table, 0, 100, 1, project, stream)
+    told = summarize(tried, 0, 1.0)
+    assert [one["name"] for one in told["survivors"]] == ["sums.py unseen: compare: a < b -> a <= b"]
+    assert [(one.mutation.what, one.by) for one in tried if one.caught] == [
+        ("a > b -> a >= b", "FAILED test_sums.py::test_seen")
+    ]
+    assert told["equivalent"] == [{"name": nobody, "why": "nobody calls it"}]
+    assert (told["generated"], told["mutants"], told["mutants_caught"], told["score"]) == (3, 2, 1, 0.5)
+    assert not told["holds"] and "SURVIVED" in stream.getvalue()
+
+
+def test_a_wrong_version_that_hangs_is_ended_and_noticed(project: Path) -> None:
+    with Trials(project, 1) as trials:
+        came = trials.trial(Suite("sums.py", ("test_sums.py",)), "while True:\n    pass\n", 1.0)
+    assert not came["passed"] and came["what"] == "too slow"
+
+
+def test_tests_that_fail_as_it_is_are_told(project: Path) -> None:
+    (project / "test_sums.py").write_text("def test_wrong():\n    assert False\n")
+    with pytest.raises(PartError, match=r"sums\.py fail as it is.*test_wrong"):
+        score(Table((Suite("sums.py", ("test_sums.py",)),)), 0, 1, 1, project, io.StringIO())
+
+
+def test_outside_a_checkout_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PartError, match="there is no path/protocol"):
+        run.run(VerifyOptions(out=tmp_path / "out", mutants=True))
+
+
+def test_a_sample_of_the_real_ones_is_caught(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command, on the quickest of the suites."""
+    monkeypatch.chdir(ROOT)
+    quickest = next(suite for suite in load_table().suites if suite.file.endswith("guard_rules.py"))
+    table = Table((Suite(quickest.file, quickest.tests[:1]),), load_table().equivalent)
+    monkeypatch.setattr(mutation_run, "load_table", lambda: table)
+    code = run.run(VerifyOptions(out=tmp_path, mutants=True, sample=4, seed=2, jobs=1))
+    told = json.loads((tmp_path / "summary.json").read_text())
+    assert (code, told["mutants_caught"]) == (0, told["mutants"]), told["survivors"]
+    assert told["generated"] == 4

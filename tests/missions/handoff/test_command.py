@@ -1,0 +1,183 @@
+"""What a whole run is called: the cause, not what followed from it; and what is written down of it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import missions.handoff.command
+from drivers.interfaces import PartError
+from drivers.rig.parts import Rig
+from flight.harness.flights import FlightReport, FlightRequest, RoleResult
+from flight.outcome import Outcome
+from missions import rig_library
+from missions.handoff.command import fly_once, harness_of, judge
+from missions.report.records import FACTS
+from missions.run_folder import new_folder
+from path.messages import Role
+
+BOTH_DOWN = dict.fromkeys(Role, True)
+
+
+def result(role: Role, outcome: Outcome, detail: str = "seen") -> RoleResult:
+    return RoleResult(role, outcome, detail, responsible=False, landed=True)
+
+
+def report(sender: Outcome | None, receiver: Outcome | None, **changes: Any) -> FlightReport:
+    """``None``: the program died."""
+    ends = {Role.SENDER: sender, Role.RECEIVER: receiver}
+    results = {role: None if end is None else result(role, end) for role, end in ends.items()}
+    fields: dict[str, Any] = {
+        "results": results, "landed": BOTH_DOWN, "violations": {}, "simulated_s": 60.0, "wall_s": 1.0
+    }  # fmt: skip
+    return FlightReport(**{**fields, **changes})
+
+
+def test_both_committed_and_down_is_committed() -> None:
+    assert judge(report(Outcome.COMMITTED, Outcome.COMMITTED)) == (Outcome.COMMITTED, "")
+
+
+@pytest.mark.parametrize(
+    ("sender", "receiver", "cause", "whose"),
+    [
+        (Outcome.PEER_ABORTED, Outcome.MARKER_LOST, Outcome.MARKER_LOST, "receiver"),
+        (Outcome.TARGET_LOST, Outcome.PEER_ABORTED, Outcome.TARGET_LOST, "sender"),
+        (Outcome.PEER_LOST, Outcome.CAMERA_LOST, Outcome.CAMERA_LOST, "receiver"),
+        (Outcome.PEER_LOST, None, Outcome.CRASHED, "receiver"),
+        (None, Outcome.PEER_LOST, Outcome.CRASHED, "sender"),
+        (Outcome.GUARD, Outcome.COMMITTED, Outcome.GUARD, "sender"),
+        (Outcome.COMMITTED, Outcome.TARGET_LOST, Outcome.TARGET_LOST, "receiver"),
+        (Outcome.COMMITTED, None, Outcome.CRASHED, "receiver"),
+        (Outcome.ORPHANED, Outcome.ORPHANED, Outcome.ORPHANED, "sender"),
+        (Outcome.NO_AGREEMENT, Outcome.PEER_ABORTED, Outcome.NO_AGREEMENT, "sender"),
+    ],
+)
+def test_the_cause_is_the_end_that_nothing_else_explains(
+    sender: Outcome | None, receiver: Outcome | None, cause: Outcome, whose: str
+) -> None:
+    outcome, detail = judge(report(sender, receiver))
+    assert outcome is cause
+    assert detail.startswith(f"{whose}: ")
+
+
+@pytest.mark.parametrize(
+    ("sender", "receiver"), list(itertools.product((Outcome.PEER_LOST, Outcome.PEER_ABORTED), repeat=2))
+)
+def test_when_each_blames_the_other_one_of_them_is_named(sender: Outcome, receiver: Outcome) -> None:
+    outcome, detail = judge(report(sender, receiver))
+    assert outcome is sender
+    assert detail == "sender: seen"
+
+
+def test_a_run_is_committed_only_when_both_are() -> None:
+    for sender, receiver in itertools.product([None, *Outcome], repeat=2):
+        outcome, _ = judge(report(sender, receiver))
+        assert (outcome is Outcome.COMMITTED) == (sender is receiver is Outcome.COMMITTED), (sender, receiver)
+
+
+@pytest.mark.parametrize("up", Role)
+def test_a_hand_over_that_leaves_a_vehicle_in_the_air_is_no_success(up: Role) -> None:
+    outcome, detail = judge(report(Outcome.COMMITTED, Outcome.COMMITTED, landed={**BOTH_DOWN, up: False}))
+    assert outcome is Outcome.VEHICLE_REFUSED
+    assert detail == "a vehicle did not land"
+
+
+def test_a_violated_monitor_beats_every_end() -> None:
+    for ends in ((Outcome.COMMITTED, Outcome.COMMITTED), (None, Outcome.GUARD)):
+        judged = judge(report(*ends, violations={"S9": 1}, notes=("S9 at 3.00 s: near",), interrupted=True))
+        assert judged == (Outcome.MONITOR_VIOLATED, "S9 at 3.00 s: near")
+
+
+def test_another_object_has_an_end_of_its_own_and_beats_the_commit() -> None:
+    judged = judge(report(Outcome.COMMITTED, Outcome.COMMITTED, violations={"S12": 1}, notes=("S12 at 3.00 s: 1",)))
+    assert judged == (Outcome.WRONG_OBJECT, "S12 at 3.00 s: 1")
+
+
+def test_a_failed_harness_proves_nothing_about_the_mission() -> None:
+    judged = judge(report(None, None, violations={"S1": 1}, failure="the world's process ended"))
+    assert judged == (Outcome.HARNESS_FAILED, "the world's process ended")
+
+
+def test_an_interrupted_run_is_called_so() -> None:
+    outcome, _ = judge(report(Outcome.INTERRUPTED, Outcome.PEER_LOST, interrupted=True))
+    assert outcome is Outcome.INTERRUPTED
+
+
+# --- the run folder ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("ends", "violations", "code"),
+    [
+        ((Outcome.COMMITTED, Outcome.COMMITTED), {}, 0),
+        ((Outcome.NO_AGREEMENT, Outcome.PEER_ABORTED), {}, 10),
+        ((Outcome.COMMITTED, Outcome.COMMITTED), {"S9": 2}, 40),
+    ],
+)
+def test_a_run_leaves_its_facts(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    ends: tuple[Outcome, Outcome],
+    violations: Mapping[str, int],
+    code: int,
+) -> None:
+    asked: list[FlightRequest] = []
+
+    class FakeHarness:
+        def fly(self, request: FlightRequest) -> FlightReport:
+            asked.append(request)
+            return report(*ends, violations=violations, notes=("one", "two"))
+
+    def fake_harness_of(rig: Rig) -> FakeHarness:
+        return FakeHarness()
+
+    monkeypatch.setattr(missions.handoff.command, "harness_of", fake_harness_of)
+    rig = rig_library.load("sim")
+    facts = fly_once(rig, 7, ["lookalike"], tmp_path, lambda _: None)
+    assert facts.exit_code == code
+    written = json.loads((tmp_path / FACTS).read_bytes())
+    assert (written["exit_code"], written["outcome"], written["seed"]) == (code, facts.outcome, 7)
+    assert written["faults"] == ["lookalike"]
+    assert written["violations"] == violations
+    assert written["notes"] == ["one", "two"]
+    (request,) = asked
+    assert (request.seed, tuple(request.faults), request.out) == (7, ("lookalike",), tmp_path)
+    command = list(request.role_command(Role.RECEIVER))
+    assert command[1:4] == ["-m", "missions.cli", "receiver"]
+    assert command[command.index("--rig") + 1] == str(rig.file)
+    assert command[command.index("--out") + 1] == str(tmp_path)
+    assert command[command.index("--console") + 1] == "events"
+
+
+def test_a_rig_of_real_drones_has_no_harness() -> None:
+    rig = rig_library.load("sim")
+    assert callable(harness_of(rig).fly)
+    with pytest.raises(PartError) as caught:
+        harness_of(replace(rig, harness=None))
+    assert "path-handoff sender --rig sim" in caught.value.remedy
+    assert "path-handoff receiver --rig sim" in caught.value.remedy
+
+
+def test_a_folder_is_made_with_all_above_it(tmp_path: Path) -> None:
+    assert new_folder(tmp_path / "a" / "b").is_dir()
+    assert new_folder(tmp_path / "a" / "b").is_dir()  # again
+
+
+def test_without_a_name_the_folder_is_the_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = new_folder(None)
+    assert folder.parent == Path("runs")
+    assert (tmp_path / folder).is_dir()
+
+
+def test_a_folder_that_cannot_be_made_names_the_remedy(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(PartError) as caught:
+        new_folder(tmp_path / "file" / "run")
+    assert "--out" in caught.value.remedy

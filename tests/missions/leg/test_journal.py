@@ -1,0 +1,159 @@
+"""The records hold the fields that ``missions.report.records`` promises to those who report."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+import missions.report.records
+from drivers.log.mcap_log import McapLog, read_log
+from missions.leg.journal import (
+    agreement_record,
+    box_record,
+    candidate_record,
+    marker_miss_record,
+    marker_record,
+    target_record,
+)
+from path.agreement import Agreed
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.messages import Candidate, Target
+from path.observations import Box, MarkerDetection, Missed, MissReason, Region
+from path.prior import Prior
+from path.rigid import rigid
+from path.rotation import R_from_rpy
+from path.sender import Pair
+from path.window import Evidence
+
+CAMERA = CameraModel(640, 480, 615.0, 615.0, 320.0, 240.0, (0.1, -0.2, 0.0, 0.0, 0.05))
+BOX = Box(10.0, 20.0, 30.0, 40.0)
+TARGET = Target(1, 2, 3, 77, 123, (0.1, 0.2, 0.3), (0.0, -1.0, 0.0), 0.02)
+FOUND = Candidate(1, 2, 3, 5, 77, 456, BOX, None, (0.0, 0.1, 1.2), (1.0, 0.0, 0.0, 0.0), 0.01)
+NONE = Candidate(1, 2, 3, 6, 77, 457, None, MissReason.NO_CANDIDATE, (0.0, 0.1, 1.2), (1.0, 0.0, 0.0, 0.0), 0.01)
+MISSED = Missed(MissReason.NO_MARKER)
+POSE = Pose(R_from_rpy(0.2, -0.4, 1.0), np.array([0.3, -0.1, 1.4]))
+PRIOR = Prior(
+    CAMERA.project_point((0.2, 0.1, 2.0)), 2.0, (4.0, 0.0, 4.0), Region(1.0, 2.0, 3.0, 4.0), 77, rigid(POSE), 0.01
+)
+
+
+def promised(topic: str) -> set[str]:
+    """The fields of a topic in the contract's text."""
+    assert missions.report.records.__doc__ is not None
+    (text,) = re.findall(rf"^    {topic}\s+(.*?)(?=^    /|^Topics|\Z)", missions.report.records.__doc__, re.M | re.S)
+    # only what is outside brackets, up to the sentence's end
+    fields = re.sub(r"\([^()]*\)|\[[^\[\]]*\](\s*\*\s*4)?|\[\[.*?\]\]", "", text, flags=re.S).split(". ")[0]
+    return set(re.findall(r"[a-z_]\w*", fields.replace("*", "")))
+
+
+def check(topic: str, record: dict[str, Any]) -> None:
+    names = promised(topic)
+    assert names <= set(record), names - set(record)
+    json.loads(msgspec.json.encode(record, enc_hook=lambda value: value.tolist()))
+
+
+def test_the_contract_is_read_right() -> None:
+    assert promised("/target") == {"sequence", "capture_ns", "box", "point_v_m", "gravity_v", "sigma_m", "reason"}
+    assert {"own_box", "mapped_box", "counted"} <= promised("/agreement")
+
+
+def test_a_target_that_was_sent() -> None:
+    record = target_record(TARGET, 9, 123, BOX)
+    check("/target", record)
+    assert record["sequence"] == 77
+    assert record["box"] == [10.0, 20.0, 30.0, 40.0]
+    assert (record["point_v_m"], record["reason"]) == ((0.1, 0.2, 0.3), None)
+
+
+def test_a_frame_without_a_target_says_why_and_has_a_number() -> None:
+    record = target_record(MISSED, 65536 + 9, 123, None)
+    check("/target", record)
+    assert record == {
+        "sequence": 9,
+        "capture_ns": 123,
+        "box": None,
+        "point_v_m": None,
+        "gravity_v": None,
+        "sigma_m": None,
+        "reason": "no_marker",
+    }
+
+
+def test_an_agreement() -> None:
+    verdict = Agreed(iou=0.7, tau=0.3, count=12)
+    record = agreement_record(Pair(FOUND, 456, verdict, BOX, Box(11.0, 21.0, 30.0, 40.0), 0.3), 12, 350, None, 3)
+    check("/agreement", record)
+    assert (record["agreed"], record["counted"], record["reason"]) == (True, True, None)
+    assert (record["iou"], record["tau"], record["count"], record["needed"]) == (0.7, 0.3, 12, 350)
+    assert (record["sequence"], record["target_sequence"], record["target_id"]) == (5, 77, 3)
+    assert record["mapped_box"] == [11.0, 21.0, 30.0, 40.0]
+
+
+def test_an_agreement_of_the_gate_that_goes_by_evidence() -> None:
+    pair = Pair(FOUND, 456, Agreed(0.7, 0.3, 12), BOX, BOX)
+    record = agreement_record(pair, 12, 30, Evidence(3.7, 4.3), 3)
+    check("/agreement", record)
+    assert (record["evidence"], record["evidence_needed"], record["epoch"]) == (3.7, 4.3, FOUND.epoch)
+
+
+@pytest.mark.parametrize(("ignored", "counted"), [(True, False), (False, True)])
+def test_a_miss_counts_unless_it_was_no_evidence_at_all(ignored: bool, counted: bool) -> None:
+    verdict = Missed(MissReason.LOW_IOU, iou=0.1, ignored=ignored)
+    record = agreement_record(Pair(FOUND, 456, verdict, BOX, None), 0, 350, None, 3)
+    check("/agreement", record)
+    assert (record["agreed"], record["counted"], record["reason"]) == (False, counted, "low_iou")
+    assert (record["iou"], record["tau"], record["mapped_box"]) == (0.1, None, None)
+
+
+def test_a_gap_in_the_answers_has_no_candidate() -> None:
+    record = agreement_record(Pair(None, 456, Missed(MissReason.LINK_SILENT), None, None), 0, 350, None, 3)
+    check("/agreement", record)
+    assert (record["sequence"], record["target_sequence"]) == (None, None)
+
+
+def test_a_candidate_with_its_prior() -> None:
+    record = candidate_record(FOUND, PRIOR, CAMERA)
+    check("/candidate", record)
+    assert record["region"] == [1.0, 2.0, 3.0, 4.0]
+    assert record["box"] == [10.0, 20.0, 30.0, 40.0]
+    # the point in D2's camera, carried back to the marker's frame
+    assert POSE.apply(np.array(record["point_v_m"])) == pytest.approx(np.array([0.2, 0.1, 2.0]), abs=1e-9)
+
+
+def test_a_candidate_without_a_prior_says_why() -> None:
+    record = candidate_record(NONE, MISSED, CAMERA)
+    check("/candidate", record)
+    assert (record["reason"], record["box"]) == ("no_candidate", None)
+    assert (record["prior_px"], record["region"], record["point_v_m"]) == (None, None, None)
+
+
+def test_markers_seen_and_missed() -> None:
+    corners = np.arange(8.0).reshape(4, 2)
+    found = MarkerDetection(0, corners, np.eye(8))
+    seen = marker_record(5, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), 0.01, 24.0, found)
+    check("/marker", seen)
+    assert seen["reason"] is None
+    missed = marker_miss_record(6, MISSED)
+    assert missed == {"capture_ns": 6, "position_v_m": None, "corners_px": None, "reason": "no_marker"}
+
+
+def test_no_box_is_null() -> None:
+    assert box_record(None) is None
+
+
+def test_the_records_survive_the_log(tmp_path: Path) -> None:
+    found = MarkerDetection(0, np.arange(8.0).reshape(4, 2), np.eye(8))
+    with McapLog(tmp_path / "x.mcap") as log:
+        log.write("/marker", 5, marker_record(5, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), 0.01, 24.0, found))
+        log.write("/candidate", 6, candidate_record(FOUND, PRIOR, CAMERA))
+        assert log.failed is None
+    marker, candidate = read_log(tmp_path / "x.mcap")
+    assert marker.record["corners_px"][6:] == [6.0, 7.0]
+    assert candidate.record["region"] == [1.0, 2.0, 3.0, 4.0]

@@ -1,0 +1,107 @@
+"""Another object than was designated has its own outcome and exit code in every command that knows the truth."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import missions.assurance.campaign.role_runs
+import missions.handoff.command
+from flight.harness.flights import FlightReport, FlightRequest, RoleResult
+from flight.outcome import Outcome
+from missions.assurance.campaign import run as campaign
+from missions.assurance.campaign.results import RunLine
+from missions.options import CampaignOptions, HandoffOptions
+from missions.report.records import FACTS, WORLD_LOG
+from missions.report.right_object import watch_object
+from missions.trials.run import exit_code
+from missions.trials.shared.trial import TrialResult
+from path.messages import Role
+
+MakeRun = Callable[..., Path]
+GOOD = {role: RoleResult(role, Outcome.COMMITTED, "", responsible=False, landed=True) for role in Role}
+REPORT = FlightReport(GOOD, dict.fromkeys(Role, True), {}, 40.0, 0.5, notes=("windy",))
+
+
+class Replayed:
+    """A harness that leaves the logs of a run that was made before."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def fly(self, request: FlightRequest) -> FlightReport:
+        for log in self._folder.glob("*.mcap"):
+            shutil.copy(log, request.out)
+        return REPORT
+
+
+def test_the_right_object_is_no_violation(make_run: MakeRun) -> None:
+    assert watch_object(REPORT, make_run()) is REPORT
+
+
+def test_the_wrong_object_is_one_and_says_which(make_run: MakeRun) -> None:
+    seen = watch_object(REPORT, make_run(followed_id=1))
+    assert seen.violations == {"S12": 1}
+    assert seen.notes == ("windy", "S12 at 27.05 s: object 1 was handed over, object 0 was designated")
+
+
+def test_without_a_commit_nothing_was_handed_over(make_run: MakeRun) -> None:
+    assert watch_object(REPORT, make_run(followed_id=1, committed=False)) is REPORT
+
+
+def test_without_truth_nothing_is_known(make_run: MakeRun, tmp_path: Path) -> None:
+    assert watch_object(REPORT, make_run(followed_id=1, world=False)) is REPORT
+    assert watch_object(REPORT, tmp_path / "nothing") is REPORT
+
+
+@pytest.fixture
+def other_object(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = make_run(followed_id=1)
+
+    def harness_of(_: Any) -> Replayed:
+        return Replayed(folder)
+
+    monkeypatch.setattr(missions.handoff.command, "harness_of", harness_of)
+    monkeypatch.setattr(missions.assurance.campaign.role_runs, "harness_of", harness_of)
+
+
+@pytest.mark.usefixtures("other_object")
+def test_a_single_handoff_says_it_and_does_not_end_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = missions.handoff.command.run(HandoffOptions("sim", out=tmp_path / "flown", picture=False))
+    facts = json.loads((tmp_path / "flown" / FACTS).read_bytes())
+    summary = json.loads((tmp_path / "flown" / "summary.json").read_bytes())
+    assert (code, facts["outcome"], facts["exit_code"]) == (42, "wrong_object", 42)
+    assert (summary["outcome"], summary["monitors"], summary["wrong_handover"]) == ("wrong_object", {"S12": 1}, True)
+    assert "object 1 was handed over, object 0 was designated" in capsys.readouterr().out
+    assert (tmp_path / "flown" / WORLD_LOG).exists()
+
+
+@pytest.mark.usefixtures("other_object")
+def test_runs_of_a_campaign_count_it(tmp_path: Path) -> None:
+    order = campaign.Order("sim", 0, (("none", 0),))
+    (line,) = missions.assurance.campaign.role_runs.fly(order)
+    assert [what.partition(" ")[0] for what in line.violations] == ["S12"]
+    assert campaign.exit_code(["S12"]) == 42
+    assert campaign.exit_code(["S9"]) == 40
+    assert campaign.exit_code([]) == 0
+    options = CampaignOptions("roles", runs=1, out=tmp_path)
+    kept = RunLine(0, "none", "commit", line.violations, (), {})
+    assert campaign.report(options, tmp_path, [kept]) == 42
+
+
+def test_many_runs_end_with_it() -> None:
+    assert missions.handoff.command.exit_code_of_many({"monitors": {"S9": 1, "S12": 2}}) == 42
+    assert missions.handoff.command.exit_code_of_many({"monitors": {"S9": 1}}) == 40
+    assert missions.handoff.command.exit_code_of_many({"monitors": {}}) == 0
+
+
+def test_a_trial_ends_with_it() -> None:
+    assert exit_code([TrialResult({}, (), violations={"S12": 1})]) == 42
+    assert exit_code([TrialResult({}, ()), TrialResult({}, (), violations={"S8": 3})]) == 40
+    assert exit_code([None, TrialResult({}, ())]) == 7
+    assert exit_code([TrialResult({}, ())]) == 0

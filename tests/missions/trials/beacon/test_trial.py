@@ -1,0 +1,147 @@
+"""A session with beacons: the same table live and from its record, and a clock that was set wrong is found out."""
+
+from __future__ import annotations
+
+import io
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.beacons.log import write_beacons
+from drivers.beacons.record import read_any
+from drivers.interfaces import BeaconError, PartError
+from drivers.log.mcap_log import McapLog, read_log
+from drivers.rig.parts import PartSpec
+from hil.beacons.pty import BeaconThread, SerialCable
+from hil.beacons.system import BeaconConfig, BeaconSystem
+from missions import rig_library
+from missions.trials.beacon import trial as beacon
+from missions.trials.beacon.session import Listener, load_session
+from missions.trials.shared.trial import TrialRequest, TrialResult
+from missions.work import open_work
+
+SHIFT_NS = 300_000_000
+
+
+def judged(out: Path, logs: Path | None) -> TrialResult:
+    out.mkdir(exist_ok=True)
+    with open_work(1, io.StringIO()) as work:
+        return beacon.run(TrialRequest(rig_library.load("dynamic"), out, 3, True, work, logs=logs))
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrialResult]:
+    out = tmp_path_factory.mktemp("live")
+    return out, judged(out, None)
+
+
+def session(folder: Path, flown: Path, beacons: str = "beacons.mcap") -> Path:
+    """The folder of a session with the logs of another, for other beacons."""
+    folder.mkdir()
+    for name in ("sender.mcap", "receiver.mcap", "run.json", "world.mcap", "beacons.truth.json", beacons):
+        if (flown / name).exists():
+            (folder / name).symlink_to(flown / name)
+    return folder
+
+
+def test_a_record_gives_the_same_table_as_live(live: tuple[Path, TrialResult], tmp_path: Path) -> None:
+    """Byte for byte, though the bytes of the ports had cut, damaged and late frames in them."""
+    flown, result = live
+    again = judged(tmp_path / "again", flown)
+    assert (tmp_path / "again" / "errors.csv").read_bytes() == (flown / "errors.csv").read_bytes()
+    assert again.tables == result.tables
+    assert again.summary == result.summary
+
+
+def test_the_table_has_both_trajectories_by_phase_with_intervals(live: tuple[Path, TrialResult]) -> None:
+    rows = live[1].summary["errors"]
+    assert {row["subject"] for row in rows} == {"d2", "target"}
+    assert {"all", "verify"} <= {row["segment"] for row in rows}
+    for row in rows:
+        low, high = row["rmse_interval_m"]
+        assert low <= row["rmse_m"] <= high
+        assert 0.02 < row["rmse_m"] < 0.1  # two beacons of 2 cm each
+    assert all((live[0] / picture.file).stat().st_size > 10_000 for picture in live[1].pictures)
+
+
+def test_a_listener_whose_clock_is_wrong_by_0_3_s_is_found_out(live: tuple[Path, TrialResult], tmp_path: Path) -> None:
+    """To 10 ms: the very bytes, with other stamps of arrival."""
+    flown, result = live
+    folder = session(tmp_path / "late", flown, beacons="none")
+    with McapLog(folder / "beacons.mcap") as log:
+        for record in read_log(flown / "beacons.mcap"):
+            log.write(record.topic, record.stamp_ns + SHIFT_NS, record.record)
+    late = judged(tmp_path / "out", folder)
+    assert result.summary["time_offset_s"] - late.summary["time_offset_s"] == pytest.approx(0.3, abs=0.01)
+    assert abs(late.summary["time_offset_error_s"] + 0.3) < 0.02  # this flight, against the harness's own clock
+    rms = [{row["subject"]: row["rmse_m"] for row in each.summary["errors"]} for each in (result, late)]
+    assert rms[1] == pytest.approx(rms[0], rel=0.02)
+
+
+def test_a_list_of_positions_is_judged_without_truth(live: tuple[Path, TrialResult], tmp_path: Path) -> None:
+    """As in the field: nobody knows better."""
+    folder = tmp_path / "field"
+    folder.mkdir()
+    for name in ("sender.mcap", "receiver.mcap"):
+        (folder / name).symlink_to(live[0] / name)
+    fixes = read_any(live[0] / "beacons.mcap")
+    write_beacons(folder / "beacons.csv", [replace(fix, stamp_ns=fix.host_ns or 0, host_ns=None) for fix in fixes])
+    found = judged(tmp_path / "out", folder)
+    assert found.summary["time_offset_error_s"] is None
+    assert found.summary["time_offset_s"] == pytest.approx(live[1].summary["time_offset_s"], abs=1e-3)
+    assert found.noise is None
+
+
+def test_a_folder_that_is_no_session_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PartError, match=r"sender.mcap, receiver.mcap, beacons.mcap or beacons.csv missing"):
+        load_session(tmp_path)
+
+
+def test_records_that_have_nothing_in_common_are_refused(live: tuple[Path, TrialResult], tmp_path: Path) -> None:
+    folder = session(tmp_path / "other", live[0], beacons="none")
+    write_beacons(folder / "beacons.csv", [])
+    with pytest.raises(PartError, match="cannot be laid together"):
+        judged(tmp_path / "out", folder)
+
+
+def test_a_rig_without_beacons_is_refused(tmp_path: Path) -> None:
+    with open_work(1, io.StringIO()) as work, pytest.raises(PartError, match=r"\[reference\]: missing table"):
+        beacon.run(TrialRequest(rig_library.load("sitl"), tmp_path, 1, False, work))
+
+
+def test_the_summary_is_json(live: tuple[Path, TrialResult]) -> None:
+    assert json.loads(json.dumps(live[1].summary))["positions"] > 500
+
+
+def test_a_listener_on_a_real_port_keeps_what_it_hears(tmp_path: Path) -> None:
+    """Through pyserial, in real time, while something else clears the folder of logs as a flight does at its start."""
+    cable = SerialCable(tmp_path / "hedge")
+    cable.plug()
+    rig = rig_library.load("dynamic")
+    spec = PartSpec("drivers.beacons.marvelmind:Marvelmind", {"ports": [str(cable.link)]}, "test")
+    system, seconds = BeaconSystem(BeaconConfig(), 1, {"sender": 5, "receiver": 6, "target": 7}), time.monotonic
+    thread = BeaconThread(system, lambda _: cable, seconds, lambda _: (seconds(), np.zeros(3)))
+    with Listener(rig, spec, tmp_path / "beacons.mcap") as listener:
+        for left in tmp_path.glob("*.mcap"):
+            left.unlink()
+        thread.start()
+        end_s = seconds() + 10.0
+        while len(listener.fixes) < 20 and seconds() < end_s:
+            time.sleep(0.01)
+        thread.end()
+    cable.unplug()
+    assert len(listener.fixes) >= 20
+    assert repr(read_any(tmp_path / "beacons.mcap")) == repr(listener.fixes)
+    late_ns = [(fix.host_ns or 0) - seconds() * 1e9 for fix in listener.fixes]
+    assert max(late_ns) < 0.0
+
+
+def test_beacons_that_stay_silent_are_named(tmp_path: Path) -> None:
+    rig = rig_library.load("dynamic")
+    spec = PartSpec("drivers.beacons.marvelmind:Marvelmind", {"ports": [str(tmp_path / "none")]}, "test")
+    with pytest.raises(BeaconError, match=r"serial port .*none"), Listener(rig, spec, tmp_path / "beacons.mcap"):
+        pass

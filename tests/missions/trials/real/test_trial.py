@@ -1,0 +1,160 @@
+"""The trial of photographs: on rendered boards whose truth is known, on files that cannot be right, on real sets."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from drivers.interfaces import PartError
+from missions.options import TrialOptions
+from missions.trials.real.board import look_at_set
+from missions.trials.real.corners import METHODS, FoundMarker, corners_by
+from missions.trials.real.errors import measure_set
+from missions.trials.real.poses import estimate_all, plate_tasks, single_tasks
+from missions.trials.real.score import SetScore, SetTask, score_set
+from missions.trials.real.set import read_set
+from missions.trials.run import run
+from path.calibration.board import Board
+from tests.path.calibration.rendered import Held, photographs, poses
+
+PRINTED = Board("charuco", 8, 6, 0.030, 0.0225)
+TEXT = """
+images = "views"
+pattern = "charuco"
+columns = 8
+rows = 6
+pitch_m = 0.030
+side_m = 0.0225
+dictionary = "DICT_4X4_50"
+{more}
+[camera]
+fx = 615.2
+fy = 615.9
+cx = 322.1
+cy = 241.3
+distortion = [0.112, -0.236, 0.0006, -0.0004, 0.095]
+"""
+SHARED = Path(__file__).parents[5] / "shared" / "real"
+SETS = Path(__file__).parents[4] / "docs" / "sets"
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("set")
+    (folder / "views").mkdir()
+    for number, color in enumerate(photographs(PRINTED, list(poses(PRINTED, Held(), 4, 21)), 7)):
+        cv2.imwrite(str(folder / "views" / f"{number}.png"), color)
+    (folder / "rendered.toml").write_text(TEXT.format(more=""))
+    return folder / "rendered.toml"
+
+
+@pytest.fixture(scope="module")
+def score(file: Path) -> SetScore:
+    return score_set(SetTask(file, None, 0, False))
+
+
+def test_rendered_corners_and_poses_are_as_good_as_the_renderer(score: SetScore) -> None:
+    own = score.corners["photometric"]
+    assert score.views == 4
+    assert set(score.corners) == set(METHODS)
+    assert own.robust_px.value < 0.03
+    assert all(own.rms_px < score.corners[name].rms_px for name in METHODS if name != "photometric")
+    assert score.print_m is not None and score.print_m < 5e-5
+    single = score.poses["single"]
+    assert single.flips == 0
+    assert single.d2_mean_m.interval[0] <= single.d2_mean_m.value <= single.d2_mean_m.interval[1]
+    assert score.poses["plate"].d2_mean_m.value < single.d2_mean_m.value
+    assert score.poses["perfect_corners"].d2_mean_m.value <= single.d2_mean_m.value
+
+
+def test_a_print_that_is_off_is_measured_and_taken_out(file: Path) -> None:
+    own = read_set(file)
+    seen = look_at_set(own, own.images)
+    shots = zip(seen.photographs, seen.starts, strict=True)
+    found = [corners_by("photometric", own, shot.grey, start, seen.camera) for shot, start in shots]
+    moved_m = np.array([[2e-4, 0.0], [0.0, 0.0], [0.0, -1e-4], [0.0, 0.0]])
+    marker_id = next(i for i in own.markers if sum(i in corners for corners in found) >= 3)
+    for corners, board in zip(found, seen.boards, strict=True):
+        if marker_id in corners:
+            shift = np.einsum("kij,kj->ki", board.slopes(own.markers[marker_id].corners_o), moved_m)
+            corners[marker_id] = FoundMarker(corners[marker_id].corners_px + shift, np.eye(8))
+    measured = measure_set(own, seen, found)
+    np.testing.assert_allclose(measured.print_m[marker_id], moved_m, atol=4e-5)
+    shifted = [m for m in measured.seen if m.marker_id == marker_id]
+    assert max(np.abs(m.nominal_px).max() for m in shifted) > 2.0 * max(np.abs(m.error_px).max() for m in shifted)
+
+
+def test_poses_of_noisy_corners_are_honest_when_their_noise_is_stated(file: Path) -> None:
+    own = read_set(file)
+    seen = look_at_set(own, own.images)
+    rng, sigma_px = np.random.default_rng(4), 0.1
+    found = [
+        {
+            i: FoundMarker(board.pixels(m.corners_o) + sigma_px * rng.standard_normal((4, 2)), sigma_px**2 * np.eye(8))
+            for i, m in own.markers.items()
+        }
+        for board in seen.boards
+        for _ in range(4)
+    ]
+    boards = tuple(board for board in seen.boards for _ in range(4))
+    many = type(seen)(seen.camera, None, seen.photographs * 4, boards, seen.starts * 4)
+    measured = measure_set(own, many, found)
+    chi2 = np.array([marker.chi2 for marker in measured.seen])
+    assert float(np.mean(chi2)) == pytest.approx(1.0, abs=0.1)
+    singles = estimate_all(own, seen.camera, single_tasks(own, many, measured), 0)
+    assert 0.7 < float(np.median([e.chi2 for e in singles.errors])) / 0.891 < 1.4
+    plates = estimate_all(own, seen.camera, plate_tasks(own, many, measured), 0)
+    assert np.mean([e.d2_m for e in plates.errors]) < np.mean([e.d2_m for e in singles.errors])
+
+
+def test_the_command_writes_summary_and_page(file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run(TrialOptions("real", out=out, set=((file,),), quick=True, jobs=1)) == 0
+    own = json.loads((out / "summary.json").read_text())["sets"]["rendered"]
+    for name in ("d2_mean_m", "d2_median_m", "d2_p95_m", "rotation_median_deg", "chi2_pose", "chi2_corners"):
+        assert own[f"{name}_interval"][0] <= own[name] <= own[f"{name}_interval"][1]
+    assert own["flips"] == 0
+    assert own["corners"]["photometric"]["robust_px"] < own["corners"]["subpix"]["robust_px"]
+    assert (out / "real.png").read_bytes()[:4] == b"\x89PNG"
+    assert "--set" in (out / "index.html").read_text()
+
+
+def test_without_a_set_nothing_is_measured(tmp_path: Path) -> None:
+    assert run(TrialOptions("real", out=tmp_path / "out", jobs=1)) == 0
+    assert "--set" in json.loads((tmp_path / "out" / "summary.json").read_text())["reason"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"views"', '"nowhere"', "images"),
+        ('"charuco"', '"grid"', "side_m"),
+        ("side_m = 0.0225", "side_m = 0.0425", "marker_m"),
+        ("DICT_4X4_50", "DICT_4X4_51", "dictionary"),
+        ("rows = 6", "rows = 6\nbend_order = 9", "bend_order"),
+        ("rows = 6", "rows = 6\ngravity_sigma_deg = 0.0", "gravity_sigma_deg"),
+        ("rows = 6", "rows = 6\ndown = [0.0, 0.0, 0.0]", "down"),
+        ("rows = 6", "rows = 6\ncolour = 1", "colour"),
+    ],
+)
+def test_files_that_cannot_be_right_are_refused(file: Path, old: str, new: str, said: str) -> None:
+    wrong = file.parent / "wrong.toml"
+    text = TEXT.format(more="").replace(old, new)
+    wrong.write_text(text.replace("0.030", "0.020") if said == "side_m" else text)
+    with pytest.raises(PartError, match=said):
+        read_set(wrong)
+
+
+def test_the_shared_photographs_are_measured_where_they_are() -> None:
+    if not SHARED.is_dir():
+        assert all(path.suffix == ".toml" for path in SETS.iterdir())
+        return
+    score = score_set(SetTask(SETS / "grid_board.toml", SHARED, 0, False))
+    assert score.markers == 35
+    assert score.corners["photometric"].robust_px.value < score.corners["apriltag"].robust_px.value
+    assert score.poses["single"].flips == 0
+    assert score.poses["single"].d2_mean_m.value < 0.010
