@@ -368,6 +368,9 @@ class BoardOptions:
     dictionary: str = "DICT_4X4_50"
     """OpenCV's dictionary of these markers."""
 
+    legacy: bool = False
+    """The board is a ChArUco one as OpenCV drew it before 4.6; of images and films that is also found out."""
+
 
 @dataclass(frozen=True, slots=True)
 class CalibrateCameraOptions(BoardOptions):

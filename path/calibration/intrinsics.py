@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -117,6 +117,17 @@ def solve_intrinsics(views: Sequence[BoardView], board: Board, size: tuple[int, 
         rms(np.concatenate([view.errors_px for view in solved])),
         rms(np.concatenate(held_out)),
     )
+
+
+def doubting(solution: Intrinsics) -> Intrinsics:
+    """The solution of a weak set with wider errors: pixels are square, so fx and fy err by what they differ, at least.
+
+    The views of such a set can agree on a wrong camera, and then neither their residuals nor a jackknife shows it.
+    """
+    fx, fy = solution.values[:2]
+    apart = 0.5 * abs(fx - fy)
+    sigmas = (max(solution.sigmas[0], apart), max(solution.sigmas[1], apart), *solution.sigmas[2:])
+    return replace(solution, sigmas=sigmas)
 
 
 def left_by(camera: CameraModel, views: Sequence[BoardView], board: Board) -> float:
