@@ -13,6 +13,7 @@ from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3
 from path.camera import CameraModel
+from path.camera_kernels import extent, lens_of
 from path.config import MethodConfig
 from path.geometry import Matrix, Pose
 from path.marker.layout import MarkerLayout
@@ -22,6 +23,7 @@ from path.prior import Prior
 from path.relative import Relative, RelativeFilter, RelativeSettings
 
 _ROOM_M, _TURN_RAD = 0.012, 0.1  # around the markers' corners; a plate that is turned by so much more
+_NEAREST_M = 0.1  # a corner that would be nearer is none
 _FIXED_NS = 500_000_000  # fixes older than this do not count towards "seen"
 
 
@@ -54,6 +56,7 @@ class MarkerView:
     ) -> None:
         self._layout = layout
         self._camera = camera
+        self._lens = lens_of(camera)
         self._R_b_v = mount.T_b_v.R
         self._corners_v = np.concatenate([marker.corners_v for marker in layout.markers])
         self._room_m = _ROOM_M + _TURN_RAD * float(np.linalg.norm(self._corners_v, axis=1).max())
@@ -126,12 +129,11 @@ class MarkerView:
         relative = self._filter.predict(stamp_ns, R_n_c, R_n_v)
         if relative is None:
             return None
-        seen = [at for at in relative.T_c_v.apply(self._corners_v).tolist() if at[2] > 0.1 and self._camera.sees(at)]
-        if not seen:
+        u0, v0, u1, v1, near_m = extent(self._lens, relative.T_c_v.apply(self._corners_v), _NEAREST_M)
+        if math.isinf(near_m):
             return None
-        across, down = zip(*(self._camera.project_point(at) for at in seen), strict=True)
-        room_px = self._camera.fx * (self._room_m + 3.0 * relative.sigma_m) / min(at[2] for at in seen) + 12.0
-        return Region(min(across) - room_px, min(down) - room_px, max(across) + room_px, max(down) + room_px)
+        room_px = self._camera.fx * (self._room_m + 3.0 * relative.sigma_m) / near_m + 12.0
+        return Region(u0 - room_px, v0 - room_px, u1 + room_px, v1 + room_px)
 
 
 def _relative_settings(mission: MissionConfig) -> RelativeSettings:
@@ -150,7 +152,11 @@ def levelled(gravity_v: Vec3, R_b_v: Matrix, yaw_rad: float = 0.0) -> Matrix:
     """
     x, y, z = (R_b_v @ gravity_v).tolist()
     across = math.hypot(y, z)
-    forward = np.array([across, -x * y / across, -x * z / across])
-    right = np.array([0.0, z / across, -y / across])
+    ahead_y, ahead_z, right_y, right_z = -x * y / across, -x * z / across, z / across, -y / across
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.stack([c * forward - s * right, s * forward + c * right, (x, y, z)]) @ R_b_v
+    rows = (
+        (c * across, c * ahead_y - s * right_y, c * ahead_z - s * right_z),
+        (s * across, s * ahead_y + c * right_y, s * ahead_z + c * right_z),
+        (x, y, z),
+    )
+    return np.array(rows) @ R_b_v

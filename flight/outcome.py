@@ -12,6 +12,7 @@ class Outcome(Enum):
     """Named end of a mission: (name, exit code, what it means)."""
 
     COMMITTED = ("committed", 0, "the receiver holds the target, confirmed by both sides")
+    FLOWN = ("flown", 0, "a mission of your own came to its own end, and its drones are down")
     NO_AGREEMENT = ("no_agreement", 10, "the views did not agree for long enough before the deadline")
     TARGET_NOT_FOUND = ("target_not_found", 11, "the sender never saw the target where it was said to be")
     TARGET_LOST = ("target_lost", 12, "the target left the view and did not come back in time")
@@ -40,7 +41,8 @@ class Outcome(Enum):
         "the role's program was started again in the air: it settled the handoff and landed",
     )
     NO_RELIEF = ("no_relief", 33, "no relief was ready in time: the responsible drone gave the target up and landed")
-    LOG_FAILED = ("log_failed", 35, "committed, but a log could not be written: disk full?")
+    LOG_FAILED = ("log_failed", 35, "all went well, but a log could not be written: disk full?")
+    MISSION_FAILED = ("mission_failed", 36, "a mission of your own gave up, or one of its waits was over")
     MONITOR_VIOLATED = ("monitor_violated", 40, "a safety monitor of the harness was violated")
     HARNESS_FAILED = ("harness_failed", 41, "the simulation itself failed: not the mission's fault")
     WRONG_OBJECT = ("wrong_object", 42, "another object was handed over than the one that was designated")

@@ -22,6 +22,7 @@ class Phase(IntEnum):
     DEPART = 9  # leave the other drone's way
     LAND = 10
     DONE = 11
+    MISSION = 12  # of a mission of your own, from preflight to its end
 
     @property
     def title(self) -> str:

@@ -2,41 +2,50 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Annotated
 
 import tyro
 
 from flight.command_end import CommandEnd
+from missions.kernel_cache import have_kernel_cache
 from missions.options import (
     CalibrateOptions,
     CampaignOptions,
     ConformanceOptions,
     DetectOptions,
     DoctorOptions,
+    FlyOptions,
     GuardOptions,
     HandoffOptions,
     ReceiverOptions,
     RelayOptions,
+    ReplayOptions,
     ReportOptions,
     RigsOptions,
     SenderOptions,
     TrialOptions,
     VerifyOptions,
 )
+from missions.shown import drop, flush_or_drop, say_unwritten
+from path.bounds import out_of_bounds
 
 MODULES: dict[type[object], str] = {
     HandoffOptions: "handoff.command",
     RelayOptions: "relay.command",
+    FlyOptions: "own.command",
     SenderOptions: "leg.command",
     ReceiverOptions: "leg.command",
     GuardOptions: "guard.command",
     DoctorOptions: "doctor.command",
     RigsOptions: "rig_list",
     ReportOptions: "report.command",
+    ReplayOptions: "replay.command",
     TrialOptions: "trials.run",
     VerifyOptions: "assurance.verify.run",
     CampaignOptions: "assurance.campaign.run",
@@ -49,6 +58,8 @@ MODULES: dict[type[object], str] = {
 EXIT_REFUSED = CommandEnd.REFUSED.exit_code
 EXIT_CTRL_C = CommandEnd.STOPPED.exit_code
 EXIT_BROKEN_PIPE = CommandEnd.READER_GONE.exit_code
+UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM)
+"""Errors of the place that is written to, and not of PATH."""
 
 DESCRIPTION = """Two drones pass a moving target, with proof that it is the same target.
 
@@ -57,6 +68,8 @@ examples:
   path-handoff handoff --rig sim --seed 7     the same course, as fast as it computes
   path-handoff handoff --fault link_loss=0.3  what happens when things go wrong
   path-handoff relay --drones 3 --hours 8     one target, handed round as batteries run down
+  path-handoff replay runs/20261104-101500    what was decided, decided again from the logs
+  path-handoff fly mission.py --rig sim       a mission of your own (docs/own-missions.md)
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field
   path-handoff calibrate camera --images views --out d1.camera.toml
@@ -71,12 +84,14 @@ examples:
 Command = (
     Annotated[HandoffOptions, tyro.conf.subcommand("handoff")]
     | Annotated[RelayOptions, tyro.conf.subcommand("relay")]
+    | Annotated[FlyOptions, tyro.conf.subcommand("fly")]
     | Annotated[SenderOptions, tyro.conf.subcommand("sender")]
     | Annotated[ReceiverOptions, tyro.conf.subcommand("receiver")]
     | Annotated[GuardOptions, tyro.conf.subcommand("guard")]
     | Annotated[DoctorOptions, tyro.conf.subcommand("doctor")]
     | Annotated[RigsOptions, tyro.conf.subcommand("rigs")]
     | Annotated[ReportOptions, tyro.conf.subcommand("report")]
+    | Annotated[ReplayOptions, tyro.conf.subcommand("replay")]
     | Annotated[TrialOptions, tyro.conf.subcommand("trial")]
     | Annotated[VerifyOptions, tyro.conf.subcommand("verify")]
     | Annotated[CampaignOptions, tyro.conf.subcommand("campaign")]
@@ -88,6 +103,23 @@ Command = (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """The console script; ends the process with the command's exit code."""
+    _have_streams()
+    code = _carry_out(arguments)
+    written = [flush_or_drop(stream) for stream in (sys.stdout, sys.stderr)]
+    if not all(written) and code == CommandEnd.DONE.exit_code:
+        code = CommandEnd.OUTPUT_FAILED.exit_code
+    sys.exit(code)
+
+
+def _have_streams() -> None:
+    """A program that is started with a closed stdout or stderr has none: what it says goes nowhere."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
+
+
+def _carry_out(arguments: Sequence[str] | None) -> int:
+    """The exit code of a command line. Raises SystemExit for one that was not understood, or asked for help."""
     try:
         command = tyro.cli(
             Command,  # type: ignore[arg-type]  # a union of options, one for each command
@@ -96,20 +128,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
             description=DESCRIPTION,
             config=(tyro.conf.OmitSubcommandPrefixes,),
         )
-        code = run(command)
+        return run(command)
     except KeyboardInterrupt:
-        code = EXIT_CTRL_C
+        return EXIT_CTRL_C
     except BrokenPipeError:  # as in `path-handoff --help | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left is not written at exit either
-        code = EXIT_BROKEN_PIPE
+        drop(sys.stdout)  # what is left is not written at exit either
+        return EXIT_BROKEN_PIPE
+    except OSError as error:
+        if error.errno not in UNWRITTEN:
+            raise
+        if error.filename is None:
+            drop(sys.stdout)
+        say_unwritten(error)
+        return CommandEnd.OUTPUT_FAILED.exit_code
     except Exception as error:
         from drivers.interfaces import PartError  # noqa: PLC0415 (numpy behind it takes longer than all the rest)
 
         if not isinstance(error, PartError):
             raise
-        sys.stderr.write(error_text(str(error), error.remedy))
-        code = EXIT_REFUSED
-    sys.exit(code)
+        with suppress(OSError):
+            sys.stderr.write(error_text(str(error), error.remedy))
+        return EXIT_REFUSED
 
 
 def error_text(what: str, remedy: str) -> str:
@@ -120,6 +159,13 @@ def error_text(what: str, remedy: str) -> str:
 
 def run(command: Command) -> int:
     """Carry out a command; returns its exit code. Raises PartError when it is refused."""
+    wrong = out_of_bounds(command)
+    if wrong:
+        from drivers.interfaces import PartError  # noqa: PLC0415
+
+        lines = [f"--{name.replace('_', '-')}: {what}" for name, what in wrong]
+        raise PartError("\n".join(lines), "give a number that is within these bounds")
+    have_kernel_cache()
     module = importlib.import_module(f"missions.{MODULES[type(command)]}")
     return module.run(command)
 

@@ -8,6 +8,10 @@ from typing import Annotated, Literal
 
 import tyro
 
+from path.bounds import Bounds
+
+Seed = Annotated[int, Bounds(0, 2**32 - 1, "(a seed)")]
+Jobs = Annotated[int, Bounds(0, 1024, "processes")]
 RigName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
 LevelName = Literal["none", "lossy", "harsh", "hostile"]
 OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
@@ -22,6 +26,7 @@ TrialName = Literal[
     "ambiguity",
     "handshake",
     "evidence",
+    "recall",
     "thresholds",
     "link",
     "compute",
@@ -44,13 +49,13 @@ class HandoffOptions:
     rig: RigName = "sitl"
     """A rig by name (see `path-handoff rigs`), or a rig's TOML file."""
 
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the world and of every noise: the same seed is the same run at the sim levels."""
 
-    seeds: int = 1
+    seeds: Annotated[int, Bounds(1, 1_000_000, "runs")] = 1
     """Fly this many runs with seeds from --seed on, and print what became of them."""
 
-    jobs: int = 0
+    jobs: Jobs = 0
     """Runs at a time with --seeds; 0: one per core. Rigs in real time fly one at a time."""
 
     fault: Faults = ()
@@ -81,14 +86,14 @@ class RelayOptions:
     """A rig with a [relay] table: its drones, their homes and batteries (docs/relay.md). relay-sim: simulated, as
     fast as it computes; relay-sitl: in real time, each drone's program a process of its own."""
 
-    drones: int = 3
+    drones: Annotated[int, Bounds(2, 100, "drones")] = 3
     """How many of the rig's drones take part, from its first one on."""
 
-    hours: float | None = None
+    hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
     """For how long; then the responsible drone comes home. By default as the rig says: 8 h in relay-sim, minutes in
     relay-sitl."""
 
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the world and of every noise: in simulated time the same seed is the same relay."""
 
     fault: Annotated[
@@ -131,6 +136,47 @@ class RoleOptions:
     guard: Literal["start", "expect", "none"] = "start"
     """start: begin the guard that the rig describes beside the role, unless one answers already; expect: it is begun
     elsewhere, and nothing takes off without it; none: fly without a guard."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlyOptions:
+    """Fly a mission of your own: both drones, and the world when the rig has a simulated one."""
+
+    mission: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MISSION.py")]
+    """The mission's file (docs/own-missions.md)."""
+
+    rig: RigName = "sim"
+    """A rig by name (see `path-handoff rigs`), or a rig's TOML file."""
+
+    seed: int = 0
+    """Seed of the world and of every noise: the same seed is the same run at the sim levels."""
+
+    fault: Faults = ()
+    """What is to go wrong, such as link_loss=0.3 or kill_sender@mission+5; may be given several times."""
+
+    errors: Errors = None
+    """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
+
+    out: OutFolder = None
+    """Folder for logs and summary; runs/<time> by default."""
+
+    drone: Literal["both", "sender", "receiver"] = "both"
+    """Fly this drone of the rig alone, as in the field: the other one is flown from its own computer."""
+
+    console: Literal["auto", "events"] = "auto"
+    """With --drone: as of `path-handoff sender`."""
+
+    state: FileName = None
+    """With --drone: as of `path-handoff sender`; a mission of your own writes nothing into it."""
+
+    guard: Literal["start", "expect", "none"] = "start"
+    """With --drone: as of `path-handoff sender`."""
+
+    px4: FileName = None
+    """PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too."""
+
+    ardupilot: FileName = None
+    """ArduCopter's SITL binary, for the rigs that fly it; PATH_ARDUPILOT names it too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,6 +253,24 @@ class ReportOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """Decide again, from a run's logs, what its drones decided; or what they would have, with other settings."""
+
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+    """The folder of the run."""
+
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="method.NAME=VALUE"), tyro.conf.UseAppendAction] = ()
+    """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4; may be given several
+    times. Without any (and without --gate) every decision must come out as it was logged."""
+
+    gate: Literal["consecutive", "evidence"] | None = None
+    """The gate to decide with instead."""
+
+    picture: bool = True
+    """Draw replay.png when something is decided otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
 class TrialOptions:
     """Run one of the paper's experiments, or all of them, and hold what comes out against the paper."""
 
@@ -217,13 +281,13 @@ class TrialOptions:
     out: OutFolder = None
     """Folder for the page, summary.json and the pictures; trials/<time>-<name> by default."""
 
-    seed: int = 0
+    seed: Seed = 0
     """Seed of every random number: the same seed gives the same figures (timings apart)."""
 
     quick: bool = False
     """The same code on few samples: does it run, not what comes out."""
 
-    jobs: int = 0
+    jobs: Jobs = 0
     """Processes at a time; 0: one per core."""
 
     rig: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
@@ -236,7 +300,7 @@ class TrialOptions:
     logs: OutFolder = None
     """Folder with the logs of a session, for `beacon`: it is judged as if it were flown now."""
 
-    seconds: float = 0.0
+    seconds: Annotated[float, Bounds(0.0, 1e6)] = 0.0
     """How long `soak` verifies, 0: 20 minutes; how long `beacon` records where the drones are flown from their own
     computers, 0: until Ctrl-C."""
 
@@ -261,20 +325,20 @@ class VerifyOptions:
     quick: bool = False
     """Small scopes only, in half a minute; all of them take some minutes."""
 
-    jobs: int = 0
+    jobs: Jobs = 0
     """Processes at a time; 0: one per core."""
 
-    wire: int = 0
+    wire: Annotated[int, Bounds(0, 10_000_000_000, "packets")] = 0
     """Throw this many forged, altered and repeated packets at the link instead: 10000000 take about a minute."""
 
     mutants: bool = False
     """Instead, change the code of the protocol, its wiring, the wire and the guard's rules in small wrong ways, and see
     whether the tests notice. In a checkout with what `.[dev]` brings; most of an hour on two cores."""
 
-    sample: int = 168
+    sample: Annotated[int, Bounds(1, 1_000_000, "changes")] = 168
     """How many changes, of more than a thousand."""
 
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the forged packets, and of which changes are made."""
 
 
@@ -290,13 +354,13 @@ class CampaignOptions:
     program: Literal["machines", "roles"] = "machines"
     """machines: both protocol machines, real messages; roles: both whole role programs."""
 
-    runs: int = 1000
+    runs: Annotated[int, Bounds(1, 100_000_000, "runs")] = 1000
     """How many runs, shared out among the levels."""
 
     faults: Annotated[tuple[LevelName, ...], tyro.conf.arg(metavar="LEVEL ...")] = ()
     """The levels of faults; all of them by default."""
 
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the campaign: with level and number it makes a run what it is."""
 
     only: Annotated[int | None, tyro.conf.arg(metavar="NUMBER")] = None
@@ -305,7 +369,7 @@ class CampaignOptions:
     out: OutFolder = None
     """Folder of the results, gone on with when it has some; campaigns/<time>-<program> by default."""
 
-    jobs: int = 0
+    jobs: Jobs = 0
     """Processes at a time; 0: one per core."""
 
     cluster: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
@@ -359,10 +423,10 @@ class BoardOptions:
     squares: Annotated[str, tyro.conf.arg(metavar="COLUMNSxROWS")] = "10x7"
     """Squares of the board, of either pattern: a chessboard of 10x7 squares has 9x6 inner corners."""
 
-    square_m: float = 0.030
+    square_m: Annotated[float, Bounds(0.002, 1.0)] = 0.030
     """Side of a square."""
 
-    marker_m: float = 0.0225
+    marker_m: Annotated[float, Bounds(0.001, 1.0)] = 0.0225
     """Side of the black frame of a ChArUco board's markers."""
 
     dictionary: str = "DICT_4X4_50"
@@ -388,10 +452,10 @@ class CalibrateCameraOptions(BoardOptions):
     role: Literal["sender", "receiver"] = "sender"
     """Whose camera of the rig."""
 
-    views: int = 40
+    views: Annotated[int, Bounds(3, 10_000, "views")] = 40
     """Views to choose from a video, or to take with a running camera."""
 
-    seconds: float = 300.0
+    seconds: Annotated[float, Bounds(1.0, 36_000.0)] = 300.0
     """A running camera is given up after this time."""
 
     serial: str = ""
@@ -428,7 +492,7 @@ class CalibrateMountOptions(BoardOptions):
 class CalibrateBoardOptions(BoardOptions):
     """Draw a board to print."""
 
-    dpi: int = 600
+    dpi: Annotated[int, Bounds(30, 4800, "dots per inch")] = 600
     """Dots per inch of the printer: cells become whole dots."""
 
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("board.png")
@@ -465,13 +529,13 @@ class DetectOptions:
     classes: tuple[str, ...] = ()
     """What to look for with --model, such as `car truck`; everything by default."""
 
-    min_score: float = 0.3
+    min_score: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.3
     """With --model: what scores less is not found."""
 
     tracker: Literal["none", "csrt", "kcf", "mosse"] = "none"
     """Follow with this tracker between detections."""
 
-    every: int = 5
+    every: Annotated[int, Bounds(1, 1000, "frames")] = 5
     """With --tracker: detect in every n-th frame."""
 
     out: OutFolder = None

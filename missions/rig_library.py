@@ -29,6 +29,11 @@ def load(name_or_path: str) -> Rig:
     return rig
 
 
+def name_of(rig: Rig) -> str:
+    """What ``--rig`` takes to name it: its name when it comes with PATH, else its file."""
+    return rig.file.stem if rig.file.resolve().parent == FOLDER.resolve() else str(rig.file)
+
+
 def load_unchecked(name_or_path: str) -> Rig:
     """The same, read but not checked: nothing of what the rig names is imported. Raises RigError."""
     return load_rig(name_or_path, [FOLDER])

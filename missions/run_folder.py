@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Generator, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
 from drivers.interfaces import PartError
+
+REMEDY = "name another folder with --out"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +31,8 @@ class RunKind:
 
     def files(self, folder: Path) -> Iterator[Path]:
         """Those in a folder that have the names of a run's."""
-        logs = re.compile(
-            rf"({'|'.join(map(re.escape, self.actors))})(\.guard)?(\.\d+)?\.(mcap|stderr\.txt|state\.json)"
-        )
+        actors = "|".join(map(re.escape, self.actors))
+        logs = re.compile(rf"({actors})(\.guard)?(\.\d+)?\.(mcap|stderr\.txt|state\.json)")
         for file in sorted(folder.iterdir()):
             if file.name in (self.marker, *self.results) or logs.fullmatch(file.name):
                 yield file
@@ -42,43 +44,68 @@ def new_folder(out: Path | None) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise PartError(f"cannot make {folder}: {error.strerror}", "name another folder with --out") from error
+        raise PartError(f"cannot make {folder}: {error.strerror}", REMEDY) from error
     return folder
 
 
-def claim_folder(folder: Path, kind: RunKind) -> None:
-    """Take away what an earlier run of this kind left in a folder: nothing of it may be taken for the new one's.
-
-    Other files stay as they are. Raises PartError when the folder has files with the names of a run's and no marker
-    that says whose they are, or cannot be written to.
-    """
-    try:
-        there = list(kind.files(folder))
-        if there and not _is_marker(folder / kind.marker):
-            raise PartError(
-                f"{folder} holds {_some(there)}, and no {kind.marker} of an earlier run: nothing is written over",
-                "name another folder with --out, or move these files away",
-            )
-        for file in there:
-            file.unlink()
-        (folder / kind.marker).write_text(json.dumps({"outcome": "unfinished"}) + "\n", "utf-8")
-    except OSError as error:
-        raise PartError(f"cannot write to {folder}: {error.strerror}", "name another folder with --out") from error
-
-
-def claim_result(folder: Path, result: str, of: str) -> None:
-    """Refuse to write a result over a file that is not an earlier one's: then ``of`` matches nothing in the folder.
+@contextmanager
+def unless_refused(out: Path | None) -> Generator[Path, None, None]:
+    """The folder of a run as by ``new_folder``: of one that was not there and is empty nothing is left after a refusal.
 
     Raises PartError.
     """
-    if (folder / result).exists() and not any(folder.glob(of)):
-        raise PartError(f"{folder} holds a {result} of something else", "name another folder with --out")
+    wanted = out or Path("runs") / datetime.now().strftime("%Y%m%d-%H%M%S")
+    made = [each for each in (wanted, *wanted.parents) if not each.exists()]
+    try:
+        yield new_folder(wanted)
+    except PartError:
+        for each in made:
+            with suppress(OSError):
+                each.rmdir()
+        raise
+
+
+@contextmanager
+def claimed(folder: Path, kind: RunKind) -> Generator[None, None, None]:
+    """A folder that is a new run's, from its marker on: nothing that an earlier one left may be taken for its own.
+
+    Other files stay as they are. Raises PartError when the folder has files with the names of a run's and no marker
+    that says whose they are, or cannot be written to. A run that is refused leaves no marker.
+    """
+    marker = folder / kind.marker
+    try:
+        there = list(kind.files(folder))
+        if there and not _is_marker(marker):
+            raise PartError(
+                f"{folder} holds {_some(there)}, and no {kind.marker} of an earlier run: nothing is written over",
+                f"{REMEDY}, or move these files away",
+            )
+        for file in there:
+            file.unlink()
+        marker.write_text(json.dumps({"outcome": "unfinished"}) + "\n", "utf-8")
+    except OSError as error:
+        raise PartError(f"cannot write to {folder}: {error.strerror}", REMEDY) from error
+    try:
+        yield
+    except PartError:
+        marker.unlink(missing_ok=True)
+        raise
+
+
+def claim_result(file: Path, *signs: str) -> None:
+    """Refuse to write a result over a file that none of the ``signs`` of an earlier one is in. Raises PartError."""
+    if file.exists() and not any(_has(file, sign) for sign in signs):
+        raise PartError(f"{file} is there, and is no earlier result: it is not written over", REMEDY)
 
 
 def _is_marker(file: Path) -> bool:
+    return _has(file, '"outcome"')
+
+
+def _has(file: Path, sign: str) -> bool:
     try:
-        return "outcome" in json.loads(file.read_bytes())
-    except (OSError, ValueError, TypeError):
+        return sign.encode() in file.read_bytes()
+    except OSError:
         return False
 
 

@@ -37,7 +37,8 @@ _MISTAKES: Mapping[str, tuple[tuple[float, str], ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The least and the largest plausible value. ``unit``: where the field's name does not end with it.
+    """The least and the largest plausible value. ``unit``: where the field's name does not end with it; in brackets
+    when it is no measure, such as ``(an id)``.
 
     ``above``: the least value itself is already too small.
     """
@@ -68,12 +69,24 @@ def check_bounds(config: object) -> None:
             raise ValueError(f"{name}: {refusal(name, value, bounds)}")
 
 
+def out_of_bounds(config: object) -> list[tuple[str, str]]:
+    """Every field of a dataclass with a number that is out of its bounds, and why it is not taken."""
+    wrong: list[tuple[str, str]] = []
+    for name, hint in get_type_hints(type(config), include_extras=True).items():
+        value, bounds = getattr(config, name), bounds_of(hint)
+        if dataclasses.is_dataclass(value):
+            wrong += out_of_bounds(value)
+        wrong += [(name, refusal(name, each, bounds)) for each in numbers(value) if bounds and not bounds.holds(each)]
+    return wrong
+
+
 def refusal(name: str, value: float, bounds: Bounds) -> str:
     """Why a field's value is not taken: the value, what is allowed, and the likely mistake."""
     unit = unit_of(name, bounds)
-    shown = f" {unit}" if unit else ""
-    between = f"above {bounds.low:g} and at most " if bounds.above else f"within {bounds.low:g}.."
-    return f"{value!r}{shown} is not {between}{bounds.high:g}{shown}{_likely(value, bounds, unit)}"
+    shown = f" {unit}" if unit and not unit.startswith("(") else ""
+    low, high = (str(each) if isinstance(each, int) else f"{each:g}" for each in (bounds.low, bounds.high))
+    between = f"above {low} and at most " if bounds.above else f"within {low}.."
+    return f"{value!r}{shown} is not {between}{high}{shown}{_likely(value, bounds, unit)}"
 
 
 def unit_of(name: str, bounds: Bounds) -> str:

@@ -96,11 +96,15 @@ class CameraModel:
     def _check_invertible(self) -> None:
         if not any(self.distortion):
             return
-        for s in BORDER_SAMPLES:
-            across, down = s * (self.width - 1), s * (self.height - 1)
-            for u, v in ((across, 0.0), (across, self.height - 1.0), (0.0, down), (self.width - 1.0, down)):
-                if not math.isfinite(self.ray(u, v)[0]):
-                    raise ValueError(f"distortion: {self.distortion!r} cannot be inverted at pixel ({u:.0f}, {v:.0f})")
+        right, bottom = self.width - 1.0, self.height - 1.0
+        border = [
+            pixel
+            for s in BORDER_SAMPLES
+            for pixel in ((s * right, 0.0), (s * right, bottom), (0.0, s * bottom), (right, s * bottom))
+        ]
+        for (u, v), (x, _) in zip(border, self.rays(np.array(border)).tolist(), strict=True):
+            if not math.isfinite(x):
+                raise ValueError(f"distortion: {self.distortion!r} cannot be inverted at pixel ({u:.0f}, {v:.0f})")
 
     @property
     def K(self) -> Array:
@@ -157,24 +161,9 @@ class CameraModel:
 
     def ray(self, u: float, v: float) -> tuple[float, float]:
         """Undistorted normalised coordinates of one pixel, by Newton's method to 1e-12; NaN where there are none."""
-        xd, yd = (u - self.cx) / self.fx, (v - self.cy) / self.fy
-        if not any(self.distortion):
-            return xd, yd
-        x, y = xd, yd
-        for _ in range(UNDISTORT_ITERATIONS):
-            gx, gy = distort(x, y, self.distortion)
-            xx, xy, yy = distort_jacobian(x, y, self.distortion)
-            gx -= xd
-            gy -= yd
-            determinant = xx * yy - xy * xy
-            if determinant == 0.0:
-                break
-            dx, dy = (yy * gx - xy * gy) / determinant, (xx * gy - xy * gx) / determinant
-            x -= dx
-            y -= dy
-            if abs(dx) + abs(dy) < UNDISTORT_STEP:
-                return (x, y) if math.hypot(x, y) <= self.max_radius else (math.nan, math.nan)
-        return math.nan, math.nan
+        from path.camera_kernels import lens_of, ray  # noqa: PLC0415 (numba: not for those who only read a rig)
+
+        return ray(lens_of(self), float(u), float(v))
 
     def rays(self, pixels: Array) -> Array:
         """Undistorted normalised coordinates, shape (n, 2), of pixels (n, 2); as ``ray``, NaN rows included."""

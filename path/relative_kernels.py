@@ -7,6 +7,7 @@ The error state is (dp, dw, de), 9 numbers in ``n``: position of the marker from
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -18,22 +19,127 @@ from path.messages import Vec3
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
-def carried(
-    p: Array, R: Array, e: Array, P: Array, R_n_c: Array, R_n_v: Array, to_R_n_c: Array, to_R_n_v: Array, way: Vec3,
-    dt: float, walk: float, own: Vec3, peer: Vec3, lever_c: Array, lever_v: Array,
-) -> tuple[Array, Array, Array]:  # fmt: skip
-    """``p``, ``R`` and ``P`` after ``dt`` seconds.
+class Reports(NamedTuple):
+    """What one vehicle has reported: the first ``many`` rows.
 
-    Args:
-        p, R, e, P: (3,), (3, 3), (3,), (9, 9), the state.
-        R_n_c, R_n_v, to_R_n_c, to_R_n_v: (3, 3), attitudes of camera and marker as reported, before and after.
-        way: what the reported velocities say that the marker's drone moved, minus the own one, m.
-        walk: variance that the velocity's error gains in a second, (m/s)^2.
-        own, peer: variances about the axes of ``n`` of what the two attitudes err more than before. The own one turns
-            position and attitude together.
+    Attributes:
+        stamps: (n,) ns.
+        values: (n, 6) velocity, and the way since the first report by trapezes, m/s and m in ``n``.
+    """
+
+    stamps: NDArray[np.int64]
+    values: Array
+    many: int
+
+
+class State(NamedTuple):
+    """The filter at the instant of a measurement.
+
+    Attributes:
+        p, R, e: (3,) position, (3, 3) ``R_n_v``, (3,) error of the velocity.
+        P: (9, 9), see the module, without ``persistent``.
+        persistent: (6, 6) in ``n``, of the newest measurement.
+        R_n_c, R_n_v: (3, 3) the attitudes as reported then.
+        levelled: whether the marker's attitude was reported.
+    """
+
+    stamp_ns: int
+    p: Array
+    R: Array
+    e: Array
+    P: Array
+    persistent: Array
+    R_n_c: Array
+    R_n_v: Array
+    levelled: bool
+
+
+class Drift(NamedTuple):
+    """What the filter believes of the time between two instants.
+
+    Attributes:
+        wander_s: how long an attitude's error takes to change; ``tilt``, ``yaw``: its variances, rad^2.
+        free: variance of an attitude that is not reported, rad^2.
+        walk, free_walk: variance that the velocity's error gains in a second, (m/s)^2; without reports.
         lever_c, lever_v: (3,) of camera and marker from their drones' centres, in their own axes.
     """
+
+    wander_s: float
+    tilt: float
+    yaw: float
+    free: float
+    walk: float
+    free_walk: float
+    lever_c: Array
+    lever_v: Array
+
+
+@njit(cache=True, nogil=True)
+def reported(reports: Reports, stamp_ns: int) -> tuple[float, float, float, float, float, float]:
+    """Velocity, and way since the first report, at an instant: linear between reports, steady outside of them."""
+    after = reports.many
+    while after > 0 and reports.stamps[after - 1] > stamp_ns:
+        after -= 1
+    before = max(0, after - 1)
+    dt = (stamp_ns - reports.stamps[before]) * 1e-9
+    a, b, c = reports.values[before, 0], reports.values[before, 1], reports.values[before, 2]
+    x, y, z = reports.values[before, 3], reports.values[before, 4], reports.values[before, 5]
+    u, v, w = a, b, c
+    if 0 < after < reports.many:
+        share = dt / ((reports.stamps[after] - reports.stamps[before]) * 1e-9)
+        u = a + share * (reports.values[after, 0] - a)
+        v = b + share * (reports.values[after, 1] - b)
+        w = c + share * (reports.values[after, 2] - c)
+    half = 0.5 * dt
+    return u, v, w, x + half * (a + u), y + half * (b + v), z + half * (c + w)
+
+
+@njit(cache=True, nogil=True)
+def velocity(own: Reports, peer: Reports, stamp_ns: int) -> Vec3:
+    """Of the marker's drone minus the own one; zero while one of them reports none."""
+    if own.many == 0 or peer.many == 0:
+        return 0.0, 0.0, 0.0
+    a, b, c, _, _, _ = reported(own, stamp_ns)
+    u, v, w, _, _, _ = reported(peer, stamp_ns)
+    return u - a, v - b, w - c
+
+
+@njit(cache=True, nogil=True)
+def _way(own: Reports, peer: Reports, from_ns: int, to_ns: int) -> Vec3:
+    """What the reports say the marker's drone moved, minus the own one, m."""
+    if to_ns <= from_ns or own.many == 0 or peer.many == 0:
+        return 0.0, 0.0, 0.0
+    _, _, _, a, b, c = reported(own, from_ns)
+    _, _, _, d, e, f = reported(own, to_ns)
+    _, _, _, u, v, w = reported(peer, from_ns)
+    _, _, _, x, y, z = reported(peer, to_ns)
+    return x - u - d + a, y - v - e + b, z - w - f + c
+
+
+@njit(cache=True, nogil=True)
+def carried(
+    state: State, stamp_ns: int, to_R_n_c: Array, to_R_n_v: Array, levelled: bool, own: Reports, peer: Reports,
+    drift: Drift,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """``p``, ``R`` and ``P`` of a state at a later instant.
+
+    Args:
+        to_R_n_c, to_R_n_v: (3, 3), attitudes of camera and marker as reported then; ``levelled`` whether the marker's
+            was.
+        own, peer: what the receiver and the marker's drone reported.
+    """
+    dt = max(0.0, (stamp_ns - state.stamp_ns) * 1e-9)
+    walk = drift.walk if own.many > 0 and peer.many > 0 else drift.free_walk
+    # of a wander, between two instants
+    spread = 2.0 * (1.0 - math.exp(-dt / drift.wander_s))
+    tilt, yaw, free = spread * drift.tilt, spread * drift.yaw, spread * drift.free
+    # the own one turns position and attitude together
+    own_turn, peer_turn = (tilt, tilt, yaw), (tilt, tilt, yaw)
+    R_n_v = state.R_n_v
+    if not (levelled and state.levelled):
+        R_n_v, to_R_n_v, peer_turn = np.eye(3), np.eye(3), (free, free, free)
+    way = _way(own, peer, state.stamp_ns, stamp_ns)
+    p, R, e, R_n_c, lever_c, lever_v = state.p, state.R, state.e, state.R_n_c, drift.lever_c, drift.lever_v
     turn, turned_R, lever, moved = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     for i in range(3):
         for j in range(3):
@@ -44,7 +150,40 @@ def carried(
             turned_R[i, j] = turn[i, 0] * R[0, j] + turn[i, 1] * R[1, j] + turn[i, 2] * R[2, j]
             lever[i] += turned_R[i, j] * lever_v[j]
             moved[i] += (turned_R[i, j] - R[i, j]) * lever_v[j] - (to_R_n_c[i, j] - R_n_c[i, j]) * lever_c[j]
-    return moved, turned_R, _covariance(P, turn, dt, walk, moved, own, lever, peer)
+    return moved, turned_R, _covariance(state.P, turn, dt, walk, moved, own_turn, lever, peer_turn)
+
+
+@njit(cache=True, nogil=True)
+def predicted(
+    state: State, stamp_ns: int, R_n_c: Array, R_n_v: Array, levelled: bool, own: Reports, peer: Reports, drift: Drift
+) -> tuple[Array, Array, Array, Array]:
+    """A state at a later instant: position in ``n``, and in the camera translation, rotation and covariance (6, 6)."""
+    p, R, P = carried(state, stamp_ns, R_n_c, R_n_v, levelled, own, peer, drift)
+    R_c_n = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            R_c_n[i, j] = R_n_c[j, i]
+    t_c, R_c_v, covariance = placed(R_c_n, p, R, P[:6, :6] + state.persistent)
+    return p, t_c, R_c_v, covariance
+
+
+@njit(cache=True, nogil=True)
+def fused(
+    before: State, seen: State, own: Reports, peer: Reports, drift: Drift, persistent_s: float, gate: float
+) -> tuple[float, float, State]:
+    """A state with a later measurement in it.
+
+    Returns:
+        The squared Mahalanobis distance (above ``gate`` the state is only carried on; NaN when a covariance is none),
+        the angle between the attitudes, and the state.
+    """
+    p, R, P = carried(before, seen.stamp_ns, seen.R_n_c, seen.R_n_v, seen.levelled, own, peer, drift)
+    kept = math.exp(-(seen.stamp_ns - before.stamp_ns) * 1e-9 / persistent_s)
+    distance2, angle, e = fuse(
+        p, R, before.e, P, before.persistent, seen.p, seen.R, seen.P, seen.persistent, kept, gate
+    )
+    state = State(seen.stamp_ns, p, R, e, P, seen.persistent, seen.R_n_c, seen.R_n_v, seen.levelled)
+    return distance2, angle, state
 
 
 @njit(cache=True, nogil=True)

@@ -34,6 +34,7 @@ class Pair:
         own_box: D1's box at that instant, interpolated; None when there is none.
         mapped_box: D2's box in D1's image; None when it did not come to that.
         tau: what the overlap had to be; None when nothing was compared.
+        own: D1's samples around that instant, box, point and depth; None as ``own_box``.
     """
 
     candidate: Candidate | None
@@ -42,6 +43,7 @@ class Pair:
     own_box: Box | None = None
     mapped_box: Box | None = None
     tau: float | None = None
+    own: Between | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,15 +183,16 @@ class SenderCycle:
         at = self._track.at(capture_ns)
         reason = self._incomparable(candidate, capture_ns)
         if reason is not None or at is None or candidate.box is None:
-            verdict, own_box, mapped_box, tau = Missed(reason or MissReason.NO_TRACK), None, None, None
+            verdict, own_box, mapped_box = Missed(reason or MissReason.NO_TRACK), None, None
+            tau = used = None
         else:
             x, y, w, h, *point, z1 = at.values
-            own_box, point_v = Box(x, y, w, h), (point[0], point[1], point[2])
+            own_box, point_v, used = Box(x, y, w, h), (point[0], point[1], point[2]), at
             T_v_c2 = rigid_from_quat(normalized(candidate.rotation_v_c2), candidate.position_v_m)
             verdict, mapped_box = compare(self._views, T_v_c2, own_box, z1, point_v, candidate.box, self._config)
             tau = None if verdict.iou is None else threshold(z1, self._config)
         verdict = self._count(candidate.sequence, capture_ns, at, verdict, tau)
-        return Pair(candidate, capture_ns, verdict, own_box, mapped_box, tau)
+        return Pair(candidate, capture_ns, verdict, own_box, mapped_box, tau, used)
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
         """Why a fresh candidate cannot even be compared, whatever D1 saw at that instant."""

@@ -33,6 +33,7 @@ REAL_TIME = (
     "missions/assurance/verify/test_attack",
     "missions/assurance/verify/test_run",
     "scenarios/test_guard_sitl",
+    "scenarios/test_own_sitl",
     "scenarios/test_relay_sitl",
     "scenarios/test_sitl",
     "scenarios/test_unplugged",

@@ -35,7 +35,7 @@ FORWARD = VelocitySetpoint((0.05, 0.0, 0.0), 0.0)
 class Bench:
     """Stepped by a thread; everything that touches the world takes ``lock``."""
 
-    def __init__(self, speed: float = 1.0, key: bytes | None = None) -> None:
+    def __init__(self, speed: float = 1.0, key: bytes | None = None, altitude_off_m: float = 0.0) -> None:
         self._speed = speed
         exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
         self.world = World(WorldConfig(wind=WindConfig(0.0, gust_mps=0.0), estimator=exact, autopilot=QUICK), seed=1)
@@ -45,7 +45,7 @@ class Bench:
         self.ground.bind(("127.0.0.1", 0))
         self.ground.setblocking(False)
         self.port = free_port()
-        tangent = LocalTangent(ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.altitude_m)
+        tangent = LocalTangent(ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.altitude_m + altitude_off_m)
         config = MavlinkVehicleConfig(SYSID, self.ground.getsockname(), second=("127.0.0.1", self.port), key=key)
         self.vehicle = MavlinkVehicle(config, self.drone, tangent)
         self.vehicle.tap = lambda _, message: self.wire.append(message)
@@ -103,9 +103,12 @@ class Bench:
 
 
 @contextmanager
-def bench(speed: float = 1.0, key: bytes | None = None) -> Generator[Bench]:
-    """The vehicle's time runs ``speed`` times as fast as ours; with a ``key`` it signs, and takes what is signed."""
-    own, stop = Bench(speed, key), threading.Event()
+def bench(speed: float = 1.0, key: bytes | None = None, altitude_off_m: float = 0.0) -> Generator[Bench]:
+    """The vehicle's time runs ``speed`` times as fast as ours; with a ``key`` it signs, and takes what is signed.
+
+    ``altitude_off_m``: of what it takes for its altitude above sea level.
+    """
+    own, stop = Bench(speed, key, altitude_off_m), threading.Event()
     thread = threading.Thread(target=own.run, args=(stop,))
     thread.start()
     try:

@@ -1,12 +1,12 @@
 """The log of a program: one MCAP file, readable to the last record whatever ended it.
 
-PATH's own records are JSON, with a JSON Schema each (``drivers.log_topics``); images, and what viewers draw, are
-Foxglove's messages (``drivers.log_foxglove``). Stamps in the file are UTC; the program's own clock, which is what
+PATH's own records are JSON, with a JSON Schema each (``drivers.log.topics``); images, and what viewers draw, are
+Foxglove's messages (``drivers.log.foxglove``). Stamps in the file are UTC; the program's own clock, which is what
 records are written and read with, differs by a constant that the file's metadata tell.
 
 Records are written unbuffered, each with one system call, so that a killed program loses nothing it has logged; only a
 run in virtual time, which cannot lose a drone, buffers them. A file that is closed is then put into chunks with an
-index (``drivers.log_index``). Nothing in the log of a run in virtual time depends on the wall clock or the machine.
+index (``drivers.log.index``). Nothing in the log of a run in virtual time depends on the wall clock or the machine.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
 from drivers.clock import wall_offset_ns
-from drivers.log_index import MAGIC, ChunkedFile, built, index_log
-from drivers.log_topics import blank, schema_of
+from drivers.log.index import MAGIC, ChunkedFile, built, index_log
+from drivers.log.topics import blank, schema_of
 
 if TYPE_CHECKING:
-    from drivers import log_foxglove
+    from drivers.log import foxglove
 
 JPEG_QUALITY = 90
 VIRTUAL_EPOCH_NS = 1_767_225_600_000_000_000
@@ -61,7 +61,7 @@ class McapLog:
         ``utc_minus_stamp_ns``: UTC minus the clock of the stamps; None: that is this computer's monotonic one.
         ``buffered``: what was logged last is lost when the process is killed; for runs in virtual time.
         """
-        from drivers.log_foxglove import Standards  # noqa: PLC0415 (whoever only reads logs does not need it)
+        from drivers.log.foxglove import Standards  # noqa: PLC0415 (whoever only reads logs does not need it)
 
         self.failed: str | None = None
         self._standards = Standards(name)
@@ -113,7 +113,7 @@ class McapLog:
         if jpeg is None:
             self.failed = self.failed or f"{topic}: the image could not be encoded"
             return
-        from drivers.log_foxglove import compressed_image  # noqa: PLC0415
+        from drivers.log.foxglove import compressed_image  # noqa: PLC0415
 
         try:
             utc_ns = self._utc(stamp_ns)
@@ -140,7 +140,7 @@ class McapLog:
             raise ValueError(f"stamp {stamp_ns} is not of a clock")
         return stamp_ns + self._utc_ns
 
-    def _message(self, utc_ns: int, topic: str, message: log_foxglove.Message) -> None:
+    def _message(self, utc_ns: int, topic: str, message: foxglove.Message) -> None:
         if topic not in self._channels:
             schema = type(message).get_schema()
             self._register(topic, "protobuf", schema.name, schema.encoding, schema.data)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -16,14 +16,18 @@ from drivers.link.key import signing_key
 from drivers.link.udp import address_of
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.guard_interfaces import GuardView
-from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS, SAFETY_ARMED, AutopilotKind
+from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS, PX4, SAFETY_ARMED, AutopilotKind
 from drivers.mavlink.port import URL, MavlinkPort
 from drivers.rig.parts import PartContext
 from path.bounds import Bounds
 
-HEARTBEAT, SYS_STATUS, GLOBAL_POSITION = 0, 1, 33
+HEARTBEAT, SYS_STATUS, LOCAL_POSITION, GLOBAL_POSITION = 0, 1, 32, 33
 COMMAND_ACK, EXTENDED_SYS_STATE, CURRENT_MODE = 77, 245, 436
-RATES_HZ = {HEARTBEAT: 10.0, CURRENT_MODE: 10.0, GLOBAL_POSITION: 10.0, EXTENDED_SYS_STATE: 5.0, SYS_STATUS: 2.0}
+RATES_HZ = {
+    **dict.fromkeys((HEARTBEAT, CURRENT_MODE, LOCAL_POSITION, GLOBAL_POSITION), 10.0),
+    EXTENDED_SYS_STATE: 5.0,
+    SYS_STATUS: 2.0,
+}
 WANTED = frozenset({*RATES_HZ, COMMAND_ACK})
 DO_SET_MODE, NAV_LAND, SET_MESSAGE_INTERVAL = 176, 21, 511
 IN_PROGRESS = 5
@@ -43,6 +47,7 @@ class GuardMavlinkConfig:
         bind: where the role's program and its guard meet, on this computer.
         key_file: of MAVLink 2's signatures, 32 bytes, mode 0600, the one that the autopilot was given
             (SETUP_SIGNING); then only what is rightly signed is believed, and all that is sent is signed.
+        height_from: as of the vehicle that is flown, and taken from its table where this one does not say it.
         own_sysid, own_compid: who the guard is on MAVLink. Not the number that ArduPilot's MAV_GCS_SYSID or PX4's data
             link loss watches: a guard that lives must not hide that the role's program died.
     """
@@ -53,6 +58,7 @@ class GuardMavlinkConfig:
     own_sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 246
     own_compid: Annotated[int, Bounds(1, 255, "(an id)")] = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
     key_file: Path | None = None
+    height_from: Literal["sea_level", "home"] = "sea_level"
 
     def __post_init__(self) -> None:
         if URL.fullmatch(self.url) is None:
@@ -81,6 +87,7 @@ class GuardMavlink:
         self._kind: AutopilotKind | None = None
         self._heartbeat: tuple[int, Any] | None = None
         self._mode, self._mode_told = FlightMode.OTHER, 0
+        self._local_down_m = self._ground_down_m = math.nan  # the latter: where it stood before it was armed
         self._position: tuple[int, tuple[float, float, float]] = (0, (math.nan, math.nan, math.nan))
         self._in_air = True  # until it is told: nothing is done in the air that would be wrong on the ground
         self._battery = math.nan
@@ -182,8 +189,11 @@ class GuardMavlink:
                 if 0 <= message.battery_remaining <= 100:
                     self._battery = message.battery_remaining / 100.0
             case 33:  # GLOBAL_POSITION_INT
-                place = message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3
-                self._position = now_ns, self._tangent.to_ned(*place)
+                self._position = now_ns, self._place(message)
+            case 32:  # LOCAL_POSITION_NED
+                self._local_down_m = float(message.z)
+                if self._heartbeat is not None and not self._heartbeat[1].base_mode & SAFETY_ARMED:
+                    self._ground_down_m = self._local_down_m
             case 77 if message.command == self._commanded and message.result != IN_PROGRESS:  # COMMAND_ACK
                 self._acked = message.result == mavlink.MAV_RESULT_ACCEPTED
             case 245:  # EXTENDED_SYS_STATE
@@ -193,6 +203,15 @@ class GuardMavlink:
                     self._note_mode(message.custom_mode)
             case _:
                 pass
+
+    def _place(self, message: Any) -> tuple[float, float, float]:
+        """By the height that the script has, too: of a PX4 that is the local one (``Telemetry`` says why)."""
+        north, east, down = self._tangent.to_ned(message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
+        if self._config.height_from == "sea_level":
+            return north, east, down
+        above_m = self._ground_down_m - self._local_down_m
+        local = self._kind is PX4 and math.isfinite(above_m)
+        return north, east, -above_m if local else -message.relative_alt * 1e-3
 
     def _note_mode(self, custom_mode: int) -> None:
         if self._kind is not None:

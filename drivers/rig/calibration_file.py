@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 
 from drivers.interfaces import CameraError
-from drivers.rig.tables import RigError, decode_table
+from drivers.rig.tables import RigError, decode_table, read_toml
 from drivers.rig.toml_text import toml_text
 from path.bounds import Bounds
 from path.camera import CameraModel
@@ -199,7 +199,7 @@ def check_size(calibrated: tuple[int, int], stream: tuple[int, int], what: str) 
 
 def _read(file: Path, kind: type[T], remedy: str) -> T:
     try:
-        return decode_table(tomllib.loads(file.read_text("utf-8")), kind, file.name, file.parent)
+        return decode_table(read_toml(file), kind, file.name, file.parent)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise CalibrationError(f"{file}: {reason}", remedy) from error

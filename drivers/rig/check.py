@@ -127,6 +127,9 @@ def _check_guards(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> N
         flown = getattr(configs.get(own.vehicle.where), "sysid", None)
         if own.guard and watched is not None and flown is not None and watched != flown:
             problems.add(f"{own.guard.where}.vehicle_sysid", f"{watched} is not the vehicle that is flown, {flown}")
+        height = own.vehicle.options.get("height_from")
+        if own.guard and own.guard.options.get("height_from", height) != height:
+            problems.add(f"{own.guard.where}.height_from", f"not the vehicle's, {height!r}: leave it out")
 
 
 def _check_mirrored(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> None:

@@ -37,7 +37,7 @@ import numpy as np
 from drivers.rig.calibration_file import CalibrationError, CameraTable, MountCalibration, read_camera
 from drivers.rig.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, axis_turn
 from drivers.rig.parts import Level, Mount, Origin, PartSpec, Reference, Rig, RoleRig
-from drivers.rig.tables import RigError, decode_table, suggestion
+from drivers.rig.tables import RigError, decode_table, read_toml, suggestion
 from path.bounds import Bounds
 from path.camera import CameraModel
 from path.config import MethodConfig
@@ -196,7 +196,7 @@ def read_rig(path: Path, search: Sequence[Path] = ()) -> dict[str, Any]:
 
 def _read(path: Path, search: Sequence[Path], after: tuple[Path, ...]) -> dict[str, Any]:
     try:
-        table = tomllib.loads(path.read_text("utf-8"))
+        table = read_toml(path)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise RigError([f"{path.name}: {error}"]) from error
     if "like" not in table:

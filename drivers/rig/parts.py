@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +22,9 @@ from path.config import MethodConfig
 from path.geometry import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role
+
+_FACTORY = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+_SUCH_AS = 'such as "drivers.mavlink.vehicle:MavsdkVehicle"'
 
 Level = Literal["sim", "sim-rendered", "sitl", "hitl", "field"]
 
@@ -43,8 +47,10 @@ class PartSpec:
         if not isinstance(table, Mapping):
             raise RigError([f"{where}: expected a table with a factory"])
         factory = table.get("factory")
-        if not isinstance(factory, str) or factory.count(":") != 1:
-            raise RigError([f"{where}: missing key 'factory', such as \"drivers.mavlink.vehicle:MavsdkVehicle\""])
+        if factory is None:
+            raise RigError([f"{where}: missing key 'factory', {_SUCH_AS}"])
+        if not isinstance(factory, str) or not _FACTORY.fullmatch(factory):
+            raise RigError([f"{where}.factory: {factory!r} is not module:Class, {_SUCH_AS}"])
         return cls(factory, {key: value for key, value in table.items() if key != "factory"}, where, base)
 
 
@@ -191,6 +197,8 @@ def with_errors(rig: Rig, level: str | None) -> Rig:
 
 def import_factory(factory: str, where: str) -> Any:
     """The class named ``module:Class``. Raises RigError naming ``where``."""
+    if not _FACTORY.fullmatch(factory):
+        raise RigError([f"{where}: {factory!r} is not module:Class, {_SUCH_AS}"])
     module_name, _, class_name = factory.partition(":")
     try:
         module = importlib.import_module(module_name)

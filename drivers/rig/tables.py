@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
+import sys
+import tomllib
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,8 @@ from drivers.interfaces import PartError
 from path.bounds import UNITS, bounds_of, numbers, refusal
 
 T = TypeVar("T")
+
+LARGEST = sys.float_info.max
 
 
 class RigError(PartError):
@@ -71,6 +74,20 @@ def decode_table(table: Mapping[str, Any], kind: type[T], where: str, base: Path
         value = None
     problems.raise_any()
     return value  # type: ignore[return-value]
+
+
+def read_toml(file: Path) -> dict[str, Any]:
+    """The tables of a TOML file, also of one that begins with a byte-order mark, as editors on Windows write it.
+
+    Raises OSError, UnicodeDecodeError and tomllib.TOMLDecodeError, whatever is in the file.
+    """
+    text = file.read_text("utf-8-sig")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except (RecursionError, ValueError) as error:  # nested without end, a number of thousands of digits
+        raise tomllib.TOMLDecodeError(str(error)) from error
 
 
 def suggestion(key: str, allowed: Sequence[str]) -> str:
@@ -169,7 +186,7 @@ def _scalar(value: Any, kind: Any, where: str, problems: Problems, base: Path | 
         return value
     if kind is Path and isinstance(value, str):
         return base / value if base else Path(value)
-    if kind is float and isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+    if kind is float and isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST:
         return float(value)
     if kind in (int, str, bool, type(None)) and type(value) is kind:
         return value

@@ -56,10 +56,10 @@ class RoleResult:
 
 
 def with_log(result: RoleResult, failure: str | None) -> RoleResult:
-    """The result, with what went wrong with the role's log: a commit whose log is not whole has its own outcome."""
+    """The result, with what went wrong with the role's log: a good end whose log is not whole has its own outcome."""
     if not failure:
         return result
-    outcome = Outcome.LOG_FAILED if result.outcome is Outcome.COMMITTED else result.outcome
+    outcome = Outcome.LOG_FAILED if result.outcome.exit_code == 0 else result.outcome
     return replace(result, outcome=outcome, detail=result.detail or failure, log_failure=failure)
 
 

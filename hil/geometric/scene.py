@@ -11,18 +11,13 @@ from hil.geometric import kernels, targets
 from hil.render.scene import CAR_BOXES, SOLID, Model, drone, marked_drone
 from hil.world.snapshot import Snapshot
 from path.camera import CameraModel
+from path.camera_kernels import lens_of
 from path.geometry import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role
 
 Array = NDArray[np.float64]
 FACES_OF_A_BOX = 6
-
-
-def lens_row(camera: CameraModel) -> Array:
-    """A camera as the kernels take it."""
-    row = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion, camera.width, camera.height]
-    return np.array([*row, min(camera.max_radius, 1e6)])
 
 
 def car_parts() -> Array:
@@ -60,7 +55,7 @@ class CameraSetup:
     other: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lens", lens_row(self.camera))
+        object.__setattr__(self, "lens", lens_of(self.camera))
         object.__setattr__(self, "car", car_parts())
         marked = self.role is not Role.SENDER
         object.__setattr__(self, "other", drone_parts(self.T_b_v, self.layout, marked=marked))

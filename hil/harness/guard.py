@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Protocol, Self, cast
 
-from drivers.interfaces import Clock, FlightMode, VehicleError
-from drivers.mavlink.guard_interfaces import Answer, Beat, GuardView
-from drivers.rig.parts import PartContext
-from hil.world.world import World
+from drivers.interfaces import Clock, FlightMode, Log, VehicleError
+from drivers.mavlink.guard_interfaces import Answer, Beat, GuardView, Watched
+from drivers.rig.parts import PartContext, PartSpec, create
+from flight.config import MissionConfig
+from flight.guard_watch import GuardWatch, watch
+from hil.world.world import SimDrone
 from path.messages import Role
 
 TICK_S = 0.05  # in the loop of a thousand runs; the program beside a real role ticks faster
+
+
+class GuardWorld(Protocol):
+    """The part of a world that a guard needs."""
+
+    @property
+    def time_s(self) -> float: ...
+
+    def drone(self, role: Role, /) -> SimDrone: ...
 
 
 class GuardHarness(Protocol):
     """What the guard needs of ``PartContext.harness``; ``lost_vehicles`` have lost every link."""
 
     @property
-    def world(self) -> World: ...
+    def world(self) -> GuardWorld: ...
 
     @property
     def lost_vehicles(self) -> set[Role]: ...
@@ -169,3 +181,13 @@ class MemoryBeatLine:
         """The program is dead."""
         if self._newest is not None:
             self._newest.cut = True
+
+
+async def keep_watch(
+    spec: PartSpec, context: PartContext, beats: MemoryBeatLine, config: MissionConfig, log: Log
+) -> None:
+    """A drone's guard; it outlives the drone's programs, and goes on until it is cancelled."""
+    vehicle: Watched = create(spec, context)
+    guard = GuardWatch(vehicle, beats, context.clock, config, log)
+    async with vehicle:
+        await watch((guard,), asyncio.Event(), TICK_S)

@@ -1,4 +1,4 @@
-"""Faults of the world and of the link, switched on. What ends or blinds a program is each harness's own business."""
+"""Faults, switched on: in the world, on the link, and at a drone's program."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from dataclasses import replace
 from typing import Protocol
 
 from drivers.interfaces import FlightMode
+from hil.harness.drone import DroneHarness, present_s
+from hil.harness.programs import Programs
 from hil.link.faulty import LinkFaults
+from hil.world.faults import Fault
 from hil.world.world import Fleet, Name
 
 SAGGED = 0.15
@@ -63,3 +66,15 @@ def inject_on_link(name: str, value: float, link: FaultyLink) -> None:
         link.interrupt(value)
     elif name in _OF_LINK:
         link.faults = replace(link.faults, **dict.fromkeys(_OF_LINK[name], value))
+
+
+def inject_at_drone(fault: Fault, name: str, drone: DroneHarness, programs: Programs) -> None:
+    """A fault of one drone's camera, cable or program; any other changes nothing here."""
+    if fault.name == "camera_freeze":
+        drone.frozen = True
+    elif fault.name == "fc_link_loss":
+        drone.silent = drone.lost = True
+    if fault.cuts_off is not None:
+        drone.cut_off_s.append(present_s())
+    if fault.kills is not None:
+        programs.kill(name, fault.value)

@@ -5,24 +5,24 @@ from __future__ import annotations
 import asyncio
 import gc
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from typing import Any
 
 from drivers.log.mcap_log import McapLog, virtual_log
-from drivers.mavlink.guard_interfaces import Watched
-from drivers.rig.parts import PartContext, Rig, RoleRig, create, part_context
+from drivers.rig.parts import Rig, RoleRig, part_context
 from drivers.rig.tables import decode_table
 from drivers.stop_signals import stop_on_signals
-from flight.guard_watch import GuardWatch
 from flight.harness.flights import Progress, RoleResult
 from flight.harness.relay import DroneProgram, RelayConfig, RelayReport, RelayRequest, pair_of
-from hil.harness.guard import TICK_S, MemoryBeatLine
-from hil.harness.inject import inject_in_world, inject_on_link
+from hil.harness.drone import Disk, DroneHarness, present_s
+from hil.harness.guard import MemoryBeatLine, keep_watch
+from hil.harness.inject import inject_at_drone, inject_in_world, inject_on_link
+from hil.harness.leg_faults import LegFaults
 from hil.harness.preparation import prepare, starting
-from hil.harness.relay_faults import LegFaults
-from hil.harness.relay_world import OTHER, OWN, DroneHarness, RelayWorld, present_s
-from hil.harness.sim import Disk, mission_config
+from hil.harness.programs import Programs, Started
+from hil.harness.relay_world import OTHER, OWN, PairView, RelayWorld
+from hil.harness.sim import mission_config
 from hil.harness.virtual_time import run_virtual
 from hil.link.faulty import MemoryHub
 from hil.monitors.relay import RelayLog, RelayMonitors
@@ -64,21 +64,15 @@ def _parse(text: str) -> Fault:
 
 @dataclass(slots=True)
 class _Drone:
-    """One drone: its disk, its log, and its program while it has one."""
+    """One drone: what its parts are connected to, its log, and its guard while it is on."""
 
     name: str
     own: RoleRig
+    view: PairView
     harness: DroneHarness
-    store: Disk
     log: McapLog
     offset_ns: int
-    watched: RelayLog | None = None
-    program: DroneProgram | None = None
-    task: asyncio.Future[RoleResult] | None = None
     guard: asyncio.Task[None] | None = None
-    killed: bool = False
-    restart: asyncio.Task[None] | None = None
-    cut_off_s: list[float] = field(default_factory=list[float])
 
 
 class _Relay:
@@ -89,8 +83,7 @@ class _Relay:
         self._rig: Rig = request.rig
         self._config: RelayConfig = request.config
         self._mission = mission_config(self._rig)
-        self._stop = asyncio.Event()
-        self._interrupted = False
+        self._programs = Programs(self._died)
         self._hubs: dict[int, MemoryHub] = {}
         self._legs = LegFaults(faults, self._inject)
 
@@ -99,15 +92,17 @@ class _Relay:
         rig, request, config = self._rig, self._request, self._config
         world_config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
         self._world = RelayWorld(world_config, request.seed, config.drones)
-        pairs = {drone.name: pair_of(rig, drone, drone) for drone in config.drones}
-        built = {name: as_built(pair, request.seed, {OTHER: 0, OWN: k}) for k, (name, pair) in enumerate(pairs.items())}
+        self._pairs = {drone.name: pair_of(rig, drone, drone) for drone in config.drones}
+        built = {
+            name: as_built(pair, request.seed, {OTHER: 0, OWN: k}) for k, (name, pair) in enumerate(self._pairs.items())
+        }
         owns = {name: each.rig.receiver for name, each in built.items()}
         self._monitors = RelayMonitors(rig, config, self._mission, self._world, owns)
-        self._drones = {name: self._new(name, pair.receiver, built[name]) for name, pair in pairs.items()}
-        stop_on_signals(self._interrupt)
+        self._drones = {name: self._new(name, pair.receiver, built[name]) for name, pair in self._pairs.items()}
+        stop_on_signals(self._programs.interrupt)
         watching = asyncio.create_task(self._watch())
         try:
-            await request.main(self, self._stop, request.emit)
+            await request.main(self, self._programs.stop, request.emit)
         finally:
             await self._until_landed()
             self._legs.close()
@@ -120,32 +115,27 @@ class _Relay:
         return self._findings()
 
     def _new(self, name: str, own: RoleRig, built: Built) -> _Drone:
-        harness = DroneHarness(self._world, name, self._request.seed, present_s, built)
+        """To its own parts a drone is always the receiver, with a link to nobody until it is called to a leg."""
+        view = PairView(self._world, name)
+        seed = self._request.seed * 64 + self._world.names.index(name)
+        harness = DroneHarness(view, self._world.advance, seed, built, OWN, MemoryHub(seed))
+        self._programs.add(name, harness, Disk(lambda duty: self._legs.on_duty(name, duty)))
         offset_ns = round(float(own.clock.options.get("offset_s", 0.0)) * 1e9)
         log = virtual_log(self._request.out / f"{name}.mcap", name, offset_ns)
-        return _Drone(name, own, harness, Disk(lambda duty: self._legs.on_duty(name, duty)), log, offset_ns)
+        return _Drone(name, own, view, harness, log, offset_ns)
 
     # --- the field ---
 
-    async def begin(self, name: str, program: DroneProgram) -> RoleResult | None:
+    def begin(self, name: str, program: DroneProgram) -> Awaitable[RoleResult | None]:
         drone = self._drones[name]
         self._switch_on(drone)
-        self._start(drone, program)
-        while True:
-            assert drone.task is not None
-            await asyncio.wait([drone.task])
-            if not drone.killed:
-                return drone.task.result()
-            if drone.restart is None:
-                return None
-            await asyncio.wait([drone.restart])
-            if drone.killed:
-                return None
+        return self._programs.begin(name, lambda: self._start(drone, program))
 
     def open_leg(self, number: int, sender: str, receiver: str) -> None:
         hub = self._hubs[number] = MemoryHub(self._request.seed * 4096 + number)
         for role, name, other in ((Role.SENDER, sender, receiver), (Role.RECEIVER, receiver, sender)):
-            self._drones[name].harness.join(role, other, hub)
+            drone = self._drones[name]
+            drone.harness.role, drone.harness.hub, drone.view.other = role, hub, other
         self._monitors.on_leg(number, sender, receiver)
         self._legs.open_leg(number, sender, receiver)
 
@@ -157,7 +147,7 @@ class _Relay:
         self._close_flight(drone)
         self._world.swap(name)
         drone.harness.silent = drone.harness.lost = drone.harness.frozen = False
-        drone.harness.view.other = None
+        drone.view.other = None
 
     # --- programs ---
 
@@ -166,88 +156,34 @@ class _Relay:
             self._world.switch_on(drone.name)
             self._monitors.on_switched_on(drone.name, present_s())
             if drone.own.guard is not None and drone.guard is None:
-                drone.harness.beats = MemoryBeatLine(self._context(drone).clock)
-                drone.guard = asyncio.create_task(self._keep_watch(drone))
+                context = part_context(self._pairs[drone.name], OWN, drone.harness)
+                beats = drone.harness.beats = MemoryBeatLine(context.clock)
+                drone.guard = asyncio.create_task(keep_watch(drone.own.guard, context, beats, self._mission, _NoLog()))
 
-    def _context(self, drone: _Drone) -> PartContext:
-        spec = next(spec for spec in self._config.drones if spec.name == drone.name)
-        return part_context(pair_of(self._rig, spec, spec), Role.RECEIVER, drone.harness)
+    def _start(self, drone: _Drone, program: DroneProgram) -> Started:
+        log = RelayLog(drone.log, drone.name, self._monitors, drone.offset_ns, self._request.whole_log)
+        emit, stop, disk = self._emit_of(drone), self._programs.stop, self._programs.disk(drone.name)
+        return Started(log, program(drone.name, log, emit, stop, drone.harness, disk))
 
-    async def _keep_watch(self, drone: _Drone) -> None:
-        """The guard of a drone that is switched on; it outlives the drone's programs."""
-        context = self._context(drone)
-        assert drone.own.guard is not None and drone.harness.beats is not None
-        vehicle: Watched = create(drone.own.guard, context)
-        guard = GuardWatch(vehicle, drone.harness.beats, context.clock, self._mission, _NoLog())
-        async with vehicle:
-            while True:
-                guard.tick()
-                await asyncio.sleep(TICK_S)
-
-    def _start(self, drone: _Drone, program: DroneProgram) -> None:
-        drone.killed, drone.restart, drone.store.writable = False, None, True
-        drone.harness.silent = drone.harness.lost
-        drone.watched = RelayLog(drone.log, drone.name, self._monitors, drone.offset_ns, self._request.whole_log)
-        run = program(drone.name, drone.watched, self._emit_of(drone), self._stop, drone.harness, drone.store)
-        drone.task = asyncio.ensure_future(run)
-        drone.program = program
-
-    def _kill(self, drone: _Drone, restart_s: float | None) -> None:
-        """The program ends without a word, as in ``hil.harness.sim``."""
-        if drone.task is None or drone.task.done() or drone.killed or drone.watched is None:
-            return
-        drone.killed = drone.harness.silent = True
-        drone.harness.hub.cut(drone.harness.role)
-        if drone.harness.beats is not None:
-            drone.harness.beats.cut()
-        drone.store.writable = False
-        drone.watched.ended = True
-        self._monitors.on_death(drone.name)
-        drone.task.cancel()
-        if restart_s is not None and not self._interrupted:
-            drone.restart = asyncio.ensure_future(self._start_again(drone, drone.task, restart_s))
-
-    async def _start_again(self, drone: _Drone, dead: asyncio.Future[RoleResult], after_s: float) -> None:
-        await asyncio.sleep(after_s)
-        await asyncio.wait([dead])
-        drone.harness.hub.mend(drone.harness.role)
-        assert drone.program is not None
-        self._start(drone, drone.program)
+    def _died(self, name: str) -> None:
+        self._monitors.on_death(name)
 
     def _emit_of(self, drone: _Drone) -> Callable[[Progress], None]:
         def emit(progress: Progress) -> None:
-            if drone.killed:
-                return
-            self._request.emit(progress)
-            self._legs.on_progress(drone.name, progress)
+            if not self._programs.killed(drone.name):
+                self._request.emit(progress)
+                self._legs.on_progress(drone.name, progress)
 
         return emit
-
-    # --- faults ---
 
     def _inject(self, leg: int, fault: Fault) -> None:
         """To the drone that has, or had, the fault's role in the leg."""
         role = fault.kind.role
+        name = None if role is None else self._legs.end_of(leg, role)
         inject_on_link(fault.name, fault.value or 0.0, self._hubs[leg])
-        if role is None:
-            inject_in_world(fault.name, None, self._world)
-            return
-        drone = self._drones[self._legs.end_of(leg, role)]
-        now_s = present_s()
-        if fault.name == "camera_freeze":
-            drone.harness.frozen = True
-        elif fault.name == "fc_link_loss":
-            drone.harness.silent = drone.harness.lost = True
-        elif fault.kills is None:
-            inject_in_world(fault.name, drone.name, self._world, fault.value)
-        if fault.cuts_off is not None:
-            drone.cut_off_s.append(now_s)
-        if fault.kills is not None:
-            self._kill(drone, fault.value)
-
-    def _interrupt(self) -> None:
-        self._interrupted = True
-        self._stop.set()
+        inject_in_world(fault.name, name, self._world, fault.value)
+        if name is not None:
+            inject_at_drone(fault, name, self._drones[name].harness, self._programs)
 
     # --- what is seen ---
 
@@ -269,9 +205,9 @@ class _Relay:
 
     def _close_flight(self, drone: _Drone) -> None:
         """What one flight's autopilot leaves, before it is started anew."""
-        self._monitors.on_offboard(drone.name, drone.cut_off_s)
+        self._monitors.on_offboard(drone.name, drone.harness.cut_off_s)
         self._monitors.on_swap(drone.name, present_s())
-        drone.cut_off_s = []
+        drone.harness.cut_off_s = []
         if drone.guard is not None:
             drone.guard.cancel()
             drone.guard = None
@@ -288,7 +224,7 @@ class _Relay:
         return {
             **self._monitors.findings(),
             "simulated_s": present_s(),
-            "interrupted": self._interrupted,
+            "interrupted": self._programs.interrupted,
             "failure": failure,
             "log_failure": failed[0] if failed else "",
             "errors": reported(self._rig),

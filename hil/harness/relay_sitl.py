@@ -44,8 +44,8 @@ from hil.harness.children import (
     until_ready,
     write,
 )
+from hil.harness.leg_faults import LegFaults
 from hil.harness.preparation import starting
-from hil.harness.relay_faults import LegFaults
 from hil.harness.relay_live import run_of
 from hil.world.errors import level_of, reported
 from hil.world.faults import Fault, FaultError, parse_fault

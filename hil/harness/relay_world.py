@@ -6,19 +6,12 @@ receiver, who sees the other drone's marker when there is another drone.
 
 from __future__ import annotations
 
-import asyncio
 import math
-from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from drivers.mavlink.guard_interfaces import GuardLine
 from flight.harness.relay import RelayDrone
 from hil.autopilot.autopilot import Autopilot
-from hil.camera.capture import Freeze
-from hil.harness.guard import MemoryBeatLine
-from hil.link.faulty import MemoryHub
-from hil.world.errors import Built
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from hil.world.world import STEP_HZ, Fleet, HomeConfig, SimDrone, WorldConfig, at_home
 from path.messages import Role
@@ -141,59 +134,3 @@ class PairView:
         if self._seen is None or self._seen.time_s != self._world.time_s or self._seen_other != self.other:
             self._seen, self._seen_other = self._world.view(self._own, self.other), self.other
         return self._seen
-
-
-class DroneHarness:
-    """``PartContext.harness`` of one drone's parts, and ``flight.harness.flights.InProcess`` of its program.
-
-    Attributes:
-        role: in the leg under way.
-        hub: of that leg's link.
-    """
-
-    def __init__(self, world: RelayWorld, name: str, seed: int, present_s: Callable[[], float], built: Built) -> None:
-        self._world = world
-        self.built = built
-        self._present_s = present_s
-        self.name = name
-        self.seed = seed * 64 + world.names.index(name)
-        self.view = PairView(world, name)
-        self.role = Role.RECEIVER
-        self.hub = MemoryHub(self.seed)  # a link to nobody
-        self.beats: MemoryBeatLine | None = None
-        self.frozen = False
-        self.silent = False
-        self.lost = False
-
-    @property
-    def world(self) -> PairView:
-        """At the loop's present."""
-        now_s = self._present_s()
-        if now_s != self._world.time_s:
-            self._world.advance(now_s)
-        return self.view
-
-    @property
-    def frozen_cameras(self) -> Mapping[Role, Freeze]:
-        return {OWN: Freeze.SILENT} if self.frozen else {}
-
-    @property
-    def silent_vehicles(self) -> set[Role]:
-        return set(Role) if self.silent else set()
-
-    @property
-    def lost_vehicles(self) -> set[Role]:
-        return set(Role) if self.lost else set()
-
-    def guard_line(self, role: Role) -> GuardLine:
-        del role
-        assert self.beats is not None, "the rig has no guard"
-        return self.beats.role_end()
-
-    def join(self, role: Role, other: str | None, hub: MemoryHub) -> None:
-        """From now on this drone is one end of a leg."""
-        self.role, self.view.other, self.hub = role, other, hub
-
-
-def present_s() -> float:
-    return asyncio.get_running_loop().time()

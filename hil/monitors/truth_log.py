@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from drivers.interfaces import Log
-from drivers.log_topics import camera_record
+from drivers.log.topics import camera_record
 from drivers.rig.parts import Rig, RoleRig
 from hil.render.scene import CAR_BOXES
 from hil.world.world import World

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 from drivers.interfaces import PartError
 from flight.harness.flights import Progress
-from flight.phases import COURSE
+from flight.phases import COURSE, Phase
 from path.messages import Role
 from path.protocol.values import ReceiverDuty, SenderDuty
 
@@ -47,8 +47,8 @@ class FaultKind:
     @property
     def moments(self) -> tuple[str, ...]:
         """What may stand behind the ``@``: phases of a course, and what the hand-over's records say."""
-        phases = tuple(phase.title for phase in COURSE[self.followed])
-        return phases + DUTIES[self.followed]
+        phases = (*COURSE[self.followed], Phase.MISSION)
+        return tuple(phase.title for phase in phases) + DUTIES[self.followed]
 
 
 FAULTS: dict[str, FaultKind] = {

@@ -27,7 +27,7 @@ from drivers.rig.calibration_file import (
 from drivers.rig.file import load_rig
 from drivers.rig.mounts import CameraMount, MarkerMount
 from drivers.rig.parts import Rig
-from drivers.rig.tables import RigError, decode_table
+from drivers.rig.tables import RigError, decode_table, read_toml
 from missions.calibrate.board import board_of
 from missions.calibrate.collect import image_files
 from missions.options import CalibrateMountOptions
@@ -93,7 +93,7 @@ def _up(value: float) -> float:
 def _from_tape(file: Path, rig: Rig) -> MountCalibration:
     """``T_v_c1`` from places measured on the body. The errors of both ends add up."""
     try:
-        measured = decode_table(tomllib.loads(file.read_text("utf-8")), MeasuredMount, file.name, file.parent)
+        measured = decode_table(read_toml(file), MeasuredMount, file.name, file.parent)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise CalibrationError(f"{file}: {error}", "docs/calibration.md describes the file") from error
     except RigError as error:

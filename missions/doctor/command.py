@@ -23,6 +23,7 @@ from missions import rig_library
 from missions.doctor.parts import part_tests, run_test
 from missions.doctor.table import open_findings
 from missions.doctor.vehicle import check_vehicle
+from missions.kernel_cache import VARIABLE, can_write, usual_folders
 from missions.options import DoctorOptions
 from path.messages import Role
 
@@ -152,16 +153,13 @@ def check_realsense(*, needed: bool) -> Finding:
 
 
 def check_kernel_cache() -> Finding:
-    """numba keeps what it compiled beside the source, or in the user's cache folder."""
-    here = Path(__file__).resolve().parents[2]
-    wanted = os.environ.get("NUMBA_CACHE_DIR")
-    folders = [Path(wanted)] if wanted else [here, Path.home() / ".cache"]
+    """Where numba keeps what it compiled: without such a place no command starts."""
+    wanted = os.environ.get(VARIABLE)
+    folders = (Path(wanted),) if wanted else usual_folders()
     for folder in folders:
-        if os.access(_existing(folder), os.W_OK):
+        if can_write(folder):
             return Finding("ok", "kernel cache", str(folder))
-    return Finding(
-        "note", "kernel cache", "not writable: every start compiles for some 15 s", "set NUMBA_CACHE_DIR to a folder"
-    )
+    return Finding("fault", "kernel cache", "no folder can be written to", f"set {VARIABLE} to a folder")
 
 
 def check_room() -> Finding:

@@ -10,7 +10,7 @@ import gc
 import sys
 from collections.abc import Mapping
 from contextlib import AsyncExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.interfaces import Log, PartError
@@ -86,6 +86,12 @@ def guard_of(rig: Rig, role: Role) -> PartSpec:
     return spec
 
 
+def _as_flown(rig: Rig, role: Role, spec: PartSpec) -> PartSpec:
+    """With the source of its heights that the script's vehicle has: two of them would be two fences."""
+    height_from = rig.role(role).vehicle.options.get("height_from")
+    return spec if height_from is None else replace(spec, options={**spec.options, "height_from": height_from})
+
+
 async def watch_vehicles(
     rig: Rig, config: MissionConfig, specs: Mapping[Role, PartSpec], logs: Mapping[Role, Path], *,
     until_input_ends: bool, while_flown: bool,
@@ -98,7 +104,7 @@ async def watch_vehicles(
         vehicles: list[Watched] = []
         for role, spec in specs.items():
             context = part_context(rig, role)
-            vehicle: Watched = await stack.enter_async_context(create(spec, context))
+            vehicle: Watched = await stack.enter_async_context(create(_as_flown(rig, role, spec), context))
             line = await stack.enter_async_context(UdpBeatLine(str(spec.options["bind"]), context.clock))
             log: Log = stack.enter_context(McapLog(logs[role], role.value))
             tell = Teller(role)

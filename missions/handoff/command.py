@@ -6,25 +6,27 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, import_factory, with_errors
-from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleResult
+from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleMain, RoleResult
 from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
 from missions.leg.process import fly_role
-from missions.options import ConformanceOptions, HandoffOptions
+from missions.options import ConformanceOptions, FlyOptions, HandoffOptions
 from missions.report.command import make_report, series_table, show, summarize_many
 from missions.report.progress import open_console, open_tally
-from missions.report.records import FACTS, RUN, SUMMARY, RunFacts, load_run, write_facts
+from missions.report.records import RUN, SUMMARY, RunFacts, load_run, write_facts
 from missions.report.right_object import fly_watched
 from missions.report.summary import summarize
-from missions.run_folder import claim_folder, claim_result, new_folder
+from missions.run_folder import claim_result, claimed, new_folder, unless_refused
+from missions.shown import say_unwritten
 from path.messages import Role
 
 _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
@@ -35,16 +37,20 @@ def run(options: HandoffOptions) -> int:
     name_simulators(options)
     rig = with_errors(rig_library.load(options.rig), options.errors)
     harness_of(rig)
-    folder = new_folder(options.out)
-    if options.seeds > 1:
-        return fly_many(rig, options, folder)
-    with open_console(sys.stdout) as console:
-        facts = fly_once(rig, options.seed, options.fault, folder, console.show)
-    make_report(folder, options.picture, sys.stdout)
+    with unless_refused(options.out) as folder:
+        if options.seeds > 1:
+            return fly_many(rig, options, folder)
+        with open_console(sys.stdout) as console:
+            facts = fly_once(rig, options.seed, options.fault, folder, console.show)
+    try:
+        make_report(folder, options.picture, sys.stdout)
+    except OSError as error:
+        facts = unwritten(facts, error)
+        say_unwritten(error)
     return facts.exit_code
 
 
-def name_simulators(options: HandoffOptions | ConformanceOptions) -> None:
+def name_simulators(options: HandoffOptions | FlyOptions | ConformanceOptions) -> None:
     """For the harness and its processes: what runs the autopilots of the rigs that fly real ones."""
     for variable, binary in (("PATH_PX4", options.px4), ("PATH_ARDUPILOT", options.ardupilot)):
         if binary is not None:
@@ -58,7 +64,7 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
     """
     jobs = 1 if rig.level not in ("sim", "sim-rendered") else options.jobs or os.cpu_count() or 1
     seeds = range(options.seed, options.seed + options.seeds)
-    claim_result(folder, SUMMARY, f"seed-*/{FACTS}")
+    claim_result(folder / SUMMARY, '"failed_seeds"')
     summaries: list[dict[str, Any]] = []
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_leave_signals_to_the_parent)
     try:
@@ -99,21 +105,41 @@ def _fly_seed(rig_file: str, errors: str | None, seed: int, faults: Sequence[str
 def harness_of(rig: Rig) -> Harness:
     """The harness a rig names. Raises PartError when it names none: then each role is started on its own drone."""
     if rig.harness is None:
+        named = rig_library.name_of(rig)
         raise PartError(
             f"rig {rig.name} is flown from its drones: it has no harness",
-            f"start `path-handoff sender --rig {rig.name}` on D1 and `path-handoff receiver --rig {rig.name}` on D2",
+            f"start `path-handoff sender --rig {named}` on D1 and `path-handoff receiver --rig {named}` on D2",
         )
     return import_factory(rig.harness, rig.where("harness"))()
 
 
-def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) -> RunFacts:
+@dataclass(frozen=True, slots=True)
+class Programs:
+    """What both drones fly.
+
+    Attributes:
+        main: one role's program, in the harness's process.
+        arguments: what ``path-handoff`` is told to fly it in a process of its own, before what all such are told.
+        good: how both end when all goes well.
+    """
+
+    main: RoleMain
+    arguments: Callable[[Role], Sequence[str]]
+    good: Outcome
+
+
+HANDOFF = Programs(fly_role, lambda role: (role.value,), Outcome.COMMITTED)
+
+
+def fly_once(
+    rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit, programs: Programs = HANDOFF
+) -> RunFacts:
     """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was asked wrongly."""
     harness = harness_of(rig)
-    claim_folder(out, RUN)
 
     def command(role: Role) -> Sequence[str]:
         return [
-            sys.executable, "-m", "missions.cli", role.value, "--rig", str(rig.file), "--out", str(out),
+            sys.executable, "-m", "missions.cli", *programs.arguments(role), "--rig", str(rig.file), "--out", str(out),
             "--console", "events", "--guard", "expect" if rig.role(role).guard else "none",
         ]  # fmt: skip
 
@@ -124,9 +150,10 @@ def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) 
         ]  # fmt: skip
 
     attack = [sys.executable, "-m", "missions.assurance.verify.attack"]
-    request = FlightRequest(rig, out, seed, tuple(faults), fly_role, command, emit, attack, guard_command)
-    report = fly_watched(harness, request)
-    outcome, detail = judge(report)
+    request = FlightRequest(rig, out, seed, tuple(faults), programs.main, command, emit, attack, guard_command)
+    with claimed(out, RUN):
+        report = fly_watched(harness, request)
+    outcome, detail = judge(report, programs.good)
     facts = RunFacts(
         rig=rig.name,
         level=rig.level,
@@ -141,11 +168,23 @@ def fly_once(rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit) 
         notes=tuple(report.notes),
         errors=dict(report.errors),
     )
-    write_facts(out, facts)
+    try:
+        write_facts(out, facts)
+    except OSError as error:
+        say_unwritten(error)
+        return unwritten(facts, error)
     return facts
 
 
-def judge(report: FlightReport) -> tuple[Outcome, str]:
+def unwritten(facts: RunFacts, error: OSError) -> RunFacts:
+    """The facts of a run of which something could not be written or shown: a good end then has its own outcome."""
+    if facts.exit_code != 0:
+        return facts
+    end, detail = Outcome.LOG_FAILED, f"{error.filename or 'the report'}: {error.strerror or error}"
+    return replace(facts, outcome=end.label, exit_code=end.exit_code, detail=detail)
+
+
+def judge(report: FlightReport, good: Outcome = Outcome.COMMITTED) -> tuple[Outcome, str]:
     """The outcome of the whole run: the harness's own failure and violated monitors first, then the roles' causes."""
     if report.failure:
         return Outcome.HARNESS_FAILED, report.failure
@@ -154,10 +193,10 @@ def judge(report: FlightReport) -> tuple[Outcome, str]:
     if report.interrupted:
         return Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
     results = [_dead(role) if result is None else result for role, result in report.results.items()]
-    ends = [result for result in results if result.outcome is not Outcome.COMMITTED]
+    ends = [result for result in results if result.outcome is not good]
     if not ends:
         if all(report.landed.values()):
-            return Outcome.COMMITTED, ""
+            return good, ""
         return Outcome.VEHICLE_REFUSED, "a vehicle did not land"
     # what one drone did because of the other is not the cause
     causes = [end for end in ends if end.outcome not in _CONSEQUENCES] or ends

@@ -5,9 +5,10 @@ from __future__ import annotations
 import sys
 
 from drivers.log.mcap_log import parts
+from flight.harness.flights import RoleMain
 from missions import rig_library
 from missions.guard.start import with_guard
-from missions.leg.process import run_role
+from missions.leg.process import fly_role, run_role
 from missions.options import ReceiverOptions, RoleOptions
 from missions.report.progress import open_console
 from missions.run_folder import new_folder
@@ -16,15 +17,19 @@ from path.messages import Role
 
 def run(options: RoleOptions) -> int:
     """Fly one role to its end; returns its outcome's exit code. Raises PartError when the rig or a part is refused."""
-    role = Role.RECEIVER if isinstance(options, ReceiverOptions) else Role.SENDER
+    return fly_from_drone(options, Role.RECEIVER if isinstance(options, ReceiverOptions) else Role.SENDER, fly_role)
+
+
+def fly_from_drone(options: RoleOptions, role: Role, main: RoleMain) -> int:
+    """The same with any program of a role."""
     rig = rig_library.load(options.rig)
     folder = new_folder(options.out)
     rig = with_guard(rig, role, options.guard, folder)
     state = options.state or (options.out or folder.parent) / f"{role.value}.state.json"
     if options.console == "events":
-        return run_role(rig, role, folder, state, lambda _: None, parent=True).outcome.exit_code
+        return run_role(rig, role, folder, state, lambda _: None, parent=True, main=main).outcome.exit_code
     with open_console(sys.stdout) as console:
-        result = run_role(rig, role, folder, state, console.show, parent=False)
+        result = run_role(rig, role, folder, state, console.show, parent=False, main=main)
     sys.stdout.write(f"{role.value}: {result.outcome.label}: {result.detail or result.outcome.meaning}\n")
     sys.stdout.write(f"log: {parts(folder, role.value)[-1]}\n")
     return result.outcome.exit_code

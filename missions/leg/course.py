@@ -15,11 +15,13 @@ Course = Callable[[], Awaitable[None]]
 Recovery = Callable[[MissionEnd | None], Awaitable[bool]]
 
 
-async def fly_course(session: Session, course: Course, recover: Recovery) -> RoleResult:
+async def fly_course(
+    session: Session, course: Course, recover: Recovery, good: Outcome = Outcome.COMMITTED
+) -> RoleResult:
     """Run a mission to its end: the course, then the recovery that brings the vehicle down.
 
     What was spawned goes on until the vehicle is down: the pilot keeps flying, and the other drone keeps hearing from
-    this one.
+    this one. ``good`` is how a course ends that comes to its own end.
     """
     end: MissionEnd | None = None
     landed = False
@@ -28,7 +30,7 @@ async def fly_course(session: Session, course: Course, recover: Recovery) -> Rol
         landed = await run_recovery(session, recover, end)
     finally:
         await close_session(session)
-    return conclude(session, end, landed)
+    return conclude(session, end, landed, good)
 
 
 async def run_course(session: Session, course: Course) -> MissionEnd | None:
@@ -81,11 +83,11 @@ async def close_session(session: Session) -> None:
         session.guard.beat(session.beat())  # the last word on whose the vehicle is
 
 
-def conclude(session: Session, end: MissionEnd | None, landed: bool) -> RoleResult:
+def conclude(session: Session, end: MissionEnd | None, landed: bool, good: Outcome = Outcome.COMMITTED) -> RoleResult:
     """The program's last records. A course that came to its own end may still lose the vehicle on its way home."""
     if end is None and session.pilot.override:
         end = MissionEnd(Outcome.PILOT_OVERRIDE, session.pilot.override)
-    outcome, detail = (end.outcome, end.detail) if end else (Outcome.COMMITTED, "")
+    outcome, detail = (end.outcome, end.detail) if end else (good, "")
     session.log.write(
         "/outcome",
         session.now_ns(),

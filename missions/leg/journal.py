@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from drivers.interfaces import View
-from drivers.log_topics import camera_record
+from drivers.log.topics import camera_record
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
-from flight.marker_view import Motion
+from flight.marker_view import MarkerFix, Motion
 from flight.tracking import Sighting
 from path.agreement import Agreed
 from path.camera import CameraModel
 from path.geometry import Matrix, Pose
 from path.messages import Candidate, Role, Target
-from path.observations import Box, MarkerDetection, Missed, MissReason
+from path.observations import Box, Detection, MarkerDetection, Missed, MissReason
 from path.prior import Prior
 from path.rigid import transform_back
 from path.rotation import quat_from_R
 from path.sender import Pair
-from path.window import Evidence
-
-_LOWER = np.tril_indices(6)
+from path.window import Evidence, Gate
 
 
 def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
@@ -53,6 +52,40 @@ def _rows(pose: Pose) -> Any:
     return np.column_stack((pose.R, pose.t)).ravel()
 
 
+def attempt_record(handoff_id: int, epoch: int, target_id: int) -> dict[str, Any]:
+    """``/attempt``: from here on a cycle of its own decides."""
+    return {"handoff_id": handoff_id, "epoch": epoch, "target_id": target_id}
+
+
+def heard_candidate_record(candidate: Candidate, capture_ns: int) -> dict[str, Any]:
+    """``/heard_candidate``: an answer of D2 as it came in; ``capture_ns`` by D1's clock."""
+    return {
+        **attempt_record(candidate.handoff_id, candidate.epoch, candidate.target_id),
+        "sequence": candidate.sequence,
+        "target_sequence": candidate.target_sequence,
+        "peer_capture_ns": candidate.capture_ns,
+        "capture_ns": capture_ns,
+        "box": box_record(candidate.box),
+        "reason": candidate.reason.value if candidate.reason else None,
+        "position_v_m": candidate.position_v_m,
+        "rotation_v_c2": candidate.rotation_v_c2,
+        "sigma_m": candidate.sigma_m,
+    }
+
+
+def heard_target_record(target: Target, capture_ns: int) -> dict[str, Any]:
+    """``/heard_target``: a message of D1 as it came in; ``capture_ns`` by D2's clock."""
+    return {
+        **attempt_record(target.handoff_id, target.epoch, target.target_id),
+        "sequence": target.sequence,
+        "peer_capture_ns": target.capture_ns,
+        "capture_ns": capture_ns,
+        "point_v_m": target.point_v_m,
+        "gravity_v": target.gravity_v,
+        "sigma_m": target.sigma_m,
+    }
+
+
 def box_record(box: Box | None) -> list[float] | None:
     return None if box is None else [box.x, box.y, box.w, box.h]
 
@@ -74,6 +107,7 @@ def target_record(message: Target | Missed, frame_id: int, capture_ns: int, box:
     """``/target``: what one frame of D1 gave."""
     sent = isinstance(message, Target)
     return {
+        "frame_id": frame_id,
         "sequence": message.sequence if sent else frame_id & 0xFFFF,
         "capture_ns": capture_ns,
         "box": box_record(box),
@@ -108,6 +142,12 @@ def agreement_record(pair: Pair, count: int, needed: int, evidence: Evidence | N
     }
 
 
+def counted(pair: Pair, gate: Gate) -> tuple[int, Evidence | None]:
+    """Count and evidence as of this pair: the gate may already have seen the next."""
+    verdict = pair.verdict
+    return (verdict.count, verdict.evidence) if isinstance(verdict, Agreed) else (gate.count, gate.evidence)
+
+
 def marker_record(
     capture_ns: int, position_v_m: Any, rotation_v_c2: Any, sigma_m: float, side_px: float, found: MarkerDetection
 ) -> dict[str, Any]:
@@ -128,7 +168,7 @@ def marker_miss_record(capture_ns: int, missed: Missed) -> dict[str, Any]:
     return {"capture_ns": capture_ns, "position_v_m": None, "corners_px": None, "reason": missed.reason.value}
 
 
-def motion_record(motion: Motion, R_n_c: Matrix, R_n_v: Matrix | None, covariance: Matrix | None) -> dict[str, Any]:
+def motion_record(motion: Motion, R_n_c: Matrix, R_n_v: Matrix | None, fix: MarkerFix | Missed) -> dict[str, Any]:
     """``/motion``: what the relative-pose filter was given with one frame."""
     return {
         "own_stamp_ns": motion.own_stamp_ns,
@@ -137,11 +177,14 @@ def motion_record(motion: Motion, R_n_c: Matrix, R_n_v: Matrix | None, covarianc
         "peer_n_mps": motion.peer_n_mps,
         "q_n_c": quat_from_R(R_n_c),
         "q_n_v": None if R_n_v is None else quat_from_R(R_n_v),
-        "covariance": None if covariance is None else covariance[_LOWER],
+        "T_c_v": _rows(fix.T_c_v) if isinstance(fix, MarkerFix) else None,
+        "covariance": fix.covariance.ravel() if isinstance(fix, MarkerFix) else None,
     }
 
 
-def candidate_record(candidate: Candidate, prior: Prior | Missed, camera: CameraModel) -> dict[str, Any]:
+def candidate_record(
+    candidate: Candidate, prior: Prior | Missed, camera: CameraModel, found: Sequence[Detection]
+) -> dict[str, Any]:
     """``/candidate``: what D2 answered for one frame."""
     looked = isinstance(prior, Prior)
     region = prior.region if looked else None
@@ -150,6 +193,7 @@ def candidate_record(candidate: Candidate, prior: Prior | Missed, camera: Camera
         x, y = camera.ray(*prior.pixel)
         point_v_m = transform_back(prior.T_c2_v, (x * prior.depth_m, y * prior.depth_m, prior.depth_m))
     return {
+        "epoch": candidate.epoch,
         "sequence": candidate.sequence,
         "target_sequence": candidate.target_sequence,
         "capture_ns": candidate.capture_ns,
@@ -161,4 +205,5 @@ def candidate_record(candidate: Candidate, prior: Prior | Missed, camera: Camera
         "point_v_m": point_v_m,
         "prior_px": prior.pixel if looked else None,
         "region": [region.x0, region.y0, region.x1, region.y1] if region else None,
+        "found": [{"box": box_record(each.box), "score": each.score} for each in found],
     }

@@ -10,7 +10,7 @@ from drivers.log.mcap_log import McapLog, new_part
 from drivers.log.state_file import StateFile
 from drivers.rig.parts import Rig
 from drivers.stop_signals import stop_at_end_of_input, stop_on_signals
-from flight.harness.flights import Emit, InProcess, Progress, RoleResult, encode_event, with_log
+from flight.harness.flights import Emit, InProcess, Progress, RoleMain, RoleResult, encode_event, with_log
 from missions.leg.receiver import run_receiver
 from missions.leg.sender import run_sender
 from path.messages import Role
@@ -31,16 +31,20 @@ async def fly_role(
     return await _MAINS[role](rig, role, log, emit, stop, harness, store)
 
 
-def run_role(rig: Rig, role: Role, out: Path, state: Path, emit: Emit, parent: bool) -> RoleResult:
+def run_role(
+    rig: Rig, role: Role, out: Path, state: Path, emit: Emit, parent: bool, main: RoleMain = fly_role
+) -> RoleResult:
     """Fly one role to its end; ``stop_signals`` land the vehicle. Raises PartError when a part cannot be opened.
 
     Args:
         out: folder of the log; a new part of it when there is one already.
         state: file of what the role has to know when it is started again.
         parent: events go to stdout as lines of JSON, and a closed stdin means that the parent is gone: stop.
+        main: the role's program.
     """
     with McapLog(new_part(out, role.value), role.value) as log:
-        result = asyncio.run(_run(rig, role, log, StateFile(state, role), _to_parent if parent else emit, parent))
+        store, told = StateFile(state, role), _to_parent if parent else emit
+        result = asyncio.run(_run(rig, role, log, store, told, parent, main))
         result = with_log(result, log.failed)
         if parent:
             print(encode_event(result), flush=True)
@@ -51,9 +55,11 @@ def _to_parent(progress: Progress) -> None:
     print(encode_event(progress), flush=True)
 
 
-async def _run(rig: Rig, role: Role, log: McapLog, store: StateFile, emit: Emit, parent: bool) -> RoleResult:
+async def _run(
+    rig: Rig, role: Role, log: McapLog, store: StateFile, emit: Emit, parent: bool, main: RoleMain
+) -> RoleResult:
     stop = asyncio.Event()
     stop_on_signals(stop.set)
     if parent:
         stop_at_end_of_input(stop.set)
-    return await _MAINS[role](rig, role, log, emit, stop, None, store)
+    return await main(rig, role, log, emit, stop, None, store)

@@ -26,8 +26,10 @@ from flight.viewpoint import NoViewpoint
 from missions.leg.course import fly_course
 from missions.leg.handover import ReceiverHandover
 from missions.leg.journal import (
+    attempt_record,
     candidate_record,
     frame_record,
+    heard_target_record,
     marker_miss_record,
     marker_record,
     motion_record,
@@ -272,8 +274,7 @@ class Receiver:
             fix = self._marker.look(view, T_n_c.R, gravity_v, self._eye.gravity_c(R_n_b))
         with session.stage("log"):
             session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
-            covariance = fix.covariance if isinstance(fix, MarkerFix) else None
-            session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, covariance))
+            session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, fix))
         self._judge_marker(stamp_ns)
         with session.stage("projection"):
             prior = cycle.prior(fix.T_c_v, fix.covariance, stamp_ns) if isinstance(fix, MarkerFix) else fix
@@ -289,7 +290,7 @@ class Receiver:
         with session.stage("link"):
             session.link.send(candidate)
         with session.stage("log"):
-            session.log.write("/candidate", stamp_ns, candidate_record(candidate, prior, self._camera))
+            session.log.write("/candidate", stamp_ns, candidate_record(candidate, prior, self._camera, found))
         if candidate.box is not None and isinstance(prior, Prior):
             with session.stage("depth"):
                 self._note_found(view, T_n_c, candidate, prior)
@@ -364,8 +365,12 @@ class Receiver:
                 target_id=live.target_id,
                 sender=(session.rig.sender.camera, self._sender_eye_v),
             )
+            attempt = attempt_record(live.handoff_id, live.epoch, live.target_id)
+            session.log.write("/attempt", session.now_ns(), attempt)
         assert self._cycle is not None
-        missed = self._cycle.on_target(target, session.alignment.to_own_ns(target.capture_ns), session.now_ns())
+        capture_ns, now_ns = session.alignment.to_own_ns(target.capture_ns), session.now_ns()
+        missed = self._cycle.on_target(target, capture_ns, now_ns)
+        session.log.write("/heard_target", now_ns, heard_target_record(target, capture_ns))
         if missed is None:
             self._newest = target
 

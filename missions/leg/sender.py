@@ -19,11 +19,18 @@ from flight.phases import Phase
 from flight.tracking import Sighting, TargetTrack, acquire, follow
 from missions.leg.course import fly_course
 from missions.leg.handover import SenderHandover
-from missions.leg.journal import agreement_record, frame_record, target_record, track_record
+from missions.leg.journal import (
+    agreement_record,
+    attempt_record,
+    counted,
+    frame_record,
+    heard_candidate_record,
+    target_record,
+    track_record,
+)
 from missions.leg.session import Session, open_session
 from missions.leg.steps import bring_down, preflight, take_off
 from missions.rig_library import mission_of
-from path.agreement import Agreed
 from path.geometry import Matrix
 from path.messages import Candidate, Role, Target
 from path.observations import Box, Missed, MissReason
@@ -137,6 +144,8 @@ class Sender:
             epoch=self._handover.epoch,
             target_id=config.target_id,
         )
+        attempt = attempt_record(config.handoff_id, self._handover.epoch, config.target_id)
+        self._session.log.write("/attempt", self._session.now_ns(), attempt)
 
     async def recover(self, end: MissionEnd | None) -> bool:
         self._watching = False
@@ -279,10 +288,11 @@ class Sender:
         if isinstance(message, Target):
             with session.stage("link"):
                 session.link.send(message)
+        now_ns = session.now_ns()
         with session.stage("log"):
-            self._log_frame(view, seen, message)
+            self._log_frame(view, seen, message, now_ns)
         with session.stage("agreement"):
-            pairs = cycle.evaluate_ready(session.now_ns())
+            pairs = cycle.evaluate_ready(now_ns)
         with session.stage("log"):
             for pair in pairs:
                 self._note_pair(pair, cycle.gate)
@@ -302,8 +312,9 @@ class Sender:
         session, cycle = self._session, self._cycle
         if cycle is None or not session.alignment.ready:
             return
-        capture_ns = session.alignment.to_own_ns(candidate.capture_ns)
-        missed = cycle.offer(candidate, capture_ns, session.now_ns())
+        capture_ns, now_ns = session.alignment.to_own_ns(candidate.capture_ns), session.now_ns()
+        missed = cycle.offer(candidate, capture_ns, now_ns)
+        session.log.write("/heard_candidate", now_ns, heard_candidate_record(candidate, capture_ns))
         if missed is None:
             self._candidates += 1
             if candidate.box is not None:
@@ -314,19 +325,20 @@ class Sender:
     def _note_pair(self, pair: Pair, gate: Gate) -> None:
         """Log one verdict and show it."""
         session, verdict = self._session, pair.verdict
-        count, evidence = gate.count, gate.evidence
-        if isinstance(verdict, Agreed):
-            count, evidence = verdict.count, verdict.evidence  # of this pair: the gate may already have seen the next
+        count, evidence = counted(pair, gate)
         session.shown.count, session.shown.iou = count, verdict.iou
         session.shown.evidence = evidence
         record = agreement_record(pair, count, session.rig.method.needed_pairs, evidence, self._config.target_id)
         session.log.write("/agreement", session.now_ns(), record)
 
-    def _log_frame(self, view: View, seen: Sighting | MissReason, message: Target | Missed) -> None:
+    def _log_frame(self, view: View, seen: Sighting | MissReason, message: Target | Missed, now_ns: int) -> None:
         session = self._session
         box = seen.box if isinstance(seen, Sighting) else None
         session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
         record = target_record(message, view.frame_id, view.stamp_ns, box)
+        record["judged_ns"] = now_ns
+        if isinstance(seen, Sighting) and seen.depth is not None:
+            record["depth_m"], record["depth_sigma_m"] = seen.depth.z_m, seen.depth.sigma_m
         if isinstance(seen, MissReason):
             record["reason"] = seen.value
         session.log.write("/target", view.stamp_ns, record)

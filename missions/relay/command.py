@@ -22,7 +22,8 @@ from missions.relay.process import processes_of
 from missions.relay.report import relay_table, summarize_relay
 from missions.relay.role import program_of
 from missions.report.command import show
-from missions.run_folder import RunKind, claim_folder, new_folder
+from missions.run_folder import RunKind, claimed, unless_refused
+from missions.shown import say_unwritten, tell_line
 
 SUMMARY, RELAY, PICTURE = "summary.json", "relay.json", "relay.png"
 
@@ -34,17 +35,30 @@ def run(options: RelayOptions) -> int:
     hours = hours_of(config, options)
     if not hours > 0.0:
         raise PartError(f"--hours {hours:g} is not above 0", "give the hours that it is to last, such as 8")
-    folder = new_folder(options.out)
-    sys.stdout.write(f"{options.drones} drones, {hours:g} h: {folder}\n")
-    summary, record = fly_relay(rig, config, options, folder, _Teller().tell)
-    if options.picture:
+    with unless_refused(options.out) as folder:
+        tell_line(f"{options.drones} drones, {hours:g} h: {folder}")
+        summary, record = fly_relay(rig, config, options, folder, _Teller().tell)
+    try:
+        _leave(summary, record, folder, options.picture)
+    except OSError as error:
+        say_unwritten(error)
+        committed = summary["exit_code"] == Outcome.COMMITTED.exit_code
+        return Outcome.LOG_FAILED.exit_code if committed else int(summary["exit_code"])
+    return int(summary["exit_code"])
+
+
+def _leave(summary: dict[str, Any], record: dict[str, Any], folder: Path, picture: bool) -> None:
+    """Write what came of a relay, and show it. Raises OSError."""
+    (folder / RELAY).write_text(json.dumps(record, indent=1) + "\n", "utf-8")
+    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+    if picture:
         from missions.relay.picture import draw_relay  # noqa: PLC0415 (matplotlib takes a second to import)
 
         draw_relay(record, summary, folder / PICTURE)
     show(relay_table(summary), sys.stdout)
     written = [name for name in (SUMMARY, RELAY, PICTURE) if (folder / name).exists()]
     sys.stdout.write(f"\n{folder}: {', '.join(written)}\n")
-    return int(summary["exit_code"])
+    sys.stdout.flush()
 
 
 def hours_of(config: RelayConfig, options: RelayOptions) -> float:
@@ -65,9 +79,9 @@ def faults_of(texts: Sequence[str]) -> dict[int, list[str]]:
 def fly_relay(
     rig: Rig, config: RelayConfig, options: RelayOptions, out: Path, tell: Tell
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """One relay to its end; writes its logs, ``relay.json`` and ``summary.json``. Returns summary and record."""
+    """One relay to its end; its logs are in ``out``. Returns summary and record."""
     harness: RelayHarness = import_factory(config.harness, rig.where("[relay] harness"))()
-    claim_folder(out, RunKind(RELAY, (SUMMARY, PICTURE), ("world", *(drone.name for drone in config.drones))))
+    kind = RunKind(RELAY, (SUMMARY, PICTURE), ("world", *(drone.name for drone in config.drones)))
     base = Base(config, tell, hours_of(config, options))
 
     async def main(ground: RelayField, stop: asyncio.Event, emit: Emit) -> None:
@@ -78,12 +92,11 @@ def fly_relay(
     request = RelayRequest(
         rig, config, out, options.seed, faults, main, _quiet, processes, base.hours, options.logs
     )  # fmt: skip
-    report = harness.fly(request)
+    with claimed(out, kind):
+        report = harness.fly(request)
     outcome, detail = judge(base, report)
     record = {"outcome": outcome.label, **record_of(config, base, report)}
     summary = summarize_relay(rig, config, options, base, report, outcome, detail)
-    (out / RELAY).write_text(json.dumps(record, indent=1) + "\n", "utf-8")
-    (out / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
     return summary, record
 
 
@@ -134,5 +147,4 @@ class _Teller:
 
     def tell(self, event: Event) -> None:
         minutes = event.time_s / 60.0
-        sys.stdout.write(f"{minutes:8.1f} min  {event.drone:<4} {event.what:<11} {event.text}\n")
-        sys.stdout.flush()
+        tell_line(f"{minutes:8.1f} min  {event.drone:<4} {event.what:<11} {event.text}")

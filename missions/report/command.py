@@ -54,22 +54,28 @@ def show(content: RenderableType, stream: TextIO) -> None:
 
 def summary_table(summary: Mapping[str, Any]) -> RenderableType:
     """What a person wants to know of one run."""
-    good = summary["outcome"] == "committed"
+    parts: list[RenderableType] = [Text(), *outcome_line(summary)]
+    parts += [Text(), phase_table(summary["phases"]), Text(), _figures(summary)]
+    return Group(*parts)
+
+
+def outcome_line(summary: Mapping[str, Any]) -> list[Text]:
+    """How the run ended and what was flown; below it why, and what the harness noticed."""
+    good = summary["exit_code"] == 0
     head = Text.assemble((f" {summary['outcome']} ", "bold black on green" if good else "bold white on red"))
     head.append(f"  rig {summary['rig']}, seed {summary['seed']}")
     if summary["errors"]:
         head.append(f", errors: {summary['errors']['level']}")
     if summary["faults"]:
         head.append(f", faults: {', '.join(summary['faults'])}", "yellow")
-    parts: list[RenderableType] = [Text(), head]
+    lines = [head]
     if summary["detail"]:
-        parts.append(Text(f"  {summary['detail']}", "yellow"))
-    parts += [Text(f"  {note}", "yellow") for note in summary["notes"] if note != summary["detail"]]
-    parts += [Text(), _phase_table(summary["phases"]), Text(), _figures(summary)]
-    return Group(*parts)
+        lines.append(Text(f"  {summary['detail']}", "yellow"))
+    return [*lines, *(Text(f"  {note}", "yellow") for note in summary["notes"] if note != summary["detail"])]
 
 
-def _phase_table(phases: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
+def phase_table(phases: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
+    """The phases of both drones, side by side."""
     table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
     for title in ("sender", "from", "for", "receiver", "from", "for"):
         table.add_column(title, justify="left" if title in ("sender", "receiver") else "right")
@@ -79,7 +85,7 @@ def _phase_table(phases: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
         for column in columns:
             if k < len(column):
                 name, start_s, duration_s = column[k]
-                cells += [name, _number(start_s, "s", 1), _number(duration_s, "s", 1)]
+                cells += [name, figure(start_s, "s", 1), figure(duration_s, "s", 1)]
             else:
                 cells += ["", "", ""]
         table.add_row(*cells)
@@ -96,29 +102,29 @@ def _figures(summary: Mapping[str, Any]) -> Table:
 def _figure_rows(s: Mapping[str, Any]) -> Rows:
     """(name, value) in reading order; values that are not known are a dash."""
     frames = [
-        f"{name} {_number(f['hz'], 'Hz', 1)}, {_number(f['missed'], 'missed', 0)}" for name, f in s["frames"].items()
+        f"{name} {figure(f['hz'], 'Hz', 1)}, {figure(f['missed'], 'missed', 0)}" for name, f in s["frames"].items()
     ]
-    link = [f"{name} {_number(rate, '', 0)}" for name, rate in s["link_sent_bytes_per_s"].items()]
+    link = [f"{name} {figure(rate, '', 0)}" for name, rate in s["link_sent_bytes_per_s"].items()]
     wrong = {True: "YES", False: "no", None: "-"}[s["wrong_handover"]]
     return [
-        ("committed after", _number(s["t_commit_s"], "s", 2)),
-        ("agreement took", _number(s["agreement_s"], "s", 2)),
+        ("committed after", figure(s["t_commit_s"], "s", 2)),
+        ("agreement took", figure(s["agreement_s"], "s", 2)),
         ("agreeing pairs", _pairs(s)),
-        ("IoU, median", f"{_number(s['iou_median'], '', 3)} (needed {_number(s['tau_median'], '', 3)})"),
+        ("IoU, median", f"{figure(s['iou_median'], '', 3)} (needed {figure(s['tau_median'], '', 3)})"),
         ("misses", _counts(s["misses"])),
         ("frames", "; ".join(frames)),
         ("error of D2", _error(s, "d2_error")),
         ("error of target", _error(s, "target_error")),
         ("wrong object handed over", wrong),
         ("smallest separation", _separation(s)),
-        ("link, both ways", f"{_number(s['link_bytes_per_s'], 'B/s', 0)} ({', '.join(link)})"),
-        ("monitors", _counts(s["monitors"]) if s["monitors"] else "no violation"),
-        ("speed", f"{_number(s['realtime_factor'], '', 1)} x real time ({_number(s['wall_s'], 's', 1)})"),
+        ("link, both ways", f"{figure(s['link_bytes_per_s'], 'B/s', 0)} ({', '.join(link)})"),
+        ("monitors", violations(s["monitors"])),
+        ("speed", f"{figure(s['realtime_factor'], '', 1)} x real time ({figure(s['wall_s'], 's', 1)})"),
     ]
 
 
 def _pairs(summary: Mapping[str, Any]) -> str:
-    pairs = f"{summary['pairs_agreed']} of {summary['pairs_judged']}, {_number(summary['pairs_hz'], 'Hz', 1)}"
+    pairs = f"{summary['pairs_agreed']} of {summary['pairs_judged']}, {figure(summary['pairs_hz'], 'Hz', 1)}"
     most = summary["evidence_max"]
     return pairs if most is None else f"{pairs}; evidence {most:.1f} at most"
 
@@ -132,10 +138,16 @@ def _error(summary: Mapping[str, Any], name: str) -> str:
 
 def _separation(summary: Mapping[str, Any]) -> str:
     limit = summary["separation_limit_m"]
-    return _number(summary["min_separation_m"], "m", 2) + ("" if limit is None else f" (limit {limit:.2f} m)")
+    return figure(summary["min_separation_m"], "m", 2) + ("" if limit is None else f" (limit {limit:.2f} m)")
 
 
-def _number(value: float | None, unit: str, digits: int) -> str:
+def violations(monitors: Mapping[str, int]) -> str:
+    """What the monitors saw, in words."""
+    return _counts(monitors) if monitors else "no violation"
+
+
+def figure(value: float | None, unit: str, digits: int) -> str:
+    """A number with its unit; a dash when it is not known."""
     return "-" if value is None else f"{value:.{digits}f} {unit}".rstrip()
 
 
@@ -176,7 +188,7 @@ def series_table(series: Mapping[str, Any]) -> RenderableType:
     counts.add_row(Text("runs", "dim"), f"{series['runs']}: {_counts(series['outcomes'])}")
     counts.add_row(Text("committed", "dim"), f"{series['commit_rate'] * 100:.1f} %")
     counts.add_row(Text("wrong object handed over", "dim"), str(series["wrong_handovers"]))
-    counts.add_row(Text("monitors", "dim"), _counts(series["monitors"]) if series["monitors"] else "no violation")
+    counts.add_row(Text("monitors", "dim"), violations(series["monitors"]))
     counts.add_row(Text("misses", "dim"), _counts(series["misses"]))
     if series["failed_seeds"]:
         failed = ", ".join(f"{seed} {outcome}" for seed, outcome in series["failed_seeds"].items())

@@ -6,49 +6,7 @@
     run.json                     what was asked for and what the harness saw (``RunFacts``)
     summary.json, run.png        made from the others by ``missions.report.command`` and ``missions.report.picture``
 
-Topics of a role (fields in the order of interest; a field that does not apply is null):
-
-    /frame           frame_id, age_ns (from its capture to the begin of its cycle); the stamp is the capture instant.
-                     Every distinct camera frame.
-    /cpu             spent_ns {stage: processor time of the main thread since the start, and of the whole of it as
-                     "thread", of all threads as "program"}; once a second, in real time only
-    /phase           phase, note.  /note  note.
-    /state           position_n_m, velocity_n_mps, q_n_b, mode, armed, battery; ten times a second
-    /setpoint        velocity_n_mps, yaw_rad
-    /responsibility  responsible, until_ns (own clock; null: for good). It is over at until_ns, whether or not a
-                     record says so
-    /link            packets_sent, packets_received, bytes_sent, bytes_received, dropped, clock_offset_ns
-    /image           foxglove.CompressedImage; the stamp is the capture instant
-    /outcome         outcome, detail, responsible, landed
-
-Topics of the sender:
-
-    /target          sequence, capture_ns, box [x, y, w, h], point_v_m, gravity_v, sigma_m, reason
-    /agreement       agreed, counted, reason, iou, tau (null when nothing was compared), count, needed,
-                     evidence, evidence_needed (both null unless the gate is "evidence"), capture_ns (sender's clock),
-                     sequence, target_sequence, target_id, epoch, own_box, mapped_box. One per candidate that was
-                     judged.
-    /commit          target_id, epoch, lease_end_ns
-
-Topics of the receiver:
-
-    /marker          capture_ns, position_v_m, rotation_v_c2 (wxyz), sigma_m, side_px, corners_px [[u, v] * 4], reason
-    /motion          with each /marker, what the relative-pose filter was given: own_stamp_ns, own_n_mps, peer_stamp_ns
-                     (receiver's clock), peer_n_mps, q_n_c, q_n_v (wxyz, as both vehicles report them; null when D1's
-                     gravity is not known), covariance (the pose T_c_v's, lower triangle by rows; null without a pose)
-    /candidate       sequence, target_sequence, capture_ns, box, reason, position_v_m, rotation_v_c2, sigma_m,
-                     point_v_m (the target's point as carried to the capture instant), prior_px [u, v],
-                     region [x0, y0, x1, y1]
-
-Topics of the world (frame ``w`` is ENU; poses are position and quaternion wxyz):
-
-    /scene           once, first: target_id, min_separation_m, boxes [[cx, cy, cz, sx, sy, sz], ...] of every object
-                     in its own frame, clock_offset_ns {role: role clock minus world clock}, cameras {role: {width,
-                     height, fx, fy, cx, cy, distortion}}, mounts {role: {"T_b_c": pose, "T_b_v": pose}} with pose =
-                     {"t": [3], "q": [4]}
-    /truth           at 20 Hz or more: sender, receiver {"t", "q", "in_air"} (body in w), objects [[id, x, y, z, yaw]]
-    /setpoint_gap    role, gap_s, last_ns (stamp of the last setpoint; None without any)
-    /violation       monitor, detail
+Topics and their fields: ``drivers.log.topics``; what viewers draw: ``drivers.log.foxglove``.
 """
 
 from __future__ import annotations
@@ -133,6 +91,30 @@ def load_run(folder: Path) -> Run:
             "name the folder that `path-handoff handoff` printed, such as runs/20261104-101500",
         )
     return Run(load_facts(folder), *(by_topic(*files) for files in logs))
+
+
+def drone_logs(folder: Path) -> dict[str, list[LogRecord]]:
+    """The records of every drone's log in a run's folder, by the log's name, whatever the drones are called.
+
+    Raises RunFolderError when there is none.
+    """
+    others = (Path(WORLD_LOG).stem, "attack")
+    names = sorted(path.stem for path in folder.glob("*.mcap") if "." not in path.stem and path.stem not in others)
+    logs = {name: read_parts(*parts(folder, name)) for name in names}
+    if not logs:
+        raise RunFolderError(
+            f"{folder} is not the folder of a run: it holds no drone's log",
+            "name the folder that `path-handoff handoff` printed, such as runs/20261104-101500",
+        )
+    return logs
+
+
+def read_parts(*paths: Path) -> list[LogRecord]:
+    """All records of a log's parts in order. Raises RunFolderError for what is no log."""
+    try:
+        return [record for path in paths for record in read_log(path)]
+    except (OSError, ValueError) as error:
+        raise RunFolderError(str(error), "the file is damaged; fly again") from error
 
 
 def load_facts(folder: Path) -> RunFacts | None:

@@ -8,7 +8,7 @@ import shlex
 import sys
 import traceback
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, get_args
@@ -24,9 +24,9 @@ from missions import rig_library
 from missions.options import TrialName, TrialOptions
 from missions.report.command import show
 from missions.report.records import SUMMARY
-from missions.run_folder import new_folder
-from missions.trials.shared.page import PAGE, Chapter, render_page
-from missions.trials.shared.trial import Finding, TrialRequest, TrialResult, Verdict
+from missions.run_folder import claim_result, new_folder
+from missions.trials.shared.page import MADE_BY, PAGE, Chapter, render_page
+from missions.trials.shared.trial import Finding, TrialRequest, TrialResult, Verdict, trial_part
 from missions.work import open_work
 
 NAMES: tuple[str, ...] = tuple(
@@ -34,6 +34,8 @@ NAMES: tuple[str, ...] = tuple(
 )
 """All that ``all`` runs: ``processes``, ``rendezvous`` and ``soak`` take half an hour each, ``beacon`` is
 ``dynamic``'s; ``real`` runs when sets are named."""
+SHORT = ("recall",)
+"""Of these ``all`` runs the short form, which shows no goal as met; whole they are asked for by name."""
 RIG = "sim-rendered"
 RIGS = {"beacon": "dynamic", "rendezvous": "sim-field", "soak": "sitl"}
 EXIT_FAILED = CommandEnd.FAILED.exit_code
@@ -50,12 +52,16 @@ def run(options: TrialOptions) -> int:
     names = (*NAMES, *(("real",) if options.set else ())) if whole else (options.name,)
     trials = {name: importlib.import_module(f"missions.trials.{name}.trial") for name in names}
     rig = rig_library.load(options.rig or rig_of(options.name))
+    for part in () if whole else getattr(trials[options.name], "NEEDS", ()):
+        trial_part(rig, part)
     sets = sets_of(options)
     files = (("--xfeat", options.xfeat), ("--board", options.board), *(("--set", file) for file in sets))
     for option, file in files:
         if file is not None and not file.is_file():
             raise PartError(f"{option} {file}: no such file", f"name a file that exists, or leave {option} out")
     folder = new_folder(options.out or Path("trials") / f"{datetime.now():%Y%m%d-%H%M%S}-{options.name}")
+    claim_result(folder / SUMMARY, '"findings"', '"trials"')
+    claim_result(folder / PAGE, MADE_BY)
     chapters: list[Chapter] = []
     with open_work(options.jobs, sys.stdout) as work:
         for number, name in enumerate(names, 1):
@@ -64,8 +70,8 @@ def run(options: TrialOptions) -> int:
             sys.stdout.write(f"\n{f'[{number}/{len(names)}] ' if whole else ''}{trial.TITLE}\n")
             sys.stdout.flush()
             request = TrialRequest(
-                rig, own, options.seed, options.quick, work, options.xfeat, options.board, options.logs,
-                options.seconds, sets, options.photographs,
+                rig, own, options.seed, options.quick or (whole and name in SHORT), work, options.xfeat,
+                options.board, options.logs, options.seconds, sets, options.photographs,
             )  # fmt: skip
             begun, result, error = datetime.now(), None, ""
             try:
@@ -76,16 +82,29 @@ def run(options: TrialOptions) -> int:
                 error = str(failure) if isinstance(failure, PartError) else traceback.format_exc()
                 sys.stderr.write(f"trial {name} failed: {error}\n")
             wall_s = (datetime.now() - begun).total_seconds()
-            chapters.append(Chapter(name, trial.TITLE, trial.PAPER, command(options, name), own, wall_s, result, error))
+            if result is not None and options.quick:
+                result = short_form(result)
             if result is not None:
                 _write_json(own / SUMMARY, _summary(options, name, wall_s, result))
                 show(findings_table(result.findings), sys.stdout)
+                if options.quick:
+                    sys.stdout.write(f"{SHORT}\n")
+            chapters.append(Chapter(name, trial.TITLE, trial.PAPER, command(options, name), own, wall_s, result, error))
             # after each trial: whoever stops a long run keeps the page of what was done
             (folder / PAGE).write_text(render_page(chapters, len(names)), "utf-8")
     if whole:
         _write_json(folder / SUMMARY, _overview(options, chapters))
     sys.stdout.write(f"\n{folder}: {PAGE}, {SUMMARY}{', and a folder for each trial' if whole else ''}\n")
     return exit_code([chapter.result for chapter in chapters])
+
+
+SHORT = "Short form, on few samples: it says whether the trial runs, and nothing of what comes out."
+
+
+def short_form(result: TrialResult) -> TrialResult:
+    """What ``--quick`` shows: no goal is met or missed on a few samples."""
+    measured = tuple(replace(finding, verdict="measured") for finding in result.findings)
+    return replace(result, findings=measured, notes=(SHORT, *result.notes))
 
 
 def exit_code(results: Sequence[TrialResult | None]) -> int:

@@ -1,27 +1,18 @@
 """Small numba routines shared by the photometric fit and the pose: lens, homography, Cholesky.
 
 Written out in scalars and plain loops, in float64 without fast-math, so that results do not depend on the machine.
-A lens is the array ``(fx, fy, cx, cy, k1, k2, p1, p2, k3)`` of ``lens_of``.
+A lens is the array of ``path.camera_kernels.lens_of``.
 """
 
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from path.camera import CameraModel
-
 Array = NDArray[np.float64]
-
-
-@lru_cache(maxsize=8)
-def lens_of(camera: CameraModel) -> Array:
-    """A camera as the array the kernels take, shape (9,). Shared: do not change it."""
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion], dtype=np.float64)
 
 
 @njit(cache=True, nogil=True)

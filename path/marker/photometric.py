@@ -14,8 +14,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from path.camera import CameraModel
+from path.camera_kernels import lens_of
 from path.marker.fit_kernels import START_BLUR_PX, Statistics, finish, robust_scale, statistics, step, tones
-from path.marker.kernels import Array, lens_of
+from path.marker.kernels import Array
 from path.marker.misfit import (
     COARSE,
     FILTERED,

@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.camera import CameraModel
+from path.camera_kernels import lens_of
 from path.geometry import Pose
-from path.marker.kernels import finite, lens_of, rays, whitening
+from path.marker.kernels import finite, rays, whitening
 from path.marker.layout import Marker, MarkerLayout
-from path.marker.pose_kernels import angle, covariance, facing, of_layout, refine
+from path.marker.pose_kernels import PoseProblem, facing, fit, of_layout
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason
 
@@ -33,8 +34,6 @@ MIN_CORNER_SIGMA_PX = 0.005
 MIN_GRAVITY_RAD = 1e-4  # of two directions together: better is known by none
 EYE = np.eye(3)
 NO_GRAVITY = np.zeros(6)
-SAME_RAD = 0.05  # two solutions nearer than this are one
-MISFIT = 3.0  # chi-square per degree of freedom above which it enlarges the covariance
 WORST_PX, WORST_SHARE = 1.0, 0.06  # rms misfit of corners, px or share of the side, that no such marker has
 
 
@@ -100,32 +99,6 @@ class MarkerPose:
     candidates: tuple[PoseCandidate, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
-    """All corners seen (n, 3) in ``v`` and (n, 2) px, a whitener (8, 8) a marker, lens, and both gravities."""
-
-    points: Array
-    pixels: Array
-    whiteners: Array
-    lens: Array
-    down: Array
-    weight: float  # of gravity's misfit; 0 without gravity
-
-    def descend(self, R: Array, t: Array, weight: float) -> _Solution:
-        return _Solution(*refine(R, t, self.points, self.pixels, self.whiteners, self.lens, self.down, weight))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solution:
-    """Where a descent ended; ``cost`` is that of corners and gravity, ``corner_cost`` the corners' share."""
-
-    cost: float
-    R: Array
-    t: Array
-    information: Array
-    corner_cost: float
-
-
 def estimate_pose(
     detections: Sequence[MarkerDetection],
     layout: MarkerLayout,
@@ -152,91 +125,61 @@ def estimate_pose(
         seen.sort(key=lambda item: -_side_px(item[0]))
     found, marker = seen[0]
     side_px = _side_px(found)
-    problem = _problem(seen, camera, gravity_v, gravity_c, settings)
-    starts = _ippe(found, marker, problem.lens)
-    solutions = [problem.descend(R, t, problem.weight) for R, t in starts]
-    solutions = sorted((s for s in solutions if math.isfinite(s.cost)), key=lambda solution: solution.cost)
-    if not solutions:
+    whole = _seen(seen, camera, gravity_v, gravity_c, settings)
+    fitted = fit(*_ippe(found, marker, whole.lens), whole)
+    if not math.isfinite(fitted.cost):
         return Missed(MissReason.POSE_UNCERTAIN)
-    best = solutions[0]
-    incidence, _ = facing(best.R, best.t, np.ascontiguousarray(marker.T_v_m.R), marker.T_v_m.t)
+    incidence, _ = facing(fitted.R, fitted.t, np.ascontiguousarray(marker.T_v_m.R), marker.T_v_m.t)
     if incidence > settings.max_incidence_rad:
         return Missed(MissReason.MARKER_OBLIQUE)
-    coordinates = 2 * len(problem.points)
-    misfit = best.cost / (coordinates - (4 if problem.weight else 6))
-    misfit = misfit if misfit > MISFIT else 1.0
-    rivals = [other for other in solutions[1:] if angle(best.R, other.R) > SAME_RAD]
-    ambiguity = math.exp(-0.5 * (rivals[0].cost - best.cost) / misfit) if rivals else 0.0
-    rms = math.sqrt(best.corner_cost / coordinates)
+    likelihood = math.exp(-0.5 * (fitted.other_cost - fitted.cost) / fitted.misfit)
+    ambiguity = likelihood if fitted.rival else 0.0
+    rms = math.sqrt(fitted.corner_cost / (2 * len(whole.points)))
     rms_px = rms * math.sqrt(sum(found.covariance_px2.diagonal().tolist()) / 8.0)
-    spread, sigma_m = _covariance(problem, best, seen, settings.focal_sigma, misfit)
     if (
-        not sigma_m <= settings.max_sigma_m
+        not fitted.sigma_m <= settings.max_sigma_m
         or ambiguity > settings.max_ambiguity
         or rms_px > max(WORST_PX, WORST_SHARE * side_px)
     ):
         return Missed(MissReason.POSE_UNCERTAIN)
-    candidates = _candidates(best, rivals or _mirrored(problem, best, starts), misfit)
-    return MarkerPose(candidates[0].T_c_v, spread, incidence, side_px, rms, ambiguity, candidates)
+    candidates = (PoseCandidate(Pose(fitted.R, fitted.t), fitted.cost, 1.0),)
+    if math.isfinite(fitted.other_cost):
+        other = Pose(fitted.other_R, fitted.other_t)
+        candidates += (PoseCandidate(other, fitted.other_cost, min(1.0, likelihood)),)
+    return MarkerPose(candidates[0].T_c_v, fitted.covariance, incidence, side_px, rms, ambiguity, candidates)
 
 
-def _problem(
+def _seen(
     seen: Sequence[tuple[MarkerDetection, Marker]],
     camera: CameraModel,
     gravity_v: Vec3 | None,
     gravity_c: Vec3 | None,
     settings: PoseSettings,
-) -> _Problem:
-    points = np.array([marker.corners_v for _, marker in seen]).reshape(-1, 3)
-    pixels = np.array([found.corners_px for found, _ in seen]).reshape(-1, 2)
+) -> PoseProblem:
+    points, middles, sizes = _prints(tuple([marker for _, marker in seen]))
+    corners = [np.asarray(found.corners_px, np.float64) for found, _ in seen]
+    pixels = np.ascontiguousarray(corners[0] if len(corners) == 1 else np.concatenate(corners))
     whiteners = np.zeros((len(seen), 8, 8))
     for (each, _), whitener in zip(seen, whiteners, strict=True):
         if not whitening(np.ascontiguousarray(each.covariance_px2), MIN_CORNER_SIGMA_PX**2, whitener):
             raise np.linalg.LinAlgError(f"marker {each.marker_id}: its covariance is not positive definite")
-    if gravity_v is None or gravity_c is None:
-        return _Problem(points, pixels, whiteners, lens_of(camera), NO_GRAVITY, 0.0)
-    # the misfit of one direction turned into the other has the errors of both
-    variance = settings.attitude_v_sigma_rad**2 + settings.attitude_c_sigma_rad**2
-    weight = 1.0 / max(variance, MIN_GRAVITY_RAD**2)
-    return _Problem(points, pixels, whiteners, lens_of(camera), np.array([*gravity_v, *gravity_c]), weight)
+    down, weight = NO_GRAVITY, 0.0
+    if gravity_v is not None and gravity_c is not None:
+        # the misfit of one direction turned into the other has the errors of both
+        variance = settings.attitude_v_sigma_rad**2 + settings.attitude_c_sigma_rad**2
+        down, weight = np.array([*gravity_v, *gravity_c]), 1.0 / max(variance, MIN_GRAVITY_RAD**2)
+    return PoseProblem(points, pixels, whiteners, lens_of(camera), down, weight, middles, sizes, settings.focal_sigma)
 
 
-def _covariance(
-    problem: _Problem,
-    best: _Solution,
-    seen: Sequence[tuple[MarkerDetection, Marker]],
-    focal_sigma: float,
-    misfit: float,
-) -> tuple[Array, float]:
-    """Covariance (6, 6) of a solution, and the standard deviation of its position in m."""
-    out = np.empty((6, 6))
-    middles = np.array([marker.T_v_m.t for _, marker in seen])
-    sizes = np.array([marker.side_sigma_m / marker.side_m for _, marker in seen])
-    sigma_m = covariance(
-        best.R, best.t, problem.points, problem.pixels, middles, sizes, focal_sigma, problem.whiteners, problem.lens,
-        problem.down, problem.weight, best.information, misfit, out,
-    )  # fmt: skip
-    return out, sigma_m
+@lru_cache(maxsize=64)
+def _prints(markers: tuple[Marker, ...]) -> tuple[Array, Array, Array]:
+    """Corners (4 m, 3) and centres (m, 3) in ``v`` of some markers, and how well their sides are known, relative (m,).
 
-
-def _mirrored(problem: _Problem, best: _Solution, starts: Sequence[tuple[Array, Array]]) -> list[_Solution]:
-    """The planar solution that gravity excluded, where the corners alone keep it; none when there is only one."""
-    if not problem.weight:
-        return []
-    R, t = max(starts, key=lambda start: angle(best.R, start[0]))
-    other = problem.descend(R, t, 0.0)
-    if not math.isfinite(other.cost) or angle(best.R, other.R) <= SAME_RAD:
-        return []
-    misfit = other.R @ problem.down[:3] - problem.down[3:]
-    cost = other.cost + problem.weight * float(misfit @ misfit)
-    return [_Solution(cost, other.R, other.t, other.information, other.corner_cost)]
-
-
-def _candidates(best: _Solution, others: Sequence[_Solution], misfit: float) -> tuple[PoseCandidate, ...]:
-    return tuple(
-        PoseCandidate(Pose(s.R, s.t), s.cost, min(1.0, math.exp(-0.5 * (s.cost - best.cost) / misfit)))
-        for s in (best, *others)
-    )
+    Shared: do not change them.
+    """
+    points = np.array([marker.corners_v for marker in markers]).reshape(-1, 3)
+    middles = np.array([marker.T_v_m.t for marker in markers])
+    return points, middles, np.array([marker.side_sigma_m / marker.side_m for marker in markers])
 
 
 def _known(
@@ -261,22 +204,16 @@ def _side_px(found: MarkerDetection) -> float:
     return 0.25 * (math.dist(a, b) + math.dist(b, c) + math.dist(c, d) + math.dist(d, a))
 
 
-def _ippe(found: MarkerDetection, marker: Marker, lens: Array) -> list[tuple[Array, Array]]:
-    """Both planar solutions as poses of ``v`` in the camera."""
+def _ippe(found: MarkerDetection, marker: Marker, lens: Array) -> tuple[Array, Array]:
+    """Both planar solutions as poses of ``v`` in the camera, (n, 3, 3) and (n, 3)."""
     seen = rays(np.ascontiguousarray(found.corners_px), lens)
     square = _square(marker.side_m)
     try:
         solved: Any = cv2.solvePnPGeneric(square, seen, EYE, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
     except cv2.error:
-        return []
+        return np.empty((0, 3, 3)), np.empty((0, 3))
     _, turns, shifts, _ = solved
-    R_v_m, t_v_m = np.ascontiguousarray(marker.T_v_m.R), marker.T_v_m.t
-    poses: list[tuple[Array, Array]] = []
-    for turn, shift in zip(turns, shifts, strict=True):
-        in_front, R_c_v, t_c_v = of_layout(turn, shift, R_v_m, t_v_m)
-        if in_front:
-            poses.append((R_c_v, t_c_v))
-    return poses
+    return of_layout(np.array(turns), np.array(shifts), np.ascontiguousarray(marker.T_v_m.R), marker.T_v_m.t)
 
 
 @lru_cache(maxsize=8)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -11,22 +12,31 @@ from path.marker.kernels import Array, cholesky, cholesky_solve, distort, exp_ti
 
 ITERATIONS = 12
 CONVERGED = 1e-9
+SAME_RAD = 0.05  # two solutions nearer than this are one
+MISFIT = 3.0  # chi-square per degree of freedom above which it enlarges the covariance
 
 
 @njit(cache=True, nogil=True)
-def of_layout(turn: Array, shift: Array, R_v_m: Array, t_v_m: Array) -> tuple[bool, Array, Array]:
-    """The pose of ``v`` in the camera from a marker's, given as OpenCV's rotation vector and translation (3, 1).
+def of_layout(turns: Array, shifts: Array, R_v_m: Array, t_v_m: Array) -> tuple[Array, Array]:
+    """Poses of ``v`` in the camera, (n, 3, 3) and (n, 3), from those of a marker in it.
 
-    The first value tells whether it is a pose, and of a marker in front of the camera.
+    Args:
+        turns, shifts: (k, 3, 1), rotation vectors and translations as OpenCV gives them. What is no pose, or of a
+            marker behind the camera, is left out.
     """
-    R_c_m = exp_times(turn[:, 0], np.eye(3))
-    R, t = np.empty((3, 3)), np.empty(3)
-    for i in range(3):
-        for j in range(3):
-            R[i, j] = R_c_m[i, 0] * R_v_m[j, 0] + R_c_m[i, 1] * R_v_m[j, 1] + R_c_m[i, 2] * R_v_m[j, 2]
-    for i in range(3):
-        t[i] = shift[i, 0] - (R[i, 0] * t_v_m[0] + R[i, 1] * t_v_m[1] + R[i, 2] * t_v_m[2])
-    return shift[2, 0] > 0.0 and finite(R), R, t
+    many = 0
+    all_R, all_t = np.empty((turns.shape[0], 3, 3)), np.empty((turns.shape[0], 3))
+    for k in range(turns.shape[0]):
+        R, t = all_R[many], all_t[many]
+        R_c_m = exp_times(turns[k, :, 0], np.eye(3))
+        for i in range(3):
+            for j in range(3):
+                R[i, j] = R_c_m[i, 0] * R_v_m[j, 0] + R_c_m[i, 1] * R_v_m[j, 1] + R_c_m[i, 2] * R_v_m[j, 2]
+        for i in range(3):
+            t[i] = shifts[k, i, 0] - (R[i, 0] * t_v_m[0] + R[i, 1] * t_v_m[1] + R[i, 2] * t_v_m[2])
+        if shifts[k, 2, 0] > 0.0 and finite(R):
+            many += 1
+    return all_R[:many], all_t[:many]
 
 
 @njit(cache=True, nogil=True)
@@ -232,3 +242,107 @@ def covariance(
         for j in range(6):
             out[i, j] = misfit * out[i, j] + moved_by_size[i] * moved_by_size[j] + moved_by_focal[i] * moved_by_focal[j]
     return math.sqrt((out[0, 0] + out[1, 1] + out[2, 2]) / 3.0)
+
+
+class PoseProblem(NamedTuple):
+    """What a pose is estimated from.
+
+    Attributes:
+        points, pixels: (n, 3) corners in ``v``, (n, 2) in the image.
+        whitening: (m, 8, 8), of each marker's corners.
+        lens: of ``path.camera_kernels``.
+        down, weight: (6,) gravity in ``v`` and in the camera; what its misfit counts, 0 when it is not known.
+        middles, sizes, focal: of ``scales``.
+    """
+
+    points: Array
+    pixels: Array
+    whitening: Array
+    lens: Array
+    down: Array
+    weight: float
+    middles: Array
+    sizes: Array
+    focal: float
+
+
+class PoseFit(NamedTuple):
+    """The best pose, and the other planar solution.
+
+    Attributes:
+        cost, corner_cost: chi-square of corners and gravity there, and the corners' share; infinite without a pose.
+        misfit: by how much the chi-square enlarges the covariance, at least 1.
+        R, t, covariance, sigma_m: the pose, its covariance (6, 6), and the standard deviation of its position.
+        rival: whether a descent with gravity ended in the other solution.
+        other_cost, other_R, other_t: the other solution; its cost is infinite when there is none.
+    """
+
+    cost: float
+    corner_cost: float
+    misfit: float
+    R: Array
+    t: Array
+    covariance: Array
+    sigma_m: float
+    rival: bool
+    other_cost: float
+    other_R: Array
+    other_t: Array
+
+
+@njit(cache=True, nogil=True)
+def fit(start_R: Array, start_t: Array, seen: PoseProblem) -> PoseFit:
+    """Descend from every start, (k, 3, 3) and (k, 3): the lowest end, and the other one when it is another.
+
+    Where gravity leads all of them to one end, the other solution is the one that the corners alone keep.
+    """
+    best_cost, best_corners, other_cost, rival = np.inf, np.inf, np.inf, False
+    best_R, best_t, best_information = np.eye(3), np.zeros(3), np.eye(6)
+    other_R, other_t = np.eye(3), np.zeros(3)
+    for k in range(start_R.shape[0]):
+        cost, R, t, information, corners = refine(
+            start_R[k], start_t[k], seen.points, seen.pixels, seen.whitening, seen.lens, seen.down, seen.weight
+        )
+        if cost < best_cost:
+            other_cost, other_R, other_t = best_cost, best_R, best_t
+            best_cost, best_R, best_t, best_information, best_corners = cost, R, t, information, corners
+        elif cost < np.inf:
+            other_cost, other_R, other_t = cost, R, t
+    spread = np.empty((6, 6))
+    if not best_cost < np.inf:
+        return PoseFit(np.inf, np.inf, 1.0, best_R, best_t, spread, np.inf, False, np.inf, other_R, other_t)
+    misfit = best_cost / (2 * seen.points.shape[0] - (4 if seen.weight > 0.0 else 6))
+    misfit = misfit if misfit > MISFIT else 1.0
+    sigma_m = covariance(
+        best_R, best_t, seen.points, seen.pixels, seen.middles, seen.sizes, seen.focal, seen.whitening, seen.lens,
+        seen.down, seen.weight, best_information, misfit, spread,
+    )  # fmt: skip
+    if other_cost < np.inf and angle(best_R, other_R) > SAME_RAD:
+        rival = True
+    else:
+        other_cost, other_R, other_t = _mirrored(start_R, start_t, best_R, seen)
+    return PoseFit(
+        best_cost, best_corners, misfit, best_R, best_t, spread, sigma_m, rival, other_cost, other_R, other_t
+    )
+
+
+@njit(cache=True, nogil=True)
+def _mirrored(start_R: Array, start_t: Array, best_R: Array, seen: PoseProblem) -> tuple[float, Array, Array]:
+    """The planar solution that gravity excluded, where the corners alone keep it; else with an infinite cost."""
+    farthest, far = 0, -1.0
+    for k in range(start_R.shape[0]):
+        turned = angle(best_R, start_R[k])
+        if turned > far:
+            farthest, far = k, turned
+    if not seen.weight > 0.0:
+        return np.inf, start_R[farthest], start_t[farthest]
+    cost, R, t, _, _ = refine(
+        start_R[farthest], start_t[farthest], seen.points, seen.pixels, seen.whitening, seen.lens, seen.down, 0.0
+    )
+    if not cost < np.inf or angle(best_R, R) <= SAME_RAD:
+        return np.inf, R, t
+    off2 = 0.0
+    for i in range(3):
+        down = R[i, 0] * seen.down[0] + R[i, 1] * seen.down[1] + R[i, 2] * seen.down[2]
+        off2 += (down - seen.down[3 + i]) ** 2
+    return cost + seen.weight * off2, R, t

@@ -7,6 +7,7 @@ import numpy as np
 
 from path import rotation
 from path.camera import CameraModel
+from path.camera_kernels import extent, lens_of
 from path.geometry import Pose
 from path.marker.detect import detect_markers
 from path.marker.layout import single_marker
@@ -43,6 +44,8 @@ def warm_up() -> None:
         pose = estimate_pose(found, layout, camera, (0.0, -0.8, -0.6), (gx, gy, gz), PoseSettings())
     if not isinstance(pose, MarkerPose):
         raise RuntimeError(f"a drawn marker gave no pose ({pose.reason.value}): reinstall numba and OpenCV")
+    extent(lens_of(camera), layout.markers[0].corners_v, 0.0)
+    camera.ray(*found[0].corners_px[0].tolist())
     relative = RelativeFilter()
     for stamp_ns in (0, 20_000_000):
         relative.update(stamp_ns, pose.T_c_v, pose.covariance, EYE, EYE)

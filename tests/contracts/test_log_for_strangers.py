@@ -15,7 +15,7 @@ from mcap.reader import McapReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from drivers.log.mcap_log import VIRTUAL_EPOCH_NS, McapLog
-from drivers.log_topics import TOPICS, schema_of
+from drivers.log.topics import TOPICS, schema_of
 from missions import rig_library
 from missions.handoff.command import fly_once
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from path import relative
+from path import relative, relative_kernels
 from path.geometry import Matrix, Pose, Vector
 from path.messages import Vec3
 from path.observations import Missed, MissReason
@@ -148,8 +148,8 @@ def test_travel_is_the_integral_of_the_reports():
         travel.add(stamp, (math.sin(stamp * 1e-9), 1.0, 0.0))
     travel.add(stamps[3], (99.0, 99.0, 99.0))  # an old one
     a, b = stamps[-60] + 3_000_000, stamps[-1]
-    (xa, ya, _), _ = travel.at(int(a))
-    (xb, yb, _), (vx, vy, _) = travel.at(int(b) + 1_000_000)
+    *_, xa, ya, _ = relative_kernels.reported(travel.reports, int(a))
+    vx, vy, _, xb, yb, _ = relative_kernels.reported(travel.reports, int(b) + 1_000_000)
     assert xb - xa == pytest.approx(math.cos(a * 1e-9) - math.cos(b * 1e-9 + 1e-3), abs=0.01)
     assert yb - ya == pytest.approx((b - a) * 1e-9 + 1e-3)
     assert (vx, vy) == (math.sin(stamps[-1] * 1e-9), 1.0)
@@ -347,14 +347,14 @@ def surprises(flight: Flight, runs: int) -> NDArray[np.float64]:
 
 def test_the_innovations_are_as_large_as_expected(monkeypatch: pytest.MonkeyPatch):
     """Mean squared Mahalanobis distance of accepted measurements, per degree of freedom."""
-    found, fuse = list[float](), relative.fuse
+    found, fused = list[float](), relative.fused
 
     def noted(*arguments: Any) -> Any:
-        outcome = fuse(*arguments)
+        outcome = fused(*arguments)
         found.append(outcome[0])
         return outcome
 
-    monkeypatch.setattr(relative, "fuse", noted)
+    monkeypatch.setattr(relative, "fused", noted)
     for seed in range(20):
         list(NOMINAL.errors_at([0], np.random.default_rng([12, seed])))
     assert 0.6 < np.mean(found) / 6.0 < 1.1

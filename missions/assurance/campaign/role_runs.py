@@ -21,7 +21,9 @@ from missions.assurance.campaign.results import RunLine
 from missions.handoff.command import harness_of, judge
 from missions.leg.process import fly_role
 from missions.options import LevelName
+from missions.report.records import RUN
 from missions.report.right_object import fly_watched
+from missions.run_folder import claimed
 from path.messages import Role
 
 if TYPE_CHECKING:
@@ -132,7 +134,8 @@ def _shorter(order: Order) -> Rig:
 
 def _fly(rig: Rig, seed: int, level: LevelName, number: int, folder: Path, emit: Emit) -> RunLine:
     own, faults = draw(seed, level, number)
-    report = fly_watched(harness_of(rig), FlightRequest(rig, folder, own, faults, fly_role, _no_process, emit))
+    with claimed(folder, RUN):
+        report = fly_watched(harness_of(rig), FlightRequest(rig, folder, own, faults, fly_role, _no_process, emit))
     outcome, _ = judge(replace(report, violations={}))
     figures = {**report.figures, "simulated_s": report.simulated_s}
     violations = tuple(note for note in report.notes if note[:1] in "SL" and note[1:2].isdigit())

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import TextIO
 
 from drivers.clock import stopwatch_ns
-from drivers.interfaces import PartError
 from flight.command_end import CommandEnd
 from missions.assurance.verify import mutation_run, wire
 from missions.assurance.verify.explore import Covering, Exact, Exploration, explore
 from missions.assurance.verify.model import Scope
 from missions.assurance.verify.mutants import MUTANTS, SMALL, caught
 from missions.options import VerifyOptions
+from missions.run_folder import claim_result, new_folder
 from missions.work import Work, open_work
 
 EXIT_BROKEN = CommandEnd.FAILED.exit_code
@@ -78,10 +78,8 @@ def run(options: VerifyOptions) -> int:
     packet was taken. Raises PartError.
     """
     folder = options.out or Path("verify") / datetime.now().strftime("%Y%m%d-%H%M%S")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise PartError(f"cannot make {folder}: {error.strerror}", "name another folder with --out") from error
+    new_folder(folder)
+    claim_result(folder / SUMMARY, '"holds"')
     if options.mutants:
         return _run_mutants(options, folder)
     if options.wire:

@@ -21,6 +21,7 @@ from path.baselines.association import BaselineConfig
 
 TITLE = "Visual ambiguity: which of six similar people is the target"
 PAPER = "Receiver-Side Target Acquisition under Visual Ambiguity"
+NEEDS = ("studio",)
 
 FRAMES: dict[Case, int] = {"present": 317, "outside": 17, "hidden": 16}
 QUICK_FRAMES: dict[Case, int] = {"present": 4, "outside": 1, "hidden": 1}

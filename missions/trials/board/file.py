@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
-from drivers.rig.tables import RigError, decode_table
+from drivers.rig.tables import RigError, decode_table, read_toml
 from path.bounds import Bounds
 from path.camera import CameraModel
 from path.geometry import Matrix
@@ -93,7 +93,7 @@ def read_board(path: Path) -> Board:
         PartError: naming the file, and the key where there is one.
     """
     try:
-        table = tomllib.loads(path.read_text("utf-8"))
+        table = read_toml(path)
         described = decode_table(table, BoardFile, path.name, path.parent)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise PartError(f"{path}: {error}", REMEDY) from error

@@ -21,6 +21,7 @@ from path.camera import CameraModel
 
 TITLE = "Calibration from rendered boards: the camera that comes out against the one that is there"
 PAPER = "Experimental Setup (a chessboard calibration; its accuracy is not evaluated there)"
+NEEDS = ("studio",)
 
 CAMERA = CameraModel(1280, 720, 920.0, 919.0, 642.0, 358.0, (0.112, -0.236, 0.0006, -0.0004, 0.095))
 QUICK_CAMERA = CameraModel(640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095))

@@ -23,6 +23,7 @@ from path.messages import Role
 
 TITLE = "Compute: every stage of PATH against ORB and XFeat, one thread, same frames"
 PAPER = "Hardware Performance"
+NEEDS = ("studio",)
 
 GEOMETRY_GOAL_MS, MARKER_GOAL_MS = 0.1, 4.0
 RATIO_GOALS = {"orb": 20.0, "xfeat": 100.0}

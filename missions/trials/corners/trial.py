@@ -31,6 +31,7 @@ from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, 
 
 TITLE = "Corners of a 40 mm marker: five methods, on cameras and prints as they are"
 PAPER = "Experimental Setup (corner detection is not evaluated there)"
+NEEDS = ("studio",)
 
 VIEWS, QUICK_VIEWS = 20, 3
 VIEWS_A_PIECE = 10

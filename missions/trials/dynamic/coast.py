@@ -24,7 +24,6 @@ SEEN_S, HIDDEN_S = 0.8, 1.05
 STEP_S, SLACK_S = 0.1, 0.009
 STARTS = 6  # of the rows of gaps, in one replay each
 TRUTH_SIGMAS = np.array([3e-4] * 3 + [5e-4] * 3)  # of the true pose, m and rad: it is logged at 25 Hz only
-LOWER = np.tril_indices(6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +68,7 @@ def frames_of(run: Run) -> list[Frame]:
         T_c_v = covariance = None
         if r.record["position_v_m"] is not None and motion["covariance"] is not None:
             T_c_v = Pose(R_from_quat(r.record["rotation_v_c2"]), np.array(r.record["position_v_m"], float)).inverse()
-            covariance = np.zeros((6, 6))
-            covariance[LOWER] = motion["covariance"]
-            covariance += np.tril(covariance, -1).T
+            covariance = np.reshape(np.array(motion["covariance"], float), (6, 6))
         frames.append(
             Frame(
                 r.stamp_ns,

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missions import rig_library
-from missions.rig_library import trial_part
 from missions.trials.dynamic import report
 from missions.trials.dynamic.flight import VERIFY_S, FlightOrder, Flown, fly, moving, reference_of
 from missions.trials.dynamic.judge import SUBJECTS, Compared, Judged, judge, true_places
@@ -28,6 +27,7 @@ Array = NDArray[np.float64]
 
 TITLE = "Dynamic: PATH's trajectories against ultrasonic beacons while everything moves"
 PAPER = "Receiver-View Projection Consistency, dynamic part"
+NEEDS = ("beacons", "estimator")
 
 FLIGHTS = 4
 QUICK_LEVEL = "sim"
@@ -37,7 +37,6 @@ QUICK_VERIFY_S = 8.0
 
 
 def run(request: TrialRequest) -> TrialResult:
-    trial_part(request.rig, "beacons")
     reference_of(request.rig)
     rig = request.rig
     if request.quick:  # the geometric sight instead of rendered frames: the same mission, seconds instead of minutes

@@ -1,4 +1,4 @@
-"""Attempts played, told to both gates, and what the blocks of the gate "evidence" did in them."""
+"""Attempts run, told to both gates, and what the blocks of the gate "evidence" did in them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.rig.parts import Rig
-from flight.encounter import PAIR, Attempt, EncounterPlayer, Series, agreeing, tell
+from flight.harness.montecarlo import PAIR, Attempt, HandoverRunner, Series, agreeing, tell
 from path.config import MethodConfig
 from path.evidence import EvidenceGate
 from path.window import AgreementWindow
@@ -21,9 +21,9 @@ ENOUGH_PAIRS = 100
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Attempts for one process. ``player``: the class that plays them."""
+    """Attempts for one process. ``runner``: the class that runs them."""
 
-    player: type[EncounterPlayer]
+    runner: type[HandoverRunner]
     rig: Rig
     method: MethodConfig
     attempts: Sequence[Attempt]
@@ -62,15 +62,14 @@ class Told:
     correlation: NDArray[np.float64]
 
 
-def play(batch: Batch) -> list[Told]:
-    """Play the attempts and tell both gates, whatever either says."""
-    player = batch.player(batch.rig, batch.method).warmed()
-    return [_told(player, batch.method, attempt) for attempt in batch.attempts]
+def run_batch(batch: Batch) -> list[Told]:
+    """Run the attempts and tell both gates, whatever either says."""
+    runner = batch.runner(batch.rig, batch.method).warmed()
+    return [_told(runner, batch.method, attempt) for attempt in batch.attempts]
 
 
-def _told(player: EncounterPlayer, method: MethodConfig, attempt: Attempt) -> Told:
-    encounter = player.play(replace(attempt, whole=True))
-    series = encounter.series
+def _told(runner: HandoverRunner, method: MethodConfig, attempt: Attempt) -> Told:
+    series = runner.run(replace(attempt, whole=True)).series
     never = EvidenceGate(replace(method, evidence=replace(method.evidence, alpha=NEVER)))
     tell(series, never, method)
     first, later = never.judged.first, never.judged.later

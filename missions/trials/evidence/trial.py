@@ -1,4 +1,4 @@
-"""The gate "evidence" next to the paper's N in a row, on the same encounters: how soon, and how often fooled."""
+"""The gate "evidence" next to the paper's N in a row, on the same hand-overs: how soon, and how often fooled."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from flight.encounter import Attempt, Wrong
+from flight.harness.montecarlo import Attempt, WrongAssociation
 from missions.report.palette import COUNT, DIM, FAULT, ROLE
-from missions.trials.evidence.blocks import LAGS, Batch, Decided, Told, play
+from missions.trials.evidence.blocks import LAGS, Batch, Decided, Told, run_batch
 from missions.trials.shared.statistics import Interval, bootstrap, upper_bound
 from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
 from path.config import MethodConfig
@@ -22,6 +22,7 @@ from path.messages import Role
 
 TITLE = "Evidence gate: the hand-over in less than two seconds, and what it is fooled by"
 PAPER = "Mutual Agreement Handshake"
+NEEDS = ("montecarlo",)
 
 TRUE, WRONG, FORCED = 200, 500, 24  # attempts: true pairs, persistently wrong ones, of each forced kind
 QUICK = 3
@@ -42,15 +43,15 @@ def run(request: TrialRequest) -> TrialResult:
     method = replace(request.rig.method, gate="evidence")
     groups = _groups(request.seed, request.quick)
     flat = [(name, attempt) for name, attempts in groups.items() for attempt in attempts]
-    player = request.part("encounter")
+    runner = request.part("montecarlo")
     cuts = range(0, len(flat), BATCH)
-    batches = [Batch(player, request.rig, method, [attempt for _, attempt in flat[k : k + BATCH]]) for k in cuts]
-    told = [each for part in request.work.map("encounters", play, batches) for each in part]
-    played: Groups = {name: [] for name in groups}
+    batches = [Batch(runner, request.rig, method, [attempt for _, attempt in flat[k : k + BATCH]]) for k in cuts]
+    told = [each for part in request.work.map("Monte-Carlo hand-overs", run_batch, batches) for each in part]
+    by_group: Groups = {name: [] for name in groups}
     for (name, _), each in zip(flat, told, strict=True):
-        played[name].append(each)
-    _draw(played, method, request.out / PICTURE)
-    return _result(played, method, request.seed)
+        by_group[name].append(each)
+    _draw(by_group, method, request.out / PICTURE)
+    return _result(by_group, method, request.seed)
 
 
 def _groups(seed: int, quick: bool) -> dict[str, list[Attempt]]:
@@ -60,7 +61,8 @@ def _groups(seed: int, quick: bool) -> dict[str, list[Attempt]]:
     groups = {
         "true": [Attempt(seed, k, limit_s=true_s) for k in range(true)],
         "wrong": [
-            Attempt(seed, 10_000 + k, wrong=Wrong("shift", FAR_M, BESIDE_M), limit_s=wrong_s) for k in range(wrong)
+            Attempt(seed, 10_000 + k, wrong=WrongAssociation("shift", FAR_M, BESIDE_M), limit_s=wrong_s)
+            for k in range(wrong)
         ],
         "mixed faults": [Attempt(seed, 20_000 + k, fault="mixed", limit_s=forced_s) for k in range(4 * forced)],
     }
@@ -72,11 +74,11 @@ def _groups(seed: int, quick: bool) -> dict[str, list[Attempt]]:
     return groups
 
 
-FORCED_WAYS: dict[str, tuple[Wrong, ...]] = {
-    "prior shifted onto a look-alike": tuple(Wrong("shift", d) for d in (0.35, 0.5, 1.0, 1.5)),
-    "prior turned onto a look-alike": tuple(Wrong("turn", d) for d in (0.35, 0.5, 1.0, 1.5)),
-    "prior right, D2 sees only the look-alike": tuple(Wrong("lock", d) for d in (0.2, 0.35, 0.5, 1.0, 1.5)),
-    "prior shifted onto one driving past": tuple(Wrong("shift", d, crossing=True) for d in (0.2, 0.36, 0.5)),
+FORCED_WAYS: dict[str, tuple[WrongAssociation, ...]] = {
+    "prior shifted onto a look-alike": tuple(WrongAssociation("shift", d) for d in (0.35, 0.5, 1.0, 1.5)),
+    "prior turned onto a look-alike": tuple(WrongAssociation("turn", d) for d in (0.35, 0.5, 1.0, 1.5)),
+    "prior right, D2 sees only the look-alike": tuple(WrongAssociation("lock", d) for d in (0.2, 0.35, 0.5, 1.0, 1.5)),
+    "prior shifted onto one driving past": tuple(WrongAssociation("shift", d, crossing=True) for d in (0.2, 0.36, 0.5)),
 }
 
 
@@ -111,8 +113,8 @@ def _times(told: Sequence[Told], papers: bool) -> np.ndarray:
     return np.array([each.attempt.limit_s if d.after_s is None else d.after_s for each, d in decisions])
 
 
-def _result(played: Groups, method: MethodConfig, seed: int) -> TrialResult:
-    own, true, wrong = method.evidence, played["true"], played["wrong"]
+def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
+    own, true, wrong = method.evidence, by_group["true"], by_group["wrong"]
     accident = [each for each in wrong if each.strength <= ACCIDENT]
     near = [each for each in wrong if each.strength <= NEAR_ACCIDENT]
     first, later = rate(accident, False, seed), rate(near, True, seed)
@@ -143,7 +145,7 @@ def _result(played: Groups, method: MethodConfig, seed: int) -> TrialResult:
                 "evidence_wrong": wrongly([each.evidence for each in told]),
                 "consecutive_wrong": wrongly([each.papers for each in told]),
             }
-            for name, told in played.items()
+            for name, told in by_group.items()
             if name not in ("true", "wrong")
         },
     }
@@ -170,7 +172,7 @@ def _result(played: Groups, method: MethodConfig, seed: int) -> TrialResult:
         ),
     )  # fmt: skip
     return TrialResult(
-        summary, findings, NOISE, (_blocks_table(wrong), _forced_table(played), _bound_table(method)),
+        summary, findings, NOISE, (_blocks_table(wrong), _forced_table(by_group), _bound_table(method)),
         (Picture(PICTURE, "Time to commit of true pairs by both gates, and how fast blocks of wrong pairs give up."),),
         NOTES,
     )  # fmt: skip
@@ -221,13 +223,13 @@ def _blocks_table(wrong: Sequence[Told]) -> Table:
     )
 
 
-def _forced_table(played: Groups) -> Table:
+def _forced_table(by_group: Groups) -> Table:
     rows = tuple(
         (
             name, str(len(told)), str(wrongly([each.evidence for each in told])),
             str(wrongly([each.papers for each in told])),
         )
-        for name, told in played.items()
+        for name, told in by_group.items()
         if name not in ("true", "wrong")
     )  # fmt: skip
     return Table(
@@ -275,11 +277,11 @@ NOTES = (
 )
 
 
-def _draw(played: Groups, method: MethodConfig, path: Path) -> None:
+def _draw(by_group: Groups, method: MethodConfig, path: Path) -> None:
     figure = Figure(figsize=(11.0, 4.2), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
-    true = played["true"]
+    true = by_group["true"]
     for papers, colour in ((False, ROLE[Role.SENDER]), (True, COUNT)):
         times = np.sort(_times(true, papers))
         committed = sum((each.papers if papers else each.evidence).after_s is not None for each in true)
@@ -289,9 +291,9 @@ def _draw(played: Groups, method: MethodConfig, path: Path) -> None:
     left.axvline(2.0, color=DIM, lw=0.8, ls=":")
     left.set(xlabel="s from the first agreeing pair", ylabel="share of true attempts", xlim=(0.0, None), ylim=(0, 1.02))
     left.legend(fontsize=8)
-    strengths = np.array([each.strength for each in played["wrong"]])
+    strengths = np.array([each.strength for each in by_group["wrong"]])
     for key, colour, label in (("first", FAULT, "first block"), ("later", ROLE[Role.RECEIVER], "later ones")):
-        counts = np.array([getattr(each.blocks, key) for each in played["wrong"]], float)
+        counts = np.array([getattr(each.blocks, key) for each in by_group["wrong"]], float)
         rows = [(strengths > a) & (strengths <= b) for a, b in pairwise(EDGES)]
         middles = [float(np.mean(strengths[row])) for row in rows if counts[row, 0].sum() > 0]
         shares = [float(counts[row, 1].sum() / counts[row, 0].sum()) for row in rows if counts[row, 0].sum() > 0]

@@ -11,8 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, NEEDED, ROLE
-from missions.trials.handshake.encounters import FAULT_NAMES, GATES, LIMIT_S, Tried
 from missions.trials.handshake.flights import Flown
+from missions.trials.handshake.handovers import FAULT_NAMES, GATES, LIMIT_S, Tried
 from missions.trials.shared.statistics import wilson
 from path.config import GateKind
 from path.messages import Role
@@ -31,7 +31,7 @@ def draw_times(
     left, right = figure.subplots(1, 2)
     _missions(left, [each.seconds for each in flown["consecutive"] if each.seconds is not None])
     for gate in GATES:
-        _shares(right, times[gate], attempts, COLOURS[gate], f"encounters, {NAMES[gate]}")
+        _shares(right, times[gate], attempts, COLOURS[gate], f"Monte-Carlo hand-overs, {NAMES[gate]}")
         own = [each.seconds for each in flown[gate] if each.seconds is not None]
         _shares(right, own, len(flown[gate]), COLOURS[gate], f"missions, {NAMES[gate]}", dashed=True)
     right.set(xlabel="time from the first agreeing pair, s", ylabel="share of all attempts", xlim=(0.0, LIMIT_S))

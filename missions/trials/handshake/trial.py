@@ -1,4 +1,4 @@
-"""The mutual agreement handshake: whole missions by the paper's protocol, then thousands of encounters with faults."""
+"""The mutual agreement handshake: whole missions by the paper's protocol, then thousands of hand-overs with faults."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from missions.trials.handshake import encounters, flights
-from missions.trials.handshake.encounters import FAULT_NAMES, GATES, Chunk, Compared, Judged, Tried
+from missions.trials.handshake import flights, handovers
 from missions.trials.handshake.flights import Flown
+from missions.trials.handshake.handovers import FAULT_NAMES, GATES, Chunk, Judged, Tried
 from missions.trials.handshake.pictures import draw_faults, draw_times
 from missions.trials.shared.statistics import bootstrap, upper_bound, wilson
 from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
 from path.config import GateKind
 
-TITLE = "Handshake: 45 whole missions, and ten thousand encounters with faults, by both gates"
+TITLE = "Handshake: 45 whole missions, and ten thousand Monte-Carlo hand-overs with faults, by both gates"
 PAPER = "Mutual Agreement Handshake"
 
-FLIGHTS, EVIDENCE_FLIGHTS, ATTEMPTS, COMPARED = 45, 15, 10_010, 42
-QUICK_FLIGHTS, QUICK_EVIDENCE_FLIGHTS, QUICK_ATTEMPTS, QUICK_COMPARED = 1, 0, 14, 1
+FLIGHTS, EVIDENCE_FLIGHTS, ATTEMPTS = 45, 15, 10_010
+QUICK_FLIGHTS, QUICK_EVIDENCE_FLIGHTS, QUICK_ATTEMPTS = 1, 0, 14
 TIMES, FAULTS = "handshake.png", "handshake-faults.png"
 PAPER_COMMITS, PAPER_MEDIAN_S, PAPER_P90_S = 42, 7.20, 7.95
 GOAL_MEDIAN_S = 2.0
@@ -38,26 +38,26 @@ def run(request: TrialRequest) -> TrialResult:
     ]
     flown = request.work.map("missions", flights.fly, asked)
     rig = str(request.rig.file)
-    player = encounters.player_of(rig)  # compiled here, before two processes would do it twice
+    runner = handovers.runner_of(rig)  # compiled here, before two processes would do it twice
     attempts = QUICK_ATTEMPTS if quick else ATTEMPTS
-    chunks = request.work.map("encounters", encounters.play, encounters.asked_for(rig, request.seed, attempts))
-    both = [(rig, request.seed, index) for index in range(QUICK_COMPARED if quick else COMPARED)]
-    compared = request.work.map("encounters by the method itself", encounters.compare, both)
+    chunks = request.work.map(
+        "Monte-Carlo hand-overs", handovers.run_chunk, handovers.asked_for(rig, request.seed, attempts)
+    )
     rng = np.random.default_rng([request.seed, 11])
     tried = [each for chunk in chunks for each in chunk.tried]
-    summary = _summary(flown, tried, chunks, compared)
+    summary = _summary(flown, tried, chunks)
     draw_times(_by_gate(flown), _times(tried), len(tried), request.out / TIMES)
     draw_faults(tried, request.out / FAULTS)
     return TrialResult(
         summary=summary,
-        findings=(*_flight_findings(flown, rng), *_encounter_findings(tried, summary, rng)),
-        noise=Table("What encounters are drawn from", ("what", "how much"), player.conditions(), _DRAWN),
-        tables=(_flight_table(flown), _gate_table(tried, rng), _fault_table(tried, dict(player.meanings()))),
+        findings=(*_flight_findings(flown, rng), *_handover_findings(tried, summary, rng)),
+        noise=Table("What Monte-Carlo hand-overs are drawn from", ("what", "how much"), runner.conditions(), _DRAWN),
+        tables=(_flight_table(flown), _gate_table(tried, rng), _fault_table(tried, dict(runner.meanings()))),
         pictures=(
             Picture(TIMES, "Time from the first agreeing pair to the commit, and the share of attempts done by then."),
             Picture(FAULTS, "Share of attempts that committed in time, by fault and gate, with 95 % intervals."),
         ),
-        notes=_notes(chunks, compared, attempts),
+        notes=_notes(chunks, attempts),
     )
 
 
@@ -70,35 +70,27 @@ _DRAWN = (
 # --- figures ------------------------------------------------------------------------------------------------------
 
 
-def _summary(
-    flown: Sequence[Flown], tried: Sequence[Tried], chunks: Sequence[Chunk], compared: Sequence[Compared]
-) -> dict[str, Any]:
+def _summary(flown: Sequence[Flown], tried: Sequence[Tried], chunks: Sequence[Chunk]) -> dict[str, Any]:
     by_gate = _by_gate(flown)
     paper = [_of(each, "consecutive") for each in tried]
     busy = sum(chunk.busy_s for chunk in chunks)
     return {
         "sim": _flights_summary(by_gate["consecutive"]),
         "sim_evidence": _flights_summary(by_gate["evidence"]),
-        "encounters": {
+        "hand_overs": {
             "attempts": len(tried),
             "commits": sum(each.committed for each in paper),
             "timeouts": sum(not each.committed for each in paper),
             "wrong": _wrong(paper),
             "wrong_upper_95": upper_bound(_wrong(paper), len(paper)),
-            "limit_s": encounters.LIMIT_S,
+            "limit_s": handovers.LIMIT_S,
             "look_alike_within_1_m": _look_alikes(tried, NEAR_M),
             "look_alike_within_0_5_m": _look_alikes(tried, BESIDE_M),
-            "reasons": encounters.reasons(tried),
+            "reasons": handovers.reasons(tried),
             "speed": sum(chunk.simulated_s for chunk in chunks) / busy,
         },
         "gates": {gate: _gate_summary([_of(each, gate) for each in tried]) for gate in GATES},
         "faults": {name: _fault_summary([each for each in tried if each.fault == name]) for name in FAULT_NAMES},
-        "compiled": {
-            "attempts": len(compared),
-            "entries": sum(each.entries for each in compared),
-            "differing": sum(each.differing for each in compared),
-            "method_speed": sum(each.simulated_s for each in compared) / sum(each.busy_s for each in compared),
-        },
     }
 
 
@@ -131,7 +123,7 @@ def _gate_summary(judged: Sequence[Judged]) -> dict[str, Any]:
 
 def _fault_summary(tried: Sequence[Tried]) -> dict[str, Any]:
     gates = {gate: _gate_summary([_of(each, gate) for each in tried]) for gate in GATES}
-    return {"attempts": len(tried), "reasons": encounters.reasons(tried), **gates}
+    return {"attempts": len(tried), "reasons": handovers.reasons(tried), **gates}
 
 
 def _look_alikes(tried: Sequence[Tried], within_m: float) -> int:
@@ -216,21 +208,21 @@ def _flight_findings(flown: Sequence[Flown], rng: np.random.Generator) -> tuple[
     return tuple(findings)
 
 
-def _encounter_findings(
+def _handover_findings(
     tried: Sequence[Tried], summary: dict[str, Any], rng: np.random.Generator
 ) -> tuple[Finding, ...]:
     times, gates = _times(tried), summary["gates"]
     consecutive, evidence = gates["consecutive"], gates["evidence"]
     median, interval = _with_interval(times["evidence"], _median, rng)
     median_paper, interval_paper = _with_interval(times["consecutive"], _median, rng)
-    compiled, faults = summary["compiled"], encounters.wrong_by_fault(tried)
+    faults = handovers.wrong_by_fault(tried)
     near, beside = (_look_alikes(tried, within) for within in (NEAR_M, BESIDE_M))
     low, high = wilson(near, len(tried))
 
     def wrong(gate: GateKind, figures: dict[str, Any]) -> Finding:
         where = ", ".join(f"{name} {count}" for name, count in faults[gate].items())
         return Finding(
-            f"encounters, wrong hand-overs of any cause, {gate} gate", f"{figures['wrong']} of {len(tried)}",
+            f"Monte-Carlo hand-overs, wrong ones of any cause, {gate} gate", f"{figures['wrong']} of {len(tried)}",
             f"≤ {figures['wrong_upper_95']:.3%} of attempts", "0 of 45", "0", verdict(figures["wrong"] == 0),
             f"by fault: {where}. Where both boxes were of one object, D1 had lost the target to it by itself"
             if where else "",
@@ -238,7 +230,7 @@ def _encounter_findings(
 
     def fooled(gate: GateKind, figures: dict[str, Any]) -> Finding:
         return Finding(
-            f"encounters handed over with boxes of different objects at the end, {gate} gate",
+            f"Monte-Carlo hand-overs done with boxes of different objects at the end, {gate} gate",
             f"{figures['fooled']} of {len(tried)}", f"≤ {figures['fooled_upper_95']:.3%} of attempts", "", "0",
             verdict(figures["fooled"] == 0),
         )  # fmt: skip
@@ -248,18 +240,16 @@ def _encounter_findings(
         fooled("consecutive", consecutive),
         wrong("evidence", evidence),
         fooled("evidence", evidence),
-        Finding(f"encounters in which a look-alike came within {NEAR_M:g} m of the target", f"{near} of {len(tried)}",
-                f"{low:.1%}-{high:.1%}", note=f"within {BESIDE_M:g} m: {beside}; all have three farther away"),
-        Finding("encounters, time to commit, consecutive gate, s, median", median_paper, interval_paper,
-                f"{PAPER_MEDIAN_S:.2f}", note=f"{consecutive['commit_rate']:.1%} commit in {encounters.LIMIT_S:g} s"),
-        Finding("encounters, time to commit, evidence gate, s, median", median, interval, "", "≤ 2",
+        Finding(f"Monte-Carlo hand-overs in which a look-alike came within {NEAR_M:g} m of the target",
+                f"{near} of {len(tried)}", f"{low:.1%}-{high:.1%}",
+                note=f"within {BESIDE_M:g} m: {beside}; all have three farther away"),
+        Finding("Monte-Carlo hand-overs, time to commit, consecutive gate, s, median", median_paper, interval_paper,
+                f"{PAPER_MEDIAN_S:.2f}", note=f"{consecutive['commit_rate']:.1%} commit in {handovers.LIMIT_S:g} s"),
+        Finding("Monte-Carlo hand-overs, time to commit, evidence gate, s, median", median, interval, "", "≤ 2",
                 verdict(evidence["median_s"] is not None and evidence["median_s"] <= GOAL_MEDIAN_S),
-                f"{evidence['commit_rate']:.1%} commit in {encounters.LIMIT_S:g} s"),
-        Finding("encounters, times real time on one core", f"{summary['encounters']['speed']:.0f}",
-                "time this core spent on it", "", "≥ 100", verdict(summary["encounters"]["speed"] >= 100.0)),
-        Finding("entries that differ between the compiled method and the method itself",
-                f"{compiled['differing']} of {compiled['entries']}", f"{compiled['attempts']} attempts played twice",
-                "", "0", verdict(compiled["differing"] == 0)),
+                f"{evidence['commit_rate']:.1%} commit in {handovers.LIMIT_S:g} s"),
+        Finding("Monte-Carlo hand-overs, times real time on one core", f"{summary['hand_overs']['speed']:.0f}",
+                "time this core spent on it", "", "≥ 100", verdict(summary["hand_overs"]["speed"] >= 100.0)),
     )  # fmt: skip
 
 
@@ -295,7 +285,7 @@ def _gate_table(tried: Sequence[Tried], rng: np.random.Generator) -> Table:
         rows.append((gate, f"{len(seconds)} ({low:.1%}-{high:.1%})", f"{median} ({median_in})", f"{p90} ({p90_in})",
                      str(_wrong(judged)), f"{bound:.3%}"))  # fmt: skip
     return Table(
-        "Both gates on the same encounters",
+        "Both gates on the same Monte-Carlo hand-overs",
         ("gate", "commits", "median, s", "p90, s", "wrong", "wrong, 95 % bound"),
         tuple(rows),
         "Both were told the same pairs. Time runs from the first agreeing pair, as in the paper.",
@@ -312,28 +302,27 @@ def _fault_table(tried: Sequence[Tried], meanings: dict[Any, str]) -> Table:
             committed = sum(each.committed for each in judged)
             share = f"{committed / len(some):.0%}" if some else ""
             cells += [share, f"{_wrong(judged)} (≤ {upper_bound(_wrong(judged), len(judged)):.2%})"]
-        why = ", ".join(f"{reason} {count}" for reason, count in list(encounters.reasons(some).items())[:3])
+        why = ", ".join(f"{reason} {count}" for reason, count in list(handovers.reasons(some).items())[:3])
         rows.append((name, meanings[name], str(len(some)), *cells, why))
     return Table(
-        "Encounters by fault",
+        "Monte-Carlo hand-overs by fault",
         ("fault", "what it is", "attempts", "350 pairs: commits", "wrong", "evidence: commits", "wrong",
          "timeouts of the 350 pairs, by the most frequent miss"),
         tuple(rows),
     )  # fmt: skip
 
 
-def _notes(chunks: Sequence[Chunk], compared: Sequence[Compared], attempts: int) -> tuple[str, ...]:
-    entries = sum(each.entries for each in compared)
+def _notes(chunks: Sequence[Chunk], attempts: int) -> tuple[str, ...]:
     return (
-        f"The {attempts} encounters are {len(FAULT_NAMES)} kinds of fault in equal numbers, {encounters.LIMIT_S:g} s "
-        "each at the most. That is far more trouble than a field day has: the overall commit rate is that of this mix.",
-        "An encounter is the hand-over alone: D2 is at its viewpoint and D1 follows its target. The messages of the "
+        f"The {attempts} Monte-Carlo hand-overs are {len(FAULT_NAMES)} kinds of fault in equal numbers, "
+        f"{handovers.LIMIT_S:g} s each at the most. That is far more trouble than a field day has: the overall commit "
+        "rate is that of this mix.",
+        "They are the hand-over alone: D2 is at its viewpoint and D1 follows its target. The messages of the "
         "commit itself (leases, accept, confirm) are in the missions and in the exploration of the protocol, not here; "
         "nor is what the wire's rounding takes away.",
-        f"Encounters go through a compiled form of the method. {entries} entries of {len(compared)} attempts were "
-        "played through MarkerView, ReceiverCycle and SenderCycle as well and compared one by one; both gates are the "
-        "method's own in all of them.",
+        "They go through the method's own MarkerView, ReceiverCycle and SenderCycle, the ones that fly, and both "
+        "gates are the method's own in all of them.",
         "The object of a box is the one whose visible outline has its middle nearest to the box's. Two cars so close "
         "that the detector takes them for one can be counted as wrong by that.",
-        f"Played: {sum(chunk.simulated_s for chunk in chunks) / 3600:.1f} h of hand-overs.",
+        f"In all: {sum(chunk.simulated_s for chunk in chunks) / 3600:.1f} h of hand-overs.",
     )

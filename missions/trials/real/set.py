@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
 from drivers.recordings.recording import IMAGE_SUFFIXES
-from drivers.rig.tables import RigError, decode_table
+from drivers.rig.tables import RigError, decode_table, read_toml
 from missions.trials.board.file import BoardCamera, dictionary_named, framed_pattern
 from path.calibration.board import Board
 from path.geometry import Matrix
@@ -121,7 +121,7 @@ def read_set(path: Path, photographs: Path | None = None) -> RealSet:
     """
     base = photographs or path.parent
     try:
-        described = decode_table(tomllib.loads(path.read_text("utf-8")), RealSetFile, path.name, base)
+        described = decode_table(read_toml(path), RealSetFile, path.name, base)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise PartError(f"{path}: {error}", REMEDY) from error
     except RigError as error:

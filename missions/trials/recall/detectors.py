@@ -1,4 +1,4 @@
-"""What a detector's misses and false positives make of the pairs of an encounter that was played without them.
+"""What a detector's misses and false positives make of the pairs of a Monte-Carlo hand-over that was run without them.
 
 Both drones' detectors have spells of misses and spells of inventions, each a chain of two states. A frame of D2 that is
 missed is no candidate; one of D1 leaves nothing to compare with, and D2 without a target once D1's newest sample is too
@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flight.encounter import MISS, PAIR, Series
+from flight.harness.montecarlo import MISS, PAIR, Series
 from path.config import MethodConfig
 from path.observations import MissReason
 

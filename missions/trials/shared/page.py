@@ -14,6 +14,8 @@ from pathlib import Path
 from missions.trials.shared.trial import Finding, Table, TrialResult, Verdict
 
 PAGE = "index.html"
+MADE_BY = '<p class="dim">PATH '
+"""Every page has it, and says its version next."""
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 72rem; margin: 2rem auto; padding: 0 1.2rem; }
@@ -57,7 +59,7 @@ def render_page(chapters: Sequence[Chapter], planned: int) -> str:
         planned: number of trials there will be when all have run; a page of fewer says so.
     """
     title = chapters[0].title if planned == 1 else "The evaluation of PATH"
-    parts = [f"<h1>{escape(title)}</h1>", f'<p class="dim">{escape(_provenance(chapters))}</p>']
+    parts = [f"<h1>{escape(title)}</h1>", f"{MADE_BY}{escape(_provenance(chapters))}</p>"]
     if len(chapters) < planned:
         parts.append(f"<p><b>Not finished:</b> {len(chapters)} of {planned} trials have run.</p>")
     if planned > 1:
@@ -75,7 +77,7 @@ def render_page(chapters: Sequence[Chapter], planned: int) -> str:
 def _provenance(chapters: Sequence[Chapter]) -> str:
     seconds = sum(chapter.wall_s for chapter in chapters)
     return (
-        f"PATH {version('path-handoff')}, Python {platform.python_version()}, {platform.machine()}; "
+        f"{version('path-handoff')}, Python {platform.python_version()}, {platform.machine()}; "
         f"{datetime.now():%Y-%m-%d %H:%M}; {seconds:.0f} s"
     )
 

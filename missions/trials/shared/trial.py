@@ -3,7 +3,8 @@
 A trial is a module of this package with
 
 - ``TITLE``: one line; ``PAPER``: the section of the paper it reproduces;
-- ``run(request) -> TrialResult``.
+- ``run(request) -> TrialResult``;
+- ``NEEDS``, when it needs any: what the rig's ``[trials]`` table must name, checked before anything is flown.
 """
 
 from __future__ import annotations

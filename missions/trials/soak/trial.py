@@ -111,7 +111,7 @@ def _fly(rig: Rig, request: TrialRequest, seconds: float) -> tuple[Samples, Run]
     if not watch.samples:
         raise PartError(
             f"the drones never verified: {facts.outcome}: {facts.detail}",
-            f"see {folder}, or fly it alone: path-handoff handoff --rig {request.rig.name}",
+            f"see {folder}, or fly it alone: path-handoff handoff --rig {rig_library.name_of(request.rig)}",
         )
     return watch.samples, load_run(folder)
 

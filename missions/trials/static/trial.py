@@ -53,6 +53,7 @@ from path.rigid import rigid
 
 TITLE = "Static accuracy: where D2 and the target are, from one frame, by method"
 PAPER = "Receiver-View Projection Consistency"
+NEEDS = ("studio",)
 
 SESSIONS = {"ideal": 60, "realistic": 60, "realistic_h264": 30}  # H.264 encodes a short stream for every image
 QUICK_SESSIONS = {"ideal": 2, "realistic": 1, "realistic_h264": 1}

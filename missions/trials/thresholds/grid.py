@@ -1,7 +1,7 @@
 """Thresholds, window length and box mapping tried on recorded series: many settings at once.
 
-The window's rules are those of ``path.window.AgreementWindow``, told as ``flight.encounter.tell`` tells it; a test
-holds the decisions together.
+The window's rules are those of ``path.window.AgreementWindow``, told as ``flight.harness.montecarlo.tell`` tells
+it; a test holds the decisions together.
 """
 
 # pyright: reportMissingParameterType=false
@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from flight.encounter import OWN_MISS, PAIR, Series
+from flight.harness.montecarlo import OWN_MISS, PAIR, Series
 from path.config import BoxMapping, MethodConfig
 from path.window import SERIAL
 

@@ -1,4 +1,4 @@
-"""Encounters for the thresholds: true ones, and ones where D2 is made to answer with another object."""
+"""Monte-Carlo hand-overs for the thresholds: true ones, and ones where D2 is made to answer with another object."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import get_args
 
 import numpy as np
 
-from flight.encounter import PAIR, Attempt, FaultName, Wrong
+from flight.harness.montecarlo import PAIR, Attempt, FaultName, WrongAssociation
 from missions import rig_library
-from missions.trials.handshake.encounters import player_of
+from missions.trials.handshake.handovers import runner_of
 from missions.trials.thresholds.grid import Outcomes, outcomes
 
 FAULT_NAMES: tuple[FaultName, ...] = get_args(FaultName)
@@ -23,11 +23,11 @@ ABSENT = "the target is absent for D2, a look-alike is where nobody looks"
 NEAR = "D2 sees a look-alike instead of the target, the prior is right"
 BESIDE = "D2's pose is off: its prior falls beside a look-alike"
 ON = "D2's pose is off: its prior falls on a look-alike"
-WAYS: Mapping[str, tuple[Wrong, ...]] = {
-    ABSENT: tuple(Wrong("lock", d) for d in (0.5, 0.7, 1.0)),
-    NEAR: tuple(Wrong("lock", d, crossing=past) for d in (0.2, 0.25, 0.3, 0.4) for past in (False, True)),
-    BESIDE: tuple(Wrong(kind, d, BESIDE_M) for d in (0.4, 0.5, 0.7, 1.0, 1.5) for kind in ("shift", "turn")),
-    ON: tuple(Wrong(kind, d, ON_M) for d in (0.4, 0.5, 0.7, 1.0, 1.5) for kind in ("shift", "turn")),
+WAYS: Mapping[str, tuple[WrongAssociation, ...]] = {
+    ABSENT: tuple(WrongAssociation("lock", d) for d in (0.5, 0.7, 1.0)),
+    NEAR: tuple(WrongAssociation("lock", d, crossing=past) for d in (0.2, 0.25, 0.3, 0.4) for past in (False, True)),
+    BESIDE: tuple(WrongAssociation(kind, d, BESIDE_M) for d in (0.4, 0.5, 0.7, 1.0, 1.5) for kind in ("shift", "turn")),
+    ON: tuple(WrongAssociation(kind, d, ON_M) for d in (0.4, 0.5, 0.7, 1.0, 1.5) for kind in ("shift", "turn")),
 }
 """What is forced, by what it is."""
 
@@ -91,13 +91,13 @@ def rolled_attempts(rig: str, seed: int, each: int) -> list[Asked]:
 
 
 def sweep(asked: Asked) -> Tried:
-    """Play once, try every setting."""
-    found = player_of(asked.rig).play(asked.attempt)
+    """Run once, try every setting."""
+    found = runner_of(asked.rig).run(asked.attempt)
     return Tried(asked.way, asked.attempt, outcomes(found.series, rig_library.load(asked.rig).method))
 
 
 def roll(asked: Asked) -> Rolled:
-    found = player_of(asked.rig).play(asked.attempt)
+    found = runner_of(asked.rig).run(asked.attempt)
     compared = found.series.iou[found.series.kind == PAIR]
     medians = np.median(compared, axis=0).tolist() if len(compared) else None
     return Rolled(asked.attempt.roll_deg, None if medians is None else (medians[0], medians[1]))

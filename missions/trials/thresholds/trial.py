@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from missions.trials.handshake.encounters import player_of
+from missions.trials.handshake.handovers import runner_of
 from missions.trials.shared.statistics import upper_bound, wilson
 from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult
 from missions.trials.thresholds import series
@@ -38,7 +38,7 @@ STEP = 5  # of the points of a ROC in the summary, in hundredths
 
 def run(request: TrialRequest) -> TrialResult:
     rig = str(request.rig.file)
-    player = player_of(rig)  # compiled here, before two processes would do it twice
+    runner = runner_of(rig)  # compiled here, before two processes would do it twice
     sizes = (QUICK_TRUE, QUICK_EACH_WAY, QUICK_EACH_ROLL) if request.quick else (TRUE, EACH_WAY, EACH_ROLL)
     asked = [*series.true_attempts(rig, request.seed, sizes[0]), *series.wrong_attempts(rig, request.seed, sizes[1])]
     tried = request.work.map("series", series.sweep, asked)
@@ -54,7 +54,7 @@ def run(request: TrialRequest) -> TrialResult:
     return TrialResult(
         summary=summary,
         findings=_findings(summary, curves),
-        noise=Table("What encounters are drawn from", ("what", "how much"), player.conditions()),
+        noise=Table("What Monte-Carlo hand-overs are drawn from", ("what", "how much"), runner.conditions()),
         tables=(
             _settings_table(tried, {"default": default, "chosen": chosen}),
             _ways_table(tried, default, chosen),

@@ -85,6 +85,24 @@ def test_it_sees_what_its_rules_need_and_each_command_is_one_packet() -> None:
     run(main)
 
 
+@pytest.mark.parametrize("altitude_off_m", [10.0, -10.0, -488.0])  # of a GPS; of a PX4 with its origin at sea level
+def test_height_may_be_reckoned_from_home_whatever_the_altitude(altitude_off_m: float) -> None:
+    async def main(own: Bench) -> None:
+        url = f"udpin://127.0.0.1:{own.port}"
+        async with guard_at(url) as guard:  # by the altitude
+            view = await seen(guard, lambda view: view.position_ns > 0)
+            assert view.position_n_m[2] == pytest.approx(-0.1 - altitude_off_m, abs=0.1)
+        async with GuardMavlink(GuardMavlinkConfig(url, BIND, SYSID, height_from="home"), CONTEXT) as guard:
+            view = await seen(guard, lambda view: view.position_ns > 0)
+            assert view.position_n_m[2] == pytest.approx(0.0, abs=0.05)
+            own.in_air()
+            view = await seen(guard, lambda view: view.in_air and view.mode is FlightMode.OFFBOARD)
+            assert view.position_n_m[2] == pytest.approx(-1.0, abs=0.35)
+
+    with bench(altitude_off_m=altitude_off_m) as own:
+        asyncio.run(main(own))
+
+
 def test_a_refusal_is_seen() -> None:
     async def main(own: Bench) -> None:
         async with guard_at(f"udpin://127.0.0.1:{own.port}") as guard:

@@ -317,7 +317,8 @@ def test_a_bad_rig_is_refused_by_name(write: Write, old: str, new: str, expected
 @pytest.mark.parametrize(
     ("factory", "expected"),
     [
-        ("fake_parts", "sender.vehicle: missing key 'factory'"),
+        ("fake_parts", "sender.vehicle.factory: 'fake_parts' is not module:Class"),
+        ("fake:parts:Fake", "sender.vehicle.factory: 'fake:parts:Fake' is not module:Class"),
         ("fake_parts:Fakee", "sender.vehicle.factory: fake_parts has no Fakee (did you mean 'Fake'?)"),
         ("no_such_module:Fake", "sender.vehicle.factory: cannot import no_such_module"),
         ("fake_parts:NoPart", "sender.vehicle.factory: fake_parts:NoPart is no part"),

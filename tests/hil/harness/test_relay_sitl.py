@@ -15,7 +15,7 @@ from drivers.rig.tables import RigError
 from flight.harness.flights import Progress
 from flight.harness.relay import DroneProcesses, RelayRequest
 from hil.harness.children import end, spawn
-from hil.harness.relay_faults import LegFaults
+from hil.harness.leg_faults import LegFaults
 from hil.harness.relay_live import Hindsight
 from hil.harness.relay_sitl import RECORD, _Relay, check_drones
 from hil.harness.relay_sitl_world import drones_of

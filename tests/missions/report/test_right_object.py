@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,6 @@ import pytest
 
 import missions.assurance.campaign.role_runs
 import missions.handoff.command
-from flight.harness.flights import FlightReport, FlightRequest, RoleResult
-from flight.outcome import Outcome
 from missions.assurance.campaign import run as campaign
 from missions.assurance.campaign.results import RunLine
 from missions.options import CampaignOptions, HandoffOptions
@@ -21,23 +18,9 @@ from missions.report.records import FACTS, WORLD_LOG
 from missions.report.right_object import watch_object
 from missions.trials.run import exit_code
 from missions.trials.shared.trial import TrialResult
-from path.messages import Role
+from tests.missions.replayed import REPORT, Replayed
 
 MakeRun = Callable[..., Path]
-GOOD = {role: RoleResult(role, Outcome.COMMITTED, "", responsible=False, landed=True) for role in Role}
-REPORT = FlightReport(GOOD, dict.fromkeys(Role, True), {}, 40.0, 0.5, notes=("windy",))
-
-
-class Replayed:
-    """A harness that leaves the logs of a run that was made before."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def fly(self, request: FlightRequest) -> FlightReport:
-        for log in self._folder.glob("*.mcap"):
-            shutil.copy(log, request.out)
-        return REPORT
 
 
 def test_the_right_object_is_no_violation(make_run: MakeRun) -> None:

@@ -26,7 +26,7 @@ def trial(name: str, monkeypatch: pytest.MonkeyPatch, *, fails: bool = False) ->
 
     module = ModuleType(name)
     vars(module).update(TITLE=f"The {name} trial", PAPER="", run=run)
-    monkeypatch.setitem(sys.modules, f"missions.trials.{name}", module)
+    monkeypatch.setitem(sys.modules, f"missions.trials.{name}.trial", module)
 
 
 def test_a_trial_leaves_its_page_and_its_numbers(
@@ -74,3 +74,36 @@ def test_the_command_that_is_shown_runs_the_same_again() -> None:
         "path-handoff trial ambiguity --seed 5 --rig my.toml --quick --xfeat 'my models/xfeat.onnx'"
     )
     assert command.command(options, "link") == "path-handoff trial link --seed 5 --rig my.toml --quick"
+
+
+def test_a_short_form_meets_no_goal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trial("static", monkeypatch)
+    assert command.run(TrialOptions("static", out=tmp_path, quick=True, jobs=1)) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert {finding["verdict"] for finding in summary["findings"]} == {"measured"}
+    assert 'class="met"' not in (tmp_path / "index.html").read_text()
+    assert command.SHORT in (tmp_path / "index.html").read_text()
+    assert command.SHORT in capsys.readouterr().out
+
+
+def test_a_rig_without_a_part_that_the_trial_needs_is_refused_before_anything_is_flown(tmp_path: Path) -> None:
+    with pytest.raises(PartError, match=r"dynamic-sim\.toml: trials: missing key 'estimator'"):
+        command.run(TrialOptions("dynamic", out=tmp_path / "x", quick=True, rig="dynamic-sim"))
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize("name", ["summary.json", "index.html"])
+def test_somebody_elses_page_is_not_written_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    trial("static", monkeypatch)
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(PartError, match=name):
+        command.run(TrialOptions("static", out=tmp_path, jobs=1))
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [(name, "mine")]
+
+
+def test_a_trial_goes_on_in_its_own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trial("static", monkeypatch)
+    for _ in range(2):
+        assert command.run(TrialOptions("static", out=tmp_path, jobs=1)) == 0

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from path import rotation
 from path.camera import CameraModel
+from path.camera_kernels import lens_of
 from path.geometry import Pose
 from path.marker.detect import detect_markers
-from path.marker.kernels import lens_of
 from path.marker.layout import Marker, MarkerLayout, single_marker
 from path.marker.pose import MarkerPose, PoseSettings, _ippe, estimate_pose
 from path.marker.warm_up import warm_up

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from flight.encounter import Attempt
+from flight.harness.montecarlo import Attempt
 from missions import rig_library
-from missions.trials.evidence.blocks import LAGS, Batch, Blocks, Decided, Told, correlation, play
+from missions.trials.evidence.blocks import LAGS, Batch, Blocks, Decided, Told, correlation, run_batch
 from missions.trials.evidence.trial import FORCED_WAYS, QUICK, SIDE_M, rate, reach_m, run
 from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
 from missions.work import open_work
@@ -108,9 +108,9 @@ def test_correlation_of_a_slow_wave_and_of_too_little() -> None:
     assert np.isnan(correlation(np.ones(1000))).all()
 
 
-def test_the_same_attempt_is_played_the_same() -> None:
+def test_the_same_attempt_runs_the_same() -> None:
     rig = rig_library.load("sim-rendered")
-    batch = Batch(trial_part(rig, "encounter"), rig, METHOD, [Attempt(5, 1, limit_s=2.5)])
-    (first,), (again,) = play(batch), play(batch)
+    batch = Batch(trial_part(rig, "montecarlo"), rig, METHOD, [Attempt(5, 1, limit_s=2.5)])
+    (first,), (again,) = run_batch(batch), run_batch(batch)
     assert (first.strength, first.blocks, first.papers) == (again.strength, again.blocks, again.papers)
     assert np.isfinite(first.strength)

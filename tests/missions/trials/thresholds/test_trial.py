@@ -8,9 +8,20 @@ from functools import cache
 import numpy as np
 import pytest
 
-from flight.encounter import MISS, OWN_MISS, PAIR, Attempt, Encounter, EncounterPlayer, FaultName, Series, Wrong, tell
+from flight.harness.montecarlo import (
+    MISS,
+    OWN_MISS,
+    PAIR,
+    Attempt,
+    FaultName,
+    HandoverRunner,
+    MonteCarloHandover,
+    Series,
+    WrongAssociation,
+    tell,
+)
 from missions import rig_library
-from missions.trials.handshake.encounters import player_of
+from missions.trials.handshake.handovers import runner_of
 from missions.trials.shared.statistics import Interval
 from missions.trials.shared.trial import TrialRequest, TrialResult
 from missions.trials.thresholds import trial as thresholds
@@ -35,8 +46,8 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> TrialResult:
 
 
 @cache
-def player() -> EncounterPlayer:
-    return player_of(str(RIG.file))
+def runner() -> HandoverRunner:
+    return runner_of(str(RIG.file))
 
 
 def agrees_with_the_window(series: Series, step: int) -> None:
@@ -51,7 +62,7 @@ def agrees_with_the_window(series: Series, step: int) -> None:
 
 @pytest.mark.parametrize("fault", ["link_delay", "camera_freeze", "look_alike_near", "mixed"])
 def test_all_settings_at_once_decide_as_the_window_itself(fault: FaultName) -> None:
-    agrees_with_the_window(player().play(Attempt(7, 1, fault, limit_s=8.5, whole=True)).series, 61)
+    agrees_with_the_window(runner().run(Attempt(7, 1, fault, limit_s=8.5, whole=True)).series, 61)
 
 
 @pytest.mark.parametrize("number", range(4))
@@ -109,7 +120,7 @@ def tried(way: str, iou: Sequence[float], committed: int, number: int = 0) -> Tr
     counts = np.zeros((2, len(MAPPINGS), BINS), np.int64)
     for value in iou:
         counts[int(not way), :, int(value * BINS)] += 1
-    wrong = Wrong("lock", 0.5) if way else None
+    wrong = WrongAssociation("lock", 0.5) if way else None
     commit = np.full((len(grid()), len(FRAMES)), committed, np.int8)
     return Tried(way, Attempt(0, number, wrong=wrong), Outcomes(commit, counts))
 
@@ -152,8 +163,8 @@ def test_halves_share_every_kind_and_no_attempt() -> None:
         assert {each.attempt.wrong for each in part if each.way} == {form for forms in WAYS.values() for form in forms}
 
 
-def misled(residual_m: float) -> Encounter:
-    return player().play(Attempt(0, 0, wrong=Wrong("shift", 0.8, residual_m), limit_s=4.0, whole=True))
+def misled(residual_m: float) -> MonteCarloHandover:
+    return runner().run(Attempt(0, 0, wrong=WrongAssociation("shift", 0.8, residual_m), limit_s=4.0, whole=True))
 
 
 def test_a_prior_on_a_look_alike_is_told_by_no_threshold_of_the_grid() -> None:

@@ -1,7 +1,6 @@
-"""What both cameras see in an encounter, frame by frame: the geometric sight's kernels in loops, and D1's follower.
+"""The detections of both cameras, frame by frame: the kernels of the geometric perception in loops, and D1's follower.
 
-The same kernels, noise and rules as ``hil.geometric.perception`` and ``flight.tracking.follow``;
-a test holds them together.
+The same kernels, noise and rules as ``hil.geometric.perception`` and ``flight.tracking.follow``.
 """
 
 # pyright: reportMissingParameterType=false
@@ -63,7 +62,7 @@ NOBODY = -1.0
 NOTHING = -1  # instead of a row
 
 
-class Eyes(NamedTuple):
+class TrueCamera(NamedTuple):
     """One camera and its perception: the truth of it.
 
     Attributes:
@@ -90,7 +89,7 @@ class Depths(NamedTuple):
     scale: float
 
 
-class Flown(NamedTuple):
+class CameraPath(NamedTuple):
     """Frames of one drone: number (n,), poses of both drones in the world, everything on the ground (n, m, 4)."""
 
     frame: np.ndarray
@@ -102,7 +101,7 @@ class Flown(NamedTuple):
 
 
 @kernel
-def _before(eyes, flown, k, things, ids, boxes, extents, frame):
+def _before(camera, flown, k, things, ids, boxes, extents, frame):
     """Put everything before the camera; how many things there are."""
     count = 0
     for i in range(flown.things.shape[1]):
@@ -111,21 +110,21 @@ def _before(eyes, flown, k, things, ids, boxes, extents, frame):
             ids[count] = i
             count += 1
     place(
-        flown.R[k], flown.t[k], eyes.R_b_c, eyes.t_b_c, eyes.lens, things[:count], eyes.car, flown.other_R[k],
-        flown.other_t[k], eyes.drone, boxes[: count * eyes.car.shape[0] + eyes.drone.shape[0]], extents[: count + 1],
-        frame,
+        flown.R[k], flown.t[k], camera.R_b_c, camera.t_b_c, camera.lens, things[:count], camera.car, flown.other_R[k],
+        flown.other_t[k], camera.drone, boxes[: count * camera.car.shape[0] + camera.drone.shape[0]],
+        extents[: count + 1], frame,
     )  # fmt: skip
     return count
 
 
 @kernel
-def _boxes_of(eyes, number, count, ids, boxes, extents, region, seen, rows, found):
+def _boxes_of(camera, number, count, ids, boxes, extents, region, seen, rows, found):
     """The detector's boxes of a frame and whose they are: that object's whose outline is the nearest."""
-    bodies = boxes[: count * eyes.car.shape[0] + eyes.drone.shape[0]]
-    outlines(bodies, extents[: count + 1], eyes.car.shape[0], eyes.lens, seen[:count])
-    key = fold(fold(eyes.seed, number), TARGETS)
-    slow_key = fold(fold(eyes.seed, number // SLOW_FRAMES), SLOW_TARGETS)
-    many = detections(seen[:count], eyes.lens, region, eyes.noise, key, slow_key, rows)
+    bodies = boxes[: count * camera.car.shape[0] + camera.drone.shape[0]]
+    outlines(bodies, extents[: count + 1], camera.car.shape[0], camera.lens, seen[:count])
+    key = fold(fold(camera.seed, number), TARGETS)
+    slow_key = fold(fold(camera.seed, number // SLOW_FRAMES), SLOW_TARGETS)
+    many = detections(seen[:count], camera.lens, region, camera.noise, key, slow_key, rows)
     for i in range(many):
         found[i, :DETECTION_COLUMNS] = rows[i]
         u, v = rows[i, 0] + 0.5 * rows[i, 2], rows[i, 1] + 0.5 * rows[i, 3]
@@ -228,7 +227,7 @@ def sees(lens, x, y, z):
 
 
 @kernel
-def sender_sees(first, last, eyes, flown, depths, holes, times, lost_s, R_n_c, t_n_c, lens, follower, own):
+def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c, t_n_c, lens, follower, own):
     """D1's frames ``first`` to ``last``: its detector, its follower, its depth camera.
 
     Args:
@@ -240,7 +239,10 @@ def sender_sees(first, last, eyes, flown, depths, holes, times, lost_s, R_n_c, t
     """
     most = flown.things.shape[1]
     things, ids = np.empty((most, 4)), np.empty(most, np.int64)
-    boxes, extents = np.empty((most * eyes.car.shape[0] + eyes.drone.shape[0], BOX_COLUMNS)), np.empty((most + 1, 6))
+    boxes, extents = (
+        np.empty((most * camera.car.shape[0] + camera.drone.shape[0], BOX_COLUMNS)),
+        np.empty((most + 1, 6)),
+    )
     frame, region, point, measured = np.empty(FRAME_COLUMNS), np.empty(4), np.empty(3), np.empty(3)
     seen, rows = np.empty((most, SEEN_COLUMNS)), np.empty((most, DETECTION_COLUMNS))
     found = np.empty((most, FOUND_COLUMNS))
@@ -257,8 +259,8 @@ def sender_sees(first, last, eyes, flown, depths, holes, times, lost_s, R_n_c, t
         gate = scale * gate_m
         reach = scale * (_UNSEEN_REACH_M if unseen else max(gate_m / _AMBIGUITY, _RIVAL_REACH_M))
         region[0], region[1], region[2], region[3] = u - reach, v - reach, u + reach, v + reach
-        count = _before(eyes, flown, k, things, ids, boxes, extents, frame)
-        many = _boxes_of(eyes, flown.frame[k], count, ids, boxes, extents, region, seen, rows, found)
+        count = _before(camera, flown, k, things, ids, boxes, extents, frame)
+        many = _boxes_of(camera, flown.frame[k], count, ids, boxes, extents, region, seen, rows, found)
         row, unsure = _chosen(found, many, u, v, gate, unseen) if follower[BEGUN] else _designated(found, many)
         if row != NOTHING:
             rival = _rival(found, many, row)
@@ -270,15 +272,15 @@ def sender_sees(first, last, eyes, flown, depths, holes, times, lost_s, R_n_c, t
         out[STATUS], out[WHO] = SEEN, found[row, WHOSE]
         box = (found[row, 0], found[row, 1], found[row, 2], found[row, 3])
         out[BOX], out[BOX + 1], out[BOX + 2], out[BOX + 3] = box
-        key = fold(fold(fold(fold(eyes.seed, flown.frame[k]), DEPTH), int(16.0 * box[0])), int(16.0 * box[1]))
-        bodies = boxes[: count * eyes.car.shape[0] + eyes.drone.shape[0]]
+        key = fold(fold(fold(fold(camera.seed, flown.frame[k]), DEPTH), int(16.0 * box[0])), int(16.0 * box[1]))
+        bodies = boxes[: count * camera.car.shape[0] + camera.drone.shape[0]]
         noise = (depths.sigma_m, depths.common_sigma_m)
         depth, out[SIGMA] = depth_over(
             bodies,
             extents[: count + 1],
-            eyes.car.shape[0],
+            camera.car.shape[0],
             frame,
-            eyes.lens,
+            camera.lens,
             holes[k],
             box,
             depths.settings,
@@ -330,7 +332,7 @@ def _ray(lens, u, v):
 
 
 @kernel
-def receiver_sees(first, last, eyes, flown, corners_b, print_noise, hidden, swapped, markers, found, many):
+def receiver_sees(first, last, camera, flown, corners_b, print_noise, hidden, swapped, markers, found, many):
     """D2's frames ``first`` to ``last``: the sender's marker and the detector's boxes of the whole image.
 
     Args:
@@ -340,22 +342,22 @@ def receiver_sees(first, last, eyes, flown, corners_b, print_noise, hidden, swap
     """
     most = flown.things.shape[1]
     things, ids = np.empty((most, 4)), np.empty(most, np.int64)
-    boxes = np.empty((most * eyes.car.shape[0] + eyes.drone.shape[0], BOX_COLUMNS))
+    boxes = np.empty((most * camera.car.shape[0] + camera.drone.shape[0], BOX_COLUMNS))
     extents, frame = np.empty((most + 1, EXTENT_COLUMNS)), np.empty(FRAME_COLUMNS)
     everywhere = np.array((-np.inf, -np.inf, np.inf, np.inf))
     seen, rows = np.empty((most, SEEN_COLUMNS)), np.empty((most, DETECTION_COLUMNS))
     for k in range(first, last):
         number = flown.frame[k]
-        count = _before(eyes, flown, k, things, ids, boxes, extents, frame)
-        bodies, bounds = boxes[: count * eyes.car.shape[0] + eyes.drone.shape[0]], extents[: count + 1]
+        count = _before(camera, flown, k, things, ids, boxes, extents, frame)
+        bodies, bounds = boxes[: count * camera.car.shape[0] + camera.drone.shape[0]], extents[: count + 1]
         markers[k, FOUND] = 0.0
-        key, slow_key = fold(eyes.seed, number), fold(eyes.seed, number // SLOW_FRAMES)
+        key, slow_key = fold(camera.seed, number), fold(camera.seed, number // SLOW_FRAMES)
         if not hidden[k] and marker(
-            bodies, bounds, eyes.car.shape[0], frame, eyes.lens, flown.other_R[k], flown.other_t[k], corners_b,
+            bodies, bounds, camera.car.shape[0], frame, camera.lens, flown.other_R[k], flown.other_t[k], corners_b,
             everywhere, LARGEST_SCALE, print_noise, fold(key, MARKERS), fold(slow_key, SLOW_MARKERS), markers[k, :9],
         ):  # fmt: skip
             markers[k, FOUND] = 1.0
-        total = _boxes_of(eyes, number, count, ids, boxes, extents, everywhere, seen, rows, found[k])
+        total = _boxes_of(camera, number, count, ids, boxes, extents, everywhere, seen, rows, found[k])
         if swapped[k]:
             kept = 0
             for i in range(total):

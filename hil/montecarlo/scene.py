@@ -1,4 +1,4 @@
-"""What is drawn for one encounter: who stands where, errors that last, what goes wrong and when.
+"""What is drawn for one Monte-Carlo hand-over: who stands where, errors that last, what goes wrong and when.
 
 Every group has its own stream of random numbers, so that one fault or another changes nothing else.
 """
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from flight.config import MissionConfig
-from flight.encounter import Attempt, FaultName
+from flight.harness.montecarlo import Attempt, FaultName
 from flight.viewpoint import Scene, Viewpoint, plan_viewpoint
 from hil.geometric.noise import ObservationNoise
 from hil.geometric.targets import TargetNoise
-from hil.montecarlo.encounter_faults import Faults, direction, draw_faults
+from hil.montecarlo.faults import HandoverFaults, direction, draw_faults
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.rotation import exp
@@ -42,7 +42,7 @@ CROSSING_PAST_M, CROSSING_MPS, CROSSING_HALF_S = (0.36, 0.40), 1.0, 3.5
 
 
 @dataclass(frozen=True, slots=True)
-class Calibrated:
+class HandoverCalibration:
     """What both drones believe of themselves."""
 
     camera_1: CameraModel
@@ -55,7 +55,7 @@ class Calibrated:
 
 @dataclass(frozen=True, slots=True)
 class Believed:
-    """The rig as the encounters need it."""
+    """The rig as Monte-Carlo hand-overs need it."""
 
     rig: Rig
     mission: MissionConfig
@@ -65,12 +65,12 @@ class Believed:
     def of(cls, rig: Rig) -> Believed:
         return cls(rig, decode_table(rig.mission, MissionConfig, rig.where("[mission]")), ObservationNoise())
 
-    def calibrated(self, roll_deg: float) -> Calibrated:
+    def calibrated(self, roll_deg: float) -> HandoverCalibration:
         rig = self.rig
         mount = rig.receiver.mount.T_b_c
         rolled = Pose(mount.R @ exp(np.array([0.0, 0.0, math.radians(roll_deg)])), mount.t)
         corners = rig.layout.markers[0].corners_v
-        return Calibrated(
+        return HandoverCalibration(
             rig.sender.camera, rig.receiver.camera, rig.sender.mount.T_b_c, rolled, rig.sender.mount.T_b_v, corners
         )
 
@@ -121,12 +121,12 @@ class Things:
 
 
 @dataclass(frozen=True, slots=True)
-class Errors:
+class LastingErrors:
     """What differs from what is believed, for the whole attempt: the truth where it can be given."""
 
-    true: Calibrated
+    true: HandoverCalibration
     tilt_bias: Array  # (2, 3) of each drone's attitude estimate, rotation vector in the body
-    lean: Array  # (2, 3) roll, pitch, yaw in the mean
+    mean_tilt: Array  # (2, 3) roll, pitch, yaw in the mean
     clock_s: float  # D2's stamps as D1 converts them, minus the truth
     depth_scale: float
     boxes: tuple[TargetNoise, TargetNoise]
@@ -138,8 +138,8 @@ class Drawn:
 
     place: Place
     things: Things
-    errors: Errors
-    faults: Faults
+    errors: LastingErrors
+    faults: HandoverFaults
     shift_c: Array
     turn_c: Array
 
@@ -205,8 +205,8 @@ def _things(attempt: Attempt, names: tuple[FaultName, ...], rng: Generator) -> T
     for k in range(3):
         for _ in range(20):
             start = rng.uniform(*LOOK_ALIKES_M) * direction(rng)
-            apart = start[None] if k == 0 else start - path
-            if np.hypot(apart[:, 0], apart[:, 1]).min() >= PARKED_GAP_M:
+            distances = start[None] if k == 0 else start - path
+            if np.hypot(distances[:, 0], distances[:, 1]).min() >= PARKED_GAP_M:
                 rows.append((start, np.zeros(2), k == 0, always, rng.uniform(-math.pi, math.pi)))
                 break
     extra = np.random.default_rng(int(rng.integers(1 << 62)))
@@ -237,8 +237,8 @@ def _beside(distance_m: float, crossing: bool, rng: Generator) -> tuple[Array, A
     return distance_m * aside - middle_s * velocity, velocity, True, span, math.atan2(velocity[1], velocity[0])
 
 
-def _errors(believed: Believed, calibrated: Calibrated, rng: Generator) -> Errors:
-    true = Calibrated(
+def _errors(believed: Believed, calibrated: HandoverCalibration, rng: Generator) -> LastingErrors:
+    true = HandoverCalibration(
         _other_lens(calibrated.camera_1, rng),
         _other_lens(calibrated.camera_2, rng),
         _other_mount(calibrated.T_b_c1, rng),
@@ -247,7 +247,7 @@ def _errors(believed: Believed, calibrated: Calibrated, rng: Generator) -> Error
         calibrated.corners_v * (1.0 + SIDE_SIGMA * rng.standard_normal()),
     )
     bias = np.radians([0.5, 0.5, 2.0]) * rng.standard_normal((2, 3))
-    lean = np.radians([1.5, 1.5, 1.5]) * rng.standard_normal((2, 3))
+    mean_tilt = np.radians([1.5, 1.5, 1.5]) * rng.standard_normal((2, 3))
     edges = EDGE_BIAS_PX * rng.standard_normal((2, 4))
     base = believed.noise.targets
     boxes = [
@@ -260,7 +260,7 @@ def _errors(believed: Believed, calibrated: Calibrated, rng: Generator) -> Error
         for a, b, c, d in edges.tolist()
     ]
     clock_s, depth = CLOCK_SIGMA_S * rng.standard_normal(), 1.0 + DEPTH_SIGMA * rng.standard_normal()
-    return Errors(true, bias, lean, clock_s, depth, (boxes[0], boxes[1]))
+    return LastingErrors(true, bias, mean_tilt, clock_s, depth, (boxes[0], boxes[1]))
 
 
 def _other_lens(camera: CameraModel, rng: Generator) -> CameraModel:
@@ -274,7 +274,7 @@ def _other_mount(T: Pose, rng: Generator) -> Pose:
 
 
 def _bias(
-    attempt: Attempt, calibrated: Calibrated, place: Place, things: Things, rng: Generator
+    attempt: Attempt, calibrated: HandoverCalibration, place: Place, things: Things, rng: Generator
 ) -> tuple[Array, Array]:
     """What must be wrong with D2's pose, m and rad in its camera, for the prior to fall on the look-alike."""
     wrong = attempt.wrong

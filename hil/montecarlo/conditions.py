@@ -1,16 +1,13 @@
-"""What encounters are drawn from, in words, for the page of a trial."""
+"""What Monte-Carlo hand-overs are drawn from, in words, for the page of a trial."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 
-from flight.encounter import FaultName
+from flight.harness.montecarlo import FaultName
 from hil.geometric.noise import ObservationNoise
-from hil.montecarlo import encounter_faults as faults
-from hil.montecarlo import encounter_motion as motion
-from hil.montecarlo import encounter_scene as scene
-from hil.montecarlo import encounter_stage as stage
+from hil.montecarlo import faults, motion, scene, setup
 
 MEANINGS: Mapping[FaultName, str] = {
     "none": "nothing but the errors that last and the noise of every frame",
@@ -40,7 +37,7 @@ def conditions() -> tuple[tuple[str, str], ...]:
         ("target", f"{scene.MOVING_SHARE:.0%} drive, {low:g}-{high:g} m/s, turning up to {scene.TURN_RAD_S} rad/s"),
         ("look-alikes", f"three, {_span(scene.LOOK_ALIKES_M)} m away at first, never below {scene.PARKED_GAP_M} m; "
          "one drives along, two are parked; identical, at any heading"),
-        ("drones hold their places", f"± {motion.WANDER_M[0]} m, tilt {deg(motion.TILT_RAD):.1f}° around a mean lean "
+        ("drones hold their places", f"± {motion.WANDER_M[0]} m, tilt {deg(motion.TILT_RAD):.1f}° around a mean tilt "
          f"of 1.5°, yaw {deg(motion.YAW_RAD):.1f}°"),
         ("attitude as estimated", f"bias 0.5° in roll and pitch, 2° in yaw; noise {deg(motion.TILT_NOISE_RAD):.1f}° "
          f"and {deg(motion.YAW_NOISE_RAD):.1f}°"),
@@ -55,8 +52,8 @@ def conditions() -> tuple[tuple[str, str], ...]:
         ("depth", f"{scene.DEPTH_SIGMA:.0%} too far or near, once; {1000 * noise.depth_sigma_at_1m_m:g} mm a pixel and "
          f"{1000 * noise.depth_common_sigma_at_1m_m:g} mm together at 1 m, growing with the square"),
         ("clocks", f"{1000 * scene.CLOCK_SIGMA_S:.0f} ms, once"),
-        ("cameras", f"two, {stage.RATE_HZ:g} Hz, at any phase; "
-         f"{_ms(stage.SENDER_LATENCY_S)} and {_ms(stage.RECEIVER_LATENCY_S)} ms until a frame is worked off"),
+        ("cameras", f"two, {setup.RATE_HZ:g} Hz, at any phase; "
+         f"{_ms(setup.SENDER_LATENCY_S)} and {_ms(setup.RECEIVER_LATENCY_S)} ms until a frame is worked off"),
         ("link", f"{1000 * faults.LINK_DELAY_S:g}-{1000 * (faults.LINK_DELAY_S + faults.LINK_JITTER_S):g} ms, "
          f"{faults.LINK_LOSS:.0%} lost"),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What goes wrong in an encounter now and then: when, how much, for whom."""
+"""The faults of a Monte-Carlo hand-over now and then: when, how much, for whom."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flight.encounter import FaultName
+from flight.harness.montecarlo import FaultName
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator
@@ -21,7 +21,7 @@ MIXABLE: tuple[FaultName, ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Faults:
+class HandoverFaults:
     """When something goes wrong: rows (from, to) in s, and how much."""
 
     hidden: Array
@@ -39,13 +39,13 @@ class Faults:
 
 
 NEVER = np.empty((0, 2))
-NO_FAULTS = Faults(
+NO_FAULTS = HandoverFaults(
     NEVER, NEVER, NEVER, NEVER, (NEVER, NEVER), (NEVER, NEVER), np.zeros(3), 0.0, LINK_LOSS, LINK_DELAY_S,
     LINK_JITTER_S, 0.0,
 )  # fmt: skip
 
 
-def draw_faults(fault: FaultName, rng: Generator) -> tuple[tuple[FaultName, ...], Faults]:
+def draw_faults(fault: FaultName, rng: Generator) -> tuple[tuple[FaultName, ...], HandoverFaults]:
     """The faults by name, two different ones for "mixed", and all of them together."""
     names: tuple[FaultName, ...] = (fault,)
     if fault == "mixed":
@@ -70,7 +70,7 @@ def _spells(rng: Generator, most: int, low_s: float, high_s: float) -> Array:
     return np.stack((start, start + length), axis=1)
 
 
-def _with_fault(faults: Faults, name: FaultName, rng: Generator) -> Faults:
+def _with_fault(faults: HandoverFaults, name: FaultName, rng: Generator) -> HandoverFaults:
     match name:
         case "marker_occlusion":
             faults = replace(faults, hidden=_spells(rng, 2, 0.1, 3.0))

@@ -1,17 +1,17 @@
-"""Encounters for the handshake: thousands of attempts, each judged by both gates on the same stream of pairs."""
+"""Monte-Carlo hand-overs by the thousand, each judged by both gates on the same stream of pairs."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, get_args
 
 import numpy as np
 
 from drivers.clock import busy_ns
-from flight.encounter import Attempt, Encounter, EncounterPlayer, FaultName, Series, agreeing, tell
+from flight.harness.montecarlo import Attempt, FaultName, HandoverRunner, MonteCarloHandover, Series, agreeing, tell
 from missions import rig_library
 from missions.rig_library import trial_part
 from path.config import GateKind, MethodConfig
@@ -21,7 +21,6 @@ GATES: tuple[GateKind, GateKind] = get_args(GateKind)
 FAULT_NAMES: tuple[FaultName, ...] = get_args(FaultName)
 CHUNK = 70
 LIMIT_S = 12.0
-IOU_TOLERANCE = 1e-4  # compiled descents end within 1e-7 m of the method's
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +61,7 @@ class Tried:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Attempts played by one process. ``busy_s``: what its core spent on them."""
+    """Attempts run by one process. ``busy_s``: what its core spent on them."""
 
     tried: tuple[Tried, ...]
     simulated_s: float
@@ -71,7 +70,7 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """``indices`` of the attempts to play."""
+    """``indices`` of the attempts to run."""
 
     rig: str
     seed: int
@@ -85,12 +84,12 @@ def asked_for(rig: str, seed: int, attempts: int) -> list[Asked]:
 
 
 @cache
-def player_of(rig_name: str) -> EncounterPlayer:
+def runner_of(rig_name: str) -> HandoverRunner:
     """One for each process: kernels are loaded once."""
     rig = rig_library.load(rig_name)
-    kind: Any = trial_part(rig, "encounter")
-    player: EncounterPlayer = kind(rig)
-    return player.warmed()
+    kind: Any = trial_part(rig, "montecarlo")
+    runner: HandoverRunner = kind(rig)
+    return runner.warmed()
 
 
 def attempt_of(seed: int, index: int) -> Attempt:
@@ -98,18 +97,18 @@ def attempt_of(seed: int, index: int) -> Attempt:
     return Attempt(seed, index, FAULT_NAMES[index % len(FAULT_NAMES)], limit_s=LIMIT_S)
 
 
-def play(asked: Asked) -> Chunk:
-    player, method = player_of(asked.rig), rig_library.load(asked.rig).method
+def run_chunk(asked: Asked) -> Chunk:
+    runner, method = runner_of(asked.rig), rig_library.load(asked.rig).method
     tried: list[Tried] = []
     start_ns, simulated_s = busy_ns(), 0.0
     for index in asked.indices:
         attempt = attempt_of(asked.seed, index)
-        found = player.play(attempt)
+        found = runner.run(attempt)
         evidence = by_evidence(found.series, method)
         simulated_s += found.simulated_s
         if not evidence.committed and found.simulated_s < attempt.limit_s:
             # all is said by the paper's gate, but not by the other one: go on
-            more = player.play(replace(attempt, whole=True))
+            more = runner.run(replace(attempt, whole=True))
             simulated_s += more.simulated_s
             evidence = by_evidence(more.series, method)
         judged = by_consecutive(found), evidence
@@ -117,7 +116,7 @@ def play(asked: Asked) -> Chunk:
     return Chunk(tuple(tried), simulated_s, (busy_ns() - start_ns) * 1e-9)
 
 
-def by_consecutive(found: Encounter) -> Judged:
+def by_consecutive(found: MonteCarloHandover) -> Judged:
     """The paper's gate has judged it already."""
     if found.start_s is None or found.commit_s is None:
         return NOT_COMMITTED
@@ -134,39 +133,6 @@ def by_evidence(series: Series, method: MethodConfig) -> Judged:
     start = int(np.argmax(agreeing(series, own)))
     seconds = (int(series.now_ns[done]) - int(series.capture_ns[start])) * 1e-9
     return Judged(committed=True, seconds=seconds, right=bool(series.right[done]), same=bool(series.same[done]))
-
-
-@dataclass(frozen=True, slots=True)
-class Compared:
-    """One attempt played twice: by the compiled form of the method and by the method itself."""
-
-    entries: int
-    differing: int
-    simulated_s: float
-    busy_s: float
-
-
-def compare(asked: tuple[str, int, int]) -> Compared:
-    """The attempt of (rig, seed, index)."""
-    rig, seed, index = asked
-    player, attempt = player_of(rig), replace(attempt_of(seed, index), whole=True)
-    fast = player.play(attempt)
-    start_ns = busy_ns()
-    slow = player.play_by_method(attempt)
-    busy_s = (busy_ns() - start_ns) * 1e-9
-    return Compared(len(slow.series), differing(fast, slow), slow.simulated_s, busy_s)
-
-
-def differing(fast: Encounter, slow: Encounter) -> int:
-    """Entries that are not the same, those that only one of them has included."""
-    a, b = fast.series, slow.series
-    common = min(len(a), len(b))
-    same = np.ones(common, bool)
-    for field in fields(Series):
-        ours, theirs = getattr(a, field.name)[:common], getattr(b, field.name)[:common]
-        equal = np.abs(ours - theirs) <= IOU_TOLERANCE if ours.dtype.kind == "f" else ours == theirs
-        same &= equal.reshape(common, -1).all(axis=1)
-    return int(np.sum(~same)) + max(len(a), len(b)) - common
 
 
 def reasons(tried: Sequence[Tried]) -> dict[str, int]:

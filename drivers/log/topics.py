@@ -80,6 +80,11 @@ _CAMERA = {
     "cy": _number("principal point, px"),
     "distortion": _numbers("Brown-Conrady, OpenCV's order"),
 }
+_ATTEMPT = {
+    "handoff_id": _whole("of the mission"),
+    "epoch": _whole("of the attempt; it only grows"),
+    "target_id": _whole("of the target"),
+}
 _MOUNT = {
     "T_b_c": _pose("camera to the body (FRD) of its drone"),
     "T_b_v": _pose("marker frame to the body (FRD) of the sender"),
@@ -190,13 +195,33 @@ TOPICS: dict[str, Topic] = {
     ),
     "/settled": Topic("what became known later of an attempt", {"outcome": _text("path.protocol.values.Outcome")}),
     "/refused": Topic("what the protocol did not let happen", {"why": _text("path.protocol.values.Refusal")}),
+    "/attempt": Topic("from here on a cycle of its own decides: another attempt", _ATTEMPT),
     # --- D1 ---
+    "/heard_candidate": Topic(
+        "an answer of D2 as it came in, once the clocks are aligned",
+        {
+            **_ATTEMPT,
+            "sequence": _whole("low 16 bits of D2's frame"),
+            "target_sequence": _whole("of the message of D1 that it answers"),
+            "peer_capture_ns": _whole("of D2's frame, ns of D2's clock"),
+            "capture_ns": _whole("the same, ns of D1's clock"),
+            "box": _box("what D2 takes for the target"),
+            "reason": _reason("there is no box"),
+            "position_v_m": _numbers("of D2's camera in the marker's frame, m"),
+            "rotation_v_c2": _numbers("camera to marker's frame, quaternion wxyz"),
+            "sigma_m": _number("standard deviation of the position, each axis, m"),
+        },
+    ),
     "/target": Topic(
         "one frame of D1: the message sent to D2, or why there is none",
         {
-            "sequence": _whole("low 16 bits of the frame's id"),
+            "frame_id": _whole("of the camera"),
+            "sequence": _whole("low 16 bits of that"),
             "capture_ns": _CAPTURE,
+            "judged_ns": _whole("when answers of D2 were judged after it, ns of this log's clock"),
             "box": _box("the target as tracked"),
+            "depth_m": _number("of the target along the optical axis, m"),
+            "depth_sigma_m": _number("standard deviation of that, m"),
             "point_v_m": _numbers("the target in the marker's frame, m"),
             "gravity_v": _numbers("direction of gravity in the marker's frame, unit vector"),
             "sigma_m": _number("standard deviation of the point, m"),
@@ -210,7 +235,7 @@ TOPICS: dict[str, Topic] = {
             "counted": _flag("it advanced or restarted the count"),
             "reason": _reason("it did not agree"),
             "iou": _number("overlap of D1's box and D2's mapped one, 0 to 1"),
-            "tau": _number("overlap that was needed"),
+            "tau": _number("overlap that was needed; left out when nothing was compared"),
             "count": _whole("agreeing pairs in a row"),
             "needed": _whole("of them for a hand-over"),
             "evidence": _number("of the gate by evidence, nats"),
@@ -225,6 +250,18 @@ TOPICS: dict[str, Topic] = {
         },
     ),
     # --- D2 ---
+    "/heard_target": Topic(
+        "a message of D1 as it came in, once the clocks are aligned",
+        {
+            **_ATTEMPT,
+            "sequence": _whole("low 16 bits of D1's frame"),
+            "peer_capture_ns": _whole("of D1's frame, ns of D1's clock"),
+            "capture_ns": _whole("the same, ns of D2's clock"),
+            "point_v_m": _numbers("the target in the marker's frame, m"),
+            "gravity_v": _numbers("direction of gravity in the marker's frame, unit vector"),
+            "sigma_m": _number("standard deviation of the point, m"),
+        },
+    ),
     "/marker": Topic(
         "one frame of D2: its camera in the frame of D1's marker",
         {
@@ -246,12 +283,14 @@ TOPICS: dict[str, Topic] = {
             "peer_n_mps": _numbers("north, east, down in m/s"),
             "q_n_c": _numbers("camera to north-east-down as reported, quaternion wxyz"),
             "q_n_v": _numbers("marker's frame to north-east-down as reported, quaternion wxyz"),
-            "covariance": _numbers("of the pose T_c_v, lower triangle by rows; convention of path.prior"),
+            "T_c_v": _numbers("the marker's pose in the camera: three rows of its matrix, one after another, m"),
+            "covariance": _numbers("of that pose, 6 x 6 by rows; convention of path.prior"),
         },
     ),
     "/candidate": Topic(
         "D2's answer for one frame",
         {
+            "epoch": _whole("of the attempt"),
             "sequence": _whole("low 16 bits of the frame's id"),
             "target_sequence": _whole("of the newest message of D1 that was used"),
             "capture_ns": _CAPTURE,
@@ -263,6 +302,9 @@ TOPICS: dict[str, Topic] = {
             "point_v_m": _numbers("the target's point as carried to the capture, marker's frame, m"),
             "prior_px": _numbers("[u, v] where the target must appear, px"),
             "region": _numbers("[x0, y0, x1, y1] of the image that was searched, px"),
+            "found": _tables(
+                "what the detector found there", box=_numbers("[x, y, w, h], px"), score=_number("0 to 1")
+            ),
         },
     ),
     # --- guard ---

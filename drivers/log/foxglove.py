@@ -48,7 +48,7 @@ from foxglove.messages import (
 )
 from foxglove.messages import Log as Line
 
-from drivers.log_topics import blank
+from drivers.log.topics import blank
 from path.rotation import quat_from_R
 
 Record = Mapping[str, Any]

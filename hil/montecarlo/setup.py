@@ -1,22 +1,22 @@
-"""An encounter made ready: frames, poses, messages and their arrivals as arrays; what is seen is filled in block by
-block, as far as it is played."""
+"""A Monte-Carlo hand-over made ready: frames, poses, messages and their arrivals as arrays.
+
+What is seen is filled in block by block, as far as the hand-over is run.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flight.encounter import Attempt, Circumstances
+from flight.harness.montecarlo import Attempt, Circumstances
 from hil.geometric.perception import Sensor
-from hil.geometric.scene import car_parts, drone_parts, lens_row
-from hil.montecarlo.encounter_motion import P_W_N, RECEIVER, SENDER, Motion, Poses, exp_all, within
-from hil.montecarlo.encounter_pose import Print, mirrored
-from hil.montecarlo.encounter_relative import Reports, reports
-from hil.montecarlo.encounter_scene import TARGET_HEIGHT_M, Believed, Calibrated, Drawn, draw
-from hil.montecarlo.encounter_sight import (
+from hil.geometric.scene import car_parts, drone_parts
+from hil.montecarlo.motion import P_W_N, RECEIVER, SENDER, HandoverMotion, HandoverPoses, exp_all, within
+from hil.montecarlo.perception import (
     AT,
     FOLLOWER_SIZE,
     FOUND_COLUMNS,
@@ -28,15 +28,16 @@ from hil.montecarlo.encounter_sight import (
     RIVAL_AT,
     VELOCITY,
     VV,
+    CameraPath,
     Depths,
-    Eyes,
-    Flown,
+    TrueCamera,
     receiver_sees,
     sender_sees,
     with_lapses,
 )
-from hil.montecarlo.encounter_state import CANDIDATE_HEARD, RECEIVER_FRAME, SENDER_FRAME, TARGET_HEARD, Seen
+from hil.montecarlo.scene import TARGET_HEIGHT_M, Believed, Drawn, draw
 from path.camera import CameraModel
+from path.camera_kernels import lens_of
 from path.geometry import Pose
 
 Array = NDArray[np.float64]
@@ -52,6 +53,36 @@ BLOCK_S = 0.5
 HORIZON_S = 8.2  # how far an attempt is made ready at first
 CLOSEST_STEP_S = 0.02
 EPOCH_S = 10.0  # of the clocks, when an attempt begins
+SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD = 0, 1, 2, 3  # what happens
+
+
+class HandoverViews(NamedTuple):
+    """What both cameras gave: see ``hil.montecarlo.perception``; numbers and stamps of the frames.
+
+    ``gravity_v``, ``gravity_c``: (n, 3) as each drone believes; ``R_n_c``: of D2's camera, (n, 3, 3).
+    ``shift_c``, ``turn``: what D2's pose is off by, (3,) and (3, 3).
+    ``own_velocity``: of D2 with each of its frames; ``peer_stamp``, ``peer_velocity``, ``peer_yaw``: D1's reports, and
+    ``heard``: (n,) how many of them D2 has by a frame.
+    """
+
+    number_1: Whole
+    stamp_1: Whole
+    own: Array
+    gravity_v: Array
+    number_2: Whole
+    stamp_2: Whole
+    markers: Array
+    found: Array
+    many: Whole
+    gravity_c: Array
+    R_n_c: Array
+    shift_c: Array
+    turn: Array
+    own_velocity: Array
+    peer_stamp: Whole
+    peer_velocity: Array
+    peer_yaw: Array
+    heard: Whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,13 +106,7 @@ class Timed:
         return Timed(self.number[:count], self.taken_s[:count], self.done_s[:count], self.heard_s[:count])
 
 
-def printed_marker(believed: Believed) -> Print:
-    marker = believed.rig.layout.markers[0]
-    T = marker.T_v_m
-    return Print(marker.corners_v, np.ascontiguousarray(T.R), T.t, marker.side_m, marker.side_sigma_m / marker.side_m)
-
-
-class Parts:
+class BodyBoxes:
     """Boxes of what is drawn: they are the same for every attempt, but for the plates of the marker."""
 
     def __init__(self, believed: Believed) -> None:
@@ -99,15 +124,15 @@ class Parts:
         return parts
 
 
-class Stage:
-    """One attempt before it is played. ``fill`` lets the cameras see."""
+class HandoverSetup:
+    """One attempt before it is run. ``fill`` lets the cameras see."""
 
-    def __init__(self, attempt: Attempt, believed: Believed, sensor: Sensor, parts: Parts) -> None:
+    def __init__(self, attempt: Attempt, believed: Believed, sensor: Sensor, parts: BodyBoxes) -> None:
         seeds = np.random.SeedSequence([attempt.seed, attempt.index]).spawn(STREAMS)
         streams = [np.random.default_rng(seed) for seed in seeds]
         self.drawn: Drawn = draw(attempt, believed, streams[:4])
         self.believed = believed.calibrated(attempt.roll_deg)
-        self._motion = Motion(self.drawn, streams[4])
+        self._motion = HandoverMotion(self.drawn, streams[4])
         faults = self.drawn.faults
         self.clock_ns = round((self.drawn.errors.clock_s + faults.clock_s) * 1e9)
         self.frames = tuple(
@@ -117,14 +142,14 @@ class Stage:
         look_seeds = streams[6].integers(1 << 62, size=2).tolist()
         true = self.drawn.errors.true
         boxes = self.drawn.errors.boxes
-        self._eyes_1 = _eyes(true.camera_1, true.T_b_c1, parts.car, parts.plain, boxes[0], look_seeds[0])
+        self._camera_1 = _true_camera(true.camera_1, true.T_b_c1, parts.car, parts.plain, boxes[0], look_seeds[0])
         marked = parts.marked(true.T_b_v)
-        self._eyes_2 = _eyes(true.camera_2, true.T_b_c2, parts.car, marked, boxes[1], look_seeds[1])
+        self._camera_2 = _true_camera(true.camera_2, true.T_b_c2, parts.car, marked, boxes[1], look_seeds[1])
         self._depths = Depths(sensor.depth, *sensor.depth_noise, self.drawn.errors.depth_scale)
         self._corners_b = true.T_b_v.apply(true.corners_v)
         self._print = with_lapses(believed.noise.marker, faults.lapse_rate)
-        self._printed = printed_marker(believed)
-        self._lens_1 = lens_row(self.believed.camera_1)
+        self._T_v_m = believed.rig.layout.markers[0].T_v_m
+        self._lens_1 = lens_of(self.believed.camera_1)
         self._filled = [0, 0]
         self._follower: Array | None = None
         self._limit_s, self._lost_s = attempt.limit_s, believed.mission.deadlines.target_coast_s
@@ -161,7 +186,7 @@ class Stage:
         if self._follower is None:
             self._follower = self._following(sender.taken_s, target_1, at_1.drift)
         own, markers, found, many = self._room(len(sender.number), len(receiver.number), things_2.shape[1])
-        self.seen = Seen(
+        self.seen = HandoverViews(
             sender.number, _ns(sender.taken_s), own,
             np.ascontiguousarray((R_n_b1 @ calibrated.T_b_v.R)[:, 2]), receiver.number,
             _ns(receiver.taken_s) + self.clock_ns, markers, found, many, self._gravity_c(R_n_c2, receiver), R_n_c2,
@@ -179,14 +204,13 @@ class Stage:
             many[:second] = self.seen.many[:second]
         return own, markers, found, many
 
-    def _reports(self, receiver: Timed) -> tuple[Reports, Reports, Array, Whole]:
+    def _reports(self, receiver: Timed) -> tuple[Array, Whole, Array, Array, Whole]:
         """What both vehicles say of their motion, D1's yaw in it, and how much of it D2 has by each of its frames."""
         faults, motion = self.drawn.faults, self._motion
-        own = reports(_ns(receiver.taken_s) + self.clock_ns, motion.reported(receiver.taken_s, RECEIVER))
         said_s = np.arange(-2.0, self._horizon_s * STATUS_HZ) / STATUS_HZ
-        peer = reports(_ns(said_s), motion.reported(said_s, SENDER))
         heard = np.searchsorted(said_s + faults.delay_s + faults.jitter_s, receiver.done_s)
-        return own, peer, motion.yaw(said_s), np.maximum(heard, 1)
+        own, peer = motion.reported(receiver.taken_s, RECEIVER), motion.reported(said_s, SENDER)
+        return own, _ns(said_s), peer, motion.yaw(said_s), np.maximum(heard, 1)
 
     def _gravity_c(self, R_n_c2: Array, receiver: Timed) -> Array:
         """Gravity in D2's camera as D2 believes; while flipped, what makes the other planar solution the likely one."""
@@ -195,8 +219,7 @@ class Stage:
         for k in np.flatnonzero(within(receiver.taken_s, self.drawn.faults.flipped)).tolist():
             T_c_w = (Pose(flown.R[k], flown.t[k]) @ true.T_b_c2).inverse()
             T_w_v = Pose(flown.other_R[k], flown.other_t[k]) @ true.T_b_v
-            T_c_v, R, t = T_c_w @ T_w_v, np.empty((3, 3)), np.empty(3)
-            mirrored(np.ascontiguousarray(T_c_v.R), T_c_v.t, self._printed, R, t)
+            R = mirrored(T_c_w @ T_w_v, self._T_v_m)
             gravity_c[k] = R @ -T_w_v.R[2]
         return gravity_c
 
@@ -218,20 +241,20 @@ class Stage:
         seen, (sender, receiver) = self.seen, self.frames
         first, last = self._filled[0], int(np.searchsorted(sender.taken_s, until_s))
         sender_sees(
-            first, last, self._eyes_1, self.flown_1, self._depths, self._holes, self._times_1, self._lost_s,
+            first, last, self._camera_1, self.flown_1, self._depths, self._holes, self._times_1, self._lost_s,
             self._R_n_c1, self._t_n_c1, self._lens_1, self._follower, seen.own,
         )  # fmt: skip
         self._filled[0] = max(first, last)
         first, last = self._filled[1], int(np.searchsorted(receiver.taken_s, until_s))
         receiver_sees(
-            first, last, self._eyes_2, self.flown_2, self._corners_b, self._print, self._hidden, self._swapped,
+            first, last, self._camera_2, self.flown_2, self._corners_b, self._print, self._hidden, self._swapped,
             seen.markers, seen.found, seen.many,
         )  # fmt: skip
         self._filled[1] = max(first, last)
 
     @property
     def events(self) -> tuple[Whole, Whole, Whole]:
-        """What happens, to which frame, and when (ns), in the order of time: see ``hil.montecarlo.encounter_play``."""
+        """What happens, to which frame, and when (ns), in the order of time."""
         sender, receiver = self.frames
         when = (sender.done_s, sender.heard_s, receiver.done_s, receiver.heard_s)
         kinds = (SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD)
@@ -254,16 +277,27 @@ class Stage:
         others = np.linalg.norm(things[1:, :2] - things[0, :2], axis=1)
         known = others[np.isfinite(others)]
         places = self.drawn.things.at(np.arange(0.0, self._limit_s, CLOSEST_STEP_S))[0]
-        apart = np.linalg.norm(places[:, 1:] - places[:, :1], axis=2)
+        distances = np.linalg.norm(places[:, 1:] - places[:, :1], axis=2)
         return Circumstances(
             range_1_m=float(np.linalg.norm(middle - T_w_c1.t)),
             range_2_m=float(np.linalg.norm(middle - T_w_c2.t)),
             marker_m=float(np.linalg.norm(marker - T_w_c2.t)),
             look_alike_m=float(known.min()) if len(known) else math.inf,
-            closest_m=float(np.min(apart, initial=math.inf, where=np.isfinite(apart))),
+            closest_m=float(np.min(distances, initial=math.inf, where=np.isfinite(distances))),
             relative_roll_deg=math.degrees(relative_roll(T_w_c1, T_w_c2)),
             target_mps=self.drawn.things.speed_mps,
         )
+
+
+def mirrored(T_c_v: Pose, T_v_m: Pose) -> Array:
+    """``R_c_v`` of a marker that faces the other way of the line of sight: about the second planar solution.
+
+    The marker's centre stays where it is; its axes turn by pi about the line to it, and by pi about its own normal.
+    """
+    centre = T_c_v.apply(T_v_m.t)
+    line = centre / np.linalg.norm(centre)
+    flip = T_v_m.R @ np.diag([-1.0, -1.0, 1.0]) @ T_v_m.R.T
+    return (2.0 * np.outer(line, line) - np.eye(3)) @ T_c_v.R @ flip
 
 
 def relative_roll(T_w_c1: Pose, T_w_c2: Pose) -> float:
@@ -276,8 +310,8 @@ def _ns(times_s: Array) -> Whole:
     return np.rint((times_s + EPOCH_S) * 1e9).astype(np.int64)
 
 
-def _eyes(camera: CameraModel, T_b_c: Pose, car: Array, drone: Array, boxes: object, seed: int) -> Eyes:
-    return Eyes(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_row(camera), car, drone, boxes, seed)  # type: ignore[arg-type]
+def _true_camera(camera: CameraModel, T_b_c: Pose, car: Array, drone: Array, boxes: object, seed: int) -> TrueCamera:
+    return TrueCamera(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_of(camera), car, drone, boxes, seed)  # type: ignore[arg-type]
 
 
 def _things(frames: Timed, drawn: Drawn) -> tuple[Array, Array]:
@@ -288,18 +322,7 @@ def _things(frames: Timed, drawn: Drawn) -> tuple[Array, Array]:
     return things, places[:, 0]
 
 
-def _flown(frames: Timed, poses: Poses, own: int, things: Array) -> Flown:
+def _flown(frames: Timed, poses: HandoverPoses, own: int, things: Array) -> CameraPath:
     """Both bodies in the world, ENU."""
     R, t = ([P_W_N @ each for each in poses.R_n_b], [each @ P_W_N.T for each in poses.t_n])
-    return Flown(frames.number, R[own], t[own], R[1 - own], t[1 - own], things)
-
-
-def mounting(calibrated: Calibrated) -> Array:
-    """``T_v_c1`` as both believe it, (3, 4)."""
-    T_v_c = calibrated.T_b_v.inverse() @ calibrated.T_b_c1
-    return np.concatenate((T_v_c.R, T_v_c.t[:, None]), axis=1)
-
-
-def lever(T_b_x: Pose) -> Array:
-    """Of a part from its drone's centre, in its own axes."""
-    return T_b_x.R.T @ T_b_x.t
+    return CameraPath(frames.number, R[own], t[own], R[1 - own], t[1 - own], things)

@@ -1,8 +1,8 @@
 """The seam between a trial and hand-overs without flights: what an attempt is asked for and what came of it.
 
-A rig names who plays encounters (``[trials] encounter = "hil.montecarlo.encounter:Encounters"``); nothing imports
-that. An encounter is the hand-over alone: D2 is at its viewpoint, both drones hold their places and verify until D1's
-window is complete or the time is over.
+A rig names what runs them (``[trials] montecarlo = "hil.montecarlo.run:MonteCarloHandovers"``); nothing imports that.
+Each is the hand-over alone: D2 is at its viewpoint, both drones hold their places and verify until D1's window is
+complete or the time is over.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ PAIR, MISS, OWN_MISS = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True)
-class Wrong:
+class WrongAssociation:
     """A wrong association that is forced: D2 answers with a look-alike all the time, the rest is as ever.
 
     Attributes:
@@ -63,21 +63,21 @@ class Wrong:
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """One hand-over to play. All that is drawn depends on ``seed`` and ``index`` alone.
+    """One hand-over to run. All that is drawn depends on ``seed`` and ``index`` alone.
 
     Attributes:
         fault: what goes wrong now and then; errors that last (calibration, print, attitude, boxes) always do.
         reach: how much farther from the target D1 stays than it usually does.
         roll_deg: by which D2's camera is turned about its optical axis on its mount, as both drones know.
         limit_s: after so long without a commit it is a timeout.
-        whole: go on until the limit, whatever D1's window says. Otherwise the compiled form ends with the commit, or
-            as soon as there can be none any more.
+        whole: go on until the limit, whatever D1's window says. Otherwise it ends with the commit, or as soon as
+            there can be none any more.
     """
 
     seed: int
     index: int
     fault: FaultName = "none"
-    wrong: Wrong | None = None
+    wrong: WrongAssociation | None = None
     reach: float = 1.0
     roll_deg: float = 0.0
     limit_s: float = 20.0
@@ -120,7 +120,7 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Circumstances:
-    """Of an encounter, at its beginning, in truth.
+    """The circumstances of a hand-over at its beginning, in truth.
 
     ``look_alike_m``: the nearest look-alike's distance from the target; ``closest_m``: the smallest that there is until
     the attempt's limit. ``relative_roll_deg``: of D2's camera against D1's, about the line of sight to the target.
@@ -136,7 +136,7 @@ class Circumstances:
 
 
 @dataclass(frozen=True, slots=True)
-class Encounter:
+class MonteCarloHandover:
     """What came of an attempt. Times are since its beginning, by D1's clock.
 
     Attributes:
@@ -145,7 +145,7 @@ class Encounter:
         right: whether the box that completed the window is of the right object; None without a commit.
         same: whether it is of the object that D1's box was of.
         misses: number of entries by reason.
-        simulated_s: how much time was played.
+        simulated_s: how much time was run.
         series: what D1's window was told.
     """
 
@@ -204,19 +204,15 @@ def tell(series: Series, gate: Gate, method: MethodConfig) -> int | None:
     return len(series) - 1 if gate.complete else None
 
 
-class EncounterPlayer(Protocol):
-    """Plays attempts with a rig's cameras, mounts, marker and method."""
+class HandoverRunner(Protocol):
+    """Runs attempts with a rig's cameras, mounts, marker and method."""
 
     def __init__(self, rig: Rig, method: MethodConfig | None = None) -> None:
-        """``method`` in place of the rig's. Raises PartError for a rig that it cannot play."""
+        """``method`` in place of the rig's. Raises PartError for a rig that it cannot run."""
         ...
 
-    def play(self, attempt: Attempt) -> Encounter:
-        """By the compiled form of the method: fast."""
-        ...
-
-    def play_by_method(self, attempt: Attempt) -> Encounter:
-        """The same attempt through the method itself: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle``."""
+    def run(self, attempt: Attempt) -> MonteCarloHandover:
+        """Through the method itself: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle``."""
         ...
 
     def warmed(self) -> Self:

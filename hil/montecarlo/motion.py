@@ -1,4 +1,4 @@
-"""How the two drones of an encounter move, in truth and by their own estimate: holding a place, never quite."""
+"""The motion of both drones in truth and by their own estimate: holding a place, never quite."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.geometric.kernels import kernel
-from hil.montecarlo.encounter_scene import Drawn
+from hil.montecarlo.scene import Drawn
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def _drawn(rng: np.random.Generator) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Poses:
+class HandoverPoses:
     """Both drones at some instants, by drone: bodies in NED ``n``; and how far off the attitude estimates are.
 
     ``attitude_error``: rotation vectors in the body. ``drift``: of the sender's position estimate.
@@ -88,14 +88,14 @@ class Poses:
         return self.R_n_b[drone] @ exp_all(self.attitude_error[drone])
 
 
-class Motion:
+class HandoverMotion:
     """Both drones of one attempt."""
 
     def __init__(self, drawn: Drawn, rng: np.random.Generator) -> None:
         self._drawn = drawn
         self._waves = _drawn(rng)
 
-    def poses(self, times_s: Array, target: Array) -> Poses:
+    def poses(self, times_s: Array, target: Array) -> HandoverPoses:
         """At instants; ``target``: (n, 2) north and east of it then."""
         drawn, errors = self._drawn, self._drawn.errors
         values = self._at(times_s)
@@ -103,9 +103,9 @@ class Motion:
         sender_t = drawn.place.sender_n_m + values[:, WANDER[SENDER]]
         sender_t[:, :2] += target
         receiver_t = sender_t + drawn.place.receiver_n_m + values[:, WANDER[RECEIVER]]
-        R = [_attitude(values[:, ATTITUDE[i]] + errors.lean[i], yaws[i]) for i in (SENDER, RECEIVER)]
+        R = [_attitude(values[:, ATTITUDE[i]] + errors.mean_tilt[i], yaws[i]) for i in (SENDER, RECEIVER)]
         off = [values[:, ATTITUDE_NOISE[i]] + errors.tilt_bias[i] + self._jump(times_s, i) for i in (SENDER, RECEIVER)]
-        return Poses((R[0], R[1]), (sender_t, receiver_t), (off[0], off[1]), values[:, DRIFT])
+        return HandoverPoses((R[0], R[1]), (sender_t, receiver_t), (off[0], off[1]), values[:, DRIFT])
 
     def reported(self, times_s: Array, drone: int) -> Array:
         """Velocities that a vehicle reports, NED (n, 3)."""
@@ -120,7 +120,7 @@ class Motion:
     def yaw(self, times_s: Array) -> Array:
         """The sender's, as it reports it."""
         errors = self._drawn.errors
-        own = self._at(times_s, ATTITUDE[SENDER])[:, 2] + errors.lean[SENDER, 2]
+        own = self._at(times_s, ATTITUDE[SENDER])[:, 2] + errors.mean_tilt[SENDER, 2]
         return own + self._at(times_s, ATTITUDE_NOISE[SENDER])[:, 2] + errors.tilt_bias[SENDER, 2]
 
     def _at(self, times_s: Array, channels: slice = EVERYTHING) -> Array:

@@ -1,0 +1,101 @@
+"""One drone of the sim levels: what its parts and its program are connected to, and its disk."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from drivers.log.state_file import MemoryStore
+from drivers.mavlink.guard_interfaces import GuardLine
+from hil.camera.capture import Freeze
+from hil.harness.guard import MemoryBeatLine
+from hil.link.faulty import MemoryHub
+from hil.world.errors import Built
+from hil.world.snapshot import Snapshot
+from hil.world.world import SimDrone
+from path.messages import Role
+from path.protocol.values import ReceiverRecord, SenderRecord
+
+
+class PairWorld(Protocol):
+    """The world as the parts of one drone know it: their own vehicle, and what a pair of cameras can see."""
+
+    @property
+    def time_s(self) -> float: ...
+
+    def drone(self, role: Role, /) -> SimDrone: ...
+
+    def snapshot(self) -> Snapshot: ...
+
+
+class Disk(MemoryStore):
+    """The disk of one drone. It outlives the drone's programs; ``saved`` is told each duty that was written."""
+
+    def __init__(self, saved: Callable[[str], None]) -> None:
+        super().__init__()
+        self._saved = saved
+        self.writable = True  # not by a program that was killed
+
+    def save(self, record: SenderRecord | ReceiverRecord) -> None:
+        if self.writable:
+            super().save(record)
+            self._saved(record.duty)
+
+
+class DroneHarness:
+    """``PartContext.harness`` of one drone's parts, and ``flight.harness.flights.InProcess`` of its program.
+
+    Args:
+        view: the world as this drone's parts know it.
+        advance: brings that world to the loop's present.
+        seed: of the noise of its parts.
+        role, hub: of the leg under way, and its link.
+
+    Attributes:
+        frozen: its camera gives nothing any more.
+        silent: its vehicle hears nothing any more; ``lost``: because the vehicle's own link is cut.
+        beats: the line to its guard; None when it has none.
+        cut_off_s: when the harness itself stopped its setpoints.
+    """
+
+    def __init__(
+        self, view: PairWorld, advance: Callable[[float], None], seed: int, built: Built, role: Role, hub: MemoryHub
+    ) -> None:
+        self._view, self._advance = view, advance
+        self.seed, self.built = seed, built
+        self.role, self.hub = role, hub
+        self.beats: MemoryBeatLine | None = None
+        self.frozen = self.silent = self.lost = False
+        self.cut_off_s: list[float] = []
+
+    @property
+    def world(self) -> PairWorld:
+        """At the loop's present."""
+        now_s = present_s()
+        if now_s != self._view.time_s:
+            self._advance(now_s)
+        return self._view
+
+    @property
+    def frozen_cameras(self) -> Mapping[Role, Freeze]:
+        return dict.fromkeys(Role, Freeze.SILENT) if self.frozen else {}
+
+    @property
+    def silent_vehicles(self) -> set[Role]:
+        return set(Role) if self.silent else set()
+
+    @property
+    def lost_vehicles(self) -> set[Role]:
+        return set(Role) if self.lost else set()
+
+    def guard_line(self, role: Role) -> GuardLine:
+        """The program's way to its guard."""
+        del role
+        assert self.beats is not None, "the rig has no guard"
+        return self.beats.role_end()
+
+
+def present_s() -> float:
+    """The loop's time, which is the world's."""
+    return asyncio.get_running_loop().time()

@@ -1,0 +1,254 @@
+"""Both drones' cycles of one Monte-Carlo hand-over: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle`` themselves,
+given frames and messages in the order of time, and a record of what D1's window was ran."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.rig.parts import Mount
+from flight.harness.montecarlo import MISS, OWN_MISS, PAIR, Attempt, Series
+from flight.marker_view import MarkerFix, MarkerView, Motion
+from hil.montecarlo.perception import CLAIMED, FOUND, SEEN, SIGMA, STATUS, UNCLEAR, WHO, Z
+from hil.montecarlo.scene import Believed
+from hil.montecarlo.setup import (
+    BLOCK_S,
+    CANDIDATE_HEARD,
+    EPOCH_S,
+    RECEIVER_FRAME,
+    SENDER_FRAME,
+    HandoverSetup,
+)
+from path.agreement import TwoViews, depth_in, iou, map_box
+from path.config import BoxMapping, MethodConfig
+from path.geometry import Pose
+from path.messages import Candidate, Target, Vec3
+from path.observations import Box, Depth, Detection, MarkerDetection, MissReason, Region
+from path.prior import Prior
+from path.receiver import ReceiverCycle
+from path.rigid import rigid, rigid_from_quat
+from path.rotation import normalized
+from path.sender import Pair, SenderCycle
+from path.window import AgreementWindow
+
+Array = NDArray[np.float64]
+EYE8 = np.eye(8)
+REASONS = tuple(MissReason)
+SLACK_NS = 500_000_000  # what was captured is judged later, by the link and both cycles
+BOTH: tuple[BoxMapping, BoxMapping] = ("center", "corner")
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """As much of ``drivers.interfaces.View`` as the marker view looks at."""
+
+    stamp_ns: int
+    row: Array
+    marker_id: int
+
+    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
+        corners = self.row[:8].reshape(4, 2)
+        if self.row[FOUND] == 0.0:
+            return ()
+        if region is not None and not all(region.contains(u, v) for u, v in corners.tolist()):
+            return ()
+        return (MarkerDetection(self.marker_id, corners, self.row[CLAIMED] ** 2 * EYE8),)
+
+
+@dataclass(frozen=True, slots=True)
+class CyclesRun:
+    """What D1's window was told, and for how long.
+
+    ``done``: the entry with which it was complete for the first time; None when it never was.
+    """
+
+    series: Series
+    done: int | None
+    simulated_s: float
+
+
+def run_cycles(attempt: Attempt, setup: HandoverSetup, believed: Believed, method: MethodConfig) -> CyclesRun:
+    """Both cycles from the attempt's beginning until it is decided, or over."""
+    cycles = _Cycles(setup, believed, method)
+    kinds, which, now = setup.events
+    events = list(zip(kinds.tolist(), which.tolist(), now.tolist(), strict=True))
+    limit_ns, until_s, first = _ns(attempt.limit_s), 0.0, 0
+    while first < len(events) and until_s < attempt.limit_s:
+        until_s = min(until_s + BLOCK_S, attempt.limit_s)
+        setup.fill(until_s)
+        last = int(np.searchsorted(now, _ns(until_s)))
+        if cycles.run(events[first:last], attempt.whole):
+            break
+        if not attempt.whole and cycles.hopeless(_ns(until_s), limit_ns):
+            break
+        first = last
+    return CyclesRun(cycles.record.series, cycles.done, until_s)
+
+
+def _ns(time_s: float) -> int:
+    return round((time_s + EPOCH_S) * 1e9)
+
+
+class _Cycles:
+    """Both drones in one attempt. ``done``: see ``CyclesRun``."""
+
+    def __init__(self, setup: HandoverSetup, believed: Believed, method: MethodConfig) -> None:
+        rig, calibrated = believed.rig, setup.believed
+        mount = calibrated.T_b_v.inverse() @ calibrated.T_b_c1
+        self._setup = setup
+        self._marker_id = rig.layout.markers[0].id
+        camera_1, camera_2 = calibrated.camera_1, calibrated.camera_2
+        # the paper's gate decides when to stop; others are told the series afterwards
+        method = replace(method, gate="consecutive")
+        carried = Mount(calibrated.T_b_c2, calibrated.T_b_v)
+        self._marker = MarkerView(rig.layout, camera_2, carried, method, believed.mission)
+        self._window = AgreementWindow(method)
+        self._hold_ns = round(method.hold_s * 1e9)
+        self._begin_ns = 0  # of the run under way
+        self._sender = SenderCycle(
+            camera_1, camera_2, mount, method, handoff_id=1, epoch=1, target_id=1, gate=self._window
+        )
+        self._receiver = ReceiverCycle(camera_2, method, handoff_id=1, epoch=1, target_id=1)
+        self._targets: dict[int, Target] = {}
+        self._candidates: dict[int, Candidate] = {}
+        self.record = _Record(TwoViews(camera_1, camera_2, rigid(mount)), method.box_mapping)
+        self.done: int | None = None
+
+    def run(self, events: Sequence[tuple[int, int, int]], whole: bool) -> bool:
+        """What happens, in this order; True when the window is complete and nothing after it is asked for."""
+        setup = self._setup
+        for kind, which, now_ns in events:
+            if kind == SENDER_FRAME:
+                self._sender_frame(which, now_ns)
+                if self.done is None and self._window.complete:
+                    self.done = len(self.record) - 1
+                if self.done is not None and not whole:
+                    return True
+            elif kind == RECEIVER_FRAME:
+                self._receiver_frame(which)
+            elif kind == CANDIDATE_HEARD:
+                candidate = self._candidates[which]
+                self._sender.offer(candidate, candidate.capture_ns, now_ns)
+            elif which in self._targets:
+                self._receiver.on_target(self._targets[which], int(setup.seen.stamp_1[which]), now_ns + setup.clock_ns)
+        return False
+
+    def hopeless(self, now_ns: int, limit_ns: int) -> bool:
+        """Whether no run can be long enough before the limit: not even one that goes on, or begins now."""
+        begin_ns = self._begin_ns if self._window.count else now_ns
+        return begin_ns - SLACK_NS + self._hold_ns > limit_ns
+
+    def _sender_frame(self, k: int, now_ns: int) -> None:
+        seen = self._setup.seen
+        row, stamp_ns, number = seen.own[k].tolist(), int(seen.stamp_1[k]), int(seen.number_1[k])
+        box = Box(*row[1:5]) if row[STATUS] == SEEN else None
+        depth = Depth(row[Z], row[SIGMA]) if box is not None and row[Z] > 0.0 else None
+        message = self._sender.observe(number, stamp_ns, box, depth, _vector(seen.gravity_v[k]))
+        if isinstance(message, Target):
+            self._targets[k] = message
+            self.record.own_whose[number] = row[WHO]
+        else:
+            reason = MissReason.AMBIGUOUS_TARGET if row[STATUS] == UNCLEAR else message.reason
+            self.record.own_miss(reason, number, stamp_ns, now_ns)
+        for pair in self._sender.evaluate_ready(now_ns):
+            self.record.pair(pair, now_ns)
+            if self._window.count == 1:
+                self._begin_ns = pair.capture_ns
+
+    def _receiver_frame(self, k: int) -> None:
+        seen, cycle = self._setup.seen, self._receiver
+        stamp_ns, number = int(seen.stamp_2[k]), int(seen.number_2[k])
+        view = _View(stamp_ns, seen.markers[k], self._marker_id)
+        self._marker.note_motion(self._motion(k, stamp_ns))
+        gravity_v, gravity_c = cycle.gravity_v(stamp_ns), _vector(seen.gravity_c[k])
+        fix = self._marker.look(view, seen.R_n_c[k], gravity_v, gravity_c)  # type: ignore[arg-type]
+        if isinstance(fix, MarkerFix):
+            biased = Pose(seen.turn @ fix.T_c_v.R, fix.T_c_v.t + seen.shift_c)
+            prior = cycle.prior(biased, fix.covariance, stamp_ns)
+        else:
+            prior = fix
+        found: list[Detection] = []
+        whose: dict[Box, float] = {}
+        if isinstance(prior, Prior):
+            for x, y, w, h, score, who in seen.found[k, : seen.many[k]].tolist():
+                box = Box(x, y, w, h)
+                if prior.region.contains(*box.center):
+                    found.append(Detection(box, score))
+                    whose[box] = who
+        candidate = cycle.candidate(number, stamp_ns, found, prior)
+        assert isinstance(candidate, Candidate)
+        self._candidates[k] = candidate
+        if candidate.box is not None:
+            self.record.whose[candidate.sequence] = whose[candidate.box]
+
+    def _motion(self, k: int, stamp_ns: int) -> Motion:
+        """What D2 has by its frame of how both vehicles move."""
+        seen = self._setup.seen
+        last = int(seen.heard[k]) - 1
+        peer = int(seen.peer_stamp[last]), _vector(seen.peer_velocity[last]), float(seen.peer_yaw[last])
+        return Motion(stamp_ns, _vector(seen.own_velocity[k]), *peer)
+
+
+class _Record:
+    """What the gate is told, as a series: scores are those of both mappings, whatever the verdict.
+
+    ``whose``: object of D2's box by sequence; ``own_whose``: of D1's by frame.
+    """
+
+    def __init__(self, views: TwoViews, mapping: BoxMapping) -> None:
+        self.whose: dict[int, float] = {}
+        self.own_whose: dict[int, float] = {}
+        self._views = views
+        self._other: BoxMapping = BOTH[1 - BOTH.index(mapping)]
+        self._rows: list[tuple[int, ...]] = []
+        self._values: list[tuple[float, ...]] = []
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def own_miss(self, reason: MissReason, number: int, stamp_ns: int, now_ns: int) -> None:
+        self._rows.append((OWN_MISS, REASONS.index(reason), now_ns, 0, stamp_ns, number, stamp_ns, 0, 0, 0, 0))
+        self._values.append((0.0, 0.0, 0.0, 0.0))
+
+    def pair(self, pair: Pair, now_ns: int) -> None:
+        candidate, verdict, at = pair.candidate, pair.verdict, pair.own
+        if candidate is None:
+            return
+        head = (now_ns, candidate.sequence, pair.capture_ns)
+        if pair.own_box is None or pair.mapped_box is None or at is None or candidate.box is None:
+            self._rows.append((MISS, REASONS.index(verdict.reason), *head, 0, 0, 0, 0, 0, 0))  # type: ignore[union-attr]
+            self._values.append((0.0, 0.0, 0.0, 0.0))
+            return
+        theirs = self.whose[candidate.sequence]
+        right, same = int(theirs == 0.0), int(theirs == self.own_whose[at.before.frame])
+        own = (at.before.frame, at.before.stamp_ns, at.after.frame, at.after.stamp_ns)
+        self._rows.append((PAIR, -1, *head, *own, right, same))
+        scores = iou(pair.own_box, pair.mapped_box), self._by_other(candidate, at.values, candidate.box, pair.own_box)
+        center, corner = scores if self._other == "corner" else scores[::-1]
+        self._values.append((center, corner, at.values[7], candidate.sigma_m))
+
+    def _by_other(self, candidate: Candidate, values: tuple[float, ...], box: Box, own_box: Box) -> float:
+        """The overlap by the mapping that the method does not use."""
+        T_v_c2 = rigid_from_quat(normalized(candidate.rotation_v_c2), candidate.position_v_m)
+        depths = values[7], depth_in(T_v_c2, (values[4], values[5], values[6]))
+        mapped = map_box(self._views, T_v_c2, box, depths, self._other)
+        return math.nan if mapped is None else iou(own_box, mapped)
+
+    @property
+    def series(self) -> Series:
+        ints = np.array(self._rows, np.int64).reshape(-1, 11)
+        floats = np.array(self._values, float).reshape(-1, 4)
+        return Series(
+            kind=ints[:, 0], reason=ints[:, 1], now_ns=ints[:, 2], sequence=ints[:, 3], capture_ns=ints[:, 4],
+            own=ints[:, 5:9], iou=floats[:, :2], z_m=floats[:, 2], pose_sigma_m=floats[:, 3], right=ints[:, 9] != 0,
+            same=ints[:, 10] != 0,
+        )  # fmt: skip
+
+
+def _vector(row: Array) -> Vec3:
+    x, y, z = row.tolist()
+    return x, y, z

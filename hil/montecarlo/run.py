@@ -1,0 +1,80 @@
+"""Monte-Carlo hand-overs: without flights, many times faster than they would take (``flight.harness.montecarlo``).
+
+A hand-over starts where an approach ends. Everything is drawn from the attempt's seed and index; observations are
+those of the geometric perception with errors that last on top. They go through the method itself.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Self
+
+import numpy as np
+
+from drivers.interfaces import PartError
+from drivers.rig.parts import Rig
+from flight.harness.montecarlo import PAIR, Attempt, FaultName, MonteCarloHandover, agreeing
+from hil.geometric.perception import Sensor
+from hil.geometric.scene import CameraSetup
+from hil.montecarlo.conditions import MEANINGS, conditions
+from hil.montecarlo.cycles import REASONS, CyclesRun, run_cycles
+from hil.montecarlo.scene import Believed
+from hil.montecarlo.setup import EPOCH_S, BodyBoxes, HandoverSetup
+from path.config import MethodConfig
+from path.messages import Role
+from path.observations import MissReason
+
+
+class MonteCarloHandovers:
+    """Implements ``flight.harness.montecarlo.HandoverRunner``."""
+
+    def __init__(self, rig: Rig, method: MethodConfig | None = None) -> None:
+        if len(rig.layout.markers) != 1:
+            raise PartError(
+                f"{rig.where('markers')}: Monte-Carlo hand-overs need one marker, not {len(rig.layout.markers)}",
+                "use a rig with the paper's single marker",
+            )
+        self._method = method or rig.method
+        self._believed = Believed.of(rig)
+        self._parts = BodyBoxes(self._believed)
+        mount = rig.sender.mount
+        setup = CameraSetup(Role.SENDER, rig.sender.camera, mount.T_b_c, mount.T_b_v, rig.layout)
+        self._sensor = Sensor(setup, self._believed.noise, self._method, 0)
+
+    def warmed(self) -> Self:
+        self.run(Attempt(0, 0, limit_s=0.3))
+        return self
+
+    def run(self, attempt: Attempt) -> MonteCarloHandover:
+        setup = HandoverSetup(attempt, self._believed, self._sensor, self._parts)
+        return _result(attempt, setup, run_cycles(attempt, setup, self._believed, self._method), self._method)
+
+    def conditions(self) -> tuple[tuple[str, str], ...]:
+        return conditions()
+
+    def meanings(self) -> Mapping[FaultName, str]:
+        return MEANINGS
+
+
+def _result(attempt: Attempt, setup: HandoverSetup, ran: CyclesRun, method: MethodConfig) -> MonteCarloHandover:
+    """What came of an attempt by the paper's gate."""
+    series, done = ran.series, ran.done
+    agrees = agreeing(series, method)
+    misses = Counter(REASONS[code].value for code in series.reason[series.kind != PAIR].tolist())
+    low = int(np.sum((series.kind == PAIR) & ~agrees))
+    if low:
+        misses[MissReason.LOW_IOU.value] += low
+    first = int(np.argmax(agrees)) if agrees.any() else None
+    return MonteCarloHandover(
+        attempt=attempt,
+        outcome="timeout" if done is None else "commit",
+        start_s=None if first is None else int(series.capture_ns[first]) * 1e-9 - EPOCH_S,
+        commit_s=None if done is None else int(series.now_ns[done]) * 1e-9 - EPOCH_S,
+        right=None if done is None else bool(series.right[done]),
+        same=None if done is None else bool(series.same[done]),
+        misses=dict(misses),
+        simulated_s=ran.simulated_s,
+        circumstances=setup.circumstances,
+        series=series,
+    )

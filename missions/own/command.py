@@ -1,0 +1,82 @@
+"""``path-handoff fly``: a mission of a person's own, both drones and their world, or one drone as in the field."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, TextIO
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from drivers.rig.parts import Rig, with_errors
+from flight.harness.flights import Emit
+from flight.outcome import Outcome
+from missions import rig_library
+from missions.handoff.command import Programs, fly_once, name_simulators, unwritten
+from missions.leg.command import fly_from_drone
+from missions.options import FlyOptions, RoleOptions
+from missions.own.load import load_mission
+from missions.own.program import OwnMission
+from missions.report.command import figure, outcome_line, phase_table, show, violations
+from missions.report.progress import open_console
+from missions.report.records import SUMMARY, RunFacts, load_run
+from missions.report.summary import summarize
+from missions.run_folder import unless_refused
+from missions.shown import say_unwritten
+from path.messages import Role
+
+KEPT = (
+    "outcome", "exit_code", "detail", "rig", "level", "seed", "faults", "notes", "errors", "roles", "simulated_s",
+    "wall_s", "realtime_factor", "min_separation_m", "separation_limit_m", "link_sent_bytes_per_s", "setpoint_gap_s",
+    "monitors", "phases",
+)  # fmt: skip
+"""What a run's summary says that has nothing to do with a hand-over."""
+
+
+def run(options: FlyOptions) -> int:
+    """``path-handoff fly``; returns the run's exit code. Raises PartError for what was asked wrongly."""
+    if options.drone != "both":
+        asked = RoleOptions(options.rig, options.out, options.console, options.state, options.guard)
+        return fly_from_drone(asked, Role(options.drone), OwnMission(load_mission(options.mission)))
+    name_simulators(options)
+    rig = with_errors(rig_library.load(options.rig), options.errors)
+    programs = programs_of(options.mission)
+    with unless_refused(options.out) as folder, open_console(sys.stdout) as console:
+        facts = fly_once(rig, options.seed, options.fault, folder, console.show, programs)
+    try:
+        report(folder, sys.stdout)
+    except OSError as error:
+        facts = unwritten(facts, error)
+        say_unwritten(error)
+    return facts.exit_code
+
+
+def fly_mission(mission: Path, rig: Rig, seed: int, faults: tuple[str, ...], out: Path, emit: Emit) -> RunFacts:
+    """One run of a mission's file to its end, as ``path-handoff fly``. Raises PartError."""
+    return fly_once(rig, seed, faults, out, emit, programs_of(mission))
+
+
+def programs_of(mission: Path) -> Programs:
+    """How both drones fly a mission, in a harness's process or in processes of their own. Raises PartError."""
+    own, file = OwnMission(load_mission(mission)), str(mission.resolve())
+    return Programs(own, lambda role: ("fly", file, "--drone", role.value), Outcome.FLOWN)
+
+
+def report(folder: Path, stream: TextIO) -> dict[str, Any]:
+    """Write summary.json into a run's folder and show the table. Returns the summary."""
+    whole = summarize(load_run(folder))
+    summary = {key: whole[key] for key in KEPT}
+    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+    figures = Table.grid(padding=(0, 3))
+    for name, value in (
+        ("smallest separation", figure(summary["min_separation_m"], "m", 2)),
+        ("monitors", violations(summary["monitors"])),
+        ("speed", f"{figure(summary['realtime_factor'], '', 1)} x real time ({figure(summary['wall_s'], 's', 1)})"),
+    ):
+        figures.add_row(Text(name, "dim"), value)
+    show(Group(Text(), *outcome_line(summary), Text(), phase_table(summary["phases"]), Text(), figures), stream)
+    stream.write(f"\n{folder}: {SUMMARY}\n")
+    return summary

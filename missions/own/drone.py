@@ -1,0 +1,184 @@
+"""One drone, as a mission of a person's own flies it."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Any, NoReturn
+
+from drivers.interfaces import Received, VehicleState, VelocitySetpoint, View
+from drivers.rig.parts import Rig
+from flight.eye import Eye
+from flight.guidance import Anchor, Vec3, norm, subtract
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from flight.pilot import Guidance
+from flight.tracking import MIN_SCORE, place
+from missions.leg.journal import frame_record
+from missions.leg.session import Session
+from missions.leg.steps import take_off
+from path.camera import CameraModel
+from path.geometry import Pose
+from path.messages import Message, Status
+from path.observations import Box
+from path.rotation import yaw_of
+
+_CLIMB_GAIN_PER_S = 0.8
+
+
+class Drone:
+    """A drone on the ground, armable, with the other one heard: all a mission has to do with it.
+
+    Places are (north, east, down) in m from the mission's origin, by the vehicle's own estimate. Every wait has an end.
+    Whatever is raised in a mission ends it, and the drone lands.
+
+    Attributes:
+        name: ``sender`` or ``receiver``, the rig's table of this drone.
+        rig: the rig that is flown.
+        camera: the calibrated camera of this drone.
+        observing: what the other drone hears of this one in ``other.observing``.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._eye = Eye(session.vehicle, session.own.mount)
+        self.name: str = session.role.value
+        self.rig: Rig = session.rig
+        self.camera: CameraModel = session.own.camera
+
+    # --- where it is, and flying --------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> VehicleState:
+        """The vehicle's newest telemetry."""
+        return self._session.vehicle.state
+
+    @property
+    def position_n_m(self) -> Vec3:
+        """Where it is: north, east, down."""
+        return self.state.position_n_m
+
+    @property
+    def now_s(self) -> float:
+        """This drone's clock."""
+        return self._session.now_ns() * 1e-9
+
+    async def take_off(self, height_m: float) -> None:
+        """Arm, climb and stay there. Ends the mission when the vehicle refuses."""
+        if self._session.pilot.in_control:
+            self.fail("take_off in the air")
+        await take_off(self._session, height_m)
+        self._session.enter(Phase.MISSION)
+
+    async def fly_to(
+        self,
+        north_m: float,
+        east_m: float,
+        height_m: float,
+        *,
+        heading_deg: float | None = None,
+        speed_mps: float = 0.8,
+        near_m: float = 0.3,
+        within_s: float = 60.0,
+    ) -> None:
+        """Fly to a place and stay there; the nose stays as it is unless a heading is given (0: north, clockwise).
+
+        Returns within ``near_m`` of it. The mission fails when that takes longer than ``within_s``.
+        """
+        yaw_rad = yaw_of(self.state.q_n_b) if heading_deg is None else math.radians(heading_deg)
+        there = Anchor((north_m, east_m, -height_m), yaw_rad)
+
+        def guidance(state: VehicleState) -> VelocitySetpoint:
+            return there.hold(state, _CLIMB_GAIN_PER_S, speed_mps)
+
+        self.guide(guidance)
+        await self.until(
+            lambda: norm(subtract(there.position_n_m, self.position_n_m)) < near_m,
+            within_s,
+            f"not at north {north_m:.1f} m, east {east_m:.1f} m, height {height_m:.1f} m",
+        )
+
+    def guide(self, guidance: Guidance) -> None:
+        """From now on fly what this gives for the vehicle's state, control_hz times a second; it must not block."""
+        if not self._session.pilot.in_control:
+            self.fail("to be flown it has to take off first: await drone.take_off(height_m)")
+        self._session.pilot.guidance = guidance
+
+    def stay(self) -> None:
+        """Stay at the present place."""
+        self._session.pilot.hold_here()
+
+    # --- seeing -------------------------------------------------------------------------------------------------
+
+    async def look(self, within_s: float | None = None) -> View:
+        """The newest camera frame not yet looked at, logged. Ends the mission as ``camera_lost`` when none comes."""
+        session = self._session
+        view = await session.sight.view(session.config.guard.frame_age_s if within_s is None else within_s)
+        session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
+        session.log_image(view)
+        return view
+
+    def camera_pose(self, view: View) -> Pose:
+        """``T_n_c``: the camera's pose when the frame was taken."""
+        return self._eye.T_n_c(view.stamp_ns, self._eye.R_n_b(view.stamp_ns))
+
+    def where(self, view: View, box: Box) -> Vec3 | None:
+        """Where the object in a box of the frame is; None when the camera does not tell how far away it is."""
+        depth = view.depth(box)
+        return None if depth is None else place(box, depth, self.camera, self.camera_pose(view), 0.0)
+
+    def objects(self, view: View) -> list[Vec3]:
+        """Where all the objects are that the detector finds in the frame, and whose distance is known."""
+        found = (self.where(view, one.box) for one in view.targets(None) if one.score >= MIN_SCORE)
+        return [position for position in found if position is not None]
+
+    # --- the other drone ----------------------------------------------------------------------------------------
+
+    @property
+    def other(self) -> Status | None:
+        """The newest word of the other drone: position_n_m, observing, battery ...; None before the first."""
+        return self._session.peer
+
+    @property
+    def other_silence_s(self) -> float:
+        """For how long nothing was heard of the other drone."""
+        return self._session.peer_silence_s()
+
+    @property
+    def observing(self) -> bool:
+        return self._session.observing
+
+    @observing.setter
+    def observing(self, value: bool) -> None:
+        self._session.observing = value
+
+    def send(self, message: Message) -> None:
+        """Send one of the dialect's messages; it may be lost."""
+        self._session.link.send(message)
+
+    def on_message(self, heard: Callable[[Received], None]) -> None:
+        """Have this called with every message that is neither a status nor of the clocks; it must not block."""
+        self._session.on_message = heard
+
+    # --- the course ---------------------------------------------------------------------------------------------
+
+    async def until(self, condition: Callable[[], bool], within_s: float, what: str) -> None:
+        """Wait for a condition; the mission fails, saying ``what``, when it does not come true within that time."""
+        await self._session.until(condition, within_s, Outcome.MISSION_FAILED, what)
+
+    def beside(self, task: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        """Run beside the mission until the drone is down; an error in it ends the mission."""
+        return self._session.spawn(task)
+
+    def say(self, note: str) -> None:
+        """One line for the crew."""
+        self._session.say(note)
+
+    def log(self, topic: str, record: Mapping[str, Any]) -> None:
+        """One record into the drone's log, as ``/mission/<topic>``."""
+        self._session.log.write(f"/mission/{topic}", self._session.now_ns(), record)
+
+    def fail(self, why: str) -> NoReturn:
+        """End the mission as ``mission_failed``: the drone lands where it is."""
+        raise MissionEnd(Outcome.MISSION_FAILED, why)

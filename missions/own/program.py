@@ -1,0 +1,66 @@
+"""One drone's program in a mission of a person's own: preflight, the mission, and the way down whatever happens."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+
+from drivers.interfaces import Log, RecordStore
+from drivers.rig.parts import Rig
+from flight.guidance import Anchor
+from flight.harness.flights import Emit, InProcess, RoleResult
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from missions.leg.course import fly_course
+from missions.leg.session import Session, open_session
+from missions.leg.steps import bring_down, preflight
+from missions.own.drone import Drone
+from missions.own.load import Mission
+from missions.rig_library import mission_of
+from path.messages import Role
+from path.rotation import yaw_of
+
+
+@dataclass(frozen=True, slots=True)
+class OwnMission:
+    """The program of either drone (``flight.harness.flights.RoleMain``)."""
+
+    missions: Mapping[Role, Mission]
+
+    async def __call__(
+        self,
+        rig: Rig,
+        role: Role,
+        log: Log,
+        emit: Emit,
+        stop: asyncio.Event,
+        harness: InProcess | None,
+        store: RecordStore,
+    ) -> RoleResult:
+        """Nothing is kept in the store: a program that is started again in the air lands. Raises PartError."""
+        async with AsyncExitStack() as stack:
+            session = await open_session(stack, rig, role, mission_of(rig), log, emit, stop, harness)
+            return await fly_course(
+                session,
+                lambda: _course(session, self.missions[role]),
+                lambda end: _recover(session, end),
+                good=Outcome.FLOWN,
+            )
+
+
+async def _course(session: Session, mission: Mission) -> None:
+    if session.vehicle.state.armed:
+        raise MissionEnd(Outcome.RESTARTED, "started again in the air")
+    await preflight(session)
+    session.enter(Phase.MISSION)
+    try:
+        await mission(Drone(session))
+    except (SystemExit, KeyboardInterrupt) as error:  # would end the program with its drone in the air
+        raise MissionEnd(Outcome.CRASHED, f"the mission raised {type(error).__name__}") from error
+
+
+async def _recover(session: Session, end: MissionEnd | None) -> bool:
+    state = session.vehicle.state
+    return await bring_down(session, end, Anchor(state.position_n_m, yaw_of(state.q_n_b)))

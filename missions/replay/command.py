@@ -1,0 +1,192 @@
+"""``path-handoff replay``: every decision of a run again, and what other settings would have made of it."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from drivers.interfaces import PartError
+from drivers.log.mcap_log import LogRecord
+from drivers.rig.tables import RigError, decode_table
+from missions.options import ReplayOptions
+from missions.replay.redecide import Complete, Decided, other_answers, redecide
+from missions.report.command import show
+from missions.report.records import drone_logs
+from path.config import MethodConfig
+from path.messages import Role
+
+EXIT_DIFFERENT = 1
+PICTURE = "replay.png"
+_VERDICT = "/agreement"
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """A drone's decisions. ``complete``: when its gate was, the first time in each attempt."""
+
+    drone: str
+    decided: Sequence[Decided]
+    complete: Sequence[Complete]
+
+    @property
+    def different(self) -> list[Decided]:
+        return [each for each in self.decided if not each.same]
+
+    @property
+    def verdicts(self) -> list[Mapping[str, Any]]:
+        """What came out for D2's answers, in order."""
+        return [each.again for each in self.decided if each.topic == _VERDICT and each.again is not None]
+
+
+def run(options: ReplayOptions) -> int:
+    """``path-handoff replay``. Raises PartError for a folder or a setting that is none."""
+    logs = {name: _of_a_leg(name, records) for name, records in drone_logs(options.folder).items()}
+    before = [_replay(name, records) for name, records in logs.items()]
+    show(_same_table(before), sys.stdout)
+    differ = [each for drone in before for each in drone.different]
+    if not any(drone.decided for drone in before):
+        raise PartError(
+            f"{options.folder}: nothing was decided in it", "name the folder of a run that reached a handoff"
+        )
+    for each in differ[:1]:
+        sys.stdout.write(f"first difference, {each.topic} at {each.stamp_ns}:\n{_difference(each)}")
+    change = change_of(options.set, options.gate)
+    if change is not None:
+        after = replay_changed(logs, change)
+        show(_other_table(before, after), sys.stdout)
+        if options.picture:
+            from missions.replay.picture import draw_replay  # noqa: PLC0415 (matplotlib takes a second to import)
+
+            draw_replay(before, after, " ".join((*options.set, options.gate or "")), options.folder / PICTURE)
+            sys.stdout.write(f"\n{options.folder / PICTURE}\n")
+    return EXIT_DIFFERENT if differ else 0
+
+
+def change_of(settings: Sequence[str], gate: str | None) -> Callable[[MethodConfig], MethodConfig] | None:
+    """What ``--set`` and ``--gate`` ask for; None: nothing. Raises PartError."""
+    named = [_setting(text) for text in settings] + ([(["gate"], gate)] if gate else [])
+    if not named:
+        return None
+
+    def change(method: MethodConfig) -> MethodConfig:
+        table = asdict(method)
+        for (*above, name), value in named:
+            inner = table
+            for each in above:
+                inner = inner[each] = dict(inner.get(each) or {})
+            inner[name] = value
+        try:
+            return decode_table(table, MethodConfig, "--set method")
+        except RigError as error:
+            raise PartError(str(error), "see path/config.py for the settings and what is allowed") from error
+
+    change(MethodConfig())
+    return change
+
+
+def replay_changed(
+    logs: Mapping[str, Sequence[LogRecord]], change: Callable[[MethodConfig], MethodConfig]
+) -> list[Replayed]:
+    """With other settings on both drones: D1 judges what D2 would have answered to what D1 sent."""
+    receivers = {name: _replay(name, records, change) for name, records in logs.items() if _is(Role.RECEIVER, records)}
+    answers = {key: answer for each in receivers.values() for key, answer in other_answers(each.decided).items()}
+    return [
+        receivers[name] if name in receivers else _replay(name, records, change, answers)
+        for name, records in logs.items()
+    ]
+
+
+def _replay(
+    drone: str,
+    records: Sequence[LogRecord],
+    change: Callable[[MethodConfig], MethodConfig] = lambda method: method,
+    answers: Mapping[tuple[int, int], Mapping[str, Any]] | None = None,
+) -> Replayed:
+    decided: list[Decided] = []
+    complete: list[Complete] = []
+    for each in redecide(records, change, answers):
+        if isinstance(each, Decided):
+            decided.append(each)
+        else:
+            complete.append(each)
+    return Replayed(drone, decided, complete)
+
+
+def _of_a_leg(name: str, records: Sequence[LogRecord]) -> Sequence[LogRecord]:
+    if not any(record.topic == "/setup" for record in records):
+        raise PartError(
+            f"{name}: its log does not say what the program was given", "replay a run of this version of PATH"
+        )
+    return records
+
+
+def _is(role: Role, records: Sequence[LogRecord]) -> bool:
+    """Whether a drone was nothing else."""
+    return {record.record["role"] for record in records if record.topic == "/setup"} == {role.value}
+
+
+def _setting(text: str) -> tuple[list[str], Any]:
+    name, _, value = text.partition("=")
+    table, *path = name.strip().split(".")
+    try:
+        if table != "method" or not path:
+            raise ValueError
+        return path, tomllib.loads(f"value = {value}")["value"]
+    except ValueError as error:
+        raise PartError(f"--set {text}: no setting of the method", "such as --set method.tau_min=0.4") from error
+
+
+# --- what a person sees ------------------------------------------------------------------------------------------
+
+
+def _same_table(replayed: Sequence[Replayed]) -> RenderableType:
+    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
+    for title in ("drone", "decisions", "decided again", "differ"):
+        table.add_column(title, justify="left" if title == "drone" else "right")
+    for drone in replayed:
+        for topic in dict.fromkeys(each.topic for each in drone.decided):
+            of = [each for each in drone.decided if each.topic == topic]
+            different = sum(not each.same for each in of)
+            table.add_row(f"{drone.drone} {topic}", str(len(of)), str(len(of) - different), str(different))
+    return Group(Text(), table)
+
+
+def _other_table(before: Sequence[Replayed], after: Sequence[Replayed]) -> RenderableType:
+    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
+    for title in ("", "as flown", "otherwise"):
+        table.add_column(title, justify="left" if not title else "right")
+    for was, would in zip(before, after, strict=True):
+        rows = _figures(was), _figures(would)
+        for name in dict.fromkeys((*rows[0], *rows[1])):
+            table.add_row(f"{was.drone}: {name}", rows[0].get(name, "-"), rows[1].get(name, "-"))
+    return Group(Text(), table)
+
+
+def _figures(drone: Replayed) -> dict[str, str]:
+    rows: dict[str, str] = {}
+    verdicts = drone.verdicts
+    if verdicts:
+        begin_ns = next(each.stamp_ns for each in drone.decided if each.topic == _VERDICT)
+        ends = [f"{(each.stamp_ns - begin_ns) * 1e-9:.2f} s" for each in drone.complete]
+        rows["gate complete, after the first answer"] = ", ".join(ends) or "not within the log"
+        agreed = sum(bool(verdict["agreed"]) for verdict in verdicts)
+        rows["answers that agree"] = f"{agreed}/{len(verdicts)}"
+    misses = Counter(
+        f"{each.topic}: {each.again['reason']}" for each in drone.decided if each.again and each.again["reason"]
+    )
+    return rows | {name: str(count) for name, count in sorted(misses.items())}
+
+
+def _difference(each: Decided) -> str:
+    if each.logged is None or each.again is None:
+        return f"  {'only decided again' if each.logged is None else 'only in the log'}\n"
+    names = [name for name in each.again if each.logged.get(name) != each.again[name]]
+    return "".join(f"  {name}: {each.logged.get(name)} in the log, {each.again[name]} again\n" for name in names)

@@ -1,0 +1,43 @@
+"""What is said to somebody who may be gone: a closed terminal, a full disk behind stdout. A flight goes on."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+from typing import TextIO
+
+
+def tell_line(line: str) -> None:
+    """A line on stdout, to nobody when it cannot be written."""
+    with suppress(OSError, ValueError):
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()
+
+
+def say_unwritten(error: OSError) -> None:
+    """Name what could not be written or shown, and the fix."""
+    what = f"{error.filename}: " if error.filename else "the output: "
+    with suppress(OSError, ValueError):
+        sys.stderr.write(
+            f"error: {what}{error.strerror or error}\n  fix: free some space, or name another folder with --out; "
+            "`path-handoff report DIR` makes the report of a flight again\n"
+        )
+
+
+def flush_or_drop(stream: TextIO) -> bool:
+    """Whether what was written to a stream came out. What did not is dropped, so that nothing fails at exit."""
+    try:
+        stream.flush()
+    except (OSError, ValueError):
+        drop(stream)
+        return False
+    return True
+
+
+def drop(stream: TextIO) -> None:
+    """Whatever is still in a stream, or comes, goes nowhere."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)

@@ -1,0 +1,110 @@
+"""Decisions come out of the log again, record for record; other settings decide as if they had been flown with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.interfaces import PartError
+from drivers.log.mcap_log import LogRecord, read_log
+from missions import rig_library
+from missions.handoff.command import fly_once
+from missions.options import ReplayOptions
+from missions.replay.command import PICTURE, change_of, replay_changed, run
+from missions.replay.redecide import Complete, Decided, redecide
+from missions.report.records import drone_logs
+
+SETTINGS = ("method.tau_min=0.3", "method.tau_max=0.55", "method.hold_s=5.0", "method.hold_frames=240")
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    made: dict[tuple[str, ...], Path] = {}
+
+    def fly(rig: str, seed: int, *faults: str) -> Path:
+        key = (rig, str(seed), *faults)
+        if key not in made:
+            made[key] = tmp_path_factory.mktemp("run")
+            fly_once(rig_library.load(rig), seed, faults, made[key], lambda _: None)
+        return made[key]
+
+    return fly
+
+
+def decided(records: list[LogRecord]) -> list[Decided]:
+    return [each for each in redecide(records) if isinstance(each, Decided)]
+
+
+@pytest.mark.parametrize(
+    ("rig", "seed", "faults"),
+    [
+        ("sim", 3, ()),
+        ("sim", 8, ("link_loss=0.3",)),
+        ("sim", 5, ("kill_sender=2@verify+2",)),
+        ("sim-rendered", 2, ("kill_receiver@verify+1",)),
+    ],
+)
+def test_every_decision_comes_out_again(
+    flown: Callable[..., Path], rig: str, seed: int, faults: tuple[str, ...]
+) -> None:
+    logs = drone_logs(flown(rig, seed, *faults))
+    assert set(logs) == {"sender", "receiver"}
+    for records in logs.values():
+        again = decided(records)
+        logged = [r for r in records if r.topic in ("/candidate", "/agreement")]
+        assert len(again) >= len(logged) > 30
+        assert [each for each in again if not each.same] == []
+
+
+def test_a_decision_that_was_another_one_is_found(flown: Callable[..., Path]) -> None:
+    folder = flown("sim", 3)
+    records = list(read_log(folder / "sender.mcap"))
+    k = next(k for k, r in enumerate(records) if r.topic == "/agreement" and r.record["agreed"])
+    records[k] = LogRecord("/agreement", records[k].stamp_ns, {**records[k].record, "agreed": False})
+    (different,) = [each for each in decided(records) if not each.same]
+    assert different.again is not None
+    assert different.again["agreed"] is True
+
+
+def test_other_settings_decide_as_if_they_had_been_flown_with(flown: Callable[..., Path], tmp_path: Path) -> None:
+    text = (Path(rig_library.load("sim").file)).read_text("utf-8")
+    lines = "".join(f"{setting.removeprefix('method.').replace('=', ' = ')}\n" for setting in SETTINGS)
+    assert text.count("hold_frames = 350\nhold_s = 7.0\n") == 1
+    (tmp_path / "other.toml").write_text(text.replace("hold_frames = 350\nhold_s = 7.0\n", lines), "utf-8")
+    change = change_of(SETTINGS, None)
+    assert change is not None
+    replayed = {each.drone: each for each in replay_changed(drone_logs(flown("sim", 3)), change)}
+    with_them = list(redecide(list(read_log(flown(str(tmp_path / "other.toml"), 3) / "sender.mcap"))))
+    (complete,) = replayed["sender"].complete
+    assert complete in [each for each in with_them if isinstance(each, Complete)]
+    mine = verdicts(replayed["sender"].decided, complete.stamp_ns)
+    theirs = verdicts([each for each in with_them if isinstance(each, Decided)], complete.stamp_ns)
+    assert len(mine) >= 240
+    assert mine == theirs
+
+
+def verdicts(decided: Any, until_ns: int) -> list[Mapping[str, Any]]:
+    return [d.again for d in decided if d.topic == "/agreement" and d.stamp_ns <= until_ns]
+
+
+def test_the_command_says_what_would_have_been(flown: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    folder = flown("sim", 3)
+    assert run(ReplayOptions(folder)) == 0
+    assert not (folder / PICTURE).exists()
+    assert run(ReplayOptions(folder, gate="evidence")) == 0
+    assert (folder / PICTURE).stat().st_size > 10_000
+    assert "gate complete, after the first answer" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("setting", ["method.tau=1", "world.tau_min=0.3", "method.tau_min", "method.tau_min=0.9"])
+def test_a_setting_that_cannot_be_is_refused(flown: Callable[..., Path], setting: str) -> None:
+    with pytest.raises(PartError, match="--set"):
+        run(ReplayOptions(flown("sim", 3), set=(setting,)))
+
+
+def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PartError, match="no drone's log"):
+        run(ReplayOptions(tmp_path))

@@ -1,0 +1,132 @@
+"""Detectors laid over hand-overs, and what the trial makes of both gates' commits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flight.harness.montecarlo import MISS, PAIR, Series
+from missions import rig_library
+from missions.trials.recall import trial
+from missions.trials.recall.detectors import REASONS, Detector, spells, unwrapped, with_detector
+from missions.trials.recall.handovers import GATES, LOCKED_M, Commit, Judged, Order, orders
+from missions.trials.shared.trial import TrialRequest
+from missions.work import open_work
+from path.config import MethodConfig
+from path.observations import MissReason
+
+METHOD = MethodConfig()
+PERIOD_NS = 20_000_000
+
+
+def series_of(count: int) -> Series:
+    """Pairs that all agree, at 50 Hz; the sequence wraps on the way."""
+    k = np.arange(count)
+    own = np.stack((k, k * PERIOD_NS, k + 1, (k + 1) * PERIOD_NS), axis=1)
+    capture = k * PERIOD_NS + 7_000_000
+    yes = np.ones(count, bool)
+    return Series(
+        np.full(count, PAIR), np.full(count, -1), capture + PERIOD_NS, (65_500 + k) % 65_536, capture, own,
+        np.full((count, 2), 0.8), np.full(count, 2.0), np.full(count, 0.01), yes, yes,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("share", "frames"), [(0.1, 5.0), (0.3, 15.0), (0.3, 1.0), (0.01, 1.0)])
+def test_spells_have_their_share_and_their_length(share: float, frames: float) -> None:
+    on = spells(share, frames, 400_000, np.random.default_rng(2))
+    assert np.mean(on) == pytest.approx(share, rel=0.1)
+    begins = np.sum(on[1:] & ~on[:-1])
+    assert np.sum(on) / begins == pytest.approx(frames, rel=0.1)
+
+
+def test_no_share_is_no_spell() -> None:
+    assert not spells(0.0, 5.0, 100, np.random.default_rng(2)).any()
+
+
+def test_numbers_of_frames_are_unwrapped_also_out_of_order() -> None:
+    assert unwrapped(np.array([65_534, 65_535, 1, 0, 2])).tolist() == [0, 1, 3, 2, 4]
+
+
+def test_perfect_detectors_change_nothing() -> None:
+    series = series_of(300)
+    seen = with_detector(series, Detector(), METHOD, np.random.default_rng(1))
+    assert np.array_equal(seen.kind, series.kind)
+    assert np.array_equal(seen.iou, series.iou)
+
+
+def test_misses_of_both_drones_take_pairs_and_say_why() -> None:
+    seen = with_detector(series_of(50_000), Detector(0.9, 5.0), METHOD, np.random.default_rng(1))
+    names = [REASONS[reason] for reason in seen.reason[seen.kind == MISS].tolist()]
+    shares = {name: names.count(name) / len(seen) for name in set(names)}
+    assert shares[MissReason.NO_CANDIDATE] == pytest.approx(0.1, rel=0.15)
+    assert shares[MissReason.NO_TRACK] == pytest.approx(0.9 * (0.1 + 0.9 * 0.1 / 0.9 / 5.0), rel=0.2)
+    assert shares.get(MissReason.LINK_SILENT, 0.0) < 0.01
+
+
+def test_long_misses_of_d1_leave_d2_without_a_target() -> None:
+    seen = with_detector(series_of(50_000), Detector(0.7, 15.0), METHOD, np.random.default_rng(1))
+    assert np.sum(seen.kind == PAIR) / len(seen) == pytest.approx(0.7 * 0.68, rel=0.1)
+
+
+def test_invented_boxes_overlap_with_nothing() -> None:
+    seen = with_detector(series_of(50_000), Detector(1.0, 5.0, 0.05), METHOD, np.random.default_rng(1))
+    assert np.all(seen.kind == PAIR)
+    assert np.mean(seen.iou[:, 0] == 0.0) == pytest.approx(0.11, rel=0.2)
+
+
+def test_every_cell_has_every_kind_of_attempt_and_no_hand_over_comes_twice() -> None:
+    made = orders(3, 5, 32)
+    assert len({order.attempt.index for order in made}) == len(made) == 160
+    for cell in range(5):
+        own = [order for order in made if order.cell == cell]
+        groups = [order.group for order in own]
+        assert (groups.count("true"), groups.count("look-alike"), groups.count("wrong object")) == (16, 8, 8)
+        assert {o.attempt.wrong.distance_m for o in own if o.attempt.wrong is not None} == set(LOCKED_M)
+        assert all(order.attempt.whole for order in own)
+
+
+def judged(cell: int, group: str, *commits: Commit | None) -> Judged:
+    template = next(o for o in orders(0, 1, 4) if o.group == group)
+    return Judged(Order(cell, template.group, template.attempt), commits)
+
+
+def test_a_cell_counts_true_commits_and_all_wrong_ones() -> None:
+    good, late, wrong = Commit(2.0, True, True), Commit(4.0, True, True), Commit(1.0, False, False)
+    told = [
+        judged(1, "true", None, good),
+        judged(1, "true", None, late),
+        judged(1, "true", good, None),
+        judged(1, "look-alike", None, wrong),
+        judged(1, "wrong object", wrong, wrong),
+        judged(2, "true", wrong, wrong),
+    ]
+    evidence = trial.cell_of(told, 1, "evidence")
+    assert (evidence.true_attempts, evidence.attempts, evidence.wrong) == (3, 5, 2)
+    assert evidence.commit_rate == pytest.approx(2 / 3)
+    assert evidence.t_median_s == 4.0
+    assert evidence.t_p90_s == np.inf
+    assert trial.cell_of(told, 1, "consecutive").wrong == 1
+
+
+@pytest.mark.parametrize(("short", "said"), [(True, "measured"), (False, "met")])
+def test_a_short_run_meets_no_goal(short: bool, said: str) -> None:
+    good = Commit(2.0, True, True)
+    told = [judged(cell, "true", good, good) for cell in range(len(trial.DETECTORS)) for _ in range(4)]
+    found = trial.result(told, short)
+    assert [finding.verdict for finding in found.findings[:3]] == [said] * 3
+    assert found.findings[3].verdict == "short"  # so few attempts bound nothing
+    assert found.summary["short"] is short
+    assert len(found.summary["cells"]) == 2 * 45
+
+
+def test_its_short_form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial, "DETECTORS", (trial.EASY, trial.HARD))
+    monkeypatch.setattr(trial, "QUICK", 4)
+    with open_work(1) as work:
+        found = trial.run(TrialRequest(rig_library.load("sim-rendered"), tmp_path, 5, True, work))
+    assert found.summary["attempts"] == 8
+    assert [cell["gate"] for cell in found.summary["cells"]] == [*GATES, *GATES]
+    assert found.summary["cells"][1]["commit_rate"] == 1.0
+    assert found.summary["cells"][0]["commit_rate"] == 0.0
