@@ -24,8 +24,8 @@ from missions.calibrate.picture import draw_calibration
 from missions.options import CalibrateCameraOptions
 from missions.rig_list import FOLDER
 from missions.work import Bars
-from path.calibration.board import Board
-from path.calibration.intrinsics import PARAMETERS, Intrinsics, NotSolvable, doubting, solve_intrinsics
+from path.calibration.board import Board, BoardView
+from path.calibration.intrinsics import PARAMETERS, RADIAL, Intrinsics, NotSolvable, doubting, solve_intrinsics
 from path.calibration.judge import (
     BadSet,
     Fault,
@@ -115,16 +115,29 @@ def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) ->
     if len(views) < limits.fewest_views:
         raise BadViews(faults)
     try:
-        solution = solve_intrinsics(views, board, size)
+        solution, terms = _solve(views, board, size)
     except NotSolvable as error:
         fault = Fault(BadSet.NOT_SOLVABLE, f"no camera fits these views: {error}", "is the board the one you named?")
         raise BadViews([*faults, fault]) from error
     faults += judge_solution(solution, limits)
+    if terms < RADIAL:
+        faults.append(Fault(BadSet.UNCERTAIN, f"the distortion is told by {terms} of its {RADIAL} radial terms only",
+                            "bring the board into the corners of the image"))  # fmt: skip
     if faults:
         solution = doubting(solution)
     if useless(solution, limits):
         raise BadViews(faults)
     return Calibrated(solution, tuple(looks), grade_of(solution, faults, limits), tuple(faults))
+
+
+def _solve(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> tuple[Intrinsics, int]:
+    """The camera with as many radial terms as these views can tell, and how many these are. Raises NotSolvable."""
+    solution = solve_intrinsics(views, board, size)
+    terms = RADIAL
+    while solution.camera is None and terms > 1:
+        terms -= 1
+        solution = solve_intrinsics(views, board, size, terms)
+    return solution, terms
 
 
 def _found(collected: Collected) -> int:
