@@ -125,12 +125,12 @@ def solve_intrinsics(
 
 
 def doubting(solution: Intrinsics) -> Intrinsics:
-    """The solution of a weak set with wider errors: pixels are square, so fx and fy err by what they differ, at least.
+    """The solution of a weak set with wider errors: pixels are square, so what fx and fy differ by is error of both.
 
     The views of such a set can agree on a wrong camera, and then neither their residuals nor a jackknife shows it.
     """
     fx, fy = solution.values[:2]
-    apart = 0.5 * abs(fx - fy)
+    apart = math.sqrt(0.5) * abs(fx - fy)
     sigmas = (max(solution.sigmas[0], apart), max(solution.sigmas[1], apart), *solution.sigmas[2:])
     return replace(solution, sigmas=sigmas)
 

@@ -141,7 +141,7 @@ def test_a_weak_set_gives_a_weak_calibration_that_states_its_errors() -> None:
     solution = calibrate(views, CHARUCO).solution
     for k, true in enumerate((CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)):
         assert abs(solution.values[k] - true) < 3.0 * solution.sigmas[k]
-    assert min(solution.sigmas[:2]) >= 0.5 * abs(solution.values[0] - solution.values[1])
+    assert min(solution.sigmas[:2]) >= 0.7 * abs(solution.values[0] - solution.values[1])
 
 
 def test_grade_and_reasons_are_in_the_file_and_said(folder: Path, tmp_path: Path) -> None:
