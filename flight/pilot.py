@@ -33,6 +33,7 @@ class Pilot:
         self.in_control = False
         self.setpoints = 0  # sent since the beginning
         self._doubt_ns: int | None = None  # since when one message says that somebody else took it
+        self.taken_back = 0  # how often one message said that somebody else took it, and the next that nobody did
         self.override = ""  # how somebody else took the vehicle: nothing may be commanded any more
 
     def _stay(self, state: VehicleState) -> VelocitySetpoint:
@@ -88,6 +89,8 @@ class Pilot:
     def _doubts(self, state: VehicleState, now_ns: int) -> bool:
         """Whether a takeover is to be confirmed or taken back yet. What nothing takes back in time has happened."""
         if not in_doubt(state, FlightMode.OFFBOARD):
+            ours = state.armed and state.mode is FlightMode.OFFBOARD
+            self.taken_back += ours and self._doubt_ns is not None
             self._doubt_ns = None
             return False
         if self._doubt_ns is None:

@@ -148,7 +148,7 @@ class FlyOptions:
     rig: RigName = "sim"
     """A rig by name (see `path-handoff rigs`), or a rig's TOML file."""
 
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the world and of every noise: the same seed is the same run at the sim levels."""
 
     fault: Faults = ()
@@ -363,7 +363,7 @@ class CampaignOptions:
     seed: Seed = 0
     """Seed of the campaign: with level and number it makes a run what it is."""
 
-    only: Annotated[int | None, tyro.conf.arg(metavar="NUMBER")] = None
+    only: Annotated[int | None, tyro.conf.arg(metavar="NUMBER"), Bounds(0, 2**31, "(a number)")] = None
     """Fly this run alone and tell its story: how a failure is looked at."""
 
     out: OutFolder = None

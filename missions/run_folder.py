@@ -65,6 +65,16 @@ def unless_refused(out: Path | None) -> Generator[Path, None, None]:
         raise
 
 
+def refuse_foreign(folder: Path, kind: RunKind) -> None:
+    """Raises PartError when a folder has files with the names of a run's, and no marker that says whose they are."""
+    there = list(kind.files(folder)) if folder.is_dir() else []
+    if there and not _has(folder / kind.marker, '"outcome"'):
+        raise PartError(
+            f"{folder} holds {_some(there)}, and no {kind.marker} of an earlier run: nothing is written over",
+            f"{REMEDY}, or move these files away",
+        )
+
+
 @contextmanager
 def claimed(folder: Path, kind: RunKind) -> Generator[None, None, None]:
     """A folder that is a new run's, from its marker on: nothing that an earlier one left may be taken for its own.
@@ -73,14 +83,9 @@ def claimed(folder: Path, kind: RunKind) -> Generator[None, None, None]:
     that says whose they are, or cannot be written to. A run that is refused leaves no marker.
     """
     marker = folder / kind.marker
+    refuse_foreign(folder, kind)
     try:
-        there = list(kind.files(folder))
-        if there and not _is_marker(marker):
-            raise PartError(
-                f"{folder} holds {_some(there)}, and no {kind.marker} of an earlier run: nothing is written over",
-                f"{REMEDY}, or move these files away",
-            )
-        for file in there:
+        for file in kind.files(folder):
             file.unlink()
         marker.write_text(json.dumps({"outcome": "unfinished"}) + "\n", "utf-8")
     except OSError as error:
@@ -96,10 +101,6 @@ def claim_result(file: Path, *signs: str) -> None:
     """Refuse to write a result over a file that none of the ``signs`` of an earlier one is in. Raises PartError."""
     if file.exists() and not any(_has(file, sign) for sign in signs):
         raise PartError(f"{file} is there, and is no earlier result: it is not written over", REMEDY)
-
-
-def _is_marker(file: Path) -> bool:
-    return _has(file, '"outcome"')
 
 
 def _has(file: Path, sign: str) -> bool:

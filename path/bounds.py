@@ -19,7 +19,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 UNITS = {
     "deg": "deg", "rad": "rad", "dps": "deg/s", "radps": "rad/s", "mm": "mm", "cm": "cm", "m": "m", "ns": "ns",
     "us": "us", "ms": "ms", "s": "s", "px": "px", "hz": "Hz", "hz2": "1/s2", "mps": "m/s", "mps2": "m/s2", "ppm": "ppm",
-    "db": "dB", "v": "V", "g": "g", "hours": "h",
+    "db": "dB", "v": "V", "g": "g", "hours": "h", "seconds": "s",
 }  # fmt: skip
 """Units by the ending of a field's name."""
 

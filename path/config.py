@@ -34,9 +34,9 @@ class EvidenceConfig:
     block_s: Annotated[float, Bounds(0.01, 30.0)] = 0.4
     block_pairs: Annotated[int, Bounds(1, 10000, "pairs")] = 8
     strength: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.35
-    first_rate: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 3e-3
-    next_rate: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.5
-    setback: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.1
+    first_rate: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 1e-2
+    next_rate: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.35
+    setback: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.05
     block_share: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.6
     max_gap_s: Annotated[float, Bounds(0.02, 60.0)] = 1.0
     min_s: Annotated[float, Bounds(0.05, 600.0)] = 1.0

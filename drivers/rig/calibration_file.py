@@ -44,7 +44,7 @@ class CameraTable:
     fy: Annotated[float, Bounds(10.0, 100000.0, "px")]
     cx: Annotated[float, Bounds(0.0, 16384.0, "px")]
     cy: Annotated[float, Bounds(0.0, 16384.0, "px")]
-    distortion: Annotated[tuple[float, float, float, float, float], Bounds(-100.0, 100.0, "of 1")]
+    distortion: Annotated[tuple[float, float, float, float, float], Bounds(-20.0, 20.0, "of 1")]
 
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0:

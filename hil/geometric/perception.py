@@ -24,7 +24,9 @@ from hil.geometric.kernels import fold
 from hil.geometric.markers import LARGEST_SCALE, marker
 from hil.geometric.noise import ObservationNoise
 from hil.geometric.scene import Array, CameraSetup, Placed, outlines, place
-from hil.geometric.targets import DETECTION_COLUMNS, DepthSettings, depth_over, detections
+from hil.geometric.spells import Spells
+from hil.geometric.targets import DETECTION_COLUMNS, SHARE, DepthSettings, depth_over, detections
+from hil.world.detector import PERFECT
 from hil.world.errors import SensorErrors
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.bounds import Bounds
@@ -134,6 +136,7 @@ class Sensor:
         self.errors = errors or SensorErrors()
         self.boxes = noise.targets.shifted(self.errors.edges_px)
         self.seed = fold(fold(seed, 7), list(Role).index(setup.role))
+        self.spells = Spells(fold(self.seed, 6))
         self.depth = DepthSettings(
             method.min_depth_m,
             method.max_depth_m,
@@ -155,8 +158,14 @@ class GeometricView:
     def __init__(self, capture: Capture[Snapshot], sensor: Sensor) -> None:
         self.stamp_ns = capture.stamp_ns
         self.frame_id = capture.frame_id
-        self._snapshot = capture.content
+        self._snapshot = snapshot = capture.content
         self._sensor = sensor
+        self._missed: tuple[int, ...] = ()
+        self._invented: Detection | None = None
+        if snapshot.detector is not PERFECT and snapshot.detector != PERFECT:
+            spells, detector = sensor.spells, snapshot.detector
+            self._missed = spells.missed(self.frame_id, len(snapshot.objects), detector)
+            self._invented = spells.invented(self.frame_id, sensor.setup.camera, detector)
 
     @cached_property
     def _placed(self) -> Placed:
@@ -178,11 +187,21 @@ class GeometricView:
     def targets(self, region: Region | None) -> Sequence[Detection]:
         """The cars a detector would find, with box centre in ``region``, best score first."""
         sensor, seen = self._sensor, self._outlines
+        boxes, off_px = sensor.boxes, self._snapshot.detector.edge_px
+        if off_px:
+            boxes = boxes.shifted((off_px, off_px, off_px, off_px))
+        if self._missed:
+            seen = seen.copy()
+            seen[list(self._missed), SHARE] = 0.0
         found = np.empty((len(seen), DETECTION_COLUMNS))
         keys = self._key(TARGETS), self._key(SLOW_TARGETS, SLOW_FRAMES)
-        count = detections(seen, sensor.setup.lens, _row(region), sensor.boxes, *keys, found)
+        count = detections(seen, sensor.setup.lens, _row(region), boxes, *keys, found)
         rows = sorted(found[:count].tolist(), key=_minus_score)
-        return [Detection(Box(x, y, w, h), score) for x, y, w, h, score in rows]
+        detected = [Detection(Box(x, y, w, h), score) for x, y, w, h, score in rows]
+        invented = self._invented
+        if invented is not None and (region is None or region.contains(*invented.box.center)):
+            detected.append(invented)
+        return detected
 
     def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
         """The markers on the sender that would be found in ``region``, with corner covariance."""

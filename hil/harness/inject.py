@@ -25,6 +25,14 @@ _OF_LINK = {
 }
 
 
+_OF_DETECTOR = {
+    "detector_recall": "recall",
+    "detector_miss_frames": "miss_frames",
+    "detector_false": "false_positives",
+    "detector_bias": "edge_px",
+}
+
+
 class FaultyLink(Protocol):
     """The faults between the drones, both ways: ``hil.link.faulty.MemoryHub`` and ``UdpFaultProxy``."""
 
@@ -50,6 +58,8 @@ def inject_in_world(name: str, role: Name | None, world: Fleet[Name], value: flo
             world.drone(role).autopilot.request_mode(world.time_s, FlightMode.OTHER, by_pilot=True)
         case "motor_kill" if role is not None:
             world.drone(role).autopilot.kill(world.time_s)
+        case "detector_recall" | "detector_miss_frames" | "detector_false" | "detector_bias":
+            world.degrade_detectors(**{_OF_DETECTOR[name]: value or 0.0})
         case "no_failsafe":
             for drone in world.names:
                 autopilot = world.drone(drone).autopilot

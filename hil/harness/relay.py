@@ -27,7 +27,7 @@ from hil.harness.virtual_time import run_virtual
 from hil.link.faulty import MemoryHub
 from hil.monitors.relay import RelayLog, RelayMonitors
 from hil.world.errors import Built, as_built, reported
-from hil.world.faults import Fault, FaultError, parse_fault
+from hil.world.faults import Fault, FaultError, parse_faults
 from hil.world.world import WorldConfig
 from path.messages import Role
 
@@ -42,7 +42,7 @@ class RelaySim:
     """Flies a relay of level ``sim``."""
 
     def fly(self, request: RelayRequest) -> RelayReport:
-        faults = {leg: [_parse(text) for text in texts] for leg, texts in request.faults.items()}
+        faults = {leg: [_parse(text, request.rig.level) for text in texts] for leg, texts in request.faults.items()}
         prepare(request.rig, lambda what: request.emit(starting(Role.SENDER, what)))
         start_s = time.perf_counter()
         gc.disable()  # nothing here lives in cycles, and collecting takes a tenth of the time
@@ -53,8 +53,8 @@ class RelaySim:
         return RelayReport(**findings, wall_s=time.perf_counter() - start_s)
 
 
-def _parse(text: str) -> Fault:
-    fault = parse_fault(text)
+def _parse(text: str, level: str) -> Fault:
+    (fault,) = parse_faults([text], level)
     if fault.name == "attack" or fault.kind.own:
         raise FaultError(
             f"fault {fault.name} needs programs of their own", "fly it with handoff, on a rig of level sitl"

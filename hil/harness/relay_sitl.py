@@ -48,7 +48,7 @@ from hil.harness.leg_faults import LegFaults
 from hil.harness.preparation import starting
 from hil.harness.relay_live import run_of
 from hil.world.errors import level_of, reported
-from hil.world.faults import Fault, FaultError, parse_fault
+from hil.world.faults import Fault, FaultError, parse_faults
 from path.messages import Role
 
 LANDING_LIMIT_S = 60.0
@@ -65,7 +65,7 @@ class RelaySitl:
     def fly(self, request: RelayRequest) -> RelayReport:
         """Raises PartError for a rig whose drones are not told apart, and for faults that there are not."""
         check_drones(request.rig, request.config)
-        faults = {leg: [_parse(text) for text in texts] for leg, texts in request.faults.items()}
+        faults = {leg: [_parse(text, request.rig.level) for text in texts] for leg, texts in request.faults.items()}
         return asyncio.run(_Relay(request, faults).run())
 
 
@@ -79,8 +79,8 @@ def check_drones(rig: Rig, config: RelayConfig) -> None:
         check_rig(pair_of(rig, one, other))
 
 
-def _parse(text: str) -> Fault:
-    fault = parse_fault(text)
+def _parse(text: str, level: str) -> Fault:
+    (fault,) = parse_faults([text], level)
     if fault.name == "attack":
         raise FaultError("fault attack needs a pair with a key", "fly it with handoff, on a rig of level sitl")
     return fault

@@ -108,7 +108,7 @@ class RelayWorld(Fleet[str]):
         """The truth at ``time_s`` as far as a pair is concerned."""
         truth = self.truth()
         drones = {OWN: truth[own]} if other is None else {OTHER: truth[other], OWN: truth[own]}
-        return Snapshot(self.time_s, drones, self.objects, self._marker_hidden, self._depth_holes)
+        return Snapshot(self.time_s, drones, self.objects, self._marker_hidden, self._depth_holes, self.detector)
 
 
 class PairView:

@@ -31,7 +31,7 @@ from hil.monitors.scripts import vehicles_of
 from hil.monitors.truth_log import TruthLog
 from hil.world.check import check_world
 from hil.world.errors import Built, as_built, reported
-from hil.world.faults import Fault, FaultError, parse_fault
+from hil.world.faults import Fault, FaultError, parse_faults
 from hil.world.world import World, WorldConfig
 from path.messages import Role
 
@@ -49,7 +49,7 @@ class SimHarness:
     check_rig = staticmethod(check_world)
 
     def fly(self, request: FlightRequest) -> FlightReport:
-        faults = [parse_fault(text) for text in request.faults]
+        faults = parse_faults(request.faults, request.rig.level)
         if any(fault.name == "attack" for fault in faults):
             raise FaultError("fault attack needs real sockets", "fly it with --rig sitl, or a rig like it")
         for fault in faults:

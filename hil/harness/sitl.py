@@ -39,7 +39,7 @@ from hil.monitors.monitors import Monitors
 from hil.vehicle.simulator_process import binary_of
 from hil.world.check import check_world
 from hil.world.errors import level_of, reported
-from hil.world.faults import Fault, FaultError, FaultTrigger, parse_fault
+from hil.world.faults import Fault, FaultError, FaultTrigger, parse_faults
 from hil.world.world import WorldConfig
 from path.messages import Role
 
@@ -85,7 +85,7 @@ class SitlHarness:
 
 
 async def _fly(request: FlightRequest) -> FlightReport:
-    faults = [parse_fault(text) for text in request.faults]
+    faults = parse_faults(request.faults, request.rig.level)
     if any(fault.name == "attack" for fault in faults):
         _need_keys(request.rig)
     run = _Run(request)

@@ -28,6 +28,8 @@ class FaultKind:
     Attributes:
         role: whom it concerns; None for both, and then "when" is of the sender's course.
         own: only where programs are processes of their own.
+        least: the smallest value.
+        geometric: only at level ``sim``, where observations come from geometry: elsewhere there are real detectors.
         value: whether it is a quantity (``link_loss=0.3``), and whether that may be left out.
     """
 
@@ -38,6 +40,8 @@ class FaultKind:
     whole_run: bool = False
     most: float = 1.0
     own: bool = False
+    least: float = 0.0
+    geometric: bool = False
 
     @property
     def followed(self) -> Role:
@@ -69,6 +73,22 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind(
             "attack", None, "must", "a third process floods both drones with this many forged and repeated packets a "
             "second", True, 20_000.0,
+        ),
+        FaultKind(
+            "detector_recall", None, "must", "both detectors find a thing in this share of the frames", True,
+            geometric=True,
+        ),
+        FaultKind(
+            "detector_miss_frames", None, "must", "they miss it for so many frames at a time, in the mean", True,
+            1000.0, least=1.0, geometric=True,
+        ),
+        FaultKind(
+            "detector_false", None, "must",
+            "both detectors find something where nothing is in this share of the frames", True, 0.9, geometric=True,
+        ),
+        FaultKind(
+            "detector_bias", None, "must", "their boxes lie so many pixels to the right and down", True, 100.0,
+            geometric=True,
         ),
         FaultKind("camera_freeze", Role.RECEIVER, "no", "the receiver's camera gives no new frames"),
         FaultKind(
@@ -178,6 +198,15 @@ class FaultTrigger:
         return taken
 
 
+def parse_faults(texts: Sequence[str], level: str) -> list[Fault]:
+    """The faults of a run on a rig of this level. Raises FaultError."""
+    faults = [parse_fault(text) for text in texts]
+    for fault in faults:
+        if fault.kind.geometric and level != "sim":
+            raise FaultError(f"fault {fault.name}: level {level} has real detectors", "use a rig of level sim")
+    return faults
+
+
 def parse_fault(text: str) -> Fault:
     """``NAME[=VALUE][@MOMENT[+SECONDS]]``. Raises FaultError."""
     what, at, when = text.partition("@")
@@ -202,17 +231,18 @@ def parse_fault(text: str) -> Fault:
 def _value(kind: FaultKind, written: str) -> float:
     if kind.value == "no":
         raise FaultError(f"fault {kind.name} takes no value", f"write --fault {kind.name}")
-    remedy = f"write it with a number from 0 to {kind.most:g}, for example --fault {kind.name}=0.3"
+    example = f"{kind.name}={max(0.3, kind.least):g}"
+    remedy = f"write it with a number from {kind.least:g} to {kind.most:g}, for example --fault {example}"
     if not written:
         raise FaultError(f"fault {kind.name} needs a value", remedy)
-    return _number(f"fault {kind.name}", written, kind.most, remedy)
+    return _number(f"fault {kind.name}", written, kind.most, remedy, kind.least)
 
 
-def _number(what: str, written: str, most: float, remedy: str) -> float:
+def _number(what: str, written: str, most: float, remedy: str, least: float = 0.0) -> float:
     try:
         value = float(written)
     except ValueError:
         raise FaultError(f"{what}: {written!r} is not a number", remedy) from None
-    if not 0.0 <= value <= most:
-        raise FaultError(f"{what}: {written} is not from 0 to {most:g}", remedy)
+    if not least <= value <= most:
+        raise FaultError(f"{what}: {written} is not from {least:g} to {most:g}", remedy)
     return value

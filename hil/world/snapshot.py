@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.world.detector import PERFECT, DetectorConfig
 from path.geometry import Pose
 from path.messages import Role
 
@@ -38,6 +39,7 @@ class Snapshot:
     objects: tuple[ObjectTruth, ...]
     marker_hidden: bool = False
     depth_holes: bool = False
+    detector: DetectorConfig = PERFECT
 
     def carried_on(self, by_s: float) -> Snapshot:
         """As it will be, or was, some milliseconds from then: everything moves on with its velocity."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from drivers.interfaces import FlightMode
 from hil.autopilot.autopilot import Autopilot, AutopilotConfig, Estimate
 from hil.autopilot.simulator import SimulatorConfig
+from hil.world.detector import DetectorConfig
 from hil.world.dynamics import (
     COMMAND_SIZE,
     CONTACT,
@@ -81,6 +82,7 @@ class WorldConfig:
     apart: ApartConfig = field(default_factory=ApartConfig)
     airframe: AirframeConfig = field(default_factory=AirframeConfig)
     autopilot: AutopilotConfig = field(default_factory=AutopilotConfig)
+    detector: DetectorConfig = field(default_factory=DetectorConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     look_alikes: LookAlikeConfig = field(default_factory=LookAlikeConfig)
     sender_home: HomeConfig = field(default_factory=HomeConfig)
@@ -192,6 +194,7 @@ class Fleet(Generic[Name]):
         self._commanded_step = -1
         self._marker_hidden = False
         self._depth_holes = False
+        self.detector = config.detector
         self.time_s = 0.0
         self._sense()
 
@@ -263,6 +266,11 @@ class Fleet(Generic[Name]):
         self._depth_holes = holes
         self._changed()
 
+    def degrade_detectors(self, **changes: float) -> None:
+        """Let both drones' detectors be worse by some of the fields of ``DetectorConfig``."""
+        self.detector = replace(self.detector, **changes)
+        self._changed()
+
     def send_lookalike(self) -> None:
         """One more look-alike drives across, close past the target, and away; it is gone after seven seconds."""
         self._traffic.send_lookalike(self.time_s)
@@ -311,7 +319,9 @@ class World(Fleet[Role]):
         """The truth at ``time_s``."""
         if self._snapshot is None:
             objects = self._traffic.at(self.time_s)
-            self._snapshot = Snapshot(self.time_s, self.truths(), objects, self._marker_hidden, self._depth_holes)
+            self._snapshot = Snapshot(
+                self.time_s, self.truths(), objects, self._marker_hidden, self._depth_holes, self.detector
+            )
         return self._snapshot
 
 

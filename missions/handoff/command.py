@@ -25,7 +25,7 @@ from missions.report.progress import open_console, open_tally
 from missions.report.records import RUN, SUMMARY, RunFacts, load_run, write_facts
 from missions.report.right_object import fly_watched
 from missions.report.summary import summarize
-from missions.run_folder import claim_result, claimed, new_folder, unless_refused
+from missions.run_folder import claim_result, claimed, new_folder, refuse_foreign, unless_refused
 from missions.shown import say_unwritten
 from path.messages import Role
 
@@ -51,9 +51,11 @@ def run(options: HandoffOptions) -> int:
 
 
 def name_simulators(options: HandoffOptions | FlyOptions | ConformanceOptions) -> None:
-    """For the harness and its processes: what runs the autopilots of the rigs that fly real ones."""
+    """For the harness and its processes: what runs the autopilots of the rigs that fly real ones. Raises PartError."""
     for variable, binary in (("PATH_PX4", options.px4), ("PATH_ARDUPILOT", options.ardupilot)):
         if binary is not None:
+            if not binary.is_file():
+                raise PartError(f"{binary}: no such file", "name the simulator's binary, or leave the option out")
             os.environ[variable] = str(binary.resolve())
 
 
@@ -65,6 +67,8 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
     jobs = 1 if rig.level not in ("sim", "sim-rendered") else options.jobs or os.cpu_count() or 1
     seeds = range(options.seed, options.seed + options.seeds)
     claim_result(folder / SUMMARY, '"failed_seeds"')
+    for seed in seeds:
+        refuse_foreign(_folder_of(folder, seed), RUN)
     summaries: list[dict[str, Any]] = []
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_leave_signals_to_the_parent)
     try:
@@ -93,9 +97,13 @@ def _leave_signals_to_the_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+def _folder_of(folder: Path, seed: int) -> Path:
+    return folder / f"seed-{seed:04d}"
+
+
 def _fly_seed(rig_file: str, errors: str | None, seed: int, faults: Sequence[str], folder: Path) -> dict[str, Any]:
     """One run of many, in a worker process."""
-    own = new_folder(folder / f"seed-{seed:04d}")
+    own = new_folder(_folder_of(folder, seed))
     fly_once(with_errors(rig_library.load(rig_file), errors), seed, faults, own, lambda _: None)
     summary = summarize(load_run(own))
     (own / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")

@@ -44,6 +44,7 @@ Machine = TypeVar("Machine", SenderMachine, ReceiverMachine)
 
 _TICK_S = 0.1  # at the longest
 _MAX_WAITING = 64  # messages while the disk is written to; what counts is said again
+_SLOW_S = 0.5  # a record that takes longer may cost the hand-over: a lease is not much more
 _WRITTEN_S = 2.0  # wait for the disk before the program ends
 
 
@@ -119,6 +120,7 @@ class MachineRun(Generic[Machine]):
         self._kept = kept
         self._ticking = False
         self._writing: asyncio.Task[None] | None = None
+        self._begun_ns = 0  # to write
         self._waiting: deque[Callable[[], Any]] = deque()  # events, made when their turn comes
         self._moved = asyncio.Event()  # the machine's next deadline
         self._done = machine.state  # the newest state all of whose actions were carried out
@@ -254,6 +256,7 @@ class MachineRun(Generic[Machine]):
             if isinstance(action, Persist):
                 saved = self._store.begin_save(action.record)
                 if not saved.done():
+                    self._begun_ns = self._session.now_ns()
                     self._writing = self._when_written(saved, partial(self._go_on, saved, actions, number, before))
                     return
                 self._check(saved, number, before)
@@ -273,6 +276,9 @@ class MachineRun(Generic[Machine]):
         """The rest of the actions once a record is on the disk, and then what was said to the machine meanwhile."""
         self._writing = None
         self._check(saved, number, before)
+        took_s = (self._session.now_ns() - self._begun_ns) * 1e-9
+        if took_s > _SLOW_S:
+            self._session.say(f"the disk took {took_s:.1f} s to write a record: use a quicker one, or a longer lease")
         self._carrier.carry_out(actions[number])
         self._carry_out(actions, number + 1, before)
         self._go_through_waiting()

@@ -322,7 +322,11 @@ class Session:
     async def log_state(self) -> None:
         """Log where the vehicle believes to be, for ever."""
         logged_ns = 0  # what no position was known at
+        taken_back = 0
         while True:
+            if self.pilot.taken_back > taken_back:
+                taken_back = self.pilot.taken_back
+                self.say("ALARM: one message said that a pilot has the vehicle, the next took it back: who sends them?")
             state = self.vehicle.state
             if state.stamp_ns > logged_ns:
                 logged_ns = state.stamp_ns

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from typing import Protocol, TextIO
 
@@ -14,6 +14,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from drivers.clock import stopwatch_ns
 from flight.harness.flights import Progress
 from path.messages import Role
 
@@ -41,14 +42,18 @@ def open_console(stream: TextIO) -> Generator[Console, None, None]:
 
 
 class Elapsed:
-    """Seconds since each role's clock was first heard of; before it has one its stamps are 0."""
+    """Seconds since each role's clock was first heard of; before it has one its stamps are 0, and the wall's count.
 
-    def __init__(self) -> None:
+    ``wall_ns`` is the computer's own clock.
+    """
+
+    def __init__(self, wall_ns: Callable[[], int] = stopwatch_ns) -> None:
         self._started_ns: dict[Role, int] = {}
+        self._wall_ns, self._opened_ns = wall_ns, wall_ns()
 
     def seconds(self, progress: Progress) -> float:
         if not progress.stamp_ns:
-            return 0.0
+            return (self._wall_ns() - self._opened_ns) * 1e-9
         return (progress.stamp_ns - self._started_ns.setdefault(progress.role, progress.stamp_ns)) * 1e-9
 
 

@@ -375,3 +375,12 @@ def test_however_a_dead_script_s_vehicle_behaves_it_is_told_to_land_in_bounded_t
     assert sum(act is Act.HOLD for _, act in acts) <= 1
     assert landings and landings[0] <= RULES.confirm_s + RULES.hold_s + 0.2
     assert len(landings) <= RULES.land_tries
+
+
+def test_a_limit_that_is_broken_again_after_a_landing_was_begun_has_its_patience_again() -> None:
+    low = replace(VIEW, battery=0.1)
+    state, _ = step(view=low)
+    assert state.broken_ns == NOW
+    landing = Heard(NOW + 1, Script.LANDING, NOW + 1)
+    state, _ = step(state, replace(low, mode=FlightMode.LAND, heartbeat_ns=NOW + 1), landing, NOW + 1)
+    assert (state.stage, state.broken_ns) == (Stage.WATCHING, None)

@@ -295,7 +295,7 @@ def test_one_message_that_somebody_took_it_stops_setpoints_until_it_is_taken_bac
         await asyncio.sleep(0.5)
         assert len(vehicle.flown) > before + 10 and not task.done()
         assert flight.pilot.override == "" and flight.pilot.in_control
-        assert [topic for topic, _, _ in flight.log.records].count("/doubt") == 1
+        assert [topic for topic, _, _ in flight.log.records].count("/doubt") == flight.pilot.taken_back == 1
         task.cancel()
 
     fly(main())
@@ -316,7 +316,7 @@ def test_a_second_message_confirms_it_and_no_setpoint_is_sent_meanwhile(
         await asyncio.sleep(0.05)
         assert task.done() and len(vehicle.flown) == before
         assert (await ended(task)).outcome is Outcome.PILOT_OVERRIDE
-        assert flight.pilot.override
+        assert flight.pilot.override and not flight.pilot.taken_back
 
     fly(main())
 

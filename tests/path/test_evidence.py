@@ -17,6 +17,7 @@ from path.evidence import (
     SideBySide,
     evidence_needed,
     evidence_of,
+    gain,
     make_gate,
     persistent_bound,
     strength,
@@ -55,7 +56,7 @@ def test_the_gate_is_the_one_that_the_settings_name() -> None:
 def test_a_clear_agreement_takes_four_blocks() -> None:
     gate = EvidenceGate(METHOD)
     assert feed(gate, range(1000)) == 80  # 1.6 s at 50 Hz
-    assert 10.0**-gate.evidence.reached == pytest.approx(3e-3 / 1.9**3)
+    assert 10.0**-gate.evidence.reached == pytest.approx(OWN.first_rate / gain(OWN) ** 3)
     assert 10.0**-gate.evidence.needed == pytest.approx(1e-3 / 2.0)
 
 
@@ -92,7 +93,7 @@ def test_a_weak_block_costs_what_it_is_worth() -> None:
     feed(gate, range(41, 61), TAU)
     assert gate.evidence.reached == pytest.approx(before.reached + math.log10(OWN.setback))
     assert gate.evidence.needed == before.needed  # the same run
-    assert feed(gate, range(61, 300)) == 60 + 20 * 6
+    assert feed(gate, range(61, 300)) == 60 + 20 * 5
 
 
 def test_a_first_block_that_does_not_agree_ends_the_run_and_the_next_one_needs_more() -> None:
@@ -107,7 +108,7 @@ def test_a_first_block_that_does_not_agree_ends_the_run_and_the_next_one_needs_m
 def test_setbacks_eat_up_all_evidence() -> None:
     gate = EvidenceGate(METHOD)
     feed(gate, range(21))
-    feed(gate, range(21, 81), TAU)
+    feed(gate, range(21, 61), TAU)
     assert (gate.count, gate.evidence.reached) == (0, 0.0)
 
 
@@ -423,3 +424,24 @@ def test_the_bound_holds_for_correlated_frames_where_one_for_independent_frames_
     assert false_rate <= MODEL_ALPHA
     assert true_rate > 0.5
     assert independent_test(wrong, np.random.default_rng([1, 4])) > 10.0 * MODEL_ALPHA
+
+
+def test_just_enough_evidence_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    gate = EvidenceGate(METHOD)
+    feed(gate, range(1000))
+    reached = gate.evidence.reached
+    monkeypatch.setattr("path.evidence.evidence_needed", lambda run, config: reached)  # pyright: ignore
+    assert gate.complete
+    monkeypatch.setattr("path.evidence.evidence_needed", lambda run, config: reached + 1e-9)  # pyright: ignore
+    assert not gate.complete
+
+
+def test_of_several_gates_the_answer_is_the_first_ones() -> None:
+    first, second = EvidenceGate(METHOD), EvidenceGate(METHOD)
+    second.agree(pair_of(0), CLEAR, 0.5)
+    both = SideBySide(first, second)
+    assert both.agree(pair_of(0), CLEAR, 0.5) is None  # the second one has it already
+    assert second.refusal(pair_of(0).peer_sequence) is MissReason.DUPLICATE
+    far_ns = 10**12
+    first.restart(0)
+    assert both.expire(far_ns) is False and second.count == 0

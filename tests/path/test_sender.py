@@ -367,7 +367,7 @@ def test_the_gate_that_goes_by_evidence_decides_when_the_settings_say_so() -> No
     assert len(reached) == 81
     assert reached == sorted(reached)
     assert reached[19] == 0.0
-    assert reached[20] == pytest.approx(-math.log10(3e-3))  # 0.4 s
+    assert reached[20] == pytest.approx(-math.log10(MethodConfig().evidence.first_rate))  # 0.4 s
 
 
 def test_the_gate_that_goes_by_evidence_wants_a_better_pose() -> None:

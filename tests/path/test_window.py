@@ -232,3 +232,22 @@ class AnyInput(RuleBasedStateMachine):
 
 TestAnyInput = AnyInput.TestCase
 TestAnyInput.settings = settings(max_examples=100, stateful_step_count=12)
+
+
+def test_the_span_is_the_shorter_one_whichever_sides_stamps_it_is_of() -> None:
+    for capture_s, own_s in ((1, 2), (2, 1)):
+        window = AgreementWindow(SMALL)
+        first = FramePair(1, 10_000 * MS, ((1, 3_000 * MS), (2, 3_000 * MS)))
+        window.agree(first)
+        window._max_gap_ns = 10_000 * MS  # as if there were pairs in between
+        after = (3_000 + 1_000 * own_s) * MS
+        window.agree(FramePair(2, (10_000 + 1_000 * capture_s) * MS, ((2, after), (3, after))))
+        assert window.span_s == 1.0
+
+
+def test_a_miss_of_an_earlier_instant_does_not_let_older_pairs_count() -> None:
+    window = AgreementWindow(SMALL)
+    assert window.agree(pair_of(10)) is None
+    window.restart(pair_of(5).capture_ns)
+    late = replace(pair_of(8), peer_sequence=pair_of(20).peer_sequence)
+    assert window.agree(late) is MissReason.STALE

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.rig.parts import Rig
+from drivers.rig.parts import Rig, with_errors
 from flight.harness.renderer import Stage, StudioSetup
 from hil.camera.pictures import Studio
 from missions import rig_library
@@ -109,7 +109,7 @@ def test_a_pair_at_right_angles_shows_one_marker_from_either_side(side: float, s
 
 
 def test_a_handoff_with_two_markers_commits(tmp_path: Path) -> None:
-    facts = fly_once(rig_with("sim", BESIDE, LARGE_M), 1, (), tmp_path, lambda _: None)
+    facts = fly_once(with_errors(rig_with("sim", BESIDE, LARGE_M), "exact"), 1, (), tmp_path, lambda _: None)
     assert facts.outcome == "committed", facts.detail
     summary = summarize(load_run(tmp_path))
     assert summary["agreement_s"] == pytest.approx(7.0, abs=0.1)

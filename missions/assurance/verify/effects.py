@@ -7,7 +7,9 @@ from dataclasses import fields, is_dataclass, replace
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from missions.assurance.verify.model import (
+    NOBODY,
     RECEIVER_ID,
+    SECOND_ID,
     UNREAD,
     Packet,
     Scope,
@@ -113,9 +115,9 @@ class Effects:
         self.receiver_records = Interned[ReceiverRecord]()
         self._by_sender: dict[tuple[int, SenderEvent], Effect] = {}
         self._by_receiver: dict[tuple[int, int, ReceiverEvent], Effect] = {}
-        self._heard: dict[tuple[tuple[int, int], int], tuple[Effect, ...]] = {}
-        self._deaf: dict[tuple[int, int], int] = {}
-        self._words: dict[tuple[int, int, int], int] = {}
+        self._heard: dict[tuple[tuple[int, int, int], int], tuple[Effect, ...]] = {}
+        self._deaf: dict[tuple[int, int, int], int] = {}
+        self._words: dict[tuple[int, int, int, int], int] = {}
         self._aged: dict[tuple[str, int], int] = {}
         self._aged_masks: dict[int, int] = {}
 
@@ -165,44 +167,45 @@ class Effects:
         """What may come of the packets on the link; those of which nothing comes are left out."""
         return self._heard_of("sender", state, 0, packets)
 
-    def heard_by_receiver(self, state: int, skew: int, packets: int) -> list[Effect]:
-        return self._heard_of("receiver", state, skew, packets)
+    def heard_by_receiver(self, state: int, skew: int, packets: int, instance: int = RECEIVER_ID) -> list[Effect]:
+        return self._heard_of("receiver", state, skew, packets, instance)
 
-    def _heard_of(self, side: Side, state: int, skew: int, packets: int) -> list[Effect]:
-        where = (state, skew if side == "receiver" else _SENDER)
+    def _heard_of(self, side: Side, state: int, skew: int, packets: int, instance: int = RECEIVER_ID) -> list[Effect]:
+        where = (state, skew, instance) if side == "receiver" else (state, _SENDER, 0)
         deaf = self._deaf.get(where, 0)
         effects: list[Effect] = []
         for number in bits(packets & ~deaf):
             key = (where, number)
             of_packet = self._heard.get(key)
             if of_packet is None:
-                of_packet = self._heard[key] = self._hear(side, state, skew, self.packets.values[number])
+                of_packet = self._heard[key] = self._hear(side, state, skew, self.packets.values[number], instance)
                 if not of_packet:
                     deaf = self._deaf[where] = deaf | 1 << number
             effects.extend(of_packet)
         return effects
 
-    def _hear(self, side: Side, state: int, skew: int, packet: Packet) -> tuple[Effect, ...]:
+    def _hear(self, side: Side, state: int, skew: int, packet: Packet, instance: int) -> tuple[Effect, ...]:
         """Of the packet itself, and of the same word about something else, of which nothing may come (S6)."""
         if packet.to != side:
             return ()
         name = type(packet.message).__name__
-        effect = self._told(side, state, skew, packet.message, f"{name} reaches the {side}")
+        who = side if instance == RECEIVER_ID else f"second {side}"
+        effect = self._told(side, state, skew, packet.message, f"{name} reaches the {who}", instance)
         nothing = effect.state == state and not effect.sent and effect.kept < 0 and not effect.broken
         found = [] if nothing else [effect]
         idle = self._tick(side, state, skew).state
         for wrong in misdirected(packet.message, self.scope):
-            told = self._told(side, state, skew, wrong, f"a misdirected {name} reaches the {side}")
+            told = self._told(side, state, skew, wrong, f"a misdirected {name} reaches the {who}", instance)
             if told.state != idle:
                 found.append(told._replace(broken="S6"))
         return tuple(found)
 
-    def _told(self, side: Side, state: int, skew: int, message: Message, what: str) -> Effect:
+    def _told(self, side: Side, state: int, skew: int, message: Message, what: str, instance: int) -> Effect:
         uncertainty = self.scope.uncertainty
         if isinstance(message, Status):
             event = PeerStatus(message.responsible, message.stamp_ns - uncertainty, message.instance)
         elif isinstance(message, Commit) and side == "receiver":
-            event = CommitHeard(message, message.lease_end_ns, uncertainty, RECEIVER_ID)
+            event = CommitHeard(message, message.lease_end_ns, uncertainty, instance)
         else:
             event = Heard(message)
         if side == "receiver":
@@ -215,9 +218,9 @@ class Effects:
             return self.sender_told(state, Tick(), "the sender notices the time")
         return self.receiver_told(state, skew, Tick(), "the receiver notices the time")
 
-    def said(self, state: int, held: int, skew: int) -> int:
-        """What both drones say in these states, as they say it all the time."""
-        found = self._words.get((state, held, skew))
+    def said(self, state: int, held: int, skew: int, second: int = NOBODY) -> int:
+        """What the drones say in these states, as they say it all the time."""
+        found = self._words.get((state, held, skew, second))
         if found is None:
             packets: list[Packet] = []
             gives, takes = self.senders.values[state], self.receivers.values[held]
@@ -229,10 +232,15 @@ class Effects:
                 packets.append(Packet("sender", status(Role.RECEIVER, receiver.is_responsible(takes, skew), skew)))
                 if takes.live is not None:
                     packets.append(Packet("sender", candidate(takes.live)))
+            if second != NOBODY:
+                other = self.receivers.values[second]
+                assert not isinstance(other, Dead)
+                said = status(Role.RECEIVER, receiver.is_responsible(other, skew), skew, SECOND_ID)
+                packets.append(Packet("sender", said))
             found = 0
             for packet in packets:
                 found |= 1 << self.packets(packet)
-            self._words[state, held, skew] = found
+            self._words[state, held, skew, second] = found
         return found
 
     # --- time -------------------------------------------------------------------------------------------------

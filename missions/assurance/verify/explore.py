@@ -92,18 +92,23 @@ def weight(world: World) -> int:
 
 
 def covers(large: World, small: World) -> bool:
-    """Whether what can happen in ``small`` can happen in ``large``. Both machines' states, skew and agreement agree."""
+    """Whether what can happen in ``small`` can happen in ``large``. All machines' states, skew and agreement agree."""
     return not weight(small) & ~weight(large)
+
+
+def _place(world: World) -> tuple[int, ...]:
+    """What worlds that cover one another have in common."""
+    return world.sender, world.receiver, world.second, world.skew, world.agreed
 
 
 class Covering:
     """Only worlds that no other covers."""
 
     def __init__(self) -> None:
-        self._weights: dict[tuple[int, int, int, int], list[int]] = {}
+        self._weights: dict[tuple[int, ...], list[int]] = {}
 
     def add(self, world: World) -> bool:
-        key = (world.sender, world.receiver, world.skew, world.agreed)
+        key = _place(world)
         bits = weight(world)
         known = self._weights.get(key)
         if known is None:
@@ -117,10 +122,10 @@ class Covering:
         return True
 
     def still(self, world: World) -> bool:
-        return weight(world) in self._weights[world.sender, world.receiver, world.skew, world.agreed]
+        return weight(world) in self._weights[_place(world)]
 
     def covered(self, world: World) -> bool:
-        known = self._weights.get((world.sender, world.receiver, world.skew, world.agreed), ())
+        known = self._weights.get(_place(world), ())
         bits = weight(world)
         return any(bits | other == other for other in known)
 

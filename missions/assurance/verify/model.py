@@ -11,6 +11,8 @@ What the world may do at any moment:
   have been told; either program may notice the time late, by up to the guard;
 - both drones say all the time what they say all the time (Targets, Candidates, Status), and that too is kept;
 - complete an agreement, report one of another epoch or of another object, let a pilot abort on either side;
+- let programs sleep, in scopes with stalls for any time;
+- let a second receiver hear and say all that the first one does, in scopes with two;
 - kill either program between any two of its actions, and start it again, at once or at any later time, with what it had
   written down; on a clock that goes on, or on another one after a reboot.
 """
@@ -26,8 +28,8 @@ from path.protocol.values import Handoff, ProtocolConfig
 
 TICK_S = 1e-9
 HANDOFF_ID, TARGET_ID, OTHER_ID = 1, 1, 2
-RECEIVER_ID, STRANGER_ID = 1, 2
-UNREAD = -1
+RECEIVER_ID, SECOND_ID, NOBODYS_ID = 1, 2, 3
+UNREAD = NOBODY = -1
 STATUS_AGE = -3  # ticks after which a delayed Status is dropped, as the link drops what is stale
 ORIGIN = (0.0, 0.0, 0.0)
 DOWN = (0.0, 0.0, 1.0)
@@ -42,12 +44,22 @@ class Scope:
     Attributes:
         crashes, aborts: how often each may happen; ``attempts``: how often the sender begins.
         uncertainty: bound on the difference of the clocks, which wanders within it, by a tick a tick.
+        stalls: programs may sleep through anything, for any time. Nothing comes to an end in time then (L1, L2 are not
+            asked for); all else still holds.
+        receivers: 2: another drone with the same role and key hears what the first one hears, and says what it says.
+        beyond: ticks by which the clocks may differ more than both sides were told. Breaks what it is meant to: the
+            bound is an assumption.
+        forgetful: a disk may have an earlier record at a restart, or none. That it keeps the newest is an assumption.
         lease, retry, guard, settle, offer, handoff: as of the protocol.
     """
 
     crashes: int = 0
     aborts: int = 0
     attempts: int = 1
+    stalls: bool = False
+    receivers: int = 1
+    beyond: int = 0
+    forgetful: bool = False
     uncertainty: int = 1
     lease: int = 5
     retry: int = 2
@@ -91,6 +103,7 @@ class World(NamedTuple):
         packets: on the link, a bit each.
         skew: the receiver's clock less the sender's.
         sender_kept, receiver_kept: what each has on disk; ``UNREAD`` when it can crash no more.
+        second: another receiver's state; ``NOBODY`` when there is none.
         agreed: the epoch in which the agreement was complete; 0 before.
         alone: ticks since somebody was responsible; no higher than one above the longest that is allowed.
     """
@@ -104,6 +117,7 @@ class World(NamedTuple):
     attempts: int
     sender_kept: int
     receiver_kept: int
+    second: int
     agreed: int
     alone: int
 
@@ -130,8 +144,8 @@ def candidate(live: Handoff) -> Candidate:
     )  # fmt: skip
 
 
-def status(role: Role, responsible: bool, stamp: int) -> Status:
-    return Status(role, stamp, ORIGIN, ORIGIN, 0.0, 0, responsible, True, 1.0, RECEIVER_ID)
+def status(role: Role, responsible: bool, stamp: int, instance: int = RECEIVER_ID) -> Status:
+    return Status(role, stamp, ORIGIN, ORIGIN, 0.0, 0, responsible, True, 1.0, instance)
 
 
 def unstamped(message: Message) -> Message:
@@ -145,11 +159,13 @@ def misdirected(message: Message, scope: Scope) -> tuple[Message, ...]:
 
     A Target begins an attempt and a first Commit brings its nonce: another is as good.
     """
+    if isinstance(message, Status) and message.role is Role.RECEIVER:
+        return (replace(message, instance=NOBODYS_ID),)
     if not isinstance(message, Candidate | Commit | Accept | Confirm):
         return ()
     wrong = (replace(message, handoff_id=HANDOFF_ID + 1), replace(message, target_id=OTHER_ID))
     if not isinstance(message, Candidate):
-        wrong = (*wrong, replace(message, instance=STRANGER_ID))
+        wrong = (*wrong, replace(message, instance=NOBODYS_ID))
     if isinstance(message, Commit):
         return (*wrong, replace(message, lease_end_ns=scope.lease + 2 * scope.uncertainty + 1))
     return (*wrong, replace(message, nonce=message.nonce + 1)) if isinstance(message, Accept | Confirm) else wrong

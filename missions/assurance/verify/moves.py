@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from missions.assurance.verify.effects import Effect, Effects
-from missions.assurance.verify.model import HANDOFF_ID, OTHER_ID, RECEIVER_ID, TARGET_ID, UNREAD, Scope, World
+from missions.assurance.verify.effects import Effect, Effects, Interned
+from missions.assurance.verify.model import (
+    HANDOFF_ID,
+    NOBODY,
+    OTHER_ID,
+    RECEIVER_ID,
+    SECOND_ID,
+    TARGET_ID,
+    UNREAD,
+    Scope,
+    World,
+)
 from missions.assurance.verify.rules import (
     Dead,
     across_rules,
@@ -61,8 +71,12 @@ class Moves:
         kept, noted = effects.sender_records(SenderRecord()), effects.receiver_records(ReceiverRecord())
         if not scope.crashes:
             kept = noted = UNREAD
-        packets = effects.said(state, held, skew)
-        return World(state, held, skew, packets, scope.crashes, scope.aborts, scope.attempts, kept, noted, 0, 0)
+        second = held if scope.receivers > 1 else NOBODY
+        packets = effects.said(state, held, skew, second)
+        begun = World(
+            state, held, skew, packets, scope.crashes, scope.aborts, scope.attempts, kept, noted, second, 0, 0
+        )
+        return begun
 
     def sender_of(self, world: World) -> sender.SenderState | Dead:
         return self._senders[world.sender]
@@ -85,6 +99,10 @@ class Moves:
             if world.aborts:
                 told = self.effects.receiver_told(world.receiver, world.skew, _PILOT, "a pilot takes the receiver")
                 yield from self._receiver_does(world._replace(aborts=world.aborts - 1), told)
+        if world.second != NOBODY:
+            heard = self.effects.heard_by_receiver(world.second, world.skew, world.packets, SECOND_ID)
+            for effect in heard:
+                yield self._second_does(world, effect)
         yield from self._time(world)
         yield from self._crashes(world)
 
@@ -92,7 +110,7 @@ class Moves:
 
     def _time(self, world: World) -> Iterator[Move]:
         """Either program notices what is due, at once or late by up to the guard; or a tick passes."""
-        guard, uncertainty = self.scope.guard, self.scope.uncertainty
+        guard, most = self.scope.guard, self.scope.uncertainty + self.scope.beyond
         gives, takes = self.sender_of(world), self.receiver_of(world)
         due = None if isinstance(gives, Dead) else sender.wake_ns(gives)
         waiting = None if isinstance(takes, Dead) else receiver.wake_ns(takes)
@@ -102,30 +120,55 @@ class Moves:
         if waiting is not None and waiting <= world.skew:
             effect = self.effects.receiver_told(world.receiver, world.skew, Tick(), "the receiver notices the time")
             yield from self._receiver_does(world, _awaited(effect, world.receiver))
-        if due is not None and 1 - due > guard:
+        second = None if world.second == NOBODY else receiver.wake_ns(self._second_of(world))
+        if second is not None and second <= world.skew:
+            effect = self.effects.receiver_told(
+                world.second, world.skew, Tick(), "the second receiver notices the time"
+            )
+            yield self._second_does(world, _awaited(effect, world.second))
+        patient = self.scope.stalls
+        if due is not None and 1 - due > guard and not patient:
             return
-        for skew in range(max(world.skew - 1, -uncertainty), min(world.skew + 1, uncertainty) + 1):
-            if waiting is None or skew + 1 - waiting <= guard:
+        for skew in range(max(world.skew - 1, -most), min(world.skew + 1, most) + 1):
+            late = (skew + 1 - at > guard for at in (waiting, second) if at is not None)
+            if patient or not any(late):
                 yield self._tick(world, skew)
 
     def _tick(self, world: World, skew: int) -> Move:
         effects = self.effects
         state = effects.aged("sender", effects.senders, world.sender)
         held = effects.aged("receiver", effects.receivers, world.receiver)
+        second = NOBODY if world.second == NOBODY else effects.aged("receiver", effects.receivers, world.second)
         after = World(
             state,
             held,
             skew,
-            effects.packets_aged(world.packets) | effects.said(state, held, skew),
+            effects.packets_aged(world.packets) | effects.said(state, held, skew, second),
             world.crashes,
             world.aborts,
             world.attempts,
             effects.aged("sender record", effects.sender_records, world.sender_kept),
             effects.aged("receiver record", effects.receiver_records, world.receiver_kept),
+            second,
             world.agreed,
-            min(world.alone + 1, self.scope.longest_gap + 1) if self._nobody(world) else 0,
+            min(world.alone + 1, self.scope.longest_gap + 1) if self._bounded and self._nobody(world) else 0,
         )
-        return Move(TICK, after, self._overdue(after))
+        return Move(TICK, after, self._overdue(after) if self._bounded else "")
+
+    @property
+    def _bounded(self) -> bool:
+        """Programs are awake in time, and each gap and wait may be held against its bound."""
+        return not self.scope.stalls and self.scope.receivers == 1
+
+    def _holders(self, world: World) -> int:
+        second = False if world.second == NOBODY else responsible_receiver(self._second_of(world), world.skew)
+        first = responsible_receiver(self.receiver_of(world), world.skew)
+        return responsible_sender(self.sender_of(world)) + first + second
+
+    def _second_of(self, world: World) -> receiver.ReceiverState:
+        second = self._receivers[world.second]
+        assert not isinstance(second, Dead)
+        return second
 
     def _nobody(self, world: World) -> bool:
         """Nobody is responsible, though whoever would have to be runs."""
@@ -194,8 +237,9 @@ class Moves:
     def _agreements(self, world: World, live: Handoff) -> Iterator[Move]:
         """The one that the window counted, and those of which nothing may come (S5)."""
         nonce, told = 100 * live.epoch, self.scope.uncertainty
-        whole = AgreementComplete(live.epoch, TARGET_ID, nonce, told, RECEIVER_ID)
-        yield from self._tell_sender(world._replace(agreed=live.epoch), whole, "the agreement is complete")
+        for instance in (RECEIVER_ID, SECOND_ID)[: self.scope.receivers]:  # whichever of them is heard
+            whole = AgreementComplete(live.epoch, TARGET_ID, nonce, told, instance)
+            yield from self._tell_sender(world._replace(agreed=live.epoch), whole, "the agreement is complete")
         for wrong, what in (
             (
                 AgreementComplete(live.epoch - 1, TARGET_ID, nonce, told, RECEIVER_ID),
@@ -224,17 +268,33 @@ class Moves:
             yield Move("the receiver is killed", self._receiver_killed(world, world.receiver_kept))
         if isinstance(gives, Dead):
             for same_clock, how in _CLOCKS:
-                state, kept = self.effects.sender_restored(world.sender_kept, same_clock)
-                alone = world.alone if same_clock else 0  # a new clock begins anew what is waited for
-                up = world._replace(sender=state, sender_kept=kept, alone=alone)
-                mine = self.effects.sender_records.values[world.sender_kept].duty == "mine"
-                lost = "L2" if mine and not responsible_sender(self.sender_of(up)) else ""
-                yield self._checked(world, up, f"the sender is started again{how}", lost)
+                for read, lost in self._read(world.sender_kept, self.effects.sender_records):
+                    yield self._sender_restarted(world, read, same_clock, how + lost)
         if isinstance(takes, Dead):
             for same_clock, how in _CLOCKS:
-                held, kept = self.effects.receiver_restored(world.receiver_kept, world.skew, same_clock)
-                up = world._replace(receiver=held, receiver_kept=kept)
-                yield self._checked(world, up, f"the receiver is started again{how}", "")
+                for read, lost in self._read(world.receiver_kept, self.effects.receiver_records):
+                    held, kept = self.effects.receiver_restored(read, world.skew, same_clock)
+                    up = world._replace(receiver=held, receiver_kept=kept)
+                    yield self._checked(world, up, f"the receiver is started again{how}{lost}", "")
+
+    def _read(self, kept: int, interned: Interned[Any]) -> tuple[tuple[int, str], ...]:
+        """What a program may find on its disk: its record, an earlier one, or none."""
+        if not self.scope.forgetful:
+            return ((kept, ""),)
+        record = interned.values[kept]
+        earlier = (
+            SenderRecord(record.epoch, "mine") if isinstance(record, SenderRecord) else ReceiverRecord(record.epoch)
+        )
+        nothing = type(record)()
+        return (kept, ""), (interned(earlier), ", on an earlier record"), (interned(nothing), ", its record lost")
+
+    def _sender_restarted(self, world: World, read: int, same_clock: bool, how: str) -> Move:
+        state, kept = self.effects.sender_restored(read, same_clock)
+        alone = world.alone if same_clock else 0  # a new clock begins anew what is waited for
+        up = world._replace(sender=state, sender_kept=kept, alone=alone)
+        mine = self.effects.sender_records.values[read].duty == "mine"
+        lost = "L2" if mine and not responsible_sender(self.sender_of(up)) else ""
+        return self._checked(world, up, f"the sender is started again{how}", lost)
 
     def _sender_killed(self, world: World, kept: int) -> World:
         state = self.sender_of(world)
@@ -270,18 +330,22 @@ class Moves:
                 dead = self._receiver_killed(half, world.receiver_kept if half_kept < 0 else half_kept)
                 yield Move(f"{effect.what}; it is killed half-way", dead)
 
+    def _second_does(self, world: World, effect: Effect) -> Move:
+        after = world._replace(second=effect.state, packets=world.packets | effect.sent)
+        return self._checked(world, after, effect.what, effect.broken)
+
     def _checked(self, before: World, after: World, what: str, broken: str) -> Move:
         now, holds = self.sender_of(after), self.receiver_of(after)
         gives, takes = responsible_sender(now), responsible_receiver(holds, after.skew)
         broken = broken or across_rules(self.sender_of(before), now, self.receiver_of(before), holds)
-        if gives and takes:
+        if self._holders(after) > 1:
             broken = broken or "S1"
         alone = 0 if gives or takes else after.alone
         sender_kept, receiver_kept = after.sender_kept, after.receiver_kept
         if not after.crashes:  # nobody will ever read it
             sender_kept = sender_kept if isinstance(now, Dead) else UNREAD
             receiver_kept = receiver_kept if isinstance(holds, Dead) else UNREAD
-        packets = after.packets | self.effects.said(after.sender, after.receiver, after.skew)
+        packets = after.packets | self.effects.said(after.sender, after.receiver, after.skew, after.second)
         world = after._replace(packets=packets, alone=alone, sender_kept=sender_kept, receiver_kept=receiver_kept)
         return Move(what, world, broken)
 

@@ -23,6 +23,9 @@ SMALL = Scope(lease=4)
 CRASHING = replace(SMALL, crashes=1)
 ABORTING = replace(SMALL, aborts=1)
 TWICE = replace(SMALL, attempts=2)
+SHORT = Scope(lease=3, offer=2, handoff=3)
+SLEEPY = replace(SMALL, stalls=True)
+TRIO = replace(SHORT, receivers=2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +141,29 @@ def _blind_to(refusal: Refusal) -> Callable[[Any], Any]:
         return blind
 
     return of
+
+
+def _responsible_by_flag(_: Any) -> Any:
+    def flag(state: Any, now_ns: int) -> bool:
+        del now_ns
+        return receiver.claim(state) is not None
+
+    return flag
+
+
+def _of_any_receiver(mismatch: Any) -> Any:
+    def blind(live: Any, message: Any) -> Any:
+        why = mismatch(live, message)
+        return None if why is Refusal.WRONG_INSTANCE else why
+
+    return blind
+
+
+def _told_by_any_receiver(tells: Any) -> Any:
+    def trusting(state: Any, status: Any) -> Any:
+        return tells(state, replace(status, instance=state.live.instance))
+
+    return trusting
 
 
 def _never_lets_go(elapse: Any) -> Any:
@@ -259,5 +285,11 @@ MUTANTS = (
     Mutant("the sender never takes back", ("L1", "L2"), [(sender, "_take_back", _never_taken_back)]),
     Mutant("the sender confirms what it has aborted", ("L2",), [
         (sender, "_hear_accept", _confirms_what_was_aborted)], ABORTING),
+    Mutant("the receiver is responsible until somebody has told it that its lease is over", ("S1",), [
+        (receiver, "is_responsible", _responsible_by_flag)], SLEEPY),
+    Mutant("the receiver takes the COMMIT that is another's", ("S1", "S6"), [
+        (receiver, "mismatch", _of_any_receiver)], TRIO),
+    Mutant("the sender takes an ACCEPT of any receiver", ("S6",), [(sender, "mismatch", _of_any_receiver)]),
+    Mutant("the sender believes any receiver's Status", ("S6",), [(sender, "_tells", _told_by_any_receiver)]),
 )  # fmt: skip
 """At least one for each invariant."""

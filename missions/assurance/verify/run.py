@@ -6,7 +6,7 @@ import json
 import os
 import sys
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TextIO
@@ -40,10 +40,13 @@ SHORT_ABORTED = Scope(lease=3, offer=3, handoff=4, crashes=2, aborts=1)
 QUICK = (
     Job("the link alone", SMALL),
     Job("one abort", Scope(lease=4, aborts=1)),
+    Job("stalls", Scope(lease=4, stalls=True), exact=False),
     Job("one crash", Scope(lease=4, crashes=1), exact=False),
 )
+SLEEPY = Scope(lease=3, offer=2, handoff=3, stalls=True)
 FULL = (  # the longest first, so that no core waits for it at the end
     Job("two crashes, two attempts, a short lease", SHORT_TWICE, exact=False),
+    Job("two receivers, stalls", replace(SLEEPY, receivers=2), exact=False),
     Job("two crashes, one abort, a short lease", SHORT_ABORTED, exact=False),
     Job("two crashes", Scope(lease=4, crashes=2), exact=False),
     Job("one crash, two attempts", Scope(lease=4, crashes=1, attempts=2), exact=False),
@@ -52,7 +55,10 @@ FULL = (  # the longest first, so that no core waits for it at the end
     Job("one crash, each world by itself", Scope(lease=4, crashes=1)),
     Job("one crash, one abort", Scope(lease=4, crashes=1, aborts=1), exact=False),
     Job("two attempts", Scope(lease=4, attempts=2)),
-    *QUICK[:2],
+    Job("two receivers", replace(SLEEPY, stalls=False, receivers=2), exact=False),
+    Job("one crash, stalls", replace(SLEEPY, crashes=1), exact=False),
+    Job("two attempts, stalls", replace(SLEEPY, attempts=2), exact=False),
+    *QUICK[:3],
 )
 
 
@@ -165,6 +171,8 @@ def _of_scope(one: Explored) -> dict[str, object]:
     scope, found = one.job.scope, one.found
     return {
         "name": one.job.name,
+        "receivers": scope.receivers,
+        "stalls": scope.stalls,
         "crashes": scope.crashes,
         "aborts": scope.aborts,
         "attempts": scope.attempts,

@@ -34,7 +34,7 @@ SECONDS, QUICK_SECONDS = 1200.0, 20.0
 SAMPLE_S = 2.0
 SETTLED = 0.25  # of the time: what is allocated once is allocated by then
 FLAT_MIB = 5.0
-NEVER = 10_000_000  # agreeing frames: it verifies until its deadline
+NEVER = 1.0  # the overlap that is asked for: no two boxes are that alike, it verifies until its deadline
 GOAL_MIB = 300.0
 QUEUE_MS = 5.0
 PICTURE = "soak.png"
@@ -79,7 +79,7 @@ def _endless(rig: Rig, seconds: float, out: Path) -> Rig:
         raise PartError("a soak wants a rig of level sitl, and Linux's /proc", "path-handoff trial soak --rig sitl")
     table: dict[str, Any] = {
         "like": str(rig.file.resolve()),
-        "method": {"hold_frames": NEVER, "gate": "consecutive"},
+        "method": {"tau_min": NEVER, "tau_max": NEVER, "gate": "consecutive"},
         "mission": {"deadlines": {"verify_s": float(seconds)}},
     }
     if rig.world.get("sender_simulator") is None:

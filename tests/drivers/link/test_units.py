@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.link.units import (
     OutOfRange,
+    box_to,
     direction_from,
     direction_to,
     point_from,
@@ -109,3 +110,7 @@ def test_every_coordinate_that_the_wire_can_say_can_be_said_again() -> None:
         assert point_to("point", point) == ((mm, 0, 0), (part, 0, 0))
     with pytest.raises(OutOfRange, match="point"):
         point_to("point", (-32.769, 0.0, 0.0))
+
+
+def test_no_box_is_four_zeros() -> None:
+    assert box_to(None) == (0, 0, 0, 0)

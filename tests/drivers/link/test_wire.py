@@ -440,3 +440,21 @@ def test_no_field_can_be_a_number_that_is_none() -> None:
     ours = [kind for kind in dialect.mavlink_map.values() if kind.msgname.startswith("PATH_")]
     assert len(ours) == 9
     assert not [name for kind in ours for name in kind.fieldtypes if name in ("float", "double")]
+
+
+def test_signing_begins_with_the_clock() -> None:
+    """Also with one that stands at nought: no packet carries a stamp that its clock has not reached."""
+    codec = Codec(Role.SENDER, KEY)
+    stamps = [int.from_bytes(codec.encode(Ping(1, 1))[-12:-6], "little") for _ in range(3)]
+    assert stamps == [0, 1, 2]
+
+
+@pytest.mark.parametrize("message", [STATUS, *FROM_SENDER[3:]], ids=lambda m: type(m).__name__)
+def test_before_its_stream_has_proven_itself_nothing_but_a_ping_of_the_peer_is_taken(message: Message) -> None:
+    sender, receiver = Codec(Role.SENDER, KEY), Codec(Role.RECEIVER, KEY)
+    assert receiver.decode(sender.encode(message)) is Drop.UNPROVEN
+    assert receiver.decode(sender.encode(Ping(7, 8))) == Ping(7, 8)
+    assert receiver.decode(sender.encode(message)) is Drop.UNPROVEN
+    introduce(sender, receiver)
+    back = receiver.decode(sender.encode(message))
+    assert type(back) is type(message)

@@ -21,6 +21,9 @@ from drivers.interfaces import FlightMode, TakenOver, VehicleError, VelocitySetp
 from drivers.mavlink.port_lock import PortLock
 from drivers.mavlink.session import ARM_DISARM
 from drivers.mavlink.vehicle import MavsdkVehicle, MavsdkVehicleConfig
+from flight.config import MissionConfig
+from flight.outcome import MissionEnd
+from flight.pilot import Pilot
 from hil.autopilot.autopilot import AutopilotConfig
 from path.rotation import yaw_of
 from tests.drivers.mavlink.mavsdk_bench import (
@@ -40,6 +43,16 @@ from tests.drivers.mavlink.mavsdk_bench import (
 )
 
 SPEED = 3.0
+
+
+class Silent:
+    """A log that nobody reads."""
+
+    def write(self, topic: str, stamp_ns: int, record: Any) -> None: ...
+
+    def image(self, topic: str, stamp_ns: int, image: Any) -> None: ...
+
+
 FAST = replace(QUICK, offboard_loss_s=SPEED * QUICK.offboard_loss_s)  # as long as ever by our time
 
 
@@ -177,6 +190,36 @@ def test_the_pilot_and_a_lost_link_end_every_wait() -> None:
             await vehicle.land(LIMIT_S)
 
     with px4() as bench:
+        asyncio.run(fly(bench))
+
+
+@pytest.mark.parametrize("base_mode", [129, 1], ids=["a pilot's mode", "not armed"])
+def test_one_forged_heartbeat_does_not_leave_the_vehicle_to_nobody(base_mode: int) -> None:
+    """From any port, in our vehicle's name: MAVSDK believes it."""
+
+    async def fly(bench: Bench) -> None:
+        forged = mavlink.MAVLink_heartbeat_message(2, 12, base_mode, 3 << 16, 4, 3)
+        packet = forged.pack(mavlink.MAVLink(None, srcSystem=SYSID, srcComponent=1))
+        async with bench.vehicle(heartbeat_hz=10.0) as vehicle:
+            await into_the_air(vehicle)
+            pilot = Pilot(vehicle, LoopClock(), MissionConfig(), Silent())
+            await pilot.take_control()
+            flying = asyncio.create_task(pilot.run())
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as somebody:
+                while pilot.taken_back < 2:  # which of them comes between two ticks is luck
+                    somebody.sendto(packet, ("127.0.0.1", bench.port))
+                    await until(lambda: vehicle.state.mode_told < 3)
+                    await until(lambda: min(vehicle.state.mode_told, vehicle.state.armed_told) >= 3)
+                    assert not flying.done()
+            sent = pilot.setpoints
+            await until(lambda: pilot.setpoints > sent + 5)
+            assert bench.autopilot.mode is FlightMode.OFFBOARD
+            autopilot = bench.autopilot
+            autopilot.request_mode(bench.drone.estimate.time_s, FlightMode.OTHER, by_pilot=True)
+            with pytest.raises(MissionEnd, match="mode is other"):
+                await flying
+
+    with px4(replace(QUICK, offboard_loss_s=300.0)) as bench:
         asyncio.run(fly(bench))
 
 

@@ -208,7 +208,7 @@ def test_a_camera_other_than_the_calibrations_is_refused_when_it_opens(folder: P
 
 def test_what_cannot_be_is_refused_by_name() -> None:
     table = {"file": "x.mp4", "speed": 0.0}
-    with pytest.raises(RigError, match=r"speed: 0\.0 is not within"):
+    with pytest.raises(RigError, match=r"speed: 0\.0 times is not within"):
         decode_table(table, RecordedCameraConfig, "rig.toml: sender.sight.camera")
 
     async def unopened() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from flight.harness.flights import Progress
 from hil.link.faulty import LinkFaults
-from hil.world.faults import AT_COUNT, FAULTS, FaultError, FaultKind, FaultTrigger, parse_fault
+from hil.world.faults import AT_COUNT, FAULTS, FaultError, FaultKind, FaultTrigger, parse_fault, parse_faults
 from path.messages import Role
 
 
@@ -20,9 +20,10 @@ def progress(role: Role, count: int) -> Progress:
 
 @pytest.mark.parametrize("kind", FAULTS.values(), ids=lambda kind: kind.name)
 def test_every_fault_can_be_asked_for_by_its_name(kind: FaultKind) -> None:
-    text = kind.name if kind.value == "no" else f"{kind.name}=0.25"
+    value = max(0.25, kind.least)
+    text = kind.name if kind.value == "no" else f"{kind.name}={value}"
     fault = parse_fault(text)
-    assert (fault.kind, fault.value) == (kind, None if kind.value == "no" else 0.25)
+    assert (fault.kind, fault.value) == (kind, None if kind.value == "no" else value)
     assert (fault.moment, fault.after_s) == ("", 0.0)
     assert kind.meaning
 
@@ -44,9 +45,20 @@ def test_when_it_begins_is_written_behind_it(text: str, value: float | None, mom
     assert (fault.value, fault.moment, fault.after_s) == (value, moment, after_s)
 
 
+def test_detectors_are_degraded_where_they_are_not_real() -> None:
+    assert [fault.name for fault in parse_faults(["detector_recall=0.9", "lookalike"], "sim")] == [
+        "detector_recall", "lookalike",
+    ]  # fmt: skip
+    assert parse_faults(["lookalike"], "sitl")
+    for level in ("sim-rendered", "sitl"):
+        with pytest.raises(FaultError, match=f"detector_false: level {level} has real detectors"):
+            parse_faults(["detector_false=0.1"], level)
+
+
 @pytest.mark.parametrize(
     ("text", "complaint", "remedy"),
     [
+        ("detector_miss_frames=0.5", "0.5 is not from 1 to 1000", "--fault detector_miss_frames=1"),
         ("lookalikes", "there is no fault 'lookalikes'", "lookalike, marker_hidden"),
         ("", "there is no fault ''", "lookalike"),
         ("link_loss", "needs a value", "--fault link_loss=0.3"),

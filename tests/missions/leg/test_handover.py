@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import random
+from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any, cast
 
 import pytest
 
 from drivers.interfaces import Received
+from drivers.log.state_file import MemoryStore
+from flight.clocks import ClockAlignment, Exchange
 from flight.outcome import MissionEnd, Outcome
 from missions import rig_library
 from missions.leg.handover import protocol_config
-from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Role, Status
+from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Pong, Role, Status
 from path.protocol.receiver import LetGo, Provisional
 from path.protocol.values import PeerStatus, TakeResponsibility
 from tests.missions.leg.handover_pair import CONFIG, NO_END, OffsetClock, Pair, fly, kinds, until
@@ -437,3 +440,60 @@ def test_what_is_said_of_a_lease_that_is_over_is_not_said(rig: Any) -> None:
         assert taken[1:] == [None]
 
     fly(rig, course)
+
+
+def test_no_commit_is_given_or_taken_while_the_clocks_are_not_aligned(rig: Any) -> None:
+    async def course(pair: Pair) -> None:
+        for role in Role:
+            session = pair.session[role]
+            told, alignment = pair.log[role], session.alignment
+            session.alignment = Deaf() if role is Role.RECEIVER else ClockAlignment()
+            pair.sender.agreed(1)
+            await asyncio.sleep(0.02)
+            assert not pair.receiver.holds
+            assert told.of("/refused")[-1]["why"] == "no_clock", role
+            session.alignment = alignment
+        assert await pair.decide(agree=False) == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+
+    fly(rig, course)
+
+
+class Deaf(ClockAlignment):
+    """Clocks that do not become aligned."""
+
+    def on_pong(self, pong: Pong, arrival_ns: int) -> Exchange:
+        del pong, arrival_ns
+        return Exchange.DUPLICATE
+
+
+def test_a_slow_disk_is_told_of(rig: Any) -> None:
+    async def course(pair: Pair) -> None:
+        slow = SlowStore(pair.store[Role.SENDER], 0.7)
+        pair.sender._store = slow
+        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+
+    notes = [note["note"] for note in fly(rig, course).log[Role.SENDER].of("/note")]
+    assert any("took 0.7 s to write a record" in note for note in notes)
+
+
+class SlowStore:
+    """A disk that takes its time."""
+
+    def __init__(self, store: MemoryStore, seconds: float) -> None:
+        self._store, self._seconds = store, seconds
+
+    def load(self) -> Any:
+        return self._store.load()
+
+    def save(self, record: Any) -> None:
+        self._store.save(record)
+
+    def begin_save(self, record: Any) -> Future[None]:
+        saved = Future[None]()
+
+        def written() -> None:
+            self._store.save(record)
+            saved.set_result(None)
+
+        asyncio.get_running_loop().call_later(self._seconds, written)
+        return saved

@@ -18,8 +18,9 @@ from drivers.log.state_file import MemoryStore, StateFile
 from flight.outcome import MissionEnd, Outcome
 from hil.harness.virtual_time import run_virtual
 from missions import rig_library
-from missions.leg.handover import ReceiverHandover, SenderHandover
+from missions.leg.handover import ReceiverHandover, SenderHandover, protocol_config
 from path.messages import Abort, Accept, Commit, Confirm, Role, Status
+from path.protocol.receiver import LetGo
 from path.protocol.values import Handoff, ReceiverRecord, SenderRecord
 from tests.missions.leg.handover_pair import NO_END, STATE, FakeVehicle, Pair, fly, kinds, until
 
@@ -475,5 +476,25 @@ def test_the_end_of_a_program_waits_for_the_disk_but_not_for_ever(rig: Any) -> N
         begun_s = loop.time()
         await pair.sender.finish()
         assert loop.time() - begun_s < 3.0
+
+    fly(rig, course)
+
+
+def test_after_a_reboot_a_lease_is_over_for_the_receiver_and_begins_anew_for_the_sender(rig: Any) -> None:
+    """The boot's change reaches the machines: instants of another clock are no instants."""
+
+    async def course(pair: Pair) -> None:
+        pair.lose(Role.RECEIVER, Accept)
+        pair.sender.agreed(1)
+        await until(lambda: pair.receiver.holds)
+        kept = {role: cast(Kept, pair.store[role].load()).record for role in Role}
+        session = pair.session[Role.RECEIVER]
+        again = ReceiverHandover(session, MemoryStore(Kept(kept[Role.RECEIVER], same_clock=False)), lambda: True)
+        assert isinstance(again.state, LetGo) and not again.holds and not session.responsible
+        sender = pair.session[Role.SENDER]
+        whole = SenderHandover(sender, MemoryStore(Kept(kept[Role.SENDER], same_clock=False)))
+        config = protocol_config(sender)
+        longest_ns = round((config.lease_s + config.max_uncertainty_s) * 1e9)
+        assert whole.state.take_back_ns == sender.now_ns() + longest_ns
 
     fly(rig, course)

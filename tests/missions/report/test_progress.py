@@ -8,7 +8,7 @@ from dataclasses import replace
 from rich.console import Console as Terminal
 
 from flight.harness.flights import Progress
-from missions.report.progress import LineConsole, LineTally, LiveTable, LiveTally, open_console, open_tally
+from missions.report.progress import Elapsed, LineConsole, LineTally, LiveTable, LiveTally, open_console, open_tally
 from path.messages import Role
 
 START = Progress(
@@ -132,3 +132,14 @@ def test_a_tally_counts_outcomes_and_speaks_at_each_tenth() -> None:
     assert len(written) == 10
     assert written[-1] == "30/30 runs: committed 29, marker_lost 1"
     assert "30/30 runs" in text_of(live)
+
+
+def test_preparation_shows_how_long_it_takes_before_any_clock_runs() -> None:
+    wall_s = 0.0
+    elapsed = Elapsed(lambda: round(wall_s * 1e9))
+    preparing = replace(START, stamp_ns=0, phase="starting", note="preparing the renderer")
+    assert elapsed.seconds(preparing) == 0.0
+    wall_s = 47.0
+    assert elapsed.seconds(preparing) == 47.0
+    assert elapsed.seconds(START) == 0.0  # from here on it is the role's clock
+    assert elapsed.seconds(at(3.0)) == 3.0

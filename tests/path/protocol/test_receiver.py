@@ -13,6 +13,7 @@ from path.protocol.values import (
     Ended,
     Handoff,
     Heard,
+    NewMission,
     Outcome,
     PeerStatus,
     Persist,
@@ -297,3 +298,15 @@ def test_a_lease_that_is_over_is_over_before_anybody_has_told_the_machine() -> N
         actions = machine.step(Heard(CONFIRM), late)
         assert isinstance(machine.state, LetGo) and actions[0] == Release()
         assert not any(isinstance(action, TakeResponsibility) for action in actions)
+
+
+def test_a_new_mission_within_a_lease_is_none() -> None:
+    machine = provisional()
+    before = machine.state
+    assert machine.step(NewMission(), T0) == (Refused(Refusal.WRONG_STATE),)
+    assert machine.state == before and machine.responsible(T0)
+
+
+def test_what_has_an_end_is_provisional() -> None:
+    assert TakeResponsibility(5).provisional and not TakeResponsibility().provisional
+    assert TakeResponsibility(5).at(4) and not TakeResponsibility(5).at(5) and TakeResponsibility().at(1 << 62)

@@ -352,3 +352,29 @@ def test_epochs_do_not_wrap() -> None:
 def test_a_config_that_cannot_work_is_refused(changes: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(changes))):
         replace(CONFIG, **changes)
+
+
+def test_an_orphan_is_told_of_once() -> None:
+    machine, abort = handed_over(), Heard(Abort(7, 1, AbortReason.TIMEOUT, 5, ME))
+    assert machine.step(abort, T0 + 2) == (Settled(Outcome.ORPHANED),)
+    assert machine.step(abort, T0 + 3) == ()
+
+
+@pytest.mark.parametrize("word", [AbortRequested(AbortReason.PILOT), Heard(Abort(7, 1, AbortReason.PILOT, 5, ME))])
+def test_a_withdrawal_is_written_down_before_anything_is_said_of_it(word: AbortRequested | Heard) -> None:
+    machine = awaiting()
+    actions = machine.step(word, T0 + 1)
+    assert isinstance(actions[0], Persist) and isinstance(actions[0].record, SenderRecord)
+    assert actions[0].record.withdrawn is AbortReason.PILOT
+    assert machine.step(Heard(Abort(7, 1, AbortReason.GUARD, 6, ME)), T0 + 2) == ()  # the first word counts
+
+
+def test_a_new_mission_within_a_lease_is_none() -> None:
+    machine = awaiting()
+    before = machine.state
+    assert machine.step(NewMission(), T0 + 1) == (Refused(Refusal.WRONG_STATE),)
+    assert machine.state == before and machine.wake_ns is not None
+
+
+def test_an_attempt_is_the_same_before_and_after_its_commit() -> None:
+    assert LIVE.follows(None) and LIVE.follows(replace(LIVE, epoch=2)) and not LIVE.follows(OPEN)

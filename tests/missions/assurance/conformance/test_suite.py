@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from drivers.interfaces import PartError
+from flight.command_end import CommandEnd
 from hil.vehicle.bench import VehicleBench
 from missions import cli, rig_library
 from missions.assurance.conformance.measure import Measured, Suite, chosen
@@ -65,4 +66,4 @@ def test_without_a_binary_a_vehicle_is_skipped_and_said_so(
     said = capsys.readouterr().out
     assert "px4: skipped, no simulator is named (--px4 PATH, or PATH_PX4)" in said
     assert "ardupilot: skipped" in said
-    assert ended.value.code == 1
+    assert ended.value.code == CommandEnd.FAILED.exit_code

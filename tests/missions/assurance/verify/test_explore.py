@@ -10,7 +10,7 @@ from missions.assurance.verify.effects import bits
 from missions.assurance.verify.explore import Covering, Exact, Exploration, covers, explore
 from missions.assurance.verify.model import UNREAD, Scope
 from missions.assurance.verify.moves import Moves
-from missions.assurance.verify.mutants import MUTANTS, SMALL, Mutant, caught, wrong
+from missions.assurance.verify.mutants import MUTANTS, SHORT, SMALL, Mutant, caught, wrong
 from path.protocol import sender
 
 INVARIANTS = {"S1", "S2", "S3", "S4", "S5", "S6", "L1", "L2"}
@@ -35,6 +35,30 @@ def test_killed_at_any_moment_and_started_again_at_any_later_one_they_still_do()
     found = explore(replace(SMALL, crashes=1), seen=Covering())
     assert found.complete and not found.broken, said_of(found)
     assert found.states > 20_000
+
+
+def test_whatever_sleeps_through_whatever_they_still_do() -> None:
+    """All but what is to end in time (L1, L2): nothing does while everybody sleeps."""
+    found = explore(replace(SMALL, stalls=True), seen=Covering())
+    assert found.complete and not found.broken, said_of(found)
+    assert ("TakenBack", "Provisional") in found.pairs  # it has not been told, and is not responsible
+
+
+def test_of_two_receivers_on_one_channel_they_still_do() -> None:
+    found = explore(replace(SHORT, lease=2, guard=0, receivers=2), seen=Covering())
+    assert found.complete and not found.broken, said_of(found)
+    assert found.states > 2000
+
+
+@pytest.mark.parametrize(
+    ("scope", "breaks"),
+    [
+        (replace(SHORT, beyond=2), {"S1", "S3"}),  # clocks that differ by more than both sides were told
+        (replace(SHORT, crashes=1, forgetful=True), {"S1", "S2"}),  # a disk that has an earlier record, or none
+    ],
+)
+def test_what_the_page_calls_an_assumption_is_needed(scope: Scope, breaks: set[str]) -> None:
+    assert breaks <= set(explore(scope, seen=Covering()).broken)
 
 
 def test_all_that_can_come_of_a_handover_is_reached() -> None:

@@ -63,7 +63,7 @@ def test_the_table_has_both_trajectories_by_phase_with_intervals(live: tuple[Pat
     assert {"all", "verify"} <= {row["segment"] for row in rows}
     for row in rows:
         low, high = row["rmse_interval_m"]
-        assert low <= row["rmse_m"] <= high
+        assert low * (1.0 - 1e-12) <= row["rmse_m"] <= high * (1.0 + 1e-12)  # one block: all three are one number
         assert 0.02 < row["rmse_m"] < 0.1  # two beacons of 2 cm each
     assert all((live[0] / picture.file).stat().st_size > 10_000 for picture in live[1].pictures)
 

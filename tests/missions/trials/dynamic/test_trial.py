@@ -14,6 +14,7 @@ import pytest
 from drivers.beacons.log import Mounted
 from drivers.beacons.record import read_any
 from drivers.interfaces import BeaconFix, PartError
+from drivers.rig.parts import with_errors
 from missions import rig_library
 from missions.report.records import load_run
 from missions.trials.dynamic import trial as dynamic
@@ -44,7 +45,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def result(out: Path) -> TrialResult:
     with open_work(1, io.StringIO()) as work:
-        return dynamic.run(TrialRequest(rig_library.load("sim-rendered"), out, 1, True, work))
+        return dynamic.run(TrialRequest(with_errors(rig_library.load("sim-rendered"), "exact"), out, 1, True, work))
 
 
 def test_the_summary_is_complete_and_plausible(result: TrialResult) -> None:
@@ -132,7 +133,7 @@ def test_intervals_take_blocks_together() -> None:
 
 
 def test_a_rig_without_beacons_is_refused(tmp_path: Path) -> None:
-    with open_work(1, io.StringIO()) as work, pytest.raises(PartError, match="beacons"):
+    with open_work(1, io.StringIO()) as work, pytest.raises(PartError, match=r"\[reference\]: missing table"):
         dynamic.run(TrialRequest(rig_library.load("sim"), tmp_path, 1, True, work))
 
 

@@ -1,0 +1,31 @@
+"""What detectors get wrong at level ``sim``, beside the noise of their boxes: misses in spells, and inventions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from path.bounds import Bounds
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorConfig:
+    """The ``[world.detector]`` table of a rig: both drones' detectors.
+
+    By default they are as the colour detector on rendered frames, which misses and invents nothing that is not in the
+    noise of the boxes (``hil.geometric.noise``).
+
+    Attributes:
+        recall: share of the frames that show a thing in which it is found; each thing is missed by itself.
+        miss_frames: mean length of a spell of misses, and of one of inventions.
+        false_positives: share of the frames with a box somewhere in the image where there is nothing.
+        edge_px: how far every box lies to the right and down.
+    """
+
+    recall: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 1.0
+    miss_frames: Annotated[float, Bounds(1.0, 1000.0, "frames")] = 1.0
+    false_positives: Annotated[float, Bounds(0.0, 0.9, "of 1")] = 0.0
+    edge_px: Annotated[float, Bounds(-100.0, 100.0)] = 0.0
+
+
+PERFECT = DetectorConfig()
