@@ -68,6 +68,9 @@ class HandoffOptions:
     out: OutFolder = None
     """Folder for logs, summary and picture; runs/<time> by default."""
 
+    junit: FileName = None
+    """With --seeds: write a JUnit file too, a test case a run, failed unless it committed."""
+
     picture: bool = True
     """Draw run.png at the end."""
 
@@ -377,6 +380,9 @@ class CampaignOptions:
 
     rig: RigName = "sim"
     """The rig that is flown, of level sim."""
+
+    junit: FileName = None
+    """Write a JUnit file too: a test case a run, failed by what it violated, with the line that replays it."""
 
     errors: Errors = None
     """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""

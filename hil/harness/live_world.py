@@ -23,7 +23,7 @@ from hil.render.depth import DepthRenderer
 from hil.render.renderer import Renderer
 from hil.tello.video import TelloVideo
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.vehicle.messages import Drone
+from hil.vehicle.messages import MavlinkDrone
 from hil.world.errors import Built, StampErrors
 from hil.world.snapshot import Snapshot
 from path.messages import Role
@@ -140,7 +140,7 @@ def shared_camera(run: str, rig: Rig, role: Role) -> SharedCameraWriter:
     return SharedCameraWriter(run, role, size, depth_size(rig, role), fps)
 
 
-def embedded_vehicle(rig: Rig, own: RoleRig, drone: Drone) -> MavlinkVehicle:
+def embedded_vehicle(rig: Rig, own: RoleRig, drone: MavlinkDrone) -> MavlinkVehicle:
     """A drone's autopilot on the wire, where the role's driver listens, and its guard's."""
     second = None if own.guard is None else _listener(str(own.guard.options["url"]))
     tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)

@@ -18,7 +18,7 @@ from drivers.link.key import signing_time
 from drivers.mavlink.geodesy import LocalTangent
 from hil.autopilot.autopilot import Ack
 from hil.vehicle.channel import Address, Channel
-from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, Drone, Flight
+from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, Flight, MavlinkDrone
 from hil.vehicle.parameters import Parameters
 from path.messages import Vec3
 from path.rotation import yaw_of
@@ -60,7 +60,7 @@ class MavlinkVehicle:
         tap: called with (now_s, message) for every message from anybody; for tests and logs.
     """
 
-    def __init__(self, config: MavlinkVehicleConfig, drone: Drone, tangent: LocalTangent) -> None:
+    def __init__(self, config: MavlinkVehicleConfig, drone: MavlinkDrone, tangent: LocalTangent) -> None:
         self._config = config
         self._drone = drone
         self._tangent = tangent

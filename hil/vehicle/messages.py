@@ -45,7 +45,7 @@ _CAPABILITIES = (
 FULL_MV, EMPTY_MV = 16_800, 13_200  # four lithium cells
 
 
-class Drone(Protocol):
+class MavlinkDrone(Protocol):
     """What of a simulated drone is seen on the wire: ``hil.world.world.SimDrone``."""
 
     @property

@@ -15,7 +15,7 @@ from drivers.rig.parts import Rig, with_errors
 from flight.harness.flights import Emit
 from flight.outcome import Outcome
 from missions import rig_library
-from missions.handoff.command import Programs, fly_once, name_simulators, unwritten
+from missions.handoff.command import FlightPrograms, fly_once, name_simulators, unwritten
 from missions.leg.command import fly_from_drone
 from missions.options import FlyOptions, RoleOptions
 from missions.own.load import load_mission
@@ -59,10 +59,10 @@ def fly_mission(mission: Path, rig: Rig, seed: int, faults: tuple[str, ...], out
     return fly_once(rig, seed, faults, out, emit, programs_of(mission))
 
 
-def programs_of(mission: Path) -> Programs:
+def programs_of(mission: Path) -> FlightPrograms:
     """How both drones fly a mission, in a harness's process or in processes of their own. Raises PartError."""
     own, file = OwnMission(load_mission(mission)), str(mission.resolve())
-    return Programs(own, lambda role: ("fly", file, "--drone", role.value), Outcome.FLOWN)
+    return FlightPrograms(own, lambda role: ("fly", file, "--drone", role.value), Outcome.FLOWN)
 
 
 def report(folder: Path, stream: TextIO) -> dict[str, Any]:
