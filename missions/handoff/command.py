@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +22,7 @@ from missions import rig_library
 from missions.leg.process import fly_role
 from missions.options import ConformanceOptions, FlyOptions, HandoffOptions
 from missions.report.command import make_report, series_table, show, summarize_many
+from missions.report.junit import JUnitCase, write_junit
 from missions.report.progress import open_console, open_tally
 from missions.report.records import RUN, SUMMARY, RunFacts, load_run, write_facts
 from missions.report.right_object import fly_watched
@@ -88,11 +90,25 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
                 tally.add(summary["outcome"])
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-    series = summarize_many(sorted(summaries, key=lambda summary: summary["seed"]))
+    summaries.sort(key=lambda summary: summary["seed"])
+    if options.junit is not None:
+        write_junit(options.junit, f"handoff {rig.name}", [junit_case(options, summary) for summary in summaries])
+    series = summarize_many(summaries)
     (folder / SUMMARY).write_text(json.dumps(series, indent=2) + "\n", "utf-8")
     show(series_table(series), sys.stdout)
     sys.stdout.write(f"\n{folder}: {SUMMARY}, and a folder for each seed\n")
     return exit_code_of_many(series)
+
+
+def junit_case(options: HandoffOptions, summary: Mapping[str, Any]) -> JUnitCase:
+    """One run of many as a test case: it fails unless it committed."""
+    errors = [] if options.errors is None else ["--errors", options.errors]
+    faults = [word for fault in options.fault for word in ("--fault", fault)]
+    asked = ["--rig", options.rig, "--seed", str(summary["seed"]), *errors, *faults]
+    outcome = str(summary["outcome"])
+    failures = () if summary["exit_code"] == 0 else (summary["detail"] or outcome, *summary["notes"])
+    replay = f"path-handoff handoff {shlex.join(asked)}"
+    return JUnitCase(f"seed {summary['seed']}", outcome, replay, failures, summary["wall_s"] or 0.0)
 
 
 def exit_code_of_many(series: Mapping[str, Any]) -> int:

@@ -50,6 +50,7 @@ class Judge:
         self.decided_s = self.gap_s = 0.0
         self.commit_s: float | None = None
         self.stepped = False
+        self._stalled_s = 0.0
         self._agreed: set[int] = set()
         self._issued: dict[tuple[int, int], _Issued] = {}  # by epoch and nonce
         self._committed_s: float | None = None
@@ -70,6 +71,10 @@ class Judge:
 
     def clock_set(self) -> None:
         self.stepped = True
+
+    def stalled(self, for_s: float) -> None:
+        """A program stands still: all that is to end in time may end as much later."""
+        self._stalled_s += for_s
 
     def agreed(self, epoch: int) -> None:
         self._agreed.add(epoch)
@@ -152,7 +157,7 @@ class Judge:
         if began is not None:
             waited_s = now_s - began[1]
             self.decided_s = max(self.decided_s, waited_s)
-            if waited_s > DECISION_BOUND_S * DRIFT:
+            if waited_s > DECISION_BOUND_S * DRIFT + self._stalled_s:
                 self._violated("L1", f"the {role.value} decided after {waited_s:.2f} s")
         if role is Role.SENDER and self._committed_s is not None:
             self.commit_s = max(self.commit_s or 0.0, now_s - self._committed_s)
@@ -220,7 +225,7 @@ class Judge:
             case _:
                 return
         late_s = min((program.now_ns() - end_ns) * 1e-9, self._world.now_s - program.began_s)
-        if late_s > LATE_S:
+        if late_s > LATE_S + self._stalled_s:
             self._violated("L1", f"{type(state).__name__} is {late_s:.2f} s overdue")
 
     def _gap(self) -> None:
@@ -233,7 +238,11 @@ class Judge:
         now_s = self._world.now_s
         if self._alone_s is None:
             self._alone_s = now_s
-        elif now_s - self._alone_s > GAP_BOUND_S * DRIFT and not _orphan(gives, takes) and not self._anew:
+        elif (
+            now_s - self._alone_s > GAP_BOUND_S * DRIFT + self._stalled_s
+            and not _orphan(gives, takes)
+            and not self._anew
+        ):
             self._violated("L2", f"nobody is responsible: {type(gives).__name__}, {type(takes).__name__}")
         if _orphan(gives, takes):
             self._orphaned = True

@@ -19,6 +19,7 @@ class MachineLevel:
         drift_ppm: of either clock against true time, at most.
         step: chance that a clock is set forward or back.
         crash: chance that a program is killed, between any two of its effects; drawn once more for a second time.
+        stall: chance that a program stands still for a while, between any two of its effects; drawn twice.
         disk_s, late_s: how long at most it takes to write a record down, and how late a program wakes.
         forged_hz: forged, altered and repeated packets a second at most, at either end.
         pilot: chance that a pilot, or a guard, ends the mission of one side.
@@ -38,6 +39,7 @@ class MachineLevel:
     drift_ppm: float = 20.0
     step: float = 0.0
     crash: float = 0.0
+    stall: float = 0.0
     disk_s: float = 0.002
     late_s: float = 0.001
     forged_hz: float = 0.0
@@ -54,11 +56,11 @@ MACHINE_LEVELS: dict[LevelName, MachineLevel] = {
     ),
     "harsh": MachineLevel(
         loss=(0.3, 0.5), delay_s=(0.0, 0.02), jitter_s=(0.0, 0.2), duplicate=0.2, corrupt=0.1, reorder=0.2,
-        outages=2, outage_s=3.0, drift_ppm=100.0, crash=0.5, disk_s=0.04, late_s=0.02, wrong=0.1, never=0.05,
+        outages=2, outage_s=3.0, drift_ppm=100.0, crash=0.5, stall=0.3, disk_s=0.04, late_s=0.02, wrong=0.1, never=0.05,
     ),
     "hostile": MachineLevel(
         loss=(0.0, 0.5), delay_s=(0.0, 0.03), jitter_s=(0.0, 0.2), duplicate=0.2, corrupt=0.2, reorder=0.2,
-        outages=3, outage_s=3.0, drift_ppm=100.0, step=0.15, crash=0.5, disk_s=0.04, late_s=0.02,
+        outages=3, outage_s=3.0, drift_ppm=100.0, step=0.15, crash=0.5, stall=0.3, disk_s=0.04, late_s=0.02,
         forged_hz=20.0, pilot=0.4, unable=0.3, wrong=0.2, never=0.05,
     ),
 }  # fmt: skip

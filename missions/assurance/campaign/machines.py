@@ -16,7 +16,7 @@ from drivers.link.wire import KEY_LENGTH, Codec
 from drivers.log.state_file import MemoryStore
 from flight.outcome import Outcome
 from missions.assurance.campaign.judge import Judge
-from missions.assurance.campaign.plan import CLOCKS_S, ROLES, Crash, Plan, Step
+from missions.assurance.campaign.plan import CLOCKS_S, ROLES, Crash, Plan, Stall, Step
 from missions.assurance.campaign.program import Program, ReceiverProgram, SenderProgram, Sent
 from path.messages import Accept, Commit, Message, Role
 from path.protocol import receiver, sender
@@ -46,8 +46,8 @@ class Run:
         outcome: "commit", "timeout", "aborted: REASON" and so on, see ``docs/campaign.md``.
         violations, beyond: each "NAME at T s: what"; ``beyond``: after a clock was set, which no lease can bear.
         figures: in s: "decided_s", the longest wait for a decision since an attempt began; "commit_s", since a COMMIT;
-            "gap_s", the longest time with nobody responsible, orphans apart; "simulated_s". After a clock was set only
-            the last.
+            "gap_s", the longest time with nobody responsible, orphans apart; "simulated_s". After a clock was set, and
+            where a program stands still, only the last.
     """
 
     outcome: str
@@ -104,14 +104,15 @@ class Machines:
             self.at(crash.at_s, lambda crash=crash: self._arm(crash))
         for step in plan.steps:
             self.at(step.at_s, lambda step=step: self._set_clock(step))
+        for stall in plan.stalls:
+            self.at(stall.at_s, lambda stall=stall: self._stall(stall))
         for role, at_s in plan.pilots:
             self.at(at_s, lambda role=role: self._pilot(role))
         if plan.forged_hz > 0.5:
             self.at(self.random.expovariate(plan.forged_hz), self._forge)
-        due, quiet_s, events = self._due, 0.0, 0
+        quiet_s, events = 0.0, 0
         while self.now_s < LONGEST_S:
-            self.now_s, _, do = heapq.heappop(due)
-            do()
+            self._next()
             events += 1
             if events % LOOK_EVERY:
                 continue
@@ -120,6 +121,16 @@ class Machines:
             elif self.now_s - quiet_s > QUIET_S:
                 break
         return self._outcome()
+
+    def _next(self) -> None:
+        self.now_s, _, do = heapq.heappop(self._due)
+        do()
+
+    def pass_time(self, until_s: float) -> None:
+        """Everything else that happens until then, while a program stands still between two of its effects."""
+        while self._due and self._due[0][0] < until_s:
+            self._next()
+        self.now_s = max(self.now_s, until_s)  # the other one may have stood still for longer
 
     def at(self, time_s: float, do: Callable[[], Any]) -> None:
         self._order += 1
@@ -223,6 +234,12 @@ class Machines:
             drone.store = MemoryStore(Kept(kept.record, same_clock=False) if kept else None)
         self._start(crash.role)
 
+    def _stall(self, stall: Stall) -> None:
+        program = self._drones[stall.role].program
+        if program is not None:
+            program.stall = (stall.after, stall.for_s)
+            self.judge.stalled(stall.for_s)
+
     def _set_clock(self, step: Step) -> None:
         self.tell(step.role, f"its clock is set by {step.by_s:+.2f} s")
         self._drones[step.role].clock.offset_s += step.by_s
@@ -252,7 +269,7 @@ class Machines:
         judge = self.judge
         judge.close()
         figures = {"simulated_s": self.now_s}
-        if not judge.stepped:
+        if not judge.stepped and not self.plan.stalls:
             figures |= {"decided_s": judge.decided_s, "gap_s": judge.gap_s}
             if judge.commit_s is not None:
                 figures["commit_s"] = judge.commit_s

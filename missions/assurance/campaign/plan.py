@@ -46,6 +46,16 @@ class Crash:
 
 
 @dataclass(frozen=True, slots=True)
+class Stall:
+    """A program stands still between two of its effects, the ``after``-th since an instant, and then goes on."""
+
+    role: Role
+    at_s: float
+    after: int
+    for_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Step:
     """A clock is set, forward or back."""
 
@@ -83,6 +93,7 @@ class Plan:
     crashes: tuple[Crash, ...]
     pilots: tuple[tuple[Role, float], ...]
     blind: tuple[float, float] | None
+    stalls: tuple[Stall, ...]
     forged_hz: float
     disk_s: float
     late_s: float
@@ -118,6 +129,7 @@ def draw(seed: int, level: LevelName, number: int) -> Plan:
         forged_hz=rng.uniform(0.0, of.forged_hz),
         disk_s=rng.uniform(0.0, of.disk_s),
         late_s=rng.uniform(0.0, of.late_s),
+        stalls=_stalls(of, random.Random(f"{name} stalls"), commit_s),
     )
 
 
@@ -163,6 +175,18 @@ def _crashes(of: MachineLevel, rng: random.Random, commit_s: float) -> tuple[Cra
             )
         )  # fmt: skip
     return tuple(crashes)
+
+
+def _stalls(of: MachineLevel, rng: random.Random, commit_s: float) -> tuple[Stall, ...]:
+    """Half of them sleep over the lease's end, if the COMMIT comes when it is expected."""
+    stalls: list[Stall] = []
+    for _ in range(2):
+        if rng.random() < of.stall:
+            near = rng.random() < 0.5
+            at_s = commit_s + rng.uniform(1.2, 1.5) if near else _when(rng, commit_s)
+            for_s = rng.choice((0.1, 0.39, 2.0)) if near else rng.uniform(0.05, 2.0)
+            stalls.append(Stall(rng.choice(ROLES), at_s, rng.randint(1, 4), for_s))
+    return tuple(stalls)
 
 
 def _blind(of: MachineLevel, rng: random.Random, commit_s: float) -> tuple[float, float] | None:

@@ -68,6 +68,9 @@ class Program:
         self.decision: Decision | None = None
         self.settled: Decision | None = None
         self.fuse: tuple[int, bool] | None = None
+        self.stall: tuple[int, float] | None = None  # effects until it, and for how long
+        self._standing = False
+        self._later: list[Callable[[], object]] = []  # what its turn comes for when it goes on
         self.writing: SenderRecord | ReceiverRecord | None = None
         self.vehicle = SimpleNamespace(state=SimpleNamespace(armed=world.flying))
         self._heard_s = self.began_s = world.now_s
@@ -153,7 +156,8 @@ class Program:
         task.close()  # time is brought by ``_tick``
 
     def _effect(self, do: Callable[[], None]) -> None:
-        """Something the world can see; a kill that was ordered happens before or after it."""
+        """Something the world can see; a kill that was ordered happens before or after it, a stall before."""
+        self._stand_still()
         if self.fuse is None:
             do()
             return
@@ -164,6 +168,20 @@ class Program:
         do()
         if left <= 1:
             raise Killed
+
+    def _stand_still(self) -> None:
+        if self.stall is None:
+            return
+        left, for_s = self.stall
+        self.stall = (left - 1, for_s) if left > 1 else None
+        if left <= 1:
+            self.world.tell(self.role, f"stands still for {for_s:.2f} s")
+            self._standing = True
+            self.world.pass_time(self.world.now_s + for_s)
+            self._standing = False
+            for do in self._later:
+                self.world.at(self.world.now_s, do)
+            self._later.clear()
 
     # --- what happens to it ------------------------------------------------------------------------------------
 
@@ -177,6 +195,9 @@ class Program:
         """Do something now; nothing once it is dead."""
         world, result = self.world, None
         if not self.alive:
+            return None
+        if self._standing:
+            self._later.append(lambda: self.run(do))
             return None
         try:
             result = do()
@@ -227,6 +248,9 @@ class Program:
         """Do something again and again, as long after each time as it says."""
 
         def once() -> None:
+            if self._standing:
+                self._later.append(once)
+                return
             after_s = self.run(do)
             if self.alive:
                 late_s = self.world.random.uniform(0.0, self.world.plan.late_s)
@@ -238,6 +262,9 @@ class Program:
     def _tick_on(self, ticks: int) -> None:
         """Time for the machine, until another deadline is set."""
         if not self.alive or ticks != self._ticks:
+            return
+        if self._standing:
+            self._later.append(lambda: self._tick_on(ticks))
             return
         after_s = self.run(self.handover.tick)
         wait_s = after_s if isinstance(after_s, float) else 0.0

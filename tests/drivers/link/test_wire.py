@@ -458,3 +458,8 @@ def test_before_its_stream_has_proven_itself_nothing_but_a_ping_of_the_peer_is_t
     introduce(sender, receiver)
     back = receiver.decode(sender.encode(message))
     assert type(back) is type(message)
+
+
+def test_packets_are_numbered_as_they_go() -> None:
+    codec = Codec(Role.SENDER, None)
+    assert [codec.encode(Ping(1, 1))[4] for _ in range(258)] == [*range(256), 0, 1]

@@ -221,3 +221,14 @@ def test_a_disk_that_is_full_is_told_to_whoever_waits(path: Path, monkeypatch: p
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(StateError, match="No space left"):
         StateFile(path, Role.SENDER).begin_save(RELEASED).result(10.0)
+
+
+def test_what_the_disk_is_asked_to_keep_has_left_the_program_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sync of a file whose content still waits in a buffer keeps nothing."""
+    sizes: list[int] = []
+    monkeypatch.setattr(os, "fsync", lambda number: sizes.append(os.fstat(number).st_size))
+    file = tmp_path / "state.json"
+    StateFile(file, Role.SENDER).save(SenderRecord(7))
+    assert sizes[0] == file.stat().st_size > 0

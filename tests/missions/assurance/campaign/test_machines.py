@@ -9,7 +9,7 @@ import pytest
 from hil.link.faulty import faulty_channel
 from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.machines import Machines
-from missions.assurance.campaign.plan import Crash, Outage, Plan, draw
+from missions.assurance.campaign.plan import Crash, Outage, Plan, Stall, draw
 from missions.assurance.verify.mutants import MUTANTS, wrong
 from missions.options import LevelName
 from path.messages import Role
@@ -107,3 +107,15 @@ def test_machines_that_skip_a_rule_are_caught(rule: str) -> None:
             if Machines(draw(0, level, number), faulty_channel).run().violations:
                 return
     raise AssertionError("not caught")
+
+
+@pytest.mark.parametrize("role", list(Role))
+@pytest.mark.parametrize("for_s", [0.1, 0.39, 2.0])
+def test_a_program_may_stand_still_between_any_two_effects_for_any_time(role: Role, for_s: float) -> None:
+    lost = Outage(commit_s(CALM) + 0.001, commit_s(CALM) + 3.0, Role.RECEIVER)  # no ACCEPT: the lease runs out
+    for after in range(1, 5):
+        for begins_s in (-0.01, 1.3):
+            stall = Stall(role, commit_s(CALM) + begins_s, after, for_s)
+            for outages in ((), (lost,)):
+                run = Machines(replace(CALM, stalls=(stall,), outages=outages), faulty_channel).run()
+                assert run.violations == (), (stall, outages)
