@@ -68,6 +68,9 @@ class HandoffOptions:
     out: OutFolder = None
     """Folder for logs, summary and picture; runs/<time> by default."""
 
+    junit: FileName = None
+    """With --seeds: write a JUnit file too, a test case a run, failed unless it committed."""
+
     picture: bool = True
     """Draw run.png at the end."""
 
@@ -406,6 +409,9 @@ class CampaignOptions:
     rig: RigName = "sim"
     """The rig that is flown, of level sim."""
 
+    junit: FileName = None
+    """Write a JUnit file too: a test case a run, failed by what it violated, with the line that replays it."""
+
     errors: Errors = None
     """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
 
@@ -459,6 +465,9 @@ class BoardOptions:
 
     dictionary: str = "DICT_4X4_50"
     """OpenCV's dictionary of these markers."""
+
+    legacy: bool = False
+    """The board is a ChArUco one as OpenCV drew it before 4.6; of images and films that is also found out."""
 
 
 @dataclass(frozen=True, slots=True)
