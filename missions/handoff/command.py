@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -16,11 +17,12 @@ from typing import Any
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, import_factory, with_errors
 from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleMain, RoleResult
-from flight.outcome import Outcome, violated_outcome
+from flight.outcome import OBJECT_MONITOR, Outcome, violated_outcome
 from missions import rig_library
 from missions.leg.process import fly_role
 from missions.options import ConformanceOptions, FlyOptions, HandoffOptions
 from missions.report.command import make_report, series_table, show, summarize_many
+from missions.report.junit import JUnitCase, write_junit
 from missions.report.progress import open_console, open_tally
 from missions.report.records import RUN, SUMMARY, RunFacts, load_run, write_facts
 from missions.report.right_object import fly_watched
@@ -28,6 +30,13 @@ from missions.report.summary import summarize
 from missions.run_folder import claim_result, claimed, new_folder, refuse_foreign, unless_refused
 from missions.shown import say_unwritten
 from path.messages import Role
+
+OF_TIME = frozenset(Outcome) - {
+    Outcome.COMMITTED, Outcome.FLOWN, Outcome.PILOT_OVERRIDE, Outcome.ORPHANED, Outcome.STATE_LOST, Outcome.UNFIT,
+    Outcome.INTERRUPTED, Outcome.CRASHED, Outcome.RESTARTED, Outcome.LOG_FAILED,
+}  # fmt: skip
+MONITORS_OF_TIME = frozenset({"S7", "S8", OBJECT_MONITOR, "L1", "L2"})
+"""What a computer that does not keep up can be the cause of: then it says nothing of the mission."""
 
 _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
 
@@ -81,11 +90,25 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
                 tally.add(summary["outcome"])
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-    series = summarize_many(sorted(summaries, key=lambda summary: summary["seed"]))
+    summaries.sort(key=lambda summary: summary["seed"])
+    if options.junit is not None:
+        write_junit(options.junit, f"handoff {rig.name}", [junit_case(options, summary) for summary in summaries])
+    series = summarize_many(summaries)
     (folder / SUMMARY).write_text(json.dumps(series, indent=2) + "\n", "utf-8")
     show(series_table(series), sys.stdout)
     sys.stdout.write(f"\n{folder}: {SUMMARY}, and a folder for each seed\n")
     return exit_code_of_many(series)
+
+
+def junit_case(options: HandoffOptions, summary: Mapping[str, Any]) -> JUnitCase:
+    """One run of many as a test case: it fails unless it committed."""
+    errors = [] if options.errors is None else ["--errors", options.errors]
+    faults = [word for fault in options.fault for word in ("--fault", fault)]
+    asked = ["--rig", options.rig, "--seed", str(summary["seed"]), *errors, *faults]
+    outcome = str(summary["outcome"])
+    failures = () if summary["exit_code"] == 0 else (summary["detail"] or outcome, *summary["notes"])
+    replay = f"path-handoff handoff {shlex.join(asked)}"
+    return JUnitCase(f"seed {summary['seed']}", outcome, replay, failures, summary["wall_s"] or 0.0)
 
 
 def exit_code_of_many(series: Mapping[str, Any]) -> int:
@@ -193,7 +216,15 @@ def unwritten(facts: RunFacts, error: OSError) -> RunFacts:
 
 
 def judge(report: FlightReport, good: Outcome = Outcome.COMMITTED) -> tuple[Outcome, str]:
-    """The outcome of the whole run: the harness's own failure and violated monitors first, then the roles' causes."""
+    """The outcome of the whole run: what a computer that was too slow explains is blamed on nobody else."""
+    outcome, detail = _cause(report, good)
+    if report.overload and outcome in OF_TIME and not report.violations.keys() - MONITORS_OF_TIME:
+        return Outcome.OVERLOADED, f"{report.overload} (and so {outcome.label}: {detail})"
+    return outcome, detail
+
+
+def _cause(report: FlightReport, good: Outcome) -> tuple[Outcome, str]:
+    """The harness's own failure and violated monitors first, then the roles' causes."""
     if report.failure:
         return Outcome.HARNESS_FAILED, report.failure
     if report.violations:

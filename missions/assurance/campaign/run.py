@@ -22,6 +22,7 @@ from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.results import RunLine, kept_results
 from missions.assurance.campaign.summary import draw_outcomes, summarize, table
 from missions.options import CampaignOptions, LevelName
+from missions.report.junit import JUnitCase, write_junit
 from missions.work import open_work
 
 SUMMARY, PICTURE = "summary.json", "outcomes.png"
@@ -111,9 +112,17 @@ def report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> 
     summary = summarize(options.program, options.seed, lines, command)
     (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
     draw_outcomes(summary, folder / PICTURE)
+    if options.junit is not None:
+        runs = sorted(lines, key=lambda line: line.number)
+        write_junit(options.junit, f"campaign {options.program}", [junit_case(options, line) for line in runs])
     sys.stdout.write(table(summary))
     sys.stdout.write(f"\n{folder}: {SUMMARY}, {PICTURE}, runs.jsonl\n")
     return exit_code(summary["violations_of"])
+
+
+def junit_case(options: CampaignOptions, line: RunLine) -> JUnitCase:
+    """A run as a test case: it fails by what it violated."""
+    return JUnitCase(f"{line.level} {line.number}", line.outcome, replay_command(options, line), line.violations)
 
 
 def replay_command(options: CampaignOptions, line: RunLine) -> str:
