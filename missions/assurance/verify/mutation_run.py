@@ -147,6 +147,8 @@ class Trials:
             suite, mutation = one
             source = mutated((self._root / suite.file).read_text("utf-8"), mutation)
             came = self.trial(suite, source, bounds_s[suite.file])
+            if came["broken"]:
+                raise PartError(f"the tests of {suite.file} were not run: {came['what']}", "mend that first")
             return Tried(mutation, not came["passed"], by=came["what"], took_s=came["took_s"])
 
         with ThreadPoolExecutor(self._jobs) as threads:

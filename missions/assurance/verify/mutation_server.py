@@ -1,7 +1,8 @@
 """Runs a module's tests on its code and on wrong versions of it: ``python -m``, this module.
 
 Everything that takes long to import and is not PATH's is imported once; each trial is a fork of that. A line of JSON
-comes in for each: {"module", "source" (null: as it is), "tests", "bound_s"}; {"passed", "what", "took_s"} goes out.
+comes in for each: {"module", "source" (null: as it is), "tests", "bound_s"}; one goes out: {"passed", "what", "took_s",
+"broken"}, the last when the tests were not run at all.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from typing import IO, Any
 
 _HEAVY = ("cv2", "msgspec", "numba", "numpy", "pytest", "pymavlink.mavutil", "rich.console", "tyro")
 _POLL_S = 0.02
-_CAUGHT, _MISUSED = 1, (3, 4, 5)  # pytest's exit codes; 2 is a module that cannot even be imported
+_MISUSED = (3, 4, 5)  # pytest's exit codes, when it ran no test; 2 is a module that cannot even be imported
 _SHOWN = 2000
 
 
@@ -51,6 +52,7 @@ def run_tests(order: dict[str, Any]) -> int:
     if order["source"] is not None:
         sys.meta_path.insert(0, Wrong(order["module"], order["source"]))
     quiet = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--no-header", "--tb=line"]
+    quiet += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # this module's own package is imported already
     return int(pytest.main([*quiet, *order["tests"]]))
 
 
@@ -72,9 +74,10 @@ def trial(order: dict[str, Any]) -> dict[str, Any]:
         said.seek(0)
         text = said.read().decode(errors="replace")[-_SHOWN:]
     took_s = time.monotonic() - begun_s
-    if code in _MISUSED and order["source"] is None:
-        return {"passed": False, "what": text, "took_s": took_s}
-    return {"passed": code == 0, "what": "too slow" if code is None else _first(text), "took_s": took_s}
+    if code in _MISUSED:
+        return {"passed": False, "what": text, "took_s": took_s, "broken": True}
+    what = "too slow" if code is None else _first(text)
+    return {"passed": code == 0, "what": what, "took_s": took_s, "broken": False}
 
 
 def _become(said: IO[bytes]) -> None:
