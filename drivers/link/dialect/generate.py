@@ -1,4 +1,6 @@
-"""Generates ``path_dialect.py`` from ``path.xml``: ``python -m drivers.link.dialect.generate``. So does installing PATH.
+"""Generates ``path_dialect.py`` from ``path.xml``, as installing PATH does.
+
+``python -m drivers.link.dialect.generate`` does it again after a change of the XML.
 
 ``python -m drivers.link.dialect.generate --wireshark FILE.lua`` writes a dissector for Wireshark instead; put it into
 the folder that Wireshark calls "Personal Lua Plugins".
