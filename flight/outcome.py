@@ -45,6 +45,7 @@ class Outcome(Enum):
     MISSION_FAILED = ("mission_failed", 36, "a mission of your own gave up, or one of its waits was over")
     MONITOR_VIOLATED = ("monitor_violated", 40, "a safety monitor of the harness was violated")
     HARNESS_FAILED = ("harness_failed", 41, "the simulation itself failed: not the mission's fault")
+    OVERLOADED = ("overloaded", 43, "the computer was too slow for a run in real time: it says nothing of the mission")
     WRONG_OBJECT = ("wrong_object", 42, "another object was handed over than the one that was designated")
 
     def __init__(self, label: str, exit_code: int, meaning: str) -> None:

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib.metadata import version
 from typing import Annotated
 
 import tyro
@@ -20,9 +21,11 @@ from missions.options import (
     ConformanceOptions,
     DetectOptions,
     DoctorOptions,
+    ExportOptions,
     FlyOptions,
     GuardOptions,
     HandoffOptions,
+    MergeOptions,
     ReceiverOptions,
     RelayOptions,
     ReplayOptions,
@@ -46,6 +49,8 @@ MODULES: dict[type[object], str] = {
     RigsOptions: "rig_list",
     ReportOptions: "report.command",
     ReplayOptions: "replay.command",
+    MergeOptions: "logs.merge",
+    ExportOptions: "logs.export",
     TrialOptions: "trials.run",
     VerifyOptions: "assurance.verify.run",
     CampaignOptions: "assurance.campaign.run",
@@ -92,6 +97,8 @@ Command = (
     | Annotated[RigsOptions, tyro.conf.subcommand("rigs")]
     | Annotated[ReportOptions, tyro.conf.subcommand("report")]
     | Annotated[ReplayOptions, tyro.conf.subcommand("replay")]
+    | Annotated[MergeOptions, tyro.conf.subcommand("merge")]
+    | Annotated[ExportOptions, tyro.conf.subcommand("export")]
     | Annotated[TrialOptions, tyro.conf.subcommand("trial")]
     | Annotated[VerifyOptions, tyro.conf.subcommand("verify")]
     | Annotated[CampaignOptions, tyro.conf.subcommand("campaign")]
@@ -120,6 +127,9 @@ def _have_streams() -> None:
 
 def _carry_out(arguments: Sequence[str] | None) -> int:
     """The exit code of a command line. Raises SystemExit for one that was not understood, or asked for help."""
+    if (sys.argv[1:] if arguments is None else list(arguments)) == ["--version"]:
+        sys.stdout.write(f"path-handoff {version('path-handoff')}\n")
+        sys.exit(0)
     try:
         command = tyro.cli(
             Command,  # type: ignore[arg-type]  # a union of options, one for each command

@@ -274,6 +274,34 @@ class ReplayOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class MergeOptions:
+    """Put the logs of a run, or of two companions, into one on one clock."""
+
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE ...")]
+    """Folders of runs, or logs (.mcap). A log's name goes before its topics."""
+
+    out: FileName = None
+    """The merged log; merged.mcap beside the first one by default."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """Write what a run's logs hold in forms that other programs read."""
+
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+    """The folder of the run."""
+
+    tum: bool = False
+    """Trajectories, as evo reads them."""
+
+    csv: bool = False
+    """A table for each topic of each log."""
+
+    out: OutFolder = None
+    """Where to; `export` in the run's folder by default."""
+
+
+@dataclass(frozen=True, slots=True)
 class TrialOptions:
     """Run one of the paper's experiments, or all of them, and hold what comes out against the paper."""
 
@@ -437,6 +465,9 @@ class BoardOptions:
 
     dictionary: str = "DICT_4X4_50"
     """OpenCV's dictionary of these markers."""
+
+    legacy: bool = False
+    """The board is a ChArUco one as OpenCV drew it before 4.6; of images and films that is also found out."""
 
 
 @dataclass(frozen=True, slots=True)

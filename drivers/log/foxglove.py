@@ -335,10 +335,11 @@ _LINES: dict[str, Callable[[Record], str]] = {
 
 
 def _verdict(pair: Record) -> str:
+    count = f"{min(pair['count'], pair['needed'])}/{pair['needed']}"
     if pair["iou"] is None:
-        return f"{pair['reason']}  {pair['count']}/{pair['needed']}"
+        return f"{pair['reason']}  {count}"
     tau = "" if pair["tau"] is None else f" (needs {pair['tau']:.2f})"
-    return f"IoU {pair['iou']:.2f}{tau}  {pair['count']}/{pair['needed']}"
+    return f"IoU {pair['iou']:.2f}{tau}  {count}"
 
 
 def _turned(q: Sequence[float], point: Sequence[float]) -> Any:

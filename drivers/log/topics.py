@@ -144,6 +144,10 @@ TOPICS: dict[str, Topic] = {
         "what the vehicle was told",
         {"velocity_n_mps": _numbers("north, east, down in m/s"), "yaw_rad": _number("heading from north, rad")},
     ),
+    "/doubt": Topic(
+        "whether the pilot has taken the vehicle is not known for a moment",
+        {"mode": _text("flight mode as heard"), "armed": _flag("motors may turn")},
+    ),
     "/responsibility": Topic(
         "whose the target is, when that changes",
         {

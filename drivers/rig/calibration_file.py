@@ -82,6 +82,7 @@ class CameraCalibration:
         serial: of the camera, "" when it is not known.
         source, board: what it was made from, for people.
         standard_errors: of each parameter.
+        grade: good, or fair or weak where ``weak`` names what its views lacked (docs/calibration.md).
     """
 
     kind: Literal["camera"]
@@ -93,6 +94,8 @@ class CameraCalibration:
     camera: CameraTable
     standard_errors: Annotated[dict[str, float], Bounds(0.0, 1e6, "as the parameter")]
     quality: Quality
+    grade: Literal["good", "fair", "weak"] = "good"
+    weak: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         _check_version(self.version)

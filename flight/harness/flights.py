@@ -147,6 +147,7 @@ class FlightReport:
         violations: number of violations by monitor name; empty when all held.
         simulated_s, wall_s: duration of the run on the mission's clock and on the wall.
         failure: why the harness itself failed; empty when it did not.
+        overload: what of a run in real time was late, and how late; empty when the computer kept up.
         figures: what the monitors timed, in s by name: "commit_s", from COMMIT to the sender's decision, and "gap_s",
             the longest time with nobody responsible; without what did not happen.
         errors: what the world was drawn with: the level's name, and standard deviations by what they are of; empty in
@@ -160,6 +161,7 @@ class FlightReport:
     wall_s: float
     interrupted: bool = False
     failure: str = ""
+    overload: str = ""
     notes: Sequence[str] = field(default_factory=tuple)
     figures: Mapping[str, float] = field(default_factory=dict[str, float])
     errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])

@@ -16,12 +16,17 @@ from hil.camera.shared import RUN_VARIABLE
 Child = asyncio.subprocess.Process
 END_S = 5.0
 STOPPED_S = 20.0
+REMIND_S = 5.0
 WORLD_READY_S = 180.0  # the first start compiles the renderer
 FINDINGS_S = 10.0
 
 
 class HarnessFailure(Exception):
     """The simulation itself failed: not the mission's fault."""
+
+
+class WorldTooSlow(HarnessFailure):
+    """The world was not ready in time; says how long was waited, and for what."""
 
 
 def run_name() -> str:
@@ -61,15 +66,29 @@ async def read_world(world: Child) -> dict[str, Any]:
 
 
 async def until_ready(world: Child, warming: Callable[[str], None]) -> dict[str, Any]:
-    """Its event, once it is; ``warming`` is called with what it does until then. Raises HarnessFailure."""
+    """Its event, once it is; ``warming`` is called with what it does until then, every few seconds.
+
+    Raises HarnessFailure, and WorldTooSlow when it takes too long.
+    """
+    doing = "starting"
+
+    async def remind() -> None:
+        while True:
+            await asyncio.sleep(REMIND_S)
+            warming(doing)
+
+    reminder = asyncio.create_task(remind())
     try:
         async with asyncio.timeout(WORLD_READY_S):
             while (event := await read_world(world)).get("event") != "ready":
                 if event.get("event") == "warming":
-                    warming(str(event["what"]))
+                    doing = str(event["what"])
+                    warming(doing)
             return event
     except TimeoutError:
-        raise HarnessFailure(f"the world was not ready within {WORLD_READY_S:.0f} s") from None
+        raise WorldTooSlow(f"the start of the world: not ready within {WORLD_READY_S:.0f} s, {doing}") from None
+    finally:
+        reminder.cancel()
 
 
 async def finish_world(world: Child, landing_s: float) -> dict[str, Any]:

@@ -77,7 +77,7 @@ class RelayWorld(Fleet[str]):
     @property
     def objects(self) -> tuple[ObjectTruth, ...]:
         if self._objects is None:
-            self._objects = self._traffic.at(self.time_s)
+            self._objects = self._traffic.at(self.traffic_s)
         return self._objects
 
     @property

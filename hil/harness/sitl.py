@@ -22,6 +22,7 @@ from flight.harness.flights import FlightReport, FlightRequest, Progress, RoleRe
 from hil.harness.children import (
     Child,
     HarnessFailure,
+    WorldTooSlow,
     duty_of,
     end,
     finish_world,
@@ -33,6 +34,7 @@ from hil.harness.children import (
     tell,
     until_ready,
 )
+from hil.harness.pace import overload_of
 from hil.harness.preparation import starting
 from hil.harness.sim import mission_config
 from hil.monitors.monitors import Monitors
@@ -60,6 +62,7 @@ class _Run:
     results: dict[Role, RoleResult] = field(default_factory=dict[Role, RoleResult])
     interrupted: bool = False
     finished: dict[str, Any] | None = None
+    slow: str = ""
 
     @property
     def limit_s(self) -> float:
@@ -104,6 +107,8 @@ async def _fly(request: FlightRequest) -> FlightReport:
                 crew.guards[role] = await _start_guard(request, role, processes)
         await _supervise(run, FaultTrigger(faults), crew)
         run.finished = await finish_world(world, LANDING_LIMIT_S)
+    except WorldTooSlow as error:
+        failure = run.slow = str(error)
     except HarnessFailure as error:
         failure = str(error)
     finally:
@@ -169,10 +174,18 @@ class _Crew:
         self.roles: dict[Role, Child] = {}
         self._start = start
         self._restart_s: dict[Role, float] = {}
+        self._waited_for = set(Role)
         self._coming: set[asyncio.Task[None]] = set()
 
     async def start(self, role: Role) -> None:
         self.roles[role] = await self._start(role)
+
+    async def reports(self, role: Role) -> None:
+        """Its program's parts are open; with the last of both the time of what is on the ground begins."""
+        if role in self._waited_for:
+            self._waited_for.discard(role)
+            if not self._waited_for:
+                await tell(self.world, {"begin": True})
 
     def begin(self, faults: Sequence[Fault]) -> None:
         for fault in faults:
@@ -238,6 +251,7 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
                 if isinstance(event, RoleResult):
                     run.results[role] = event
                 elif isinstance(event, Progress):
+                    await crew.reports(role)
                     run.request.emit(event)
                     crew.begin(trigger.on_progress(event))
             await process.wait()
@@ -301,11 +315,14 @@ def _records(out: Path) -> Iterator[tuple[int, Role, LogRecord | None]]:
 def _report(run: _Run, failure: str, wall_s: float) -> FlightReport:
     request, finished = run.request, run.finished or {}
     monitors = Monitors(request.rig.method, min_separation_m=0.0)
+    ages_s: dict[Role, list[float]] = {role: [] for role in Role}
     for stamp_ns, role, record in sorted(_records(request.out), key=lambda entry: entry[0]):
         if record is None:
             monitors.on_death(role)
         else:
             monitors.on_record(role, record.topic, stamp_ns, record.record)
+            if record.topic == "/frame":
+                ages_s[role].append(float(record.record["age_ns"]) * 1e-9)
     violations = dict(monitors.violations)
     for name, count in finished.get("violations", {}).items():
         violations[name] = violations.get(name, 0) + count
@@ -321,6 +338,7 @@ def _report(run: _Run, failure: str, wall_s: float) -> FlightReport:
         wall_s=wall_s,
         interrupted=run.interrupted,
         failure=failure,
+        overload=run.slow or overload_of(ages_s, finished.get("frames", {})),
         notes=[*notes, *(_died(request.out, role) for role in dead)],
         errors=reported(request.rig),
     )

@@ -2,7 +2,8 @@
 
     python -m hil.harness.sitl_world RIG_FILE RUN_FOLDER SEED ERRORS
 
-Commands come as lines of JSON on stdin (``{"fault": NAME, "value": X}``, ``{"finish": SECONDS}``), events go out as
+Commands come as lines of JSON on stdin (``{"begin": true}`` once both programs are ready, from which on the target's
+time runs; ``{"fault": NAME, "value": X}``, ``{"finish": SECONDS}``), events go out as
 lines of JSON on stdout (``ready``, then ``finished`` with the findings). A closed stdin ends it.
 """
 
@@ -130,6 +131,7 @@ class SitlWorld:
                 live.start_s = time.monotonic()
             else:
                 await self._start_simulators(stack)
+            live.world.hold_traffic()  # until both programs are ready, however long a busy computer takes
             truth = self._truth = TruthLog(log, round(live.start_s * 1e9))
             truth.scene(self._built.rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
             self._start_cameras(stack)
@@ -218,6 +220,9 @@ class SitlWorld:
     def _obey(self, command: dict[str, Any]) -> None:
         if "finish" in command:
             self._finish_within_s = float(command["finish"])
+        elif "begin" in command:
+            with self._live.lock:
+                self._live.world.begin_traffic()
         else:
             self._inject(command["fault"], float(command["value"]), int(command.get("at_ns", time.monotonic_ns())))
 

@@ -179,6 +179,7 @@ class Fleet(Generic[Name]):
         traffic, sensors, autopilots = np.random.SeedSequence(seed).spawn(3)
         keep_clear = [home.position_m for home in homes.values()]
         self._traffic = Traffic(config.target, config.look_alikes, keep_clear, traffic)
+        self._traffic_began_s = 0.0
         estimator = config.estimator.times(config.errors.sizes)
         self._sensors = Sensors(config.wind, estimator, TICK_S, sensors.spawn(len(homes)))
         for i, name in enumerate(homes):
@@ -266,6 +267,21 @@ class Fleet(Generic[Name]):
         self._depth_holes = holes
         self._changed()
 
+    def hold_traffic(self) -> None:
+        """Keep everything on the ground where it begins until ``begin_traffic``."""
+        self._traffic_began_s = math.inf
+        self._changed()
+
+    def begin_traffic(self) -> None:
+        """From now on the time of what is on the ground runs, if it was held."""
+        self._traffic_began_s = min(self._traffic_began_s, self.time_s)
+        self._changed()
+
+    @property
+    def traffic_s(self) -> float:
+        """The time of what is on the ground."""
+        return max(0.0, self.time_s - self._traffic_began_s)
+
     def degrade_detectors(self, **changes: float) -> None:
         """Let both drones' detectors be worse by some of the fields of ``DetectorConfig``."""
         self.detector = replace(self.detector, **changes)
@@ -273,7 +289,7 @@ class Fleet(Generic[Name]):
 
     def send_lookalike(self) -> None:
         """One more look-alike drives across, close past the target, and away; it is gone after seven seconds."""
-        self._traffic.send_lookalike(self.time_s)
+        self._traffic.send_lookalike(self.traffic_s)
         self._changed()
 
     def battery(self, name: Name, fraction: float) -> None:
@@ -318,7 +334,7 @@ class World(Fleet[Role]):
     def snapshot(self) -> Snapshot:
         """The truth at ``time_s``."""
         if self._snapshot is None:
-            objects = self._traffic.at(self.time_s)
+            objects = self._traffic.at(self.traffic_s)
             self._snapshot = Snapshot(
                 self.time_s, self.truths(), objects, self._marker_hidden, self._depth_holes, self.detector
             )

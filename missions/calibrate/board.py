@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import TextIO
 
 import cv2
@@ -22,10 +23,23 @@ def board_of(options: BoardOptions) -> Board:
         raise PartError(f"--squares {options.squares!r} is no COLUMNSxROWS", "write for example --squares 10x7")
     try:
         return Board(
-            options.board, int(match[1]), int(match[2]), options.square_m, options.marker_m, options.dictionary
+            options.board,
+            int(match[1]),
+            int(match[2]),
+            options.square_m,
+            options.marker_m,
+            options.dictionary,
+            options.legacy,
         )
     except ValueError as error:
         raise PartError(f"the board: {error}", "see `path-handoff calibrate camera --help`") from error
+
+
+def otherwise(board: Board) -> Board:
+    """What a board often is that is not found as named: of the other ChArUco pattern; counted by its inner corners."""
+    if board.pattern == "charuco":
+        return replace(board, legacy=not board.legacy)
+    return replace(board, columns=board.columns + 1, rows=board.rows + 1)
 
 
 def draw_print(options: CalibrateBoardOptions, out: TextIO) -> int:

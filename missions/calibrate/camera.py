@@ -17,24 +17,27 @@ from drivers.interfaces import PartError
 from drivers.rig.calibration_file import CalibrationError, CameraCalibration, CameraTable, Quality, write_calibration
 from drivers.rig.file import load_rig
 from drivers.rig.parts import PartSpec, create, decode_part, part_context
-from missions.calibrate.board import board_of
+from missions.calibrate.board import board_of, otherwise
 from missions.calibrate.collect import Collected, Look, from_camera, from_images, from_recording
 from missions.calibrate.diagnose import what_else
 from missions.calibrate.picture import draw_calibration
 from missions.options import CalibrateCameraOptions
 from missions.rig_list import FOLDER
 from missions.work import Bars
-from path.calibration.board import Board
-from path.calibration.intrinsics import PARAMETERS, Intrinsics, NotSolvable, solve_intrinsics
+from path.calibration.board import Board, BoardView
+from path.calibration.intrinsics import PARAMETERS, RADIAL, Intrinsics, NotSolvable, doubting, solve_intrinsics
 from path.calibration.judge import (
     BadSet,
     Fault,
+    Grade,
     SetLimits,
     coverage,
+    grade_of,
     judge_solution,
     judge_views,
     sharp_enough,
     tilts_deg,
+    useless,
 )
 from path.messages import Role
 
@@ -52,16 +55,24 @@ class BadViews(CalibrationError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibrated:
-    """A calibration that may be used. ``looks``: of ``solution.views``, in their order."""
+    """A calibration. ``looks``: of ``solution.views``, in their order; ``faults``: what keeps it from being good."""
 
     solution: Intrinsics
     looks: tuple[Look, ...]
+    grade: Grade = "good"
+    faults: tuple[Fault, ...] = ()
 
 
 def calibrate_camera(options: CalibrateCameraOptions, out: TextIO) -> int:
     """The command. Raises PartError: what was asked wrongly, or BadViews."""
     board = board_of(options)
     collected, source = _collect(options, board, out)
+    if not _found(collected) and not options.rig:
+        other = otherwise(board)
+        out.write(f"no image shows the board ({board.text}); tried as {other.text}\n")
+        again, _ = _collect(options, other, out)
+        if _found(again):
+            board, collected = other, again
     out.write(f"{_found(collected)} of {len(collected.looks)} images show the board ({board.text})\n")
     picture = options.out.with_suffix(".png")
     try:
@@ -71,7 +82,7 @@ def calibrate_camera(options: CalibrateCameraOptions, out: TextIO) -> int:
         out.write(f"{picture}: what there is\n")
         raise
     solution = done.solution
-    calibration = _file_of(solution, collected, board, options.serial or collected.serial, source)
+    calibration = _file_of(done, collected, board, options.serial or collected.serial, source)
     write_calibration(options.out, calibration)
     draw_calibration(collected, solution, picture)
     _report(done, calibration, out)
@@ -80,7 +91,7 @@ def calibrate_camera(options: CalibrateCameraOptions, out: TextIO) -> int:
 
 
 def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) -> Calibrated:
-    """The camera from what was collected. Raises BadViews with all that is wrong."""
+    """The camera from what was collected, with a grade. Raises BadViews with all that is wrong when it is useless."""
     sizes = Counter(look.size for look in collected.looks)
     if len(sizes) > 1:
         found = ", ".join(f"{count} of {width}x{height} px" for (width, height), count in sizes.most_common())
@@ -101,17 +112,32 @@ def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) ->
     if blurred and len(views) < limits.min_views:
         faults.append(Fault(BadSet.BLURRED, f"{len(blurred)} views are blurred, such as {blurred[0]}",
                             "hold board and camera still, give more light or a shorter exposure"))  # fmt: skip
-    if len(views) < 4:
+    if len(views) < limits.fewest_views:
         raise BadViews(faults)
     try:
-        solution = solve_intrinsics(views, board, size)
+        solution, terms = _solve(views, board, size)
     except NotSolvable as error:
         fault = Fault(BadSet.NOT_SOLVABLE, f"no camera fits these views: {error}", "is the board the one you named?")
         raise BadViews([*faults, fault]) from error
     faults += judge_solution(solution, limits)
+    if terms < RADIAL:
+        faults.append(Fault(BadSet.UNCERTAIN, f"the distortion is told by {terms} of its {RADIAL} radial terms only",
+                            "bring the board into the corners of the image"))  # fmt: skip
     if faults:
+        solution = doubting(solution)
+    if useless(solution, limits):
         raise BadViews(faults)
-    return Calibrated(solution, tuple(looks))
+    return Calibrated(solution, tuple(looks), grade_of(solution, faults, limits), tuple(faults))
+
+
+def _solve(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> tuple[Intrinsics, int]:
+    """The camera with as many radial terms as these views can tell, and how many these are. Raises NotSolvable."""
+    solution = solve_intrinsics(views, board, size)
+    terms = RADIAL
+    while solution.camera is None and terms > 1:
+        terms -= 1
+        solution = solve_intrinsics(views, board, size, terms)
+    return solution, terms
 
 
 def _found(collected: Collected) -> int:
@@ -152,7 +178,8 @@ def _from_rig(options: CalibrateCameraOptions, board: Board, out: TextIO) -> Col
     return asyncio.run(from_camera(camera, board, options.views, options.seconds, folder, say))
 
 
-def _file_of(solution: Intrinsics, collected: Collected, board: Board, serial: str, source: str) -> CameraCalibration:
+def _file_of(done: Calibrated, collected: Collected, board: Board, serial: str, source: str) -> CameraCalibration:
+    solution = done.solution
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = solution.values
     views = [look.view for look in collected.looks if look.view is not None]
     return CameraCalibration(
@@ -171,6 +198,8 @@ def _file_of(solution: Intrinsics, collected: Collected, board: Board, serial: s
             corners=sum(len(view.ids) for view in solution.views),
             coverage=round(float((coverage(views, solution.size) > 0).mean()), 3),
         ),
+        grade=done.grade,
+        weak=tuple(fault.reason.value for fault in done.faults),
     )
 
 
@@ -192,3 +221,6 @@ def _report(done: Calibrated, calibration: CameraCalibration, out: TextIO) -> No
         f"\nrms {quality.rms_px:.3f} px; of views that were left out {quality.held_out_px:.3f} px "
         f"({quality.corners} corners in {quality.views} views, {100 * quality.coverage:.0f} % of the image)\n"
     )
+    out.write(f"\ngrade: {done.grade}\n")
+    for fault in done.faults:
+        out.write(f"{fault.reason.value}: {fault.found}\n    next: {fault.fix}\n")

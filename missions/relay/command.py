@@ -19,13 +19,15 @@ from missions.options import RelayOptions
 from missions.relay.base import Base, Event, Tell
 from missions.relay.config import relay_of
 from missions.relay.process import processes_of
-from missions.relay.report import relay_table, summarize_relay
+from missions.relay.report import relay_rows, relay_table, summarize_relay
 from missions.relay.role import program_of
 from missions.report.command import show
+from missions.report.page import PageOf, write_page
+from missions.report.records import drone_logs
 from missions.run_folder import RunKind, claimed, unless_refused
 from missions.shown import say_unwritten, tell_line
 
-SUMMARY, RELAY, PICTURE = "summary.json", "relay.json", "relay.png"
+SUMMARY, RELAY, PICTURE, PAGE = "summary.json", "relay.json", "relay.png", "run.html"
 
 
 def run(options: RelayOptions) -> int:
@@ -55,10 +57,24 @@ def _leave(summary: dict[str, Any], record: dict[str, Any], folder: Path, pictur
         from missions.relay.picture import draw_relay  # noqa: PLC0415 (matplotlib takes a second to import)
 
         draw_relay(record, summary, folder / PICTURE)
+    write_page(folder / PAGE, _page_of(summary, folder), drone_logs(folder))
     show(relay_table(summary), sys.stdout)
-    written = [name for name in (SUMMARY, RELAY, PICTURE) if (folder / name).exists()]
+    written = [name for name in (SUMMARY, RELAY, PICTURE, PAGE) if (folder / name).exists()]
     sys.stdout.write(f"\n{folder}: {', '.join(written)}\n")
     sys.stdout.flush()
+
+
+def _page_of(summary: dict[str, Any], folder: Path) -> PageOf:
+    faults = "".join(f" --fault {fault}" for fault in summary["faults"])
+    asked = f"--rig {summary['rig']} --drones {summary['drones']} --hours {summary['hours']:g} --seed {summary['seed']}"
+    return PageOf(
+        outcome=summary["outcome"],
+        why=summary["detail"] or f"{summary['legs_handed_over']} of {summary['legs']} legs handed over",
+        command=f"path-handoff relay {asked}{faults}",
+        figures=relay_rows(summary),
+        notes=summary["notes"],
+        pictures=[folder / PICTURE],
+    )
 
 
 def hours_of(config: RelayConfig, options: RelayOptions) -> float:
@@ -81,7 +97,7 @@ def fly_relay(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """One relay to its end; its logs are in ``out``. Returns summary and record."""
     harness: RelayHarness = import_factory(config.harness, rig.where("[relay] harness"))()
-    kind = RunKind(RELAY, (SUMMARY, PICTURE), ("world", *(drone.name for drone in config.drones)))
+    kind = RunKind(RELAY, (SUMMARY, PICTURE, PAGE), ("world", *(drone.name for drone in config.drones)))
     base = Base(config, tell, hours_of(config, options))
 
     async def main(ground: RelayField, stop: asyncio.Event, emit: Emit) -> None:

@@ -78,7 +78,7 @@ def relay_table(summary: Mapping[str, Any]) -> RenderableType:
     if summary["detail"]:
         parts.append(Text(f"  {summary['detail']}", "yellow"))
     figures = Table.grid(padding=(0, 3))
-    for name, value in _rows(summary):
+    for name, value in relay_rows(summary):
         figures.add_row(Text(name, "dim"), value)
     landings = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
     for title in ("", "flights", "battery at landing: min", "median", "max"):
@@ -93,7 +93,8 @@ def _cells(each: Mapping[str, float]) -> tuple[str, ...]:
     return str(each["number"]), *(f"{100 * each[key]:.1f} %" for key in ("min", "median", "max"))
 
 
-def _rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
+def relay_rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """(name, value) of what a person wants to know."""
     ended = ", ".join(f"{name} {count}" for name, count in s["legs_ended"].items()) or "none"
     closest = "-" if s["closest_m"] is None else f"{s['closest_m']:.2f} m, {' and '.join(s['closest_pair'])}"
     violated = ", ".join(f"{name} {count}" for name, count in s["violations"].items())

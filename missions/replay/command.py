@@ -19,12 +19,11 @@ from drivers.rig.tables import RigError, decode_table
 from missions.options import ReplayOptions
 from missions.replay.redecide import Complete, Decided, other_answers, redecide
 from missions.report.command import show
-from missions.report.records import drone_logs
+from missions.report.records import REPLAY, drone_logs
 from path.config import MethodConfig
 from path.messages import Role
 
 EXIT_DIFFERENT = 1
-PICTURE = "replay.png"
 _VERDICT = "/agreement"
 
 
@@ -65,8 +64,8 @@ def run(options: ReplayOptions) -> int:
         if options.picture:
             from missions.replay.picture import draw_replay  # noqa: PLC0415 (matplotlib takes a second to import)
 
-            draw_replay(before, after, " ".join((*options.set, options.gate or "")), options.folder / PICTURE)
-            sys.stdout.write(f"\n{options.folder / PICTURE}\n")
+            draw_replay(before, after, " ".join((*options.set, options.gate or "")), options.folder / REPLAY)
+            sys.stdout.write(f"\n{options.folder / REPLAY}\n")
     return EXIT_DIFFERENT if differ else 0
 
 

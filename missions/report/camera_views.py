@@ -101,9 +101,10 @@ def _draw_sender(axes: Axes, run: Run, stamp_ns: int) -> None:
     _draw_box(axes, target.get("box"), OWN_BOX, "D1's box")
     _draw_box(axes, pair.get("mapped_box"), MAPPED_BOX, "D2's box, mapped", style="--")
     if pair.get("iou") is not None:
+        count = f"{min(pair['count'], pair['needed'])}/{pair['needed']}"
         axes.text(
-            0.015, 0.975, f"IoU {pair['iou']:.2f}   {pair['count']}/{pair['needed']}", transform=axes.transAxes,
-            va="top", fontsize=10, color="white", bbox={"facecolor": "#222222", "edgecolor": "none", "alpha": 0.7},
+            0.015, 0.975, f"IoU {pair['iou']:.2f}   {count}", transform=axes.transAxes, va="top",
+            fontsize=10, color="white", bbox={"facecolor": "#222222", "edgecolor": "none", "alpha": 0.7},
         )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""``path-handoff report``, and the end of every run: summary.json, the table, the picture."""
+"""``path-handoff report``, and the end of every run: summary.json, the table, the picture, the page."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from flight.outcome import Outcome
 from missions.options import ReportOptions
-from missions.report.records import PICTURE, SUMMARY, load_run
+from missions.report.page import PageOf, write_page
+from missions.report.records import PAGE, PICTURE, SUMMARY, Run, RunFacts, drone_logs, last, load_run
 from missions.report.summary import summarize
 from path.messages import Role
 
@@ -28,7 +30,7 @@ def run(options: ReportOptions) -> int:
 
 
 def make_report(folder: Path, picture: bool, stream: TextIO) -> dict[str, Any]:
-    """Write summary.json, and run.png if wanted, into a run's folder; show the table. Returns the summary.
+    """Write summary.json, run.html, and run.png if wanted, into a run's folder; show the table. Returns the summary.
 
     Raises:
         RunFolderError: when the folder is no run's.
@@ -41,10 +43,44 @@ def make_report(folder: Path, picture: bool, stream: TextIO) -> dict[str, Any]:
         from missions.report.picture import draw_run  # noqa: PLC0415 (matplotlib takes a second to import)
 
         draw_run(recorded, summary, folder / PICTURE)
+    write_page(folder / PAGE, _page_of(recorded, summary, folder), drone_logs(folder))
     show(summary_table(summary), stream)
-    written = [name for name in (SUMMARY, PICTURE) if (folder / name).exists()]
+    written = [name for name in (SUMMARY, PICTURE, PAGE) if (folder / name).exists()]
     stream.write(f"\n{folder}: {', '.join(written)}\n")
     return summary
+
+
+def _page_of(recorded: Run, summary: Mapping[str, Any], folder: Path) -> PageOf:
+    ends = [end.record["outcome"] for role in Role if (end := last(recorded.role(role), "/outcome"))]
+    outcome = summary["outcome"]
+    if recorded.facts is None and ends:  # of one drone's flight in the field: nobody wrote down the whole
+        outcome = next((end for end in ends if end != Outcome.COMMITTED.label), ends[0])
+    why = summary["detail"] if recorded.facts and summary["detail"] else _ending(recorded, summary)
+    return PageOf(
+        outcome=outcome,
+        why=why,
+        command=_command(recorded.facts),
+        figures=_figure_rows(summary),
+        notes=[note for note in summary["notes"] if note != summary["detail"]],
+        pictures=[folder / PICTURE],
+    )
+
+
+def _ending(recorded: Run, summary: Mapping[str, Any]) -> str:
+    """How a run ended, in a sentence; of one drone's flight in the field as well, which has no facts."""
+    if summary["outcome"] == Outcome.COMMITTED.label:
+        return f"{Outcome.COMMITTED.meaning}, {figure(summary['t_commit_s'], 's', 1)} after the start"
+    ends = [f"{role.value}: {end.record['detail'] or end.record['outcome']}"
+            for role in Role if (end := last(recorded.role(role), "/outcome"))]  # fmt: skip
+    return "; ".join(ends) or "nobody said how it ended"
+
+
+def _command(facts: RunFacts | None) -> str:
+    if facts is None:
+        return "path-handoff sender, or receiver, on the drone"
+    faults = "".join(f" --fault {fault}" for fault in facts.faults)
+    level = facts.errors.get("level", "")
+    return f"path-handoff handoff --rig {facts.rig} --seed {facts.seed}{f' --errors {level}' if level else ''}{faults}"
 
 
 def show(content: RenderableType, stream: TextIO) -> None:

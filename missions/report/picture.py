@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from drivers.log.mcap_log import LogRecord
 from missions.report.camera_views import draw_view
@@ -135,9 +136,7 @@ def _draw_agreement(axes: Axes, run: Run, seconds: Clock) -> None:
         count.spines[side].set_visible(False)
     handles = [*axes.get_lines(), count.get_lines()[0]]
     shown = [line for line in handles if len(np.asarray(line.get_xdata())) > 0]
-    axes.legend(
-        shown, [str(line.get_label()) for line in shown], fontsize=8, loc="lower right", framealpha=0.9, ncols=2
-    )
+    _legend(axes, shown)
 
 
 def _draw_separation(axes: Axes, run: Run, summary: Mapping[str, Any], truth: Truth | None, seconds: Clock) -> None:
@@ -160,7 +159,15 @@ def _draw_separation(axes: Axes, run: Run, summary: Mapping[str, Any], truth: Tr
         axes.axhline(summary["separation_limit_m"], color=FAULT, lw=1.2, ls="--", label="limit")
     axes.set_ylim(0.0, 1.15 * axes.get_ylim()[1])
     _mark_commit(axes, run, seconds)
-    axes.legend(fontsize=8, loc="lower left", framealpha=0.9)
+    _legend(axes, [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")])
+
+
+def _legend(axes: Axes, lines: Sequence[Line2D]) -> None:
+    """Below the plot: it covers nothing."""
+    axes.legend(
+        handles=list(lines), fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=5, frameon=False,
+        columnspacing=1.2, handlelength=1.6,
+    )  # fmt: skip
 
 
 def _mark_commit(axes: Axes, run: Run, seconds: Clock) -> None:

@@ -64,16 +64,17 @@ class LineConsole:
         self._stream = stream
         self._elapsed = Elapsed()
         self._last: dict[Role, Progress] = {}
+        self._shown_s: dict[Role, float] = {}
 
     def show(self, progress: Progress) -> None:
         elapsed_s = self._elapsed.seconds(progress)
         last = self._last.get(progress.role)
         news = last is None or (progress.phase, progress.note) != (last.phase, last.note)
-        if last is not None and not news and progress.stamp_ns - last.stamp_ns < LINE_PERIOD_S * 1e9:
+        if last is not None and not news and elapsed_s - self._shown_s[progress.role] < LINE_PERIOD_S:
             return
-        self._last[progress.role] = progress
+        self._last[progress.role], self._shown_s[progress.role] = progress, elapsed_s
         parts = [f"{elapsed_s:7.1f} s  {progress.role.value:<8}  {progress.phase:<10}", *_figures(progress)]
-        if news and progress.note:
+        if progress.note and (news or not progress.stamp_ns):
             parts.append(progress.note)
         try:
             self._stream.write("  ".join(parts).rstrip() + "\n")
@@ -98,7 +99,7 @@ def _figures(progress: Progress) -> list[str]:
 def _advance(progress: Progress) -> str:
     """How far the agreement is: pairs, or evidence where it counts."""
     if progress.evidence is None:
-        return f"{progress.count}/{progress.needed}"
+        return f"{min(progress.count, progress.needed)}/{progress.needed}"
     reached, needed = progress.evidence
     return f"evidence {reached:.1f}/{needed:.1f}"
 

@@ -5,6 +5,8 @@
     world.mcap                   truth, at levels with a simulated world, stamps of the world's clock
     run.json                     what was asked for and what the harness saw (``RunFacts``)
     summary.json, run.png        made from the others by ``missions.report.command`` and ``missions.report.picture``
+    run.html                     all of it on a page, by ``missions.report.page``
+    replay.png, merged.mcap      when they are asked for, by ``missions.replay`` and ``missions.logs.merge``
 
 Topics and their fields: ``drivers.log.topics``; what viewers draw: ``drivers.log.foxglove``.
 """
@@ -24,9 +26,10 @@ from missions.run_folder import RunKind
 from path.messages import Role
 
 SENDER_LOG, RECEIVER_LOG, WORLD_LOG = "sender.mcap", "receiver.mcap", "world.mcap"
-FACTS, SUMMARY, PICTURE = "run.json", "summary.json", "run.png"
+FACTS, SUMMARY, PICTURE, PAGE = "run.json", "summary.json", "run.png", "run.html"
+REPLAY, MERGED = "replay.png", "merged.mcap"
 
-RUN = RunKind(FACTS, (SUMMARY, PICTURE), ("sender", "receiver", "world", "attack"))
+RUN = RunKind(FACTS, (SUMMARY, PICTURE, PAGE, REPLAY, MERGED), ("sender", "receiver", "world", "attack"))
 
 Records = Mapping[str, Sequence[LogRecord]]
 """Records of one log by topic, in the order written."""
@@ -98,7 +101,7 @@ def drone_logs(folder: Path) -> dict[str, list[LogRecord]]:
 
     Raises RunFolderError when there is none.
     """
-    others = (Path(WORLD_LOG).stem, "attack")
+    others = (Path(WORLD_LOG).stem, Path(MERGED).stem, "attack")
     names = sorted(path.stem for path in folder.glob("*.mcap") if "." not in path.stem and path.stem not in others)
     logs = {name: read_parts(*parts(folder, name)) for name in names}
     if not logs:

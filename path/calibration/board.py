@@ -138,8 +138,11 @@ def find_board(grey: Image, board: Board) -> BoardView | None:
 def find_corners(grey: Image, board: Board) -> FoundCorners | None:
     """The corners as OpenCV gives them."""
     if board.pattern == "chessboard":
-        flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-        found, corners = cv2.findChessboardCornersSB(grey, (board.columns - 1, board.rows - 1), flags=flags)
+        size = (board.columns - 1, board.rows - 1)
+        found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY)
+        if not found:  # the older method sees boards in bad light or cut close at the border, and coarser
+            flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+            found, corners = cv2.findChessboardCorners(grey, size, flags=flags)
         ids = np.arange((board.columns - 1) * (board.rows - 1))
         if not found:
             return None

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -20,6 +20,7 @@ from path.geometry import Pose
 Array = NDArray[np.float64]
 
 FOLDS = 8
+RADIAL = 3  # radial terms of the distortion
 PRECISE = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-10)
 OUTLIER = 6.0  # times the robust spread of all corners: such a corner is left out
 MOST_OUTLIERS = 0.2  # of the corners of a view
@@ -80,26 +81,30 @@ def rms(errors_px: Array) -> float:
     return math.sqrt(float((errors_px**2).sum(axis=1).mean())) if len(errors_px) else math.nan
 
 
-def solve_intrinsics(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> Intrinsics:
+def solve_intrinsics(
+    views: Sequence[BoardView], board: Board, size: tuple[int, int], radial: int = RADIAL
+) -> Intrinsics:
     """Solve for the camera; corners that are far off are left out once, and the rest solved again.
 
     Args:
         views: at least three.
         size: width and height of the images.
+        radial: how many radial terms the distortion has; the others are 0.
 
     Raises:
         NotSolvable: OpenCV finds no camera.
     """
     ids, corners = [view.ids for view in views], [view.corners_px for view in views]
-    matrix, lens, _, _ = _solve(ids, corners, board, size)
+    fixed = _fixed(radial)
+    matrix, lens, _, _ = _solve(ids, corners, board, size, fixed)
     errors = [_refit(matrix, lens, board.corners_o[i], c)[1] for i, c in zip(ids, corners, strict=True)]
     lengths = np.linalg.norm(np.concatenate(errors), axis=1)
     limit = OUTLIER * MAD_TO_SIGMA * float(np.median(lengths))
     kept = [_near(matrix, lens, board.corners_o[i], c, limit) for i, c in zip(ids, corners, strict=True)]
     ids = [i[k] for i, k in zip(ids, kept, strict=True)]
     corners = [c[k] for c, k in zip(corners, kept, strict=True)]
-    matrix, lens, stated, _ = _solve(ids, corners, board, size, (matrix, lens))
-    held_out, jackknife = _folds(ids, corners, board, size, (matrix, lens))
+    matrix, lens, stated, _ = _solve(ids, corners, board, size, fixed, (matrix, lens))
+    held_out, jackknife = _folds(ids, corners, board, size, fixed, (matrix, lens))
     solved: list[SolvedView] = []
     for i, c, k, out in zip(ids, corners, kept, held_out, strict=True):
         pose, left = _refit(matrix, lens, board.corners_o[i], c)
@@ -117,6 +122,17 @@ def solve_intrinsics(views: Sequence[BoardView], board: Board, size: tuple[int, 
         rms(np.concatenate([view.errors_px for view in solved])),
         rms(np.concatenate(held_out)),
     )
+
+
+def doubting(solution: Intrinsics) -> Intrinsics:
+    """The solution of a weak set with wider errors: pixels are square, so what fx and fy differ by is error of both.
+
+    The views of such a set can agree on a wrong camera, and then neither their residuals nor a jackknife shows it.
+    """
+    fx, fy = solution.values[:2]
+    apart = math.sqrt(0.5) * abs(fx - fy)
+    sigmas = (max(solution.sigmas[0], apart), max(solution.sigmas[1], apart), *solution.sigmas[2:])
+    return replace(solution, sigmas=sigmas)
 
 
 def left_by(camera: CameraModel, views: Sequence[BoardView], board: Board) -> float:
@@ -146,12 +162,13 @@ def _solve(
     corners: Sequence[Array],
     board: Board,
     size: tuple[int, int],
+    fixed: int,
     guess: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array, Array, float]:
     """Camera matrix, distortion (5,), standard errors of ``PARAMETERS``, rms."""
     points = [board.corners_o[i].astype(np.float32) for i in ids]
     images = [c.astype(np.float32) for c in corners]
-    flags = 0 if guess is None else cv2.CALIB_USE_INTRINSIC_GUESS
+    flags = fixed if guess is None else fixed | cv2.CALIB_USE_INTRINSIC_GUESS
     matrix, lens = (np.eye(3), np.zeros(5)) if guess is None else (guess[0].copy(), guess[1].copy())
     try:
         left, matrix, lens, _, _, sigmas, _, _ = cv2.calibrateCameraExtended(
@@ -170,6 +187,7 @@ def _folds(
     corners: Sequence[Array],
     board: Board,
     size: tuple[int, int],
+    fixed: int,
     guess: tuple[Array, Array],
 ) -> tuple[list[Array], Array]:
     """Errors of each view under a camera solved without it; jackknife standard errors of ``PARAMETERS``."""
@@ -181,7 +199,7 @@ def _folds(
         rest = [k for k in range(count) if k % folds != fold]
         if len(rest) < 3:
             continue
-        matrix, lens, _, _ = _solve([ids[k] for k in rest], [corners[k] for k in rest], board, size, guess)
+        matrix, lens, _, _ = _solve([ids[k] for k in rest], [corners[k] for k in rest], board, size, fixed, guess)
         found.append(_values(matrix, lens))
         for k in range(fold, count, folds):
             held_out[k] = _refit(matrix, lens, board.corners_o[ids[k]], corners[k])[1]
@@ -189,6 +207,11 @@ def _folds(
         return held_out, np.full(len(PARAMETERS), np.nan)
     spread = np.stack(found) - np.mean(found, axis=0)
     return held_out, np.sqrt((len(found) - 1) / len(found) * (spread**2).sum(axis=0))
+
+
+def _fixed(radial: int) -> int:
+    """OpenCV's flags that leave out the radial terms beyond the first ``radial``."""
+    return (cv2.CALIB_FIX_K3 if radial < RADIAL else 0) | (cv2.CALIB_FIX_K2 if radial < RADIAL - 1 else 0)
 
 
 def _near(matrix: Array, lens: Array, points_o: Array, corners_px: Array, limit_px: float) -> NDArray[np.bool_]:

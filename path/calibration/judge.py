@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +17,14 @@ from path.calibration.board import BoardView
 from path.calibration.intrinsics import Intrinsics
 
 Array = NDArray[np.float64]
+Grade = Literal["good", "fair", "weak"]
 
 GRID = (8, 6)  # cells of the coverage map, across and down
 PLACES = (("top left", "top", "top right"), ("left", "middle", "right"), ("bottom left", "bottom", "bottom right"))
 
 
 class BadSet(Enum):
-    """Why a set is refused. Values are stable: they are written and tested."""
+    """What is wrong with a set. Values are stable: they are written and tested."""
 
     NO_BOARD = "no_board"
     MIXED_SIZES = "mixed_sizes"
@@ -39,7 +41,7 @@ class BadSet(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One reason to refuse a set: what was found, and what to do."""
+    """One thing that is wrong with a set: what was found, and what to do."""
 
     reason: BadSet
     found: str
@@ -48,27 +50,31 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class SetLimits:
-    """What a set must have.
+    """What a good set has. A set that has less gives a calibration of a lower grade, as long as it says anything.
 
     Attributes:
-        min_views: usable ones.
+        min_views: usable ones. ``fewest_views``: with less there is no calibration.
         max_blur_px: standard deviation of the blur across edges; and ``max_blur_ratio`` times that of the sharpest
             third of the views. Blurred views are left out.
         min_coverage: share of the ``GRID`` cells of the image with a corner.
         min_distance_ratio: of the farthest view to the nearest.
         min_tilt_span_deg: between the boards most tilted to either side, about each axis of the image.
-        max_focal_sigma: standard error of fx and fy, relative.
+        max_focal_sigma: standard error of fx and fy, relative. ``fair_focal_sigma``: the same of a fair set;
+            ``most_focal_sigma``: above it a set says nothing.
         max_rms_px: residual of the solution.
         max_held_out_ratio: rms of views that were left out over rms of the solution.
     """
 
     min_views: int = 12
+    fewest_views: int = 5
     max_blur_px: float = 2.5
     max_blur_ratio: float = 2.5
     min_coverage: float = 0.6
     min_distance_ratio: float = 1.3
     min_tilt_span_deg: float = 30.0
     max_focal_sigma: float = 0.002
+    fair_focal_sigma: float = 0.01
+    most_focal_sigma: float = 0.1
     max_rms_px: float = 1.0
     max_held_out_ratio: float = 1.3
 
@@ -127,7 +133,7 @@ def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
             )
         )
     faults += _judge_poses(solution, limits)
-    worst = max(solution.sigmas[k] / abs(solution.values[k]) for k in (0, 1))
+    worst = focal_sigma(solution)
     if not worst <= limits.max_focal_sigma:
         faults.append(
             Fault(
@@ -155,6 +161,24 @@ def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
             )
         )
     return faults
+
+
+def focal_sigma(solution: Intrinsics) -> float:
+    """Standard error of fx or fy, whichever is worse, relative."""
+    return max(solution.sigmas[k] / abs(solution.values[k]) for k in (0, 1))
+
+
+def useless(solution: Intrinsics, limits: SetLimits) -> bool:
+    """Whether nothing should be made of a solution: no camera, another board than named, or nothing known of it."""
+    known = focal_sigma(solution) <= limits.most_focal_sigma
+    return solution.camera is None or not known or solution.rms_px > limits.max_rms_px
+
+
+def grade_of(solution: Intrinsics, faults: Sequence[Fault], limits: SetLimits) -> Grade:
+    """How far a calibration can be trusted: good without any fault, fair or weak by what is known of fx and fy."""
+    if not faults:
+        return "good"
+    return "fair" if focal_sigma(solution) <= limits.fair_focal_sigma else "weak"
 
 
 def tilts_deg(solution: Intrinsics) -> Array:

@@ -20,7 +20,10 @@ FILTERED_BLUR_SIGMA_PX = 0.003  # beside the filter blur is as good as known: th
 SHADOW_DAMPING = 0.005
 MOST_CHANGE = (0.2, 0.2, 0.15, 0.5, 1.0)  # in a step, of a shadow's depth, direction, offset, log width; of others
 MAX_CORRELATION = 0.5  # of neighbouring residuals; counted in both directions, it divides the pixels by up to 9
-MISFIT_PX = 2.5  # what a correlated residual as large as the contrast moves a corner; from a real, sharpened photograph
+MISFIT_PX = 2.0  # what a correlated residual as large as the contrast moves a corner; from photographs of boards
+USUAL_BLUR_PX, LEAST_BLUR_PX = 0.63, 0.4  # more hides what moves a corner; less has too few pixels an edge
+SHARP_MISFIT = 0.62  # the same where blur is less, times its power of 1.5 in px
+SURE_CORRELATION = 0.18  # of neighbouring residuals, from which on they are no noise
 CONSISTENCY = 1.6  # weights take 1.28 off the residual's variance; the rest is measured on exact images of markers
 
 
@@ -164,12 +167,16 @@ def finish(
     lens: Array,
     frame: Array,
     contrast: float,
+    blur_px: float,
     corners: Array,
     jacobian: Array,
     covariance: Array,
 ) -> None:
     """Turn ``corners`` from rays into pixels and fill ``covariance``."""
     _, variance, _, correlation = measured
+    sharp = min(correlation / SURE_CORRELATION, 1.0) * SHARP_MISFIT / max(blur_px, LEAST_BLUR_PX) ** 1.5
+    soft = MISFIT_PX * math.sqrt(correlation) * max(1.0, blur_px / USUAL_BLUR_PX)
+    misfit_px = max(sharp, soft) * math.sqrt(variance) / contrast
     variance_used = CONSISTENCY * variance * ((1.0 + correlation) / (1.0 - correlation)) ** 2
     for k in range(4):
         u, v, ux, uy, vx, vy = distort(corners[k, 0] / frame[4] + frame[2], corners[k, 1] / frame[4] + frame[3], lens)
@@ -187,4 +194,4 @@ def finish(
             for k in range(8):
                 s += jacobian[j, k] * column[k]
             covariance[i, j] = s * variance_used
-        covariance[i, i] += correlation * variance * (MISFIT_PX / contrast) ** 2
+        covariance[i, i] += misfit_px * misfit_px

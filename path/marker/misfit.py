@@ -28,7 +28,7 @@ Places = NDArray[np.int64]
 GROUPS = 3
 FILTERED, COARSE, SHADOWED = 0, 1, 2
 TAPS, SHADOW = 6, 4
-FILTER_SIGMA, EDGE_SIGMA = 0.3, 0.06  # deviations expected: of taps, and in cells
+FILTER_SIGMA, EDGE_SIGMA = 0.3, 0.02  # deviations expected: of taps, and in cells
 
 _DU = np.array([1, 2, 0, 0, 1, 1])
 _DV = np.array([0, 0, 1, 2, 1, -1])
@@ -74,6 +74,15 @@ def stencil(pixels: Array, frame: Array, lens: Array) -> tuple[Array, Indices]:
             at[k, 1 + 2 * i] = places[v - _DV[i], u - _DU[i]]
             at[k, 2 + 2 * i] = places[v + _DV[i], u + _DU[i]]
     return rays[:total].copy(), at
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def own_places(pixels: Array) -> tuple[Array, Indices]:
+    """The places of a model without a filter, as ``stencil`` gives them: the pixels' own."""
+    at = np.empty((pixels.shape[0], 1), np.int32)
+    for k in range(pixels.shape[0]):
+        at[k, 0] = k
+    return pixels[:, :2].copy(), at
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -29,6 +29,7 @@ from path.marker.misfit import (
     Places,
     accumulate_filtered,
     model,
+    own_places,
     stencil,
     used_unknowns,
 )
@@ -42,8 +43,8 @@ STRONG_MISFIT, STRONG_CORRELATED_MISFIT = 0.055, 0.035  # residual over contrast
 LARGE_PX = 42.0  # side from which on less than that is not worth it: a pose is as good as print and lens are known
 MISFIT, CORRELATED_MISFIT = 0.025, 0.011  # residual over contrast above which it is asked what is wrong
 SHADOW_MISFIT, SHADOW_LEFT = 0.022, 0.45  # correlated misfit above which a shadow is looked for; share it may leave
-COARSE_MISFIT, COARSE_LEFT = 0.025, 0.93  # the same for inner edges that are off; the share with outliers
-LEAST_CELL_PX = 4.0  # below which inner edges cannot be told from other things
+COARSE_MISFIT, COARSE_LEFT = 0.013, 0.97  # the same for inner edges that are off; the share with outliers
+LEAST_CELL_PX = 2.5  # below which inner edges cannot be told from other things
 LEAST_DEPTH = 0.1  # of a shadow
 LEAST_BLUR_PX, MOST_BLUR_PX = 0.5, 0.8  # of a lens and pixel; what is beyond it is left to the filter
 MAX_FILTERED, FILTERED_BLOCK = 1000, 2  # pixels, and in squares of so many doublings: they share their surroundings
@@ -272,13 +273,14 @@ def _tried(state: _State, group: int) -> _State | None:
     own = state.copy()
     if group == SHADOWED and not _look_for_shadow(own):
         return None
-    own.groups[group] = own.groups[FILTERED] = True
-    if not state.groups[FILTERED]:
+    own.groups[group] = True
+    if group != COARSE:  # a print needs no filter, which would only bend it
+        own.groups[FILTERED] = True
         own.theta[BLUR] = min(max(own.theta[BLUR], LEAST_BLUR_PX), MOST_BLUR_PX)
     much = group != FILTERED or state.misfit > STRONG_MISFIT
     if not own.gather(own.theta[BLUR] + FILTER_REACH_PX, MAX_PIXELS if much else MAX_FILTERED, FILTERED_BLOCK):
         return None
-    rays, at = stencil(own.pixels, own.frame, own.lens)
+    rays, at = stencil(own.pixels, own.frame, own.lens) if own.groups[FILTERED] else own_places(own.pixels)
     for attempt in range(MAX_MORE_PASSES if much else MAX_FEW_PASSES):
         if not _misfit_pass(own, rays, at):
             return None
@@ -331,8 +333,10 @@ def _step(state: _State, normal: Array, used: Places, sigmas: Array) -> bool:
 def _finished(state: _State) -> PhotometricFit:
     covariance, contrast = np.empty((8, 8)), float(state.theta[11])
     measured = state.statistics
-    finish(state.factor, measured, state.lens, state.frame, contrast, state.corners, state.jacobian, covariance)
+    blur_px = float(state.theta[BLUR])
+    finish(
+        state.factor, measured, state.lens, state.frame, contrast, blur_px, state.corners, state.jacobian, covariance
+    )  # fmt: skip
     _, variance, explained, _ = measured
-    wrong = tuple(bool(group) for group in state.groups)
-    blur_px, residual = float(state.theta[BLUR]), math.sqrt(variance)
+    wrong, residual = tuple(bool(group) for group in state.groups), math.sqrt(variance)
     return PhotometricFit(state.corners, covariance, residual, contrast, blur_px, explained, state.passes, wrong)

@@ -145,7 +145,7 @@ def calibrate_set(work: Set) -> Outcome:
 
 
 def refuse_set(work: tuple[type[Studio], str]) -> list[str]:
-    """A piece of work: the reasons a bad set is refused for; empty when it is taken."""
+    """A piece of work: what is said to be wrong with a bad set, refused or not; empty when it is called good."""
     studio, name = work
     held, count, _ = BAD[name]
     board, camera = BOARDS["charuco"], QUICK_CAMERA
@@ -155,10 +155,10 @@ def refuse_set(work: tuple[type[Studio], str]) -> list[str]:
         for number, color in enumerate(photographs(studio, camera, board, where, 1))
     ]
     try:
-        calibrate(Collected(looks), board)
+        done = calibrate(Collected(looks), board)
     except BadViews as refusal:
         return [fault.reason.value for fault in refusal.faults]
-    return []
+    return [fault.reason.value for fault in done.faults]
 
 
 Groups = Mapping[tuple[str, str], Sequence[Outcome]]
@@ -202,7 +202,7 @@ def _focal_findings(outcomes: Sequence[Outcome], groups: Groups) -> list[Finding
 
 def _refusals(refused: Sequence[Sequence[str]]) -> Finding:
     right = sum(BAD[name][2].value in reasons for name, reasons in zip(BAD, refused, strict=True))
-    return Finding("bad sets refused for what is wrong with them", f"{right} of {len(BAD)}", goal=f"{len(BAD)}",
+    return Finding("bad sets told what is wrong with them", f"{right} of {len(BAD)}", goal=f"{len(BAD)}",
                    verdict=verdict(right == len(BAD)))  # fmt: skip
 
 

@@ -267,3 +267,16 @@ def test_positions_that_are_apart_differ_by_as_much_as_is_told_and_change_nothin
 def test_positions_cannot_be_apart_by_less_than_nothing() -> None:
     with pytest.raises(ValueError, match="across_m"):
         ApartConfig(across_m=-1.0)
+
+
+def test_what_is_on_the_ground_waits_until_it_is_told_to_begin() -> None:
+    """However long a busy computer takes to start the drones' programs, the target is where it was said to be."""
+    late, prompt = World(WorldConfig(), 3), World(WorldConfig(), 3)
+    late.hold_traffic()
+    late.advance(60.0)
+    prompt.advance(0.1)
+    assert late.snapshot().objects[0].position_w_m == pytest.approx(prompt.snapshot().objects[0].position_w_m)
+    late.begin_traffic()
+    late.advance(90.0)
+    prompt.advance(30.0)
+    assert late.snapshot().objects[0].position_w_m == pytest.approx(prompt.snapshot().objects[0].position_w_m)

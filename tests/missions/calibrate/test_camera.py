@@ -98,6 +98,13 @@ def collected(held: Held, count: int, **change: float) -> Collected:
     return Collected([Look(f"{number}.png", (640, 480), view) for number, view in enumerate(views)])
 
 
+def graded(views: Collected, board: Board = CHARUCO) -> tuple[set[BadSet], str]:
+    """What is said of a set that is not good, and its grade."""
+    done = calibrate(views, board)
+    assert all(fault.fix for fault in done.faults)
+    return {fault.reason for fault in done.faults}, done.grade
+
+
 def refused(views: Collected, board: Board = CHARUCO) -> tuple[set[BadSet], str]:
     with pytest.raises(BadViews) as caught:
         calibrate(views, board)
@@ -120,9 +127,46 @@ def test_blurred_views_are_left_out_and_named_when_too_few_are_left() -> None:
         assert look.view is not None
         views.looks[number] = replace(look, view=replace(look.view, blur_px=2.4))
     assert len(calibrate(Collected(views.looks + collected(Held(), 20).looks), CHARUCO).looks) == 31
-    reasons, text = refused(views)
-    assert reasons == {BadSet.TOO_FEW_VIEWS, BadSet.BLURRED}
-    assert "5 views are blurred, such as 2.png" in text
+    done = calibrate(views, CHARUCO)
+    assert {fault.reason for fault in done.faults} == {BadSet.TOO_FEW_VIEWS, BadSet.BLURRED}
+    assert done.grade == "fair"
+    assert any("5 views are blurred, such as 2.png" in fault.found for fault in done.faults)
+
+
+def test_a_weak_set_gives_a_weak_calibration_that_states_its_errors() -> None:
+    views = collected(Held((1.0, 1.05), (5.0, 15.0), 0.05), 9)
+    reasons, grade = graded(views)
+    assert {BadSet.TOO_FEW_VIEWS, BadSet.CLUSTERED, BadSet.NO_TILT, BadSet.ONE_DISTANCE} <= reasons
+    assert grade in ("fair", "weak")
+    solution = calibrate(views, CHARUCO).solution
+    for k, true in enumerate((CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)):
+        assert abs(solution.values[k] - true) < 3.0 * solution.sigmas[k]
+    assert min(solution.sigmas[:2]) >= 0.7 * abs(solution.values[0] - solution.values[1])
+
+
+def test_grade_and_reasons_are_in_the_file_and_said(folder: Path, tmp_path: Path) -> None:
+    few = tmp_path / "few"
+    few.mkdir()
+    for file in sorted(folder.glob("*.png"))[:7]:
+        shutil.copy(file, few)
+    text = command(CalibrateCameraOptions(images=few, out=tmp_path / "weak.toml"))
+    written = read_camera(tmp_path / "weak.toml")
+    assert written.grade in ("fair", "weak")
+    assert "too_few_views" in written.weak
+    assert f"grade: {written.grade}" in text
+    assert "next: take more" in text
+
+
+def test_a_board_of_the_old_pattern_is_found_out(tmp_path: Path) -> None:
+    old = Board("charuco", 10, 8, 0.030, 0.0225, "DICT_4X4_50", legacy=True)
+    (tmp_path / "views").mkdir()
+    for number, color in enumerate(photographs(old, list(poses(old, Held(), 6, 5)), 4)):
+        cv2.imwrite(str(tmp_path / "views" / f"{number}.png"), color)
+    options = CalibrateCameraOptions(images=tmp_path / "views", out=tmp_path / "old.toml", squares="10x8")
+    text = command(options)
+    assert "tried as ChArUco, 10x8 squares of 30 mm, DICT_4X4_50, old pattern" in text
+    assert "old pattern" in read_camera(tmp_path / "old.toml").board
+    assert read_camera(tmp_path / "old.toml").camera.fx == pytest.approx(CAMERA.fx, rel=5e-3)
 
 
 def test_every_reason_is_given_at_once() -> None:

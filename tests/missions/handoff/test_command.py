@@ -99,6 +99,25 @@ def test_another_object_has_an_end_of_its_own_and_beats_the_commit() -> None:
     assert judged == (Outcome.WRONG_OBJECT, "S12 at 3.00 s: 1")
 
 
+def test_a_computer_that_is_too_slow_is_named_instead_of_the_flight() -> None:
+    late = "the sender's pictures: 300 of 400 were not rendered in time"
+    lost = report(Outcome.TARGET_LOST, Outcome.PEER_ABORTED, overload=late)
+    assert judge(lost) == (Outcome.OVERLOADED, f"{late} (and so target_lost: sender: seen)")
+    other = report(Outcome.COMMITTED, Outcome.COMMITTED, overload=late, violations={"S12": 1}, notes=("S12",))
+    assert judge(other)[0] is Outcome.OVERLOADED
+    assert judge(report(None, None, overload=late, failure="the world did not end"))[0] is Outcome.OVERLOADED
+
+
+def test_a_slow_computer_excuses_neither_two_responsible_nor_a_pilot_and_spoils_no_commit() -> None:
+    late = "the sender's program: 200 of 500 frames were late"
+    good = (Outcome.COMMITTED, Outcome.COMMITTED)
+    assert judge(report(*good, overload=late)) == (Outcome.COMMITTED, "")
+    assert judge(report(*good, overload=late, violations={"S1": 1, "S8": 4}))[0] is Outcome.MONITOR_VIOLATED
+    assert judge(report(*good, overload=late, violations={"S9": 1}))[0] is Outcome.MONITOR_VIOLATED
+    assert judge(report(Outcome.PILOT_OVERRIDE, Outcome.PEER_LOST, overload=late))[0] is Outcome.PILOT_OVERRIDE
+    assert judge(report(None, Outcome.PEER_LOST, overload=late))[0] is Outcome.CRASHED
+
+
 def test_a_failed_harness_proves_nothing_about_the_mission() -> None:
     judged = judge(report(None, None, violations={"S1": 1}, failure="the world's process ended"))
     assert judged == (Outcome.HARNESS_FAILED, "the world's process ended")

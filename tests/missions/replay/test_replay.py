@@ -13,9 +13,9 @@ from drivers.log.mcap_log import LogRecord, read_log
 from missions import rig_library
 from missions.handoff.command import fly_once
 from missions.options import ReplayOptions
-from missions.replay.command import PICTURE, change_of, replay_changed, run
+from missions.replay.command import change_of, replay_changed, run
 from missions.replay.redecide import Complete, Decided, redecide
-from missions.report.records import drone_logs
+from missions.report.records import REPLAY, drone_logs
 
 SETTINGS = ("method.tau_min=0.3", "method.tau_max=0.55", "method.hold_s=5.0", "method.hold_frames=240")
 
@@ -93,9 +93,9 @@ def verdicts(decided: Any, until_ns: int) -> list[Mapping[str, Any]]:
 def test_the_command_says_what_would_have_been(flown: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
     folder = flown("sim", 3)
     assert run(ReplayOptions(folder)) == 0
-    assert not (folder / PICTURE).exists()
+    assert not (folder / REPLAY).exists()
     assert run(ReplayOptions(folder, gate="evidence")) == 0
-    assert (folder / PICTURE).stat().st_size > 10_000
+    assert (folder / REPLAY).stat().st_size > 10_000
     assert "gate complete, after the first answer" in capsys.readouterr().out
 
 

@@ -366,6 +366,8 @@ def test_a_withdrawal_is_written_down_before_anything_is_said_of_it(word: AbortR
     actions = machine.step(word, T0 + 1)
     assert isinstance(actions[0], Persist) and isinstance(actions[0].record, SenderRecord)
     assert actions[0].record.withdrawn is AbortReason.PILOT
+    told = (Send(Abort(7, 1, AbortReason.PILOT, T0 + 1, ME)),) if isinstance(word, AbortRequested) else ()
+    assert actions[1:] == told
     assert machine.step(Heard(Abort(7, 1, AbortReason.GUARD, 6, ME)), T0 + 2) == ()  # the first word counts
 
 

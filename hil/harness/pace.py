@@ -1,0 +1,33 @@
+"""Whether a computer kept up with a run in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from path.messages import Role
+
+LEFT_OUT = 0.5  # of the pictures
+OLD_S, OLD_SHARE = 0.25, 0.2  # of the frames, when a program took them up
+ENOUGH = 50  # frames
+
+
+def overload_of(ages_s: Mapping[Role, Sequence[float]], pictures: Mapping[str, Any]) -> str:
+    """What was late, and how late; empty when all kept up.
+
+    Args:
+        ages_s: of each role's frames, from their capture until its program took them up.
+        pictures: by role, how many were ``rendered`` and how many ``left_out`` because it was too late for them.
+    """
+    late: list[str] = []
+    for role in Role:
+        made = pictures.get(role.value, {})
+        rendered, left_out = int(made.get("rendered", 0)), int(made.get("left_out", 0))
+        if rendered + left_out >= ENOUGH and left_out > LEFT_OUT * (rendered + left_out):
+            late.append(f"the {role.value}'s pictures: {left_out} of {rendered + left_out} were not rendered in time")
+        ages = sorted(ages_s.get(role, ()))
+        old = sum(age > OLD_S for age in ages)
+        if len(ages) >= ENOUGH and old > OLD_SHARE * len(ages):
+            oldest = ages[int(0.9 * len(ages))]
+            late.append(f"the {role.value}'s program: {old} of {len(ages)} frames were late, a tenth by {oldest:.2f} s")
+    return "; ".join(late)

@@ -1,0 +1,1 @@
+"""What is made of logs for other programs: one log on one clock, trajectories, tables."""
