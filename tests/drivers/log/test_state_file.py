@@ -228,7 +228,11 @@ def test_what_the_disk_is_asked_to_keep_has_left_the_program_before(
 ) -> None:
     """A sync of a file whose content still waits in a buffer keeps nothing."""
     sizes: list[int] = []
-    monkeypatch.setattr(os, "fsync", lambda number: sizes.append(os.fstat(number).st_size))
+
+    def note(number: int) -> None:
+        sizes.append(os.fstat(number).st_size)
+
+    monkeypatch.setattr(os, "fsync", note)
     file = tmp_path / "state.json"
     StateFile(file, Role.SENDER).save(SenderRecord(7))
     assert sizes[0] == file.stat().st_size > 0
