@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import shutil
 import sys
 import tomllib
 import zipfile
@@ -77,6 +78,27 @@ def test_a_wheel_has_all_packages_and_rigs_and_nothing_else(tmp_path: Path) -> N
         wanted |= {f.relative_to(ROOT).as_posix() for f in (ROOT / package).rglob("*.toml")}
         assert wanted <= set(names)
     assert not [name for name in names if name.endswith((".pyc", ".nbi", ".nbc"))]
+    assert "drivers/link/dialect/path_dialect.py" in names  # which is in no repository
+
+
+def test_the_dialect_is_built_with_the_pymavlink_that_is_pinned() -> None:
+    needs = [Requirement(line) for line in PROJECT["build-system"]["requires"]]
+    (built_with,) = [need for need in needs if need.name == "pymavlink"]
+    (pin,) = [pin for pin in PINS if pin.name == "pymavlink"]
+    assert built_with.specifier == pin.specifier
+
+
+def test_a_clean_copy_without_the_dialect_builds_a_wheel_that_has_it(tmp_path: Path) -> None:
+    for name in ("pyproject.toml", "hatch_build.py", "README.md"):
+        shutil.copy(ROOT / name, tmp_path)
+    for package in OURS:
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "__init__.py").touch()
+    left_out = shutil.ignore_patterns("path_dialect.py", "__pycache__")
+    shutil.copytree(ROOT / "drivers" / "link", tmp_path / "drivers" / "link", ignore=left_out)
+    (wheel,) = WheelBuilder(str(tmp_path)).build(directory=str(tmp_path / "dist"), versions=["standard"])
+    dialect = Path("drivers") / "link" / "dialect" / "path_dialect.py"
+    assert zipfile.ZipFile(wheel).read(dialect.as_posix()) == (ROOT / dialect).read_bytes()
 
 
 def test_this_python_is_one_of_those_promised() -> None:

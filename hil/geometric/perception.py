@@ -136,7 +136,7 @@ class Sensor:
         self.errors = errors or SensorErrors()
         self.boxes = noise.targets.shifted(self.errors.edges_px)
         self.seed = fold(fold(seed, 7), list(Role).index(setup.role))
-        self.spells = Spells(fold(self.seed, 6))
+        self.spells = Spells(int(fold(self.seed, 6)))
         self.depth = DepthSettings(
             method.min_depth_m,
             method.max_depth_m,

@@ -34,7 +34,7 @@ NAMES: tuple[str, ...] = tuple(
 )
 """All that ``all`` runs: ``processes``, ``rendezvous`` and ``soak`` take half an hour each, ``beacon`` is
 ``dynamic``'s; ``real`` runs when sets are named."""
-SHORT = ("recall",)
+SHORT_IN_ALL = ("recall",)
 """Of these ``all`` runs the short form, which shows no goal as met; whole they are asked for by name."""
 RIG = "sim-rendered"
 RIGS = {"beacon": "dynamic", "rendezvous": "sim-field", "soak": "sitl"}
@@ -70,7 +70,7 @@ def run(options: TrialOptions) -> int:
             sys.stdout.write(f"\n{f'[{number}/{len(names)}] ' if whole else ''}{trial.TITLE}\n")
             sys.stdout.flush()
             request = TrialRequest(
-                rig, own, options.seed, options.quick or (whole and name in SHORT), work, options.xfeat,
+                rig, own, options.seed, options.quick or (whole and name in SHORT_IN_ALL), work, options.xfeat,
                 options.board, options.logs, options.seconds, sets, options.photographs,
             )  # fmt: skip
             begun, result, error = datetime.now(), None, ""

@@ -1,4 +1,6 @@
-"""Regenerate ``path_dialect.py`` from ``path.xml``: ``python -m drivers.link.dialect.generate``.
+"""Generates ``path_dialect.py`` from ``path.xml``, as installing PATH does.
+
+``python -m drivers.link.dialect.generate`` does it again after a change of the XML.
 
 ``python -m drivers.link.dialect.generate --wireshark FILE.lua`` writes a dissector for Wireshark instead; put it into
 the folder that Wireshark calls "Personal Lua Plugins".
@@ -18,11 +20,13 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 GENERATED = HERE / "path_dialect.py"
-GENERATED_WITH = "2.4.50"  # the pymavlink whose output is stored
 
 
 def generate(output: Path, language: str = "Python3") -> None:
-    """Write the dialect to ``output`` in one of mavgen's languages. Raises CalledProcessError with mavgen's words."""
+    """Write the dialect to ``output`` in one of mavgen's languages. Raises CalledProcessError with mavgen's words.
+
+    A file that has this content already stays as it is: a program that is just starting may be reading it.
+    """
     minimal = Path(str(files("pymavlink"))) / "dialects" / "v20" / "minimal.xml"
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
@@ -33,7 +37,9 @@ def generate(output: Path, language: str = "Python3") -> None:
         subprocess.run(
             [*command, f"--output={generated}", "path.xml"], cwd=work, check=True, capture_output=True, text=True
         )
-        shutil.copy(work / generated, output)
+        content = (work / generated).read_bytes()
+        if not output.exists() or output.read_bytes() != content:
+            output.write_bytes(content)
 
 
 if __name__ == "__main__":

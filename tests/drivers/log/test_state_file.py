@@ -229,10 +229,10 @@ def test_what_the_disk_is_asked_to_keep_has_left_the_program_before(
     """A sync of a file whose content still waits in a buffer keeps nothing."""
     sizes: list[int] = []
 
-    def synced(number: int) -> None:
+    def note(number: int) -> None:
         sizes.append(os.fstat(number).st_size)
 
-    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "fsync", note)
     file = tmp_path / "state.json"
     StateFile(file, Role.SENDER).save(SenderRecord(7))
     assert sizes[0] == file.stat().st_size > 0
