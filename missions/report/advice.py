@@ -37,6 +37,7 @@ _ADVICE: dict[Outcome, str] = {
     Outcome.LOG_FAILED: "Free some disk: this run's logs are not whole.",
     Outcome.MONITOR_VIOLATED: "Report it, with this folder: a rule of safety was broken.",
     Outcome.HARNESS_FAILED: "Run it again; it was the simulation.",
+    Outcome.OVERLOADED: "Free the computer and fly again, or take a rig with smaller pictures or a lower rate.",
     Outcome.WRONG_OBJECT: "Report it, with this folder; designate with an example, and see docs/gates.md.",
 }
 
