@@ -70,7 +70,7 @@ class GuardRules:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the mission allows (``[mission.guard]`` and ``[mission.separation]``)."""
+    """The limits that the mission sets (``[mission.guard]`` and ``[mission.separation]``)."""
 
     fence_radius_m: float
     fence_height_m: float
@@ -97,7 +97,7 @@ class Heard:
 
 
 class Act(Enum):
-    """What the guard sends, now and once."""
+    """The command that the guard sends, now and once."""
 
     NOTHING = "nothing"
     HOLD = "hold"
@@ -122,7 +122,7 @@ _HANDS = {
 
 @dataclass(frozen=True, slots=True)
 class GuardState:
-    """Where the guard stands.
+    """The state of the guard.
 
     Attributes:
         reason: why the vehicle was taken, or let go of.
@@ -142,7 +142,7 @@ class GuardState:
     odd_ns: int | None = None
 
     def hand(self, script: Script, armed: bool) -> Hand:
-        """Whose the vehicle is."""
+        """Returns whose the vehicle is."""
         if self.stage is Stage.WATCHING:
             return Hand.SCRIPT if armed and script.flies else Hand.FREE
         return _HANDS[self.stage]
@@ -223,7 +223,7 @@ def _watch(
 
 
 def _somebody_else(state: GuardState, view: GuardView, heard: Heard, now_ns: int, rules: GuardRules) -> bool:
-    """Whether the mode is not the script's doing.
+    """Returns whether the mode is somebody else's doing than the script's.
 
     A dead program's vehicle may be held by the autopilot's own failsafe: there is nobody to leave it to. One that comes
     down without a script comes down by somebody's will.
@@ -254,7 +254,7 @@ def broken_limit(view: GuardView, heard: Heard, now_ns: int, rules: GuardRules, 
 
 
 def flown_by_scripts_alone(view: GuardView) -> bool:
-    """Whether more than one message says that the vehicle is in a mode that no person flies."""
+    """Returns whether more than one message says that the vehicle is in a mode that no person flies."""
     return view.mode in _MOVING and view.mode_told >= SURE
 
 

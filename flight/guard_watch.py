@@ -75,7 +75,7 @@ class GuardWatch:
         return heard is not None and (self._clock.now_ns() - heard.beat_ns) * 1e-9 <= self._rules.beat_age_s
 
     def sees(self, now_ns: int) -> bool:
-        """Whether the own link brings telemetry."""
+        """Returns whether the own link brings telemetry."""
         view = self._vehicle.view()
         oldest_ns = 0 if view is None else min(view.heartbeat_ns, view.position_ns)
         return oldest_ns > 0 and (now_ns - oldest_ns) * 1e-9 <= self._rules.blind_s

@@ -1,4 +1,4 @@
-"""How a drone leans as it hovers: wind tilts it, and with it a camera that is fixed to it."""
+"""The tilt of a drone as it hovers: wind tilts it, and with it a camera that is fixed to it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Lean:
         self.down_n = add(scale(self.down_n, 1.0 - _SHARE), scale((north, east, down), _SHARE))
 
     def aim(self, axis_b: Vec3, heading_rad: float, below_m: float) -> Vec3:
-        """How much farther to one side a drone has to be for its camera to look where it would look if it were level.
+        """Returns how much farther to one side a drone has to be for its camera to look where a level one would.
 
         Args:
             axis_b: of the camera, in the body; it looks downward.

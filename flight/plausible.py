@@ -1,4 +1,4 @@
-"""What of a rig must fit together for a mission to be flown as it says: checked before anything moves.
+"""The checks that a rig's parts fit together for a mission to be flown as it says, before anything moves.
 
 Each number by itself has bounds (``path.bounds``). Here they are held against each other: places and heights against
 the fence, ranges against the cameras, waits against what they wait for. Whether the world of a simulated rig fits is
@@ -180,7 +180,7 @@ def _target_from_sender(mission: MissionConfig) -> np.ndarray[tuple[int], np.dty
 
 
 def camera_rate_hz(own: RoleRig) -> float | None:
-    """How many frames a second a role's camera gives; None when its part does not say."""
+    """Returns a role's camera rate in frames a second; None when its part does not say."""
     config = decode_part(own.sight)[1]
     inner = getattr(config, "camera", None)
     if isinstance(inner, PartSpec):

@@ -34,7 +34,7 @@ Verdict = Agreed | Missed
 
 @dataclass(frozen=True, slots=True)
 class TwoViews:
-    """What is calibrated before take-off: both cameras and the mounting ``T_v_c1`` of D1's."""
+    """The calibration from before take-off: both cameras, and the mounting ``T_v_c1`` of D1's."""
 
     camera1: CameraModel
     camera2: CameraModel

@@ -1,4 +1,4 @@
-"""What a number of a configuration may be: bounds and a unit, declared beside the field.
+"""Plausible bounds and units of a configuration's numbers, declared beside the field.
 
     take_off_height_m: Annotated[float, Bounds(0.3, 100.0)] = 1.5
     hold_frames: Annotated[int, Bounds(1, 100_000, "frames")] = 350
@@ -49,7 +49,7 @@ class Bounds:
     above: bool = False
 
     def holds(self, value: float) -> bool:
-        """Whether a value is within; False for NaN."""
+        """Returns whether a value is within the bounds; False for NaN."""
         return self.low <= value <= self.high and not (self.above and value == self.low)
 
 
@@ -81,7 +81,7 @@ def out_of_bounds(config: object) -> list[tuple[str, str]]:
 
 
 def refusal(name: str, value: float, bounds: Bounds) -> str:
-    """Why a field's value is not taken: the value, what is allowed, and the likely mistake."""
+    """Returns why a field's value is refused: the value, what is allowed, and the likely mistake."""
     unit = unit_of(name, bounds)
     shown = f" {unit}" if unit and not unit.startswith("(") else ""
     low, high = (str(each) if isinstance(each, int) else f"{each:g}" for each in (bounds.low, bounds.high))

@@ -32,7 +32,7 @@ UPRIGHT: Matrix = np.eye(3)
 
 @dataclass(frozen=True, slots=True)
 class RelativeSettings:
-    """What is known of the errors, as standard deviations per axis.
+    """The errors that the filter assumes, as standard deviations per axis.
 
     Attributes:
         velocity_sigma_mps: error of the relative velocity that the two vehicles report.

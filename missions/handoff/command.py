@@ -146,7 +146,7 @@ def harness_of(rig: Rig) -> Harness:
 
 @dataclass(frozen=True, slots=True)
 class FlightPrograms:
-    """What both drones fly.
+    """The programs that both drones fly.
 
     Attributes:
         main: one role's program, in the harness's process.

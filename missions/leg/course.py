@@ -1,4 +1,4 @@
-"""How a role's course is flown: what runs beside it, what may end it, and the way down whatever happens."""
+"""The flight of a role's course: what runs beside it, what may end it, and the way down whatever happens."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ async def run_course(session: Session, course: Course) -> MissionEnd | None:
 
 
 async def run_recovery(session: Session, recover: Recovery, end: MissionEnd | None) -> bool:
-    """Whether the script landed the vehicle."""
+    """Brings the vehicle down, and returns whether the script landed it."""
     try:
         return await recover(end)
     except Exception as error:

@@ -170,7 +170,7 @@ class MachineRun(Generic[Machine]):
 
     @property
     def wake_ns(self) -> int | None:
-        """When time next brings something about, own clock."""
+        """The instant at which time next brings something about, own clock; None when it does not."""
         return self._machine.wake_ns
 
     def on_status(self, status: Status) -> None:

@@ -190,7 +190,7 @@ class Receiver:
         return landed
 
     async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
-        """Whether the script landed the vehicle."""
+        """Brings the vehicle down, and returns whether the script landed it."""
         return await bring_down(self._session, end, way_out)
 
     def _peer(self) -> Status:
@@ -351,7 +351,7 @@ class Receiver:
             self._on_target(received.message)
 
     def _on_target(self, target: Target) -> None:
-        """Where the target is. The protocol has seen the message first and says which attempt is live."""
+        """Takes the target's place. The protocol has seen the message first and says which attempt is live."""
         session, live = self._session, self._handover.live
         if live is None or not session.alignment.ready:
             return
@@ -375,7 +375,7 @@ class Receiver:
             self._newest = target
 
     def _able(self) -> bool:
-        """Whether the target was seen lately, by this drone itself."""
+        """Returns whether the target was seen lately, by this drone itself."""
         track = self._track
         return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 < _ABLE_S
 

@@ -119,7 +119,7 @@ def _may_be_a_pilots(state: VehicleState) -> bool:
 
 
 def may_manoeuvre(session: Session, end: MissionEnd | None) -> bool:
-    """Whether the vehicle is still the script's to fly somewhere, after the course ended this way."""
+    """Returns whether the vehicle is still the script's to fly somewhere, after the course ended this way."""
     barred = _NO_MANOEUVRE | _SCRIPT_LET_GO
     return session.pilot.in_control and (end is None or end.outcome not in barred)
 

@@ -65,7 +65,7 @@ class Features(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How features around a box are looked for.
+    """Which surroundings of a box are searched for features, and at which scale.
 
     Attributes:
         zoom: enlargement of the image before.

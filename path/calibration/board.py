@@ -83,7 +83,7 @@ class Board:
 
     @property
     def text(self) -> str:
-        """How messages name it."""
+        """Returns the board's name in messages."""
         size = f"{self.columns}x{self.rows} squares of {1000.0 * self.square_m:g} mm"
         if self.pattern == "chessboard":
             return f"chessboard, {size}"
@@ -108,7 +108,10 @@ class BoardView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundCorners:
-    """What OpenCV finds, before refinement. ``clear_px``: (n,) how far around a corner only its four squares are."""
+    """Corners as OpenCV finds them, before refinement.
+
+    ``clear_px``: (n,) how far around a corner only its four squares are.
+    """
 
     ids: NDArray[np.int64]
     corners_px: Array

@@ -136,7 +136,10 @@ def doubting(solution: Intrinsics) -> Intrinsics:
 
 
 def left_by(camera: CameraModel, views: Sequence[BoardView], board: Board) -> float:
-    """What a given camera leaves of views when only their poses are fitted, rms in px: with the true one, the noise."""
+    """Returns the residual of a given camera when only the views' poses are fitted, rms in px.
+
+    With the true one: the noise.
+    """
     matrix, lens = matrices_of(camera)
     return rms(np.concatenate([_refit(matrix, lens, board.corners_o[v.ids], v.corners_px)[1] for v in views]))
 
@@ -215,7 +218,7 @@ def _fixed(radial: int) -> int:
 
 
 def _near(matrix: Array, lens: Array, points_o: Array, corners_px: Array, limit_px: float) -> NDArray[np.bool_]:
-    """Which corners of a view fit it: the worst is left out, one at a time, as it pulls the others off."""
+    """Returns which corners of a view fit it. The worst is left out, one at a time, as it pulls the others off."""
     kept = np.ones(len(corners_px), np.bool_)
     for _ in range(int(MOST_OUTLIERS * len(corners_px))):
         lengths = np.linalg.norm(_refit(matrix, lens, points_o[kept], corners_px[kept])[1], axis=1)

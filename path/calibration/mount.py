@@ -1,4 +1,4 @@
-"""Where D1's camera is, seen from the marker: ``T_v_c1`` from pairs of images of one board.
+"""The pose of D1's camera in the marker's frame: ``T_v_c1`` from pairs of images of one board.
 
 D1's camera sees the board; at the same time another camera sees the board and the marker. Board, drone and the other
 camera may move from pair to pair, not within one. Everything is fitted at once: ``T_v_c1``, the size of the print, and
@@ -45,7 +45,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairFit:
-    """What the solution leaves of one pair: rms of the marker's corners in px, and their chi-square per number."""
+    """The residuals of one pair in the solution: rms of the marker's corners in px, and their chi-square per number."""
 
     name: str
     rms_px: float

@@ -39,7 +39,7 @@ WORST_PX, WORST_SHARE = 1.0, 0.06  # rms misfit of corners, px or share of the s
 
 @dataclass(frozen=True, slots=True)
 class PoseSettings:
-    """What is known of the errors, and what is too uncertain to be a pose.
+    """The expected errors of a pose's inputs, and the limits beyond which a pose is refused.
 
     Attributes:
         attitude_v_sigma_rad, attitude_c_sigma_rad: of gravity in ``v`` and in the camera, per axis: the error of roll

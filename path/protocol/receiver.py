@@ -76,7 +76,7 @@ Step = tuple[ReceiverState, Actions]
 
 
 def claim(state: ReceiverState) -> TakeResponsibility | None:
-    """What a state is responsible by; None when it is not."""
+    """Returns the claim by which a state is responsible; None when it is not."""
     match state:
         case Provisional():
             return TakeResponsibility(state.lease_end_ns)
@@ -87,7 +87,7 @@ def claim(state: ReceiverState) -> TakeResponsibility | None:
 
 
 def is_responsible(state: ReceiverState, now_ns: int) -> bool:
-    """Whether it is at this instant, be it that nobody has told the machine of it yet."""
+    """Returns whether it is responsible at this instant, even if nobody has told the machine of the instant yet."""
     held = claim(state)
     return held is not None and held.at(now_ns)
 
@@ -104,7 +104,7 @@ def floor(state: ReceiverState) -> int:
 
 
 def record(state: ReceiverState) -> ReceiverRecord:
-    """What is to be written down of a state."""
+    """Returns what is to be written down of a state."""
     match state:
         case Observing():
             return ReceiverRecord(state.floor)
@@ -138,7 +138,7 @@ def restored(config: ProtocolConfig, kept: ReceiverRecord, now_ns: int, *, same_
 
 
 def wake_ns(state: ReceiverState) -> int | None:
-    """When the next Tick is due, own clock; None when time changes nothing."""
+    """Returns when the next Tick is due, own clock; None when time changes nothing."""
     match state:
         case Observing():
             return None if state.live is None else state.end_ns
@@ -375,7 +375,7 @@ class ReceiverMachine:
 
     @property
     def live(self) -> Handoff | None:
-        """What Candidates are to carry; None before the first Target of a handoff, and after its end."""
+        """The attempt that Candidates are to carry; None before the first Target of a handoff, and after its end."""
         return self.state.live
 
     def responsible(self, now_ns: int) -> bool:

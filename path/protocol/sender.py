@@ -109,7 +109,7 @@ def epoch(state: SenderState) -> int:
 
 
 def record(state: SenderState) -> SenderRecord:
-    """What is to be written down of a state."""
+    """Returns what is to be written down of a state."""
     match state:
         case Idle():
             return SenderRecord(state.epoch)
@@ -150,7 +150,7 @@ def restored(config: ProtocolConfig, kept: SenderRecord, now_ns: int, *, same_cl
 
 
 def wake_ns(state: SenderState) -> int | None:
-    """When the next Tick is due, own clock; None when time changes nothing."""
+    """Returns when the next Tick is due, own clock; None when time changes nothing."""
     match state:
         case Offering() | Verifying():
             return _deadline_ns(state)
@@ -360,7 +360,7 @@ class SenderMachine:
 
     @property
     def live(self) -> Handoff | None:
-        """What Targets are to carry; None when there is no handoff."""
+        """The attempt that Targets are to carry; None when there is no handoff."""
         return None if isinstance(self.state, Idle | Keeping) else self.state.live
 
     @property
