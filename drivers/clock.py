@@ -49,5 +49,5 @@ def stopwatch_ns() -> int:
 
 
 def busy_ns() -> int:
-    """How long this thread has run on a core, from an arbitrary zero: other programs' turns are not in it."""
+    """Returns how long this thread has run on a core, from an arbitrary zero: other programs' turns are not in it."""
     return time.thread_time_ns()

@@ -1,4 +1,4 @@
-"""What comes out of Marvelmind's serial ports, as positions on the listener's clock: the same live and from a record.
+"""Positions from the bytes of Marvelmind's serial ports, on the listener's clock: the same live and from a record.
 
 Nothing here waits or knows a port: bytes with the instant of their arrival go in, positions come out.
 """
@@ -46,7 +46,7 @@ class ClockMap:
 
 @dataclass(slots=True)
 class _Hedge:
-    """What is kept of one mobile beacon on one port."""
+    """The state of one mobile beacon on one port."""
 
     clock: ClockMap = field(default_factory=ClockMap)
     wrapped: int = 0
@@ -63,7 +63,7 @@ class _Hedge:
 
 @dataclass(slots=True)
 class PortState:
-    """What one port has said.
+    """The state of one port.
 
     Attributes:
         newest_ns: arrival of the newest bytes, and of the newest position; None before any.

@@ -1,4 +1,4 @@
-"""What is logged, as any viewer knows it: Foxglove's schemas, made from PATH's own records.
+"""The log's records in Foxglove's schemas, which any viewer knows, made from PATH's own.
 
     /calibration   CameraCalibration, of NAME/camera
     /tf            FrameTransforms: world (ENU) - n (NED) - NAME/body (FRD) - NAME/camera, NAME/marker, and on D2
@@ -122,14 +122,14 @@ class Standards:
         }
 
     def of(self, topic: str, stamp_ns: int, record: Record) -> Iterable[Standard]:
-        """What a record is to a viewer."""
+        """Returns a viewer's messages for a record."""
         if topic in _LINES:
             return (self._line(topic, stamp_ns, {**blank(topic), **record}),)
         make = self._of.get(topic)
         return () if make is None else make(stamp_ns, {**blank(topic), **record})
 
     def of_image(self, stamp_ns: int) -> Iterable[Standard]:
-        """What is drawn over an image, unless it was just told."""
+        """Returns what is drawn over an image; nothing when it was just told."""
         return () if self._said_ns.get("/annotations") == stamp_ns else (self._annotations(stamp_ns),)
 
     def _due(self, topic: str, stamp_ns: int, period_ns: int = PERIOD_NS) -> bool:

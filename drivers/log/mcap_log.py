@@ -305,7 +305,7 @@ class LoggedMessage:
 
 
 def messages(file: IO[bytes]) -> Iterator[LoggedMessage | Metadata]:
-    """What is in a log after its magic, in the order it was written, up to where it ends."""
+    """Yields the messages and metadata of a log after its magic, in the order it was written, up to where it ends."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, LoggedChannel] = {}
     records = StreamReader(file, skip_magic=True).records

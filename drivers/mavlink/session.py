@@ -42,7 +42,7 @@ _logging: set[Session] = set()  # the open ones; MAVSDK has one log for all, and
 
 @dataclass(frozen=True, slots=True)
 class SessionConfig:
-    """Who is talked to, as who, and how long anything may take."""
+    """The two ends of a session with a vehicle, and how long anything may take."""
 
     url: str
     sysid: int

@@ -194,14 +194,14 @@ class Telemetry:
 
     @property
     def mode_told(self) -> int:
-        """How many messages in a row have said this mode."""
+        """The number of messages in a row that have said this mode."""
         return self.reported_mode.told if self.reported_mode else 0
 
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
         return self._history.attitude_at(stamp_ns)
 
     def missing(self) -> list[str]:
-        """What is not ready for flight. ``is_armable`` alone comes seconds before there is a position.
+        """Returns what is not ready for flight. ``is_armable`` alone comes seconds before there is a position.
 
         ArduPilot tells a global position, and MAVSDK finds it well, 15 s before it has one that it would fly with: then
         it begins to tell the local one.

@@ -157,7 +157,7 @@ class MavsdkVehicle:
         return self._telemetry.attitude_at(stamp_ns)
 
     async def examine(self) -> Sequence[Finding]:
-        """Which autopilot it is, how often it tells what was asked of it, what it waits for before it can be armed."""
+        """Returns which autopilot it is, how often it tells what was asked of it, and what arming waits for."""
         telemetry = self._telemetry
         await self._session.command(REQUEST_MESSAGE, (AUTOPILOT_VERSION,), SAFE_TRIES)
         await self._session.until(lambda: telemetry.firmware is not None, self._config.command_timeout_s)
@@ -176,7 +176,7 @@ class MavsdkVehicle:
         return findings
 
     async def parameter_differences(self) -> tuple[Difference, ...]:
-        """What is not as the rig's ``parameters`` want it. Raises VehicleError."""
+        """Returns the parameters that are not as the rig's ``parameters`` want them. Raises VehicleError."""
         access, wanted = self._session.parameters, self._config.parameters
         if access is None:
             raise VehicleError(f"{self._config.url} is not open", "enter the vehicle with `async with` first")

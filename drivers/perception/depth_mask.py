@@ -1,4 +1,7 @@
-"""What of an image is at some depth: things that touch in the image are not, where they are not equally far away."""
+"""The part of an image that is at some depth.
+
+things that touch in the image are separate where they are not equally far away.
+"""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class RecordedFrame:
 
 
 class Recording(Protocol):
-    """What was recorded. ``count``: frames, None when that is not known before they are read."""
+    """A recording's frames. ``count``: their number, None when that is not known before they are read."""
 
     @property
     def name(self) -> str: ...

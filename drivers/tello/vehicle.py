@@ -113,7 +113,7 @@ class TelloVehicle:
 
     @property
     def position_sigma_m(self) -> float:
-        """How well the horizontal position is known by now, per axis."""
+        """The standard deviation of the horizontal position by now, per axis."""
         return self._reckoning.position_sigma_m
 
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:

@@ -65,7 +65,7 @@ class Features(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Which surroundings of a box are searched for features, and at which scale.
+    """The surroundings of a box in which features are searched for, and their scale.
 
     Attributes:
         zoom: enlargement of the image before.
