@@ -1,6 +1,6 @@
 """The part of an image that is at some depth.
 
-things that touch in the image are separate where they are not equally far away.
+Things that touch in the image are separate where they are not equally far away.
 """
 
 from __future__ import annotations

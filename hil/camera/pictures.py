@@ -45,7 +45,7 @@ class Studio:
         self._marked: dict[int, Model] = {}
 
     def shoot(self, stage: Stage, role: Role, shot_seed: int) -> Shot:
-        """What the role's camera delivers. The drone of the role must be on the stage."""
+        """Returns the image that the role's camera delivers. The drone of the role must be on the stage."""
         key = self._renderer.key(role, shot_seed)
         light, depth = self._renderer.draw(stage.T_w_b[role], self._bodies(stage, role, key % LIGHTS), key)
         if is_plain(self._setup.imaging):

@@ -1,4 +1,4 @@
-"""How the numbers of ``hil.geometric.noise`` are measured: the real perception on rendered frames, against geometry.
+"""The measurement of the numbers in ``hil.geometric.noise``: the real perception on rendered frames, against geometry.
 
 ``collect`` asks a view of a scene what a mission would and compares it with the exact geometry. Done with rendered
 frames it gives what ``measure_noise`` fits; done with the geometric sight it shows whether that is as noisy.
@@ -103,7 +103,7 @@ def geometric(seed: int, noise: ObservationNoise | None = None, method: MethodCo
 
 @dataclass(slots=True)
 class Residuals:
-    """What a perception gave, less what is true; one entry an observation.
+    """The errors of a perception against the truth; one entry an observation.
 
     Attributes:
         edges_px: left, top, right, bottom of boxes of cars in full view; ``cars`` of them there were.
@@ -239,7 +239,7 @@ def _spread(values: Array) -> Array:
 
 
 def _logistic(x: Array, hit: Array) -> tuple[float, float]:
-    """Where the chance of a hit is 1/2, and how fast its logit grows: maximum likelihood by Newton's method."""
+    """Returns where the chance of a hit is 1/2, and how fast its logit grows: maximum likelihood by Newton's method."""
     middle = float(x.mean())
     design, weights = np.stack((np.ones_like(x), x - middle), axis=1), np.zeros(2)
     for _ in range(25):

@@ -28,7 +28,7 @@ class GuardWorld(Protocol):
 
 
 class GuardHarness(Protocol):
-    """What the guard needs of ``PartContext.harness``; ``lost_vehicles`` have lost every link."""
+    """The part of ``PartContext.harness`` that the guard needs; ``lost_vehicles`` have lost every link."""
 
     @property
     def world(self) -> GuardWorld: ...

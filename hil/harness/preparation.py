@@ -17,7 +17,7 @@ FIRST_START = "preparing: kernels are compiled at the first start, for about hal
 
 
 def starting(role: Role, what: str) -> Progress:
-    """What the console shows while there is no role yet."""
+    """Returns what the console shows while there is no role yet."""
     return Progress(role, 0, "starting", 0, 0, None, None, None, 0.0, False, what)
 
 

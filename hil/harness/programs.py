@@ -92,11 +92,11 @@ class Programs:
         return self._slots[name].disk
 
     def killed(self, name: str) -> bool:
-        """Whether its program is dead, and not started again yet."""
+        """Returns whether its program is dead, and not started again yet."""
         return self._slots[name].killed
 
     def began_again(self, name: str) -> bool:
-        """Whether its program is not the first one."""
+        """Returns whether its program is not the first one."""
         return self._slots[name].again
 
     def interrupt(self) -> None:

@@ -204,7 +204,7 @@ class _Relay:
             await asyncio.sleep(NEAR_PERIOD_S if len(world.airborne) > 1 else PERIOD_S)
 
     def _close_flight(self, drone: _Drone) -> None:
-        """What one flight's autopilot leaves, before it is started anew."""
+        """Closes one flight: its autopilot's record goes to the monitors before it is started anew."""
         self._monitors.on_offboard(drone.name, drone.harness.cut_off_s)
         self._monitors.on_swap(drone.name, present_s())
         drone.harness.cut_off_s = []

@@ -263,7 +263,7 @@ class _Relay:
             await asyncio.sleep(NEWS_S)
 
     async def _watch_records(self) -> None:
-        """What a drone writes down for a restart, as soon as it is there, while a fault waits for it."""
+        """Watches what a drone writes down for a restart, as soon as it is there, while a fault waits for it."""
         seen: dict[str, str] = {}
         while True:
             waited_for = [name for name in self._drones if self._legs.waits_for_duty(name)]

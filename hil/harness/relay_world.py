@@ -100,7 +100,7 @@ class RelayWorld(Fleet[str]):
         return tuple(round(drone.autopilot.battery, 4) for drone in self._drones.values())
 
     def landed(self, name: str) -> bool:
-        """Whether it stands on the ground, its motors off."""
+        """Returns whether it stands on the ground, its motors off."""
         drone = self._drones[name]
         return drone.on_ground and not drone.autopilot.armed
 

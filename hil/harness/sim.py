@@ -234,7 +234,7 @@ async def _with_log(program: Awaitable[RoleResult], log: McapLog) -> RoleResult:
 
 
 def down(world: World, role: Role) -> bool:
-    """Whether a vehicle stands on the ground, disarmed."""
+    """Returns whether a vehicle stands on the ground, disarmed."""
     drone = world.drone(role)
     return drone.on_ground and not drone.autopilot.armed
 

@@ -56,7 +56,7 @@ StartAttack = Callable[[float], Awaitable[Child]]
 
 @dataclass(slots=True)
 class _Run:
-    """What is known of a run while it goes on."""
+    """The state of a run while it goes on."""
 
     request: FlightRequest
     results: dict[Role, RoleResult] = field(default_factory=dict[Role, RoleResult])
@@ -259,7 +259,7 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
                 return
 
     async def watch_record(role: Role) -> None:
-        """What a role writes down for a restart, as soon as it is there."""
+        """Watches what a role writes down for a restart, as soon as it is there."""
         file, seen = run.request.out / f"{role.value}.state.json", ""
         while trigger.waits_for_duty(role):
             duty = duty_of(file)
@@ -301,7 +301,10 @@ def _died(out: Path, role: Role) -> str:
 
 
 def _records(out: Path) -> Iterator[tuple[int, Role, LogRecord | None]]:
-    """What both roles logged, of all their programs; None where the log of one ends without an outcome: it died."""
+    """Yields both roles' log records, of all their programs.
+
+    None where the log of one ends without an outcome: it died.
+    """
     for role in Role:
         for part in parts(out, role.value):
             newest_ns, ended = 0, False

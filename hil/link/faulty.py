@@ -22,7 +22,7 @@ SHARES = ("loss", "duplicate", "corrupt", "reorder")
 
 @dataclass(frozen=True, slots=True)
 class LinkFaults:
-    """What happens to a packet; shares are 0..1 and independent of each other.
+    """The faults that a packet may meet; shares are 0..1 and independent of each other.
 
     Attributes:
         loss: share that never arrives.
@@ -66,7 +66,7 @@ class FaultyChannel:
         self._out_until_s = max(self._out_until_s, until_s)
 
     def arrivals(self, data: bytes, now_s: float) -> list[tuple[float, bytes]]:
-        """When, on the clock of ``now_s``, and as what a packet arrives: never, once or twice."""
+        """Returns when, on the clock of ``now_s``, and as what a packet arrives: never, once or twice."""
         faults, chance = self.faults, self._random.random
         arrivals: list[tuple[float, bytes]] = []
         if chance() < faults.loss or now_s < self._out_until_s:
@@ -161,14 +161,14 @@ class MemoryHub:
 
 
 class HubHarness(Protocol):
-    """What the link needs of ``PartContext.harness``."""
+    """The part of ``PartContext.harness`` that the link needs."""
 
     @property
     def hub(self) -> MemoryHub: ...
 
 
 class HubContext(LinkContext, Protocol):
-    """What the link needs of ``PartContext``."""
+    """The part of ``PartContext`` that the link needs."""
 
     @property
     def harness(self) -> object | None: ...

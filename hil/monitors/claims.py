@@ -1,4 +1,4 @@
-"""Who is responsible and until when, as the drones' records tell it.
+"""The claims of responsibility, and until when, as the drones' records tell them.
 
 A claim that has run out is none, whether or not its program was awake to say so (``path.protocol.values``).
 """

@@ -1,4 +1,4 @@
-"""What must never happen in a relay: the monitors of a handoff for each leg, and those of all drones together.
+"""The monitors of a relay: those of a handoff for each leg, and those of all drones together.
 
 Of all drones: at most one is responsible (S1), nobody is for no longer than lease, uncertainty and guard allow (L2),
 all that are in the air keep their separation (S9), none is below the reserve before it has landed, and who is

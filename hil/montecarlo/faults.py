@@ -22,7 +22,7 @@ MIXABLE: tuple[FaultName, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class HandoverFaults:
-    """When something goes wrong: rows (from, to) in s, and how much."""
+    """The faults of one hand-over: rows (from, to) in s, and how much."""
 
     hidden: Array
     flipped: Array

@@ -142,7 +142,7 @@ def _attitude(angles: Array, yaw_rad: float) -> Array:
 
 
 def within(times_s: Array, spells: Array) -> NDArray[np.bool_]:
-    """Whether each time is in one of the spells, rows (from, to)."""
+    """Returns whether each time is in one of the spells, rows (from, to)."""
     inside = (times_s[:, None] >= spells[:, 0]) & (times_s[:, None] < spells[:, 1])
     return np.any(inside, axis=1)
 

@@ -57,7 +57,7 @@ SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD = 0, 1, 2, 3  # what
 
 
 class HandoverViews(NamedTuple):
-    """What both cameras gave: see ``hil.montecarlo.perception``; numbers and stamps of the frames.
+    """The observations of both cameras: see ``hil.montecarlo.perception``; numbers and stamps of the frames.
 
     ``gravity_v``, ``gravity_c``: (n, 3) as each drone believes; ``R_n_c``: of D2's camera, (n, 3, 3).
     ``shift_c``, ``turn``: what D2's pose is off by, (3,) and (3, 3).
@@ -205,7 +205,7 @@ class HandoverSetup:
         return own, markers, found, many
 
     def _reports(self, receiver: Timed) -> tuple[Array, Whole, Array, Array, Whole]:
-        """What both vehicles say of their motion, D1's yaw in it, and how much of it D2 has by each of its frames."""
+        """Returns both vehicles' reports of their motion, D1's yaw in it, and how many D2 has by each of its frames."""
         faults, motion = self.drawn.faults, self._motion
         said_s = np.arange(-2.0, self._horizon_s * STATUS_HZ) / STATUS_HZ
         heard = np.searchsorted(said_s + faults.delay_s + faults.jitter_s, receiver.done_s)
@@ -235,7 +235,7 @@ class HandoverSetup:
         return row
 
     def fill(self, until_s: float) -> None:
-        """What the cameras see of frames taken before ``until_s``."""
+        """Fills in the observations of frames taken before ``until_s``."""
         if until_s > self._horizon_s:
             self._prepare(self._limit_s)
         seen, (sender, receiver) = self.seen, self.frames
@@ -254,7 +254,7 @@ class HandoverSetup:
 
     @property
     def events(self) -> tuple[Whole, Whole, Whole]:
-        """What happens, to which frame, and when (ns), in the order of time."""
+        """Returns the kinds of events, their frames, and their instants (ns), in the order of time."""
         sender, receiver = self.frames
         when = (sender.done_s, sender.heard_s, receiver.done_s, receiver.heard_s)
         kinds = (SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD)

@@ -37,7 +37,10 @@ class Move:
 
 
 def move_of(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float) -> Move | str | None:
-    """What a command asks for, from where the drone is; the drone's refusal; None for a word that is no move."""
+    """Returns the move that a command asks for, from where the drone is; the drone's refusal.
+
+    None when it is no move.
+    """
     if word not in AXES and word not in TURNS:
         return None
     low, high = (1, 360) if word in TURNS else (20, 500)

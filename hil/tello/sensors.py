@@ -1,4 +1,4 @@
-"""What an emulated Tello says of itself: its state packets and the answers to queries, rounded as the real one's."""
+"""The words of an emulated Tello: its state packets and the answers to queries, rounded as the real one's."""
 
 from __future__ import annotations
 

@@ -64,8 +64,10 @@ class RemoteAutopilot:
 
     @property
     def pilot_in_control(self) -> bool:
-        """Whether somebody else selects its mode: the harness has, as a second ground station, or it flies in one that
-        no script selects."""
+        """Returns whether somebody else selects its mode.
+
+        The harness does, as a second ground station, or it flies in a mode that no script selects.
+        """
         return self.armed and (self._taken or self.mode is FlightMode.OTHER)
 
     @property
@@ -185,7 +187,7 @@ class SimulatedVehicle:
             raise SimulatorBroken(f"{self.config.kind} of vehicle {self.sysid} told no truth for {silent_s:.1f} s")
 
     def waits_for(self) -> list[str]:
-        """What it lacks until a mission may start."""
+        """Returns what it lacks until a mission may start."""
         self.pump(0.0)
         missing = self.link.missing
         if not missing and self.config.on_board:
@@ -217,7 +219,7 @@ class SimulatedVehicle:
         )
 
     def not_ready(self, missing: list[str], after_s: float) -> SimulatorBroken:
-        """What is said of one that does not become ready."""
+        """Returns the error of a simulator that does not become ready."""
         said = " | ".join(self.link.texts[-3:]) or (self._process.last_words() if self._process else "nothing")
         return SimulatorBroken(
             f"{self.config.kind} of vehicle {self.sysid} not ready after {after_s:.0f} s: waiting for "
@@ -252,7 +254,7 @@ class FollowedWorld(World):
 
 @dataclass(frozen=True, slots=True)
 class Readiness:
-    """How long each simulator took until it could fly."""
+    """The time that each simulator took until it could fly."""
 
     seconds: Mapping[Role, float]
 

@@ -34,7 +34,7 @@ IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW = 0b111, 0b111000, 1 << 10
 
 @dataclass(frozen=True, slots=True)
 class MavlinkVehicleConfig:
-    """Where a vehicle is on the wire.
+    """The place of a vehicle on the wire.
 
     Attributes:
         sysid: its MAVLink system id.
@@ -93,7 +93,7 @@ class MavlinkVehicle:
 
     @property
     def address(self) -> Address:
-        """Where it listens itself, for a second ground station."""
+        """The address at which it listens itself, for a second ground station."""
         return self._channels[0].address
 
     def close(self) -> None:

@@ -46,7 +46,7 @@ FULL_MV, EMPTY_MV = 16_800, 13_200  # four lithium cells
 
 
 class MavlinkDrone(Protocol):
-    """What of a simulated drone is seen on the wire: ``hil.world.world.SimDrone``."""
+    """The part of a simulated drone that is seen on the wire: ``hil.world.world.SimDrone``."""
 
     @property
     def autopilot(self) -> Autopilot: ...

@@ -27,7 +27,7 @@ SETPOINT_PERIOD_S = 0.05  # while the vehicle has not shown OFFBOARD yet
 
 
 class WorldHarness(Protocol):
-    """What the vehicle needs of ``PartContext.harness``.
+    """The part of ``PartContext.harness`` that the vehicle needs.
 
     ``world`` is at the loop's present whenever it is read; the vehicles of the roles in ``silent_vehicles`` have lost
     the link to their flight controller.
@@ -307,7 +307,7 @@ class SimVehicle:
             await asyncio.sleep(SETPOINT_PERIOD_S)
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Whether the condition came true in time. Raises VehicleError when the vehicle falls silent."""
+        """Returns whether the condition came true in time. Raises VehicleError when the vehicle falls silent."""
 
         def alive_and_true() -> bool:
             self._check_alive()

@@ -81,7 +81,7 @@ class SimulatorLink:
 
     @property
     def missing(self) -> list[str]:
-        """What it still lacks before a mission may start; empty when it is ready."""
+        """Returns what it still lacks before a mission may start; empty when it is ready."""
         wanted = {
             "heartbeat": mavlink.MAVLINK_MSG_ID_HEARTBEAT,
             "local position": mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,

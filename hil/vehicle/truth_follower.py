@@ -24,7 +24,7 @@ ROTOR_RADPS = 380.0
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What is true but for the position, at ``time_s``: velocity NED, attitude body to NED, body rates."""
+    """The true motion but for the position, at ``time_s``: velocity NED, attitude body to NED, body rates."""
 
     time_s: float
     velocity_n_mps: Vec3

@@ -51,7 +51,7 @@ Name = TypeVar("Name", bound=Hashable)
 
 @dataclass(frozen=True, slots=True)
 class HomeConfig:
-    """Where a drone stands at the start: (E, N) in m, nose direction clockwise from north."""
+    """The place of a drone at the start: (E, N) in m, nose direction clockwise from north."""
 
     position_m: Annotated[Point, Bounds(-1000, 1000)] = (0.0, 0.0)
     heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
@@ -59,7 +59,7 @@ class HomeConfig:
 
 @dataclass(frozen=True, slots=True)
 class ApartConfig:
-    """How far apart the drones' positions are from the start, besides the errors of their estimators.
+    """The offset of the drones' positions from the start, besides the errors of their estimators.
 
     The receiver's is the one that is off, in a direction drawn by seed; upward or downward likewise.
     """
@@ -104,7 +104,7 @@ class WorldConfig:
 
 
 class Telemetry(NamedTuple):
-    """What a drone could say of itself at one tick."""
+    """A drone's words about itself at one tick."""
 
     time_s: float
     estimate: Estimate
@@ -237,7 +237,7 @@ class Fleet(Generic[Name]):
             self._commands[i] = drone.command(self._step / STEP_HZ)
 
     def _changed(self) -> None:
-        """What was worked out of the truth as it was is of no use any more."""
+        """Drops what was worked out of the truth before it changed."""
 
     def truths(self) -> dict[Name, DroneTruth]:
         """Of every drone at ``time_s``; between two physics steps they are carried on by their velocities."""
