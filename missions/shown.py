@@ -1,4 +1,4 @@
-"""What is said to somebody who may be gone: a closed terminal, a full disk behind stdout. A flight goes on."""
+"""Output to somebody who may be gone: a closed terminal, a full disk behind stdout. A flight goes on."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def say_unwritten(error: OSError) -> None:
 
 
 def flush_or_drop(stream: TextIO) -> bool:
-    """Whether what was written to a stream came out. What did not is dropped, so that nothing fails at exit."""
+    """Returns whether what was written to a stream came out. What did not is dropped, so that nothing fails at exit."""
     try:
         stream.flush()
     except (OSError, ValueError):

@@ -1,5 +1,6 @@
-"""What all tests share, which of them may run beside which, and how property tests run everywhere: the same examples
-each time, and no limit of wall time.
+"""The settings of all tests: what they share, which may run side by side, and property tests that repeat.
+
+Property tests have the same examples each time everywhere, and no limit of wall time.
 
 Machines are noisy. ``pytest --hypothesis-profile=explore`` looks for new examples.
 """

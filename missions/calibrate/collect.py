@@ -35,7 +35,7 @@ class Look:
 
 @dataclass(slots=True)
 class Collected:
-    """What a source gave. ``sample``: an image for pictures and for telling what else is in it."""
+    """The views that a source gave. ``sample``: an image for pictures and for telling what else is in it."""
 
     looks: list[Look] = field(default_factory=list[Look])
     sample: Image | None = None

@@ -1,4 +1,4 @@
-"""How a person sees what ``doctor`` finds: one table, and what is measured now below it."""
+"""The display of ``doctor``'s findings: one table, and what is measured now below it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Shown:
         self.found.append(finding)
 
     def doing(self, what: str) -> None:
-        """What is measured from now on."""
+        """Names what is measured from now on."""
         self._doing = what
 
     def render(self) -> Group:

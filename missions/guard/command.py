@@ -36,7 +36,7 @@ _POLL_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Teller:
-    """What a guard decides, on the screen."""
+    """The guard's decisions on the screen."""
 
     role: Role
 

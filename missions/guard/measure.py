@@ -66,7 +66,7 @@ class Reaction:
 
     @property
     def reached(self) -> bool:
-        """Whether the vehicle was in the air under a script when it happened."""
+        """Returns whether the vehicle was in the air under a script when it happened."""
         return self.mode in ("offboard", "takeoff", "hold")
 
 
@@ -122,7 +122,7 @@ def cases(role: str, only: Sequence[str]) -> Iterator[tuple[str, Role, str]]:
 
 
 def read_reaction(out: Path, fault: str, role: Role, moment: str, outcome: str, violations: dict[str, int]) -> Reaction:
-    """What became of the vehicle, by the world's own log; why, by the guard's."""
+    """Reads what became of the vehicle, by the world's own log; why, by the guard's."""
     at_ns: int | None = None
     last_ns: int | None = None
     modes: list[tuple[int, str, bool]] = []

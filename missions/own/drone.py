@@ -56,7 +56,7 @@ class Drone:
 
     @property
     def position_n_m(self) -> Vec3:
-        """Where it is: north, east, down."""
+        """The drone's place: north, east, down."""
         return self.state.position_n_m
 
     @property
@@ -124,12 +124,15 @@ class Drone:
         return self._eye.T_n_c(view.stamp_ns, self._eye.R_n_b(view.stamp_ns))
 
     def where(self, view: View, box: Box) -> Vec3 | None:
-        """Where the object in a box of the frame is; None when the camera does not tell how far away it is."""
+        """Returns the place of the object in a box of the frame.
+
+        None when the camera does not tell how far away it is.
+        """
         depth = view.depth(box)
         return None if depth is None else place(box, depth, self.camera, self.camera_pose(view), 0.0)
 
     def objects(self, view: View) -> list[Vec3]:
-        """Where all the objects are that the detector finds in the frame, and whose distance is known."""
+        """Returns the places of all objects that the detector finds in the frame, and whose distance is known."""
         found = (self.where(view, one.box) for one in view.targets(None) if one.score >= MIN_SCORE)
         return [position for position in found if position is not None]
 

@@ -25,7 +25,7 @@ Where = Literal["ready", "flying", "swap"]
 
 
 class Order(Enum):
-    """What a drone takes off for."""
+    """The task that a drone takes off for."""
 
     FIND = "find"  # the target, where it was pointed at
     RELIEVE = "relieve"
@@ -59,11 +59,11 @@ Tell = Callable[[Event], None]
 
 
 class Ground(Protocol):
-    """What a drone's program asks those on the ground, and tells them: ``Base``, or the way to it."""
+    """The ground as a drone's program asks and tells it: ``Base``, or the way to it."""
 
     @property
     def over(self) -> bool:
-        """Whether the time is: nobody is called any more."""
+        """Returns whether the time is over: nobody is called any more."""
         ...
 
     def order_of(self, name: str) -> Order: ...

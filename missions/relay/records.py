@@ -1,4 +1,4 @@
-"""What a drone's disk says when it changes its role.
+"""The record on a drone's disk when it changes its role.
 
 One record is on it at any time, of the role it is in; epochs only grow, whichever role wrote them. So a program that
 dies between two roles finds either the one or the other, and both say the same: who is responsible.

@@ -56,7 +56,7 @@ _THE_RELIEFS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What stays open while the role changes."""
+    """The parts that stay open while the role changes."""
 
     clock: Clock
     vehicle: Vehicle

@@ -79,7 +79,7 @@ def redecide(
 
 
 def other_answers(decided: Iterable[Decided | Complete]) -> dict[tuple[int, int], Record]:
-    """What D2 answers otherwise than it did, for ``redecide`` of D1's log."""
+    """Returns what D2 answers otherwise than it did, for ``redecide`` of D1's log."""
     changed: dict[tuple[int, int], Record] = {}
     for each in decided:
         if isinstance(each, Decided) and each.topic == "/candidate" and not each.same and each.again is not None:
@@ -228,7 +228,7 @@ def _box(box: Any) -> Box | None:
 
 
 def _numbers(values: Any) -> Any:
-    """What was not finite is null in a log."""
+    """Returns numbers as they were before the log: what was not finite is null in it."""
     return tuple(math.nan if value is None else value for value in values)
 
 

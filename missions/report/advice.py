@@ -1,4 +1,4 @@
-"""What to do next, by how a run ended. One sentence each, for whoever stands in the field."""
+"""Advice on what to do next, by how a run ended. One sentence each, for whoever stands in the field."""
 
 from __future__ import annotations
 

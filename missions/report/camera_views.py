@@ -1,4 +1,4 @@
-"""What a camera saw when the views agreed: its image, or the scene drawn as lines, with the boxes on it."""
+"""A camera's view when the views agreed: its image, or the scene drawn as lines, with the boxes on it."""
 
 from __future__ import annotations
 

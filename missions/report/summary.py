@@ -184,12 +184,14 @@ def _errors(run: Run, span: Verification | None, truth: Truth | None) -> dict[st
 
 
 def d2_error_m(truth: Truth, answer: Mapping[str, Any]) -> float:
-    """How far off a candidate's position of D2's camera was, in the marker's frame."""
+    """Returns the error of a candidate's position of D2's camera, m, in the marker's frame."""
     return float(np.linalg.norm(np.array(answer["position_v_m"]) - truth.T_v_c2(answer["capture_ns"]).t))
 
 
 def target_error_m(truth: Truth, answer: Mapping[str, Any], sent: Mapping[str, Any]) -> float | None:
-    """How far off the target's point was in D2's camera frame; None when D1's box was not centred on the target.
+    """Returns the error of the target's point in D2's camera frame, m.
+
+    None when D1's box was not centred on the target.
 
     The true point is where D1's line of sight met the body of the target, carried along with that body to the instant
     of D2's frame.

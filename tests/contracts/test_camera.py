@@ -1,5 +1,8 @@
-"""What every Camera does, whatever is behind it: the rendered one, a D415 in software (by itself, and fed by the world
-through shared memory), a recording of it, images, a Tello's video."""
+"""The contract of every Camera, whatever is behind it.
+
+The rendered one, a D415 in software (by itself, and fed by the world through shared memory), a recording of it, images,
+a Tello's video.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +84,7 @@ async def realsense(folder: Path) -> AsyncGenerator[Stage]:
 
 @asynccontextmanager
 async def shared(folder: Path) -> AsyncGenerator[Stage]:
-    """What a role at level ``sitl`` has: the world writes into shared memory."""
+    """The camera of a role at level ``sitl``: the world writes into shared memory."""
     del folder
     run, plugged, numbers = f"test-{uuid.uuid4().hex[:12]}", [True], itertools.count(1)
     source = PartSpec("hil.camera.software_d415:SoftwareD415", {"run": run}, "test: source")

@@ -73,7 +73,7 @@ def leaning(axis: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a drone's camera sees from a viewpoint, computed anew."""
+    """The view of a drone's camera from a viewpoint, computed anew."""
 
     view: Scene
     viewpoint: Viewpoint

@@ -273,7 +273,7 @@ class Judge:
     # --- outcome -----------------------------------------------------------------------------------------------
 
     def outcome(self) -> str:
-        """How the run ended, by what both sides decided."""
+        """Returns the end of the run, by what both sides decided."""
         gave = [end for end in self._ends[Role.SENDER] if end[0] is Outcome.HANDED_OVER]
         held = any(outcome is Outcome.HANDED_OVER for outcome, _ in self._ends[Role.RECEIVER])
         takes = self._world.state(Role.RECEIVER)
@@ -306,7 +306,10 @@ def _orphan(gives: Any, takes: Any) -> bool:
 
 
 def _is_what_it_says(program: Program, state: Any) -> bool:
-    """Whether a program's responsibility is its machine's. A sender that starts again on the ground tracks nothing."""
+    """Returns whether a program's responsibility is its machine's.
+
+    A sender that starts again on the ground tracks nothing.
+    """
     if program.role is Role.SENDER:
         if program.responsible == sender.is_responsible(state):
             return True

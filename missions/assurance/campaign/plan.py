@@ -1,4 +1,4 @@
-"""What happens to one run of the machines: drawn from its seed, its level and its number, and from nothing else."""
+"""The plan of one run of the machines: drawn from its seed, its level and its number, and from nothing else."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ class Sent:
 
 
 class Program:
-    """What both roles have in common; stands in for the ``Session`` of its hand-over."""
+    """The program of either role; stands in for the ``Session`` of its hand-over."""
 
     role: Role
 

@@ -39,7 +39,7 @@ class Order:
 
 
 class Workers(Protocol):
-    """Who does the work: this computer's cores, or a cluster's."""
+    """The workers: this computer's cores, or a cluster's."""
 
     def stream(
         self, what: str, piece: Callable[[Order], list[RunLine]], items: Sequence[Order]

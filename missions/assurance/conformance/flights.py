@@ -233,7 +233,7 @@ async def cable_cut_in_hold(stage: Stage) -> Values:
 
 
 async def _left_alone(stage: Stage, name: str) -> Values:
-    """What it does by itself within 20 s, by its heartbeats and by the truth."""
+    """Returns what it does by itself within 20 s, by its heartbeats and by the truth."""
     from_s = stage.now_s
     await stage.until(lambda: not stage.armed, 20.0)
     changes = modes_since(stage.heard.shown, from_s)

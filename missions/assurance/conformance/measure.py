@@ -20,7 +20,7 @@ FAILURES = (PartError, AssertionError, IndexError, ValueError)  # of a flight wh
 
 @dataclass(slots=True)
 class Measured:
-    """What came out of one vehicle.
+    """The figures measured on one vehicle.
 
     Attributes:
         what: the vehicle in words.

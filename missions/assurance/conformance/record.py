@@ -1,4 +1,4 @@
-"""What one vehicle's flights came to, as a file: ``px4.json`` beside those of the others."""
+"""The figures of one vehicle's flights as a file: ``px4.json`` beside those of the others."""
 
 from __future__ import annotations
 

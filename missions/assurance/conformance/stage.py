@@ -25,7 +25,7 @@ FORCE = 21196.0  # with which disarming stops the motors in the air; only ever s
 
 
 class Stage:
-    """What a flight of the suite works with."""
+    """The tools that a flight of the suite works with."""
 
     def __init__(self, bench: VehicleBench) -> None:
         self.bench = bench
@@ -100,7 +100,7 @@ class Stage:
         return next((each for each in own if to is None or each.to in to), None)
 
     def texts(self, since_s: float) -> str:
-        """What it said of importance since then, each once."""
+        """Returns the vehicle's important texts since then, each once."""
         said = [text for time_s, severity, text in self.heard.texts if time_s >= since_s and severity <= 4]
         return " | ".join(dict.fromkeys(said)) or "nothing"
 

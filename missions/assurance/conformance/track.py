@@ -1,4 +1,4 @@
-"""What a recorded stretch of flight says: pure functions of its instants. Heights and speeds are true ones."""
+"""The figures of a recorded stretch of flight: pure functions of its instants. Heights and speeds are true ones."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def in_words(changes: Sequence[tuple[float, str]]) -> str:
 
 
 def when(changes: Sequence[tuple[float, str]], name: str) -> float | None:
-    """When it first showed ``name``."""
+    """Returns when it first showed ``name``; None when it never did."""
     return next((time_s for time_s, shown in changes if shown == name), None)
 
 

@@ -80,7 +80,7 @@ class Attacker(asyncio.DatagramProtocol):
 
 
 def earlier_flights(out: Path) -> list[tuple[int, bytes]]:
-    """What was recorded beside a run's folder before; a line is the side and the packet."""
+    """Returns the packets recorded beside a run's folder before; a line is the side and the packet."""
     recorded: list[tuple[int, bytes]] = []
     for file in sorted(out.parent.glob(f"*{RECORDING}")):
         for line in file.read_text("ascii").splitlines():

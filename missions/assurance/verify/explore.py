@@ -26,7 +26,7 @@ _COMPLEMENT = (1 << _RECORD) - 1
 
 @dataclass(frozen=True, slots=True)
 class Exploration:
-    """What was found.
+    """The result of an exploration.
 
     Attributes:
         states, steps: worlds that were entered, and steps that were taken from them.
@@ -53,11 +53,11 @@ class Seen(Protocol):
     """The worlds that were seen."""
 
     def add(self, world: World) -> bool:
-        """Whether it is to be entered: it is new."""
+        """Returns whether the world is to be entered: it is new."""
         ...
 
     def still(self, world: World) -> bool:
-        """Whether it is worth going on from: nothing better was seen since."""
+        """Returns whether the world is worth going on from: nothing better was seen since."""
         ...
 
 
@@ -92,12 +92,15 @@ def weight(world: World) -> int:
 
 
 def covers(large: World, small: World) -> bool:
-    """Whether what can happen in ``small`` can happen in ``large``. All machines' states, skew and agreement agree."""
+    """Returns whether what can happen in ``small`` can happen in ``large``.
+
+    All machines' states, skew and agreement agree.
+    """
     return not weight(small) & ~weight(large)
 
 
 def _place(world: World) -> tuple[int, ...]:
-    """What worlds that cover one another have in common."""
+    """Returns the key that worlds share which may cover one another."""
     return world.sender, world.receiver, world.second, world.skew, world.agreed
 
 
@@ -131,7 +134,7 @@ class Covering:
 
 
 class _Trail:
-    """What was found so far, and how it was reached."""
+    """The worlds found so far, and how they were reached."""
 
     def __init__(self, moves: Moves) -> None:
         self.moves = moves

@@ -1,4 +1,7 @@
-"""What somebody without the key can send: packets of the pair altered, cut, mixed, signed anew, or sent once more."""
+"""The packets that somebody without the key can send.
+
+Those of the pair altered, cut, mixed, signed anew, or sent once more.
+"""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ Side = Literal["sender", "receiver"]
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """How large a world is explored; times in ticks.
+    """The size of the world that is explored; times in ticks.
 
     Attributes:
         crashes, aborts: how often each may happen; ``attempts``: how often the sender begins.

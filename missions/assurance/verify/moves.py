@@ -1,4 +1,4 @@
-"""What can happen next in a world, and whether it may: every step is held against the invariants of the hand-over."""
+"""The steps from a world, each held against the invariants of the hand-over."""
 
 from __future__ import annotations
 
@@ -278,7 +278,7 @@ class Moves:
                     yield self._checked(world, up, f"the receiver is started again{how}{lost}", "")
 
     def _read(self, kept: int, interned: Interned[Any]) -> tuple[tuple[int, str], ...]:
-        """What a program may find on its disk: its record, an earlier one, or none."""
+        """Returns what a program may find on its disk: its record, an earlier one, or none."""
         if not self.scope.forgetful:
             return ((kept, ""),)
         record = interned.values[kept]

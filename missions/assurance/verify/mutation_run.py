@@ -40,7 +40,7 @@ class Suite:
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """What became of a wrong version. ``by``: the test that noticed; ``why``: it is the same in all that counts."""
+    """The result of a wrong version. ``by``: the test that noticed; ``why``: it is the same in all that counts."""
 
     mutation: Mutation
     caught: bool
@@ -131,7 +131,7 @@ class Trials:
             self._free.put(server)
 
     def bounds_s(self, suites: Sequence[Suite]) -> dict[str, float]:
-        """How long each suite may take, from how long it takes on the right code. Raises PartError."""
+        """Returns how long each suite may take, from how long it takes on the right code. Raises PartError."""
 
         def right(suite: Suite) -> float:
             came = self.trial(suite, None, _LONGEST_S)

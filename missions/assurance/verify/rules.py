@@ -1,4 +1,4 @@
-"""What a machine's actions may be, in their order: S2 to S5 of the hand-over, on one step."""
+"""The rules of a machine's actions in their order: S2 to S5 of the hand-over, on one step."""
 
 from __future__ import annotations
 

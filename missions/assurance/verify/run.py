@@ -71,7 +71,7 @@ class Explored:
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """What became of a mutant: the invariant it broke, "" when it was not caught, and the worlds that took."""
+    """The result of a mutant: the invariant it broke, "" when it was not caught, and the worlds that took."""
 
     rule: str
     broke: str

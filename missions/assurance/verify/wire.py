@@ -63,7 +63,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Fuzzed:
-    """What came of it.
+    """The result of fuzzing.
 
     Attributes:
         forged: packets by way of forging; ``dropped``: by the link's reason.

@@ -72,7 +72,7 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class Ballot:
-    """What a baseline had to choose from in one frame, in each of its variants.
+    """The choice that a baseline had in one frame, in each of its variants.
 
     Attributes:
         owners: the person each of D2's boxes really shows; None: no person.
@@ -94,7 +94,7 @@ class Ballot:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """How a baseline decides: which variant of it, and its thresholds."""
+    """The decision rule of a baseline: which variant of it, and its thresholds."""
 
     variant: int
     min_inliers: int

@@ -56,7 +56,7 @@ class NoRoomError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What a stage is drawn for.
+    """The conditions that a stage is drawn for.
 
     Attributes:
         nearest_m: the nearest look-alike is this far from the target, horizontally (a range to draw from).
@@ -171,7 +171,7 @@ Eye = tuple[float, float]  # horizontal distance from the target, height
 
 
 def _eyes(wanted: Wanted, turn: float, rng: np.random.Generator) -> tuple[Eye, Eye] | None:
-    """Where both cameras are, D2's turned by ``turn`` from D1's line of sight; None: too far aside to be near."""
+    """Returns both cameras' places, D2's turned by ``turn`` from D1's line of sight; None: too far aside to be near."""
     if wanted.viewpoint_rad is not None:
         near, far = rng.uniform(2.3, 2.8), rng.uniform(3.8, 4.4)
         return (near, _height(near, wanted, rng)), (far, _height(far, wanted, rng))
@@ -197,7 +197,7 @@ def _height(reach: float, wanted: Wanted, rng: np.random.Generator) -> float:
 
 
 def _facing(wanted: Wanted, nearest: float, bearing: float, rng: np.random.Generator) -> list[float]:
-    """Where everybody looks.
+    """Draws where everybody looks.
 
     Two that stand closer than they are wide stand one behind the other; who hides the target turns its front or back.
     """
@@ -264,7 +264,7 @@ def _best_side(T_w_b1: Pose, T_w_b2: Pose) -> int:
 
 
 def _target_fits(scene: Scene) -> bool:
-    """Whether D1 sees the target, D2 the marker, and D2 the target or, as wanted, not."""
+    """Returns whether D1 sees the target, D2 the marker, and D2 the target or, as wanted, not."""
     target, receiver = scene.stage.things[0], _view(scene, Role.RECEIVER)
     sender = _view(scene, Role.SENDER)
     if not sender.holds(target) or math.dist(sender.T_w_c.t, scene.middle_w) > FARTHEST_M:
@@ -275,7 +275,7 @@ def _target_fits(scene: Scene) -> bool:
 
 
 def _crowd_fits(scene: Scene) -> bool:
-    """Whether nobody stands where a drone is, and D2 sees look-alikes."""
+    """Returns whether nobody stands where a drone is, and D2 sees look-alikes."""
     others = scene.stage.things[1:]
     eyes = [scene.T_w_c(role).t for role in Role]
     if any(math.dist(other.position_w_m[:2], eye[:2]) < CLEAR_M for other in others for eye in eyes):
@@ -316,12 +316,12 @@ class View:
         return self.camera.project_point((x, y, z))
 
     def holds(self, thing: Thing) -> bool:
-        """Whether all of a person's shirt is in the image."""
+        """Returns whether all of a person's shirt is in the image."""
         corners = self.T_w_c.inverse().apply(_room(thing))
         return all(self.camera.sees((x, y, z), MARGIN_PX) for x, y, z in corners.tolist())
 
     def touches(self, thing: Thing) -> bool:
-        """Whether any of the person is."""
+        """Returns whether any of the person is in the image."""
         low, high = np.array(thing.position_w_m), np.array(thing.position_w_m)
         high[2] += PERSON_HEIGHT_M
         across = self.T_w_c.R[:, 0] * PERSON_RADIUS_M

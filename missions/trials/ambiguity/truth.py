@@ -1,4 +1,4 @@
-"""Who is really where in an image: judged by the exact depth of what each pixel sees, people in front included."""
+"""The true owner of each pixel in an image, by the exact depth of what it sees, people in front included."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Sight:
         return (nearest if away[nearest] < BODY_M else None), depth
 
     def in_box(self, box: Box) -> Counter[int | None]:
-        """How many of the pixels of a grid over a box show which person (None: none)."""
+        """Returns how many of the pixels of a grid over a box show which person (None: none)."""
         seen: Counter[int | None] = Counter()
         for v in np.linspace(box.y + 0.06 * box.h, box.y + 0.94 * box.h, BOX_ROWS).tolist():
             for u in np.linspace(box.x + 0.08 * box.w, box.x + 0.92 * box.w, BOX_COLUMNS).tolist():

@@ -30,7 +30,7 @@ LEAD_IN = 3  # cycles after the geometry alone, which leaves the marker unseen f
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How often: blocks, and cycles of each method in a block; ``path`` is at least the number of frames."""
+    """The number of blocks, and of each method's cycles in a block; ``path`` is at least the number of frames."""
 
     frames: int = 16
     blocks: int = 12

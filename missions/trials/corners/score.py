@@ -1,4 +1,4 @@
-"""How good corners are: error per axis, bias towards or away from the centre, honesty of the covariance."""
+"""The accuracy of corners: error per axis, bias towards or away from the centre, honesty of the covariance."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class FlightOrder:
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """How a flight ended, and what is true of its beacons."""
+    """The end of a flight, and the truth of its beacons."""
 
     folder: Path
     seed: int
@@ -96,7 +96,7 @@ def reference_of(rig: Rig) -> Reference:
 
 @dataclass(frozen=True, slots=True)
 class Motions:
-    """What PATH and the vehicles say, by the receiver's clock, s, in ``u``.
+    """The motions that PATH and the vehicles tell, by the receiver's clock, s, in ``u``.
 
     Attributes:
         own, own_1: D2's and D1's beacon by their own estimates; ``still_until_s`` is when D2 was armed.

@@ -220,7 +220,7 @@ def _yaw_error(frame: Alignment, beacons: BeaconTruth) -> float:
 
 
 def true_places(judged: Judged) -> Callable[[str, Array], Array]:
-    """Where a body truly was in the beacons' frame, (n, 3), at instants of the receiver's clock."""
+    """Returns a body's true places in the beacons' frame, (n, 3), by instants of the receiver's clock."""
     truth = truth_of(load_run(judged.flown.folder).world)
     assert truth is not None
     return lambda name, t: true_path(truth, name, judged.flown.beacons, t)

@@ -63,7 +63,7 @@ class Packet:
 
 @dataclass(slots=True)
 class Traffic:
-    """What was on one link.
+    """The traffic on one link.
 
     Attributes:
         hz: frames a second on both sides.
@@ -188,7 +188,7 @@ async def _pump(link: UdpLink) -> None:
 
 
 class _Side:
-    """What one role sends while it verifies, and the hand-over at the end of it."""
+    """The messages of one role while it verifies, and the hand-over at the end of it."""
 
     def __init__(self, role: Role, link: UdpLink, mission: MissionConfig, hz: int, rng: np.random.Generator) -> None:
         self._role = role

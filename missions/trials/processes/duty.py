@@ -1,4 +1,4 @@
-"""Who was responsible when, from the logs of both roles' programs: nobody's own count is believed.
+"""The responsibility over time, from the logs of both roles' programs: nobody's own count is believed.
 
 A program that died is responsible for nothing until it is started again and says what it is; one that ended in good
 order keeps its last word. Instants are of the world's clock.

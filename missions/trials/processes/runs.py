@@ -58,7 +58,7 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class Came:
-    """What came of it.
+    """The result of a run.
 
     Attributes:
         outcomes: by role; "died" for a program that was not started again, with the run's own ending for the rest.

@@ -42,8 +42,11 @@ class Pieces:
 
 @dataclass(frozen=True, slots=True)
 class Commit:
-    """When a gate was complete, since the attempt began; whether D2's box was of the designated object, and of the same
-    one as D1's."""
+    """The commit of a gate: its time since the attempt began, and whether the objects were right.
+
+    Attributes:
+        right: whether D2's box was of the designated object. ``same``: of the same one as D1's.
+    """
 
     after_s: float
     right: bool
@@ -52,7 +55,7 @@ class Commit:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """What became of one attempt by each gate, in the order of ``GATES``; None without a commit."""
+    """The result of one attempt by each gate, in the order of ``GATES``; None without a commit."""
 
     order: Order
     commits: tuple[Commit | None, ...]

@@ -33,7 +33,7 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """What came of a mission.
+    """The result of a mission.
 
     Attributes:
         seed: of the mission.
@@ -103,7 +103,7 @@ def fly(asked: Asked) -> Flown:
 
 
 def _entered(run: Run, phase: Phase) -> float | None:
-    """When the receiver first entered a phase, on its own clock."""
+    """Returns when the receiver first entered a phase, on its own clock, s; None when it did not."""
     of = (one.stamp_ns for one in run.receiver.get("/phase", ()) if one.record["phase"] == phase.title)
     first = next(of, None)
     return None if first is None else first * 1e-9
@@ -133,7 +133,7 @@ def _in_ellipsoids(place: _Place, separation: SeparationConfig) -> float:
 
 
 def _in_cone_s(places: Sequence[_Place], separation: SeparationConfig) -> float:
-    """How long one was in the downwash of the other."""
+    """Returns how long one was in the downwash of the other, s."""
     slope = math.tan(math.radians(separation.downwash_half_angle_deg))
     cone_s, before_s = 0.0, math.inf
     for place in places:
@@ -166,7 +166,7 @@ def separations_m(flown: Sequence[Flown]) -> list[float]:
 
 
 def reasons(flown: Sequence[Flown]) -> dict[str, int]:
-    """How those ended that did not hand over, the most frequent first."""
+    """Counts how those ended that did not hand over, the most frequent first."""
     counts: dict[str, int] = {}
     for one in flown:
         if not one.committed:

@@ -1,4 +1,4 @@
-"""How far wrong depth and a wrong marker pose move D2's prior, in the paper's nominal geometry."""
+"""The effect of a wrong depth and a wrong marker pose on D2's prior, in the paper's nominal geometry."""
 
 from __future__ import annotations
 

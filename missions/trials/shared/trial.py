@@ -1,4 +1,4 @@
-"""What a trial is asked for, and what it gives back: a summary, findings, tables and figures.
+"""The request to a trial, and what it gives back: a summary, findings, tables and figures.
 
 A trial is a module of this package with
 
@@ -98,7 +98,7 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """What a trial found.
+    """The result of a trial.
 
     Attributes:
         summary: for ``summary.json``: plain numbers in SI units, names with unit suffixes.

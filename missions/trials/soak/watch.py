@@ -1,4 +1,4 @@
-"""What the programs of a flight hold in memory and spend of the processor, from /proc while it goes on."""
+"""The memory and the processor time of a flight's programs, from /proc while it goes on."""
 
 from __future__ import annotations
 

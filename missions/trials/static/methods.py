@@ -55,7 +55,7 @@ comparison: "depth", wrong over the whole target, and "wide", depth from a large
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """What is wrong in one measurement.
+    """The errors of one measurement.
 
     Attributes:
         side: of the marker's printed side, relative.
@@ -197,7 +197,7 @@ def estimated(
 
 
 def believed_layout(errors: Errors) -> MarkerLayout:
-    """What is believed of the print; ``side`` is by how much that is too large."""
+    """Returns the layout as the print is believed to be; ``side`` is by how much that is too large."""
     return single_marker(SIDE_M * (1.0 + errors.side), SIDE_M * SIDE_SIGMA)
 
 

@@ -1,4 +1,4 @@
-"""What the static experiment found, as summary, findings and tables."""
+"""The results of the static experiment as summary, findings and tables."""
 
 from __future__ import annotations
 

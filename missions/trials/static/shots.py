@@ -49,7 +49,7 @@ class Shooting:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What D1 saw of the target.
+    """D1's observation of the target.
 
     Attributes:
         depth: over the middle of its box; ``wide_depth`` over a larger part, the method's default.

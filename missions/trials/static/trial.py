@@ -1,4 +1,4 @@
-"""How exactly D2's place and the target's are known from one frame: seven configurations, sixty measurements each.
+"""The accuracy of D2's place and the target's from one frame: seven configurations, sixty measurements each.
 
 Sixty sessions: in each a drone pair is printed, calibrated, mounted and flown anew, with errors of its own, and
 measures once in all seven configurations. So 420 measurements rest on sixty draws of every systematic error, not on

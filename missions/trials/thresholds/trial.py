@@ -1,4 +1,4 @@
-"""Why the thresholds are what they are: a sweep over recorded series of true and of wrong pairs, and a stated rule."""
+"""The reasons for the thresholds: a sweep over recorded series of true and of wrong pairs, and a stated rule."""
 
 from __future__ import annotations
 

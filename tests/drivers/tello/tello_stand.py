@@ -133,7 +133,7 @@ def time_code(stamp_ns: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
 
 
 def age_of(image: np.ndarray[Any, np.dtype[np.uint8]], at_ns: int) -> float:
-    """How long before ``at_ns`` the image was taken, s, by the code in it."""
+    """Returns how long before ``at_ns`` the image was taken, s, by the code in it."""
     value = 0
     for bit in range(CODE_BITS):
         row, column = divmod(bit, 12)
@@ -144,7 +144,7 @@ def age_of(image: np.ndarray[Any, np.dtype[np.uint8]], at_ns: int) -> float:
 
 
 def code_is_whole(image: np.ndarray[Any, np.dtype[np.uint8]]) -> bool:
-    """Whether every square is clearly black or white."""
+    """Returns whether every square is clearly black or white."""
     for bit in range(CODE_BITS):
         row, column = divmod(bit, 12)
         inner = image[44 + row * 60 : 36 + row * 60 + CELL, 24 + column * 23 : 16 + column * 23 + CELL].astype(int)
