@@ -31,7 +31,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class Decided:
-    """The decision of a gate: how long after the first agreeing pair it was complete, and whether with the right box."""
+    """The decision of a gate: when it was complete, after the first agreeing pair, and whether with the right box."""
 
     after_s: float | None
     right: bool
