@@ -113,7 +113,7 @@ class Deadlines:
 class MissionConfig:
     """One handoff mission, both roles."""
 
-    needs: tuple[Capability, ...] = ()  # of the vehicle and the sight, besides what the course itself needs
+    needs: tuple[Capability, ...] = ()  # of the vehicle and the perception, besides what the course itself needs
     handoff_id: Annotated[int, Bounds(1, 65535, "(an id)")] = 1
     target_id: Annotated[int, Bounds(1, 65535, "(an id)")] = 1
     heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0  # of the sender's approach to the target

@@ -35,7 +35,7 @@ class Lean:
         """
         level = from_heading(axis_b, heading_rad)
         north, east, down = (leaned(np.array(self.down_n)) @ level).tolist()
-        if down < 0.1 or level[2] < 0.1:  # it looks at the horizon: where it leans to is no place on the ground
+        if down < 0.1 or level[2] < 0.1:  # it looks at the horizon: the tilt leads to no place on the ground
             return 0.0, 0.0, 0.0
         farther = subtract(scale(level, below_m / level[2]), scale((north, east, down), below_m / down))
         return limit((farther[0], farther[1], 0.0), _FARTHEST_M)

@@ -65,7 +65,7 @@ def plan_viewpoint(
 ) -> Viewpoint | NoViewpoint:
     """The best place for D2's camera among a grid around the marker.
 
-    ``tilt_h`` is D2's body z axis in ``h`` while it hovers (unit, (3,)): wind leans a drone, and with it a camera that
+    ``tilt_h`` is D2's body z axis in ``h`` while it hovers (unit, (3,)): wind tilts a drone, and with it a camera that
     is fixed to it. None: level.
 
     Rules, in this order: separation ellipsoid, downwash cone of the upper drone, marker size in the image,

@@ -392,7 +392,7 @@ def _fix(stamp_ns: int, origin: Sequence[float], position_n_m: Sequence[float]) 
 
 
 def _frustum(camera: Record, color: Color) -> LinePrimitive:
-    """Without distortion: what the eye takes for the camera."""
+    """The frustum of the camera, without distortion."""
     edges = [
         ((u - camera["cx"]) / camera["fx"] * FRUSTUM_M, (v - camera["cy"]) / camera["fy"] * FRUSTUM_M, FRUSTUM_M)
         for u, v in ((0, 0), (camera["width"], 0), (camera["width"], camera["height"]), (0, camera["height"]))

@@ -1,6 +1,6 @@
 """The timing of a simulated camera's pictures: fixed instants of the loop's time, newest first, none for nobody.
 
-Both sights of the sim levels are built on it, so that they differ in what a view holds and in nothing else.
+Perception at both sim levels is built on it, so that the two differ in what a view holds and in nothing else.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A studio that renders: implements ``flight.harness.renderer.Studio`` with the renderer of the simulated world."""
+"""The renderer of trials: implements ``flight.harness.renderer.Studio`` with the renderer of the simulated world."""
 
 from __future__ import annotations
 

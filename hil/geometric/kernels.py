@@ -1,4 +1,4 @@
-"""The arithmetic of the geometric sight: bodies made of boxes, projected and hit by rays. Compiled.
+"""The arithmetic of the geometric perception: bodies made of boxes, projected and hit by rays. Compiled.
 
 A body is a car or the other drone. Camera coordinates throughout (x right, y down, z forward, metres), pixels
 distorted.

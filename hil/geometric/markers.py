@@ -1,4 +1,4 @@
-"""Markers as the geometric sight sees them: which are found, and their noisy corners. Compiled."""
+"""Markers of the geometric perception: which are found, and their noisy corners. Compiled."""
 
 # pyright: reportMissingParameterType=false
 

@@ -1,4 +1,4 @@
-"""The sight of level ``sim``: observations straight from the truth's geometry, with measured noise; no pixels.
+"""The perception of level ``sim``: observations straight from the truth's geometry, with measured noise; no pixels.
 
 On each capture the truth is looked at; what a mission then asks of the view is worked out when it asks: the visible
 outlines of the cars, the corners of the markers, rays over a box for its depth (``hil.geometric.scene``), each with

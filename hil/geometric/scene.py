@@ -1,4 +1,4 @@
-"""The geometric sight's picture of one instant: what the truth puts where in one camera's image."""
+"""The geometric perception's picture of one instant: what the truth puts where in one camera's image."""
 
 from __future__ import annotations
 

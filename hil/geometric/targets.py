@@ -1,4 +1,4 @@
-"""Cars and depth as the geometric sight sees them: visible outlines, noisy detections, depth over a box. Compiled."""
+"""Cars and depth of the geometric perception: visible outlines, noisy detections, depth over a box. Compiled."""
 
 # pyright: reportMissingParameterType=false
 

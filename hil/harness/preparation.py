@@ -22,7 +22,7 @@ def starting(role: Role, what: str) -> Progress:
 
 
 def prepare(rig: Rig, say: Callable[[str], None]) -> None:
-    """The physics, the marker finder, and what the sights of this rig compute."""
+    """The physics, the marker finder, and what the perception of this rig computes."""
     say(FIRST_START)
     world = World(decode_table(rig.world, WorldConfig, rig.where("world")), seed=0)
     world.advance(0.1)

@@ -1,7 +1,7 @@
 """The world of a relay: drones by name on one field, and what the parts of one of them are connected to.
 
-A drone's parts are made once and stay open while its role changes: to its own vehicle and its own eyes it is always the
-receiver, who sees the other drone's marker when there is another drone.
+A drone's parts are made once and stay open while its role changes. To its own vehicle and its own camera it is always
+the receiver, who sees the other drone's marker when there is another drone.
 """
 
 from __future__ import annotations

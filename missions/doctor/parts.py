@@ -80,7 +80,7 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
 
 
 def detector_of(sight: PartSpec) -> tuple[PartSpec, float | None] | None:
-    """The detector within an eye, and the rate of its camera as far as the rig sets it."""
+    """The detector within a perception, and the rate of its camera as far as the rig sets it."""
     _, config = decode_part(sight)
     detector: Any = getattr(config, "detector", None)
     if not isinstance(detector, PartSpec):

@@ -1,4 +1,4 @@
-"""The short test of a role's eye: frames for two seconds, and what is found in the last of them."""
+"""The short test of a role's perception: frames for two seconds, and what is found in the last of them."""
 
 from __future__ import annotations
 

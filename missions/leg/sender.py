@@ -196,7 +196,7 @@ class Sender:
         return Anchor(place, self._heading_rad).hold(state)
 
     def _view_of(self, target_n_m: Vec3) -> Vec3:
-        """Behind and above the target, in the heading it was approached with; a drone that leans stands aside."""
+        """Behind and above the target, in the heading it was approached with; a drone that is tilted stands aside."""
         keep, wider = self._config.follow, _WIDER if self._regaining() else 1.0
         below_m = wider * (keep.height_m - self._config.target.height_m)
         place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
@@ -216,7 +216,7 @@ class Sender:
         return VelocitySetpoint(velocity, self._heading_rad)
 
     def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
-        """Make room, the eyes still on the target: nobody has it for sure until the hand-over is settled."""
+        """Make room, the camera still on the target: nobody has it for sure until the hand-over is settled."""
         assert self._track is not None
         target, _ = self._track.predict(self._session.now_ns())
         return replace(self._leave().hold(state), yaw_rad=bearing(subtract(target, state.position_n_m)))

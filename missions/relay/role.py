@@ -1,8 +1,8 @@
 """One drone's flight in a relay: it takes the target over, has it, hands it over and comes home, all in one program.
 
-A relief is the receiver of a handoff; once it holds, it changes its role in the air. Vehicle, eyes and pilot stay, the
-session and the protocol's machine begin anew on the other side: what it holds is written down as its own before the
-receiver's machine is let go of, so that at any instant one record says that this drone is responsible.
+A relief is the receiver of a handoff; once it holds, it changes its role in the air. Vehicle, perception and pilot
+stay. The session and the protocol's machine begin anew on the other side. What it holds is written down as its own
+before the receiver's machine is let go of, so that at any instant one record says that this drone is responsible.
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ class BoardView:
 
     Attributes:
         ids: (n,) indices into ``Board.corners_o``.
-        corners_px: (n, 2). ``sigma_px``: (n,) standard deviation per axis that the image's noise leaves.
+        corners_px: (n, 2). ``sigma_px``: (n,) standard deviation per axis by the image's noise.
         blur_px: standard deviation of the blur across the edges, the larger one of the two directions, median.
     """
 

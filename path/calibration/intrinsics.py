@@ -145,12 +145,12 @@ def left_by(camera: CameraModel, views: Sequence[BoardView], board: Board) -> fl
 
 
 def board_pose(camera: CameraModel, board: Board, view: BoardView) -> tuple[Pose, Array]:
-    """``T_c_o`` of one view, and what it leaves, (n, 2) px. Raises NotSolvable."""
+    """``T_c_o`` of one view, and its residuals, (n, 2) px. Raises NotSolvable."""
     return pose_of_points(camera, board.corners_o[view.ids], view.corners_px)
 
 
 def pose_of_points(camera: CameraModel, points_o: Array, corners_px: Array) -> tuple[Pose, Array]:
-    """``T_c_o`` of points in a plane, (n, 3) seen at (n, 2), and what it leaves, (n, 2) px. Raises NotSolvable."""
+    """``T_c_o`` of points in a plane, (n, 3) seen at (n, 2), and its residuals, (n, 2) px. Raises NotSolvable."""
     return _refit(*matrices_of(camera), points_o, corners_px)
 
 
@@ -230,7 +230,7 @@ def _near(matrix: Array, lens: Array, points_o: Array, corners_px: Array, limit_
 
 
 def _refit(matrix: Array, lens: Array, points_o: Array, corners_px: Array) -> tuple[Pose, Array]:
-    """Pose of a view under a given camera, and what is left. Raises NotSolvable."""
+    """Pose of a view under a given camera, and its residuals. Raises NotSolvable."""
     try:
         done, rotation, translation = cv2.solvePnP(points_o, corners_px, matrix, lens, flags=cv2.SOLVEPNP_IPPE)
         if done:

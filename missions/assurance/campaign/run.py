@@ -1,4 +1,4 @@
-"""``path-handoff campaign``: many seeded runs under faults, kept line by line, and their table."""
+"""``path-handoff campaign``: many seeded runs under faults, as resumable JSON lines, and their table."""
 
 from __future__ import annotations
 

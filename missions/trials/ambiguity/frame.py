@@ -40,7 +40,7 @@ class Task:
     """A frame to make, picklable.
 
     Attributes:
-        studio: the class.
+        studio: the class of the renderer.
         xfeat: weights, None without XFeat.
         orb_variants, xfeat_variants: what of the baselines is tried.
     """

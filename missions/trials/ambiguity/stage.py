@@ -285,7 +285,7 @@ def _crowd_fits(scene: Scene) -> bool:
 
 
 def _hidden_share(eye: Array, target: Array, other: Array, shoulder_m: float) -> float:
-    """About the share of the target's shirt that another person hides from an eye: a column, and a narrow head."""
+    """About the share of the target's shirt that another person hides from a camera: a column, and a narrow head."""
     (x, y, z), (ox, oy) = eye.tolist(), other.tolist()
     tx, ty = target.tolist()
     reach = math.hypot(tx - x, ty - y)

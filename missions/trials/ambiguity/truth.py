@@ -21,7 +21,7 @@ SHIRT_HALF_M, SHIRT_ENDS_M = (0.17, 0.33), (0.91, 1.45)  # forward and to the si
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """Asks the studio what one camera really sees."""
+    """Asks the renderer what one camera really sees."""
 
     studio: Studio
     scene: Scene

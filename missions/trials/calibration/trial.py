@@ -61,7 +61,7 @@ class Outcome:
 
     Attributes:
         normalised: errors of all nine parameters in units of their stated standard errors.
-        floor_px: what the true camera leaves of the same views.
+        floor_px: residual of the true camera on the same views.
     """
 
     board: str

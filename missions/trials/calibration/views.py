@@ -1,4 +1,4 @@
-"""Boards before a camera, with known truth: how they are held, and what a studio makes of them."""
+"""Boards before a camera, with known truth: how they are held, and what a renderer makes of them."""
 
 from __future__ import annotations
 

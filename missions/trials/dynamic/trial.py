@@ -39,7 +39,7 @@ QUICK_VERIFY_S = 8.0
 def run(request: TrialRequest) -> TrialResult:
     reference_of(request.rig)
     rig = request.rig
-    if request.quick:  # the geometric sight instead of rendered frames: the same mission, seconds instead of minutes
+    if request.quick:  # geometric perception instead of rendered frames: the same mission, seconds instead of minutes
         quick = rig_library.load(QUICK_LEVEL)
         errors = {key: value for key, value in rig.world.items() if key == "errors"}
         rig = replace(quick, trials=rig.trials, reference=rig.reference, world={**quick.world, **errors})

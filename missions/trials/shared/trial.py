@@ -26,7 +26,7 @@ class TrialRequest:
     """One trial to run.
 
     Attributes:
-        rig: names the studio and the other parts that know the truth (``[trials]``).
+        rig: names the renderer and the other parts that know the truth (``[trials]``).
         out: folder of this trial; it exists.
         seed: of every random number.
         quick: a short form: the same code on few samples, for tests.
