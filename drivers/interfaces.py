@@ -116,8 +116,10 @@ class RecordStore(Protocol):
         ...
 
     def save(self, record: SenderRecord | ReceiverRecord) -> None:
-        """On return it is safe from a crash of the program and of the computer. Raises StateError: then it may be
-        either the old record or this one that is found later."""
+        """Saves the record: on return it is safe from a crash of the program and of the computer.
+
+        Raises StateError: then it may be either the old record or this one that is found later.
+        """
         ...
 
     def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:

@@ -261,8 +261,10 @@ def flown_by_scripts_alone(view: GuardView) -> bool:
 def _let_go_of(
     state: GuardState, view: GuardView, heard: Heard | None, now_ns: int, rules: GuardRules
 ) -> tuple[GuardState, Act]:
-    """Somebody else has it, or so it seemed: what is in a script's mode again is flown by the living script, or by
-    nobody, and then it is taken."""
+    """Decides on a vehicle that somebody else has, or seemed to have.
+
+    What is in a script's mode again is flown by the living script, or by nobody, and then it is taken.
+    """
     if not flown_by_scripts_alone(view):
         return replace(state, odd_ns=None), Act.NOTHING
     state = replace(state, odd_ns=_since(state.odd_ns, now_ns))

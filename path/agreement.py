@@ -1,5 +1,7 @@
-"""Do both boxes show the same thing: D2's box in D1's image, IoU, adaptive threshold (paper, eqs. bbox_rescaling to
-instant_verification)."""
+"""The comparison of both boxes: D2's box in D1's image, IoU, adaptive threshold.
+
+Paper, eqs. bbox_rescaling to instant_verification.
+"""
 
 from __future__ import annotations
 

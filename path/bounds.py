@@ -37,8 +37,9 @@ _MISTAKES: Mapping[str, tuple[tuple[float, str], ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The least and the largest plausible value. ``unit``: where the field's name does not end with it; in brackets
-    when it is no measure, such as ``(an id)``.
+    """The least and the largest plausible value.
+
+    ``unit``: where the field's name does not end with it; in brackets when it is no measure, such as ``(an id)``.
 
     ``above``: the least value itself is already too small.
     """

@@ -1,5 +1,6 @@
-"""The gate before a commit, and the paper's: consecutive agreements (eq. temporal_verification), on distinct fresh
-frame pairs only. The other gate, ``path.evidence``, rests on the same run of pairs.
+"""The gate before a commit, and the paper's: consecutive agreements on distinct fresh frame pairs only.
+
+Paper, eq. temporal_verification. The other gate, ``path.evidence``, rests on the same run of pairs.
 
 What is safe, and why:
 

@@ -54,8 +54,10 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 class Groups(LoadScopeScheduling):
-    """Tests of one group stay in one worker, the largest group first: those in real time; those of a module, which
-    share fixtures."""
+    """Tests of one group stay in one worker, the largest group first.
+
+    A group is all tests in real time, or those of a module, which share fixtures.
+    """
 
     def _split_scope(self, nodeid: str) -> str:
         return group_of(nodeid)

@@ -297,9 +297,12 @@ class Telemetry:
         self.position = Position(self.clock.now_ns(), n_m, above_home_m)
 
     def _above_home_m(self, position: Any) -> float:
-        """PX4 flies on one of several estimators: when it goes over to another one its altitude steps, by a metre in
+        """Returns the height above home, m: of a PX4 from the local frame, else as it is told.
+
+        PX4 flies on one of several estimators. When it goes over to another one its altitude steps, by a metre in
         simulation, and its home's place in the local frame with it; its own place in that frame does not. It puts its
-        home where it is armed. What was met in the air is believed: nothing better is known."""
+        home where it is armed. What was met in the air is believed: nothing better is known.
+        """
         above_m = self._ground_down_m - self._local_down_m
         return above_m if self.kind is PX4 and math.isfinite(above_m) else float(position.relative_altitude_m)
 

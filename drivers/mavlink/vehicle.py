@@ -351,8 +351,11 @@ class MavsdkVehicle:
             )
 
     async def _until_down(self, end_ns: int, timeout_s: float) -> None:
-        """Until it is disarmed. Having landed, PX4 goes back to the mode before it, and tells so up to a heartbeat
-        before it tells that it is disarmed: a mode of a script's is another's only when it stays armed."""
+        """Waits until it is disarmed.
+
+        Having landed, PX4 goes back to the mode before it, and tells so up to a heartbeat before it tells that it is
+        disarmed. So a mode of a script's is another's only when it stays armed.
+        """
         session, telemetry = self._session, self._telemetry
 
         def down() -> bool:
@@ -374,8 +377,10 @@ class MavsdkVehicle:
                 raise TakenOver(f"landing ended by a change to mode {telemetry.mode.value}", "the pilot has control")
 
     async def _climb(self, height_m: float, there: FlightMode, timeout_s: float) -> None:
-        """Until at the height and steady. A pilot's mode, a hold, a landing or disarming on the way ends it with an
-        error."""
+        """Waits until at the height and steady.
+
+        A pilot's mode, a hold, a landing or disarming on the way ends it with an error.
+        """
         telemetry, config = self._telemetry, self._config
         expected = {FlightMode.TAKEOFF, FlightMode.HOLD, there}
         # The heartbeat may still show the mode before the take-off.

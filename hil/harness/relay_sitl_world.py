@@ -1,5 +1,7 @@
-"""The world of a relay in real time, a process of its own: drones by name, each with its vehicle on the wire and its
-camera while it is switched on; the link of the leg under way; and the monitors.
+"""The world of a relay in real time, a process of its own.
+
+It has drones by name, each with its vehicle on the wire and its camera while it is switched on; the link of the leg
+under way; and the monitors.
 
     python -m hil.harness.relay_sitl_world RIG_FILE DRONES SEED ERRORS [FOLDER ...]
 

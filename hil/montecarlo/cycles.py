@@ -1,5 +1,8 @@
-"""Both drones' cycles of one Monte-Carlo hand-over: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle`` themselves,
-given frames and messages in the order of time, and a record of what D1's window was ran."""
+"""Both drones' cycles of one Monte-Carlo hand-over, and a record of what D1's window was given.
+
+``MarkerView``, ``ReceiverCycle`` and ``SenderCycle`` are the flight's own. They are given frames and messages in the
+order of time.
+"""
 
 from __future__ import annotations
 

@@ -104,8 +104,10 @@ class SimulatedVehicle:
     def __init__(
         self, rig: Rig, role: Role, config: SimulatorConfig, world: WorldConfig, folder: Path, seed: int = 0
     ) -> None:
-        """``seed``: of what the receiver's position is wrong by. Raises PartError when a port is taken or the
-        simulator was not named."""
+        """Raises PartError when a port is taken or the simulator was not named.
+
+        ``seed``: of what the receiver's position is wrong by.
+        """
         options = rig.role(role).vehicle.options
         self.sysid = int(options["sysid"])
         self.config = config

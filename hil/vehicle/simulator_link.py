@@ -54,8 +54,11 @@ class SimulatorLink:
         follower: TruthFollower,
         placed_later: bool = False,
     ) -> None:
-        """``port``: where it listens, or the URL of a serial port. ``placed_later``: only the mission's own parts tell
-        it where it is, so that it cannot be ready before. Raises OSError, PartError when the port is taken."""
+        """Raises OSError, PartError when the port is taken.
+
+        ``port``: where it listens, or the URL of a serial port. ``placed_later``: only the mission's own parts tell it
+        where it is, so that it cannot be ready before.
+        """
         self._placed_later = placed_later
         self._readiness = (mavlink.MAVLINK_MSG_ID_ATTITUDE, *READINESS) if placed_later else READINESS
         self._kind: Kind = kind

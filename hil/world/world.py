@@ -167,8 +167,9 @@ class SimDrone:
 
 
 class Fleet(Generic[Name]):
-    """Drones by name with their autopilots, and the traffic on the ground, as a function of the seed and of what the
-    autopilots are told.
+    """Drones by name with their autopilots, and the traffic on the ground.
+
+    All is a function of the seed and of what the autopilots are told.
     """
 
     def __init__(

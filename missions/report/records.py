@@ -129,8 +129,10 @@ def load_facts(folder: Path) -> RunFacts | None:
 
 
 def by_topic(*paths: Path) -> dict[str, list[LogRecord]]:
-    """All records of a log's parts by topic; empty when there is no such file. Raises RunFolderError for what is no
-    log."""
+    """Returns all records of a log's parts by topic; empty when there is no such file.
+
+    Raises RunFolderError for what is no log.
+    """
     topics: dict[str, list[LogRecord]] = {}
     try:
         for path in paths:

@@ -211,8 +211,10 @@ async def _error_of(camera: Camera, timeout_s: float) -> CameraError | None:
 @CAMERAS
 @pytest.mark.parametrize("check", [check_frames, check_owner, check_silence], ids=lambda check: check.__name__[6:])
 def test_an_open_camera(stage_of: StageOf, check: Check, tmp_path: Path) -> None:
-    """Stamps and ids grow and sizes are the calibration's; a frame is the reader's own; no more frames are an error in
-    time with what to do."""
+    """Stamps and ids grow and sizes are the calibration's; a frame is the reader's own.
+
+    No more frames are an error in time with what to do.
+    """
 
     async def test(stage: Stage) -> None:
         async with stage.camera:

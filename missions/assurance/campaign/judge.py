@@ -229,8 +229,10 @@ class Judge:
             self._violated("L1", f"{type(state).__name__} is {late_s:.2f} s overdue")
 
     def _gap(self) -> None:
-        """L2, as ``missions.assurance.verify.moves`` has it: nobody is responsible, though whoever would have to be
-        runs."""
+        """Checks L2: nobody is responsible, though whoever would have to be runs.
+
+        As ``missions.assurance.verify.moves`` has it.
+        """
         gives, takes = self._world.state(Role.SENDER), self._world.state(Role.RECEIVER)
         if not self._nobody(gives, takes):
             self._close_gap()

@@ -1,5 +1,6 @@
-"""One life of a role's program around its protocol machine: link, clocks, disk and hand-over are the roles' own, and
-what the mission does to them is scripted.
+"""One life of a role's program around its protocol machine.
+
+Link, clocks, disk and hand-over are the roles' own; what the mission does to them is scripted.
 
 A life begins with a start of the program and ends with the end of the run, or when it is killed between two effects.
 """

@@ -102,8 +102,11 @@ def bits(mask: int) -> list[int]:
 
 
 class Effects:
-    """Tables of one scope. Machines are told every instant relative to the present of the sender's clock, which is 0;
-    the receiver's clock then shows the skew."""
+    """Tables of one scope.
+
+    Machines are told every instant relative to the present of the sender's clock, which is 0. The receiver's clock then
+    shows the skew.
+    """
 
     def __init__(self, scope: Scope) -> None:
         self.scope = scope

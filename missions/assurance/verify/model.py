@@ -154,8 +154,9 @@ def unstamped(message: Message) -> Message:
 
 
 def misdirected(message: Message, scope: Scope) -> tuple[Message, ...]:
-    """The same word about another handoff, object, commit or receiver, and a lease that nobody gives: nothing may
-    follow (S6).
+    """Returns the same word about another handoff, object, commit or receiver, and a lease that nobody gives.
+
+    Nothing may follow from these (S6).
 
     A Target begins an attempt and a first Commit brings its nonce: another is as good.
     """

@@ -195,8 +195,10 @@ def _rms_speed(records: Mapping[str, Sequence[LogRecord]]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """The beacons' log by body, without what is plainly wrong: by the clock of who listened (the beacons' own in a log
-    without it), s, in their frame."""
+    """The beacons' log by body, without what is plainly wrong.
+
+    Instants are by the clock of who listened (the beacons' own in a log without it), s; places in their frame.
+    """
 
     paths: Mapping[str, Trajectory]
     fixes: int

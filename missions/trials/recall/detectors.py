@@ -68,8 +68,10 @@ def unwrapped(sequence: Whole) -> Whole:
 
 
 def with_detector(series: Series, detector: Detector, method: MethodConfig, rng: Generator) -> Series:
-    """The series as it would have been with these detectors on both drones. D1's own misses add no entries: a pair that
-    would have needed the frame is a miss."""
+    """Returns the series as it would have been with these detectors on both drones.
+
+    D1's own misses add no entries: a pair that would have needed the frame is a miss.
+    """
     pairs = series.kind == PAIR
     if not pairs.any():
         return series

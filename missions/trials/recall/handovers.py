@@ -62,8 +62,11 @@ class Judged:
 
 
 def orders(seed: int, detectors: int, of_each: int) -> list[Order]:
-    """Every attempt has a hand-over of its own. Half have nothing but the errors that last, a quarter a look-alike
-    beside the target or driving past it, a quarter a D2 that sees only another object."""
+    """Returns the attempts, each with a hand-over of its own.
+
+    Half have nothing but the errors that last, a quarter a look-alike beside the target or driving past it, a quarter a
+    D2 that sees only another object.
+    """
     made: list[Order] = []
     for index in range(detectors * of_each):
         cell, turn = index % detectors, index // detectors

@@ -110,8 +110,10 @@ class Curve:
 
 
 def curve(tried: Sequence[Tried], mapping: BoxMapping, rng: np.random.Generator) -> Curve | None:
-    """Pairs of the target in true attempts against pairs of something else where the prior is not on it; None when
-    there are none of either."""
+    """Returns the curve of the target's pairs in true attempts against pairs of something else; None without either.
+
+    The other pairs are of attempts whose prior is not on that other thing.
+    """
     k = MAPPINGS.index(mapping)
     right = np.array([each.outcomes.pairs[1, k] for each in tried if not each.way], float)
     wrong = np.array([each.outcomes.pairs[0, k] for each in tried if each.way in (NEAR, BESIDE)], float)

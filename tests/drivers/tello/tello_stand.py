@@ -33,8 +33,10 @@ _ports = count(20_000 + os.getpid() % 10_000)
 
 
 def free_port() -> int:
-    """Free, handed out once, and below those that the system gives to whoever asks for any: it stays free until it is
-    used, be it by a later test."""
+    """Returns a free port, handed out once, and below those that the system gives to whoever asks for any.
+
+    It stays free until it is used, be it by a later test.
+    """
     for port in _ports:
         if port >= 32_768:
             break
