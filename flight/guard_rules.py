@@ -186,7 +186,7 @@ def _armed(
 
 
 def was_let_go(state: GuardState, heard: Heard | None) -> bool:
-    """By the guard, or by the script."""
+    """Returns whether the vehicle was let go of, by the guard or by the script."""
     by_script = state.stage is Stage.WATCHING and heard is not None and heard.script is Script.LET_GO
     return by_script or state.stage is Stage.LET_GO
 

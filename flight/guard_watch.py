@@ -64,7 +64,7 @@ class GuardWatch:
 
     @property
     def flown(self) -> bool:
-        """It is armed, by whomever, and can be seen."""
+        """Returns whether the vehicle is armed, by whomever, and can be seen."""
         view = self._vehicle.view()
         return view is not None and view.armed and self.sees(self._clock.now_ns())
 

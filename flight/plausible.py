@@ -65,7 +65,7 @@ def _fence(rig: Rig, mission: MissionConfig) -> Found:
 
 
 def _ranges(rig: Rig, mission: MissionConfig) -> Found:
-    """From where the sender follows the target its camera sees it, and can range it."""
+    """Checks that the sender's camera sees the target from where it follows it, and can range it."""
     target_b = _target_from_sender(mission)
     own, method = rig.sender, rig.method
     x, y, z = own.mount.T_b_c.inverse().apply(target_b).tolist()
@@ -84,7 +84,7 @@ def _ranges(rig: Rig, mission: MissionConfig) -> Found:
 
 
 def _viewpoint(rig: Rig, mission: MissionConfig) -> Found:
-    """There is a place for the receiver, with these cameras, mounts and markers."""
+    """Checks that there is a place for the receiver, with these cameras, mounts and markers."""
     T_b_v, own = rig.sender.mount.T_b_v, rig.receiver
     side_m = max(marker.side_m for marker in rig.layout.markers)
     scene = Scene(_target_from_sender(mission) - T_b_v.t, T_b_v.R[:, 2], side_m, -T_b_v.t)
@@ -136,7 +136,7 @@ def _waits(rig: Rig, mission: MissionConfig) -> Found:
 
 
 def _ages(rig: Rig, mission: MissionConfig) -> Found:
-    """Nothing is called lost before its next sign of life is due."""
+    """Checks that nothing is called lost before its next sign of life is due."""
     guard = mission.guard
     slowest_hz = min(mission.status_hz, mission.receiver_status_hz)
     for key, age_s, every_s, what in (

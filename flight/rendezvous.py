@@ -96,7 +96,7 @@ class Rendezvous:
     # --- stand-off and search: by the positions both drones report -------------------------------------------------
 
     def to_stand_off(self, state: VehicleState) -> VelocitySetpoint:
-        """To where the marker faces D2, in the middle of the image, if both positions are right.
+        """Leads to where the marker faces D2, in the middle of the image, if both positions are right.
 
         That is not on the viewpoint's side: with positions off by a metre the marker would be seen edge-on there.
         """
@@ -138,7 +138,7 @@ class Rendezvous:
 
     @property
     def stand_off_m(self) -> float:
-        """As near as this drone comes by reported positions; nearer once the marker has told what those are worth."""
+        """The least distance by reported positions; nearer once the marker has told what those are worth."""
         return stand_off_m(self._config) if self._shift_n_m is None else self._config.rendezvous.stand_off_m
 
     def _search_from_m(self) -> float:
@@ -192,7 +192,7 @@ class Rendezvous:
         return VelocitySetpoint(velocity, self._yaw_between(relative.marker_n_m))
 
     def at_viewpoint(self) -> bool:
-        """There, and slow."""
+        """Returns whether the camera is at the viewpoint, and slow."""
         relative, rendezvous = self._marker.predict(self._now_ns()), self._config.rendezvous
         return (
             relative is not None
@@ -223,7 +223,7 @@ class Rendezvous:
         return add(from_heading(self.viewpoint.camera_h_m, self._peer().yaw_rad), marker_n_m)
 
     def _yaw_between(self, marker_n_m: Vec3) -> float:
-        """So that marker and target share the image."""
+        """Returns the yaw with which marker and target share the image."""
         to_marker = bearing(marker_n_m)
         if self._marker.target_n_m is None:
             return self._peer().yaw_rad + self.viewpoint.yaw_h_rad
@@ -231,7 +231,7 @@ class Rendezvous:
 
 
 def _swing(widest: float, phase_rad: float) -> float:
-    """From 0 to the widest and back."""
+    """Returns a way from 0 to the widest and back."""
     return 0.5 * widest * (1.0 - math.cos(phase_rad))
 
 

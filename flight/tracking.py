@@ -205,7 +205,7 @@ def _by_distance(found: Sequence[Detection], pixel: Pixel) -> list[Detection]:
 
 
 def _nearest_m(ranked: Sequence[Detection], px_per_m: float) -> float:
-    """From the first detection to the nearest other one."""
+    """Returns the distance from the first detection to the nearest other one, m."""
     first, *others = (d.box.center for d in ranked)
     return min(math.dist(first, other) for other in others) / px_per_m
 

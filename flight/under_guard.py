@@ -63,7 +63,7 @@ class UnderGuard:
             raise MissionEnd(Outcome.GUARD_LOST, missing)
 
     async def confirm(self, beat: Beat) -> None:
-        """Before anything moves: ask, and wait for an answer that is younger than the question.
+        """Asks the guard before anything moves, and waits for an answer that is younger than the question.
 
         A program that slept does not go on where it was: what happened meanwhile is in that answer. Raises MissionEnd.
         """

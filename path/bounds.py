@@ -119,7 +119,7 @@ def bounded_fields(kind: type[Any]) -> dict[str, tuple[type[Any], Bounds]]:
 
 
 def bounds_of(hint: Any) -> Bounds | None:
-    """Those of an annotation; None without."""
+    """Returns the bounds in an annotation; None without."""
     if get_origin(hint) is not Annotated:
         return None
     return next((each for each in hint.__metadata__ if isinstance(each, Bounds)), None)

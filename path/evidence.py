@@ -52,7 +52,7 @@ def make_gate(config: MethodConfig) -> Gate:
 
 
 def strength(iou: float, tau: float) -> float:
-    """By how much a pair agrees: 0 at the threshold, 1 for equal boxes; below 0 it does not agree."""
+    """Returns by how much a pair agrees: 0 at the threshold, 1 for equal boxes; below 0 it does not agree."""
     return (iou - tau) / (1.0 - tau) if tau < 1.0 else iou - tau
 
 
@@ -139,7 +139,7 @@ class EvidenceGate:
 
     @property
     def blocks(self) -> int:
-        """Of the run under way, those that agree."""
+        """The number of agreeing blocks in the run under way."""
         return self._blocks if self._run.count else 0
 
     @property
@@ -209,7 +209,7 @@ T = TypeVar("T")
 
 
 def _first(answers: list[T]) -> T:
-    """That of the deciding gate, once all have been asked."""
+    """Returns the answer of the deciding gate, once all have been asked."""
     return answers[0]
 
 

@@ -96,7 +96,7 @@ def reported(reports: Reports, stamp_ns: int) -> tuple[float, float, float, floa
 
 @njit(cache=True, nogil=True)
 def velocity(own: Reports, peer: Reports, stamp_ns: int) -> Vec3:
-    """Of the marker's drone minus the own one; zero while one of them reports none."""
+    """Returns the velocity of the marker's drone minus the own one; zero while one of them reports none."""
     if own.many == 0 or peer.many == 0:
         return 0.0, 0.0, 0.0
     a, b, c, _, _, _ = reported(own, stamp_ns)

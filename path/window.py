@@ -163,7 +163,7 @@ class AgreementWindow:
         return None
 
     def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
-        """It restarts the run, by however much it disagrees."""
+        """Restarts the run, by however much the pair disagrees."""
         del by
         refusal = self.skip(peer_sequence, capture_ns)
         if refusal is None:

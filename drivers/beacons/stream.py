@@ -19,7 +19,7 @@ RESTART_NS = 2_000_000_000  # stamps that go back by more: the system's clock ha
 
 
 class ClockMap:
-    """From the clock of a beacon system to the listener's.
+    """The map from the clock of a beacon system to the listener's.
 
     A frame arrives later than its ultrasound by its age, which it says itself, and by a way over the wire that is never
     negative: the least of ``arrival - age - stamp`` in a window is nearest to the truth, and late by the fastest way.
@@ -54,7 +54,7 @@ class _Hedge:
     stamp_ns: int = -1
 
     def stamp(self, packet: MobilePosition) -> int:
-        """In ns, carried on over the wrap of the counter (after 49 days)."""
+        """Returns the packet's stamp in ns, carried on over the wrap of the counter (after 49 days)."""
         if packet.bits < 64 and packet.stamp_ms < self.newest_ms - (1 << (packet.bits - 1)):
             self.wrapped += 1 << packet.bits
         self.newest_ms = packet.stamp_ms

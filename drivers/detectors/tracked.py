@@ -92,7 +92,10 @@ class TrackedDetector:
         self.counters = TrackCounters()
 
     def detect(self, image: Image, region: Region | None) -> Sequence[Detection]:
-        """As the detector in it; what is tracked has the score of its last detection times how like that it looks."""
+        """Detects as the detector in it.
+
+        What is tracked has the score of its last detection times how like that it looks.
+        """
         self.counters.frames += 1
         self._since += 1
         tracked = self._followed(image)

@@ -225,7 +225,7 @@ def _stamp_of(data: bytes) -> int:
 
 
 def _crc(data: bytes, extra: int) -> int:
-    """Of everything after the marker, and a byte that stands for the message's layout."""
+    """Returns the checksum of everything after the marker, and a byte that stands for the message's layout."""
     crc = dialect.x25crc(data)
     crc.accumulate(bytes((extra,)))
     return crc.crc

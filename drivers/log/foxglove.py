@@ -97,7 +97,7 @@ def time_of(stamp_ns: int) -> Timestamp:
 
 
 class Standards:
-    """Of one log. Stamps are UTC."""
+    """Foxglove's messages of one log. Stamps are UTC."""
 
     def __init__(self, name: str) -> None:
         prefix = f"{name}/" if name else ""
@@ -379,7 +379,7 @@ def _transform(stamp_ns: int, parent: str, child: str, rows: Sequence[float]) ->
 
 
 def _fix(stamp_ns: int, origin: Sequence[float], position_n_m: Sequence[float]) -> Message:
-    """On a sphere of the earth's size: for a map, over a field."""
+    """Returns the position on a sphere of the earth's size: for a map, over a field."""
     latitude_deg, longitude_deg, altitude_m = origin
     north, east, down = position_n_m
     return LocationFix(

@@ -107,7 +107,7 @@ class StateFile:
             ) from error
 
     def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
-        """In a thread of its own, which ends with it: there are half a dozen in a mission."""
+        """Saves in a thread of its own, which ends with it: there are half a dozen in a mission."""
         saved = Future[None]()
         saved.set_running_or_notify_cancel()  # from here on nobody can take it back
         threading.Thread(target=_settle, args=(saved, lambda: self.save(record)), name="state-file").start()

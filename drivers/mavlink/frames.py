@@ -25,7 +25,7 @@ class Head:
 
 
 def head_of(frame: bytes) -> Head:
-    """Of a whole frame, as ``take_frames`` cuts it out."""
+    """Returns the head of a whole frame, as ``take_frames`` cuts it out."""
     if frame[0] == V2:
         return Head(frame[5], frame[6], int.from_bytes(frame[7:_V2_HEADER], "little"), _V2_HEADER)
     return Head(frame[3], frame[4], frame[5], _V1_HEADER)

@@ -117,7 +117,7 @@ class BeatLine(Part, Protocol):
         ...
 
     def answer(self, answer: Answer) -> None:
-        """To whoever beat last."""
+        """Sends an answer to whoever beat last."""
         ...
 
     @property

@@ -24,7 +24,7 @@ OTHERS = "more of the same"
 
 @dataclass(slots=True)
 class VehicleSource:
-    """Of one vehicle on one port. Instants are of any one clock.
+    """The address of one vehicle on one port. Instants are of any one clock.
 
     Attributes:
         pinned: the address that was proven; None before.

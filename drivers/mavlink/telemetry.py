@@ -35,7 +35,7 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class ReportedMode:
-    """As a heartbeat says it, or CURRENT_MODE: PX4 beats once a second whatever it is asked for."""
+    """The mode as a heartbeat says it, or CURRENT_MODE: PX4 beats once a second whatever it is asked for."""
 
     arrival_ns: int
     custom_mode: int

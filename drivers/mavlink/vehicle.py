@@ -336,7 +336,10 @@ class MavsdkVehicle:
     async def _until_mode(
         self, mode: FlightMode, sent_ns: int, what: str, or_else: Callable[[], bool] = lambda: False
     ) -> None:
-        """Until a report younger than the command shows the mode: an older one may still show the last but one."""
+        """Waits until a report younger than the command shows the mode.
+
+        An older one may still show the last but one.
+        """
         telemetry = self._telemetry
 
         def shown() -> bool:

@@ -98,7 +98,7 @@ class RealSense:
 
     @property
     def serial(self) -> str:
-        """Of the connected camera; "" of a recording or another source."""
+        """The serial number of the connected camera; "" of a recording or another source."""
         return self.source.serial if isinstance(self.source, UsbSource) else ""
 
     @property

@@ -34,7 +34,7 @@ class DeviceSource(Protocol):
         ...
 
     def close(self) -> None:
-        """After the streams were stopped."""
+        """Closes the source, after the streams were stopped."""
         ...
 
 
@@ -49,7 +49,7 @@ class UsbSource:
 
     @property
     def serial(self) -> str:
-        """Of the camera, once it was found; "" before."""
+        """The serial number of the camera, once it was found; "" before."""
         return self._serial
 
     @property

@@ -62,7 +62,7 @@ class Recording(Protocol):
     def count(self) -> int | None: ...
 
     def frames(self) -> Iterator[RecordedFrame]:
-        """From the beginning. Raises RecordingError where it is damaged."""
+        """Yields the frames from the beginning. Raises RecordingError where it is damaged."""
         ...
 
 

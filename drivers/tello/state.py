@@ -105,7 +105,7 @@ class DeadReckoning:
 
     @property
     def heading_rad(self) -> float:
-        """Of the nose, clockwise from north."""
+        """The heading of the nose, clockwise from north."""
         yaw = self._last.yaw_rad - self._yaw0_rad if self._last is not None else 0.0
         return self._placement.heading_rad + yaw
 

@@ -91,7 +91,7 @@ class InProcess(Protocol):
 
     @property
     def seed(self) -> int:
-        """Whatever is drawn by chance is drawn from it, so that a run can be repeated."""
+        """The seed of all that is drawn by chance, so that a run can be repeated."""
         ...
 
     def guard_line(self, role: Role) -> GuardLine:

@@ -162,7 +162,7 @@ class MonteCarloHandover:
 
     @property
     def reason(self) -> str:
-        """Of a timeout: what was missed most often; empty for a commit."""
+        """The most frequent miss of a timeout; empty for a commit."""
         if self.outcome == "commit":
             return ""
         return max(self.misses, key=lambda name: self.misses[name], default="no pair")

@@ -77,7 +77,7 @@ async def run_recovery(session: Session, recover: Recovery, end: MissionEnd | No
 
 
 async def close_session(session: Session) -> None:
-    """Nothing of it runs any more."""
+    """Ends all that a session runs."""
     await session.cancel_spawned()
     if session.guard is not None:
         session.guard.beat(session.beat())  # the last word on whose the vehicle is

@@ -135,7 +135,7 @@ class Receiver:
         await asyncio.sleep(config.follow_after_s)
 
     async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
-        """To the stand-off, or until it is near enough; then look for the marker."""
+        """Flies to the stand-off, or until it is near enough; then looks for the marker."""
         session, rendezvous, deadlines = self._session, self._rendezvous, self._config.deadlines
         session.enter(Phase.STAND_OFF)
         session.pilot.guidance = rendezvous.to_stand_off
@@ -156,7 +156,7 @@ class Receiver:
         )
 
     async def _approach(self) -> MissionEnd | None:
-        """To the planned viewpoint; what the mission would end with when something is out of its bounds.
+        """Flies to the planned viewpoint; returns what the mission would end with when something is out of its bounds.
 
         It has arrived once the camera is there, slow, for a while.
         """
@@ -199,7 +199,7 @@ class Receiver:
         return peer
 
     def _near(self) -> bool:
-        """By the marker already as near as the stand-off, which reported positions put farther on."""
+        """Returns whether the marker is already nearer than the stand-off, which reported positions put farther on."""
         session = self._session
         now_ns = session.now_ns()
         relative = self._marker.predict(now_ns) if self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH else None
@@ -296,7 +296,7 @@ class Receiver:
                 self._note_found(view, T_n_c, candidate, prior)
 
     def _motion(self) -> Motion:
-        """Both vehicles' newest reports."""
+        """Returns both vehicles' newest reports."""
         session, peer, own = self._session, self._peer(), self._session.vehicle.state
         peer_ns = session.alignment.to_own_ns(peer.stamp_ns) if session.alignment.ready else session.peer_heard_ns
         return Motion(own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad)
@@ -326,7 +326,7 @@ class Receiver:
             self._track.update(position, view.stamp_ns)
 
     def _follow_once(self, view: View, R_n_b: Matrix) -> None:
-        """After the hand-over: this drone's own track of the target."""
+        """Follows the target by this drone's own track, after the hand-over."""
         session, track = self._session, self._track
         if track is None:
             raise MissionEnd(Outcome.TARGET_LOST, "the target was handed over but never located")

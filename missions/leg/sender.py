@@ -97,7 +97,7 @@ class Sender:
         await self.hand_over()
 
     async def acquire(self) -> None:
-        """From the air above the take-off place until the target is tracked."""
+        """Finds the target from the air above the take-off place, until it is tracked."""
         session, deadlines = self._session, self._config.deadlines
         session.enter(Phase.ACQUIRE)
         session.pilot.guidance = self._to_first_place
@@ -190,7 +190,7 @@ class Sender:
         return (self._session.now_ns() - track.seen_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
-        """To where the designated place is in view."""
+        """Leads to where the designated place is in view."""
         target = self._config.target
         place = self._view_of((target.north_m, target.east_m, -target.height_m))
         return Anchor(place, self._heading_rad).hold(state)

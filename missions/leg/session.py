@@ -181,7 +181,10 @@ class Session:
         return Beat(script, self.pilot.setpoints, measured_m, place)
 
     async def confirm_guard(self) -> None:
-        """Before a command that moves the vehicle. Raises MissionEnd when the guard has it, or there is none."""
+        """Asks the guard before a command that moves the vehicle.
+
+        Raises MissionEnd when the guard has it, or there is none.
+        """
         if self.guard is not None:
             await self.guard.confirm(self.beat())
 

@@ -39,7 +39,7 @@ class Keypoints:
         return len(self.points_px)
 
     def pick(self, which: NDArray[Any]) -> Keypoints:
-        """Those of a mask or of indices."""
+        """Returns the keypoints of a mask or of indices."""
         return Keypoints(self.points_px[which], self.descriptors[which], self.scores[which])
 
 
@@ -108,7 +108,7 @@ def _of_area(area: Region | None, windows: Sequence[Region], seen: Sequence[Keyp
 
 
 def inside(keypoints: Keypoints, area: Region) -> Keypoints:
-    """Those within an area."""
+    """Returns the keypoints within an area."""
     u, v = keypoints.points_px[:, 0], keypoints.points_px[:, 1]
     return keypoints.pick((u >= area.x0) & (u < area.x1) & (v >= area.y0) & (v < area.y1))
 

@@ -163,7 +163,7 @@ def find_corners(grey: Image, board: Board) -> FoundCorners | None:
 
 
 def other_size(grey: Image) -> tuple[int, int] | None:
-    """About how many columns and rows of squares a chessboard in an image has; None when there is none."""
+    """Returns about how many columns and rows of squares a chessboard in an image has; None when there is none."""
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
     return (int(meta.shape[1]) + 1, int(meta.shape[0]) + 1) if found else None

@@ -1,4 +1,4 @@
-"""Is a set of views good enough to calibrate with? What is wrong with it is named, each with what to do.
+"""The judgement of a set of views: what is wrong with it for calibration is named, each with what to do.
 
 Some sets determine a camera badly and still leave small residuals: the residuals alone say nothing.
 """

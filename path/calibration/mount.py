@@ -154,7 +154,7 @@ def _first(
     camera: CameraModel,
     layout: MarkerLayout,
 ) -> Pose:
-    """Of both planar poses of every marker, the one that fits all pairs best."""
+    """Returns, of both planar poses of every marker, the one that fits all pairs best."""
     matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
     lens = np.array(camera.distortion)
     best, least = Pose(np.eye(3), np.zeros(3)), math.inf

@@ -110,7 +110,7 @@ class _State:
     passes: int = 0
 
     def copy(self) -> _State:
-        """With unknowns of its own."""
+        """Returns a copy with unknowns of its own."""
         return replace(
             self,
             theta=self.theta.copy(),

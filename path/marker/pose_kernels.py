@@ -53,7 +53,7 @@ def facing(R: Array, t: Array, R_v_m: Array, t_v_m: Array) -> tuple[float, Array
 
 @njit(cache=True, nogil=True)
 def angle(R_a: Array, R_b: Array) -> float:
-    """Of the rotation from one to the other."""
+    """Returns the angle of the rotation from one to the other, rad."""
     total = 0.0
     for i in range(3):
         for j in range(3):

@@ -34,7 +34,10 @@ from path.protocol.values import (
 
 @dataclass(frozen=True, slots=True)
 class Observing:
-    """Not responsible. ``floor`` is the lowest epoch still taken, ``live`` the attempt it is in, until ``end_ns``."""
+    """The receiver is not responsible.
+
+    ``floor`` is the lowest epoch still taken, ``live`` its attempt, until ``end_ns``.
+    """
 
     floor: int = 0
     live: Handoff | None = None
@@ -334,7 +337,7 @@ def _begin_anew(state: ReceiverState) -> Step:
 
 
 def _spend(live: Handoff) -> tuple[Observing, Actions]:
-    """Nothing more is taken in this epoch, not even after a restart."""
+    """Ends an epoch: nothing more is taken in it, not even after a restart."""
     after = Observing(live.epoch + 1)
     return after, (Persist(record(after)),)
 

@@ -266,7 +266,7 @@ def _commit(config: ProtocolConfig, state: Verifying, agreed: AgreementComplete,
 
 
 def _give_up(state: Offering | Verifying, reason: AbortReason, now_ns: int) -> Step:
-    """Before the commit: over at once, and still responsible."""
+    """Ends an attempt before its commit: over at once, and still responsible."""
     return Keeping(state.live.epoch), (Send(_abort(state.live, reason, now_ns)), Ended(Outcome.ABORTED, reason))
 
 
@@ -315,7 +315,10 @@ def _hear_abort(state: Offering | Verifying | AwaitingAccept | HandedOver, abort
 
 
 def _tells(state: HandedOver, status: PeerStatus) -> bool:
-    """Only the receiver that accepted tells what became of it, and only once its lease is over."""
+    """Returns whether a Status tells what became of the hand-over.
+
+    Of the receiver that accepted, once its lease is over.
+    """
     return status.stamp_ns > state.sure_ns and status.instance == state.live.instance
 
 

@@ -192,7 +192,7 @@ class VerifyAgain:
 
 @dataclass(frozen=True, slots=True)
 class NewMission:
-    """On the ground a person begins anew: what an earlier mission gave away or held is over. Epochs go on."""
+    """A person begins anew on the ground: what an earlier mission gave away or held is over. Epochs go on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,7 +307,7 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Settled:
-    """After ``Ended``: what became of the other side's half. Until then a sender that handed over keeps observing."""
+    """The other side's half is decided, after ``Ended``. Until then a sender that handed over keeps observing."""
 
     outcome: Outcome
 
