@@ -65,7 +65,7 @@ class Guidance:
         return home[2] - estimate.position_n_m[2] > self.climb_to_m - AT_HEIGHT_M
 
     def hold_height(self, home: Vec3) -> None:
-        """After a take-off: hold the height asked for, not the one passed through."""
+        """Holds the height asked for after a take-off, not the one passed through."""
         north, east, _ = self._hold
         self._hold = (north, east, home[2] - self.climb_to_m)
 

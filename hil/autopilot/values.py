@@ -62,7 +62,10 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class RateCommand:
-    """To the velocity loop. ``velocity_n_mps`` None: motors idle on the ground; ``thrust_on`` False: motors off."""
+    """A command to the velocity loop.
+
+    ``velocity_n_mps`` None: motors idle on the ground; ``thrust_on`` False: motors off.
+    """
 
     velocity_n_mps: Vec3 | None
     yaw_rad: float

@@ -216,7 +216,7 @@ def link_of(run: str, role: Role | None = None) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class PtyBeaconsConfig:
-    """Nothing to set: the port is the run's own."""
+    """The options of beacons on the run's own port: there are none."""
 
 
 class PtyBeacons(Marvelmind):

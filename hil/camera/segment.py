@@ -99,7 +99,7 @@ class Layout:
         return HEADER_BYTES + self.slots * self.slot_bytes
 
     def words(self) -> tuple[int, ...]:
-        """As in the segment's header, after the magic number."""
+        """The numbers in the segment's header, after the magic number."""
         return *self.color_size, *self.depth_size, self.fps, self.slots
 
 

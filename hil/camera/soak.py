@@ -58,7 +58,7 @@ class SoakReport:
 
 @dataclass(frozen=True, slots=True)
 class BenchDeviceConfig:
-    """Nothing to set."""
+    """The options of the bench's device: there are none."""
 
 
 class BenchDevice:

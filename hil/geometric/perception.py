@@ -254,7 +254,7 @@ class GeometricView:
         return Depth(errors.depth * z_m + errors.depth_bias_m, sigma_m) if z_m > 0.0 else None
 
     def image(self) -> None:
-        """There are no pixels."""
+        """Returns None: there are no pixels."""
         return None
 
 

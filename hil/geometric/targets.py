@@ -52,7 +52,7 @@ class TargetNoise(NamedTuple):
     max_side_px: float
 
     def shifted(self, edges_px: tuple[float, float, float, float]) -> TargetNoise:
-        """With a bias more on the left, top, right and bottom edge."""
+        """Returns the noise with a bias more on the left, top, right and bottom edge."""
         left, top, right, bottom = edges_px
         return self._replace(
             bias_left_px=self.bias_left_px + left,

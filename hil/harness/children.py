@@ -30,7 +30,7 @@ class WorldTooSlow(HarnessFailure):
 
 
 def run_name() -> str:
-    """Of this process's run: names what its children share."""
+    """Returns the name of this process's run, for what its children share."""
     return f"run-{os.getpid()}"
 
 
@@ -124,7 +124,7 @@ def send_signal(process: Child, number: signal.Signals) -> None:
 
 
 async def end(processes: Sequence[Child]) -> None:
-    """Nothing is left behind, children of children included."""
+    """Ends processes, children of children included, and leaves nothing behind."""
     for process in processes:
         if process.stdin is not None:
             process.stdin.close()

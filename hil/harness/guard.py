@@ -39,7 +39,7 @@ class GuardHarness(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SimGuardConfig:
-    """Nothing can be set: the rules are the mission's."""
+    """The options of the guard's vehicle: there are none, the rules are the mission's."""
 
 
 class SimGuard:
@@ -172,7 +172,7 @@ class MemoryBeatLine:
             self._from.answered = self.clock.now_ns(), answer
 
     def role_end(self) -> MemoryGuardLine:
-        """For a program that begins."""
+        """Returns the role's end of the line for a program that begins."""
         self.cut()
         self._newest = MemoryGuardLine(self.clock, self._box)
         return self._newest

@@ -55,7 +55,7 @@ class LegFaults:
         return name in self._newest and self._newest[name][2].waits_for_duty(self._newest[name][1])
 
     def close(self) -> None:
-        """Nothing begins any more."""
+        """Ends the faults: nothing begins any more."""
         for task in self._coming:
             task.cancel()
 

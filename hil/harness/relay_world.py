@@ -35,13 +35,13 @@ class RelayWorld(Fleet[str]):
             self.battery(drone.name, drone.battery)
 
     def switch_on(self, name: str) -> None:
-        """With a position solution of its own, which has not wandered yet."""
+        """Switches a drone on, with a position solution of its own that has not wandered yet."""
         self._sensors.begin_anew(self.names.index(name), self.config.estimator)
         self._drones[name].telemetry.clear()
         self.on.add(name)
 
     def swap(self, name: str) -> None:
-        """At its home, with a full battery, off; its autopilot will start anew."""
+        """Puts a drone at its home, with a full battery, off; its autopilot will start anew."""
         row, self._boots[name] = self.names.index(name), self._boots[name] + 1
         self._states[row] = at_home(self._homes[name], self.config.airframe.leg_m)
         self._commands[row] = 0.0
@@ -96,7 +96,7 @@ class RelayWorld(Fleet[str]):
 
     @property
     def batteries(self) -> tuple[float, ...]:
-        """In the order of ``names``."""
+        """The batteries in the order of ``names``."""
         return tuple(round(drone.autopilot.battery, 4) for drone in self._drones.values())
 
     def landed(self, name: str) -> bool:

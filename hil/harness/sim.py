@@ -240,7 +240,7 @@ def down(world: World, role: Role) -> bool:
 
 
 def mission_config(rig: Rig) -> MissionConfig:
-    """Has the limits that the monitors hold the mission to."""
+    """Returns the mission, with the limits that the monitors hold it to."""
     return decode_table(rig.mission, MissionConfig, rig.where("[mission]"))
 
 

@@ -214,7 +214,7 @@ class _Crew:
             await go_on(self.roles[fault.stops], fault.value)
 
     async def started_again(self, role: Role) -> bool:
-        """Once its program has ended: whether another one was started, as the fault that killed it wants."""
+        """Returns whether another program was started once a role's has ended, as the fault that killed it wants."""
         after_s = self._restart_s.pop(role, None)
         if after_s is None:
             return False
@@ -236,7 +236,10 @@ class _Crew:
 
 
 async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
-    """Until both role programs have ended: pass on their events, switch faults, stop them when told to."""
+    """Passes on the events of both role programs until they have ended.
+
+    Switches faults, and stops them when told to.
+    """
 
     def stop() -> None:
         run.interrupted = True

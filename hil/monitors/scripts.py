@@ -39,7 +39,7 @@ ENDING = frozenset(phase.title for phase in (Phase.DEPART, Phase.LAND, Phase.DON
 
 @dataclass(frozen=True, slots=True)
 class VehicleTruth:
-    """Of one vehicle, at an instant.
+    """The truth of one vehicle at an instant.
 
     Attributes:
         killed: the pilot has stopped the motors.

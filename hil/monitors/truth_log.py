@@ -37,7 +37,7 @@ class TruthLog:
         self._log.write("/scene", self._epoch_ns, record)
 
     def truth(self, world: World) -> None:
-        """Both bodies and every object, now."""
+        """Writes the poses of both bodies and of every object, now."""
         snapshot = world.snapshot()
         record: dict[str, Any] = {
             role.value: {**_pose(drone.T_w_b), "in_air": not world.drone(role).on_ground}

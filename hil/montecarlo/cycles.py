@@ -75,7 +75,7 @@ class CyclesRun:
 
 
 def run_cycles(attempt: Attempt, setup: HandoverSetup, believed: Believed, method: MethodConfig) -> CyclesRun:
-    """Both cycles from the attempt's beginning until it is decided, or over."""
+    """Runs both cycles from the attempt's beginning until it is decided, or over."""
     cycles = _Cycles(setup, believed, method)
     kinds, which, now = setup.events
     events = list(zip(kinds.tolist(), which.tolist(), now.tolist(), strict=True))

@@ -101,7 +101,7 @@ class Timed:
     heard_s: Array
 
     def until(self, time_s: float) -> Timed:
-        """Those taken before."""
+        """Returns the frames taken before an instant."""
         count = int(np.searchsorted(self.taken_s, time_s))
         return Timed(self.number[:count], self.taken_s[:count], self.done_s[:count], self.heard_s[:count])
 
@@ -194,7 +194,7 @@ class HandoverSetup:
         )  # fmt: skip
 
     def _room(self, frames_1: int, frames_2: int, most: int) -> tuple[Array, Array, Array, Whole]:
-        """For what will be seen, with what was seen already."""
+        """Returns arrays for what will be seen, with what was seen already."""
         own, markers = np.zeros((frames_1, OWN_COLUMNS)), np.zeros((frames_2, MARKER_COLUMNS))
         found, many = np.zeros((frames_2, most, FOUND_COLUMNS)), np.zeros(frames_2, np.int64)
         first, second = self._filled
@@ -267,7 +267,7 @@ class HandoverSetup:
 
     @property
     def circumstances(self) -> Circumstances:
-        """In truth, at the beginning."""
+        """The true circumstances at the beginning."""
         things = self.flown_2.things[0]
         middle = np.array([things[0, 0], things[0, 1], TARGET_HEIGHT_M])
         true = self.drawn.errors.true
@@ -323,6 +323,6 @@ def _things(frames: Timed, drawn: Drawn) -> tuple[Array, Array]:
 
 
 def _flown(frames: Timed, poses: HandoverPoses, own: int, things: Array) -> CameraPath:
-    """Both bodies in the world, ENU."""
+    """Returns both bodies in the world, ENU."""
     R, t = ([P_W_N @ each for each in poses.R_n_b], [each @ P_W_N.T for each in poses.t_n])
     return CameraPath(frames.number, R[own], t[own], R[1 - own], t[1 - own], things)

@@ -20,7 +20,7 @@ THERE_M, THERE_RAD = 0.08, math.radians(3.0)
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """To a place (NED, m) and a heading."""
+    """A move to a place (NED, m) and a heading."""
 
     goal_n_m: Vec3
     yaw_rad: float

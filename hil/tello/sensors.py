@@ -40,7 +40,7 @@ class TelloSensors:
         )
 
     def answer(self, query: str) -> str | None:
-        """To a query about the drone itself; None for one that is none of these."""
+        """Returns the answer to a query about the drone itself; None for one that is none of these."""
         roll, pitch, yaw = self.attitude_deg()
         answers = {
             "battery?": f"{self._battery()}",

@@ -87,7 +87,7 @@ class RemoteAutopilot:
         return self._cable.watch.setpoint_gap_s
 
     def request_mode(self, now_s: float, mode: FlightMode, by_pilot: bool = False) -> None:
-        """Only a pilot's change can be asked for."""
+        """Changes the mode as a pilot; nobody else's change can be asked for."""
         del now_s, mode
         assert by_pilot
         self._taken = True
@@ -150,7 +150,7 @@ class SimulatedVehicle:
 
     @silent.setter
     def silent(self, silent: bool) -> None:
-        """Only where the harness has the cable in its hands."""
+        """Silences the cable, where the harness has it in its hands."""
         if self.relay is not None:
             self.relay.silent = silent
 
@@ -241,7 +241,7 @@ class FollowedWorld(World):
         }
 
     def advance(self, to_s: float) -> None:
-        """To where the simulators say the drones are at ``to_s``."""
+        """Advances to where the simulators say the drones are at ``to_s``."""
         if to_s < self.time_s:
             raise ValueError(f"the world is at {self.time_s} s and cannot go back to {to_s} s")
         for i, vehicle in enumerate(self._vehicles.values()):

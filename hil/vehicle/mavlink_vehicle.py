@@ -234,7 +234,7 @@ class MavlinkVehicle:
         return _not_now(flight.autopilot.request_arm(flight.now_s, arm == 1, message.param2 == FORCE_MAGIC))
 
     def _take_off(self, flight: Flight, message: Any) -> int:
-        """Without an altitude, and MAVSDK gives none, the height is MIS_TAKEOFF_ALT over home."""
+        """Takes off. Without an altitude, and MAVSDK gives none, the height is MIS_TAKEOFF_ALT over home."""
         home, altitude_m = flight.autopilot.home_n_m, float(getattr(message, "param7", math.nan))
         height_m = self._parameters.take_off_m
         if home is not None and math.isfinite(altitude_m):
@@ -278,5 +278,5 @@ def _result(ack: Ack) -> int:
 
 
 def _not_now(ack: Ack) -> int:
-    """As PX4 answers what it would do another time: arming, disarming, a mode."""
+    """Returns PX4's answer to what it would do another time: arming, disarming, a mode."""
     return ACCEPTED if ack.accepted else NOT_NOW

@@ -67,7 +67,7 @@ class Flight:
 
     @property
     def boot_ms(self) -> int:
-        """Of the estimate, which may be older than the message."""
+        """The time of the estimate since the start, ms; it may be older than the message."""
         return int(self.estimate.time_s * 1e3) & 0xFFFFFFFF
 
     @property
@@ -133,7 +133,7 @@ def local_position_ned(flight: Flight) -> Any:
 
 
 def global_position_int(flight: Flight) -> Any | None:
-    """Only once there is a global position, like the real one."""
+    """Returns the global position, only once there is one, like the real vehicle."""
     home = flight.autopilot.home_n_m
     if home is None:
         return None

@@ -107,7 +107,7 @@ class SimVehicle:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
-        """Without setpoints the autopilot holds, then lands."""
+        """Closes the vehicle. Without setpoints the autopilot holds, then lands."""
         self._open = False
 
     # --- telemetry ---

@@ -130,7 +130,7 @@ class SimulatorLink:
             self._command(mavlink.MAV_CMD_BATTERY_RESET, 1.0, 100.0 * fraction)
 
     def pilot_takes_over(self) -> None:
-        """As a second ground station."""
+        """Changes the mode as a second ground station."""
         self._command(DO_SET_MODE, float(CUSTOM_MODE_ENABLED), *PILOT_MODE[self._kind])
 
     def set_parameter(self, name: str, value: float) -> None:

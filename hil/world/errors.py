@@ -112,7 +112,7 @@ def reported(rig: Rig) -> dict[str, str | float]:
 
 @dataclass(frozen=True, slots=True)
 class SensorErrors:
-    """Of one drone's camera, for one flight; nothing by default.
+    """The errors of one drone's camera for one flight; none by default.
 
     Attributes:
         depth: factor on every depth; ``depth_bias_m`` comes on top.
@@ -154,7 +154,7 @@ class StampErrors:
         self._random = np.random.default_rng(sensor.seed)
 
     def next_ns(self) -> int:
-        """Of the next frame: its stamp less the instant at which it was taken."""
+        """Returns the next frame's stamp less the instant at which it was taken."""
         sensor = self._sensor
         jitter_s = sensor.stamp_jitter_s * self._random.standard_normal() if sensor.stamp_jitter_s else 0.0
         return round(1e9 * (sensor.stamp_late_s + min(max(jitter_s, -self._most_s), self._most_s)))

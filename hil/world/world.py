@@ -241,7 +241,10 @@ class Fleet(Generic[Name]):
         """Drops what was worked out of the truth before it changed."""
 
     def truths(self) -> dict[Name, DroneTruth]:
-        """Of every drone at ``time_s``; between two physics steps they are carried on by their velocities."""
+        """Returns the truth of every drone at ``time_s``.
+
+        Between two physics steps it is carried on by its velocity.
+        """
         poses = np.empty((len(self._drones), 12))
         poses_w(self._states, self._late_s(), poses)
         return {
@@ -253,7 +256,7 @@ class Fleet(Generic[Name]):
         }  # fmt: skip
 
     def _late_s(self) -> float:
-        """From the time of the state rows to ``time_s``."""
+        """Returns the time from the state rows to ``time_s``, s."""
         return self.time_s - self._step / STEP_HZ
 
     # --- faults ---
@@ -274,7 +277,7 @@ class Fleet(Generic[Name]):
         self._changed()
 
     def begin_traffic(self) -> None:
-        """From now on the time of what is on the ground runs, if it was held."""
+        """Lets the time of what is on the ground run from now on, if it was held."""
         self._traffic_began_s = min(self._traffic_began_s, self.time_s)
         self._changed()
 
