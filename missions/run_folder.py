@@ -30,7 +30,7 @@ class RunKind:
     actors: tuple[str, ...]
 
     def files(self, folder: Path) -> Iterator[Path]:
-        """Those in a folder that have the names of a run's."""
+        """Yields the files in a folder that have the names of a run's."""
         actors = "|".join(map(re.escape, self.actors))
         logs = re.compile(rf"({actors})(\.guard)?(\.\d+)?\.(mcap|stderr\.txt|state\.json)")
         for file in sorted(folder.iterdir()):

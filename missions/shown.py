@@ -36,7 +36,7 @@ def flush_or_drop(stream: TextIO) -> bool:
 
 
 def drop(stream: TextIO) -> None:
-    """Whatever is still in a stream, or comes, goes nowhere."""
+    """Sends nowhere whatever is still in a stream, or comes."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

@@ -35,7 +35,7 @@ class PartTest:
 
 
 def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
-    """In the order in which a flight opens the parts. Raises RigError."""
+    """Yields the tests in the order in which a flight opens the parts. Raises RigError."""
     own, context = rig.role(role), part_context(rig, role)
     min_battery = mission_of(rig).guard.min_battery
     layout = rig.layout if role is Role.RECEIVER else None

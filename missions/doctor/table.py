@@ -42,7 +42,7 @@ class Shown:
 
 
 class Lines(Shown):
-    """For a file or a pipe: what is measured as a line at once, the table at the end."""
+    """The display in a file or a pipe: what is measured as a line at once, the table at the end."""
 
     def __init__(self, stream: TextIO) -> None:
         super().__init__()

@@ -100,7 +100,7 @@ class Drone:
         )
 
     def guide(self, guidance: Guidance) -> None:
-        """From now on fly what this gives for the vehicle's state, control_hz times a second; it must not block."""
+        """Flies from now on what this gives for the vehicle's state, control_hz times a second; it must not block."""
         if not self._session.pilot.in_control:
             self.fail("to be flown it has to take off first: await drone.take_off(height_m)")
         self._session.pilot.guidance = guidance
@@ -145,7 +145,7 @@ class Drone:
 
     @property
     def other_silence_s(self) -> float:
-        """For how long nothing was heard of the other drone."""
+        """The time for which nothing was heard of the other drone."""
         return self._session.peer_silence_s()
 
     @property

@@ -124,7 +124,7 @@ class Flight:
     async def _change_role(
         self, session: Session, flown: Holder | Relief, link: AsyncExitStack | None = None
     ) -> RoleResult:
-        """From here on this drone is responsible by its own record, and follows and hands over as a sender."""
+        """Flies on as a sender: from here on this drone is responsible by its own record, follows and hands over."""
         try:
             await write(self._store, as_holder(self._store.load()))
             self._base.holds(self._name)
@@ -171,7 +171,7 @@ class Flight:
     # --- sessions ---
 
     async def _open(self, stack: AsyncExitStack) -> Parts:
-        """Once for the whole flight. To its own parts a drone is always the one that sees the other's marker."""
+        """Opens the parts once for the whole flight. To them a drone is always the one that sees the other's marker."""
         warm_up()
         context = self._context(Role.RECEIVER)
         own = self._alone.receiver

@@ -27,7 +27,7 @@ class Conduct(Protocol):
     """The rules for a drone of a relay in either role."""
 
     async def watch_battery(self, holder: Holder, *, ask: bool) -> None:
-        """For ever. Raises MissionEnd(NO_RELIEF) when it is time to go home."""
+        """Watches the battery for ever. Raises MissionEnd(NO_RELIEF) when it is time to go home."""
         ...
 
     def clear_of_the_failed(self, state: VehicleState, wanted: VelocitySetpoint) -> VelocitySetpoint:
@@ -51,7 +51,7 @@ class Nobody:
     async def __aexit__(self, *_: object) -> None: ...
 
     def send(self, message: Message) -> None:
-        """There is nobody to hear it."""
+        """Drops the message: there is nobody to hear it."""
 
     async def receive(self) -> Received:
         return await asyncio.get_running_loop().create_future()
@@ -75,7 +75,7 @@ class Holder(Sender):
         return self._handover.released
 
     async def find(self) -> None:
-        """From the ground until the target is tracked."""
+        """Flies from the ground until the target is tracked."""
         session = self._session
         await self._handover.resume()
         await check_own(session)

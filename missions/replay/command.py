@@ -94,7 +94,7 @@ def change_of(settings: Sequence[str], gate: str | None) -> Callable[[MethodConf
 def replay_changed(
     logs: Mapping[str, Sequence[LogRecord]], change: Callable[[MethodConfig], MethodConfig]
 ) -> list[Replayed]:
-    """With other settings on both drones: D1 judges what D2 would have answered to what D1 sent."""
+    """Replays with other settings on both drones: D1 judges what D2 would have answered to what D1 sent."""
     receivers = {name: _replay(name, records, change) for name, records in logs.items() if _is(Role.RECEIVER, records)}
     answers = {key: answer for each in receivers.values() for key, answer in other_answers(each.decided).items()}
     return [

@@ -178,7 +178,7 @@ class _Receiver:
             yield Decided(each.topic, each.stamp_ns, record, self._answer(cycle, each.stamp_ns, record))
 
     def rest(self) -> Iterator[Decided]:
-        """Nothing is decided here before it is logged."""
+        """Returns nothing: nothing is decided here before it is logged."""
         return iter(())
 
     def _begin(self, attempt: Record) -> None:
@@ -209,7 +209,7 @@ class _Receiver:
 
 
 def _as_logged(record: Record) -> dict[str, Any]:
-    """As it comes back from a log."""
+    """Returns a record as it comes back from a log."""
     return msgspec.json.decode(msgspec.json.encode(record, enc_hook=encode_other))
 
 

@@ -59,7 +59,7 @@ def draw_view(axes: Axes, run: Run, role: Role, truth: Truth | None) -> None:
 
 
 def _instant(run: Run, role: Role) -> int | None:
-    """On the role's clock: the commit for the sender, its last agreed candidate for the receiver."""
+    """Returns an instant of the role's clock: the commit for the sender, its last agreed candidate for the receiver."""
     agreed = [r for r in judged_pairs(run) if r.record["agreed"]]
     if role is Role.SENDER:
         commit = last(run.sender, "/commit")

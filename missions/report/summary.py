@@ -43,7 +43,10 @@ def summarize(run: Run) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """From the sender's entry into the verify phase to its commit, or to where its log ends. Sender's clock."""
+    """The time from the sender's entry into the verify phase to its commit, or to where its log ends.
+
+    Sender's clock.
+    """
 
     start_ns: int
     end_ns: int
@@ -228,7 +231,7 @@ def _link(run: Run, span: Verification | None) -> dict[str, Any]:
 
 
 def _dropped(records: Sequence[LogRecord]) -> dict[str, int]:
-    """By reason, of all programs of a role: each counts from nothing."""
+    """Returns packets dropped by reason, of all programs of a role: each counts from nothing."""
     ends = [*records[-1:], *(r for r, after in pairwise(records) if _anew(r, after))]
     return dict(sum((Counter(r.record["dropped"]) for r in ends), Counter[str]()))
 

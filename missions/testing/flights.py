@@ -74,7 +74,7 @@ class FlownRun:
 
     @cached_property
     def drones(self) -> Mapping[str, FlownDrone]:
-        """Both, by name."""
+        """Both drones by name."""
         return {role.value: FlownDrone(role.value, self._run.role(role)) for role in Role}
 
     @property

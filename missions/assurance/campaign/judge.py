@@ -84,7 +84,7 @@ class Judge:
         self._begun_s = self._world.now_s
 
     def anew(self, program: Program) -> None:
-        """On the ground a new mission begins: what was held or given away is over."""
+        """Notes that a new mission begins on the ground: what was held or given away is over."""
         self._anew = True
         self._since[program.role] = None
 

@@ -140,7 +140,7 @@ class Machines:
         return self._drones[role].program
 
     def state(self, role: Role) -> Any:
-        """Of the machine; None while its program does not run."""
+        """Returns the machine's state; None while its program does not run."""
         program = self._drones[role].program
         return program.handover.carried_out if program is not None and program.booted else None
 
@@ -253,7 +253,10 @@ class Machines:
     # --- the end -----------------------------------------------------------------------------------------------
 
     def _over(self) -> bool:
-        """Nothing more is to come: both missions have ended, or the receiver holds, and nobody waits for anything."""
+        """Returns whether nothing more is to come.
+
+        Both missions have ended, or the receiver holds, and nobody waits for anything.
+        """
         if self.now_s < self._last_s:
             return False
         for drone in self._drones.values():

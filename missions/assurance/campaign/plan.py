@@ -19,7 +19,7 @@ STEP_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Outage:
-    """Nothing that is sent arrives; ``of``: whose packets, None for both roles'."""
+    """A time in which nothing that is sent arrives; ``of``: whose packets, None for both roles'."""
 
     begin_s: float
     end_s: float

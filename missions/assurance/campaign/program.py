@@ -125,7 +125,7 @@ class Program:
         self._effect(write)
 
     def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
-        """On the disk after a while; when the program is killed meanwhile, perhaps."""
+        """Begins to save: on the disk after a while; when the program is killed meanwhile, perhaps."""
         self.writing = record
         return Future()
 
@@ -303,7 +303,7 @@ class Program:
         raise NotImplementedError
 
     def _settle(self) -> bool:
-        """After a start with a record: whether the course may go on. In the air it ends once all is decided."""
+        """Returns whether the course may go on after a start with a record. In the air it ends once all is decided."""
         if self._settling and not self.handover.undecided(self.world.flying):
             self._settling = False
             if self.world.flying:

@@ -146,7 +146,7 @@ def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
 
 
 def exit_code(monitors: Collection[str]) -> int:
-    """Of runs in which these monitors were violated, none for 0."""
+    """Returns the exit code of runs in which these monitors were violated, none for 0."""
     return violated_outcome(monitors).exit_code if monitors else CommandEnd.DONE.exit_code
 
 

@@ -217,7 +217,7 @@ async def setpoints_stop(stage: Stage) -> Values:
 
 
 async def cable_cut(stage: Stage) -> Values:
-    """Nothing of the companion comes any more, while it flew by setpoints."""
+    """Cuts the cable while it flies by setpoints: nothing of the companion comes any more."""
     await stage.up(HEIGHT_M)
     await _offboard(stage, stage.yaw_rad)
     await stage.fly((0.5, 0.0, 0.0), stage.yaw_rad, 3.0)
@@ -276,7 +276,7 @@ async def pilot(stage: Stage) -> Values:
 
 
 async def battery_and_kill(stage: Stage) -> Values:
-    """Nothing left in the air; and the motors stopped by force before the ground."""
+    """Flies until nothing is left in the battery; and stops the motors by force before the ground."""
     await stage.up(HEIGHT_M)
     from_s = stage.now_s
     stage.bench.sag_battery(0.0)

@@ -118,7 +118,7 @@ async def _start(stage: Stage, stack: AsyncExitStack) -> Values:
 
 
 async def _arm_early(stage: Stage) -> Values:
-    """By the second ground station: the driver waits until it has an attitude."""
+    """Arms by the second ground station: the driver waits until it has an attitude."""
     sent_s = stage.now_s
     answer = await stage.order(ARM, 1.0)
     await stage.wait(TEXT_S)

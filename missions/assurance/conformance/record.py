@@ -34,7 +34,7 @@ def write(folder: Path, record: Record) -> None:
 
 
 def joined(before: Record | None, now: Record) -> Record:
-    """Some flights flown again: what they gave replaces what there was, the rest is kept."""
+    """Returns a record with some flights flown again: what they gave replaces what there was, the rest is kept."""
     if before is None:
         return now
     failed = {name: why for name, why in before.failed.items() if name not in now.flown}

@@ -60,7 +60,7 @@ def fastest_mps(t: Array, values: Array, window_s: float = 0.5) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """To a step of a speed: seconds to 63 % of it, largest excess in percent, error once settled."""
+    """The response to a step of a speed: seconds to 63 % of it, largest excess in percent, error once settled."""
 
     rise_s: float | None
     overshoot_percent: float

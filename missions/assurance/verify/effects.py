@@ -188,7 +188,10 @@ class Effects:
         return effects
 
     def _hear(self, side: Side, state: int, skew: int, packet: Packet, instance: int) -> tuple[Effect, ...]:
-        """Of the packet itself, and of the same word about something else, of which nothing may come (S6)."""
+        """Returns the effects of the packet and, of the same word about something else, any at all.
+
+        There may be none (S6).
+        """
         if packet.to != side:
             return ()
         name = type(packet.message).__name__

@@ -78,7 +78,9 @@ class Exact:
 
 
 def weight(world: World) -> int:
-    """As bits, all that may still happen in a world: a world covers another when it has all of the other's bits.
+    """Returns as bits all that may still happen in a world.
+
+    A world covers another when it has all of the other's bits.
 
     Numbers are as many ones; records, which have to be equal unless nobody reads them, are their bits and the
     complement of their bits, of which none contains another.
@@ -105,7 +107,7 @@ def _place(world: World) -> tuple[int, ...]:
 
 
 class Covering:
-    """Only worlds that no other covers."""
+    """The set of only those worlds that no other covers."""
 
     def __init__(self) -> None:
         self._weights: dict[tuple[int, ...], list[int]] = {}

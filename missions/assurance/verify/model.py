@@ -149,7 +149,7 @@ def status(role: Role, responsible: bool, stamp: int, instance: int = RECEIVER_I
 
 
 def unstamped(message: Message) -> Message:
-    """Without the stamps that no machine looks at: packets that say the same are the same."""
+    """Returns a message without the stamps that no machine looks at: packets that say the same are the same."""
     return message if isinstance(message, Status | Target | Candidate) else replace(message, stamp_ns=0)
 
 

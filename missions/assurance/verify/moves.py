@@ -65,7 +65,7 @@ class Moves:
         self._receivers = self.effects.receivers.values
 
     def start(self, skew: int) -> World:
-        """Nothing has begun; the receiver observes."""
+        """Returns the world in which nothing has begun; the receiver observes."""
         effects, scope = self.effects, self.scope
         state, held = effects.senders(sender.Idle()), effects.receivers(receiver.Observing())
         kept, noted = effects.sender_records(SenderRecord()), effects.receiver_records(ReceiverRecord())
@@ -85,7 +85,7 @@ class Moves:
         return self._receivers[world.receiver]
 
     def names(self, state: int, held: int) -> tuple[str, str]:
-        """Of a pair of the machines' states, by their numbers."""
+        """Returns the names of a pair of the machines' states, by their numbers."""
         return type(self._senders[state]).__name__, type(self._receivers[held]).__name__
 
     def __call__(self, world: World) -> Iterator[Move]:
@@ -171,7 +171,7 @@ class Moves:
         return second
 
     def _nobody(self, world: World) -> bool:
-        """Nobody is responsible, though whoever would have to be runs."""
+        """Returns whether nobody is responsible, though whoever would have to be runs."""
         gives, takes = self.sender_of(world), self.receiver_of(world)
         if isinstance(gives, Dead | sender.Idle) or sender.is_responsible(gives):
             return False  # of a sender that is idle nothing is asked

@@ -64,7 +64,7 @@ def load_table(path: Path = TABLE) -> Table:
 
 
 def choose(table: Table, seed: int, number: int, root: Path) -> list[tuple[Suite, Mutation]]:
-    """So many of all mutations, by seed: each file its share, the first ``LEAST`` of each in any case."""
+    """Returns so many of all mutations, by seed: each file its share, the first ``LEAST`` of each in any case."""
     rng = random.Random(f"mutants {seed}")
     every: list[list[tuple[Suite, Mutation]]] = []
     for suite in table.suites:
@@ -123,7 +123,7 @@ class Trials:
             server.close()
 
     def trial(self, suite: Suite, source: str | None, bound_s: float) -> dict[str, Any]:
-        """On the next server that is free."""
+        """Runs a trial on the next server that is free."""
         server = self._free.get()
         try:
             return server.trial(suite, source, bound_s)

@@ -191,7 +191,7 @@ def _toward(azimuth: float) -> Array:
 
 
 def _height(reach: float, wanted: Wanted, rng: np.random.Generator) -> float:
-    """So that the target's shirt at that horizontal distance is seen from above by some angle."""
+    """Returns the height from which the target's shirt at that horizontal distance is seen from above by some angle."""
     down = rng.uniform(0.03, 0.11) if wanted.case == "hidden" else rng.normal(math.radians(24.0), math.radians(4.0))
     return MIDDLE_M + reach * math.tan(down)
 
@@ -242,7 +242,10 @@ def _people(
 
 
 def _aside(wanted: Wanted, target: Array, eye1: Array, eye2: Array, rng: np.random.Generator) -> float:
-    """By how much D2 does not look straight at the target, so that D1 is in its view too; or the target is not."""
+    """Returns by how much D2 does not look straight at the target, so that D1 is in its view too.
+
+    Or the target is not.
+    """
     to_target, to_peer = target - eye2[:2], eye1[:2] - eye2[:2]
     between = math.remainder(math.atan2(to_peer[1], to_peer[0]) - math.atan2(to_target[1], to_target[0]), 2.0 * math.pi)
     share = rng.uniform(0.3, 0.7) if wanted.case != "outside" else rng.uniform(1.0, 1.6)
@@ -285,7 +288,10 @@ def _crowd_fits(scene: Scene) -> bool:
 
 
 def _hidden_share(eye: Array, target: Array, other: Array, shoulder_m: float) -> float:
-    """About the share of the target's shirt that another person hides from a camera: a column, and a narrow head."""
+    """Returns about the share of the target's shirt that another person hides from a camera.
+
+    A column, and a narrow head.
+    """
     (x, y, z), (ox, oy) = eye.tolist(), other.tolist()
     tx, ty = target.tolist()
     reach = math.hypot(tx - x, ty - y)

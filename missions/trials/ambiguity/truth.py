@@ -85,7 +85,7 @@ class Sight:
 
 
 def shirt_box(scene: Scene, role: Role, person: int) -> Box:
-    """About the box of a person's shirt, which is what the detector finds, when nothing hides it."""
+    """Returns about the box of a person's shirt, which is what the detector finds, when nothing hides it."""
     thing: Thing = scene.stage.things[person]
     T_w_c = scene.T_w_c(role)
     c, s = math.cos(thing.yaw_rad), math.sin(thing.yaw_rad)

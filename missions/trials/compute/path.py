@@ -241,7 +241,7 @@ class PathPair:
 
 
 def _with_sums(us: dict[str, float]) -> dict[str, float]:
-    """With what the stages add up to, and the parts of the marker's time that are what is left of it."""
+    """Returns the times with the sums of the stages, and the rest of the marker's time by its parts."""
     for name, stages in SUMS.items():
         us[name] = sum(us[stage] for stage in stages)
     us["d2_marker_fit"] = us["d2_marker_corners"] - us["d2_marker_detect"]

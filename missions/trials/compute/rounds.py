@@ -44,7 +44,7 @@ QUICK = Plan(frames=4, blocks=3, path=4, orb=1)
 
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """Of one size: time of every cycle of a stage or method, us, by block: (blocks, cycles)."""
+    """The times of one image size: every cycle of a stage or method, us, by block: (blocks, cycles)."""
 
     us: dict[str, Array]
 

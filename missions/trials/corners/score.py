@@ -19,7 +19,7 @@ SCORE_STREAM = 3
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Of one method, over views with one camera in one condition.
+    """The score of one method, over views with one camera in one condition.
 
     Attributes:
         rms_px, interval_px: per axis; 95 %, views resampled.

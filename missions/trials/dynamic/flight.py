@@ -229,7 +229,10 @@ def _instant_ns(fix: BeaconFix) -> int:
 
 
 def between(of: Trajectory, base: Trajectory) -> tuple[Trajectory, Array]:
-    """From one beacon to another at the other's instants; and how much noisier than one position, in variance (n,)."""
+    """Returns the way from one beacon to another at the other's instants, and its noise.
+
+    The noise is in variances of one position, (n,).
+    """
     at_base = base.at(of.t, 0.4)
     known = np.isfinite(at_base[:, 0])
     after = np.clip(np.searchsorted(base.t, of.t[known]), 1, len(base.t) - 1)

@@ -142,7 +142,7 @@ def judge(order: tuple[Flown, Rig]) -> Judged:
 
 
 def offset_error_s(measured: Measured, beacons: BeaconTruth, truth: Truth) -> float:
-    """Of the offset between the receiver's clock and the listener's, as the harness set them."""
+    """Returns the error of the offset between the receiver's clock and the listener's, as the harness set them."""
     return measured.clock.offset_s - beacons.offset_s - truth.scene.clock_offset_ns[Role.RECEIVER] * 1e-9
 
 

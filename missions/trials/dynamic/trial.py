@@ -121,7 +121,10 @@ def _summary(judged: Sequence[Judged], rng: np.random.Generator) -> dict[str, An
 
 
 def _errors_of(compared: Sequence[Compared], rng: np.random.Generator) -> dict[str, Any]:
-    """Of all flights together; intervals from a bootstrap over blocks of time, as neighbouring errors are alike."""
+    """Returns errors of all flights together.
+
+    Intervals from a bootstrap over blocks of time, as neighbours are alike.
+    """
     errors = np.concatenate([each.error_m for each in compared])
     ends = np.cumsum([0, *(int(each.blocks.max(initial=-1)) + 1 for each in compared)])
     groups = np.concatenate([each.blocks + end for each, end in zip(compared, ends[:-1], strict=True)])

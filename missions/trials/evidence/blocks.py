@@ -92,7 +92,7 @@ def _decided(series: Series, done: int | None, begin_ns: int) -> Decided:
 
 
 def mean_strength(series: Series, method: MethodConfig) -> float:
-    """Of all pairs whose boxes were compared."""
+    """Returns the mean strength of all pairs whose boxes were compared."""
     pairs = series.kind == PAIR
     if np.sum(pairs) < ENOUGH_PAIRS:
         return float("nan")

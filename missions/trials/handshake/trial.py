@@ -140,7 +140,7 @@ def _wrong(judged: Sequence[Judged]) -> int:
 
 
 def _fooled(judged: Sequence[Judged]) -> int:
-    """Both boxes agreed although they were of different objects."""
+    """Counts the attempts in which both boxes agreed although they were of different objects."""
     return sum(each.committed and not each.same for each in judged)
 
 

@@ -57,7 +57,7 @@ class Packet:
 
     @property
     def wire_b(self) -> int:
-        """With its UDP and IPv4 headers, which the kernel adds."""
+        """The size with its UDP and IPv4 headers, which the kernel adds."""
         return self.mavlink_b + UDP_IP_OVERHEAD
 
 
@@ -180,7 +180,7 @@ def _taken(taps: dict[Role, _Tap]) -> list[Packet]:
 
 
 async def _pump(link: UdpLink) -> None:
-    """As a role does: answer pings, take the rest."""
+    """Pumps as a role does: answers pings, takes the rest."""
     while True:
         received = await link.receive()
         if isinstance(received.message, Ping):
@@ -238,7 +238,7 @@ class _Side:
 
 
 def a_target(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Target:
-    """With everything it can carry, as in a verification two metres from the target."""
+    """Returns a Target with everything it can carry, as in a verification two metres from the target."""
     x, y, z = rng.normal((0.0, 0.0, 1.0), 0.3).tolist()
     norm = float(np.linalg.norm((x, y, z)))
     gravity = (x / norm, y / norm, z / norm)
@@ -247,7 +247,7 @@ def a_target(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Target:
 
 
 def a_candidate(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Candidate:
-    """With box and pose."""
+    """Returns a Candidate with box and pose."""
     w, x, y, z = rng.standard_normal(4).tolist()
     norm = float(np.linalg.norm((w, x, y, z)))
     rotation: Quat = (w / norm, x / norm, y / norm, z / norm)

@@ -65,12 +65,15 @@ class _Now:
 
     @property
     def excused(self) -> bool:
-        """Nobody can be responsible: the program is dead whose turn it is, the sender's until it has handed over."""
+        """True if nobody can be responsible.
+
+        The program is dead whose turn it is, the sender's until it has handed over.
+        """
         return not self.alive[Role.RECEIVER if self.handed_over else Role.SENDER]
 
 
 def read(folder: Path) -> Responsibility:
-    """Of the run in a folder."""
+    """Reads the responsibility of the run in a folder."""
     offsets = _offsets(folder)
     told, commits, alarm = list[Told](), list[int](), False
     for role in Role:

@@ -66,7 +66,7 @@ class Flown:
 
     @property
     def rendezvous_s(self) -> float | None:
-        """From the take-off's end to the viewpoint."""
+        """The time from the take-off's end to the viewpoint."""
         return None if self.began_s is None or self.arrived_s is None else self.arrived_s - self.began_s
 
 
@@ -145,7 +145,7 @@ def _in_cone_s(places: Sequence[_Place], separation: SeparationConfig) -> float:
 
 
 def _way(run: Run, places: Sequence[_Place], began_s: float | None, arrived_s: float | None) -> tuple[Vec3, ...]:
-    """From the stand-off's beginning until it verifies, or for as long as both fly."""
+    """Returns the way from the stand-off's beginning until it verifies, or for as long as both fly."""
     if began_s is None or not run.world.get("/scene"):
         return ()
     offset_s = run.world["/scene"][0].record["clock_offset_ns"][Role.RECEIVER.value] * 1e-9
@@ -161,7 +161,7 @@ def _from_heading(place: _Place) -> Vec3:
 
 
 def separations_m(flown: Sequence[Flown]) -> list[float]:
-    """Of the missions in which both flew."""
+    """Returns the separations of the missions in which both flew."""
     return [one.separation_m for one in flown if one.separation_m is not None]
 
 

@@ -1,4 +1,4 @@
-"""From one sighting to D2's and the target's error, by method, under errors of calibration, print and attitude.
+"""The errors of D2's and the target's place from one sighting, by method, under errors of calibration, print, attitude.
 
 What a method is told (print, cameras, mounting, attitudes) is the truth with the errors of its session; it is never
 told the truth.

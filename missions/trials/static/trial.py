@@ -129,7 +129,7 @@ def _judge(
 
 
 def _geometry(mounts: Mounts, sightings: Sequence[Sighting]) -> tuple[list[float], list[float], list[float]]:
-    """Of each configuration: D2's heading relative to D1's, mean incidence in rad, mean side of the marker in px."""
+    """Returns each configuration's geometry: D2's heading relative to D1's, mean incidence in rad, mean side in px."""
     headings = [nominal(c, mounts)[2] for c in CONFIGURATIONS]
     angles: list[list[float]] = [[] for _ in STANDS]
     sides: list[list[float]] = [[] for _ in STANDS]

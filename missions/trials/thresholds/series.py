@@ -59,7 +59,7 @@ class Rolled:
 
 
 def true_attempts(rig: str, seed: int, count: int) -> list[Asked]:
-    """With every kind of fault, from every distance."""
+    """Returns attempts with every kind of fault, from every distance."""
     names, reaches = FAULT_NAMES, REACHES
     return [
         Asked(rig, "", Attempt(seed, k, names[k % len(names)], reach=reaches[k % len(reaches)], limit_s=TRUE_LIMIT_S,

@@ -111,7 +111,7 @@ def _as_dict(setting: Setting) -> dict[str, Any]:
 
 
 def _held_out(tried: Sequence[Tried], shares: Shares, k: int) -> dict[str, Any]:
-    """Of one setting with the paper's window, on attempts that were not chosen on."""
+    """Returns the shares of one setting with the paper's window, on attempts that were not chosen on."""
     beside = [each for each in tried if each.way in (series.ABSENT, series.NEAR) and _distance(each) >= 0.3]
     wrong = sum(each.outcomes.commit[k, PAPER_N] == WRONG for each in beside)
     return {
