@@ -220,7 +220,7 @@ class _Relay:
         return child
 
     async def _listen(self, drone: _Drone, program: Child) -> RoleResult | None:
-        """Passes on what a program says until it has ended. None when it died."""
+        """Passes on what a program says until it has ended. Returns None when it died."""
         assert program.stdout is not None
         result: RoleResult | None = None
         async for line in program.stdout:
