@@ -126,7 +126,7 @@ class Crossing:
     beside: Point
 
 
-class Traffic:
+class GroundVehicles:
     """All ground vehicles. ``at`` is a pure function of time, but for the look-alikes sent so far."""
 
     def __init__(
@@ -226,7 +226,11 @@ def _driving(loop: Loop, config: LookAlikeConfig) -> list[float]:
 
 
 def _parked(
-    loop: Loop, config: LookAlikeConfig, keep_clear: Sequence[Point], apart: Sequence[float], rng: np.random.Generator
+    loop: Loop,
+    config: LookAlikeConfig,
+    keep_clear: Sequence[Point],
+    apart: Sequence[float],
+    rng: np.random.Generator,
 ) -> list[tuple[float, float, float]]:
     """Places (E, N, yaw) beside the loop: the first near the start, the others anywhere along it."""
     placed: list[tuple[float, float, float]] = []
