@@ -1,4 +1,4 @@
-"""The renderer of trials: implements ``flight.harness.renderer.FrameRenderer`` with the renderer of the simulated world."""
+"""The renderer of trials: implements ``flight.harness.renderer.FrameRenderer`` with that of the simulated world."""
 
 from __future__ import annotations
 

@@ -232,7 +232,11 @@ def _driving(loop: Loop, config: LookAlikeConfig) -> list[float]:
 
 
 def _parked(
-    loop: Loop, config: LookAlikeConfig, keep_clear: Sequence[Point], apart: Sequence[float], rng: np.random.Generator
+    loop: Loop,
+    config: LookAlikeConfig,
+    keep_clear: Sequence[Point],
+    apart: Sequence[float],
+    rng: np.random.Generator,
 ) -> list[tuple[float, float, float]]:
     """Places (E, N, yaw) beside the loop: the first near the start, the others anywhere along it."""
     placed: list[tuple[float, float, float]] = []

@@ -79,7 +79,7 @@ class AttemptBatch:
 
 def asked_for(rig: str, seed: int, attempts: int) -> list[AttemptBatch]:
     return [
-        AttemptBatch(rig, seed, tuple(range(first, min(first + CHUNK, attempts)))) for first in range(0, attempts, CHUNK)
+        AttemptBatch(rig, seed, tuple(range(at, min(at + CHUNK, attempts)))) for at in range(0, attempts, CHUNK)
     ]  # fmt: skip
 
 

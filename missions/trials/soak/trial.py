@@ -177,7 +177,9 @@ def _findings(samples: Samples, run: RunRecords, seconds: float) -> tuple[TrialF
     assert facts is not None, "the flight came to its end"
     ended = facts.outcome == Outcome.NO_AGREEMENT.label
     findings = [
-        TrialFinding("ended", facts.outcome, "", "", f"by the deadline of {seconds:.0f} s", verdict(ended), facts.detail),
+        TrialFinding(
+            "ended", facts.outcome, "", "", f"by the deadline of {seconds:.0f} s", verdict(ended), facts.detail
+        ),
         TrialFinding(
             "monitors violated", str(sum(facts.violations.values())), "", "", "0", verdict(not facts.violations),
             "; ".join(facts.notes),

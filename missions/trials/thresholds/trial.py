@@ -140,7 +140,7 @@ def _findings(summary: dict[str, Any], curves: Sequence[RocCurve]) -> tuple[Tria
     default, chosen, off = summary["default"], summary["chosen"], summary["chosen_minus_default"]
     alone = default["right_prior_from_0_3_m"]
     found = [
-        TrialFinding(f"one pair: area under the ROC, mapping {each.mapping}", f"{each.auc:.4f}", _span(each.interval, 4),
+        TrialFinding(f"one pair: ROC area, mapping {each.mapping}", f"{each.auc:.4f}", _span(each.interval, 4),
                 note=f"{each.pairs[0]} pairs of the target, {each.pairs[1]} of something else; attempts resampled")
         for each in curves
     ]  # fmt: skip
