@@ -94,7 +94,7 @@ RENAMED = {"sight": "perception", "studio": "renderer", "apart": "position_offse
 
 
 def suggestion(key: str, allowed: Sequence[str]) -> str:
-    """`` (did you mean 'height_m'?)`` for an old name or a near miss, also a missing or different unit; else nothing."""
+    """`` (did you mean 'height_m'?)`` for an old name, a near miss, a missing or different unit; else nothing."""
     if RENAMED.get(key) in allowed:
         return f" (called '{RENAMED[key]}' now)"
     same_stem = [name for name in allowed if _stem(name) == _stem(key)]
