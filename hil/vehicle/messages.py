@@ -117,7 +117,8 @@ def rc_channels(flight: Flight) -> Any:
     radio = flight.autopilot.radio
     values = [*radio.channels, *([0xFFFF] * (18 - len(radio.channels)))]
     strength = 254 if flight.autopilot.radio_heard else 0
-    return mavlink.MAVLink_rc_channels_message(flight.boot_ms, len(radio.channels), *values, strength)
+    message: Any = mavlink.MAVLink_rc_channels_message
+    return message(flight.boot_ms, len(radio.channels), *values, strength)
 
 
 def gps_raw_int(flight: Flight) -> Any:
