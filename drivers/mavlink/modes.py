@@ -21,7 +21,7 @@ def powered(base_mode: int, system_status: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class AutopilotKind:
-    """What differs on the wire between the two autopilots.
+    """The differences on the wire between the two autopilots.
 
     Attributes:
         name: as written in rigs.
@@ -41,8 +41,11 @@ class AutopilotKind:
         return self.modes.get(custom_mode, FlightMode.OTHER)
 
     def news(self, custom_mode: int, before: FlightMode, told: int) -> bool:
-        """Whether a CURRENT_MODE is believed before a heartbeat says the same. OFFBOARD is only against a pilot's mode
-        that one message alone has told: having landed, PX4 goes back to it before it says that it is disarmed."""
+        """Returns whether a CURRENT_MODE is believed before a heartbeat says the same.
+
+        OFFBOARD is only against a pilot's mode that one message alone has told: having landed, PX4 goes back to it
+        before it says that it is disarmed.
+        """
         one_alone = before is FlightMode.OTHER and told < SURE
         return self.mode(custom_mode) is not FlightMode.OFFBOARD or one_alone
 
