@@ -414,6 +414,9 @@ class MavsdkVehicle:
             if self.state.armed:
                 said = f"take-off ended on the way: mode {telemetry.mode.value}"
                 raise TakenOver(said, "the pilot has control, or a failsafe acted")
+            heartbeat = telemetry.heartbeat
+            if heartbeat is not None and not heartbeat.disarmed:
+                raise TakenOver("take-off ended on the way: the motors were stopped", "the pilot's kill switch")
             raise VehicleError(
                 "take-off ended on the way: disarmed", "a failsafe acted, or it was never off the ground"
             )
