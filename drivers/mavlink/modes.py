@@ -15,7 +15,7 @@ FLIGHT_TERMINATION = 8
 
 
 def powered(base_mode: int, system_status: int) -> bool:
-    """Whether a heartbeat says that the motors may turn: armed, and not stopped by a kill switch."""
+    """Returns whether a heartbeat says that the motors may turn: armed, and not stopped by a kill switch."""
     return bool(base_mode & SAFETY_ARMED) and system_status != FLIGHT_TERMINATION
 
 

@@ -34,7 +34,7 @@ LOSS_RETURNS, LOSS_LANDS = 2, 3  # of ``loss_act``; anything else stays in hold
 
 @dataclass(frozen=True, slots=True)
 class RadioConfig:
-    """What the autopilot makes of its radio control: PX4's parameters, here by their meaning.
+    """The autopilot's settings for its radio control: PX4's parameters, here by their meaning.
 
     Attributes:
         in_mode: COM_RC_IN_MODE. 1 and 4 hear no transmitter.
@@ -63,13 +63,13 @@ class RadioConfig:
 
     @property
     def hears(self) -> bool:
-        """Whether any transmitter can take the vehicle."""
+        """Returns whether any transmitter can take the vehicle."""
         return self.in_mode not in (1, 4)
 
 
 @dataclass(slots=True)
 class Transmitter:
-    """What the pilot holds in both hands. Sticks -1..1: right, forward, up, clockwise."""
+    """The transmitter in the pilot's hands. Sticks -1..1: right, forward, up, clockwise."""
 
     on: bool = True
     away_until_s: float = -math.inf  # out of range until then, on the world's clock
@@ -80,7 +80,7 @@ class Transmitter:
 
 @dataclass(frozen=True, slots=True)
 class PilotInput:
-    """What the autopilot understands of its radio in one step.
+    """The pilot's input as the autopilot understands its radio in one step.
 
     Attributes:
         heard: there is a radio that counts.

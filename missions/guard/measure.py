@@ -122,7 +122,7 @@ def with_patient_failsafe(rig: Rig, folder: Path) -> Rig:
 
 
 def kinds_of(rig: Rig) -> tuple[str, ...]:
-    """What can be tried on a rig: programs of their own can hang, an embedded vehicle has a transmitter."""
+    """Returns what can be tried on a rig: programs of their own can hang, an embedded vehicle has a transmitter."""
     own = OF_PROGRAM if rig.level not in ("sim", "sim-rendered") else ()
     radio = RADIO if "sender_simulator" not in rig.world else ()
     return (*own, TAKEOVER, *radio)
@@ -206,7 +206,7 @@ def is_met(reaction: Reaction) -> bool:
 
 
 def _left_alone(reaction: Reaction) -> bool:
-    """Whether only the pilot, or the autopilot without its radio, changed the mode afterwards."""
+    """Returns whether only the pilot, or the autopilot without its radio, changed the mode afterwards."""
     match reaction.fault:
         case "rc_kill":
             return reaction.after == ()
