@@ -13,7 +13,15 @@ import pytest
 
 from drivers.interfaces import PartError
 from missions.assurance.verify import mutation_run, run
-from missions.assurance.verify.mutation_run import Suite, Table, Trials, choose, load_table, score, summarize
+from missions.assurance.verify.mutation_run import (
+    FileTests,
+    MutationTable,
+    Trials,
+    choose,
+    load_table,
+    score,
+    summarize,
+)
 from missions.assurance.verify.mutation_warm import NotHereError, put_into
 from missions.assurance.verify.mutations import mutated, mutations
 from missions.options import VerifyOptions
@@ -94,7 +102,7 @@ def project(tmp_path: Path) -> Path:
 
 def test_the_score_counts_what_the_tests_notice_and_names_what_they_do_not(project: Path) -> None:
     nobody = "sums.py one: number: 1 -> 2"
-    table = Table((Suite("sums.py", ("test_sums.py",)),), {nobody: "nobody calls it"})
+    table = MutationTable((FileTests("sums.py", ("test_sums.py",)),), {nobody: "nobody calls it"})
     stream = io.StringIO()
     tried = score(table, 0, 100, 1, project, stream)
     told = summarize(tried, 0, 1.0)
@@ -108,7 +116,7 @@ def test_the_score_counts_what_the_tests_notice_and_names_what_they_do_not(proje
 
 
 def test_a_wrong_version_that_hangs_is_ended_and_noticed(project: Path) -> None:
-    suite = Suite("sums.py", ("test_sums.py",))
+    suite = FileTests("sums.py", ("test_sums.py",))
     endless = "def seen(a, b):\n    while True:\n        pass\n"
     with Trials(project, 1, suite.tests) as trials:
         assert trials.trial(suite, None, 60.0)["passed"]
@@ -118,7 +126,7 @@ def test_a_wrong_version_that_hangs_is_ended_and_noticed(project: Path) -> None:
 
 def test_what_is_noticed_only_at_import_is_tried_from_the_first_import_on(project: Path) -> None:
     """A version that a living module cannot take, and one whose tests were made of it when they were collected."""
-    suite = Suite("sums.py", ("test_sums.py",))
+    suite = FileTests("sums.py", ("test_sums.py",))
     (project / "test_sums.py").write_text(
         "import sums\n\nMADE = sums.seen(1, 1)\n\n\ndef test_made():\n    assert not MADE\n"
     )
@@ -188,7 +196,7 @@ class Thing:
 def test_tests_that_fail_as_it_is_are_told(project: Path) -> None:
     (project / "test_sums.py").write_text("def test_wrong():\n    assert False\n")
     with pytest.raises(PartError, match=r"sums\.py fail as it is.*test_wrong"):
-        score(Table((Suite("sums.py", ("test_sums.py",)),)), 0, 1, 1, project, io.StringIO())
+        score(MutationTable((FileTests("sums.py", ("test_sums.py",)),)), 0, 1, 1, project, io.StringIO())
 
 
 def test_outside_a_checkout_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,7 +209,7 @@ def test_a_sample_of_the_real_ones_is_caught(tmp_path: Path, monkeypatch: pytest
     """The command, on the quickest of the suites."""
     monkeypatch.chdir(ROOT)
     quickest = next(suite for suite in load_table().suites if suite.file.endswith("guard_rules.py"))
-    table = Table((Suite(quickest.file, quickest.tests[:1]),), load_table().equivalent)
+    table = MutationTable((FileTests(quickest.file, quickest.tests[:1]),), load_table().equivalent)
     monkeypatch.setattr(mutation_run, "load_table", lambda: table)
     code = run.run(VerifyOptions(out=tmp_path, mutants=True, sample=4, seed=2, jobs=1))
     told = json.loads((tmp_path / "summary.json").read_text())
