@@ -103,7 +103,7 @@ def test_a_stranger_decodes_what_is_seen_during_a_flight_in_virtual_time(tmp_pat
 
     def watch() -> None:
         with dial(f"ws://{LOOPBACK}:{port}") as client:
-            seen.update(heard(client, "/sender/agreement", "/receiver/3d", "/world/truth"))
+            seen.update(heard(client, "/sender/state", "/receiver/3d", "/world/truth"))
 
     with live(f"{LOOPBACK}:{port}", tmp_path):
         watcher = threading.Thread(target=watch)
@@ -111,7 +111,7 @@ def test_a_stranger_decodes_what_is_seen_during_a_flight_in_virtual_time(tmp_pat
         facts = fly_once(rig_library.load("sim"), 11, (), tmp_path, lambda _: None)
     watcher.join(30.0)
     assert facts.outcome == "committed"
-    assert 0.0 <= json.loads(seen["/sender/agreement"][1])["iou"] <= 1.0
+    assert json.loads(seen["/sender/state"][1])["armed"] in (True, False)
     scene = SceneUpdate.get_schema()
     decode = DecoderFactory().decoder_for("protobuf", Schema(1, scene.data, scene.encoding, scene.name))
     assert decode is not None
