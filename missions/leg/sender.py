@@ -191,9 +191,12 @@ class Sender:
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
         """To where the designated place is in view."""
+        return Anchor(self._view_of(self._designated()), self._heading_rad).hold(state)
+
+    def _designated(self) -> Vec3:
+        """Where the target was pointed at."""
         target = self._config.target
-        place = self._view_of((target.north_m, target.east_m, -target.height_m))
-        return Anchor(place, self._heading_rad).hold(state)
+        return target.north_m, target.east_m, -target.height_m
 
     def _view_of(self, target_n_m: Vec3) -> Vec3:
         """Behind and above the target, in the heading it was approached with; a drone that leans stands aside."""
@@ -246,10 +249,8 @@ class Sender:
 
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
         """Take the object at the designated place for the target once it was seen there in several frames."""
-        target = self._config.target
-        place = (target.north_m, target.east_m, -target.height_m)
         T_n_c = self._eye.T_n_c(view.stamp_ns, R_n_b)
-        found = acquire(view, T_n_c, self._camera, place, target.radius_m)
+        found = acquire(view, T_n_c, self._camera, self._designated(), self._config.target.radius_m)
         if isinstance(found, MissReason) or not self._well_inside(found[0].box):
             self._steady.clear()
             return
