@@ -277,7 +277,7 @@ class View(Protocol):
         ...
 
 
-class Sight(Part, Protocol):
+class Perception(Part, Protocol):
     """A camera with what finds things in its frames: the perception seam of a role."""
 
     @property

@@ -38,7 +38,7 @@ class MarkerFix:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class VehicleMotions:
     """How both vehicles move, as they report it. Stamps are of the receiver's clock."""
 
     own_stamp_ns: int
@@ -71,7 +71,7 @@ class MarkerView:
             lever_c_m=mount.T_b_c.R.T @ mount.T_b_c.t,
             lever_v_m=mount.T_b_v.R.T @ mount.T_b_v.t,
         )
-        self._motion: Motion | None = None
+        self._motion: VehicleMotions | None = None
         self._fixes: list[int] = []
         self._searched_ns = 0
         self._search_period_ns = round(1e9 / mission.search_hz)
@@ -83,7 +83,7 @@ class MarkerView:
         self._fixes = [stamp_ns for stamp_ns in self._fixes if now_ns - stamp_ns < _FIXED_NS]
         return len(self._fixes)
 
-    def note_motion(self, motion: Motion) -> None:
+    def note_motion(self, motion: VehicleMotions) -> None:
         """What both vehicles report: how the marker moves between two looks, and while it is not seen."""
         self._filter.set_own_velocity(motion.own_stamp_ns, motion.own_n_mps)
         self._filter.set_peer_velocity(motion.peer_stamp_ns, motion.peer_n_mps)

@@ -16,7 +16,7 @@ from drivers.rig.parts import PartSpec, Rig, RoleRig, decode_part
 from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
 from flight.harness.relay import RelayConfig
-from flight.viewpoint import NoViewpoint, Scene, plan_viewpoint
+from flight.viewpoint import NoViewpoint, ViewpointScene, plan_viewpoint
 from path.messages import Role
 
 FAST_MPS = 1.0
@@ -87,7 +87,7 @@ def _viewpoint(rig: Rig, mission: MissionConfig) -> Found:
     """There is a place for the receiver, with these cameras, mounts and markers."""
     T_b_v, own = rig.sender.mount.T_b_v, rig.receiver
     side_m = max(marker.side_m for marker in rig.layout.markers)
-    scene = Scene(_target_from_sender(mission) - T_b_v.t, T_b_v.R[:, 2], side_m, -T_b_v.t)
+    scene = ViewpointScene(_target_from_sender(mission) - T_b_v.t, T_b_v.R[:, 2], side_m, -T_b_v.t)
     plan = plan_viewpoint(scene, own.camera, own.mount.T_b_c, mission.rendezvous, mission.separation)
     if isinstance(plan, NoViewpoint):
         yield (
@@ -181,7 +181,7 @@ def _target_from_sender(mission: MissionConfig) -> np.ndarray[tuple[int], np.dty
 
 def camera_rate_hz(own: RoleRig) -> float | None:
     """How many frames a second a role's camera gives; None when its part does not say."""
-    config = decode_part(own.sight)[1]
+    config = decode_part(own.perception)[1]
     inner = getattr(config, "camera", None)
     if isinstance(inner, PartSpec):
         config = decode_part(inner)[1]

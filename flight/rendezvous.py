@@ -11,9 +11,9 @@ from drivers.interfaces import VehicleState, VelocitySetpoint
 from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, scale, subtract
-from flight.lean import Lean
 from flight.marker_view import MarkerView, levelled
-from flight.viewpoint import Floats, NoViewpoint, Scene, Viewpoint, plan_viewpoint
+from flight.tilt import Tilt
+from flight.viewpoint import Floats, NoViewpoint, Viewpoint, ViewpointScene, plan_viewpoint
 from path.camera import CameraModel
 from path.marker.layout import MarkerLayout
 from path.messages import Status, Target
@@ -67,7 +67,7 @@ class Rendezvous:
         self._viewpoint: Viewpoint | None = None
         self._search_began_ns = 0
         self._shift_n_m: Vec3 | None = None  # of the sender's reported position, once its marker was measured
-        self.lean = Lean()
+        self.tilt = Tilt()
 
     @property
     def viewpoint(self) -> Viewpoint:
@@ -77,13 +77,13 @@ class Rendezvous:
     def plan(self, target: Target) -> Viewpoint | NoViewpoint:
         """Plan the viewpoint for the geometry the sender reports now; a found one is flown to from now on."""
         R_h_v = levelled(target.gravity_v, self._mount.T_b_v.R)
-        scene = Scene(
+        scene = ViewpointScene(
             target_h_m=R_h_v @ np.array(target.point_v_m),
             marker_normal_h=R_h_v[:, 2],
             marker_side_m=self._side_m,
             body_h_m=R_h_v @ self._mount.T_b_v.inverse().t,
         )
-        tilt_h = np.array(from_heading(self.lean.down_n, -self._peer().yaw_rad))
+        tilt_h = np.array(from_heading(self.tilt.down_n, -self._peer().yaw_rad))
         config = self._config
         plan = plan_viewpoint(scene, self._camera, self._mount.T_b_c, config.rendezvous, config.separation, tilt_h)
         if isinstance(plan, Viewpoint):

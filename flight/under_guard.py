@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from drivers.interfaces import Clock
-from drivers.mavlink.guard_interfaces import Answer, Beat, GuardLine, Hand
+from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, GuardLine, Hand
 from flight.guard_rules import GuardRules
 from flight.outcome import MissionEnd, Outcome
 
@@ -30,7 +30,7 @@ class UnderGuard:
     def beat(self, beat: Beat) -> None:
         self._line.beat(beat)
 
-    def look(self) -> Answer | None:
+    def look(self) -> GuardAnswer | None:
         """Take what the guard said; the newest of it."""
         answer = self._newest()
         if answer is not None and answer.hand is Hand.GUARD and not self.taken:
@@ -73,7 +73,7 @@ class UnderGuard:
             await asyncio.sleep(_POLL_S)
         self.check()
 
-    def _newest(self) -> Answer | None:
+    def _newest(self) -> GuardAnswer | None:
         now_ns = self._clock.now_ns()
         if (now_ns - self._checked_ns) * 1e-9 > 0.5 * self._rules.answer_age_s:
             self._since_ns = now_ns
@@ -84,7 +84,7 @@ class UnderGuard:
         self._since_ns = max(self._since_ns, newest[0])
         return newest[1]
 
-    def _missing(self, answer: Answer | None) -> str:
+    def _missing(self, answer: GuardAnswer | None) -> str:
         silent_s = (self._clock.now_ns() - self._since_ns) * 1e-9
         if answer is None or silent_s > self._rules.answer_age_s:
             return f"the guard does not answer at {self._line.name}"

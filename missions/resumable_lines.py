@@ -16,7 +16,7 @@ from drivers.interfaces import PartError
 Line = TypeVar("Line")
 
 
-class KeptLines(Generic[Line]):
+class ResumableLines(Generic[Line]):
     """A file of lines; ``lines`` are those of every run that is done.
 
     Args:

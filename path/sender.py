@@ -25,7 +25,7 @@ UNIT_TOLERANCE = 0.05  # of a direction or a quaternion that went through float3
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class PairVerdict:
     """What became of one candidate.
 
     Attributes:
@@ -130,9 +130,9 @@ class SenderCycle:
         insort(self._pending, _Pending(order, capture_ns, candidate), key=lambda pending: pending.order)
         return None
 
-    def evaluate_ready(self, now_ns: int) -> list[Pair]:
+    def evaluate_ready(self, now_ns: int) -> list[PairVerdict]:
         """Judge every candidate whose capture instant D1's own frames have passed, or that waited too long."""
-        pairs: list[Pair] = []
+        pairs: list[PairVerdict] = []
         newest = self._track.newest
         newest_ns = now_ns - self._max_age_ns if newest is None else max(newest.stamp_ns, now_ns - self._max_age_ns)
         while self._pending and self._pending[0].capture_ns <= newest_ns:
@@ -179,7 +179,7 @@ class SenderCycle:
         first = self._pending[0]
         return first.order + serial_difference(sequence, first.candidate.sequence)
 
-    def _judge(self, candidate: Candidate, capture_ns: int) -> Pair:
+    def _judge(self, candidate: Candidate, capture_ns: int) -> PairVerdict:
         at = self._track.at(capture_ns)
         reason = self._incomparable(candidate, capture_ns)
         if reason is not None or at is None or candidate.box is None:
@@ -192,7 +192,7 @@ class SenderCycle:
             verdict, mapped_box = compare(self._views, T_v_c2, own_box, z1, point_v, candidate.box, self._config)
             tau = None if verdict.iou is None else threshold(z1, self._config)
         verdict = self._count(candidate.sequence, capture_ns, at, verdict, tau)
-        return Pair(candidate, capture_ns, verdict, own_box, mapped_box, tau, used)
+        return PairVerdict(candidate, capture_ns, verdict, own_box, mapped_box, tau, used)
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
         """Why a fresh candidate cannot even be compared, whatever D1 saw at that instant."""
@@ -222,8 +222,8 @@ class SenderCycle:
         self.agreed += 1
         return Agreed(verdict.iou, verdict.tau, self.gate.count, self.gate.evidence)
 
-    def _silent(self, instant_ns: int) -> Pair:
-        return Pair(None, instant_ns, self._missed(Missed(MissReason.LINK_SILENT)))
+    def _silent(self, instant_ns: int) -> PairVerdict:
+        return PairVerdict(None, instant_ns, self._missed(Missed(MissReason.LINK_SILENT)))
 
     def _missed(self, missed: Missed) -> Missed:
         self.misses[missed.reason] += 1

@@ -129,7 +129,7 @@ class FrameCounters:
     frames: dict[int, int] = field(default_factory=dict[int, int])
 
 
-class Framer:
+class BeaconFramer:
     """Cuts a stream into packets. What looks like a frame and is none costs one byte, and no true frame behind it."""
 
     def __init__(self) -> None:

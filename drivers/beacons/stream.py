@@ -9,7 +9,15 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
-from drivers.beacons.frames import FrameCounters, Framer, MobilePosition, Packet, Power, Rating, StationaryPositions
+from drivers.beacons.frames import (
+    BeaconFramer,
+    FrameCounters,
+    MobilePosition,
+    Packet,
+    Power,
+    Rating,
+    StationaryPositions,
+)
 from drivers.interfaces import BeaconFix
 from path.messages import Vec3
 
@@ -71,7 +79,7 @@ class PortState:
         repeated: positions that came a second time.
     """
 
-    framer: Framer = field(default_factory=Framer)
+    framer: BeaconFramer = field(default_factory=BeaconFramer)
     bytes_read: int = 0
     newest_ns: int | None = None
     newest_fix_ns: int | None = None

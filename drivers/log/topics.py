@@ -195,9 +195,12 @@ TOPICS: dict[str, Topic] = {
         {"epoch": _whole("of the attempt"), "duty": _text("what the drone has to do about it")},
     ),
     "/decision": Topic(
-        "how an attempt ended", {"outcome": _text("path.protocol.values.Outcome"), "reason": _text("of an abort")}
+        "how an attempt ended",
+        {"outcome": _text("path.protocol.values.HandoffOutcome"), "reason": _text("of an abort")},
     ),
-    "/settled": Topic("what became known later of an attempt", {"outcome": _text("path.protocol.values.Outcome")}),
+    "/settled": Topic(
+        "what became known later of an attempt", {"outcome": _text("path.protocol.values.HandoffOutcome")}
+    ),
     "/refused": Topic("what the protocol did not let happen", {"why": _text("path.protocol.values.Refusal")}),
     "/attempt": Topic("from here on a cycle of its own decides: another attempt", _ATTEMPT),
     # --- D1 ---

@@ -33,7 +33,7 @@ class Instant:
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class HeartbeatShown:
     """One heartbeat of the vehicle."""
 
     time_s: float
@@ -43,7 +43,7 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class CommandAnswer:
     """A COMMAND_ACK. ``to``: the system it was sent to, 0 when it does not say; ``result`` is MAV_RESULT."""
 
     time_s: float
@@ -53,7 +53,7 @@ class Answer:
 
 
 @dataclass(slots=True)
-class Heard:
+class HeardOnCable:
     """What came over the cable from the vehicle, oldest first; the lists only grow.
 
     Attributes:
@@ -64,11 +64,11 @@ class Heard:
     """
 
     arrivals_s: dict[int, list[float]] = field(default_factory=dict[int, list[float]])
-    shown: list[Shown] = field(default_factory=list[Shown])
+    shown: list[HeartbeatShown] = field(default_factory=list[HeartbeatShown])
     landed: list[tuple[float, int]] = field(default_factory=list[tuple[float, int]])
     checks: list[tuple[float, bool]] = field(default_factory=list[tuple[float, bool]])
     texts: list[tuple[float, int, str]] = field(default_factory=list[tuple[float, int, str]])
-    answers: list[Answer] = field(default_factory=list[Answer])
+    answers: list[CommandAnswer] = field(default_factory=list[CommandAnswer])
 
 
 class VehicleBench(Protocol):
@@ -85,7 +85,7 @@ class VehicleBench(Protocol):
         ...
 
     @property
-    def heard(self) -> Heard:
+    def heard(self) -> HeardOnCable:
         """Recorded from the start on."""
         ...
 

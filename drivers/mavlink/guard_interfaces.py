@@ -58,7 +58,7 @@ class Hand(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class GuardAnswer:
     """The guard's answer to a beat.
 
     Attributes:
@@ -104,7 +104,7 @@ class GuardLine(Part, Protocol):
 
     def beat(self, beat: Beat) -> None: ...
 
-    def answer(self) -> tuple[int, Answer] | None:
+    def answer(self) -> tuple[int, GuardAnswer] | None:
         """The newest answer and its arrival, role clock; None when there never was one."""
         ...
 
@@ -116,7 +116,7 @@ class BeatLine(Part, Protocol):
         """The newest beat since the last call and its arrival, guard's clock; None when none came."""
         ...
 
-    def answer(self, answer: Answer) -> None:
+    def answer(self, answer: GuardAnswer) -> None:
         """To whoever beat last."""
         ...
 

@@ -26,7 +26,7 @@ from drivers.interfaces import VehicleError
 from drivers.mavlink.modes import KINDS, AutopilotKind
 from drivers.mavlink.parameters import ParameterAccess
 from drivers.mavlink.port_lock import PortLock
-from drivers.mavlink.telemetry import AUTOPILOT_COMPONENT, Telemetry
+from drivers.mavlink.telemetry import AUTOPILOT_COMPONENT, TelemetrySlots
 
 POLL_S = 0.01
 CLOSE_S = 5.0
@@ -37,7 +37,7 @@ REAL32 = 9  # MAV_PARAM_TYPE
 RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
 
 _log = logging.getLogger("drivers.mavsdk")
-_logging: set[Session] = set()  # the open ones; MAVSDK has one log for all, and prints it when nobody takes it
+_logging: set[MavsdkSession] = set()  # the open ones; MAVSDK has one log for all, and prints it when nobody takes it
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +54,10 @@ class SessionConfig:
     heartbeat_timeout_s: float
 
 
-class Session:
+class MavsdkSession:
     """Opened by ``open``, closed by ``close``. All methods belong to the event loop and raise VehicleError."""
 
-    def __init__(self, config: SessionConfig, telemetry: Telemetry) -> None:
+    def __init__(self, config: SessionConfig, telemetry: TelemetrySlots) -> None:
         self._config = config
         self._clock = telemetry.clock
         self._telemetry = telemetry

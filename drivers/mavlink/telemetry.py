@@ -102,7 +102,7 @@ class ThreadClock:
         return time.monotonic_ns() + (self._offset_ns or 0)
 
 
-class Telemetry:
+class TelemetrySlots:
     """Slots, their handlers, and ``state`` made of them. Handlers run on MAVSDK's thread."""
 
     def __init__(

@@ -14,8 +14,8 @@ from drivers.interfaces import SURE, FlightMode, TakenOver, VehicleError, Vehicl
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.modes import ARDUPILOT, CUSTOM_MODE_ENABLED, PX4, AutopilotKind
 from drivers.mavlink.parameters import Difference, differences
-from drivers.mavlink.session import ACCEPTED, ARM_DISARM, RESULTS, Session, SessionConfig
-from drivers.mavlink.telemetry import Telemetry
+from drivers.mavlink.session import ACCEPTED, ARM_DISARM, RESULTS, MavsdkSession, SessionConfig
+from drivers.mavlink.telemetry import TelemetrySlots
 from drivers.mavlink.vision import VisionConfig, VisionFeed
 from drivers.rig.part_check import Finding, counted
 from drivers.rig.parts import PartContext
@@ -102,7 +102,7 @@ class MavsdkVehicle:
         self._config = config
         origin = context.origin
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
-        self._telemetry = Telemetry(
+        self._telemetry = TelemetrySlots(
             config.sysid, context.clock, tangent, config.height_from == "home", config.vision is not None
         )
         session = SessionConfig(
@@ -116,7 +116,7 @@ class MavsdkVehicle:
             heartbeat_timeout_s=config.heartbeat_timeout_s,
         )
         self._clock = self._telemetry.clock
-        self._session = Session(session, self._telemetry)
+        self._session = MavsdkSession(session, self._telemetry)
         self._kind: AutopilotKind = PX4
         self._vision = config.vision and VisionFeed(config.vision, context, self._session, self._telemetry)
         self._feeding: asyncio.Task[None] | None = None

@@ -11,8 +11,8 @@ import numpy as np
 
 from drivers.interfaces import BeaconError, BeaconFix, Beacons
 from drivers.mavlink.modes import PX4, AutopilotKind
-from drivers.mavlink.session import Session
-from drivers.mavlink.telemetry import Telemetry
+from drivers.mavlink.session import MavsdkSession
+from drivers.mavlink.telemetry import TelemetrySlots
 from drivers.rig.parts import Origin, PartContext, PartSpec, create
 from path.bounds import Bounds
 from path.messages import Vec3
@@ -68,7 +68,9 @@ class VisionFeed:
             positions and has come to rest on them.
     """
 
-    def __init__(self, config: VisionConfig, context: PartContext, session: Session, telemetry: Telemetry) -> None:
+    def __init__(
+        self, config: VisionConfig, context: PartContext, session: MavsdkSession, telemetry: TelemetrySlots
+    ) -> None:
         self._config, self._origin = config, context.origin
         self._session, self._telemetry = session, telemetry
         self._beacons: Beacons = create(config.beacons, context)

@@ -38,7 +38,7 @@ UNCUT_IOU, CUT_SCORE = 0.85, 0.5  # of a box with the same before depth cut some
 
 
 @dataclass(frozen=True, slots=True)
-class PixelSightConfig:
+class PixelPerceptionConfig:
     """
     Attributes:
         camera, detector: parts by name.
@@ -56,12 +56,12 @@ class PixelSightConfig:
     max_old_frames: Annotated[int, Bounds(1, 10000, "frames")] = 30
 
 
-class PixelSight:
-    """Implements ``drivers.interfaces.Sight`` over a camera, which it opens, and a detector."""
+class PixelPerception:
+    """Implements ``drivers.interfaces.Perception`` over a camera, which it opens, and a detector."""
 
-    Config = PixelSightConfig
+    Config = PixelPerceptionConfig
 
-    def __init__(self, config: PixelSightConfig, context: PartContext) -> None:
+    def __init__(self, config: PixelPerceptionConfig, context: PartContext) -> None:
         self._config = config
         self._camera: Camera = create(config.camera, context)
         self._detector: Detector = create(config.detector, context)

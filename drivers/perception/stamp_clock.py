@@ -23,7 +23,7 @@ class Domain(Enum):
     GLOBAL = "global_time"
 
 
-class Refused(Enum):
+class StampRefused(Enum):
     """Why a stamp is not used."""
 
     OLD = "repeats or goes back"
@@ -78,7 +78,7 @@ class StampClock:
         self._arrival_ns = 0
         self._mapped_ns: int | None = None
 
-    def to_role(self, stamp_ns: int, domain: Domain, arrival_ns: int, wall_offset_ns: int) -> int | Refused:
+    def to_role(self, stamp_ns: int, domain: Domain, arrival_ns: int, wall_offset_ns: int) -> int | StampRefused:
         """The stamp in the role's clock, always later than the one before; never after the arrival while it follows.
 
         Args:
@@ -91,10 +91,10 @@ class StampClock:
         else:
             mapped = stamp_ns - wall_offset_ns
             if not -self._config.max_ahead_ns <= arrival_ns - mapped <= self._config.max_age_ns:
-                return Refused.CLOCK
+                return StampRefused.CLOCK
             mapped = min(mapped, arrival_ns)
         if self._mapped_ns is not None and mapped <= self._mapped_ns:
-            return Refused.OLD
+            return StampRefused.OLD
         self._mapped_ns = mapped
         return mapped
 

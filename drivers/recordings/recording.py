@@ -99,7 +99,7 @@ def open_recording(file: Path, options: RecordingOptions | None = None) -> Recor
     if file.is_dir():
         recording: Recording = Folder(file, options)
     elif file.suffix.lower() == ".mcap":
-        recording = Log(file, options.topic)
+        recording = RecordedLog(file, options.topic)
     elif file.suffix.lower() in VIDEO_SUFFIXES:
         recording = Video(file)
     else:
@@ -164,7 +164,7 @@ class Folder:
             yield RecordedFrame(file.name, stamp_ns, lambda file=file: load(file))
 
 
-class Log:
+class RecordedLog:
     """Images in a log of PATH (MCAP), with the stamps they were logged with."""
 
     count: int | None = None

@@ -101,7 +101,7 @@ def _check_serials(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> 
     for role in Role:
         own = rig.role(role)
         for where, config in configs.items():
-            serial = getattr(config, "serial", "") if where.startswith(own.sight.where) else ""
+            serial = getattr(config, "serial", "") if where.startswith(own.perception.where) else ""
             try:
                 check_serial(own.camera_serial, str(serial or ""), rig.where(f"{role.value}.camera"))
             except CalibrationError as error:

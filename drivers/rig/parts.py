@@ -33,7 +33,7 @@ Level = Literal["sim", "sim-rendered", "sitl", "hitl", "field"]
 class PartSpec:
     """A part by name: ``factory`` is ``module:Class``; ``options`` are decoded as ``Class.Config``.
 
-    May be a field of another part's Config (``[sender.sight.camera]``), which then opens it itself.
+    May be a field of another part's Config (``[sender.perception.camera]``), which then opens it itself.
     """
 
     factory: str
@@ -136,7 +136,7 @@ class RoleRig:
     """One drone of the rig. ``camera_serial``: of the camera that ``camera`` is the calibration of, "" if not known."""
 
     vehicle: PartSpec
-    sight: PartSpec
+    perception: PartSpec
     link: PartSpec
     clock: PartSpec
     camera: CameraModel
@@ -146,7 +146,7 @@ class RoleRig:
 
     @property
     def parts(self) -> tuple[PartSpec, ...]:
-        every = self.clock, self.vehicle, self.sight, self.link
+        every = self.clock, self.vehicle, self.perception, self.link
         return every if self.guard is None else (*every, self.guard)
 
 

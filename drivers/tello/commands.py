@@ -42,7 +42,7 @@ _open: dict[str, TelloLink] = {}  # by host: camera and vehicle of a drone share
 _state_port: list[int] = []  # that the library of this process listens on
 
 
-class _Slot(dict[str, Any]):
+class _TelloSlot(dict[str, Any]):
     """Stands in djitellopy's table of drones: tells when a state packet or an answer came."""
 
     def __init__(self, link: TelloLink) -> None:
@@ -91,7 +91,7 @@ class TelloLink:
         self.late = 0
         self.on_report: Callable[[TelloReport], None] | None = None
         self.tello: Any = None
-        self._slot: _Slot | None = None
+        self._slot: _TelloSlot | None = None
         self._users = 0
         self._asking = asyncio.Lock()
         self._owed: list[tuple[str, float]] = []  # commands without an answer yet, and when they were given up
@@ -221,7 +221,7 @@ class TelloLink:
         made.address = (address.host, address.command_port)
         if not _state_port:
             _state_port.append(address.state_port)
-        self._slot = _Slot(self)
+        self._slot = _TelloSlot(self)
         library.drones[address.host] = self._slot
         _open[address.host] = self
         return made

@@ -45,7 +45,7 @@ class NamedDrone:
     name: str
     home_m: Annotated[Point, Bounds(-1000, 1000)]
     clock: PartSpec | None = None
-    sight: PartSpec | None = None
+    perception: PartSpec | None = None
     vehicle: PartSpec | None = None
     guard: PartSpec | None = None
     link: PartSpec | None = None
@@ -109,7 +109,7 @@ def _role(rig: Rig, drone: NamedDrone, role: str) -> RoleRig:
     return replace(
         built,
         clock=drone.clock or built.clock,
-        sight=drone.sight or built.sight,
+        perception=drone.perception or built.perception,
         vehicle=drone.vehicle or built.vehicle,
         guard=drone.guard or built.guard,
         link=drone.link or (built.link if role == "sender" else rig.receiver.link),
@@ -238,7 +238,7 @@ class RelayRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class FlightTruth:
     """One flight in truth, from switching on to the ground."""
 
     drone: str
@@ -248,7 +248,7 @@ class Flown:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class FieldSample:
     """The truth now and then: who is responsible (by their own word), and every battery."""
 
     time_s: float
@@ -286,8 +286,8 @@ class RelayReport:
     violations: Mapping[str, int]
     notes: Sequence[str]
     gaps_s: Mapping[int, float]
-    flown: Sequence[Flown]
-    samples: Sequence[Sample]
+    flown: Sequence[FlightTruth]
+    samples: Sequence[FieldSample]
     closest_m: float
     simulated_s: float
     wall_s: float

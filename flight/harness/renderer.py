@@ -54,7 +54,7 @@ class PlacedBoard:
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class RenderedInstant:
     """What there is at one instant.
 
     Attributes:
@@ -172,7 +172,7 @@ class DepthNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class StudioSetup:
+class RendererSetup:
     """One drone's camera, as it truly is, and the markers on the sender, as they truly are."""
 
     camera: CameraModel
@@ -192,15 +192,15 @@ class Shot:
     depth_mm: NDArray[np.uint16]
 
 
-class Studio(Protocol):
+class FrameRenderer(Protocol):
     """Shoots stages with one camera. The same setup, stage and seeds give the same bytes."""
 
-    def __init__(self, setup: StudioSetup, seed: int) -> None: ...
+    def __init__(self, setup: RendererSetup, seed: int) -> None: ...
 
-    def shoot(self, stage: Stage, role: Role, shot_seed: int) -> Shot:
+    def shoot(self, stage: RenderedInstant, role: Role, shot_seed: int) -> Shot:
         """What the role's camera delivers."""
         ...
 
-    def true_depth_m(self, stage: Stage, role: Role, u: float, v: float) -> float | None:
+    def true_depth_m(self, stage: RenderedInstant, role: Role, u: float, v: float) -> float | None:
         """Exact depth along the optical axis of the surface seen at a pixel; None when there is none in reach."""
         ...

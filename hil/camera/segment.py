@@ -100,7 +100,7 @@ class Layout:
         return *self.color_size, *self.depth_size, self.fps, self.slots
 
 
-class Segment:
+class FrameSegment:
     """NumPy views into a mapped segment.
 
     ``header``: magic, colour width and height, depth width and height, fps, slots, newest sequence number (0: none).
@@ -133,7 +133,7 @@ class Segment:
             self._memory.close()
 
 
-def map_segment(path: Path) -> Segment | None:
+def map_segment(path: Path) -> FrameSegment | None:
     """Map a segment that a living writer publishes; None when there is none."""
     if not writer_lives(path):
         return None
@@ -149,7 +149,7 @@ def map_segment(path: Path) -> Segment | None:
     if magic != MAGIC:
         memory.close()
         raise CameraError(f"{path} holds no camera frames of this version", "remove it and start again")
-    return Segment(memory, Layout((width, height), (depth_width, depth_height), fps, slots))
+    return FrameSegment(memory, Layout((width, height), (depth_width, depth_height), fps, slots))
 
 
 def bind(path: Path) -> socket.socket:

@@ -44,7 +44,7 @@ SLOW_FRAMES = 10  # for so many frames lasts what goes wrong for a while
 
 
 @dataclass(frozen=True, slots=True)
-class GeometricSightConfig:
+class GeometricPerceptionConfig:
     """
     Attributes:
         rate_hz, phase_s, latency_s: when frames are taken (see ``hil.camera.capture.timing_of``).
@@ -65,24 +65,24 @@ class GeometricSightConfig:
         return timing_of(role, self.rate_hz, self.phase_s, self.latency_s)
 
 
-class GeometricSight:
-    """Implements ``drivers.interfaces.Sight`` for a rig whose harness is a ``SensorHarness``."""
+class GeometricPerception:
+    """Implements ``drivers.interfaces.Perception`` for a rig whose harness is a ``SensorHarness``."""
 
-    Config = GeometricSightConfig
+    Config = GeometricPerceptionConfig
 
     def __init__(
-        self, config: GeometricSightConfig, context: PartContext, noise: ObservationNoise | None = None
+        self, config: GeometricPerceptionConfig, context: PartContext, noise: ObservationNoise | None = None
     ) -> None:
         if context.harness is None:
             raise CameraError(
-                "a geometric sight needs a simulated world", "use it with a harness such as hil.harness.sim"
+                "a geometric perception needs a simulated world", "use it with a harness such as hil.harness.sim"
             )
         harness = cast(SensorHarness, context.harness)
         true = true_camera(context, harness.built)
         setup = CameraSetup(context.role, true.camera, true.T_b_c, true.T_b_v, true.layout)
         self._model = context.camera
         self._sensor = Sensor(setup, noise or ObservationNoise(), config.method, harness.seed, true.errors)
-        name = f"the {context.role.value}'s geometric sight"
+        name = f"the {context.role.value}'s geometric perception"
         self._ticker: CaptureTicker[Snapshot] = CaptureTicker(
             name, config.timing(context.role), context.role, context.clock, harness, _keep
         )
@@ -111,7 +111,7 @@ class GeometricSight:
     async def view(self, timeout_s: float) -> GeometricView:
         """The newest view not yet given. Raises CameraError when none came in time."""
         if not self._open:
-            raise CameraError("the geometric sight is not open", "open it with `async with`")
+            raise CameraError("the geometric perception is not open", "open it with `async with`")
         return GeometricView(await self._freshness.next(self._ticker.next, timeout_s), self._sensor)
 
 

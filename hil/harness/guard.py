@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Protocol, Self, cast
 
 from drivers.interfaces import Clock, FlightMode, Log, VehicleError
-from drivers.mavlink.guard_interfaces import Answer, Beat, GuardView, Watched
+from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, GuardView, Watched
 from drivers.rig.parts import PartContext, PartSpec, create
 from flight.config import MissionConfig
 from flight.guard_watch import GuardWatch, watch
@@ -123,7 +123,7 @@ class MemoryGuardLine:
     _box: _Mailbox
     name: str = "this process"
     cut: bool = False
-    answered: tuple[int, Answer] | None = None
+    answered: tuple[int, GuardAnswer] | None = None
     _open: bool = False
 
     async def __aenter__(self) -> Self:
@@ -139,7 +139,7 @@ class MemoryGuardLine:
         if self._open and not self.cut:
             self._box.beat = self.clock.now_ns(), beat, self
 
-    def answer(self) -> tuple[int, Answer] | None:
+    def answer(self) -> tuple[int, GuardAnswer] | None:
         return self.answered
 
 
@@ -167,7 +167,7 @@ class MemoryBeatLine:
         arrival_ns, beat, self._from = newest
         return arrival_ns, beat
 
-    def answer(self, answer: Answer) -> None:
+    def answer(self, answer: GuardAnswer) -> None:
         if self._from is not None:
             self._from.answered = self.clock.now_ns(), answer
 

@@ -33,7 +33,7 @@ STEP_S = 0.005
 FrameWriter = SharedCameraWriter | TelloVideo
 
 
-class Scene(Protocol):
+class CameraScene(Protocol):
     """What one drone's camera looks at."""
 
     def now_s(self) -> float:
@@ -45,7 +45,7 @@ class Scene(Protocol):
         ...
 
 
-class Picture:
+class CameraView:
     """Draws what one drone's camera truly sees. Made before the world's clock starts: it takes a moment."""
 
     def __init__(self, built: Built, role: Role, seed: int, *, depth: bool) -> None:
@@ -74,7 +74,9 @@ class CameraThread(threading.Thread):
     ``phase``: of a period; two cameras are never in step.
     """
 
-    def __init__(self, scene: Scene, picture: Picture, writer: FrameWriter, rate_hz: float, phase: float) -> None:
+    def __init__(
+        self, scene: CameraScene, picture: CameraView, writer: FrameWriter, rate_hz: float, phase: float
+    ) -> None:
         super().__init__(name=f"camera-{picture.role.value}", daemon=True)
         self._scene, self._picture, self._writer = scene, picture, writer
         self._period_s = 1.0 / rate_hz
@@ -117,8 +119,8 @@ def running(camera: CameraThread) -> Generator[None, None, None]:
 
 def camera_config(rig: Rig, role: Role) -> RealSenseConfig:
     """How the driver of a role is set. Raises RigError when it is another driver."""
-    sight = rig.role(role).sight
-    camera = PartSpec.from_table(sight.options.get("camera"), f"{sight.where}.camera", sight.base)
+    perception = rig.role(role).perception
+    camera = PartSpec.from_table(perception.options.get("camera"), f"{perception.where}.camera", perception.base)
     _, config = decode_part(camera)
     if not isinstance(config, RealSenseConfig):
         raise RigError(

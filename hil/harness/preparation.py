@@ -27,7 +27,7 @@ def prepare(rig: Rig, say: Callable[[str], None]) -> None:
     world = World(decode_table(rig.world, WorldConfig, rig.where("world")), seed=0)
     world.advance(0.1)
     warm_up_marker()
-    if any("camera" in rig.role(role).sight.options for role in Role):
+    if any("camera" in rig.role(role).perception.options for role in Role):
         from drivers.realsense.registration import warm_up as warm_up_registration  # noqa: PLC0415 (sim needs none of these)
         from hil.render.depth import warm_up as warm_up_depth  # noqa: PLC0415
         from hil.render.renderer import warm_up as warm_up_renderer  # noqa: PLC0415

@@ -39,7 +39,7 @@ class LiveRelay:
 
 @dataclass(frozen=True, slots=True)
 class RelayScene:
-    """A ``hil.harness.live_world.Scene``: the field as one drone's camera sees it, the other drone of its leg in it."""
+    """A ``hil.harness.live_world.CameraScene``: the field as one drone's camera sees it, the other drone of its leg in it."""
 
     live: LiveRelay
     name: str

@@ -24,7 +24,7 @@ from drivers.rig.parts import Rig, RoleRig
 from drivers.rig.tables import RigError
 from drivers.stop_signals import leave_signals, stop_on_signals
 from flight.harness.flights import Progress, RoleResult, decode_event
-from flight.harness.relay import DroneProgram, Flown, RelayConfig, RelayReport, RelayRequest, Sample, pair_of
+from flight.harness.relay import DroneProgram, FieldSample, FlightTruth, RelayConfig, RelayReport, RelayRequest, pair_of
 from flight.outcome import Outcome
 from hil.harness.children import (
     Child,
@@ -66,7 +66,7 @@ class RelaySitl:
         """Raises PartError for a rig whose drones are not told apart, and for faults that there are not."""
         check_drones(request.rig, request.config)
         faults = {leg: [_parse(text, request.rig.level) for text in texts] for leg, texts in request.faults.items()}
-        return asyncio.run(_Relay(request, faults).run())
+        return asyncio.run(_ProcessRelay(request, faults).run())
 
 
 def check_drones(rig: Rig, config: RelayConfig) -> None:
@@ -87,7 +87,7 @@ def _parse(text: str, level: str) -> Fault:
 
 
 @dataclass(slots=True)
-class _Drone:
+class _DroneProcesses:
     """One drone's processes. ``told``: the news that its program knows; ``guard_ends``: that of the flight before."""
 
     name: str
@@ -100,7 +100,7 @@ class _Drone:
     told: Mapping[str, Any] | None = None
 
 
-class _Relay:
+class _ProcessRelay:
     """One relay in real time: the ``flight.harness.relay.RelayField``."""
 
     def __init__(self, request: RelayRequest, faults: Mapping[int, list[Fault]]) -> None:
@@ -113,7 +113,7 @@ class _Relay:
         self._children: list[Child] = []
         self._coming: set[asyncio.Task[None]] = set()
         self._drones = {
-            drone.name: _Drone(drone.name, pair_of(request.rig, drone, drone).receiver)
+            drone.name: _DroneProcesses(drone.name, pair_of(request.rig, drone, drone).receiver)
             for drone in request.config.drones
         }
 
@@ -219,7 +219,7 @@ class _Relay:
         self._children.append(child)
         return child
 
-    async def _listen(self, drone: _Drone, program: Child) -> RoleResult | None:
+    async def _listen(self, drone: _DroneProcesses, program: Child) -> RoleResult | None:
         """Until the program has ended: pass on what it says. None when it died."""
         assert program.stdout is not None
         result: RoleResult | None = None
@@ -310,7 +310,7 @@ class _Relay:
         told = {"fault": fault.name, "leg": leg, "drone": name, "value": fault.value, "at_ns": at_ns}
         self._tell_world(told)
 
-    def _hit(self, drone: _Drone, fault: Fault) -> None:
+    def _hit(self, drone: _DroneProcesses, fault: Fault) -> None:
         program = drone.program
         if program is not None and program.returncode is None:
             if fault.kills is not None:
@@ -333,8 +333,8 @@ class _Relay:
             violations=finished.get("violations", {}),
             notes=tuple(finished.get("notes", ())),
             gaps_s={int(leg): gap_s for leg, gap_s in finished.get("gaps_s", {}).items()},
-            flown=msgspec.convert(finished.get("flown", []), list[Flown]),
-            samples=msgspec.convert(finished.get("samples", []), list[Sample]),
+            flown=msgspec.convert(finished.get("flown", []), list[FlightTruth]),
+            samples=msgspec.convert(finished.get("samples", []), list[FieldSample]),
             closest_m=float("nan") if closest_m is None else closest_m,
             closest_pair=tuple(finished.get("closest_pair", ())),
             simulated_s=finished.get("simulated_s", wall_s),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.rig.parts import Mount
 from flight.harness.montecarlo import MISS, OWN_MISS, PAIR, Attempt, Series
-from flight.marker_view import MarkerFix, MarkerView, Motion
+from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
 from hil.montecarlo.perception import CLAIMED, FOUND, SEEN, SIGMA, STATUS, UNCLEAR, WHO, Z
 from hil.montecarlo.scene import Believed
 from hil.montecarlo.setup import (
@@ -32,7 +32,7 @@ from path.prior import Prior
 from path.receiver import ReceiverCycle
 from path.rigid import rigid, rigid_from_quat
 from path.rotation import normalized
-from path.sender import Pair, SenderCycle
+from path.sender import PairVerdict, SenderCycle
 from path.window import AgreementWindow
 
 Array = NDArray[np.float64]
@@ -185,12 +185,12 @@ class _Cycles:
         if candidate.box is not None:
             self.record.whose[candidate.sequence] = whose[candidate.box]
 
-    def _motion(self, k: int, stamp_ns: int) -> Motion:
+    def _motion(self, k: int, stamp_ns: int) -> VehicleMotions:
         """What D2 has by its frame of how both vehicles move."""
         seen = self._setup.seen
         last = int(seen.heard[k]) - 1
         peer = int(seen.peer_stamp[last]), _vector(seen.peer_velocity[last]), float(seen.peer_yaw[last])
-        return Motion(stamp_ns, _vector(seen.own_velocity[k]), *peer)
+        return VehicleMotions(stamp_ns, _vector(seen.own_velocity[k]), *peer)
 
 
 class _Record:
@@ -214,7 +214,7 @@ class _Record:
         self._rows.append((OWN_MISS, REASONS.index(reason), now_ns, 0, stamp_ns, number, stamp_ns, 0, 0, 0, 0))
         self._values.append((0.0, 0.0, 0.0, 0.0))
 
-    def pair(self, pair: Pair, now_ns: int) -> None:
+    def pair(self, pair: PairVerdict, now_ns: int) -> None:
         candidate, verdict, at = pair.candidate, pair.verdict, pair.own
         if candidate is None:
             return

@@ -62,7 +62,7 @@ NOBODY = -1.0
 NOTHING = -1  # instead of a row
 
 
-class TrueCamera(NamedTuple):
+class MonteCarloCamera(NamedTuple):
     """One camera and its perception: the truth of it.
 
     Attributes:

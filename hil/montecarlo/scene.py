@@ -15,7 +15,7 @@ from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from flight.config import MissionConfig
 from flight.harness.montecarlo import Attempt, FaultName
-from flight.viewpoint import Scene, Viewpoint, plan_viewpoint
+from flight.viewpoint import Viewpoint, ViewpointScene, plan_viewpoint
 from hil.geometric.noise import ObservationNoise
 from hil.geometric.targets import TargetNoise
 from hil.montecarlo.faults import HandoverFaults, direction, draw_faults
@@ -174,7 +174,7 @@ def _place(believed: Believed, reach: float, rng: Generator) -> Place:
         behind, height = reach * behind, reach * height
         sender_n = np.array([-behind, side, -height])
         target_h = -sender_n - T_b_v.t - np.array([0.0, 0.0, TARGET_HEIGHT_M])
-        scene = Scene(target_h, T_b_v.R[:, 2], believed.rig.layout.markers[0].side_m, -T_b_v.t)
+        scene = ViewpointScene(target_h, T_b_v.R[:, 2], believed.rig.layout.markers[0].side_m, -T_b_v.t)
         plan = plan_viewpoint(scene, camera, receiver.mount.T_b_c, mission.rendezvous, mission.separation)
         beside, turn = PLACE_SIGMA_M * rng.standard_normal(3), YAW_SIGMA_RAD * rng.standard_normal()
         mirrored = rng.random() < 0.5

@@ -30,7 +30,7 @@ from hil.montecarlo.perception import (
     VV,
     CameraPath,
     Depths,
-    TrueCamera,
+    MonteCarloCamera,
     receiver_sees,
     sender_sees,
     with_lapses,
@@ -310,8 +310,10 @@ def _ns(times_s: Array) -> Whole:
     return np.rint((times_s + EPOCH_S) * 1e9).astype(np.int64)
 
 
-def _true_camera(camera: CameraModel, T_b_c: Pose, car: Array, drone: Array, boxes: object, seed: int) -> TrueCamera:
-    return TrueCamera(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_of(camera), car, drone, boxes, seed)  # type: ignore[arg-type]
+def _true_camera(
+    camera: CameraModel, T_b_c: Pose, car: Array, drone: Array, boxes: object, seed: int
+) -> MonteCarloCamera:
+    return MonteCarloCamera(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_of(camera), car, drone, boxes, seed)  # type: ignore[arg-type]
 
 
 def _things(frames: Timed, drawn: Drawn) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ Address = tuple[str, int]
 PHASE_TOLERANCE_S = 1e-3
 
 
-class Channel:
+class UdpChannel:
     """Sends to ``remote``, and answers whoever speaks to it."""
 
     def __init__(self, bind: Address, remote: Address) -> None:

@@ -110,7 +110,7 @@ class SimulatedVehicle:
         origin, home = rig.origin, world.home(role)
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
         east, north = home.position_m
-        off_n_m = receiver_off(world.apart, seed) if role is Role.RECEIVER else (0.0, 0.0, 0.0)
+        off_n_m = receiver_off(world.position_offset, seed) if role is Role.RECEIVER else (0.0, 0.0, 0.0)
         place = Home(*tangent.to_global(north + off_n_m[0], east + off_n_m[1], 0.0), home.heading_deg)
         self.follower = TruthFollower(world.airframe.leg_m, off_n_m)
         self._process: AutopilotProcess | None = None

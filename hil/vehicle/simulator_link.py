@@ -20,7 +20,7 @@ from hil.autopilot.simulator import Kind
 from hil.vehicle.arrival import Address
 from hil.vehicle.relay import DO_SET_MODE, PILOT_MODE, FlightWatch
 from hil.vehicle.simulator_wire import open_wire
-from hil.vehicle.truth_follower import Fix, Motion, TruthFollower
+from hil.vehicle.truth_follower import Fix, TrueMotion, TruthFollower
 from path.messages import Vec3
 
 OWN_SYSID, OWN_COMPONENT = 250, 191
@@ -187,7 +187,7 @@ class SimulatorLink:
         velocity: Vec3 = (_middle(message.vx) * 1e-2, _middle(message.vy) * 1e-2, _middle(message.vz) * 1e-2)
         w, x, y, z = message.attitude_quaternion
         rates = (message.rollspeed, message.pitchspeed, message.yawspeed)
-        self.follower.on_motion(Motion(time_s, velocity, (w, x, y, z), rates))
+        self.follower.on_motion(TrueMotion(time_s, velocity, (w, x, y, z), rates))
         latitude, longitude, altitude = (_middle(value) for value in (message.lat, message.lon, message.alt))
         place = self._tangent.to_ned(latitude * 1e-7, longitude * 1e-7, altitude * 1e-3)
         self.follower.on_fix(Fix(time_s, place))
@@ -195,7 +195,7 @@ class SimulatorLink:
     def _on_sim_state(self, message: Any, time_s: float) -> None:
         rates = (message.xgyro, message.ygyro, message.zgyro)
         attitude = (message.q1, message.q2, message.q3, message.q4)
-        self.follower.on_motion(Motion(time_s, (message.vn, message.ve, message.vd), attitude, rates))
+        self.follower.on_motion(TrueMotion(time_s, (message.vn, message.ve, message.vd), attitude, rates))
         _, _, down = self._tangent.to_ned(0.0, 0.0, message.alt)
         self.follower.on_fix(Fix(time_s, (math.nan, math.nan, down)))
 

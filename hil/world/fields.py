@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from hil.world.snapshot import ObjectTruth
-from hil.world.targets import LookAlikeConfig, Point, TargetConfig, Traffic
+from hil.world.targets import GroundVehicles, LookAlikeConfig, Point, TargetConfig
 
 NUMBERS = 100
 SIGHT_M = 15.0  # a car farther off is a few pixels at most, above what a camera that looks down has in its image
@@ -42,7 +42,7 @@ class Field:
         near_m = math.inf if len(starts) == 1 else reach_m + CELL_M
         self.starts = [start for start, _ in starts]
         self._traffic = [
-            Traffic(
+            GroundVehicles(
                 replace(target, start_m=start, start_time_s=target.start_time_s + later_s),
                 look_alikes,
                 [home for home in keep_clear if math.dist(home, start) <= near_m],

@@ -126,7 +126,7 @@ class Crossing:
     beside: Point
 
 
-class Traffic:
+class GroundVehicles:
     """All ground vehicles. ``at`` is a pure function of time, but for the look-alikes sent so far."""
 
     def __init__(

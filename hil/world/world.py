@@ -35,7 +35,7 @@ from hil.world.dynamics import (
 from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, Sensors, WindConfig
 from hil.world.snapshot import DroneTruth, Snapshot
-from hil.world.targets import LookAlikeConfig, Point, TargetConfig, Traffic
+from hil.world.targets import GroundVehicles, LookAlikeConfig, Point, TargetConfig
 from path.bounds import Bounds
 from path.geometry import Pose
 from path.messages import Quat, Role, Vec3
@@ -58,7 +58,7 @@ class HomeConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class ApartConfig:
+class PositionOffsetConfig:
     """How far apart the drones' positions are from the start, besides the errors of their estimators.
 
     The receiver's is the one that is off, in a direction drawn by seed; upward or downward likewise.
@@ -79,7 +79,7 @@ class WorldConfig:
     errors: ErrorsConfig = field(default_factory=ErrorsConfig)
     wind: WindConfig = field(default_factory=WindConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
-    apart: ApartConfig = field(default_factory=ApartConfig)
+    position_offset: PositionOffsetConfig = field(default_factory=PositionOffsetConfig)
     airframe: AirframeConfig = field(default_factory=AirframeConfig)
     autopilot: AutopilotConfig = field(default_factory=AutopilotConfig)
     detector: DetectorConfig = field(default_factory=DetectorConfig)
@@ -103,7 +103,7 @@ class WorldConfig:
         return self.sender_simulator if role is Role.SENDER else self.receiver_simulator
 
 
-class Telemetry(NamedTuple):
+class VehicleTelemetry(NamedTuple):
     """What a drone could say of itself at one tick."""
 
     time_s: float
@@ -127,7 +127,7 @@ class SimDrone:
     def __init__(self, autopilot: Autopilot, state: Array) -> None:
         self.autopilot = autopilot
         self.estimate = Estimate(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        self.telemetry: deque[Telemetry] = deque(maxlen=TELEMETRY_TICKS)
+        self.telemetry: deque[VehicleTelemetry] = deque(maxlen=TELEMETRY_TICKS)
         self._state = state
 
     @property
@@ -155,7 +155,7 @@ class SimDrone:
         n, e, d, vn, ve, vd, w, x, y, z = row
         self.estimate = Estimate(time_s, (n, e, d), (vn, ve, vd), (w, x, y, z))
         own = self.autopilot
-        said = Telemetry(time_s, self.estimate, own.mode, own.armed, own.landed, own.armable, own.battery)
+        said = VehicleTelemetry(time_s, self.estimate, own.mode, own.armed, own.landed, own.armable, own.battery)
         self.telemetry.append(said)
 
     def command(self, time_s: float) -> tuple[float, ...]:
@@ -201,7 +201,7 @@ class Fleet(Generic[Name]):
 
     def _place_traffic(self, keep_clear: Sequence[Point], seed: np.random.SeedSequence) -> None:
         """Raises ValueError when the objects do not fit."""
-        self._traffic = Traffic(self.config.target, self.config.look_alikes, keep_clear, seed)
+        self._traffic = GroundVehicles(self.config.target, self.config.look_alikes, keep_clear, seed)
 
     @property
     def names(self) -> tuple[Name, ...]:
@@ -317,7 +317,7 @@ class World(Fleet[Role]):
         """Raises ValueError when the objects do not fit."""
         self._snapshot: Snapshot | None = None
         self.min_separation_m = math.inf  # of the two bodies, while both were in the air
-        off = {Role.RECEIVER: receiver_off(config.apart, seed)}
+        off = {Role.RECEIVER: receiver_off(config.position_offset, seed)}
         super().__init__(config, seed, {role: config.home(role) for role in ROLES}, off)
 
     def _sense(self) -> None:
@@ -350,7 +350,7 @@ class World(Fleet[Role]):
         return self._snapshot
 
 
-def receiver_off(apart: ApartConfig, seed: int) -> Vec3:
+def receiver_off(apart: PositionOffsetConfig, seed: int) -> Vec3:
     """The constant part of the receiver's position error, NED: what it believes less what is true."""
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(4)[3])  # after the seeds of the fleet
     angle, up = rng.uniform(0.0, 2.0 * math.pi), bool(rng.integers(2))

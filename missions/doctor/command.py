@@ -140,7 +140,7 @@ def uses(rig: str, factory: str) -> bool:
         loaded = rig_library.load(rig)
     except RigError:
         return False
-    cameras = [own.sight.options.get("camera", {}) for own in (loaded.sender, loaded.receiver)]
+    cameras = [own.perception.options.get("camera", {}) for own in (loaded.sender, loaded.receiver)]
     return any(camera.get("factory") == factory for camera in cameras)
 
 

@@ -18,7 +18,7 @@ STYLE: dict[State, str] = {"ok": "green", "note": "yellow", "fault": "bold red"}
 WIDTH = 120  # where it is not a terminal
 
 
-class Shown:
+class FindingsTable:
     """Takes findings in. ``found`` are all of them."""
 
     def __init__(self) -> None:
@@ -41,7 +41,7 @@ class Shown:
         )
 
 
-class Lines(Shown):
+class Lines(FindingsTable):
     """For a file or a pipe: what is measured as a line at once, the table at the end."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -54,10 +54,10 @@ class Lines(Shown):
 
 
 @contextmanager
-def open_findings(stream: TextIO) -> Generator[Shown, None, None]:
+def open_findings(stream: TextIO) -> Generator[FindingsTable, None, None]:
     """A table on a stream: it grows when that is a terminal, and comes at the end, also after Ctrl-C, when not."""
     if stream.isatty():
-        live = Shown()
+        live = FindingsTable()
         with Live(get_renderable=live.render, console=Console(file=stream), refresh_per_second=8) as shown:
             try:
                 yield live

@@ -21,7 +21,7 @@ from drivers.rig.parts import PartSpec, Rig, create, part_context
 from drivers.stop_signals import stop_at_end_of_input, stop_on_signals
 from flight.command_end import CommandEnd
 from flight.config import MissionConfig
-from flight.guard_rules import Act, GuardState, Stage
+from flight.guard_rules import Act, GuardStage, GuardState
 from flight.guard_watch import GuardWatch, watch
 from missions import rig_library
 from missions.options import GuardOptions
@@ -120,7 +120,7 @@ async def watch_vehicles(
         await watch(tuple(guards), stop)
         if ending is not None:
             await ending
-        return EXIT_GAVE_UP if any(guard.state.stage is Stage.GAVE_UP for guard in guards) else 0
+        return EXIT_GAVE_UP if any(guard.state.stage is GuardStage.GAVE_UP for guard in guards) else 0
 
 
 async def _stop_when_alone(stop: asyncio.Event, guards: list[GuardWatch]) -> None:

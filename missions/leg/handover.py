@@ -10,7 +10,7 @@ from collections.abc import Callable
 from drivers.interfaces import Received, RecordStore
 from flight.outcome import MissionEnd, Outcome
 from missions.leg.machine_run import MachineRun, until
-from missions.leg.session import Session
+from missions.leg.session import RoleSession
 from path.messages import Commit, Message
 from path.protocol import receiver, sender
 from path.protocol.receiver import Holding, LetGo, Provisional, ReceiverMachine
@@ -29,7 +29,7 @@ from path.protocol.values import (
     TakeResponsibility,
     VerifyAgain,
 )
-from path.protocol.values import Outcome as Decision
+from path.protocol.values import HandoffOutcome as Decision
 
 _HEARD_S = 2.0  # a receiver not heard for so long is gone: it says its Status four times a second
 _LAST_INSTANCE = 2**24 - 1
@@ -42,7 +42,7 @@ def _instance(machine: ReceiverMachine, entropy: random.Random) -> int:
     return live.instance if live is not None and live.instance else entropy.randint(1, _LAST_INSTANCE)
 
 
-def protocol_config(session: Session) -> ProtocolConfig:
+def protocol_config(session: RoleSession) -> ProtocolConfig:
     """The protocol's deadlines for this mission: it may not end a handoff before the mission itself does."""
     deadlines = session.config.deadlines
     return ProtocolConfig(
@@ -54,7 +54,7 @@ def protocol_config(session: Session) -> ProtocolConfig:
 class SenderHandover(MachineRun[SenderMachine]):
     """D1's side."""
 
-    def __init__(self, session: Session, store: RecordStore) -> None:
+    def __init__(self, session: RoleSession, store: RecordStore) -> None:
         config, kept = protocol_config(session), store.load()
         machine = SenderMachine(config)
         if kept is not None:
@@ -193,7 +193,7 @@ class SenderHandover(MachineRun[SenderMachine]):
 class ReceiverHandover(MachineRun[ReceiverMachine]):
     """D2's side. ``able``: whether this drone sees the target and could follow it now."""
 
-    def __init__(self, session: Session, store: RecordStore, able: Callable[[], bool]) -> None:
+    def __init__(self, session: RoleSession, store: RecordStore, able: Callable[[], bool]) -> None:
         config, kept = protocol_config(session), store.load()
         machine = ReceiverMachine(config)
         if kept is not None:

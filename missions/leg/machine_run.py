@@ -18,7 +18,7 @@ from typing import Any, Generic, TypeVar
 
 from drivers.interfaces import Kept, RecordStore, StateError
 from flight.outcome import MissionEnd, Outcome, abort_reason
-from missions.leg.session import Session
+from missions.leg.session import RoleSession
 from path.messages import AbortReason, Accept, Commit, Status
 from path.protocol.receiver import Provisional, ReceiverMachine
 from path.protocol.sender import SenderMachine
@@ -51,7 +51,7 @@ _WRITTEN_S = 2.0  # wait for the disk before the program ends
 class Carrier:
     """Carries out actions of a machine, and remembers what was decided."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: RoleSession) -> None:
         self.session = session
         self.ended: Ended | None = None
         self.settled: Settled | None = None
@@ -107,7 +107,7 @@ class MachineRun(Generic[Machine]):
 
     def __init__(
         self,
-        session: Session,
+        session: RoleSession,
         store: RecordStore,
         machine: Machine,
         kept: Kept | None,

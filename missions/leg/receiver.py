@@ -12,12 +12,12 @@ import numpy as np
 
 from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
 from drivers.rig.parts import Rig
+from flight.camera_pose import CameraPose
 from flight.config import MissionConfig
-from flight.eye import Eye
 from flight.guard import check_separation
 from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, norm, subtract
 from flight.harness.flights import Emit, InProcess, RoleResult
-from flight.marker_view import MarkerFix, MarkerView, Motion
+from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.rendezvous import Rendezvous
@@ -35,7 +35,7 @@ from missions.leg.journal import (
     motion_record,
     track_record,
 )
-from missions.leg.session import Session, open_session
+from missions.leg.session import RoleSession, open_session
 from missions.leg.steps import bring_down, preflight, take_off
 from missions.rig_library import mission_of
 from path.geometry import Matrix, Pose
@@ -77,12 +77,12 @@ async def run_receiver(
 class Receiver:
     """The receiver's course and what it does with every frame and message."""
 
-    def __init__(self, session: Session, store: RecordStore) -> None:
+    def __init__(self, session: RoleSession, store: RecordStore) -> None:
         rig, config = session.rig, session.config
         self._session = session
         self._config: MissionConfig = config
         self._camera = rig.receiver.camera
-        self._eye = Eye(session.vehicle, rig.receiver.mount)
+        self._camera_pose = CameraPose(session.vehicle, rig.receiver.mount)
         x, y, z = rig.sender.mount.T_v_c.t.tolist()
         self._sender_eye_v: Vec3 = (x, y, z)
         self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config)
@@ -241,10 +241,10 @@ class Receiver:
         """Look at every frame, at some once the target is held. Raises CameraError when the camera stops."""
         session, guard = self._session, self._config.guard
         while self._watching:
-            view = await session.sight.view(guard.frame_age_s)
+            view = await session.perception.view(guard.frame_age_s)
             session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
-            R_n_b = self._eye.R_n_b(view.stamp_ns)
-            self._rendezvous.lean.note(R_n_b)
+            R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
+            self._rendezvous.tilt.note(R_n_b)
             if self._handover.holds:
                 self._follow_once(view, R_n_b)
             else:
@@ -271,11 +271,11 @@ class Receiver:
             return
         stamp_ns = view.stamp_ns
         gravity_v = cycle.gravity_v(stamp_ns)
-        T_n_c = self._eye.T_n_c(stamp_ns, R_n_b)
+        T_n_c = self._camera_pose.T_n_c(stamp_ns, R_n_b)
         motion = self._motion()
         self._marker.note_motion(motion)
         with session.stage("marker"):
-            fix = self._marker.look(view, T_n_c.R, gravity_v, self._eye.gravity_c(R_n_b))
+            fix = self._marker.look(view, T_n_c.R, gravity_v, self._camera_pose.gravity_c(R_n_b))
         with session.stage("log"):
             session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
             session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, fix))
@@ -299,11 +299,11 @@ class Receiver:
             with session.stage("depth"):
                 self._note_found(view, T_n_c, candidate, prior)
 
-    def _motion(self) -> Motion:
+    def _motion(self) -> VehicleMotions:
         """Both vehicles' newest reports."""
         session, peer, own = self._session, self._peer(), self._session.vehicle.state
         peer_ns = session.alignment.to_own_ns(peer.stamp_ns) if session.alignment.ready else session.peer_heard_ns
-        return Motion(own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad)
+        return VehicleMotions(own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad)
 
     def _judge_marker(self, stamp_ns: int) -> None:
         """Separation from the marker's own measurement, and how long it may stay unseen."""
@@ -338,7 +338,7 @@ class Receiver:
             self._keep_n_m = subtract(session.vehicle.state.position_n_m, track.position_n_m)
             session.pilot.guidance = self._follow_target
             self._following = True
-        seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+        seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
         unseen_s = (view.stamp_ns - track.seen_ns) * 1e-9
         session.log.write("/track", view.stamp_ns, track_record(seen))
         if unseen_s > self._config.deadlines.target_coast_s and session.phase is Phase.FOLLOW:

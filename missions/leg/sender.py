@@ -9,13 +9,13 @@ from dataclasses import replace
 
 from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
 from drivers.rig.parts import Rig
+from flight.camera_pose import CameraPose
 from flight.config import MissionConfig
-from flight.eye import Eye
 from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, subtract
 from flight.harness.flights import Emit, InProcess, RoleResult
-from flight.lean import Lean
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
+from flight.tilt import Tilt
 from flight.tracking import Sighting, TargetTrack, acquire, follow
 from missions.leg.course import fly_course
 from missions.leg.handover import SenderHandover
@@ -28,14 +28,14 @@ from missions.leg.journal import (
     target_record,
     track_record,
 )
-from missions.leg.session import Session, open_session
+from missions.leg.session import RoleSession, open_session
 from missions.leg.steps import bring_down, preflight, take_off
 from missions.rig_library import mission_of
 from path.geometry import Matrix
 from path.messages import Candidate, Role, Target
 from path.observations import Box, Missed, MissReason
 from path.rotation import yaw_of
-from path.sender import Pair, SenderCycle
+from path.sender import PairVerdict, SenderCycle
 from path.window import Gate
 
 _STEADY_FRAMES = 5
@@ -65,13 +65,13 @@ async def run_sender(
 class Sender:
     """The sender's course and what it does with every frame and message."""
 
-    def __init__(self, session: Session, store: RecordStore) -> None:
+    def __init__(self, session: RoleSession, store: RecordStore) -> None:
         rig, config = session.rig, session.config
         self._session = session
         self._config: MissionConfig = config
         self._camera = rig.sender.camera
-        self._eye = Eye(session.vehicle, rig.sender.mount)
-        self._lean = Lean()
+        self._camera_pose = CameraPose(session.vehicle, rig.sender.mount)
+        self._tilt = Tilt()
         ahead, right, down = rig.sender.mount.T_b_c.R[:, 2].tolist()
         self._axis_b: Vec3 = (ahead, right, down)
         self._heading_rad = math.radians(config.heading_deg)
@@ -203,7 +203,7 @@ class Sender:
         keep, wider = self._config.follow, _WIDER if self._regaining() else 1.0
         below_m = wider * (keep.height_m - self._config.target.height_m)
         place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
-        return add(place, self._lean.aim(self._axis_b, self._heading_rad, below_m))
+        return add(place, self._tilt.aim(self._axis_b, self._heading_rad, below_m))
 
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the target in view from behind."""
@@ -230,9 +230,9 @@ class Sender:
         """Look at every frame while the receiver is near, else at some. Raises CameraError when the camera stops."""
         session = self._session
         while self._watching:
-            view = await session.sight.view(self._config.guard.frame_age_s)
-            R_n_b = self._eye.R_n_b(view.stamp_ns)
-            self._lean.note(R_n_b)
+            view = await session.perception.view(self._config.guard.frame_age_s)
+            R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
+            self._tilt.note(R_n_b)
             if self._track is None:
                 self._try_to_acquire(view, R_n_b)
             else:
@@ -249,7 +249,7 @@ class Sender:
 
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
         """Take the object at the designated place for the target once it was seen there in several frames."""
-        T_n_c = self._eye.T_n_c(view.stamp_ns, R_n_b)
+        T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
         found = acquire(view, T_n_c, self._camera, self._designated(), self._config.target.radius_m)
         if isinstance(found, MissReason) or not self._well_inside(found[0].box):
             self._steady.clear()
@@ -271,7 +271,7 @@ class Sender:
         """One cycle of PATH: follow the box, say where the target is, judge the receiver's answers."""
         session = self._session
         with session.stage("target"):
-            seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+            seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
         unseen_s, deadlines = (view.stamp_ns - track.seen_ns) * 1e-9, self._config.deadlines
         bearable_s = deadlines.target_coast_s
         if session.phase is not Phase.VERIFY:
@@ -285,7 +285,7 @@ class Sender:
             return
         box, depth = (seen.box, seen.depth) if isinstance(seen, Sighting) else (None, None)
         with session.stage("projection"):
-            message = cycle.observe(view.frame_id, view.stamp_ns, box, depth, self._eye.gravity_v(R_n_b))
+            message = cycle.observe(view.frame_id, view.stamp_ns, box, depth, self._camera_pose.gravity_v(R_n_b))
         if isinstance(message, Target):
             with session.stage("link"):
                 session.link.send(message)
@@ -323,7 +323,7 @@ class Sender:
                 self._receiver_side = 1.0 if x > 0.0 else -1.0
                 session.shown.separation_m = math.sqrt(x * x + y * y + z * z)
 
-    def _note_pair(self, pair: Pair, gate: Gate) -> None:
+    def _note_pair(self, pair: PairVerdict, gate: Gate) -> None:
         """Log one verdict and show it."""
         session, verdict = self._session, pair.verdict
         count, evidence = counted(pair, gate)

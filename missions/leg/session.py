@@ -21,8 +21,8 @@ from drivers.interfaces import (
     Link,
     LinkError,
     Log,
+    Perception,
     Received,
-    Sight,
     StateError,
     TakenOver,
     Vehicle,
@@ -70,7 +70,7 @@ def _no_instance() -> int:
 
 
 @dataclass(slots=True)
-class Shown:
+class ConsoleLine:
     """What the console shows of the handshake; the role keeps it current."""
 
     count: int = 0
@@ -81,7 +81,7 @@ class Shown:
     note: str = ""
 
 
-class Session:
+class RoleSession:
     """One role's open parts and its shared machinery. Made by ``open_session``."""
 
     def __init__(
@@ -92,7 +92,7 @@ class Session:
         log: Log,
         emit: Emit,
         stop: asyncio.Event,
-        parts: tuple[Clock, Vehicle, Sight, Link],
+        parts: tuple[Clock, Vehicle, Perception, Link],
         entropy: random.Random,
         guard: UnderGuard | None = None,
         stages: Stages | None = None,
@@ -108,11 +108,11 @@ class Session:
         self.log = log
         self.stop = stop
         self.entropy = entropy
-        self.clock, self.vehicle, self.sight, self.link = parts
+        self.clock, self.vehicle, self.perception, self.link = parts
         self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
         self.alignment = ClockAlignment()
         self.phase = Phase.PREFLIGHT
-        self.shown = Shown()
+        self.shown = ConsoleLine()
         self.peer: Status | None = None
         self.peer_heard_ns = 0
         self.claim: TakeResponsibility | None = None
@@ -400,7 +400,7 @@ async def open_session(
     emit: Emit,
     stop: asyncio.Event,
     harness: InProcess | None,
-) -> Session:
+) -> RoleSession:
     """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after. Raises PartError."""
     cv2.setNumThreads(1)  # frames are small: more threads cost more than they gain, and take the other processes' cores
     warm_up()
@@ -409,15 +409,15 @@ async def open_session(
     context = part_context(rig, role, harness)
     own = rig.role(role)
     link: Link = await stack.enter_async_context(create(own.link, context))
-    sight: Sight = await stack.enter_async_context(create(own.sight, context))
+    perception: Perception = await stack.enter_async_context(create(own.perception, context))
     vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
     entropy = entropy_of(role.value, context.clock, harness)
     guard: UnderGuard | None = None
     if own.guard is not None:
         line = guard_line_of(own.guard, role, context.clock, harness)
         guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
-    parts = (context.clock, vehicle, sight, link)
-    return Session(rig, role, config, log, emit, stop, parts, entropy, guard, Stages() if harness is None else None)
+    parts = (context.clock, vehicle, perception, link)
+    return RoleSession(rig, role, config, log, emit, stop, parts, entropy, guard, Stages() if harness is None else None)
 
 
 def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Random:

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from typing import Any
 
 from flight.outcome import MissionEnd, Outcome
-from missions.relay.base import Base, Leg, Order
+from missions.relay.base import Base, Leg, TakeOffOrder
 
 Say = Callable[[Mapping[str, Any]], None]
 
@@ -42,7 +42,7 @@ class FarBase:
 
     def __init__(self, name: str, say: Say) -> None:
         self._name, self._say = name, say
-        self._order: Order | None = None
+        self._order: TakeOffOrder | None = None
         self._leg: Leg | None = None
         self._ended = 0  # number of the newest leg that is over
         self.over = False
@@ -53,10 +53,10 @@ class FarBase:
         return self._order is not None
 
     def on_news(self, news: Mapping[str, Any]) -> None:
-        self._order, self.over = Order(news["order"]), bool(news["over"])
+        self._order, self.over = TakeOffOrder(news["order"]), bool(news["over"])
         self._leg = None if news["leg"] is None else Leg(**news["leg"])
 
-    def order_of(self, name: str) -> Order:
+    def order_of(self, name: str) -> TakeOffOrder:
         assert name == self._name and self._order is not None, "asked before there was any news"
         return self._order
 

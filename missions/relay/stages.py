@@ -17,7 +17,7 @@ from flight.phases import Phase
 from flight.tracking import TargetTrack
 from missions.leg.receiver import Receiver
 from missions.leg.sender import Sender
-from missions.leg.session import Session
+from missions.leg.session import RoleSession
 from missions.leg.steps import check_own, hear_peer, take_off
 from missions.relay.base import Leg
 from path.messages import Message
@@ -37,7 +37,7 @@ class Conduct(Protocol):
         """The setpoint, led away from a relief that failed nearby."""
         ...
 
-    async def go_out(self, session: Session, place: Callable[[], Vec3]) -> None:
+    async def go_out(self, session: RoleSession, place: Callable[[], Vec3]) -> None:
         """From above its home to a place that may move, and down to it."""
         ...
 
@@ -45,7 +45,7 @@ class Conduct(Protocol):
         """Where the target is pointed at; None: where the mission says."""
         ...
 
-    def come_home(self, session: Session, end: MissionEnd | None, aside: Anchor) -> Awaitable[bool]:
+    def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> Awaitable[bool]:
         """Whether the script landed the vehicle."""
         ...
 
@@ -71,7 +71,7 @@ class Nobody:
 class Holder(Sender):
     """The responsible drone: alone with the target, or handing it over."""
 
-    def __init__(self, session: Session, store: RecordStore, conduct: Conduct, track: TargetTrack | None) -> None:
+    def __init__(self, session: RoleSession, store: RecordStore, conduct: Conduct, track: TargetTrack | None) -> None:
         super().__init__(session, store)
         self._track = track
         self._conduct = conduct
@@ -141,7 +141,7 @@ class Holder(Sender):
 class Relief(Receiver):
     """The drone that is called: the receiver of a handoff, which does not land after it."""
 
-    def __init__(self, session: Session, store: RecordStore, conduct: Conduct) -> None:
+    def __init__(self, session: RoleSession, store: RecordStore, conduct: Conduct) -> None:
         super().__init__(session, store)
         self._conduct = conduct
 

@@ -17,7 +17,7 @@ from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord
 from drivers.rig.tables import RigError, decode_table
 from missions.options import ReplayOptions
-from missions.replay.redecide import Complete, Decided, other_answers, redecide
+from missions.replay.redecide import Complete, DecisionPair, other_answers, redecide
 from missions.report.command import show
 from missions.report.records import REPLAY, drone_logs
 from path.config import MethodConfig
@@ -32,11 +32,11 @@ class Replayed:
     """A drone's decisions. ``complete``: when its gate was, the first time in each attempt."""
 
     drone: str
-    decided: Sequence[Decided]
+    decided: Sequence[DecisionPair]
     complete: Sequence[Complete]
 
     @property
-    def different(self) -> list[Decided]:
+    def different(self) -> list[DecisionPair]:
         return [each for each in self.decided if not each.same]
 
     @property
@@ -109,10 +109,10 @@ def _replay(
     change: Callable[[MethodConfig], MethodConfig] = lambda method: method,
     answers: Mapping[tuple[int, int], Mapping[str, Any]] | None = None,
 ) -> Replayed:
-    decided: list[Decided] = []
+    decided: list[DecisionPair] = []
     complete: list[Complete] = []
     for each in redecide(records, change, answers):
-        if isinstance(each, Decided):
+        if isinstance(each, DecisionPair):
             decided.append(each)
         else:
             complete.append(each)
@@ -184,7 +184,7 @@ def _figures(drone: Replayed) -> dict[str, str]:
     return rows | {name: str(count) for name, count in sorted(misses.items())}
 
 
-def _difference(each: Decided) -> str:
+def _difference(each: DecisionPair) -> str:
     if each.logged is None or each.again is None:
         return f"  {'only decided again' if each.logged is None else 'only in the log'}\n"
     names = [name for name in each.again if each.logged.get(name) != each.again[name]]

@@ -16,7 +16,7 @@ from rich.text import Text
 from flight.outcome import Outcome
 from missions.options import ReportOptions
 from missions.report.page import PageOf, write_page
-from missions.report.records import PAGE, PICTURE, SUMMARY, Run, RunFacts, drone_logs, last, load_run
+from missions.report.records import PAGE, PICTURE, SUMMARY, RunFacts, RunRecords, drone_logs, last, load_run
 from missions.report.summary import summarize
 from path.messages import Role
 
@@ -50,7 +50,7 @@ def make_report(folder: Path, picture: bool, stream: TextIO) -> dict[str, Any]:
     return summary
 
 
-def _page_of(recorded: Run, summary: Mapping[str, Any], folder: Path) -> PageOf:
+def _page_of(recorded: RunRecords, summary: Mapping[str, Any], folder: Path) -> PageOf:
     ends = [end.record["outcome"] for role in Role if (end := last(recorded.role(role), "/outcome"))]
     outcome = summary["outcome"]
     if recorded.facts is None and ends:  # of one drone's flight in the field: nobody wrote down the whole
@@ -66,7 +66,7 @@ def _page_of(recorded: Run, summary: Mapping[str, Any], folder: Path) -> PageOf:
     )
 
 
-def _ending(recorded: Run, summary: Mapping[str, Any]) -> str:
+def _ending(recorded: RunRecords, summary: Mapping[str, Any]) -> str:
     """How a run ended, in a sentence; of one drone's flight in the field as well, which has no facts."""
     if summary["outcome"] == Outcome.COMMITTED.label:
         return f"{Outcome.COMMITTED.meaning}, {figure(summary['t_commit_s'], 's', 1)} after the start"

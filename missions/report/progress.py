@@ -146,14 +146,14 @@ class LiveTable:
         ]
 
 
-class Tally(Protocol):
+class SeriesProgress(Protocol):
     """Shows how far a series of runs is."""
 
     def add(self, outcome: str) -> None: ...
 
 
 @contextmanager
-def open_tally(stream: TextIO, total: int) -> Generator[Tally, None, None]:
+def open_tally(stream: TextIO, total: int) -> Generator[SeriesProgress, None, None]:
     """A tally of runs on a stream: live when it is a terminal, a line at each tenth when it is not."""
     if not stream.isatty():
         yield LineTally(stream, total)

@@ -67,7 +67,7 @@ class RunFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class RunRecords:
     """A whole run as read back. ``facts`` is None when the run was cut off before its end."""
 
     facts: RunFacts | None
@@ -84,7 +84,7 @@ def write_facts(folder: Path, facts: RunFacts) -> None:
     (folder / FACTS).write_bytes(msgspec.json.format(msgspec.json.encode(facts), indent=2) + b"\n")
 
 
-def load_run(folder: Path) -> Run:
+def load_run(folder: Path) -> RunRecords:
     """Read a run folder; what is missing in it is empty. Raises RunFolderError when it holds no log at all."""
     names = (SENDER_LOG, RECEIVER_LOG, WORLD_LOG)
     logs = [parts(folder, Path(name).stem) for name in names]
@@ -93,7 +93,7 @@ def load_run(folder: Path) -> Run:
             f"{folder} is not the folder of a run: it holds none of {', '.join(names)}",
             "name the folder that `path-handoff handoff` printed, such as runs/20261104-101500",
         )
-    return Run(load_facts(folder), *(by_topic(*files) for files in logs))
+    return RunRecords(load_facts(folder), *(by_topic(*files) for files in logs))
 
 
 def drone_logs(folder: Path) -> dict[str, list[LogRecord]]:
@@ -149,7 +149,7 @@ def first(records: Records, topic: str) -> dict[str, Any] | None:
     return found[0].record if found else None
 
 
-def judged_pairs(run: Run) -> list[LogRecord]:
+def judged_pairs(run: RunRecords) -> list[LogRecord]:
     """One record for every candidate that the sender judged, up to the commit."""
     commit = last(run.sender, "/commit")
     return [r for r in run.sender.get("/agreement", ()) if commit is None or r.stamp_ns <= commit.stamp_ns]

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from drivers.log.mcap_log import LogRecord
-from missions.report.records import Records, Run, judged_pairs, last
+from missions.report.records import Records, RunRecords, judged_pairs, last
 from missions.report.truth import Truth, box_center, handed_over, truth_of
 from path.geometry import Pose
 from path.messages import Role
 from path.rotation import R_from_quat
 
 
-def summarize(run: Run) -> dict[str, Any]:
+def summarize(run: RunRecords) -> dict[str, Any]:
     """Everything ``summary.json`` holds. What the records do not tell is null.
 
     Errors are medians over the agreeing pairs before the commit: ``d2_error_m`` of the position of D2's camera in the
@@ -54,7 +54,7 @@ class Verification:
         return (self.end_ns - self.start_ns) * 1e-9
 
 
-def _verification(run: Run) -> Verification | None:
+def _verification(run: RunRecords) -> Verification | None:
     begins = [r.stamp_ns for r in run.sender.get("/phase", ()) if r.record["phase"] == "verify"]
     if not begins:
         return None
@@ -63,13 +63,13 @@ def _verification(run: Run) -> Verification | None:
     return Verification(begins[0], ends.stamp_ns if ends else begins[0], commit is not None)
 
 
-def start_ns(run: Run, role: Role) -> int:
+def start_ns(run: RunRecords, role: Role) -> int:
     """Beginning of the run on a role's clock: its first phase."""
     records = run.role(role).get("/phase", ())
     return records[0].stamp_ns if records else 0
 
 
-def phases(run: Run, role: Role) -> list[dict[str, Any]]:
+def phases(run: RunRecords, role: Role) -> list[dict[str, Any]]:
     """The phases of a role in order, times since its own start."""
     records = run.role(role).get("/phase", ())
     changes = [r for k, r in enumerate(records) if k == 0 or r.record["phase"] != records[k - 1].record["phase"]]
@@ -89,7 +89,7 @@ def _end_ns(records: Records) -> int:
     return max((topic[-1].stamp_ns for topic in records.values()), default=0)
 
 
-def _outcome(run: Run) -> dict[str, Any]:
+def _outcome(run: RunRecords) -> dict[str, Any]:
     facts = run.facts
     roles: dict[str, Any] = {}
     for role in Role:
@@ -109,7 +109,7 @@ def _outcome(run: Run) -> dict[str, Any]:
     }
 
 
-def _times(run: Run, span: Verification | None) -> dict[str, Any]:
+def _times(run: RunRecords, span: Verification | None) -> dict[str, Any]:
     committed = span is not None and span.committed
     facts = run.facts
     return {
@@ -121,7 +121,7 @@ def _times(run: Run, span: Verification | None) -> dict[str, Any]:
     }
 
 
-def _agreement(run: Run, span: Verification | None) -> dict[str, Any]:
+def _agreement(run: RunRecords, span: Verification | None) -> dict[str, Any]:
     pairs = judged_pairs(run)
     agreed = [r.record for r in pairs if r.record["agreed"]]
     evidence = [reached for r in pairs if (reached := r.record.get("evidence")) is not None]
@@ -139,7 +139,7 @@ def _agreement(run: Run, span: Verification | None) -> dict[str, Any]:
     }
 
 
-def _own_misses(run: Run, span: Verification | None) -> Counter[str]:
+def _own_misses(run: RunRecords, span: Verification | None) -> Counter[str]:
     """The sender's own frames that could not be half of a pair, while it verified: no target, no depth."""
     if span is None:
         return Counter()
@@ -149,7 +149,7 @@ def _own_misses(run: Run, span: Verification | None) -> Counter[str]:
     )
 
 
-def _separation(run: Run, truth: Truth | None) -> dict[str, Any]:
+def _separation(run: RunRecords, truth: Truth | None) -> dict[str, Any]:
     if truth is not None:
         return {
             "min_separation_m": _minimum(truth.separation_m),
@@ -159,7 +159,7 @@ def _separation(run: Run, truth: Truth | None) -> dict[str, Any]:
     return {"min_separation_m": _minimum(np.linalg.norm(p) for p in measured), "separation_limit_m": None}
 
 
-def _errors(run: Run, span: Verification | None, truth: Truth | None) -> dict[str, Any]:
+def _errors(run: RunRecords, span: Verification | None, truth: Truth | None) -> dict[str, Any]:
     d2: list[float] = []
     target: list[float] = []
     if truth is not None:
@@ -209,7 +209,7 @@ def target_error_m(truth: Truth, answer: Mapping[str, Any], sent: Mapping[str, A
     return float(np.linalg.norm(estimated_c2 - true_c2))
 
 
-def _link(run: Run, span: Verification | None) -> dict[str, Any]:
+def _link(run: RunRecords, span: Verification | None) -> dict[str, Any]:
     """Rates while the views are compared (else over the whole log), both ways and each way, at the socket."""
     rates: dict[str, float | None] = {}
     for role in Role:

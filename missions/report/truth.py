@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.log.mcap_log import LogRecord
-from missions.report.records import Records, Run, first, judged_pairs, last
+from missions.report.records import Records, RunRecords, first, judged_pairs, last
 from path.camera import CameraModel
 from path.geometry import Pose, Vector
 from path.messages import Role
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class TrueScene:
     """What does not change in a world: see ``/scene`` in ``missions.report.records``."""
 
     target_id: int
@@ -42,7 +42,7 @@ class Scene:
 class Truth:
     """Interpolates ``/truth``. Instants are of the clock of the role that is named with them."""
 
-    def __init__(self, scene: Scene, records: Sequence[LogRecord]) -> None:
+    def __init__(self, scene: TrueScene, records: Sequence[LogRecord]) -> None:
         self.scene = scene
         self.stamps_ns = np.array([r.stamp_ns for r in records], np.int64)
         # interpolation is relative to the start: float64 has no room for nanoseconds since some epoch
@@ -132,7 +132,7 @@ def truth_of(world: Records) -> Truth | None:
     return Truth(_scene(scene), records)
 
 
-def handed_over(run: Run, truth: Truth) -> int | None:
+def handed_over(run: RunRecords, truth: Truth) -> int | None:
     """The object, in truth, in D2's box of the last pair that agreed before the commit; None without a commit."""
     if last(run.sender, "/commit") is None:
         return None
@@ -168,8 +168,8 @@ def _continuous(quaternions: Sequence[Sequence[float]]) -> Array:
     return q
 
 
-def _scene(record: Mapping[str, Any]) -> Scene:
-    return Scene(
+def _scene(record: Mapping[str, Any]) -> TrueScene:
+    return TrueScene(
         target_id=record["target_id"],
         min_separation_m=record["min_separation_m"],
         boxes=np.array([[*box["c"], *box["s"]] for box in record["boxes"]], float),

@@ -17,7 +17,7 @@ from flight.harness.relay import DroneProgram, NamedTarget, Pointed, TeamField
 from flight.harness.team import TeamConfig
 from flight.outcome import MissionEnd, Outcome
 from missions.leg.session import as_end
-from missions.relay.base import Event, Leg, Order, Tell, What, Where
+from missions.relay.base import Event, Leg, TakeOffOrder, Tell, What, Where
 from missions.team.airways import Airway, Point, in_the_way, way_back, way_out
 from missions.team.assignment import Air, Candidate, Choice, Need, assign
 from path.messages import Role
@@ -52,7 +52,7 @@ class Drone:
     battery: float
     where: Where = "ready"
     ready_s: float = 0.0
-    order: Order = Order.RELIEVE
+    order: TakeOffOrder = TakeOffOrder.RELIEVE
     target: int | None = None
     heading_deg: float = 0.0
     leg: TeamLeg | None = None
@@ -116,7 +116,7 @@ class TeamBase:
 
     # --- what the drones' programs ask and say (``missions.relay.base.Ground``, and of their targets) ---
 
-    def order_of(self, name: str) -> Order:
+    def order_of(self, name: str) -> TakeOffOrder:
         return self.drones[name].order
 
     def leg_of(self, name: str) -> TeamLeg | None:
@@ -331,7 +331,7 @@ class TeamBase:
         drone.target, drone.heading_deg, target.heading_deg = target.number, choice.heading_deg, choice.heading_deg
         drone.ways.append(ways[0])
         if target.holder is None:
-            target.finder, drone.order = drone.name, Order.FIND
+            target.finder, drone.order = drone.name, TakeOffOrder.FIND
             self._field.assign(drone.name, target.number)
             self._say(drone.name, "find", f"{target.named.name}, heading {choice.heading_deg:.0f} degrees")
         else:
@@ -346,7 +346,7 @@ class TeamBase:
         self.legs.append(leg)
         target.leg = sender.leg = drone.leg = leg
         sender.ways.append(back)
-        drone.order = Order.RELIEVE
+        drone.order = TakeOffOrder.RELIEVE
         self._field.open_leg(leg.number, sender.name, drone.name)
         what = f"leg {leg.number}, {target.named.name}: relieves {sender.name}, battery at {100 * battery:.0f} %"
         self._say(drone.name, "call", what)

@@ -91,7 +91,7 @@ def _wire(config: TeamConfig, mission: MissionConfig) -> Found:
     del mission
     used: dict[tuple[str, str], tuple[str, str]] = {}
     for number, drone in enumerate(config.drones):
-        parts = ((key, getattr(drone, key)) for key in ("vehicle", "guard", "link", "sight"))
+        parts = ((key, getattr(drone, key)) for key in ("vehicle", "guard", "link", "perception"))
         for key, part in parts:
             if not isinstance(part, PartSpec):
                 continue

@@ -16,12 +16,12 @@ from flight.harness.relay import DroneProgram, Pointed
 from flight.harness.team import TeamConfig
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
-from missions.leg.session import Session
+from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, may_manoeuvre
-from missions.relay.base import Leg, Order
+from missions.relay.base import Leg, TakeOffOrder
 from missions.relay.guidance import way_home
 from missions.relay.records import write
-from missions.relay.role import Flight
+from missions.relay.role import DroneFlight
 from missions.relay.stages import Holder, Relief
 from missions.team.base import TeamBase
 from path.protocol.values import SenderRecord
@@ -44,7 +44,7 @@ class OwnGround:
         """Whether this drone is called home."""
         return self._base.drones[self._name].called_home
 
-    def order_of(self, name: str) -> Order:
+    def order_of(self, name: str) -> TakeOffOrder:
         return self._base.order_of(name)
 
     def leg_of(self, name: str) -> Leg | None:
@@ -60,7 +60,7 @@ class OwnGround:
         self._base.leg_failed(name, end)
 
 
-class TeamFlight(Flight):
+class TeamFlight(DroneFlight):
     """A drone's program. ``run`` is the whole of it."""
 
     def __init__(
@@ -91,7 +91,7 @@ class TeamFlight(Flight):
             self._told_s = now_s
             self._ground.follows(self._name, holder.track.position_n_m)
 
-    async def _give_up(self, session: Session, flown: Holder | Relief, end: MissionEnd) -> None:
+    async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
         """What this drone was responsible for it is not any more, by its record too: it will be found anew."""
         if flown.has_given_away or not session.responsible:
             return
@@ -103,7 +103,7 @@ class TeamFlight(Flight):
 
     # --- over the ways of the team ---
 
-    async def go_out(self, session: Session, place: Callable[[], Vec3]) -> None:
+    async def go_out(self, session: RoleSession, place: Callable[[], Vec3]) -> None:
         """Up above its home, across at the height of those that go out, and down."""
         pilot, vehicle, team = session.pilot, session.vehicle, self._team
         north, east, _ = vehicle.state.position_n_m
@@ -119,7 +119,7 @@ class TeamFlight(Flight):
         await self._within(session, _SLACK_S, place, team.transit_mps)
         pilot.hold_here()
 
-    async def _within(self, session: Session, within_s: float, place: Callable[[], Vec3], speed_mps: float) -> None:
+    async def _within(self, session: RoleSession, within_s: float, place: Callable[[], Vec3], speed_mps: float) -> None:
         """To a place that may move. Raises MissionEnd(APPROACH_FAILED) when it was not reached in time."""
         yaw_rad = bearing(subtract(place(), session.vehicle.state.position_n_m))
 
@@ -135,7 +135,7 @@ class TeamFlight(Flight):
                 raise MissionEnd(Outcome.APPROACH_FAILED, f"a place on its way was not reached in {within_s:.0f} s")
             await asyncio.sleep(_POLL_S)
 
-    async def come_home(self, session: Session, end: MissionEnd | None, aside: Anchor) -> bool:
+    async def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> bool:
         """Out of the others' way, up, home above everything, and down; where that cannot be flown, down."""
         east, north = self._me.home_m
         way = way_home(aside, (north, east, -self._team.return_height_m))

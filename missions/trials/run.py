@@ -26,7 +26,7 @@ from missions.report.command import show
 from missions.report.records import SUMMARY
 from missions.run_folder import claim_result, new_folder
 from missions.trials.shared.page import MADE_BY, PAGE, Chapter, render_page
-from missions.trials.shared.trial import Finding, TrialRequest, TrialResult, Verdict, trial_part
+from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, Verdict, trial_part
 from missions.work import open_work
 
 NAMES: tuple[str, ...] = tuple(
@@ -146,7 +146,7 @@ def rig_of(name: str) -> str:
     return RIGS.get(name, RIG)
 
 
-def findings_table(findings: Sequence[Finding]) -> Table:
+def findings_table(findings: Sequence[TrialFinding]) -> Table:
     """What came out, beside the paper's figures and the goals."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     for title in ("", "ours", "95 % interval", "paper", "goal", ""):

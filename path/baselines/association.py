@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from path.baselines.features import Distance, Features, Image, Keypoints, Look, look
+from path.baselines.features import Distance, Features, FeatureSearch, Image, Keypoints, look
 from path.baselines.matching import MatchConfig, Nearest, Pairs, accepted, nearest, verify
 from path.observations import Box
 
@@ -26,7 +26,7 @@ class BaselineConfig:
         min_lead: how many more than any other box.
     """
 
-    look: Look = field(default_factory=Look)
+    look: FeatureSearch = field(default_factory=FeatureSearch)
     match: MatchConfig = field(default_factory=MatchConfig)
     scope: Scope = "each"
     min_inliers: int = 6

@@ -64,7 +64,7 @@ class Features(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class FeatureSearch:
     """How features around a box are looked for.
 
     Attributes:
@@ -76,17 +76,17 @@ class Look:
     context: float = 0.0
 
 
-def look(features: Features, image: Image, boxes: Sequence[Box], settings: Look) -> list[Keypoints]:
+def look(features: Features, image: Image, boxes: Sequence[Box], settings: FeatureSearch) -> list[Keypoints]:
     """The features in each box and its surroundings, in pixels of the image. A box outside the image has none."""
     return look_each(features, image, boxes, [settings])[settings]
 
 
 def look_each(
-    features: Features, image: Image, boxes: Sequence[Box], settings: Sequence[Look]
-) -> dict[Look, list[Keypoints]]:
+    features: Features, image: Image, boxes: Sequence[Box], settings: Sequence[FeatureSearch]
+) -> dict[FeatureSearch, list[Keypoints]]:
     """The same in several ways. A network sees the windows of one zoom once, wide enough for all of that zoom."""
     height, width = image.shape[:2]
-    found: dict[Look, list[Keypoints]] = {}
+    found: dict[FeatureSearch, list[Keypoints]] = {}
     for zoom in dict.fromkeys(each.zoom for each in settings):
         alike = sorted({each for each in settings if each.zoom == zoom}, key=lambda each: -each.context)
         for group in [[each] for each in alike] if features.side_px is None else [alike]:

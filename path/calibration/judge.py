@@ -40,7 +40,7 @@ class BadSet(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class SetFault:
     """One thing that is wrong with a set: what was found, and what to do."""
 
     reason: BadSet
@@ -94,12 +94,12 @@ def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.in
     return _histogram(views, size, GRID)
 
 
-def judge_views(views: Sequence[BoardView], size: tuple[int, int], limits: SetLimits) -> list[Fault]:
+def judge_views(views: Sequence[BoardView], size: tuple[int, int], limits: SetLimits) -> list[SetFault]:
     """What can be said before a camera is solved: their number, and where in the image they are."""
-    faults: list[Fault] = []
+    faults: list[SetFault] = []
     if len(views) < limits.min_views:
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.TOO_FEW_VIEWS,
                 f"{len(views)} usable views, at least {limits.min_views} are needed",
                 "take more, some 20 to 40 in all, each with the board at another place and angle",
@@ -111,7 +111,7 @@ def judge_views(views: Sequence[BoardView], size: tuple[int, int], limits: SetLi
     if share < limits.min_coverage or empty:
         where = f"; none in the {', '.join(empty)}" if empty else ""
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.CLUSTERED,
                 f"corners in {100.0 * share:.0f} % of the image, {100.0 * limits.min_coverage:.0f} % are needed{where}",
                 "bring the board into every part of the image, up to its corners: the distortion is largest there",
@@ -120,12 +120,12 @@ def judge_views(views: Sequence[BoardView], size: tuple[int, int], limits: SetLi
     return faults
 
 
-def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
+def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
     """What the solution says of its views."""
-    faults: list[Fault] = []
+    faults: list[SetFault] = []
     if solution.rms_px > limits.max_rms_px:
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.WRONG_BOARD,
                 f"the best camera leaves {solution.rms_px:.2f} px, {limits.max_rms_px:g} px are allowed",
                 "is the board the one that was named (squares, size of the markers), flat, and the lens a normal one? "
@@ -136,7 +136,7 @@ def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
     worst = focal_sigma(solution)
     if not worst <= limits.max_focal_sigma:
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.UNCERTAIN,
                 f"the focal length is known to {100.0 * worst:.2f} %, {100.0 * limits.max_focal_sigma:g} % are needed",
                 "take more views with the board tilted by 30 to 45 degrees, large in the image",
@@ -145,7 +145,7 @@ def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
     ratio = solution.held_out_px / solution.rms_px
     if not ratio <= limits.max_held_out_ratio:
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.NOT_PREDICTIVE,
                 f"views that were left out fit {ratio:.2f} times worse than the others, {limits.max_held_out_ratio:g} "
                 "is allowed",
@@ -154,7 +154,7 @@ def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
         )
     if solution.camera is None:
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.UNCERTAIN,
                 f"the solution is no camera: {solution.camera_problem}",
                 "bring the board into the corners of the image, where the distortion is determined",
@@ -174,7 +174,7 @@ def useless(solution: Intrinsics, limits: SetLimits) -> bool:
     return solution.camera is None or not known or solution.rms_px > limits.max_rms_px
 
 
-def grade_of(solution: Intrinsics, faults: Sequence[Fault], limits: SetLimits) -> Grade:
+def grade_of(solution: Intrinsics, faults: Sequence[SetFault], limits: SetLimits) -> Grade:
     """How far a calibration can be trusted: good without any fault, fair or weak by what is known of fx and fy."""
     if not faults:
         return "good"
@@ -188,13 +188,13 @@ def tilts_deg(solution: Intrinsics) -> Array:
     return np.degrees(np.arctan2(normals[:, [1, 0]], normals[:, 2:]))
 
 
-def _judge_poses(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
-    faults: list[Fault] = []
+def _judge_poses(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
+    faults: list[SetFault] = []
     distances = np.array([view.distance_m for view in solution.views])
     ratio = float(np.percentile(distances, 95) / np.percentile(distances, 5))
     if ratio < limits.min_distance_ratio:
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.ONE_DISTANCE,
                 f"all views are from about the same distance (1 to {ratio:.2f}, at least 1 to "
                 f"{limits.min_distance_ratio:g} is needed)",
@@ -205,7 +205,7 @@ def _judge_poses(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
     for axis, span in zip(("nodded (top away or towards)", "turned (left side away or towards)"), spans, strict=True):
         if span < limits.min_tilt_span_deg:
             faults.append(
-                Fault(
+                SetFault(
                     BadSet.NO_TILT,
                     f"the board was {axis} over {span:.0f} degrees only, {limits.min_tilt_span_deg:g} are needed: "
                     "without tilt the focal length cannot be told from the distance",

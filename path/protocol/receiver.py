@@ -11,9 +11,9 @@ from path.protocol.values import (
     CommitHeard,
     Ended,
     Handoff,
+    HandoffOutcome,
     Heard,
     NewMission,
-    Outcome,
     PeerStatus,
     Persist,
     ProtocolConfig,
@@ -68,7 +68,7 @@ class LetGo:
     nonce: int
     sure_ns: int
     settle_end_ns: int
-    settled: Outcome | None = None
+    settled: HandoffOutcome | None = None
 
 
 ReceiverState = Observing | Provisional | Holding | LetGo
@@ -163,14 +163,14 @@ def _elapse(config: ProtocolConfig, state: ReceiverState, now_ns: int) -> Step:
     match state:
         case Observing(live=Handoff() as live) if now_ns >= state.end_ns:
             after, actions = _spend(live)
-            return after, (*actions, Send(_abort(live, AbortReason.TIMEOUT, now_ns)), Ended(Outcome.TIMEOUT))
+            return after, (*actions, Send(_abort(live, AbortReason.TIMEOUT, now_ns)), Ended(HandoffOutcome.TIMEOUT))
         case Provisional() if now_ns >= state.lease_end_ns:
-            return _let_go(config, state, AbortReason.TIMEOUT, Ended(Outcome.LET_GO), now_ns)
+            return _let_go(config, state, AbortReason.TIMEOUT, Ended(HandoffOutcome.LET_GO), now_ns)
         case Provisional() if now_ns >= state.resend_ns:
             again = replace(state, resend_ns=now_ns + to_ns(config.retry_s))
             return again, (Send(_accept(state, now_ns)),)
         case LetGo(settled=None) if now_ns >= state.settle_end_ns:
-            return _settle(state, Outcome.UNCONFIRMED)
+            return _settle(state, HandoffOutcome.UNCONFIRMED)
         case _:
             return state, ()
 
@@ -205,9 +205,9 @@ def _hear_target(config: ProtocolConfig, state: ReceiverState, target: Target, n
         return state, (Refused(Refusal.LOWER_EPOCH),)
     before: Actions = ()
     if isinstance(state, Provisional | Holding):
-        before = (Release(), Ended(Outcome.SUPERSEDED))
-    elif isinstance(state, LetGo) and state.settled is not Outcome.TAKEN_BACK:
-        before = (Settled(Outcome.TAKEN_BACK),)
+        before = (Release(), Ended(HandoffOutcome.SUPERSEDED))
+    elif isinstance(state, LetGo) and state.settled is not HandoffOutcome.TAKEN_BACK:
+        before = (Settled(HandoffOutcome.TAKEN_BACK),)
     live = Handoff(target.handoff_id, target.epoch, target.target_id)
     end_ns = now_ns + to_ns(config.handoff_s) + to_ns(config.lease_s)
     after = Observing(live.epoch, live, end_ns)
@@ -272,15 +272,15 @@ def _hear_confirm(state: ReceiverState, confirm: Confirm, now_ns: int) -> Step:
     match state:
         case Provisional():
             holding = Holding(state.live, state.nonce)
-            return holding, (Persist(record(holding)), TakeResponsibility(), Ended(Outcome.HANDED_OVER))
+            return holding, (Persist(record(holding)), TakeResponsibility(), Ended(HandoffOutcome.HANDED_OVER))
         case Holding():
             return state, ()
         case LetGo():
             # Too late, and proof that the sender handed over. Tell it: it cannot know.
             tell = Send(_abort(state.live, AbortReason.TIMEOUT, now_ns))
-            if state.settled is Outcome.ORPHANED:
+            if state.settled is HandoffOutcome.ORPHANED:
                 return state, (tell,)
-            state, actions = _settle(state, Outcome.ORPHANED)
+            state, actions = _settle(state, HandoffOutcome.ORPHANED)
             return state, (tell, *actions)
 
 
@@ -292,7 +292,7 @@ def _hear_abort(state: ReceiverState, abort: Abort) -> Step:
         case Observing() | Provisional():
             before: Actions = (Release(),) if isinstance(state, Provisional) else ()
             after, actions = _spend(state.live)
-            return after, (*before, *actions, Ended(Outcome.ABORTED, abort.reason))
+            return after, (*before, *actions, Ended(HandoffOutcome.ABORTED, abort.reason))
         case Holding():
             return state, (Refused(Refusal.WRONG_STATE),)
         case LetGo():
@@ -303,14 +303,14 @@ def _abort_requested(config: ProtocolConfig, state: ReceiverState, reason: Abort
     match state:
         case Observing(live=Handoff() as live):
             after, actions = _spend(live)
-            return after, (*actions, Send(_abort(live, reason, now_ns)), Ended(Outcome.ABORTED, reason))
+            return after, (*actions, Send(_abort(live, reason, now_ns)), Ended(HandoffOutcome.ABORTED, reason))
         case Provisional():
-            return _let_go(config, state, reason, Ended(Outcome.ABORTED, reason), now_ns)
+            return _let_go(config, state, reason, Ended(HandoffOutcome.ABORTED, reason), now_ns)
         case Holding():
             end = now_ns + to_ns(config.settle_s)
-            gone = LetGo(state.live, state.nonce, now_ns, end, settled=Outcome.ORPHANED)
+            gone = LetGo(state.live, state.nonce, now_ns, end, settled=HandoffOutcome.ORPHANED)
             tell = Send(_abort(state.live, reason, now_ns))
-            ended = (Ended(Outcome.ABORTED, reason), Settled(Outcome.ORPHANED))
+            ended = (Ended(HandoffOutcome.ABORTED, reason), Settled(HandoffOutcome.ORPHANED))
             return gone, (Release(), Persist(record(gone)), tell, *ended)
         case _:
             return state, (Refused(Refusal.WRONG_STATE),)
@@ -318,8 +318,8 @@ def _abort_requested(config: ProtocolConfig, state: ReceiverState, reason: Abort
 
 def _hear_status(state: ReceiverState, status: PeerStatus) -> Step:
     match state:
-        case LetGo(settled=None | Outcome.UNCONFIRMED) if status.stamp_ns > state.sure_ns:
-            return _settle(state, Outcome.TAKEN_BACK if status.responsible else Outcome.ORPHANED)
+        case LetGo(settled=None | HandoffOutcome.UNCONFIRMED) if status.stamp_ns > state.sure_ns:
+            return _settle(state, HandoffOutcome.TAKEN_BACK if status.responsible else HandoffOutcome.ORPHANED)
         case _:
             return state, ()
 
@@ -345,7 +345,7 @@ def _let_go(config: ProtocolConfig, state: Provisional, reason: AbortReason, end
     return gone, (Release(), Persist(record(gone)), tell, ended)
 
 
-def _settle(state: LetGo, outcome: Outcome) -> Step:
+def _settle(state: LetGo, outcome: HandoffOutcome) -> Step:
     return replace(state, settled=outcome), (Settled(outcome),)
 
 

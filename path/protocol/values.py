@@ -51,7 +51,7 @@ def to_ns(seconds: float) -> int:
     return round(seconds * 1e9)
 
 
-class Outcome(Enum):
+class HandoffOutcome(Enum):
     """How a handoff ended for one side."""
 
     HANDED_OVER = "handed_over"
@@ -66,7 +66,7 @@ class Outcome(Enum):
     @property
     def alarming(self) -> bool:
         """Perhaps nobody is responsible: a person must be told."""
-        return self in (Outcome.LET_GO, Outcome.ORPHANED, Outcome.UNCONFIRMED)
+        return self in (HandoffOutcome.LET_GO, HandoffOutcome.ORPHANED, HandoffOutcome.UNCONFIRMED)
 
 
 class Refusal(Enum):
@@ -298,7 +298,7 @@ class Release:
 class Ended:
     """This attempt is decided, as far as this side is concerned."""
 
-    outcome: Outcome
+    outcome: HandoffOutcome
     reason: AbortReason | None = None
 
 
@@ -306,7 +306,7 @@ class Ended:
 class Settled:
     """After ``Ended``: what became of the other side's half. Until then a sender that handed over keeps observing."""
 
-    outcome: Outcome
+    outcome: HandoffOutcome
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,7 +62,7 @@ def color(folder: Path) -> Stage:
 def tracked(folder: Path) -> Stage:
     del folder
     table = {"detector": {"factory": "drivers.detectors.color:ColorDetector"}}
-    config = decode_table(table, TrackedDetectorConfig, "rig.toml: sender.sight.detector")
+    config = decode_table(table, TrackedDetectorConfig, "rig.toml: sender.perception.detector")
     return colored(TrackedDetector(config, CONTEXT))
 
 

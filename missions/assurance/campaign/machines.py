@@ -16,7 +16,7 @@ from drivers.link.wire import KEY_LENGTH, Codec
 from drivers.log.state_file import MemoryStore
 from flight.outcome import Outcome
 from missions.assurance.campaign.judge import Judge
-from missions.assurance.campaign.plan import CLOCKS_S, ROLES, Crash, Plan, Stall, Step
+from missions.assurance.campaign.plan import CLOCKS_S, ROLES, Crash, RunPlan, Stall, Step
 from missions.assurance.campaign.program import Program, ReceiverProgram, SenderProgram, Sent
 from path.messages import Accept, Commit, Message, Role
 from path.protocol import receiver, sender
@@ -28,18 +28,18 @@ NOISY = ("Target", "Candidate", "Status", "Ping", "Pong")
 PEER = {Role.SENDER: Role.RECEIVER, Role.RECEIVER: Role.SENDER}
 
 
-class Channel(Protocol):
+class CampaignChannel(Protocol):
     """One direction of a link with faults, by seed (``hil.link.faulty.FaultyChannel``)."""
 
     def arrivals(self, data: bytes, now_s: float) -> list[tuple[float, bytes]]: ...
 
 
-OpenChannel = Callable[[str, Mapping[str, float]], Channel]
+OpenChannel = Callable[[str, Mapping[str, float]], CampaignChannel]
 Tell = Callable[[float, str, str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class ProgramRun:
     """What became of a run.
 
     Attributes:
@@ -68,7 +68,7 @@ class TrueClock:
 
 
 @dataclass(slots=True)
-class _Drone:
+class _Computer:
     """What outlives a program: its clock, its disk."""
 
     clock: TrueClock
@@ -81,7 +81,7 @@ class _Drone:
 class Machines:
     """The world of one run. ``tell``: given every event when somebody wants to read the story."""
 
-    def __init__(self, plan: Plan, open_channel: OpenChannel, tell: Tell | None = None) -> None:
+    def __init__(self, plan: RunPlan, open_channel: OpenChannel, tell: Tell | None = None) -> None:
         self.plan, self._tell = plan, tell
         self.now_s = 0.0
         self.random = random.Random(f"{plan.seed} world")
@@ -92,11 +92,11 @@ class Machines:
         self._last_s = _last_s(plan)
         self._channels = {role: open_channel(f"{plan.seed} {role.value}", plan.link) for role in ROLES}
         self._drones = {
-            role: _Drone(TrueClock(plan.offset_s[role], 1.0 + plan.drift_ppm[role] * 1e-6)) for role in ROLES
+            role: _Computer(TrueClock(plan.offset_s[role], 1.0 + plan.drift_ppm[role] * 1e-6)) for role in ROLES
         }
         self._recorded: dict[Role, list[Sent]] = {role: [] for role in ROLES}
 
-    def run(self) -> Run:
+    def run(self) -> ProgramRun:
         plan = self.plan
         for role in ROLES:
             self.at(plan.start_s[role], lambda role=role: self._start(role))
@@ -265,7 +265,7 @@ class Machines:
                 return False
         return True
 
-    def _outcome(self) -> Run:
+    def _outcome(self) -> ProgramRun:
         judge = self.judge
         judge.close()
         figures = {"simulated_s": self.now_s}
@@ -273,10 +273,10 @@ class Machines:
             figures |= {"decided_s": judge.decided_s, "gap_s": judge.gap_s}
             if judge.commit_s is not None:
                 figures["commit_s"] = judge.commit_s
-        return Run(judge.outcome(), tuple(judge.violations), tuple(judge.beyond), figures)
+        return ProgramRun(judge.outcome(), tuple(judge.violations), tuple(judge.beyond), figures)
 
 
-def _last_s(plan: Plan) -> float:
+def _last_s(plan: RunPlan) -> float:
     """When the last of what was planned has happened."""
     at = [plan.start_s[Role.SENDER] + plan.offer_s, *(step.at_s for step in plan.steps)]
     return max((*at, *(out.end_s for out in plan.outages), *(at_s for _, at_s in plan.pilots)))

@@ -22,7 +22,7 @@ from flight.outcome import MissionEnd, Outcome
 from missions.leg.handover import ReceiverHandover, SenderHandover
 from path.messages import Candidate, Message, Ping, Pong, Role, Status, Target
 from path.observations import MissReason
-from path.protocol.values import Outcome as Decision
+from path.protocol.values import HandoffOutcome as Decision
 from path.protocol.values import ReceiverRecord, SenderRecord, TakeResponsibility
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 
 from drivers.interfaces import FlightMode, PartError, Vehicle, VelocitySetpoint
-from drivers.mavlink.bench import Answer, VehicleBench
+from drivers.mavlink.bench import CommandAnswer, VehicleBench
 from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS
 from path.rotation import yaw_of
 
@@ -24,7 +24,7 @@ ARM, TAKE_OFF, SET_MODE = 400, 22, 176  # MAV_CMD
 FORCE = 21196.0  # with which disarming stops the motors in the air; only ever sent to a simulated vehicle
 
 
-class Stage:
+class FlightStage:
     """What a flight of the suite works with."""
 
     def __init__(self, bench: VehicleBench) -> None:
@@ -94,7 +94,7 @@ class Stage:
         above = unset if self.kind.name == "px4" else height_m
         return await self.order(TAKE_OFF, 0.0, 0.0, 0.0, unset, unset, unset, above)
 
-    def answer(self, command: int, since_s: float, to: tuple[int, ...] | None = None) -> Answer | None:
+    def answer(self, command: int, since_s: float, to: tuple[int, ...] | None = None) -> CommandAnswer | None:
         """The first acknowledgement of a command since then."""
         own = (each for each in self.heard.answers if each.command == command and each.time_s >= since_s)
         return next((each for each in own if to is None or each.to in to), None)
@@ -135,5 +135,5 @@ class Stage:
         return start_s
 
 
-def in_words(answer: Answer) -> str:
+def in_words(answer: CommandAnswer) -> str:
     return RESULTS[answer.result] if answer.result < len(RESULTS) else f"result {answer.result}"

@@ -11,7 +11,7 @@ from missions.assurance.verify.model import (
     RECEIVER_ID,
     SECOND_ID,
     UNREAD,
-    Packet,
+    ModelPacket,
     Scope,
     Side,
     candidate,
@@ -110,7 +110,7 @@ class Effects:
         self.config = scope.config
         self.senders = Interned[sender.SenderState | Dead]()
         self.receivers = Interned[receiver.ReceiverState | Dead]()
-        self.packets = Interned[Packet]()
+        self.packets = Interned[ModelPacket]()
         self.sender_records = Interned[SenderRecord]()
         self.receiver_records = Interned[ReceiverRecord]()
         self._by_sender: dict[tuple[int, SenderEvent], Effect] = {}
@@ -151,7 +151,7 @@ class Effects:
         halves: list[tuple[int, int]] = []
         for action in actions:
             if isinstance(action, Send):
-                sent |= 1 << self.packets(Packet(to, unstamped(action.message)))
+                sent |= 1 << self.packets(ModelPacket(to, unstamped(action.message)))
                 if isinstance(action.message, Commit):
                     commits.append((action.message.epoch, action.message.target_id))
             elif isinstance(action, Persist) and isinstance(action.record, SenderRecord):
@@ -184,7 +184,7 @@ class Effects:
             effects.extend(of_packet)
         return effects
 
-    def _hear(self, side: Side, state: int, skew: int, packet: Packet, instance: int) -> tuple[Effect, ...]:
+    def _hear(self, side: Side, state: int, skew: int, packet: ModelPacket, instance: int) -> tuple[Effect, ...]:
         """Of the packet itself, and of the same word about something else, of which nothing may come (S6)."""
         if packet.to != side:
             return ()
@@ -222,21 +222,21 @@ class Effects:
         """What the drones say in these states, as they say it all the time."""
         found = self._words.get((state, held, skew, second))
         if found is None:
-            packets: list[Packet] = []
+            packets: list[ModelPacket] = []
             gives, takes = self.senders.values[state], self.receivers.values[held]
             if not isinstance(gives, Dead):
-                packets.append(Packet("receiver", status(Role.SENDER, sender.is_responsible(gives), 0)))
+                packets.append(ModelPacket("receiver", status(Role.SENDER, sender.is_responsible(gives), 0)))
                 if not isinstance(gives, sender.Idle | sender.Keeping | sender.HandedOver):
-                    packets.append(Packet("receiver", target(gives.live)))
+                    packets.append(ModelPacket("receiver", target(gives.live)))
             if not isinstance(takes, Dead):
-                packets.append(Packet("sender", status(Role.RECEIVER, receiver.is_responsible(takes, skew), skew)))
+                packets.append(ModelPacket("sender", status(Role.RECEIVER, receiver.is_responsible(takes, skew), skew)))
                 if takes.live is not None:
-                    packets.append(Packet("sender", candidate(takes.live)))
+                    packets.append(ModelPacket("sender", candidate(takes.live)))
             if second != NOBODY:
                 other = self.receivers.values[second]
                 assert not isinstance(other, Dead)
                 said = status(Role.RECEIVER, receiver.is_responsible(other, skew), skew, SECOND_ID)
-                packets.append(Packet("sender", said))
+                packets.append(ModelPacket("sender", said))
             found = 0
             for packet in packets:
                 found |= 1 << self.packets(packet)

@@ -16,8 +16,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from missions.assurance.verify.model import UNREAD, Scope, World
-from missions.assurance.verify.moves import TICK, Move, Moves
+from missions.assurance.verify.model import UNREAD, ModelWorld, Scope
+from missions.assurance.verify.moves import TICK, ModelStep, Moves
 
 _ONES = 24  # bits for a number of crashes, aborts, attempts or ticks
 _RECORD = 16
@@ -49,14 +49,14 @@ class Exploration:
     pairs: Counter[tuple[str, str]]
 
 
-class Seen(Protocol):
+class SeenWorlds(Protocol):
     """The worlds that were seen."""
 
-    def add(self, world: World) -> bool:
+    def add(self, world: ModelWorld) -> bool:
         """Whether it is to be entered: it is new."""
         ...
 
-    def still(self, world: World) -> bool:
+    def still(self, world: ModelWorld) -> bool:
         """Whether it is worth going on from: nothing better was seen since."""
         ...
 
@@ -65,19 +65,19 @@ class Exact:
     """Each world by itself."""
 
     def __init__(self) -> None:
-        self.worlds: set[World] = set()
+        self.worlds: set[ModelWorld] = set()
 
-    def add(self, world: World) -> bool:
+    def add(self, world: ModelWorld) -> bool:
         before = len(self.worlds)
         self.worlds.add(world)
         return len(self.worlds) > before
 
-    def still(self, world: World) -> bool:
+    def still(self, world: ModelWorld) -> bool:
         del world
         return True
 
 
-def weight(world: World) -> int:
+def weight(world: ModelWorld) -> int:
     """As bits, all that may still happen in a world: a world covers another when it has all of the other's bits.
 
     Numbers are as many ones; records, which have to be equal unless nobody reads them, are their bits and the
@@ -91,12 +91,12 @@ def weight(world: World) -> int:
     return bits
 
 
-def covers(large: World, small: World) -> bool:
+def covers(large: ModelWorld, small: ModelWorld) -> bool:
     """Whether what can happen in ``small`` can happen in ``large``. All machines' states, skew and agreement agree."""
     return not weight(small) & ~weight(large)
 
 
-def _place(world: World) -> tuple[int, ...]:
+def _place(world: ModelWorld) -> tuple[int, ...]:
     """What worlds that cover one another have in common."""
     return world.sender, world.receiver, world.second, world.skew, world.agreed
 
@@ -107,7 +107,7 @@ class Covering:
     def __init__(self) -> None:
         self._weights: dict[tuple[int, ...], list[int]] = {}
 
-    def add(self, world: World) -> bool:
+    def add(self, world: ModelWorld) -> bool:
         key = _place(world)
         bits = weight(world)
         known = self._weights.get(key)
@@ -121,10 +121,10 @@ class Covering:
         known[:] = [bits, *[other for other in known if bits | other != bits]]
         return True
 
-    def still(self, world: World) -> bool:
+    def still(self, world: ModelWorld) -> bool:
         return weight(world) in self._weights[_place(world)]
 
-    def covered(self, world: World) -> bool:
+    def covered(self, world: ModelWorld) -> bool:
         known = self._weights.get(_place(world), ())
         bits = weight(world)
         return any(bits | other == other for other in known)
@@ -135,25 +135,25 @@ class _Trail:
 
     def __init__(self, moves: Moves) -> None:
         self.moves = moves
-        self.came_from: dict[World, tuple[World, str] | None] = {}
+        self.came_from: dict[ModelWorld, tuple[ModelWorld, str] | None] = {}
         self.broken: Counter[str] = Counter()
         self.example: tuple[str, ...] = ()
         self.entered = self.steps = self.in_flight = 0
         self.pairs: Counter[tuple[int, int]] = Counter()
 
-    def enter(self, world: World) -> None:
+    def enter(self, world: ModelWorld) -> None:
         self.entered += 1
         self.in_flight = max(self.in_flight, world.packets.bit_count())
         self.pairs[world.sender, world.receiver] += 1
 
-    def take(self, world: World, move: Move) -> None:
+    def take(self, world: ModelWorld, move: ModelStep) -> None:
         self.steps += 1
         if move.broken:
             if not self.broken:
                 self.example = (*self._way(world), f"{move.what}: breaks {move.broken}")
             self.broken[move.broken] += 1
 
-    def _way(self, world: World) -> tuple[str, ...]:
+    def _way(self, world: ModelWorld) -> tuple[str, ...]:
         steps: list[str] = []
         while (before := self.came_from[world]) is not None:
             world, what = before
@@ -167,7 +167,7 @@ def explore(
     advance: Callable[[int, int], None] | None = None,
     *,
     until_broken: bool = False,
-    seen: Seen | None = None,
+    seen: SeenWorlds | None = None,
     moves: Moves | None = None,
 ) -> Exploration:
     """Everything that can happen in a scope.
@@ -202,9 +202,9 @@ def explore(
     )
 
 
-def _one_instant(trail: _Trail, seen: Seen, waiting: list[World], until_broken: bool) -> list[World]:
+def _one_instant(trail: _Trail, seen: SeenWorlds, waiting: list[ModelWorld], until_broken: bool) -> list[ModelWorld]:
     """Everything that can happen before the next tick, and the worlds of that tick."""
-    ticks: list[tuple[World, World]] = []
+    ticks: list[tuple[ModelWorld, ModelWorld]] = []
     for world in waiting:  # grows while it is walked through
         if not seen.still(world):
             continue
@@ -218,7 +218,7 @@ def _one_instant(trail: _Trail, seen: Seen, waiting: list[World], until_broken: 
                 waiting.append(move.world)
             if until_broken and trail.broken:
                 return []
-    following: list[World] = []
+    following: list[ModelWorld] = []
     for world, after in ticks:
         if seen.still(world) and seen.add(after):
             trail.came_from[after] = (world, TICK)

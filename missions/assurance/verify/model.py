@@ -91,12 +91,12 @@ class Scope:
         return 2 * self.uncertainty + self.guard + 1 - STATUS_AGE
 
 
-class Packet(NamedTuple):
+class ModelPacket(NamedTuple):
     to: Side
     message: Message
 
 
-class World(NamedTuple):
+class ModelWorld(NamedTuple):
     """One situation: numbers of interned values, see ``Effects``. All instants are relative to the sender's clock.
 
     Attributes:
@@ -122,14 +122,14 @@ class World(NamedTuple):
     alone: int
 
 
-def packet_later(packet: Packet, past: int) -> Packet | None:
+def packet_later(packet: ModelPacket, past: int) -> ModelPacket | None:
     """A tick later; only instants that a machine looks at age. None for a Status that is too old to be told apart."""
     message = packet.message
     if isinstance(message, Commit):
-        return Packet(packet.to, replace(message, lease_end_ns=max(message.lease_end_ns - 1, -past)))
+        return ModelPacket(packet.to, replace(message, lease_end_ns=max(message.lease_end_ns - 1, -past)))
     if isinstance(message, Status):
         aged = replace(message, stamp_ns=message.stamp_ns - 1)
-        return Packet(packet.to, aged) if aged.stamp_ns > STATUS_AGE else None
+        return ModelPacket(packet.to, aged) if aged.stamp_ns > STATUS_AGE else None
     return packet
 
 

@@ -30,7 +30,7 @@ def outcome(present: bool, chosen: bool, right: bool) -> Outcome:
 
 
 @dataclass(frozen=True, slots=True)
-class Tally:
+class FrameTally:
     """Frames by outcome. Rates are of all frames, as the paper's are (7 of 350 = 2.0 %)."""
 
     tp: int = 0
@@ -39,7 +39,7 @@ class Tally:
     fn: int = 0
 
     @classmethod
-    def of(cls, outcomes: Iterable[Outcome]) -> Tally:
+    def of(cls, outcomes: Iterable[Outcome]) -> FrameTally:
         counts = dict.fromkeys(OUTCOMES, 0)
         for each in outcomes:
             counts[each] += 1
@@ -101,8 +101,8 @@ class Rule:
     min_lead: int
 
 
-def tally(ballots: Sequence[Ballot], rule: Rule) -> Tally:
-    return Tally.of(ballot.outcome(rule) for ballot in ballots)
+def tally(ballots: Sequence[Ballot], rule: Rule) -> FrameTally:
+    return FrameTally.of(ballot.outcome(rule) for ballot in ballots)
 
 
 def best_rule(ballots: Sequence[Ballot], variants: int) -> Rule:

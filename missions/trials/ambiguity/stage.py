@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from flight.harness.renderer import Stage, StudioSetup, Thing
+from flight.harness.renderer import RenderedInstant, RendererSetup, Thing
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.marker.layout import MarkerLayout, single_marker
@@ -72,10 +72,10 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class DrawnStage:
     """A drawn stage. The target is ``stage.things[0]``; ``side`` of D1 carries the marker."""
 
-    stage: Stage
+    stage: RenderedInstant
     side: int
     wanted: Wanted
 
@@ -122,12 +122,12 @@ def layout(side_m: float) -> MarkerLayout:
     return single_marker(side_m, 0.005 * side_m)
 
 
-def setup(role: Role, side: int, marker_side_m: float) -> StudioSetup:
+def setup(role: Role, side: int, marker_side_m: float) -> RendererSetup:
     """One drone's camera, and the marker on D1."""
-    return StudioSetup(CAMERAS[role], camera_mount(), marker_mount(side), layout(marker_side_m))
+    return RendererSetup(CAMERAS[role], camera_mount(), marker_mount(side), layout(marker_side_m))
 
 
-def draw(wanted: Wanted, rng: np.random.Generator) -> Scene:
+def draw(wanted: Wanted, rng: np.random.Generator) -> DrawnStage:
     """A random stage; what people hide of each other is not looked at here, but for ``hidden``.
 
     Raises:
@@ -149,7 +149,7 @@ def draw(wanted: Wanted, rng: np.random.Generator) -> Scene:
     raise NoRoomError(f"no stage for {wanted}")
 
 
-def _drones(wanted: Wanted, turn: float, rng: np.random.Generator) -> Scene | None:
+def _drones(wanted: Wanted, turn: float, rng: np.random.Generator) -> DrawnStage | None:
     """Both drones and the target alone; None when D1 does not see the target, or D2 not what it is to see."""
     target = rng.uniform(-8.0, 8.0, 2)
     azimuth = rng.uniform(0.0, 2.0 * math.pi)
@@ -162,15 +162,15 @@ def _drones(wanted: Wanted, turn: float, rng: np.random.Generator) -> Scene | No
     T1 = _hover(eye1, target, rng.normal(0.0, math.radians(7.0)), rng)
     T2 = _hover(eye2, target, _aside(wanted, target, eye1, eye2, rng), rng)
     alone = (Thing("person", (float(target[0]), float(target[1]), 0.0)),)
-    stage = Stage({Role.SENDER: T1, Role.RECEIVER: T2}, alone, rng.uniform(0.0, 2.0 * math.pi))
-    scene = Scene(stage, _best_side(T1, T2), wanted)
+    stage = RenderedInstant({Role.SENDER: T1, Role.RECEIVER: T2}, alone, rng.uniform(0.0, 2.0 * math.pi))
+    scene = DrawnStage(stage, _best_side(T1, T2), wanted)
     return scene if _target_fits(scene) else None
 
 
-Eye = tuple[float, float]  # horizontal distance from the target, height
+CameraPose = tuple[float, float]  # horizontal distance from the target, height
 
 
-def _eyes(wanted: Wanted, turn: float, rng: np.random.Generator) -> tuple[Eye, Eye] | None:
+def _eyes(wanted: Wanted, turn: float, rng: np.random.Generator) -> tuple[CameraPose, CameraPose] | None:
     """Where both cameras are, D2's turned by ``turn`` from D1's line of sight; None: too far aside to be near."""
     if wanted.viewpoint_rad is not None:
         near, far = rng.uniform(2.3, 2.8), rng.uniform(3.8, 4.4)
@@ -263,7 +263,7 @@ def _best_side(T_w_b1: Pose, T_w_b2: Pose) -> int:
     return int(np.argmax([float(marker_mount(side).R[:, 2] @ toward) for side in range(SIDES)]))
 
 
-def _target_fits(scene: Scene) -> bool:
+def _target_fits(scene: DrawnStage) -> bool:
     """Whether D1 sees the target, D2 the marker, and D2 the target or, as wanted, not."""
     target, receiver = scene.stage.things[0], _view(scene, Role.RECEIVER)
     sender = _view(scene, Role.SENDER)
@@ -274,7 +274,7 @@ def _target_fits(scene: Scene) -> bool:
     return receiver.holds(target) if scene.wanted.case != "outside" else not receiver.touches(target)
 
 
-def _crowd_fits(scene: Scene) -> bool:
+def _crowd_fits(scene: DrawnStage) -> bool:
     """Whether nobody stands where a drone is, and D2 sees look-alikes."""
     others = scene.stage.things[1:]
     eyes = [scene.T_w_c(role).t for role in Role]
@@ -300,12 +300,12 @@ def _hidden_share(eye: Array, target: Array, other: Array, shoulder_m: float) ->
     return blocked / (len(SHIRT_HEIGHTS_M) * len(SHIRT_ACROSS_M))
 
 
-def _view(scene: Scene, role: Role) -> View:
-    return View(scene.T_w_c(role), CAMERAS[role])
+def _view(scene: DrawnStage, role: Role) -> StageCamera:
+    return StageCamera(scene.T_w_c(role), CAMERAS[role])
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class StageCamera:
     """A camera in the world."""
 
     T_w_c: Pose
@@ -337,11 +337,11 @@ def _room(thing: Thing) -> Array:
     return np.array(thing.position_w_m) + offsets
 
 
-def _marker_seen(scene: Scene, receiver: View) -> bool:
+def _marker_seen(scene: DrawnStage, receiver: StageCamera) -> bool:
     T_w_v = scene.stage.T_w_b[Role.SENDER] @ marker_mount(scene.side)
-    sight = receiver.T_w_c.t - T_w_v.t
-    distance = float(np.linalg.norm(sight))
-    facing = float(T_w_v.R[:, 2] @ sight) / distance
+    perception = receiver.T_w_c.t - T_w_v.t
+    distance = float(np.linalg.norm(perception))
+    facing = float(T_w_v.R[:, 2] @ perception) / distance
     x, y, z = receiver.T_w_c.inverse().apply(T_w_v.t).tolist()
     return (
         facing > math.cos(MAX_INCIDENCE_RAD)

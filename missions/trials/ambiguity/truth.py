@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flight.harness.renderer import Studio, Thing
-from missions.trials.ambiguity.stage import CAMERAS, PERSON_HEIGHT_M, SHIRT_ACROSS_M, SHIRT_HEIGHTS_M, Scene
+from flight.harness.renderer import FrameRenderer, Thing
+from missions.trials.ambiguity.stage import CAMERAS, PERSON_HEIGHT_M, SHIRT_ACROSS_M, SHIRT_HEIGHTS_M, DrawnStage
 from path.messages import Role
 from path.observations import Box
 
@@ -20,16 +20,16 @@ SHIRT_HALF_M, SHIRT_ENDS_M = (0.17, 0.33), (0.91, 1.45)  # forward and to the si
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class TrueView:
     """Asks the studio what one camera really sees."""
 
-    studio: Studio
-    scene: Scene
+    renderer: FrameRenderer
+    scene: DrawnStage
     role: Role
 
     def who(self, u: float, v: float) -> tuple[int | None, float]:
         """Index of the person seen at a pixel (None: no person), and the depth there (inf: nothing in reach)."""
-        depth = self.studio.true_depth_m(self.scene.stage, self.role, u, v)
+        depth = self.renderer.true_depth_m(self.scene.stage, self.role, u, v)
         if depth is None:
             return None, math.inf
         x, y = CAMERAS[self.role].ray(u, v)
@@ -84,7 +84,7 @@ class Sight:
         return shown / max(1, asked), behind / max(1, asked)
 
 
-def shirt_box(scene: Scene, role: Role, person: int) -> Box:
+def shirt_box(scene: DrawnStage, role: Role, person: int) -> Box:
     """About the box of a person's shirt, which is what the detector finds, when nothing hides it."""
     thing: Thing = scene.stage.things[person]
     T_w_c = scene.T_w_c(role)

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from missions.trials.shared.trajectory import Alignment, Pair, huber
+from missions.trials.shared.trajectory import Alignment, MotionPair, huber
 from path.rotation import exp
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ class OffsetFit:
     spreads: Spreads
 
 
-def fit_offset(pairs: Sequence[Pair], start: Alignment, steady_s: float) -> OffsetFit:
+def fit_offset(pairs: Sequence[MotionPair], start: Alignment, steady_s: float) -> OffsetFit:
     """Offset of samples to curves of several vehicles in one frame of beacons that is turned about the vertical.
 
     Args:
@@ -110,7 +110,7 @@ class _Means:
     jacobian: Array
 
 
-def _means(pairs: Sequence[Pair], weights: Sequence[Array], offset_s: float, yaw_rad: float) -> _Means:
+def _means(pairs: Sequence[MotionPair], weights: Sequence[Array], offset_s: float, yaw_rad: float) -> _Means:
     R = exp(np.array([0.0, 0.0, yaw_rad]))
     rows, of = list[Array](), list[int]()
     for k, (pair, weight) in enumerate(zip(pairs, weights, strict=True)):

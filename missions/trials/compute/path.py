@@ -16,7 +16,7 @@ from drivers.link.wire import KEY_LENGTH, Codec, introduce
 from drivers.perception.pixels import PixelView
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
-from flight.marker_view import MarkerFix, MarkerView, Motion
+from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
 from missions.trials.compute.film import BETWEEN_NS, HEADINGS_RAD, PERIOD_NS, Film, Moment, SceneError
 from path.agreement import Agreed
 from path.geometry import Matrix
@@ -187,7 +187,7 @@ class PathPair:
     def _fix(self, moment: Moment, view: _TimedView, gravity_v: Vec3 | None, watch: Stopwatch) -> MarkerFix:
         R_n_c = moment.R_n_b[Role.RECEIVER] @ self._mounts[Role.RECEIVER].T_b_c.R
         gravity_c = _down(R_n_c)
-        motion = Motion(
+        motion = VehicleMotions(
             view.stamp_ns, moment.velocity_n_mps[Role.RECEIVER],
             view.stamp_ns, moment.velocity_n_mps[Role.SENDER], HEADINGS_RAD[Role.SENDER],
         )  # fmt: skip
@@ -212,7 +212,7 @@ class PathPair:
         return candidate
 
     def _look(
-        self, view: _TimedView, motion: Motion, R_n_c: Matrix, gravity_v: Vec3 | None, gravity_c: Vec3
+        self, view: _TimedView, motion: VehicleMotions, R_n_c: Matrix, gravity_v: Vec3 | None, gravity_c: Vec3
     ) -> MarkerFix | Missed:
         self._marker.note_motion(motion)
         return self._marker.look(view, R_n_c, gravity_v, gravity_c)

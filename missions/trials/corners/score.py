@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from missions.trials.corners.shots import Sample
+from missions.trials.corners.shots import CornerShot
 from missions.trials.shared.statistics import RESAMPLES, Interval, wilson
 from path.geometry import Matrix, Vector
 from path.target import MAD_TO_SIGMA
@@ -66,7 +66,7 @@ def calibration_text(calibration: float | None, interval: Interval | None) -> st
     return f"{calibration:.2f} ({interval[0]:.2f}–{interval[1]:.2f})"
 
 
-def score(samples: Sequence[Sample], method: str, seed: int) -> Score | None:
+def score(samples: Sequence[CornerShot], method: str, seed: int) -> Score | None:
     """None when the method found nothing."""
     pairs = [(sample.true_px, found) for sample in samples if (found := sample.found[method]) is not None]
     if not pairs:

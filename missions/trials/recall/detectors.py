@@ -26,7 +26,7 @@ SEQUENCES = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
-class Detector:
+class DetectorFaults:
     """What both drones' detectors get wrong.
 
     Attributes:
@@ -67,7 +67,7 @@ def unwrapped(sequence: Whole) -> Whole:
     return np.cumsum(steps)
 
 
-def with_detector(series: Series, detector: Detector, method: MethodConfig, rng: Generator) -> Series:
+def with_detector(series: Series, detector: DetectorFaults, method: MethodConfig, rng: Generator) -> Series:
     """The series as it would have been with these detectors on both drones. D1's own misses add no entries: a pair that
     would have needed the frame is a miss."""
     pairs = series.kind == PAIR

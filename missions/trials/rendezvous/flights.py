@@ -13,7 +13,7 @@ from flight.config import SeparationConfig
 from flight.phases import Phase
 from missions import rig_library
 from missions.handoff.command import fly_once
-from missions.report.records import Records, Run, load_run
+from missions.report.records import Records, RunRecords, load_run
 from missions.rig_library import mission_of
 from missions.run_folder import new_folder
 from path.messages import Role, Vec3
@@ -23,7 +23,7 @@ STEP = 5  # every so many records of the truth are kept of a way
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class RendezvousOrder:
     """One mission."""
 
     rig: str
@@ -32,7 +32,7 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class RendezvousResult:
     """What came of a mission.
 
     Attributes:
@@ -70,11 +70,11 @@ class Flown:
         return None if self.began_s is None or self.arrived_s is None else self.arrived_s - self.began_s
 
 
-def asked_for(rig: str, count: int, seed: int, out: Path) -> list[Asked]:
-    return [Asked(rig, seed * 1_000_000 + k, out / f"{k:04d}") for k in range(count)]
+def asked_for(rig: str, count: int, seed: int, out: Path) -> list[RendezvousOrder]:
+    return [RendezvousOrder(rig, seed * 1_000_000 + k, out / f"{k:04d}") for k in range(count)]
 
 
-def fly(asked: Asked) -> Flown:
+def fly(asked: RendezvousOrder) -> RendezvousResult:
     """One mission from take-off to landing. Its logs are kept only when a monitor was violated."""
     rig = rig_library.shorter(rig_library.load(asked.rig))
     folder = new_folder(asked.folder)
@@ -83,7 +83,7 @@ def fly(asked: Asked) -> Flown:
     began_s, arrived_s = _entered(run, Phase.STAND_OFF), _entered(run, Phase.VERIFY)
     places = list(_places(run.world))
     separation = mission_of(rig).separation
-    flown = Flown(
+    flown = RendezvousResult(
         seed=asked.seed,
         outcome=facts.outcome,
         why=facts.detail,
@@ -102,7 +102,7 @@ def fly(asked: Asked) -> Flown:
     return flown
 
 
-def _entered(run: Run, phase: Phase) -> float | None:
+def _entered(run: RunRecords, phase: Phase) -> float | None:
     """When the receiver first entered a phase, on its own clock."""
     of = (one.stamp_ns for one in run.receiver.get("/phase", ()) if one.record["phase"] == phase.title)
     first = next(of, None)
@@ -144,7 +144,7 @@ def _in_cone_s(places: Sequence[_Place], separation: SeparationConfig) -> float:
     return cone_s
 
 
-def _way(run: Run, places: Sequence[_Place], began_s: float | None, arrived_s: float | None) -> tuple[Vec3, ...]:
+def _way(run: RunRecords, places: Sequence[_Place], began_s: float | None, arrived_s: float | None) -> tuple[Vec3, ...]:
     """From the stand-off's beginning until it verifies, or for as long as both fly."""
     if began_s is None or not run.world.get("/scene"):
         return ()
@@ -160,12 +160,12 @@ def _from_heading(place: _Place) -> Vec3:
     return c * east + s * north, s * east - c * north, up
 
 
-def separations_m(flown: Sequence[Flown]) -> list[float]:
+def separations_m(flown: Sequence[RendezvousResult]) -> list[float]:
     """Of the missions in which both flew."""
     return [one.separation_m for one in flown if one.separation_m is not None]
 
 
-def reasons(flown: Sequence[Flown]) -> dict[str, int]:
+def reasons(flown: Sequence[RendezvousResult]) -> dict[str, int]:
     """How those ended that did not hand over, the most frequent first."""
     counts: dict[str, int] = {}
     for one in flown:
@@ -174,7 +174,7 @@ def reasons(flown: Sequence[Flown]) -> dict[str, int]:
     return dict(sorted(counts.items(), key=lambda item: -item[1]))
 
 
-def as_summary(flown: Sequence[Flown]) -> dict[str, Any]:
+def as_summary(flown: Sequence[RendezvousResult]) -> dict[str, Any]:
     """Plain numbers."""
     return {
         "missions": len(flown),

@@ -57,7 +57,7 @@ class TrialRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class TrialFinding:
     """One number held against the paper's or against a goal, as the reader sees it.
 
     Attributes:
@@ -79,7 +79,7 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class TrialTable:
     """A table of the report: texts, the first column names the row."""
 
     title: str
@@ -89,7 +89,7 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class TrialPicture:
     """A PNG in the trial's folder."""
 
     file: str
@@ -108,10 +108,10 @@ class TrialResult:
     """
 
     summary: Mapping[str, Any]
-    findings: tuple[Finding, ...]
-    noise: Table | None = None
-    tables: tuple[Table, ...] = ()
-    pictures: tuple[Picture, ...] = ()
+    findings: tuple[TrialFinding, ...]
+    noise: TrialTable | None = None
+    tables: tuple[TrialTable, ...] = ()
+    pictures: tuple[TrialPicture, ...] = ()
     notes: tuple[str, ...] = ()
     violations: Mapping[str, int] = field(default_factory=dict[str, int])
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from missions.trials.shared.statistics import RESAMPLES, Interval
 from missions.trials.thresholds.grid import BINS, FRAMES, MAPPINGS, RIGHT, WRONG, Setting, grid
-from missions.trials.thresholds.series import BESIDE, NEAR, Tried
+from missions.trials.thresholds.series import BESIDE, NEAR, GridAttempt
 from path.config import BoxMapping
 
 Array = NDArray[np.float64]
@@ -35,12 +35,12 @@ class Shares:
     slipped: Array
 
     @classmethod
-    def of(cls, tried: Sequence[Tried]) -> Shares:
+    def of(cls, tried: Sequence[GridAttempt]) -> Shares:
         true, forced = commits(tried, forced=False), commits(tried, forced=True)
         return cls(_mean(true == RIGHT), _mean(forced == WRONG), _mean(true == WRONG))
 
 
-def commits(tried: Sequence[Tried], *, forced: bool) -> NDArray[np.int8]:
+def commits(tried: Sequence[GridAttempt], *, forced: bool) -> NDArray[np.int8]:
     """(attempts, settings, FRAMES) of the forced or of the true ones."""
     some = [each.outcomes.commit for each in tried if bool(each.way) == forced]
     return np.stack(some) if some else np.zeros((0, len(grid()), len(FRAMES)), np.int8)
@@ -63,9 +63,9 @@ def choose(shares: Shares) -> int:
     return int(order[0])
 
 
-def halves(tried: Sequence[Tried]) -> tuple[list[Tried], list[Tried]]:
+def halves(tried: Sequence[GridAttempt]) -> tuple[list[GridAttempt], list[GridAttempt]]:
     """To choose on, and to report on: neighbours by turns, so that both have all of every kind."""
-    parts: tuple[list[Tried], list[Tried]] = ([], [])
+    parts: tuple[list[GridAttempt], list[GridAttempt]] = ([], [])
     turn: dict[tuple[str, object], int] = {}
     for each in tried:
         kind = (each.way, each.attempt.wrong or each.attempt.fault)
@@ -74,7 +74,7 @@ def halves(tried: Sequence[Tried]) -> tuple[list[Tried], list[Tried]]:
     return parts
 
 
-def difference(tried: Sequence[Tried], a: int, b: int, *, forced: bool, rng: np.random.Generator) -> Interval:
+def difference(tried: Sequence[GridAttempt], a: int, b: int, *, forced: bool, rng: np.random.Generator) -> Interval:
     """95 % interval of the difference between two settings, b minus a, in right (or wrong) hand-overs."""
     found = commits(tried, forced=forced)[:, :, PAPER_N] == (WRONG if forced else RIGHT)
     if not len(found):
@@ -89,7 +89,7 @@ def difference(tried: Sequence[Tried], a: int, b: int, *, forced: bool, rng: np.
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class RocCurve:
     """ROC of pairs for one mapping with a fixed threshold.
 
     Attributes:
@@ -109,7 +109,7 @@ class Curve:
     pairs: tuple[int, int]
 
 
-def curve(tried: Sequence[Tried], mapping: BoxMapping, rng: np.random.Generator) -> Curve | None:
+def curve(tried: Sequence[GridAttempt], mapping: BoxMapping, rng: np.random.Generator) -> RocCurve | None:
     """Pairs of the target in true attempts against pairs of something else where the prior is not on it; None when
     there are none of either."""
     k = MAPPINGS.index(mapping)
@@ -124,7 +124,7 @@ def curve(tried: Sequence[Tried], mapping: BoxMapping, rng: np.random.Generator)
     low, high = np.nanpercentile(resampled, (2.5, 97.5))
     true, false = right.sum(axis=0), wrong.sum(axis=0)
     above = [counts[::-1].cumsum()[::-1] / counts.sum() for counts in (true, false)]
-    return Curve(
+    return RocCurve(
         mapping, np.arange(BINS) / BINS, above[0], above[1], _auc(true, false), (float(low), float(high)),
         (int(true.sum()), int(false.sum())),
     )  # fmt: skip

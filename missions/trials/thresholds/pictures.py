@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
-from missions.trials.thresholds.choice import PAPER_N, Curve, Shares
+from missions.trials.thresholds.choice import PAPER_N, RocCurve, Shares
 from missions.trials.thresholds.grid import FRAMES, MAPPINGS, TAUS, grid
 from missions.trials.thresholds.series import Rolled
 from path.config import BoxMapping
@@ -22,7 +22,7 @@ MARKED = (0.25, 0.35, 0.45, 0.55)
 
 
 def draw_roc(
-    curves: Sequence[Curve], shares: Shares, rolled: Sequence[Rolled], default: int, chosen: int, path: Path
+    curves: Sequence[RocCurve], shares: Shares, rolled: Sequence[Rolled], default: int, chosen: int, path: Path
 ) -> None:
     """Raises OSError when it cannot be written."""
     figure = Figure(figsize=(13.5, 4.4), dpi=110, layout="constrained")

@@ -58,7 +58,9 @@ CONTEXT = PartContext(Role.SENDER, Clock(), CAMERA, Mount(LEVEL, LEVEL), single_
 
 def made(**options: object) -> tuple[TrackedDetector, Oracle]:
     table = {"detector": {"factory": f"{__name__}:Oracle"}, **options}
-    detector = TrackedDetector(decode_table(table, TrackedDetectorConfig, "rig.toml: sender.sight.detector"), CONTEXT)
+    detector = TrackedDetector(
+        decode_table(table, TrackedDetectorConfig, "rig.toml: sender.perception.detector"), CONTEXT
+    )
     oracle = detector._detector
     assert isinstance(oracle, Oracle)
     return detector, oracle

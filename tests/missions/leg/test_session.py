@@ -28,7 +28,7 @@ from flight.phases import Phase
 from hil.harness.virtual_time import run_virtual
 from missions import rig_library
 from missions.leg.course import fly_course
-from missions.leg.session import Session, as_end
+from missions.leg.session import RoleSession, as_end
 from path.messages import Message, Ping, Pong, Role, Status, Target
 from path.protocol.values import TakeResponsibility
 
@@ -99,7 +99,7 @@ class Bench:
         self.shown: list[Progress] = []
         self.stop = asyncio.Event()
         parts = cast(Any, (Clock(), self.vehicle, None, self.link))
-        self.session = Session(
+        self.session = RoleSession(
             rig, role, config or MissionConfig(), self.log, self.shown.append, self.stop, parts, random.Random(1)
         )
         self.recovered: list[MissionEnd | None] = []

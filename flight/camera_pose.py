@@ -9,7 +9,7 @@ from path.geometry import Matrix, Pose
 from path.rotation import R_from_quat
 
 
-class Eye:
+class CameraPose:
     """The camera of a vehicle, by the vehicle's own estimate."""
 
     def __init__(self, vehicle: Vehicle, mount: Mount) -> None:
