@@ -42,7 +42,7 @@ _logging: set[MavsdkSession] = set()  # the open ones; MAVSDK has one log for al
 
 @dataclass(frozen=True, slots=True)
 class SessionConfig:
-    """Who is talked to, as who, and how long anything may take."""
+    """The two ends of a session with a vehicle, and how long anything may take."""
 
     url: str
     sysid: int
@@ -239,7 +239,7 @@ class MavsdkSession:
 
 
 async def _destroy(parts: Sequence[Any]) -> None:
-    """In this order. MAVSDK joins its threads here, and has been given no bound: so it is watched from outside.
+    """Destroys MAVSDK's parts in this order. It joins its threads here without a bound, so it is watched from outside.
 
     MAVSDK would end its plugins too, but not those that the garbage collector has come to know as unreachable: they
     would be ended by it in another thread at the same time, which aborts the process.

@@ -17,12 +17,12 @@ FIRST_START = "preparing: kernels are compiled at the first start, for about hal
 
 
 def starting(role: Role, what: str) -> Progress:
-    """What the console shows while there is no role yet."""
+    """Returns what the console shows while there is no role yet."""
     return Progress(role, 0, "starting", 0, 0, None, None, None, 0.0, False, what)
 
 
 def prepare(rig: Rig, say: Callable[[str], None]) -> None:
-    """The physics, the marker finder, and what the sights of this rig compute."""
+    """The physics, the marker finder, and what the perception of this rig computes."""
     say(FIRST_START)
     world = World(decode_table(rig.world, WorldConfig, rig.where("world")), seed=0)
     world.advance(0.1)

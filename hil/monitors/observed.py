@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from flight.harness.relay import Watched
+from flight.harness.relay import TargetWatch
 
 LOOKED_S = 1.0  # a look is worth that long: frames come 12 times a second, and one in the half second is judged
 
@@ -42,5 +42,5 @@ class ObservedTime:
         else:
             self.spells.append((began_s, now_s))
 
-    def watched(self) -> Watched:
-        return Watched(self.first_s, self.observed_s, self.of_s, tuple(self.spells))
+    def watched(self) -> TargetWatch:
+        return TargetWatch(self.first_s, self.observed_s, self.of_s, tuple(self.spells))

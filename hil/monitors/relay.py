@@ -130,7 +130,7 @@ class RelayMonitors:
         self._flights[name] = _WatchedFlight(now_s)
 
     def on_swap(self, name: str, now_s: float) -> None:
-        """Before its autopilot is started anew."""
+        """Ends a drone's flight, before its autopilot is started anew."""
         flight, autopilot = self._flights.pop(name, None), self.world.drone(name).autopilot
         if flight is not None:
             self.flown.append(FlightTruth(name, flight.began_s, now_s, min(flight.battery, autopilot.battery)))
@@ -217,7 +217,7 @@ class RelayMonitors:
         )
 
     def findings(self) -> dict[str, Any]:
-        """After ``close``: those fields of a ``flight.harness.relay.RelayReport`` that say what was seen."""
+        """Returns what was seen, after ``close``, as fields of a ``flight.harness.relay.RelayReport``."""
         return {
             "violations": dict(self.violations),
             "notes": tuple(self.details),

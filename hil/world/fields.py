@@ -20,7 +20,7 @@ SIGHT_M = 15.0  # a car farther off is a few pixels at most, above what a camera
 CELL_M = 10.0
 
 
-class Field:
+class TargetField:
     """The traffic around each of several targets. Pure functions of time, but for the look-alikes sent so far.
 
     Args:

@@ -15,7 +15,7 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class AirColumn:
     """Where a drone goes up or down, through the ways out (``top`` 0), or those and the ways back (1)."""
 
     middle: Point
@@ -30,15 +30,15 @@ class Airway:
     level: int
     begin: Point
     end: Point
-    columns: tuple[Column, ...]
+    columns: tuple[AirColumn, ...]
 
 
 def way_out(home: Point, target: Point, area_m: float) -> Airway:
-    return Airway(0, home, target, (Column(home, 0.0, 0), Column(target, area_m, 0)))
+    return Airway(0, home, target, (AirColumn(home, 0.0, 0), AirColumn(target, area_m, 0)))
 
 
 def way_back(home: Point, target: Point, area_m: float) -> Airway:
-    return Airway(1, target, home, (Column(home, 0.0, 1), Column(target, area_m, 1)))
+    return Airway(1, target, home, (AirColumn(home, 0.0, 1), AirColumn(target, area_m, 1)))
 
 
 def in_the_way(wanted: Iterable[Airway], flown: Iterable[Airway], clear_m: float) -> bool:
@@ -56,7 +56,7 @@ def conflict(one: Airway, other: Airway, clear_m: float) -> bool:
     return _crosses(one, other, clear_m) or _crosses(other, one, clear_m)
 
 
-def _overlap(one: Column, other: Column, clear_m: float) -> bool:
+def _overlap(one: AirColumn, other: AirColumn, clear_m: float) -> bool:
     return math.dist(one.middle, other.middle) < one.radius_m + other.radius_m + clear_m
 
 

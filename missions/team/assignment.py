@@ -26,7 +26,7 @@ NEVER = 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class ReadyDrone:
     """A drone that stands ready."""
 
     name: str
@@ -55,7 +55,7 @@ class Need:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class Assignment:
     """What was assigned: the drone, and the heading from which it follows."""
 
     target: int
@@ -65,7 +65,7 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True)
-class Air:
+class Airspace:
     """What is flown already, and how the ways of a pair would lead.
 
     Attributes:
@@ -79,10 +79,10 @@ class Air:
     speed_mps: float
 
 
-Ways = Callable[[Need, Candidate], Sequence[Airway]]
+Ways = Callable[[Need, ReadyDrone], Sequence[Airway]]
 
 
-def assign(needs: Sequence[Need], drones: Sequence[Candidate], ways: Ways, air: Air) -> list[Choice]:
+def assign(needs: Sequence[Need], drones: Sequence[ReadyDrone], ways: Ways, air: Airspace) -> list[Assignment]:
     """The pairs of the least cost in all; a need for which there is nobody is left out.
 
     Args:
@@ -99,7 +99,7 @@ def assign(needs: Sequence[Need], drones: Sequence[Candidate], ways: Ways, air: 
                 costs[i, j], headings[i, j] = cost_of(need, drones[j], air)
     rows, columns = linear_sum_assignment(costs)
     return [
-        Choice(needs[i].target, drones[j].name, float(headings[i, j]), float(costs[i, j]))
+        Assignment(needs[i].target, drones[j].name, float(headings[i, j]), float(costs[i, j]))
         for i, j in zip(rows.tolist(), columns.tolist(), strict=True)
         if costs[i, j] < NEVER
     ]
@@ -113,7 +113,7 @@ def _nearest(need: Need, homes: NDArray[np.float64], may: Sequence[bool]) -> lis
     return [j for j in order.tolist() if math.isfinite(away_m[j])]
 
 
-def cost_of(need: Need, drone: Candidate, air: Air) -> tuple[float, float]:
+def cost_of(need: Need, drone: ReadyDrone, air: Airspace) -> tuple[float, float]:
     """In seconds, and the heading at which it is that: the way there, the battery, what else is in the image."""
     if need.heading_deg is not None:
         choices = (need.heading_deg,)
@@ -135,7 +135,7 @@ def clutter_s(need: Need, heading_deg: float) -> float:
     return worst
 
 
-def _way_s(need: Need, drone: Candidate, air: Air, heading_deg: float) -> float:
+def _way_s(need: Need, drone: ReadyDrone, air: Airspace, heading_deg: float) -> float:
     """To where it goes down behind the target."""
     turn = math.radians(heading_deg)
     entry = need.place_m[0] - air.entry_m * math.sin(turn), need.place_m[1] - air.entry_m * math.cos(turn)

@@ -19,7 +19,7 @@ from flight.outcome import MissionEnd, Outcome
 from missions.leg.session import as_end
 from missions.relay.base import Event, Leg, TakeOffOrder, Tell, What, Where
 from missions.team.airways import Airway, Point, in_the_way, way_back, way_out
-from missions.team.assignment import Air, Candidate, Choice, Need, assign
+from missions.team.assignment import Airspace, Assignment, Need, ReadyDrone, assign
 from path.messages import Role
 
 POLL_S = 0.5
@@ -34,7 +34,7 @@ class TeamLeg(Leg):
 
 
 @dataclass(slots=True)
-class Spell:
+class Custody:
     """A drone had a target, from its word on until another one's, or until it was lost."""
 
     target: int
@@ -44,7 +44,7 @@ class Spell:
 
 
 @dataclass(slots=True)
-class Drone:
+class TeamDrone:
     """What the ground knows of one drone. ``ways``: those that are kept free for it."""
 
     name: str
@@ -63,7 +63,7 @@ class Drone:
 
 
 @dataclass(slots=True)
-class Target:
+class TeamTarget:
     """What the ground knows of one target.
 
     Attributes:
@@ -100,19 +100,19 @@ class TeamBase:
     hours: float = 2.0
     legs: list[TeamLeg] = field(default_factory=list[TeamLeg])
     events: list[Event] = field(default_factory=list[Event])
-    spells: list[Spell] = field(default_factory=list[Spell])
+    spells: list[Custody] = field(default_factory=list[Custody])
     outcome: Outcome = Outcome.COMMITTED
     detail: str = ""
     over: bool = False
-    drones: dict[str, Drone] = field(init=False)
-    targets: list[Target] = field(init=False)
+    drones: dict[str, TeamDrone] = field(init=False)
+    targets: list[TeamTarget] = field(init=False)
     _program: DroneProgram = field(init=False)
     _field: TeamField = field(init=False)
     _begun_s: float = 0.0
 
     def __post_init__(self) -> None:
-        self.drones = {own.name: Drone(own.name, own.home_m, own.battery) for own in self.config.drones}
-        self.targets = [Target(number, named) for number, named in enumerate(self.config.targets)]
+        self.drones = {own.name: TeamDrone(own.name, own.home_m, own.battery) for own in self.config.drones}
+        self.targets = [TeamTarget(number, named) for number, named in enumerate(self.config.targets)]
 
     # --- what the drones' programs ask and say (``missions.relay.base.Ground``, and of their targets) ---
 
@@ -122,7 +122,7 @@ class TeamBase:
     def leg_of(self, name: str) -> TeamLeg | None:
         return self.drones[name].leg
 
-    def target_of(self, name: str) -> Target:
+    def target_of(self, name: str) -> TeamTarget:
         """The target that a drone is sent to, or has."""
         number = self.drones[name].target
         assert number is not None, "asked for a drone that was not called"
@@ -151,7 +151,7 @@ class TeamBase:
             self._close_leg(leg)
         target.holder, target.finder, target.asking, target.alarmed = name, None, None, False
         self._end_spell(target)
-        self.spells.append(Spell(target.number, name, self._now_s()))
+        self.spells.append(Custody(target.number, name, self._now_s()))
         drone.ways.clear()
         where = target.named.name
         self._say(name, "holds", f"{where}: responsible" + ("" if leg is None else f", relieved {leg.sender}"))
@@ -241,7 +241,7 @@ class TeamBase:
                 drone.where, drone.ready_s, drone.battery = "ready", now_s, 1.0
                 self._say(name, "ready", "full battery")
 
-    def _program_over(self, drone: Drone, target: Target) -> None:
+    def _program_over(self, drone: TeamDrone, target: TeamTarget) -> None:
         """Whatever it had to do is over, said or not."""
         if drone.leg is not None:
             leg = drone.leg
@@ -254,14 +254,14 @@ class TeamBase:
         if target.holder == drone.name:
             self._lose(target, drone.name, _end_of(drone.result))
 
-    def _lose(self, target: Target, name: str, why: str) -> None:
+    def _lose(self, target: TeamTarget, name: str, why: str) -> None:
         target.holder, target.asking, target.lost_s, target.alarmed = None, None, self._now_s(), False
         self._end_spell(target)
         self._field.given_up(target.number)
         if not self.over:
             self._say(name, "lost", f"{target.named.name}: {why}")
 
-    def _end_spell(self, target: Target) -> None:
+    def _end_spell(self, target: TeamTarget) -> None:
         for spell in reversed(self.spells):
             if spell.target == target.number:
                 spell.to_s = self._now_s() if spell.to_s is None else spell.to_s
@@ -271,7 +271,7 @@ class TeamBase:
 
     def _see_to_the_targets(self) -> None:
         ready = [
-            Candidate(name, drone.home_m, drone.battery)
+            ReadyDrone(name, drone.home_m, drone.battery)
             for name, drone in self.drones.items()
             if drone.where == "ready"
         ]
@@ -299,7 +299,7 @@ class TeamBase:
                 needs.append(self._need(target, None, 0.0))
         return needs
 
-    def _need(self, target: Target, heading_deg: float | None, urgent_s: float) -> Need:
+    def _need(self, target: TeamTarget, heading_deg: float | None, urgent_s: float) -> Need:
         others = tuple(
             other.place_m
             for other in self.targets
@@ -308,7 +308,7 @@ class TeamBase:
         may = frozenset(target.named.drones) or None
         return Need(target.number, target.place_m, heading_deg, others, may, urgent_s)
 
-    def _ways(self, need: Need, drone: Candidate) -> tuple[Airway, ...]:
+    def _ways(self, need: Need, drone: ReadyDrone) -> tuple[Airway, ...]:
         """Of the drone that is sent, and of the one that it relieves."""
         out = way_out(drone.home_m, need.place_m, self.config.area_m)
         holder = self.targets[need.target].holder
@@ -317,15 +317,15 @@ class TeamBase:
     def _back(self, name: str, target: int) -> Airway:
         return way_back(self.drones[name].home_m, self.targets[target].place_m, self.config.area_m)
 
-    def _air(self) -> Air:
+    def _air(self) -> Airspace:
         config = self.config
         flown = [way for drone in self.drones.values() for way in drone.ways]
-        return Air(flown, config.clear_route_m, config.entry_m, config.transit_mps)
+        return Airspace(flown, config.clear_route_m, config.entry_m, config.transit_mps)
 
-    def _send(self, choice: Choice) -> None:
+    def _send(self, choice: Assignment) -> None:
         drone, target = self.drones[choice.drone], self.targets[choice.target]
         need = Need(target.number, target.place_m, choice.heading_deg)
-        ways = self._ways(need, Candidate(drone.name, drone.home_m, drone.battery))
+        ways = self._ways(need, ReadyDrone(drone.name, drone.home_m, drone.battery))
         if in_the_way(ways, self._air().flown, self.config.clear_route_m):
             return  # another one of the same moment is in its way: a little later
         drone.target, drone.heading_deg, target.heading_deg = target.number, choice.heading_deg, choice.heading_deg
@@ -339,7 +339,7 @@ class TeamBase:
         drone.where, drone.result, drone.called_home = "flying", None, False
         drone.task = asyncio.ensure_future(self._fly(drone))
 
-    def _open_leg(self, drone: Drone, target: Target, back: Airway) -> None:
+    def _open_leg(self, drone: TeamDrone, target: TeamTarget, back: Airway) -> None:
         assert target.holder is not None and target.asking is not None
         sender, battery = self.drones[target.holder], target.asking[0]
         leg = TeamLeg(len(self.legs) + 1, sender.name, drone.name, self._now_s(), battery, target=target.number)
@@ -358,7 +358,7 @@ class TeamBase:
         target = self.targets[leg.target]
         target.leg, target.asking = None, None
 
-    def _alarm(self, target: Target, ready: bool) -> None:
+    def _alarm(self, target: TeamTarget, ready: bool) -> None:
         if target.alarmed or ready:
             return
         target.alarmed, now_s = True, self._now_s()
@@ -367,7 +367,7 @@ class TeamBase:
         until = "" if target.asking is None else f"; it is given up in {target.asking[1] - now_s:.0f} s otherwise"
         self._say(target.holder or "", "alarm", f"{target.named.name}: no drone is ready, {soonest}{until}")
 
-    async def _fly(self, drone: Drone) -> None:
+    async def _fly(self, drone: TeamDrone) -> None:
         died = RoleResult(Role.RECEIVER, Outcome.CRASHED, "its program died", responsible=False, landed=False)
         try:
             drone.result = await self._field.begin(drone.name, self._program) or died

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.rig.parts import Rig
-from flight.harness.relay import RelayReport, Watched
+from flight.harness.relay import RelayReport, TargetWatch
 from flight.harness.team import TeamConfig
 from flight.outcome import OBJECT_MONITOR, Outcome
 from missions.options import TeamOptions
@@ -125,7 +125,7 @@ def record_of(config: TeamConfig, base: TeamBase, report: RelayReport) -> dict[s
     }  # fmt: skip
 
 
-def _unobserved(seen: Watched) -> list[list[float]]:
+def _unobserved(seen: TargetWatch) -> list[list[float]]:
     return [[round(since_s, 2), round(to_s, 2)] for since_s, to_s in seen.spells]
 
 

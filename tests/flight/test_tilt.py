@@ -1,4 +1,4 @@
-"""A drone that leans stands aside, so that its camera looks where it would if it were level."""
+"""A drone that is tilted stands aside, so that its camera looks where it would if it were level."""
 
 from __future__ import annotations
 
@@ -56,6 +56,6 @@ def test_it_never_stands_aside_by_more_than_a_metre() -> None:
 
 def test_a_gust_is_smoothed_away() -> None:
     tilt = Tilt()
-    tilted = tilted(np.array([0.0, 0.2, 1.0]))
-    tilt.note(tilted)
+    gust = tilted(np.array([0.0, 0.2, 1.0]))
+    tilt.note(gust)
     assert math.hypot(*tilt.down_n[:2]) < 0.01

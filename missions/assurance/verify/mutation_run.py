@@ -40,7 +40,7 @@ class FileTests:
 
 @dataclass(frozen=True, slots=True)
 class TriedMutant:
-    """What became of a wrong version. ``by``: the test that noticed; ``why``: it is the same in all that counts."""
+    """The result of a wrong version. ``by``: the test that noticed; ``why``: it is the same in all that counts."""
 
     mutation: Mutation
     caught: bool
@@ -64,7 +64,7 @@ def load_table(path: Path = TABLE) -> MutationTable:
 
 
 def choose(table: MutationTable, seed: int, number: int, root: Path) -> list[tuple[FileTests, Mutation]]:
-    """So many of all mutations, by seed: each file its share, the first ``LEAST`` of each in any case."""
+    """Returns so many of all mutations, by seed: each file its share, the first ``LEAST`` of each in any case."""
     rng = random.Random(f"mutants {seed}")
     every: list[list[tuple[FileTests, Mutation]]] = []
     for suite in table.suites:
@@ -123,7 +123,7 @@ class Trials:
             server.close()
 
     def trial(self, suite: FileTests, source: str | None, bound_s: float) -> dict[str, Any]:
-        """On the next server that is free."""
+        """Runs a trial on the next server that is free."""
         server = self._free.get()
         try:
             return server.trial(suite, source, bound_s)
@@ -131,7 +131,7 @@ class Trials:
             self._free.put(server)
 
     def bounds_s(self, suites: Sequence[FileTests]) -> dict[str, float]:
-        """How long each suite may take, from how long it takes on the right code. Raises PartError."""
+        """Returns how long each suite may take, from how long it takes on the right code. Raises PartError."""
 
         def right(suite: FileTests) -> float:
             came = self.trial(suite, None, _LONGEST_S)

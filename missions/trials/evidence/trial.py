@@ -173,7 +173,7 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
     )  # fmt: skip
     return TrialResult(
         summary, findings, NOISE, (_blocks_table(wrong), _forced_table(by_group), _bound_table(method)),
-        (TrialPicture(PICTURE, "Time to commit of true pairs by both gates, and how fast blocks of wrong pairs give up."),),
+        (TrialPicture(PICTURE, "Time to commit of true pairs by both gates; how fast blocks of wrong pairs give up."),),
         NOTES,
     )  # fmt: skip
 

@@ -25,7 +25,7 @@ LIMIT_S = 12.0
 
 @dataclass(frozen=True, slots=True)
 class GateVerdict:
-    """What one gate made of an attempt.
+    """The result of one gate on an attempt.
 
     Attributes:
         seconds: from the first agreeing pair to the commit.
@@ -79,7 +79,7 @@ class AttemptBatch:
 
 def asked_for(rig: str, seed: int, attempts: int) -> list[AttemptBatch]:
     return [
-        AttemptBatch(rig, seed, tuple(range(first, min(first + CHUNK, attempts)))) for first in range(0, attempts, CHUNK)
+        AttemptBatch(rig, seed, tuple(range(at, min(at + CHUNK, attempts)))) for at in range(0, attempts, CHUNK)
     ]  # fmt: skip
 
 

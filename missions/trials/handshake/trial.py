@@ -146,7 +146,7 @@ def _wrong(judged: Sequence[GateVerdict]) -> int:
 
 
 def _fooled(judged: Sequence[GateVerdict]) -> int:
-    """Both boxes agreed although they were of different objects."""
+    """Counts the attempts in which both boxes agreed although they were of different objects."""
     return sum(each.committed and not each.same for each in judged)
 
 
@@ -249,7 +249,7 @@ def _handover_findings(
         TrialFinding(f"Monte-Carlo hand-overs in which a look-alike came within {NEAR_M:g} m of the target",
                 f"{near} of {len(tried)}", f"{low:.1%}-{high:.1%}",
                 note=f"within {BESIDE_M:g} m: {beside}; all have three farther away"),
-        TrialFinding("Monte-Carlo hand-overs, time to commit, consecutive gate, s, median", median_paper, interval_paper,
+        TrialFinding("Monte-Carlo hand-overs, time to commit, count gate, s, median", median_paper, interval_paper,
                 f"{PAPER_MEDIAN_S:.2f}", note=f"{consecutive['commit_rate']:.1%} commit in {handovers.LIMIT_S:g} s"),
         TrialFinding("Monte-Carlo hand-overs, time to commit, evidence gate, s, median", median, interval, "", "≤ 2",
                 verdict(evidence["median_s"] is not None and evidence["median_s"] <= GOAL_MEDIAN_S),

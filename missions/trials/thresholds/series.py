@@ -59,13 +59,16 @@ class Rolled:
 
 
 def true_attempts(rig: str, seed: int, count: int) -> list[RigAttempt]:
-    """With every kind of fault, from every distance."""
+    """Returns attempts with every kind of fault, from every distance."""
     names, reaches = FAULT_NAMES, REACHES
     return [
-        RigAttempt(rig, "", Attempt(seed, k, names[k % len(names)], reach=reaches[k % len(reaches)], limit_s=TRUE_LIMIT_S,
-                               whole=True))
+        RigAttempt(
+            rig,
+            "",
+            Attempt(seed, k, names[k % len(names)], reach=reaches[k % len(reaches)], limit_s=TRUE_LIMIT_S, whole=True),
+        )
         for k in range(count)
-    ]  # fmt: skip
+    ]
 
 
 def wrong_attempts(rig: str, seed: int, each: int) -> list[RigAttempt]:

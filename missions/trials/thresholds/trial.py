@@ -1,4 +1,4 @@
-"""Why the thresholds are what they are: a sweep over recorded series of true and of wrong pairs, and a stated rule."""
+"""The reasons for the thresholds: a sweep over recorded series of true and of wrong pairs, and a stated rule."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _as_dict(setting: Setting) -> dict[str, Any]:
 
 
 def _held_out(tried: Sequence[GridAttempt], shares: Shares, k: int) -> dict[str, Any]:
-    """Of one setting with the paper's window, on attempts that were not chosen on."""
+    """Returns the shares of one setting with the paper's window, on attempts that were not chosen on."""
     beside = [each for each in tried if each.way in (series.ABSENT, series.NEAR) and _distance(each) >= 0.3]
     wrong = sum(each.outcomes.commit[k, PAPER_N] == WRONG for each in beside)
     return {
@@ -140,7 +140,7 @@ def _findings(summary: dict[str, Any], curves: Sequence[RocCurve]) -> tuple[Tria
     default, chosen, off = summary["default"], summary["chosen"], summary["chosen_minus_default"]
     alone = default["right_prior_from_0_3_m"]
     found = [
-        TrialFinding(f"one pair: area under the ROC, mapping {each.mapping}", f"{each.auc:.4f}", _span(each.interval, 4),
+        TrialFinding(f"one pair: ROC area, mapping {each.mapping}", f"{each.auc:.4f}", _span(each.interval, 4),
                 note=f"{each.pairs[0]} pairs of the target, {each.pairs[1]} of something else; attempts resampled")
         for each in curves
     ]  # fmt: skip

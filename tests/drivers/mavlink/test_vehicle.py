@@ -161,6 +161,22 @@ def test_when_python_hangs_the_setpoints_stop_and_the_vehicle_lands() -> None:
     assert "No offboard setpoints, landing" in texts
 
 
+def test_a_kill_switch_during_the_take_off_is_a_pilots() -> None:
+    async def fly(bench: Bench) -> None:
+        async with bench.vehicle() as vehicle:
+            await vehicle.wait_armable(LIMIT_S)
+            await vehicle.arm()
+            climb = asyncio.create_task(vehicle.take_off(HEIGHT_M, LIMIT_S))
+            await until(lambda: vehicle.state.mode is FlightMode.TAKEOFF)
+            bench.autopilot.radio.transmitter.kill = True
+            with pytest.raises(TakenOver, match="the motors were stopped"):
+                await climb
+            assert not vehicle.state.armed
+
+    with px4(FAST, SPEED) as bench:
+        asyncio.run(fly(bench))
+
+
 def test_the_pilot_and_a_lost_link_end_every_wait() -> None:
     async def fly(bench: Bench) -> None:
         autopilot, endpoint = bench.autopilot, bench.endpoint
