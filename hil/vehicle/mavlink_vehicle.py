@@ -73,7 +73,7 @@ class MavlinkVehicle:
         if config.key is not None:
             self._mav.signing.secret_key, self._mav.signing.sign_outgoing = config.key, True
             self._mav.signing.timestamp = signing_time()
-        self._parameters = Parameters(drone.autopilot.config)
+        self._parameters = Parameters(drone.autopilot)
         self._shown: tuple[FlightMode, bool] | None = None
         self._texts_sent = 0
         beat_hz = drone.autopilot.config.heartbeat_hz
@@ -115,6 +115,10 @@ class MavlinkVehicle:
             self._send_due(flight)
 
     # --- out ---
+
+    def send_raw(self, packet: bytes) -> None:
+        """A packet from the vehicle's own address that is not its own, as a forger would send it."""
+        self._channels[0].send(packet)
 
     def _send(self, channel: UdpChannel, message: Any, to: Address | None = None) -> None:
         packet = message.pack(self._mav)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 FEW = 8
 
@@ -32,6 +31,8 @@ def nearness(names: tuple[str, ...], places_m: NDArray[np.float64], within_m: fl
     if len(names) <= FEW:
         pairs = [(j, i) for i in range(len(names)) for j in range(i)]
     else:
+        from scipy.spatial import KDTree  # noqa: PLC0415 (a few are compared without)
+
         tree = KDTree(places_m)
         to_next, _ = tree.query(places_m, k=2)
         reach_m = max(float(to_next[:, 1].min()), within_m) + 1e-9
