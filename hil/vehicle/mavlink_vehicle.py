@@ -116,6 +116,10 @@ class MavlinkVehicle:
 
     # --- out ---
 
+    def send_raw(self, packet: bytes) -> None:
+        """A packet from the vehicle's own address that is not its own, as a forger would send it."""
+        self._channels[0].send(packet)
+
     def _send(self, channel: UdpChannel, message: Any, to: Address | None = None) -> None:
         packet = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
