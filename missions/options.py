@@ -611,11 +611,5 @@ class DetectOptions:
     min_score: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.3
     """With --model: what scores less is not found."""
 
-    tracker: Literal["none", "csrt", "kcf", "mosse"] = "none"
-    """Follow with this tracker between detections."""
-
-    every: Annotated[int, Bounds(1, 1000, "frames")] = 5
-    """With --tracker: detect in every n-th frame."""
-
     out: OutFolder = None
     """Folder for boxes.csv and for the frames with their boxes drawn; nothing is written by default."""
