@@ -79,6 +79,10 @@ class HandoffOptions:
     """Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 when no
     address is given. Other hosts than this one need a token (docs/view.md)."""
 
+    gcs: Live = None
+    """At `sitl`: let a ground station watch both vehicles, QGroundControl or MAVProxy, at this address; 127.0.0.1:14550
+    when none is given. A mode that it selects is a pilot's word (docs/ground-station.md)."""
+
     px4: FileName = None
     """PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too."""
 
@@ -191,6 +195,10 @@ class FlyOptions:
     live: Live = None
     """Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 when no
     address is given. Other hosts than this one need a token (docs/view.md)."""
+
+    gcs: Live = None
+    """At `sitl`: let a ground station watch both vehicles, QGroundControl or MAVProxy, at this address; 127.0.0.1:14550
+    when none is given. A mode that it selects is a pilot's word (docs/ground-station.md)."""
 
     px4: FileName = None
     """PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too."""
