@@ -267,10 +267,19 @@ class DoctorOptions:
 
 @dataclass(frozen=True, slots=True)
 class RigsOptions:
-    """List the rigs that come with PATH, or check one of your own."""
+    """List the rigs that come with PATH; write one of your own, or check it."""
 
     check: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
     """Check everything in this rig that can be checked without touching hardware, as before a flight."""
+
+    new: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
+    """Write a commented rig for the field into this file, and the key of its link beside it."""
+
+    autopilot: Literal["px4", "ardupilot"] = "px4"
+    """With --new: what flies both drones."""
+
+    camera: Literal["realsense"] = "realsense"
+    """With --new: what both drones see with."""
 
 
 @dataclass(frozen=True, slots=True)
