@@ -24,6 +24,11 @@ from path.marker.layout import MarkerLayout
 from path.messages import Role
 
 _FACTORY = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+GONE = {  # parts that rigs may still name: what to do instead
+    "drivers.detectors.tracked:TrackedDetector": (
+        "it cost more than the detector in it; put the table 'detector' in its place"
+    ),
+}
 _SUCH_AS = 'such as "drivers.mavlink.vehicle:MavsdkVehicle"'
 
 Level = Literal["sim", "sim-rendered", "sitl", "hitl", "field"]
@@ -152,7 +157,10 @@ class RoleRig:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A whole rig. ``mission``, ``world`` and ``relay`` stay tables: who uses them decodes them with ``decode_table``.
+    """A whole rig.
+
+    ``mission``, ``world``, ``relay``, ``team``, ``drones`` and ``targets`` stay tables: who uses them decodes them with
+    ``decode_table``.
 
     ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None without beacons;
     ``folders`` are where a rig that this one is like was looked up by name.
@@ -173,6 +181,9 @@ class Rig:
     file: Path
     reference: Reference | None = None
     relay: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    team: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    drones: tuple[Mapping[str, Any], ...] = ()
+    targets: tuple[Mapping[str, Any], ...] = ()
     folders: tuple[Path, ...] = ()
 
     def role(self, role: Role) -> RoleRig:
@@ -199,6 +210,8 @@ def import_factory(factory: str, where: str) -> Any:
     """The class named ``module:Class``. Raises RigError naming ``where``."""
     if not _FACTORY.fullmatch(factory):
         raise RigError([f"{where}: {factory!r} is not module:Class, {_SUCH_AS}"])
+    if factory in GONE:
+        raise RigError([f"{where}: {factory} is no longer offered: {GONE[factory]}"])
     module_name, _, class_name = factory.partition(":")
     try:
         module = importlib.import_module(module_name)

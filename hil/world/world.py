@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Generic, NamedTuple, TypeVar
 
@@ -208,7 +208,7 @@ class Fleet(Generic[Name]):
         self.config = config
         traffic, sensors, autopilots = np.random.SeedSequence(seed).spawn(3)
         keep_clear = [home.position_m for home in homes.values()]
-        self._traffic = GroundVehicles(config.target, config.look_alikes, keep_clear, traffic)
+        self._place_traffic(keep_clear, traffic)
         self._traffic_began_s = 0.0
         estimator = config.estimator.times(config.errors.sizes)
         self._sensors = Sensors(config.wind, estimator, TICK_S, sensors.spawn(len(homes)))
@@ -228,6 +228,10 @@ class Fleet(Generic[Name]):
         self.detector = config.detector
         self.time_s = 0.0
         self._sense()
+
+    def _place_traffic(self, keep_clear: Sequence[Point], seed: np.random.SeedSequence) -> None:
+        """Raises ValueError when the objects do not fit."""
+        self._traffic = GroundVehicles(self.config.target, self.config.look_alikes, keep_clear, seed)
 
     @property
     def names(self) -> tuple[Name, ...]:
@@ -272,19 +276,21 @@ class Fleet(Generic[Name]):
         """Drops what was worked out of the truth before it changed."""
 
     def truths(self) -> dict[Name, DroneTruth]:
-        """Returns the truth of every drone at ``time_s``.
+        """Of every drone at ``time_s``; between two physics steps they are carried on by their velocities."""
+        return dict(zip(self._drones, self._truths_of(slice(None), self._drones.values()), strict=True))
 
-        Between two physics steps it is carried on by its velocity.
-        """
-        poses = np.empty((len(self._drones), 12))
-        poses_w(self._states, self._late_s(), poses)
-        return {
-            name: DroneTruth(
+    def _truths_of(self, rows: slice, drones: Iterable[SimDrone]) -> list[DroneTruth]:
+        """Of the drones of some rows."""
+        states = self._states[rows]
+        poses = np.empty((len(states), 12))
+        poses_w(states, self._late_s(), poses)
+        return [
+            DroneTruth(
                 Pose(pose[:9].reshape(3, 3), pose[9:]), (row[4], row[3], -row[5]), row[ROTOR_PHASE],
                 drone.autopilot.armed,
             )
-            for (name, drone), row, pose in zip(self._drones.items(), self._states.tolist(), poses, strict=True)
-        }  # fmt: skip
+            for drone, row, pose in zip(drones, states.tolist(), poses, strict=True)
+        ]  # fmt: skip
 
     def _late_s(self) -> float:
         """Returns the time from the state rows to ``time_s``, s."""

@@ -15,13 +15,14 @@ from drivers.rig.parts import Rig
 from flight.camera_pose import CameraPose
 from flight.config import MissionConfig
 from flight.guard import check_separation
-from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, norm, subtract
+from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, norm, subtract
 from flight.harness.flights import Emit, InProcess, RoleResult
 from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.rendezvous import Rendezvous
-from flight.tracking import TargetTrack, follow, place
+from flight.target_track import TargetTrack
+from flight.tracking import follow, place
 from flight.viewpoint import NoViewpoint
 from missions.leg.course import fly_course
 from missions.leg.handover import ReceiverHandover
@@ -115,7 +116,7 @@ class Receiver:
             lambda: self._newest is not None, deadlines.receiver_ready_s, Outcome.PEER_ABORTED, "no target was sent"
         )
         await self._until_planned(deadlines.viewpoint_s)  # the wind's part is known only in the air
-        await take_off(session, config.receiver_take_off_height_m)
+        await self._rise()
 
         session.spawn(self._watch())
         await self._find_marker(self._near)
@@ -133,6 +134,10 @@ class Receiver:
 
         session.enter(Phase.FOLLOW, "responsible for the target")
         await asyncio.sleep(config.follow_after_s)
+
+    async def _rise(self) -> None:
+        """From the ground to where the rendezvous begins."""
+        await take_off(self._session, self._config.receiver_take_off_height_m)
 
     async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
         """Flies to the stand-off, or until it is near enough; then looks for the marker."""
@@ -223,12 +228,10 @@ class Receiver:
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the place relative to the target that the hand-over found this drone in."""
         assert self._track is not None
-        target, _ = self._track.predict(self._session.now_ns())
-        north, east, _ = self._track.velocity_n_mps
+        target, (north, east, _) = self._track.believed(self._session.now_ns())
         error = subtract(add(target, self._keep_n_m), state.position_n_m)
-        velocity = close_in(
-            error, (north, east, 0.0), self._config.follow.gain_per_s, self._config.follow.max_speed_mps
-        )
+        keep, accel_mps2 = self._config.follow, self._config.max_accel_mps2
+        velocity = approach(error, state.velocity_n_mps, (north, east, 0.0), keep.answer(accel_mps2))
         return VelocitySetpoint(velocity, bearing(subtract(target, state.position_n_m)))
 
     # --- what runs beside the course -----------------------------------------------------------------------------
