@@ -191,23 +191,18 @@ class Sender:
         return (self._session.now_ns() - track.seen_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
-        """To where the designated place is in view."""
-        return Anchor(self._view_of(self._designated()), self._heading_rad).hold(state)
+        """Leads to where the designated place is in view."""
+        return self._approach(self._view_of(self._designated()), (0.0, 0.0, 0.0), state)
 
     def _designated(self) -> Vec3:
-        """Where the target was pointed at."""
+        """Returns where the target was pointed at."""
         target = self._config.target
-<<<<<<< HEAD
         return target.north_m, target.east_m, -target.height_m
-=======
-        place = self._view_of((target.north_m, target.east_m, -target.height_m))
-        return self._approach(place, (0.0, 0.0, 0.0), state)
 
     def _approach(self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState) -> VelocitySetpoint:
         """To a moving place, and to rest there: past it the target would be below the image."""
         error, answer = subtract(place_n_m, state.position_n_m), self._config.follow.answer(self._config.max_accel_mps2)
         return VelocitySetpoint(approach(error, state.velocity_n_mps, velocity_n_mps, answer), self._heading_rad)
->>>>>>> main
 
     def _view_of(self, target_n_m: Vec3) -> Vec3:
         """Behind and above the target, in the heading it was approached with; a drone that is tilted stands aside."""
