@@ -30,7 +30,7 @@ from missions.handoff.command import fly_once
 from missions.options import GuardOptions
 from missions.report.command import show
 from missions.report.records import SUMMARY
-from missions.run_folder import new_folder
+from missions.run_folder import claim_folder, new_folder
 from path.messages import Role
 
 TAKEOVER = "pilot_takeover"  # the receiver's vehicle only
@@ -91,6 +91,8 @@ def measure(options: GuardOptions) -> int:
     A vehicle was not held within a second or did not land, or a script did not let go at once.
     """
     folder = new_folder(options.out)
+    claim_folder(folder, SUMMARY, '"reactions"')
+    (folder / SUMMARY).write_text(json.dumps({"reactions": []}) + "\n", "utf-8")  # whose folder it is, from now on
     rig = with_patient_failsafe(rig_library.load(options.rig), folder)
     reactions: list[Reaction] = []
     every = list(cases(options.role, options.case, kinds_of(rig)))
