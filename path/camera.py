@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 Scalar = TypeVar("Scalar", float, Array)
 Point3 = tuple[float, float, float]
 Coefficients = tuple[float, float, float, float, float]
+Nine = tuple[float, float, float, float, float, float, float, float, float]
 
 UNDISTORT_STEP = 1e-7  # the error after a Newton step is about its square: < 1e-12
 UNDISTORT_ITERATIONS = 20
@@ -57,6 +58,8 @@ class CameraModel:
         width, height: image size in px.
         fx, fy, cx, cy: focal lengths and principal point in px.
         distortion: ``(k1, k2, p1, p2, k3)``, OpenCV's order.
+        doubts: what the calibration does not know: by how much ``(fx, fy, cx, cy, k1, k2, p1, p2, k3)`` are off
+            together, one standard deviation of each of some independent causes. Empty: it states none.
         max_radius: largest normalised radius at which the radial distortion is still one-to-one (inf when it always
             is). A point beyond it would fold back into the image: it is not visible, whatever ``project`` says.
 
@@ -71,6 +74,7 @@ class CameraModel:
     cx: float
     cy: float
     distortion: Coefficients = (0.0, 0.0, 0.0, 0.0, 0.0)
+    doubts: tuple[Nine, ...] = ()
     max_radius: float = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -89,6 +93,8 @@ class CameraModel:
         coefficients = tuple(float(k) for k in self.distortion)
         if len(coefficients) != 5 or not all(math.isfinite(k) for k in coefficients):
             raise ValueError(f"distortion: {self.distortion!r} is not five finite numbers k1, k2, p1, p2, k3")
+        if not all(len(doubt) == 9 and all(math.isfinite(d) for d in doubt) for doubt in self.doubts):
+            raise ValueError("doubts: each is nine finite numbers, of fx, fy, cx, cy, k1, k2, p1, p2, k3")
         object.__setattr__(self, "distortion", coefficients)
         object.__setattr__(self, "max_radius", _one_to_one_radius(coefficients))
         self._check_invertible()

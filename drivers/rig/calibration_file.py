@@ -19,7 +19,7 @@ from drivers.interfaces import CameraError
 from drivers.rig.tables import RigError, decode_table, read_toml
 from drivers.rig.toml_text import toml_text
 from path.bounds import Bounds
-from path.camera import CameraModel
+from path.camera import CameraModel, Nine
 from path.geometry import Pose
 from path.rotation import R_from_quat, normalized, quat_from_R
 
@@ -36,7 +36,10 @@ class CalibrationError(CameraError):
 
 @dataclass(frozen=True, slots=True)
 class CameraTable:
-    """Intrinsics at exactly this stream size; distortion is Brown–Conrady k1 k2 p1 p2 k3."""
+    """Intrinsics at exactly this stream size; distortion is Brown–Conrady k1 k2 p1 p2 k3.
+
+    ``doubts``: as ``CameraModel.doubts``; empty where nothing is stated, and then the method's own figure is used.
+    """
 
     width: Annotated[int, Bounds(16, 16384, "px")]
     height: Annotated[int, Bounds(16, 16384, "px")]
@@ -45,6 +48,7 @@ class CameraTable:
     cx: Annotated[float, Bounds(0.0, 16384.0, "px")]
     cy: Annotated[float, Bounds(0.0, 16384.0, "px")]
     distortion: Annotated[tuple[float, float, float, float, float], Bounds(-20.0, 20.0, "of 1")]
+    doubts: Annotated[tuple[Nine, ...], Bounds(-1e4, 1e4, "as the parameter")] = ()
 
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0:
@@ -59,7 +63,7 @@ class CameraTable:
 
     def model(self) -> CameraModel:
         """Raises ValueError for a distortion that cannot be inverted."""
-        return CameraModel(self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion)
+        return CameraModel(self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion, self.doubts)
 
 
 @dataclass(frozen=True, slots=True)

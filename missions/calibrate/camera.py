@@ -203,7 +203,7 @@ def _file_of(done: Calibrated, collected: Collected, board: Board, serial: str, 
         serial=serial,
         source=Path(source).name or source,
         board=board.text,
-        camera=CameraTable(*solution.size, fx, fy, cx, cy, (k1, k2, p1, p2, k3)),
+        camera=CameraTable(*solution.size, fx, fy, cx, cy, (k1, k2, p1, p2, k3), solution.doubts),
         standard_errors=dict(zip(PARAMETERS, solution.sigmas, strict=True)),
         quality=Quality(
             rms_px=round(solution.rms_px, 5),

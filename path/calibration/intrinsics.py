@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.calibration.board import Board, BoardView
-from path.camera import CameraModel, Coefficients
+from path.camera import CameraModel, Coefficients, Nine
 from path.geometry import Pose
 
 Array = NDArray[np.float64]
@@ -25,6 +25,7 @@ PRECISE = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-10)
 OUTLIER = 6.0  # times the robust spread of all corners: such a corner is left out
 MOST_OUTLIERS = 0.2  # of the corners of a view
 MAD_TO_SIGMA = 1.4826
+SCALED = 4  # parameters by which doubts are scaled: focal lengths and centre, which no others make up for
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 
@@ -63,6 +64,8 @@ class Intrinsics:
     Attributes:
         values: of ``PARAMETERS``. ``camera``: the same as a model; None when they are none that can be inverted.
         sigmas: standard errors of ``PARAMETERS``, the larger of OpenCV's own and of a jackknife over groups of views.
+        doubts: the same with what errs together, as ``CameraModel.doubts``: of views as were left out by turns, scaled
+            to ``sigmas`` of focal lengths and centre where these are larger.
         rms_px, held_out_px: over all corners; held out: as ``SolvedView.held_out_px``.
     """
 
@@ -71,6 +74,7 @@ class Intrinsics:
     camera: CameraModel | None
     camera_problem: str
     sigmas: tuple[float, ...]
+    doubts: tuple[Nine, ...]
     views: tuple[SolvedView, ...]
     rms_px: float
     held_out_px: float
@@ -104,12 +108,14 @@ def solve_intrinsics(
     ids = [i[k] for i, k in zip(ids, kept, strict=True)]
     corners = [c[k] for c, k in zip(corners, kept, strict=True)]
     matrix, lens, stated, _ = _solve(ids, corners, board, size, fixed, (matrix, lens))
-    held_out, jackknife = _folds(ids, corners, board, size, fixed, (matrix, lens))
+    held_out, turns = _folds(ids, corners, board, size, fixed, (matrix, lens))
     solved: list[SolvedView] = []
     for i, c, k, out in zip(ids, corners, kept, held_out, strict=True):
         pose, left = _refit(matrix, lens, board.corners_o[i], c)
         distance_m = float(pose.apply(board.corners_o[i]).mean(axis=0)[2])
         solved.append(SolvedView(pose, i, c, left, int((~k).sum()), rms(out), distance_m))
+    jackknife = np.sqrt((turns**2).sum(axis=0)) if len(turns) else np.full(len(PARAMETERS), np.nan)
+    sigmas = np.fmax(stated, jackknife)
     values = _values(matrix, lens)
     camera, problem = _model(values, size)
     return Intrinsics(
@@ -117,7 +123,8 @@ def solve_intrinsics(
         tuple(float(v) for v in values),
         camera,
         problem,
-        tuple(float(s) for s in np.fmax(stated, jackknife)),
+        tuple(float(s) for s in sigmas),
+        _doubts(turns, sigmas),
         tuple(solved),
         rms(np.concatenate([view.errors_px for view in solved])),
         rms(np.concatenate(held_out)),
@@ -132,7 +139,24 @@ def doubting(solution: Intrinsics) -> Intrinsics:
     fx, fy = solution.values[:2]
     apart = math.sqrt(0.5) * abs(fx - fy)
     sigmas = (max(solution.sigmas[0], apart), max(solution.sigmas[1], apart), *solution.sigmas[2:])
-    return replace(solution, sigmas=sigmas)
+    more = [math.sqrt(max(apart**2 - solution.sigmas[k] ** 2, 0.0)) for k in (0, 1)]
+    none = 7 * (0.0,)
+    doubts = (*solution.doubts, (more[0], 0.0, *none), (0.0, more[1], *none)) if any(more) else solution.doubts
+    return replace(solution, sigmas=sigmas, doubts=doubts)
+
+
+def _doubts(turns: Array, sigmas: Array) -> tuple[Nine, ...]:
+    """What errs together: deviations (k, 9) whose squares add up to the jackknife's, scaled to the standard errors."""
+    rows = np.diag(np.where(np.arange(len(sigmas)) < SCALED, sigmas, 0.0))[:SCALED]
+    if len(turns):
+        own = np.sqrt((turns[:, :SCALED] ** 2).sum(axis=0))
+        rows = turns * float(np.max(sigmas[:SCALED] / np.maximum(own, 1e-12)))
+    return tuple(_nine(row) for row in rows)
+
+
+def _nine(row: Array) -> Nine:
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = (float(v) for v in row)
+    return fx, fy, cx, cy, k1, k2, p1, p2, k3
 
 
 def left_by(camera: CameraModel, views: Sequence[BoardView], board: Board) -> float:
@@ -193,7 +217,10 @@ def _folds(
     fixed: int,
     guess: tuple[Array, Array],
 ) -> tuple[list[Array], Array]:
-    """Errors of each view under a camera solved without it; jackknife standard errors of ``PARAMETERS``."""
+    """Errors of each view under a camera solved without it; deviations of ``PARAMETERS`` by each fold, (k, 9).
+
+    The squares of the deviations add up to the jackknife's variances; there are none of fewer than two folds.
+    """
     count = len(ids)
     folds = min(FOLDS, count)
     held_out: list[Array] = [np.empty((0, 2))] * count
@@ -207,9 +234,9 @@ def _folds(
         for k in range(fold, count, folds):
             held_out[k] = _refit(matrix, lens, board.corners_o[ids[k]], corners[k])[1]
     if len(found) < 2:
-        return held_out, np.full(len(PARAMETERS), np.nan)
+        return held_out, np.empty((0, len(PARAMETERS)))
     spread = np.stack(found) - np.mean(found, axis=0)
-    return held_out, np.sqrt((len(found) - 1) / len(found) * (spread**2).sum(axis=0))
+    return held_out, math.sqrt((len(found) - 1) / len(found)) * spread
 
 
 def _fixed(radial: int) -> int:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from path.camera import CameraModel
 from path.camera_kernels import lens_of
 from path.geometry import Pose
+from path.marker.doubt import widen
 from path.marker.kernels import finite, rays, whitening
 from path.marker.layout import Marker, MarkerLayout
 from path.marker.pose_kernels import PoseProblem, facing, fit, of_layout
@@ -44,7 +45,7 @@ class PoseSettings:
     Attributes:
         attitude_v_sigma_rad, attitude_c_sigma_rad: of gravity in ``v`` and in the camera, per axis: the error of roll
             and pitch of the drone that carries the marker, and of the one that carries the camera, biases included.
-        focal_sigma: relative error of the focal length.
+        focal_sigma: relative error of the focal length, of a camera whose calibration states none.
         max_incidence_rad: larger angles between the marker's normal and the line of sight are refused.
         max_sigma_m: position standard deviation above which a pose is no use.
         max_ambiguity: likelihood of the other solution relative to the best above which neither is believed; with 1
@@ -80,7 +81,7 @@ class MarkerPose:
 
     Attributes:
         T_c_v: maps ``v`` to the camera.
-        covariance: (6, 6), see the module; attitude, printed size and focal length included.
+        covariance: (6, 6), see the module; attitude, printed size and the camera's calibration included.
         incidence_rad: between the best marker's normal and the line of sight.
         side_px: mean side of the best marker in the image.
         rms: whitened residual per corner coordinate; at most about 1 when the corners' covariance is right.
@@ -129,6 +130,12 @@ def estimate_pose(
     fitted = fit(*_ippe(found, marker, whole.lens), whole)
     if not math.isfinite(fitted.cost):
         return Missed(MissReason.POSE_UNCERTAIN)
+    sigma_m = fitted.sigma_m
+    if camera.doubts:
+        sigma_m = widen(
+            fitted.R, fitted.t, whole.points, whole.pixels, whole.whitening, whole.lens, whole.down, whole.weight,
+            _doubts(camera), fitted.covariance,
+        )  # fmt: skip
     incidence, _ = facing(fitted.R, fitted.t, np.ascontiguousarray(marker.T_v_m.R), marker.T_v_m.t)
     if incidence > settings.max_incidence_rad:
         return Missed(MissReason.MARKER_OBLIQUE)
@@ -137,7 +144,7 @@ def estimate_pose(
     rms = math.sqrt(fitted.corner_cost / (2 * len(whole.points)))
     rms_px = rms * math.sqrt(sum(found.covariance_px2.diagonal().tolist()) / 8.0)
     if (
-        not fitted.sigma_m <= settings.max_sigma_m
+        not sigma_m <= settings.max_sigma_m
         or ambiguity > settings.max_ambiguity
         or rms_px > max(WORST_PX, WORST_SHARE * side_px)
     ):
@@ -168,7 +175,14 @@ def _seen(
         # the misfit of one direction turned into the other has the errors of both
         variance = settings.attitude_v_sigma_rad**2 + settings.attitude_c_sigma_rad**2
         down, weight = np.array([*gravity_v, *gravity_c]), 1.0 / max(variance, MIN_GRAVITY_RAD**2)
-    return PoseProblem(points, pixels, whiteners, lens_of(camera), down, weight, middles, sizes, settings.focal_sigma)
+    focal = 0.0 if camera.doubts else settings.focal_sigma
+    return PoseProblem(points, pixels, whiteners, lens_of(camera), down, weight, middles, sizes, focal)
+
+
+@lru_cache(maxsize=8)
+def _doubts(camera: CameraModel) -> Array:
+    """Returns ``CameraModel.doubts`` as the kernel takes them, (k, 9). Shared: do not change it."""
+    return np.array(camera.doubts, np.float64).reshape(-1, 9)
 
 
 @lru_cache(maxsize=64)

@@ -24,7 +24,7 @@ def warm_up() -> None:
     Raises:
         RuntimeError: when the drawn marker gives no pose: the installation is broken.
     """
-    layout, camera = single_marker(), CameraModel(160, 160, 600.0, 600.0, 80.0, 80.0)
+    layout, camera = single_marker(), CameraModel(160, 160, 600.0, 600.0, 80.0, 80.0, doubts=((1.0, *8 * (0.0,)),))
     marker = layout.markers[0]
     T_c_v = Pose(rotation.exp(np.array([2.6, 0.3, 0.2])), np.array([0.0, 0.0, 0.5]))
     pattern = np.pad(cells(layout.dictionary, marker.id), 1, constant_values=1.0)

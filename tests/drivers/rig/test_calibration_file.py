@@ -28,6 +28,7 @@ from drivers.rig.tables import RigError
 from drivers.rig.toml_text import toml_text
 from missions.rig_list import FOLDER
 
+DOUBT = (1.5, 1.4, 0.1, -0.2, 0.01, -0.05, 0.0, 0.001, 0.1)
 CAMERA = CameraCalibration(
     kind="camera",
     version=1,
@@ -35,7 +36,7 @@ CAMERA = CameraCalibration(
     serial="0815",
     source="views",
     board="a board",
-    camera=CameraTable(640, 480, 610.1234568, 611.0, 320.5, 240.25, (0.1, -0.2, 0.001, -0.002, 0.05)),
+    camera=CameraTable(640, 480, 610.1234568, 611.0, 320.5, 240.25, (0.1, -0.2, 0.001, -0.002, 0.05), (DOUBT,)),
     standard_errors={"fx": 0.1, "fy": 0.1},
     quality=Quality(0.02, 0.021, 25, 1300, 0.9),
 )
@@ -103,6 +104,8 @@ def test_a_rig_takes_camera_and_mount_from_their_files(tmp_path: Path) -> None:
     write_calibration(tmp_path / "m.toml", MOUNT)
     rig = load_rig(rig_with(tmp_path, camera='calibration = "c.toml"', marker='calibration = "m.toml"'))
     assert rig.sender.camera == CAMERA.camera.model()
+    assert rig.sender.camera.doubts == (DOUBT,)
+    assert rig.receiver.camera.doubts == ()
     assert rig.sender.camera_serial == "0815"
     assert rig.receiver.camera_serial == ""
     assert rig.sender.mount.T_v_c.t == pytest.approx(np.array(MOUNT.position_v_m))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from path.calibration.judge import (
     judge_views,
     sharp_enough,
 )
+from path.camera import CameraModel
 from tests.path.calibration.rendered import CAMERA, CHARUCO, Held, grey, photographs, poses, seen
 
 SIZE = (CAMERA.width, CAMERA.height)
@@ -55,7 +57,29 @@ def test_standard_errors_are_the_errors_there_are() -> None:
     for seed in range(3):
         solution = solve_intrinsics(views(Held(), 15, seed), CHARUCO, SIZE)
         ratios.append((np.array(solution.values) - TRUE) / np.array(solution.sigmas))
+        together = np.sqrt((np.array(solution.doubts) ** 2).sum(axis=0))
+        assert (together[:4] >= 0.999 * np.array(solution.sigmas[:4])).all()
+        pixels = np.array([[20.0, 20.0], [SIZE[0] - 20.0, 20.0], [0.5 * SIZE[0], SIZE[1] - 20.0]])
+        assert solution.camera is not None
+        rays = np.column_stack([solution.camera.rays(pixels), np.ones(3)])
+        moved = [moved_by(solution.camera, doubt, rays) for doubt in solution.doubts]
+        apart = [
+            moved_by(solution.camera, np.where(np.arange(9) == k, solution.sigmas[k], 0.0), rays) for k in range(9)
+        ]
+        # radial terms make up for each other: one by one they would move the corners of the image by much more
+        assert np.linalg.norm(moved) < 0.8 * np.linalg.norm(apart)
     assert 0.3 < np.sqrt((np.array(ratios) ** 2).mean()) < 1.4
+
+
+def moved_by(
+    camera: CameraModel, change: Sequence[float] | np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+    points_c: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:  # fmt: skip
+    """By how many px points move in the image when the camera's numbers change."""
+    before = np.array((camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion))
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = (before + np.asarray(change, float)).tolist()
+    other = CameraModel(camera.width, camera.height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+    return other.project(points_c) - camera.project(points_c)
 
 
 def test_the_residual_is_the_noise_and_corners_far_off_are_left_out() -> None:

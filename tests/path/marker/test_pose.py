@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from path import rotation
-from path.camera import CameraModel
+from path.camera import CameraModel, Nine
 from path.camera_kernels import lens_of
 from path.geometry import Pose
 from path.marker.detect import detect_markers
@@ -135,6 +135,35 @@ def test_the_squared_error_of_six_numbers_is_six_with_every_stated_error(
         squared.append(6.0 * surprise(pose, view))
     assert 5.4 < np.mean(squared) < 6.8  # its own standard deviation is 0.17
     assert 10.5 < np.percentile(squared, 95.0) < 15.0  # 12.6 with six degrees of freedom
+
+
+@pytest.mark.parametrize("sigma_px", [0.02, 0.2])
+def test_what_a_weak_calibration_does_not_know_is_in_the_covariance(sigma_px: float):
+    """The camera that takes the image is off from the believed one by what its calibration states, all together."""
+    doubts: tuple[Nine, ...] = (
+        (14.0, 11.0, 0.0, 2.0, 0.02, -0.05, 0.0, 0.0, 0.06),
+        (0.0, 5.0, 6.0, 0.0, -0.02, 0.1, 0.001, 0.0, -0.2),
+        (0.0, 0.0, 2.0, -7.0, 0.0, 0.0, 0.0, 0.002, 0.0),
+    )
+    rng = np.random.default_rng(17)
+    believed = dataclasses.replace(VGA, doubts=doubts)
+    squared = {True: list[float](), False: list[float]()}
+    for _ in range(250):
+        view = random_view(rng, VGA, 0.7, 1.5, 60.0)
+        off = rng.standard_normal(3) @ np.array(doubts)
+        k1, k2, p1, p2, k3 = (np.array(VGA.distortion) + off[4:]).tolist()
+        true = dataclasses.replace(
+            VGA, fx=VGA.fx + off[0], fy=VGA.fy + off[1], cx=VGA.cx + off[2], cy=VGA.cy + off[3],
+            distortion=(k1, k2, p1, p2, k3),
+        )  # fmt: skip
+        detections = seen(true, view, sigma_px, rng)
+        down_v, down_c = (vec(tilted(down, ATTITUDE_RAD, rng)) for down in (view.gravity_v, view.gravity_c))
+        for stated, camera in ((True, believed), (False, VGA)):
+            pose = estimate_pose(detections, LAYOUT, camera, down_v, down_c, PoseSettings(ATTITUDE_RAD, ATTITUDE_RAD))
+            assert isinstance(pose, MarkerPose)
+            squared[stated].append(6.0 * surprise(pose, view))
+    assert 5.2 < np.mean(squared[True]) < 7.0
+    assert np.mean(squared[False]) > 2.0 * np.mean(squared[True])
 
 
 def test_an_attitude_that_is_less_sure_counts_for_less():
