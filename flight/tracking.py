@@ -13,6 +13,7 @@ from flight.guidance import Vec3, add, norm, scale, subtract
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.observations import Box, Depth, Detection, MissReason, Region
+from path.rivals import MOST, Rival
 
 Pixel = tuple[float, float]
 
@@ -25,6 +26,7 @@ _GATE_LEAST_M = 0.05
 _RIVAL_SHARE = 0.4  # of the way to the nearest other object: where that is known to be, the gate ends before it
 _RIVAL_REACH_M = 0.6
 _RIVAL_S = 3.0  # for so long an object that was seen beside the target is taken to be there still
+_BESIDE_M = 1.0  # around the object, what else is told of
 _UNSEEN_S = 0.5  # after so long anything else in reach might as well be the object
 _UNSEEN_REACH_M = 2.0
 _AMBIGUITY = 0.6
@@ -36,10 +38,15 @@ _COARSE_M = 0.12  # a range that is no better is estimated, not measured
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """The tracked object in one frame. ``depth`` is None where the depth camera gave nothing to be trusted."""
+    """The tracked object in one frame.
+
+    ``depth`` is None where the depth camera gave nothing to be trusted. ``beside``: the objects nearest to it that look
+    like it, of those that were looked for.
+    """
 
     box: Box
     depth: Depth | None
+    beside: tuple[Rival, ...] = ()
 
 
 class TargetTrack:
@@ -174,7 +181,14 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
         measured = place(chosen.box, depth, camera, T_n_c, track.position_n_m[2])
     if measured is not None:
         track.update(measured, view.stamp_ns)
-    return Sighting(chosen.box, depth)
+    return Sighting(chosen.box, depth, _beside(view, chosen.box, ranked[1:], px_per_m))
+
+
+def _beside(view: View, own: Box, others: Sequence[Detection], px_per_m: float) -> tuple[Rival, ...]:
+    """The objects nearest to a box, with their depth."""
+    near = [each.box for each in others if math.dist(each.box.center, own.center) <= px_per_m * _BESIDE_M]
+    near.sort(key=lambda box: math.dist(box.center, own.center))
+    return tuple(Rival(box, view.depth(box)) for box in near[:MOST])
 
 
 def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3:

@@ -28,6 +28,10 @@ class EvidenceConfig:
         max_gap_s: a run ends after so long without an agreeing pair.
         min_s, min_pairs: no run is accepted that is shorter, whatever its evidence.
         max_pose_sigma_m: as ``MethodConfig.max_pose_sigma_m``, for this gate: what bounds the persistent errors.
+        offset_sigma_m, offset_known: standard deviation per axis of how far D2's box of the target is off D1's for as
+            long as a run lasts, in D1's image at the target's depth; and from how many measurements that is known.
+        unseen: share of the hand-overs in which D2 may see another object than the target that D1 does not see.
+        rival_s: for so long an object that D1 saw beside the target is taken to be there still.
     """
 
     alpha: Annotated[float, Bounds(0.0, 0.5, "of 1", above=True)] = 1e-3
@@ -42,6 +46,10 @@ class EvidenceConfig:
     min_s: Annotated[float, Bounds(0.05, 600.0)] = 1.0
     min_pairs: Annotated[int, Bounds(1, 100_000, "pairs")] = 30
     max_pose_sigma_m: Annotated[float, Bounds(0.0005, 1.0)] = 0.03
+    offset_sigma_m: Annotated[float, Bounds(0.001, 1.0)] = 0.025
+    offset_known: Annotated[int, Bounds(1, 10_000, "measurements")] = 20
+    unseen: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 1e-4
+    rival_s: Annotated[float, Bounds(0.0, 30.0)] = 1.0
 
     def __post_init__(self) -> None:
         """Raises ValueError naming the first field that cannot be right, and what is allowed."""

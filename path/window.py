@@ -30,6 +30,19 @@ def serial_difference(a: int, b: int) -> int:
     return ((a - b + SERIAL // 2) % SERIAL) - SERIAL // 2
 
 
+Offset = tuple[float, float]
+"""In D1's image, m at the depth of what it is measured from."""
+
+
+@dataclass(frozen=True, slots=True)
+class Offsets:
+    """How far D2's box, seen by D1, is from where each object would have it: the target, and those D1 sees beside it
+    (``path.rivals``)."""
+
+    target_m: Offset
+    rivals_m: tuple[Offset, ...] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class FramePair:
     """Which frames a comparison used.
@@ -39,11 +52,13 @@ class FramePair:
         capture_ns: when D2's frame was taken, D1's clock.
         own_frames: D1's frames before and after that instant, ``(frame number, stamp)`` each; the same one twice when
             the instants coincide.
+        offsets: of D2's box from the target and from what is beside it; None when nobody looked.
     """
 
     peer_sequence: int
     capture_ns: int
     own_frames: tuple[tuple[int, int], tuple[int, int]]
+    offsets: Offsets | None = None
 
 
 @dataclass(frozen=True, slots=True)

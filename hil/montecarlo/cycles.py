@@ -13,7 +13,18 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Mount
 from flight.harness.montecarlo import MISS, OWN_MISS, PAIR, Attempt, Series
 from flight.marker_view import MarkerFix, MarkerView, Motion
-from hil.montecarlo.perception import CLAIMED, FOUND, SEEN, SIGMA, STATUS, UNCLEAR, WHO, Z
+from hil.montecarlo.perception import (
+    CLAIMED,
+    FOUND,
+    OTHER_COLUMNS,
+    OTHERS,
+    SEEN,
+    SIGMA,
+    STATUS,
+    UNCLEAR,
+    WHO,
+    Z,
+)
 from hil.montecarlo.scene import Believed
 from hil.montecarlo.setup import (
     BLOCK_S,
@@ -31,9 +42,10 @@ from path.observations import Box, Depth, Detection, MarkerDetection, MissReason
 from path.prior import Prior
 from path.receiver import ReceiverCycle
 from path.rigid import rigid, rigid_from_quat
+from path.rivals import Rival
 from path.rotation import normalized
 from path.sender import Pair, SenderCycle
-from path.window import AgreementWindow
+from path.window import AgreementWindow, Offsets
 
 Array = NDArray[np.float64]
 EYE8 = np.eye(8)
@@ -147,7 +159,7 @@ class _Cycles:
         row, stamp_ns, number = seen.own[k].tolist(), int(seen.stamp_1[k]), int(seen.number_1[k])
         box = Box(*row[1:5]) if row[STATUS] == SEEN else None
         depth = Depth(row[Z], row[SIGMA]) if box is not None and row[Z] > 0.0 else None
-        message = self._sender.observe(number, stamp_ns, box, depth, _vector(seen.gravity_v[k]))
+        message = self._sender.observe(number, stamp_ns, box, depth, _vector(seen.gravity_v[k]), _rivals(row))
         if isinstance(message, Target):
             self._targets[k] = message
             self.record.own_whose[number] = row[WHO]
@@ -206,6 +218,7 @@ class _Record:
         self._other: BoxMapping = BOTH[1 - BOTH.index(mapping)]
         self._rows: list[tuple[int, ...]] = []
         self._values: list[tuple[float, ...]] = []
+        self._offsets: dict[int, Offsets] = {}
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -230,6 +243,8 @@ class _Record:
         scores = iou(pair.own_box, pair.mapped_box), self._by_other(candidate, at.values, candidate.box, pair.own_box)
         center, corner = scores if self._other == "corner" else scores[::-1]
         self._values.append((center, corner, at.values[7], candidate.sigma_m))
+        if pair.offsets is not None:
+            self._offsets[len(self._rows) - 1] = pair.offsets
 
     def _by_other(self, candidate: Candidate, values: tuple[float, ...], box: Box, own_box: Box) -> float:
         """The overlap by the mapping that the method does not use."""
@@ -245,8 +260,19 @@ class _Record:
         return Series(
             kind=ints[:, 0], reason=ints[:, 1], now_ns=ints[:, 2], sequence=ints[:, 3], capture_ns=ints[:, 4],
             own=ints[:, 5:9], iou=floats[:, :2], z_m=floats[:, 2], pose_sigma_m=floats[:, 3], right=ints[:, 9] != 0,
-            same=ints[:, 10] != 0,
+            same=ints[:, 10] != 0, offsets=self._offsets,
         )  # fmt: skip
+
+
+def _rivals(row: Sequence[float]) -> list[Rival]:
+    """What D1's frame shows beside the target (``hil.montecarlo.perception``)."""
+    found: list[Rival] = []
+    for at in range(OTHERS, len(row), OTHER_COLUMNS):
+        x, y, w, h, z_m, sigma_m = row[at : at + OTHER_COLUMNS]
+        if w <= 0.0:
+            break
+        found.append(Rival(Box(x, y, w, h), Depth(z_m, sigma_m) if z_m > 0.0 else None))
+    return found
 
 
 def _vector(row: Array) -> Vec3:

@@ -46,7 +46,10 @@ from path.marker.kernels import undistort
 
 # Columns of what D1 has of a frame: status, box, depth and its standard deviation, whose box it is.
 STATUS, BOX, Z, SIGMA, WHO = 0, 1, 5, 6, 7
-OWN_COLUMNS = 8
+# And of the objects nearest to that: box, depth (negative: none) and its standard deviation; width 0: there is none.
+OTHERS, OTHERS_MOST, OTHER_COLUMNS = 8, 3, 6
+OTHERS_REACH_M = 1.0
+OWN_COLUMNS = OTHERS + OTHERS_MOST * OTHER_COLUMNS
 SEEN, LOST, UNCLEAR = 0.0, 1.0, 2.0
 # Columns of a found marker: corners u v, claimed standard deviation; whether there is one.
 CLAIMED, FOUND = 8, 9
@@ -189,6 +192,26 @@ def _rival(found, many, row):
 
 
 @kernel
+def _others(found, many, row, reach, picked):
+    """Rows of the detections nearest to the chosen one, ``NOTHING`` where there is none, into ``picked``."""
+    picked[:] = NOTHING
+    before = 0.0
+    for j in range(picked.size):
+        best = reach
+        for i in range(many):
+            if i != row and found[i, SCORE] >= MIN_SCORE:
+                off = math.hypot(
+                    found[i, 0] + 0.5 * found[i, 2] - found[row, 0] - 0.5 * found[row, 2],
+                    found[i, 1] + 0.5 * found[i, 3] - found[row, 1] - 0.5 * found[row, 3],
+                )
+                if before < off < best:
+                    best, picked[j] = off, i
+        if picked[j] == NOTHING:
+            return
+        before = best
+
+
+@kernel
 def _designated(found, many):
     """Row of the target's own detection, and no doubt about it."""
     for i in range(many):
@@ -245,9 +268,10 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
     )
     frame, region, point, measured = np.empty(FRAME_COLUMNS), np.empty(4), np.empty(3), np.empty(3)
     seen, rows = np.empty((most, SEEN_COLUMNS)), np.empty((most, DETECTION_COLUMNS))
-    found = np.empty((most, FOUND_COLUMNS))
+    found, picked = np.empty((most, FOUND_COLUMNS)), np.empty(OTHERS_MOST, np.int64)
     for k in range(first, last):
         out = own[k]
+        out[OTHERS:] = 0.0
         out[STATUS], out[Z], out[WHO] = LOST, -1.0, NOBODY
         sigma = predicted(follower, times[k], point)
         x, y, z = _in_camera(R_n_c[k], t_n_c[k], point)
@@ -289,6 +313,19 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
         )
         ray_x, ray_y = _ray(lens, box[0] + 0.5 * box[2], box[1] + 0.5 * box[3])
         depth *= depths.scale
+        _others(found, many, row, OTHERS_REACH_M * scale, picked)
+        for j in range(OTHERS_MOST):
+            if picked[j] == NOTHING:
+                break
+            at, other = OTHERS + j * OTHER_COLUMNS, found[picked[j]]
+            out[at : at + 4] = other[:4]
+            box_j = (other[0], other[1], other[2], other[3])
+            key_j = fold(fold(fold(fold(camera.seed, flown.frame[k]), DEPTH), int(16.0 * box_j[0])), int(16.0 * box_j[1]))
+            z_j, out[at + 5] = depth_over(
+                bodies, extents[: count + 1], camera.car.shape[0], frame, camera.lens, holes[k], box_j,
+                depths.settings, noise, key_j,
+            )  # fmt: skip
+            out[at + 4] = z_j * depths.scale
         if depth > 0.0 and (
             not follower[BEGUN] or _shows(depth, out[SIGMA], ray_x, ray_y, R_n_c[k], t_n_c[k], point, sigma)
         ):

@@ -52,6 +52,7 @@ STREAMS = 7
 BLOCK_S = 0.5
 HORIZON_S = 8.2  # how far an attempt is made ready at first
 CLOSEST_STEP_S = 0.02
+RIVAL_REACH_M = 0.6  # around the target, where D1 looks for others
 EPOCH_S = 10.0  # of the clocks, when an attempt begins
 SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD = 0, 1, 2, 3  # what happens
 
@@ -179,6 +180,7 @@ class HandoverSetup:
         self._holes = within(sender.taken_s, faults.holes)
         self._hidden = within(receiver.taken_s, faults.hidden)
         self._swapped = within(receiver.taken_s, faults.swapped)
+        things_2[self._swapped, 0] = np.nan  # D2's detector is blind for the target, also where another touches it
         R_n_b1 = at_1.estimated(SENDER)
         self._R_n_c1 = R_n_b1 @ calibrated.T_b_c1.R
         self._t_n_c1 = at_1.t_n[SENDER] + at_1.drift + R_n_b1 @ calibrated.T_b_c1.t
@@ -224,15 +226,25 @@ class HandoverSetup:
         return gravity_c
 
     def _following(self, times_s: Array, target: Array, drift: Array) -> Array:
-        """D1 has followed the target for a while: where it is, and how it moves."""
+        """D1 has followed the target for a while: where it is, how it moves, and what is beside it."""
         row = np.zeros(FOLLOWER_SIZE)
         row[POSITION : POSITION + 2] = target[0] + drift[0, :2]
         row[POSITION + 2] = -TARGET_HEIGHT_M
         row[VELOCITY : VELOCITY + 2] = (target[5] - target[0]) / (times_s[5] - times_s[0])
         row[PP], row[VV] = FOLLOWER_SIGMA_M**2, FOLLOWER_SIGMA_MPS**2
         row[AT] = row[RIVAL_AT] = times_s[0]
-        row[RIVAL] = math.inf
+        row[RIVAL] = self._beside_m()
         return row
+
+    def _beside_m(self) -> float:
+        """From the target to the nearest other object that D1 sees with it, across its line of sight."""
+        sender_n, places = self.drawn.place.sender_n_m, self.drawn.things.at(np.zeros(1))[0][0]
+        line = np.array([-sender_n[0], -sender_n[1], -TARGET_HEIGHT_M - sender_n[2]])
+        line /= np.linalg.norm(line)
+        away = np.zeros((len(places) - 1, 3))
+        away[:, :2] = places[1:] - places[0]
+        across = np.linalg.norm(away - (away @ line)[:, None] * line, axis=1)
+        return float(np.min(across, initial=math.inf, where=across <= RIVAL_REACH_M))
 
     def fill(self, until_s: float) -> None:
         """What the cameras see of frames taken before ``until_s``."""

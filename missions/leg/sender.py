@@ -21,6 +21,7 @@ from missions.leg.course import fly_course
 from missions.leg.handover import SenderHandover
 from missions.leg.journal import (
     agreement_record,
+    beside_record,
     attempt_record,
     counted,
     frame_record,
@@ -282,9 +283,9 @@ class Sender:
             session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
             session.log.write("/track", view.stamp_ns, track_record(seen))
             return
-        box, depth = (seen.box, seen.depth) if isinstance(seen, Sighting) else (None, None)
+        box, depth, beside = (seen.box, seen.depth, seen.beside) if isinstance(seen, Sighting) else (None, None, ())
         with session.stage("projection"):
-            message = cycle.observe(view.frame_id, view.stamp_ns, box, depth, self._eye.gravity_v(R_n_b))
+            message = cycle.observe(view.frame_id, view.stamp_ns, box, depth, self._eye.gravity_v(R_n_b), beside)
         if isinstance(message, Target):
             with session.stage("link"):
                 session.link.send(message)
@@ -339,6 +340,8 @@ class Sender:
         record["judged_ns"] = now_ns
         if isinstance(seen, Sighting) and seen.depth is not None:
             record["depth_m"], record["depth_sigma_m"] = seen.depth.z_m, seen.depth.sigma_m
+        if isinstance(seen, Sighting):
+            record["beside"] = beside_record(seen.beside)
         if isinstance(seen, MissReason):
             record["reason"] = seen.value
         session.log.write("/target", view.stamp_ns, record)
