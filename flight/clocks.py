@@ -32,8 +32,8 @@ class ClockConfig:
     max_inconsistent: int = 3
 
 
-class Exchange(Enum):
-    """What an answered ping did to the alignment."""
+class PingResult(Enum):
+    """The effect of an answered ping on the alignment."""
 
     TAKEN = "taken"
     DUPLICATE = "duplicate"  # or overtaken by the answer to a later ping
@@ -67,10 +67,10 @@ class ClockAlignment:
         self._last_nonce = -1
         self._fault = False
 
-    def on_pong(self, pong: Pong, arrival_ns: int) -> Exchange:
+    def on_pong(self, pong: Pong, arrival_ns: int) -> PingResult:
         """Take an answered ping. ``arrival_ns`` is of this role's clock, as is the echoed ``ping_sent_ns``."""
         if pong.nonce <= self._last_nonce:
-            return Exchange.DUPLICATE
+            return PingResult.DUPLICATE
         self._last_nonce = pong.nonce
         low, high = pong.sent_ns - arrival_ns, pong.received_ns - pong.ping_sent_ns
         high += math.ceil(abs(arrival_ns - pong.ping_sent_ns) * self._drift)  # that bound is as old as the exchange
@@ -80,11 +80,11 @@ class ClockAlignment:
         if low > high:
             self._inconsistent += 1
             self._fault = self._fault or self._inconsistent >= self._config.max_inconsistent
-            return Exchange.INCONSISTENT
+            return PingResult.INCONSISTENT
         self._low_ns, self._high_ns, self._updated_ns = low, high, arrival_ns
         self._samples += 1
         self._inconsistent = 0
-        return Exchange.TAKEN
+        return PingResult.TAKEN
 
     @property
     def fault(self) -> bool:
@@ -93,7 +93,7 @@ class ClockAlignment:
 
     @property
     def ready(self) -> bool:
-        """Whether stamps may be converted now."""
+        """Returns whether stamps may be converted now."""
         return (
             not self._fault
             and self._inconsistent == 0

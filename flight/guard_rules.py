@@ -70,7 +70,7 @@ class GuardRules:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the mission allows (``[mission.guard]`` and ``[mission.separation]``)."""
+    """The limits that the mission sets (``[mission.guard]`` and ``[mission.separation]``)."""
 
     fence_radius_m: float
     fence_height_m: float
@@ -79,7 +79,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class ProgramBeat:
     """The newest of the role's program; stamps are arrivals on the guard's clock.
 
     Attributes:
@@ -97,14 +97,14 @@ class Heard:
 
 
 class Act(Enum):
-    """What the guard sends, now and once."""
+    """The command that the guard sends, now and once."""
 
     NOTHING = "nothing"
     HOLD = "hold"
     LAND = "land"
 
 
-class Stage(Enum):
+class GuardStage(Enum):
     WATCHING = "watching"
     HOLDING = "holding"
     LANDING = "landing"
@@ -113,16 +113,16 @@ class Stage(Enum):
 
 
 _HANDS = {
-    Stage.HOLDING: Hand.GUARD,
-    Stage.LANDING: Hand.GUARD,
-    Stage.GAVE_UP: Hand.GUARD,
-    Stage.LET_GO: Hand.OTHER,
+    GuardStage.HOLDING: Hand.GUARD,
+    GuardStage.LANDING: Hand.GUARD,
+    GuardStage.GAVE_UP: Hand.GUARD,
+    GuardStage.LET_GO: Hand.OTHER,
 }
 
 
 @dataclass(frozen=True, slots=True)
 class GuardState:
-    """Where the guard stands.
+    """The state of the guard.
 
     Attributes:
         reason: why the vehicle was taken, or let go of.
@@ -133,7 +133,7 @@ class GuardState:
         odd_ns: since when the mode is none that the script flies; of what was let go of, one that only scripts fly.
     """
 
-    stage: Stage = Stage.WATCHING
+    stage: GuardStage = GuardStage.WATCHING
     reason: str = ""
     sent_ns: int = 0
     shown_ns: int | None = None
@@ -142,14 +142,14 @@ class GuardState:
     odd_ns: int | None = None
 
     def hand(self, script: Script, armed: bool) -> Hand:
-        """Whose the vehicle is."""
-        if self.stage is Stage.WATCHING:
+        """Returns whose the vehicle is."""
+        if self.stage is GuardStage.WATCHING:
             return Hand.SCRIPT if armed and script.flies else Hand.FREE
         return _HANDS[self.stage]
 
 
 def decide(
-    state: GuardState, view: GuardView | None, heard: Heard | None, now_ns: int, rules: GuardRules, limits: Limits
+    state: GuardState, view: GuardView | None, heard: ProgramBeat | None, now_ns: int, rules: GuardRules, limits: Limits
 ) -> tuple[GuardState, Act]:
     """One tick of the guard.
 
@@ -170,14 +170,14 @@ def decide(
 
 
 def _armed(
-    state: GuardState, view: GuardView, heard: Heard | None, now_ns: int, rules: GuardRules, limits: Limits
+    state: GuardState, view: GuardView, heard: ProgramBeat | None, now_ns: int, rules: GuardRules, limits: Limits
 ) -> tuple[GuardState, Act]:
     match state.stage:
-        case Stage.HOLDING:
+        case GuardStage.HOLDING:
             return _hold(state, view, now_ns, rules)
-        case Stage.LANDING:
+        case GuardStage.LANDING:
             return _land(state, view, now_ns, rules)
-        case Stage.WATCHING if heard is not None and heard.script.flies:
+        case GuardStage.WATCHING if heard is not None and heard.script.flies:
             return _watch(state, view, heard, now_ns, rules, limits)
         case _ if was_let_go(state, heard):
             return _let_go_of(state, view, heard, now_ns, rules)
@@ -185,10 +185,10 @@ def _armed(
             return state, Act.NOTHING
 
 
-def was_let_go(state: GuardState, heard: Heard | None) -> bool:
-    """By the guard, or by the script."""
-    by_script = state.stage is Stage.WATCHING and heard is not None and heard.script is Script.LET_GO
-    return by_script or state.stage is Stage.LET_GO
+def was_let_go(state: GuardState, heard: ProgramBeat | None) -> bool:
+    """Returns whether the vehicle was let go of, by the guard or by the script."""
+    by_script = state.stage is GuardStage.WATCHING and heard is not None and heard.script is Script.LET_GO
+    return by_script or state.stage is GuardStage.LET_GO
 
 
 def _s(duration_ns: int) -> float:
@@ -199,7 +199,7 @@ def _s(duration_ns: int) -> float:
 
 
 def _watch(
-    state: GuardState, view: GuardView, heard: Heard, now_ns: int, rules: GuardRules, limits: Limits
+    state: GuardState, view: GuardView, heard: ProgramBeat, now_ns: int, rules: GuardRules, limits: Limits
 ) -> tuple[GuardState, Act]:
     odd_ns = None if view.mode in _EXPECTED[heard.script] else _since(state.odd_ns, now_ns)
     state = replace(state, odd_ns=odd_ns)
@@ -222,8 +222,8 @@ def _watch(
     return _take(view, now_ns, reason) if reason else (state, Act.NOTHING)
 
 
-def _somebody_else(state: GuardState, view: GuardView, heard: Heard, now_ns: int, rules: GuardRules) -> bool:
-    """Whether the mode is not the script's doing.
+def _somebody_else(state: GuardState, view: GuardView, heard: ProgramBeat, now_ns: int, rules: GuardRules) -> bool:
+    """Returns whether the mode is somebody else's doing than the script's.
 
     A dead program's vehicle may be held by the autopilot's own failsafe: there is nobody to leave it to. One that comes
     down without a script comes down by somebody's will.
@@ -238,7 +238,7 @@ def _since(before_ns: int | None, now_ns: int) -> int:
     return now_ns if before_ns is None else before_ns
 
 
-def broken_limit(view: GuardView, heard: Heard, now_ns: int, rules: GuardRules, limits: Limits) -> str:
+def broken_limit(view: GuardView, heard: ProgramBeat, now_ns: int, rules: GuardRules, limits: Limits) -> str:
     """The limit that is broken, in words; empty when none is. What is not known breaks none, but a NaN place does."""
     north, east, down = view.position_n_m
     if not (math.hypot(north, east) <= limits.fence_radius_m and -down <= limits.fence_height_m):
@@ -254,15 +254,17 @@ def broken_limit(view: GuardView, heard: Heard, now_ns: int, rules: GuardRules, 
 
 
 def flown_by_scripts_alone(view: GuardView) -> bool:
-    """Whether more than one message says that the vehicle is in a mode that no person flies."""
+    """Returns whether more than one message says that the vehicle is in a mode that no person flies."""
     return view.mode in _MOVING and view.mode_told >= SURE
 
 
 def _let_go_of(
-    state: GuardState, view: GuardView, heard: Heard | None, now_ns: int, rules: GuardRules
+    state: GuardState, view: GuardView, heard: ProgramBeat | None, now_ns: int, rules: GuardRules
 ) -> tuple[GuardState, Act]:
-    """Somebody else has it, or so it seemed: what is in a script's mode again is flown by the living script, or by
-    nobody, and then it is taken."""
+    """Decides on a vehicle that somebody else has, or seemed to have.
+
+    What is in a script's mode again is flown by the living script, or by nobody, and then it is taken.
+    """
     if not flown_by_scripts_alone(view):
         return replace(state, odd_ns=None), Act.NOTHING
     state = replace(state, odd_ns=_since(state.odd_ns, now_ns))
@@ -280,7 +282,7 @@ def _let_go(state: GuardState, view: GuardView) -> tuple[GuardState, Act]:
         return state, Act.NOTHING
     who = "a pilot changed the mode" if view.mode is FlightMode.OTHER else f"somebody else selected {view.mode.value}"
     why = f"{who} (taken before: {state.reason})" if state.reason else who
-    return replace(state, stage=Stage.LET_GO, reason=why, odd_ns=None), Act.NOTHING
+    return replace(state, stage=GuardStage.LET_GO, reason=why, odd_ns=None), Act.NOTHING
 
 
 # --- once it is taken ------------------------------------------------------------------------------------------------
@@ -288,8 +290,8 @@ def _let_go(state: GuardState, view: GuardView) -> tuple[GuardState, Act]:
 
 def _take(view: GuardView, now_ns: int, reason: str) -> tuple[GuardState, Act]:
     if not view.in_air:  # a landing disarms, a hold on the ground does not
-        return GuardState(Stage.LANDING, reason, sent_ns=now_ns, tries=1), Act.LAND
-    taken = GuardState(Stage.HOLDING, reason, sent_ns=now_ns)
+        return GuardState(GuardStage.LANDING, reason, sent_ns=now_ns, tries=1), Act.LAND
+    taken = GuardState(GuardStage.HOLDING, reason, sent_ns=now_ns)
     if view.mode is FlightMode.HOLD:
         return replace(taken, shown_ns=now_ns), Act.NOTHING
     return taken, Act.HOLD
@@ -333,6 +335,6 @@ def _unanswered(state: GuardState, view: GuardView, now_ns: int, rules: GuardRul
 def _command_landing(state: GuardState, now_ns: int, rules: GuardRules) -> tuple[GuardState, Act]:
     """Landing ends motion: it alone may be commanded again, a bounded number of times."""
     if state.tries >= rules.land_tries:
-        return replace(state, stage=Stage.GAVE_UP), Act.NOTHING
-    landing = replace(state, stage=Stage.LANDING, sent_ns=now_ns, shown_ns=None, tries=state.tries + 1)
+        return replace(state, stage=GuardStage.GAVE_UP), Act.NOTHING
+    landing = replace(state, stage=GuardStage.LANDING, sent_ns=now_ns, shown_ns=None, tries=state.tries + 1)
     return landing, Act.LAND

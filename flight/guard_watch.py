@@ -8,9 +8,18 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from drivers.interfaces import Clock, Log
-from drivers.mavlink.guard_interfaces import Answer, BeatLine, GuardView, Script, Watched
+from drivers.mavlink.guard_interfaces import BeatLine, GuardAnswer, GuardView, Script, Watched
 from flight.config import MissionConfig
-from flight.guard_rules import Act, GuardState, Heard, Limits, Stage, decide, flown_by_scripts_alone, was_let_go
+from flight.guard_rules import (
+    Act,
+    GuardStage,
+    GuardState,
+    Limits,
+    ProgramBeat,
+    decide,
+    flown_by_scripts_alone,
+    was_let_go,
+)
 
 TICK_S = 0.02
 VIEW_PERIOD_S = 0.5  # of the vehicle in the log
@@ -40,7 +49,7 @@ class GuardWatch:
             guard.fence_radius_m, guard.fence_height_m, guard.min_battery, config.separation.minimum_m
         )
         self._state = GuardState()
-        self._heard: Heard | None = None
+        self._heard: ProgramBeat | None = None
         self._setpoints = 0
         self._ticked_ns: int | None = None
         self._logged_ns = 0
@@ -58,13 +67,13 @@ class GuardWatch:
             return False
         if flown_by_scripts_alone(view) and was_let_go(self._state, heard):
             return True  # who it was let go of for may not be there
-        if self._state.stage is Stage.WATCHING:
+        if self._state.stage is GuardStage.WATCHING:
             return heard is not None and heard.script.flies
-        return self._state.stage in (Stage.HOLDING, Stage.LANDING)
+        return self._state.stage in (GuardStage.HOLDING, GuardStage.LANDING)
 
     @property
     def flown(self) -> bool:
-        """It is armed, by whomever, and can be seen."""
+        """Returns whether the vehicle is armed, by whomever, and can be seen."""
         view = self._vehicle.view()
         return view is not None and view.armed and self.sees(self._clock.now_ns())
 
@@ -75,7 +84,7 @@ class GuardWatch:
         return heard is not None and (self._clock.now_ns() - heard.beat_ns) * 1e-9 <= self._rules.beat_age_s
 
     def sees(self, now_ns: int) -> bool:
-        """Whether the own link brings telemetry."""
+        """Returns whether the own link brings telemetry."""
         view = self._vehicle.view()
         oldest_ns = 0 if view is None else min(view.heartbeat_ns, view.position_ns)
         return oldest_ns > 0 and (now_ns - oldest_ns) * 1e-9 <= self._rules.blind_s
@@ -135,7 +144,7 @@ class GuardWatch:
         before = self._heard
         moved = before is None or beat.setpoints != self._setpoints or before.script is not Script.CONTROL
         measured = not math.isnan(beat.separation_m)
-        self._heard = Heard(
+        self._heard = ProgramBeat(
             beat_ns=arrival_ns,
             script=beat.script,
             setpoint_ns=arrival_ns if moved or before is None else before.setpoint_ns,
@@ -146,7 +155,7 @@ class GuardWatch:
         self._setpoints = beat.setpoints
         return True
 
-    def _heard_now(self) -> Heard | None:
+    def _heard_now(self) -> ProgramBeat | None:
         heard, peer = self._heard, self.peer.view() if self.peer else None
         return replace(heard, peer_n_m=peer.position_n_m) if heard and peer and peer.in_air else heard
 
@@ -156,11 +165,11 @@ class GuardWatch:
         if heard is not None and (now_ns - heard.beat_ns) * 1e-9 > self._rules.beat_age_s:
             self._heard = None
 
-    def _answer(self, view: GuardView | None, now_ns: int) -> Answer:
+    def _answer(self, view: GuardView | None, now_ns: int) -> GuardAnswer:
         script = Script.IDLE if self._heard is None else self._heard.script
         armed = view is not None and view.armed
         alarm = self._alarms[-1] if self._alarms else ""
-        return Answer(self.sees(now_ns), self._state.hand(script, armed), self._state.reason, alarm)
+        return GuardAnswer(self.sees(now_ns), self._state.hand(script, armed), self._state.reason, alarm)
 
     def _log_decision(self, now_ns: int, act: Act) -> None:
         state, heard, view = self._state, self._heard, self._vehicle.view()

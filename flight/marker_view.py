@@ -38,8 +38,8 @@ class MarkerFix:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
-    """How both vehicles move, as they report it. Stamps are of the receiver's clock."""
+class VehicleMotions:
+    """The motion of both vehicles as they report it. Stamps are of the receiver's clock."""
 
     own_stamp_ns: int
     own_n_mps: Vec3
@@ -71,7 +71,7 @@ class MarkerView:
             lever_c_m=mount.T_b_c.R.T @ mount.T_b_c.t,
             lever_v_m=mount.T_b_v.R.T @ mount.T_b_v.t,
         )
-        self._motion: Motion | None = None
+        self._motion: VehicleMotions | None = None
         self._fixes: list[int] = []
         self._searched_ns = 0
         self._search_period_ns = round(1e9 / mission.search_hz)
@@ -83,8 +83,11 @@ class MarkerView:
         self._fixes = [stamp_ns for stamp_ns in self._fixes if now_ns - stamp_ns < _FIXED_NS]
         return len(self._fixes)
 
-    def note_motion(self, motion: Motion) -> None:
-        """What both vehicles report: how the marker moves between two looks, and while it is not seen."""
+    def note_motion(self, motion: VehicleMotions) -> None:
+        """Takes both vehicles' reported motion.
+
+        It says how the marker moves between two looks, and while it is not seen.
+        """
         self._filter.set_own_velocity(motion.own_stamp_ns, motion.own_n_mps)
         self._filter.set_peer_velocity(motion.peer_stamp_ns, motion.peer_n_mps)
         self._motion = motion
@@ -119,7 +122,7 @@ class MarkerView:
         return MarkerFix(pose.T_c_v, pose.covariance, pose.side_px, detections)
 
     def note_target(self, prior: Prior, R_n_c: Matrix) -> None:
-        """Where the target is, from the camera, in ``n``: for the heading that keeps both in view."""
+        """Takes the target's place from the camera, in ``n``, for the heading that keeps both in view."""
         x, y = self._camera.ray(*prior.pixel)
         north, east, down = (R_n_c @ (x * prior.depth_m, y * prior.depth_m, prior.depth_m)).tolist()
         self.target_n_m = (north, east, down)

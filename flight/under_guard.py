@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from drivers.interfaces import Clock
-from drivers.mavlink.guard_interfaces import Answer, Beat, GuardLine, Hand
+from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, GuardLine, Hand
 from flight.guard_rules import GuardRules
 from flight.outcome import MissionEnd, Outcome
 
@@ -30,7 +30,7 @@ class UnderGuard:
     def beat(self, beat: Beat) -> None:
         self._line.beat(beat)
 
-    def look(self) -> Answer | None:
+    def look(self) -> GuardAnswer | None:
         """Take what the guard said; the newest of it."""
         answer = self._newest()
         if answer is not None and answer.hand is Hand.GUARD and not self.taken:
@@ -38,7 +38,10 @@ class UnderGuard:
         return answer
 
     def behind(self, end: MissionEnd) -> MissionEnd:
-        """What is behind a mission's end: a vehicle that the guard took refuses, or is not heard by who stood still."""
+        """Returns the cause behind a mission's end.
+
+        A vehicle that the guard took refuses, or is not heard by who stood still.
+        """
         self.look()
         if self.taken and end.outcome in _BY_A_VEHICLE:
             return MissionEnd(Outcome.GUARD, f"the guard took the vehicle: {self.taken}")
@@ -60,7 +63,7 @@ class UnderGuard:
             raise MissionEnd(Outcome.GUARD_LOST, missing)
 
     async def confirm(self, beat: Beat) -> None:
-        """Before anything moves: ask, and wait for an answer that is younger than the question.
+        """Asks the guard before anything moves, and waits for an answer that is younger than the question.
 
         A program that slept does not go on where it was: what happened meanwhile is in that answer. Raises MissionEnd.
         """
@@ -73,7 +76,7 @@ class UnderGuard:
             await asyncio.sleep(_POLL_S)
         self.check()
 
-    def _newest(self) -> Answer | None:
+    def _newest(self) -> GuardAnswer | None:
         now_ns = self._clock.now_ns()
         if (now_ns - self._checked_ns) * 1e-9 > 0.5 * self._rules.answer_age_s:
             self._since_ns = now_ns
@@ -84,7 +87,7 @@ class UnderGuard:
         self._since_ns = max(self._since_ns, newest[0])
         return newest[1]
 
-    def _missing(self, answer: Answer | None) -> str:
+    def _missing(self, answer: GuardAnswer | None) -> str:
         silent_s = (self._clock.now_ns() - self._since_ns) * 1e-9
         if answer is None or silent_s > self._rules.answer_age_s:
             return f"the guard does not answer at {self._line.name}"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flight.config import RendezvousConfig, SeparationConfig
-from flight.lean import leaned
+from flight.tilt import tilted
 from path.camera import CameraModel
 from path.geometry import Pose
 
@@ -23,8 +23,8 @@ _TARGET_RADIUS_M = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
-    """What the planner knows, in D1's heading frame ``h`` (forward, right, down), origin at the marker."""
+class ViewpointScene:
+    """The planner's knowledge, in D1's heading frame ``h`` (forward, right, down), origin at the marker."""
 
     target_h_m: Floats  # (3,)
     marker_normal_h: Floats  # (3,), out of the print
@@ -56,7 +56,7 @@ class NoViewpoint:
 
 
 def plan_viewpoint(
-    scene: Scene,
+    scene: ViewpointScene,
     camera: CameraModel,
     T_b_c: Pose,
     rendezvous: RendezvousConfig,
@@ -65,7 +65,7 @@ def plan_viewpoint(
 ) -> Viewpoint | NoViewpoint:
     """The best place for D2's camera among a grid around the marker.
 
-    ``tilt_h`` is D2's body z axis in ``h`` while it hovers (unit, (3,)): wind leans a drone, and with it a camera that
+    ``tilt_h`` is D2's body z axis in ``h`` while it hovers (unit, (3,)): wind tilts a drone, and with it a camera that
     is fixed to it. None: level.
 
     Rules, in this order: separation ellipsoid, downwash cone of the upper drone, marker size in the image,
@@ -106,7 +106,7 @@ def plan_viewpoint(
         return NoViewpoint(rejected)
 
     places = candidates[alive]
-    yaw, margin = _look(places, scene, camera, T_b_c, np.eye(3) if tilt_h is None else leaned(tilt_h))
+    yaw, margin = _look(places, scene, camera, T_b_c, np.eye(3) if tilt_h is None else tilted(tilt_h))
     # a wider margin is worth a smaller marker, up to what a drone swings in a gust
     score = np.minimum(margin, 150.0) + (2.0 * marker_px[alive] - 20.0 * incidence[alive])[:, None]
     score[margin < rendezvous.image_margin_px] = -np.inf
@@ -132,7 +132,7 @@ def _candidates() -> Floats:
 
 
 def _clear_of_body(to_body: Floats, to_target: Floats, body_radius_m: float) -> NDArray[np.bool_]:
-    """Whether D1's body leaves the line of sight to the whole target free."""
+    """Returns whether D1's body leaves the line of sight to the whole target free."""
     body_range = np.linalg.norm(to_body, axis=1)
     target_range = np.linalg.norm(to_target, axis=1)
     cosine = np.sum(to_body * to_target, axis=1) / (body_range * target_range)
@@ -140,7 +140,9 @@ def _clear_of_body(to_body: Floats, to_target: Floats, body_radius_m: float) -> 
     return apart >= np.arctan2(body_radius_m, body_range) + np.arctan2(_TARGET_RADIUS_M, target_range)
 
 
-def _look(places_h: Floats, scene: Scene, camera: CameraModel, T_b_c: Pose, lean: Floats) -> tuple[Floats, Floats]:
+def _look(
+    places_h: Floats, scene: ViewpointScene, camera: CameraModel, T_b_c: Pose, tilt: Floats
+) -> tuple[Floats, Floats]:
     """Yaws between the bearings of marker and target, and the smaller margin (px) of the two, of shape (n, shares).
 
     The margin is minus infinity where one of them is behind the camera, or beyond the rim of the lens.
@@ -152,7 +154,7 @@ def _look(places_h: Floats, scene: Scene, camera: CameraModel, T_b_c: Pose, lean
     yaw = bearings[:, :1] + turn[:, None] * np.array(_YAW_SHARES)
     c, s, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
     R_level_b = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(*yaw.shape, 3, 3)
-    R_h_c = lean @ R_level_b @ T_b_c.R
+    R_h_c = tilt @ R_level_b @ T_b_c.R
     points_c = np.einsum("nkji,nmj->nkmi", R_h_c, points_h)  # (n, shares, 2, 3)
     pixels = camera.project(points_c.reshape(-1, 3)).reshape(*points_c.shape[:-1], 2)
     radius = camera.fx * np.array([scene.marker_side_m, _TARGET_RADIUS_M]) / points_c[..., 2]

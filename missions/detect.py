@@ -32,7 +32,7 @@ GREEN = (80, 230, 60)
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How long a detector took for each frame, ms: on the wall's clock, and of this thread on a core."""
+    """The time that a detector took for each frame, ms: on the wall's clock, and of this thread on a core."""
 
     wall_ms: tuple[float, ...]
     busy_ms: tuple[float, ...]
@@ -96,10 +96,10 @@ def _detector(options: DetectOptions) -> tuple[str, Detector]:
         }
         spec = PartSpec("drivers.detectors.yolox:YoloxDetector", table, "--model", None)
     else:
-        _, sight = decode_part(rig.role(role).sight)
-        spec = getattr(sight, "detector", None)
+        _, perception = decode_part(rig.role(role).perception)
+        spec = getattr(perception, "detector", None)
         if not isinstance(spec, PartSpec):
-            raise PartError(f"{rig.role(role).sight.where}: it has no detector", "name another rig, or --model")
+            raise PartError(f"{rig.role(role).perception.where}: it has no detector", "name another rig, or --model")
     name = spec.factory.rpartition(":")[2]
     if options.tracker != "none":
         inner = {"factory": spec.factory, **spec.options}

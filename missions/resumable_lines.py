@@ -1,4 +1,4 @@
-"""What is kept of many runs: a line for each, in a file that an interrupted command goes on with."""
+"""Resumable JSON lines: one for each of many runs, in a file that an interrupted command goes on with."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from drivers.interfaces import PartError
 Line = TypeVar("Line")
 
 
-class KeptLines(Generic[Line]):
+class ResumableLines(Generic[Line]):
     """A file of lines; ``lines`` are those of every run that is done.
 
     Args:

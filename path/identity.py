@@ -1,16 +1,17 @@
 """Which object D2's box is of: the target, one that D1 sees beside it, or one that nobody sees.
 
-How well boxes agree, frame after frame, says that D2 sees the same thing all the time, not which. What could move another
-object's box onto the target's are errors that last: drawn once, the same in every frame, so that more frames do not
-help. They are normal, with ``offset_sigma_m`` per axis in D1's image, and so known that a run is worth one observation: the
-mean offset of D2's box from the target, and from what it could be of instead. A ratio of likelihoods decides:
+How well boxes agree, frame after frame, says that D2 sees the same thing all the time, not which. What could move
+another object's box onto the target's are errors that last: drawn once, the same in every frame, so that more frames do
+not help. They are normal, with ``offset_sigma_m`` per axis in D1's image, and so known that a run is worth one
+observation: the mean offset of D2's box from the target, and from what it could be of instead. A ratio of likelihoods
+decides:
 
 - against an object that D1 sees (``path.rivals``), where errors that last move both offsets alike:
   p(offset from the target) / p(offset from that object). By Markov's inequality it exceeds 1 / a with a probability of
   at most a when the box is of that object, wherever it stands. One that is nearer to the target than the errors reach
   leaves nothing to be decided: no evidence, however many frames. D2 need not see it, and need not see both.
-- against one that D1 does not see: it may be anywhere that D2 looks, ``REACH_M`` around its prior, and there is one in a
-  share ``unseen`` of all hand-overs at most, in which D2 does not see the target either. No frame tells more of it:
+- against one that D1 does not see: it may be anywhere that D2 looks, ``REACH_M`` around its prior, and there is one in
+  a share ``unseen`` of all hand-overs at most, in which D2 does not see the target either. No frame tells more of it:
   p(offset from the target) / (unseen * p(anywhere)).
 
 The run's evidence is the smallest of both and of what the blocks say (``path.evidence``).

@@ -1,9 +1,9 @@
 """What D1 sees beside its target: the objects that D2's box could be of instead, and how far from each it is.
 
 D2's box gives a line of sight. Where that passes the target, at the target's depth, it is some way off D1's own box;
-where it passes another object, at that one's depth, some way off that one's. Both are offsets in D1's image, in metres at
-the depth of what they are measured from. Errors that last (calibration, mounts, attitude, where a box's centre lies on a
-body) move both alike.
+where it passes another object, at that one's depth, some way off that one's. Both are offsets in D1's image, in metres
+at the depth of what they are measured from. Errors that last (calibration, mounts, attitude, where a box's centre lies
+on a body) move both alike.
 """
 
 from __future__ import annotations

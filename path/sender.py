@@ -27,8 +27,8 @@ UNIT_TOLERANCE = 0.05  # of a direction or a quaternion that went through float3
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
-    """What became of one candidate.
+class PairVerdict:
+    """The verdict on one candidate, and what it rests on.
 
     Attributes:
         candidate: None when the verdict is that none came (LINK_SILENT).
@@ -143,9 +143,9 @@ class SenderCycle:
         insort(self._pending, _Pending(order, capture_ns, candidate), key=lambda pending: pending.order)
         return None
 
-    def evaluate_ready(self, now_ns: int) -> list[Pair]:
+    def evaluate_ready(self, now_ns: int) -> list[PairVerdict]:
         """Judge every candidate whose capture instant D1's own frames have passed, or that waited too long."""
-        pairs: list[Pair] = []
+        pairs: list[PairVerdict] = []
         newest = self._track.newest
         newest_ns = now_ns - self._max_age_ns if newest is None else max(newest.stamp_ns, now_ns - self._max_age_ns)
         while self._pending and self._pending[0].capture_ns <= newest_ns:
@@ -192,7 +192,7 @@ class SenderCycle:
         first = self._pending[0]
         return first.order + serial_difference(sequence, first.candidate.sequence)
 
-    def _judge(self, candidate: Candidate, capture_ns: int) -> Pair:
+    def _judge(self, candidate: Candidate, capture_ns: int) -> PairVerdict:
         at = self._track.at(capture_ns)
         reason = self._incomparable(candidate, capture_ns)
         if reason is not None or at is None or candidate.box is None:
@@ -206,10 +206,10 @@ class SenderCycle:
             tau = None if verdict.iou is None else threshold(z1, self._config)
             offsets = self._rivals.offsets(T_v_c2, candidate.box, own_box, z1, point_v)
         verdict = self._count(candidate.sequence, capture_ns, at, verdict, tau, offsets)
-        return Pair(candidate, capture_ns, verdict, own_box, mapped_box, tau, used, offsets)
+        return PairVerdict(candidate, capture_ns, verdict, own_box, mapped_box, tau, used, offsets)
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
-        """Why a fresh candidate cannot even be compared, whatever D1 saw at that instant."""
+        """Returns why a fresh candidate cannot even be compared, whatever D1 saw at that instant; None when it can."""
         if candidate.reason is not None:
             return candidate.reason
         if candidate.sigma_m > self._config.pose_sigma_limit_m:
@@ -242,8 +242,8 @@ class SenderCycle:
         self.agreed += 1
         return Agreed(verdict.iou, verdict.tau, self.gate.count, self.gate.evidence)
 
-    def _silent(self, instant_ns: int) -> Pair:
-        return Pair(None, instant_ns, self._missed(Missed(MissReason.LINK_SILENT)))
+    def _silent(self, instant_ns: int) -> PairVerdict:
+        return PairVerdict(None, instant_ns, self._missed(Missed(MissReason.LINK_SILENT)))
 
     def _missed(self, missed: Missed) -> Missed:
         self.misses[missed.reason] += 1
@@ -251,7 +251,7 @@ class SenderCycle:
 
 
 def _is_sound(candidate: Candidate) -> bool:
-    """Whether every number is one, the rotation is one, and a box is there exactly when no reason is."""
+    """Returns whether a candidate is finite, its rotation is one, and a box is there exactly when no reason is."""
     total = sum(candidate.position_v_m) + sum(candidate.rotation_v_c2) + candidate.sigma_m
     box = candidate.box
     if box is not None:

@@ -84,14 +84,14 @@ class MobilePosition:
 
 @dataclass(frozen=True, slots=True)
 class StationaryPositions:
-    """Where the stationary beacons are, by address, in m."""
+    """The positions of the stationary beacons, by address, in m."""
 
     positions_m: dict[int, Vec3]
 
 
 @dataclass(frozen=True, slots=True)
 class Rating:
-    """How sure the system is of a beacon's newest position, in percent."""
+    """The system's confidence in a beacon's newest position, in percent."""
 
     address: int
     percent: int
@@ -129,7 +129,7 @@ class FrameCounters:
     frames: dict[int, int] = field(default_factory=dict[int, int])
 
 
-class Framer:
+class BeaconFramer:
     """Cuts a stream into packets. What looks like a frame and is none costs one byte, and no true frame behind it."""
 
     def __init__(self) -> None:
@@ -165,7 +165,7 @@ class Framer:
         return packets
 
     def cut(self) -> None:
-        """What follows does not continue what came so far."""
+        """Drops what waits: the bytes that follow do not continue it."""
         self.counters.skipped += len(self._waiting)
         self._waiting.clear()
 

@@ -8,7 +8,7 @@ from drivers.link.wire import HEADER_LENGTH, checksum_holds, expected_length
 MARKER = dialect.PROTOCOL_MARKER_V2
 
 
-class Framer:
+class PacketFramer:
     """Cuts a stream into whole packets.
 
     A packet is taken only when its header can be one of ours and its checksum holds; otherwise a single byte is

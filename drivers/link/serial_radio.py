@@ -15,7 +15,7 @@ import serial
 
 from drivers.interfaces import LinkCounters, LinkError, Received
 from drivers.link.end import LinkContext, LinkEnd, Waiting, count
-from drivers.link.framing import Framer
+from drivers.link.framing import PacketFramer
 from drivers.link.key import key_finding, signing_key, signing_time
 from drivers.link.wire import Codec
 from drivers.rig.part_check import Finding
@@ -67,7 +67,7 @@ class SerialLink:
         self._role = context.role
         self._end, self._waiting = self._new_end(None)
         self._end.inbox.close()
-        self._framer = Framer()
+        self._framer = PacketFramer()
         self._port: serial.Serial | None = None
         self._open = False
         self._left = b""  # of a packet that the port did not take whole
@@ -125,7 +125,7 @@ class SerialLink:
             ) from error
         os.set_blocking(port.fileno(), False)
         self._port = port
-        self._framer = Framer()
+        self._framer = PacketFramer()
         self._left = b""
         asyncio.get_running_loop().add_reader(port.fileno(), self._readable)
 
@@ -186,7 +186,7 @@ class SerialLink:
         return self._end.pack(self._waiting.pop()) or b""
 
     def _lost(self) -> None:
-        """What waits would be old when the port is back."""
+        """Closes the port and drops what waits: it would be old when the port is back."""
         self._waiting.clear()
         self._close_port()
         self._timer = asyncio.get_running_loop().call_later(REOPEN_S, self._reopen)

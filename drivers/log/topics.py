@@ -93,7 +93,7 @@ _MOUNT = {
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """What one record of a topic is, and its fields as JSON Schemas."""
+    """The meaning of one topic's records, and their fields as JSON Schemas."""
 
     text: str
     fields: dict[str, Schema]
@@ -195,9 +195,12 @@ TOPICS: dict[str, Topic] = {
         {"epoch": _whole("of the attempt"), "duty": _text("what the drone has to do about it")},
     ),
     "/decision": Topic(
-        "how an attempt ended", {"outcome": _text("path.protocol.values.Outcome"), "reason": _text("of an abort")}
+        "how an attempt ended",
+        {"outcome": _text("path.protocol.values.HandoffOutcome"), "reason": _text("of an abort")},
     ),
-    "/settled": Topic("what became known later of an attempt", {"outcome": _text("path.protocol.values.Outcome")}),
+    "/settled": Topic(
+        "what became known later of an attempt", {"outcome": _text("path.protocol.values.HandoffOutcome")}
+    ),
     "/refused": Topic("what the protocol did not let happen", {"why": _text("path.protocol.values.Refusal")}),
     "/attempt": Topic("from here on a cycle of its own decides: another attempt", _ATTEMPT),
     # --- D1 ---
@@ -230,7 +233,9 @@ TOPICS: dict[str, Topic] = {
             "gravity_v": _numbers("direction of gravity in the marker's frame, unit vector"),
             "sigma_m": _number("standard deviation of the point, m"),
             "reason": _reason("nothing was sent"),
-            "beside": _numbers("objects beside the target, six each: box x y w h in px, depth, its deviation in m or 0"),
+            "beside": _numbers(
+                "objects beside the target, six each: box x y w h in px, depth, its deviation in m or 0"
+            ),
         },
     ),
     "/agreement": Topic(

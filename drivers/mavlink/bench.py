@@ -16,7 +16,7 @@ from path.messages import Quat, Vec3
 
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """What was true at one moment, and what the driver said then.
+    """The truth at one moment, and what the driver said then.
 
     Attributes:
         height_m: of the legs over where they stood at the start.
@@ -33,7 +33,7 @@ class Instant:
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class HeartbeatShown:
     """One heartbeat of the vehicle."""
 
     time_s: float
@@ -43,7 +43,7 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class CommandAnswer:
     """A COMMAND_ACK. ``to``: the system it was sent to, 0 when it does not say; ``result`` is MAV_RESULT."""
 
     time_s: float
@@ -53,8 +53,8 @@ class Answer:
 
 
 @dataclass(slots=True)
-class Heard:
-    """What came over the cable from the vehicle, oldest first; the lists only grow.
+class HeardOnCable:
+    """The messages that came over the cable from the vehicle, oldest first; the lists only grow.
 
     Attributes:
         arrivals_s: of every message, by its id.
@@ -64,11 +64,11 @@ class Heard:
     """
 
     arrivals_s: dict[int, list[float]] = field(default_factory=dict[int, list[float]])
-    shown: list[Shown] = field(default_factory=list[Shown])
+    shown: list[HeartbeatShown] = field(default_factory=list[HeartbeatShown])
     landed: list[tuple[float, int]] = field(default_factory=list[tuple[float, int]])
     checks: list[tuple[float, bool]] = field(default_factory=list[tuple[float, bool]])
     texts: list[tuple[float, int, str]] = field(default_factory=list[tuple[float, int, str]])
-    answers: list[Answer] = field(default_factory=list[Answer])
+    answers: list[CommandAnswer] = field(default_factory=list[CommandAnswer])
 
 
 class VehicleBench(Protocol):
@@ -76,7 +76,7 @@ class VehicleBench(Protocol):
 
     @property
     def kind(self) -> str:
-        """Whose modes it has, a name of ``drivers.mavlink.modes.KINDS``."""
+        """The autopilot whose modes it has, a name of ``drivers.mavlink.modes.KINDS``."""
         ...
 
     @property
@@ -85,7 +85,7 @@ class VehicleBench(Protocol):
         ...
 
     @property
-    def heard(self) -> Heard:
+    def heard(self) -> HeardOnCable:
         """Recorded from the start on."""
         ...
 
@@ -96,7 +96,7 @@ class VehicleBench(Protocol):
 
     @property
     def cut(self) -> bool:
-        """Whether the companion's cable is cut, both ways; the bench goes on hearing the vehicle."""
+        """Returns whether the companion's cable is cut, both ways; the bench goes on hearing the vehicle."""
         ...
 
     @cut.setter
@@ -116,7 +116,7 @@ class VehicleBench(Protocol):
         ...
 
     def watch(self, vehicle: Vehicle | None) -> None:
-        """Whose ``state`` is recorded in ``instants``."""
+        """Records the ``state`` of this vehicle in ``instants`` from now on."""
         ...
 
     def vehicle(self) -> Vehicle:

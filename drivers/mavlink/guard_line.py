@@ -14,7 +14,7 @@ from typing import Self
 
 from drivers.interfaces import Clock, PartError
 from drivers.link.udp import Address, address_of
-from drivers.mavlink.guard_interfaces import Answer, Beat, Hand, Script
+from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, Hand, Script
 from drivers.mavlink.guard_seal import KeyReader, Opener, Seals, forget_key, key_path, make_key
 
 _BEAT = struct.Struct("!4sBIffff")  # magic, script, setpoints, separation, peer's north, east, down
@@ -46,12 +46,12 @@ def decode_beat(packet: bytes) -> Beat | None:
     return Beat(Script(script), setpoints, separation_m, (peer[0], peer[1], peer[2]))
 
 
-def encode_answer(answer: Answer) -> bytes:
+def encode_answer(answer: GuardAnswer) -> bytes:
     words = [text.replace(_BETWEEN, " ").encode("utf-8")[:_WORDS_BYTES] for text in (answer.reason, answer.alarm)]
     return _ANSWER.pack(_ANSWER_MAGIC, answer.sees, answer.hand.value) + _BETWEEN.encode().join(words)
 
 
-def decode_answer(packet: bytes) -> Answer | None:
+def decode_answer(packet: bytes) -> GuardAnswer | None:
     """None for what is no answer."""
     if len(packet) < _ANSWER.size:
         return None
@@ -59,11 +59,11 @@ def decode_answer(packet: bytes) -> Answer | None:
     if magic != _ANSWER_MAGIC or sees not in (0, 1) or hand not in (known.value for known in Hand):
         return None
     reason, _, alarm = packet[_ANSWER.size :].decode("utf-8", "replace").partition(_BETWEEN)
-    return Answer(bool(sees), Hand(hand), reason, alarm)
+    return GuardAnswer(bool(sees), Hand(hand), reason, alarm)
 
 
 def is_taken(bind: str) -> bool:
-    """Whether somebody listens there: a guard, one hopes; the role asks it before it flies."""
+    """Returns whether somebody listens there: a guard, one hopes; the role asks it before it flies."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(address_of(bind, "bind"))
@@ -123,7 +123,7 @@ class UdpGuardLine:
         self._clock = clock
         self._socket = _Socket()
         self._key, self._seals, self._opener = KeyReader(guard), Seals(), Opener()
-        self._answer: tuple[int, Answer] | None = None
+        self._answer: tuple[int, GuardAnswer] | None = None
 
     async def __aenter__(self) -> Self:
         try:
@@ -142,7 +142,7 @@ class UdpGuardLine:
         if key is not None:  # there is no guard yet, or it is another user's
             self._socket.send(self._seals.seal(key, encode_beat(beat)))
 
-    def answer(self) -> tuple[int, Answer] | None:
+    def answer(self) -> tuple[int, GuardAnswer] | None:
         while (received := self._socket.receive()) is not None:
             key = self._key.read()
             said = None if key is None else self._opener.open(key, received[0])
@@ -197,6 +197,6 @@ class UdpBeatLine:
                 newest, self._from = beat, received[1]
         return None if newest is None else (self._clock.now_ns(), newest)
 
-    def answer(self, answer: Answer) -> None:
+    def answer(self, answer: GuardAnswer) -> None:
         if self._from is not None:
             self._socket.send(self._seals.seal(self._key, encode_answer(answer)), self._from)

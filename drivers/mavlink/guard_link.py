@@ -205,7 +205,10 @@ class GuardMavlink:
                 pass
 
     def _place(self, message: Any) -> tuple[float, float, float]:
-        """By the height that the script has, too: of a PX4 that is the local one (``Telemetry`` says why)."""
+        """Returns the place in NED, with the height that the script has.
+
+        Of a PX4 the local one (``Telemetry`` says why).
+        """
         north, east, down = self._tangent.to_ned(message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
         if self._config.height_from == "sea_level":
             return north, east, down

@@ -14,7 +14,7 @@ SAFETY_ARMED = 128
 
 @dataclass(frozen=True, slots=True)
 class AutopilotKind:
-    """What differs on the wire between the two autopilots.
+    """The differences on the wire between the two autopilots.
 
     Attributes:
         name: as written in rigs.
@@ -34,8 +34,11 @@ class AutopilotKind:
         return self.modes.get(custom_mode, FlightMode.OTHER)
 
     def news(self, custom_mode: int, before: FlightMode, told: int) -> bool:
-        """Whether a CURRENT_MODE is believed before a heartbeat says the same. OFFBOARD is only against a pilot's mode
-        that one message alone has told: having landed, PX4 goes back to it before it says that it is disarmed."""
+        """Returns whether a CURRENT_MODE is believed before a heartbeat says the same.
+
+        OFFBOARD is only against a pilot's mode that one message alone has told: having landed, PX4 goes back to it
+        before it says that it is disarmed.
+        """
         one_alone = before is FlightMode.OTHER and told < SURE
         return self.mode(custom_mode) is not FlightMode.OFFBOARD or one_alone
 

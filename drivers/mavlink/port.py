@@ -33,7 +33,7 @@ class Transport(Protocol):
     shared: bool
 
     def read(self) -> tuple[bytes, Address | None]:
-        """What came in, and from where; empty when nothing waits."""
+        """Returns what came in, and from where; empty when nothing waits."""
         ...
 
     def write(self, packet: bytes, to: Address | None) -> None:
@@ -151,7 +151,7 @@ class MavlinkPort:
 
     @property
     def ignored(self) -> dict[str, int]:
-        """What came as the vehicle's and was not believed, in words, and how often."""
+        """Numbers of messages that came as the vehicle's and were not believed, by why, in words."""
         return self._source.ignored
 
     def close(self) -> None:

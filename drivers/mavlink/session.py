@@ -26,7 +26,7 @@ from drivers.interfaces import VehicleError
 from drivers.mavlink.modes import KINDS, AutopilotKind
 from drivers.mavlink.parameters import ParameterAccess
 from drivers.mavlink.port_lock import PortLock
-from drivers.mavlink.telemetry import AUTOPILOT_COMPONENT, Telemetry
+from drivers.mavlink.telemetry import AUTOPILOT_COMPONENT, TelemetrySlots
 
 POLL_S = 0.01
 CLOSE_S = 5.0
@@ -37,12 +37,12 @@ REAL32 = 9  # MAV_PARAM_TYPE
 RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
 
 _log = logging.getLogger("drivers.mavsdk")
-_logging: set[Session] = set()  # the open ones; MAVSDK has one log for all, and prints it when nobody takes it
+_logging: set[MavsdkSession] = set()  # the open ones; MAVSDK has one log for all, and prints it when nobody takes it
 
 
 @dataclass(frozen=True, slots=True)
 class SessionConfig:
-    """Who is talked to, as who, and how long anything may take."""
+    """The two ends of a session with a vehicle, and how long anything may take."""
 
     url: str
     sysid: int
@@ -54,10 +54,10 @@ class SessionConfig:
     heartbeat_timeout_s: float
 
 
-class Session:
+class MavsdkSession:
     """Opened by ``open``, closed by ``close``. All methods belong to the event loop and raise VehicleError."""
 
-    def __init__(self, config: SessionConfig, telemetry: Telemetry) -> None:
+    def __init__(self, config: SessionConfig, telemetry: TelemetrySlots) -> None:
         self._config = config
         self._clock = telemetry.clock
         self._telemetry = telemetry
@@ -239,7 +239,7 @@ class Session:
 
 
 async def _destroy(parts: Sequence[Any]) -> None:
-    """In this order. MAVSDK joins its threads here, and has been given no bound: so it is watched from outside.
+    """Destroys MAVSDK's parts in this order. It joins its threads here without a bound, so it is watched from outside.
 
     MAVSDK would end its plugins too, but not those that the garbage collector has come to know as unreachable: they
     would be ended by it in another thread at the same time, which aborts the process.

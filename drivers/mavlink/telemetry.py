@@ -35,7 +35,7 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class ReportedMode:
-    """As a heartbeat says it, or CURRENT_MODE: PX4 beats once a second whatever it is asked for."""
+    """The mode as a heartbeat says it, or CURRENT_MODE: PX4 beats once a second whatever it is asked for."""
 
     arrival_ns: int
     custom_mode: int
@@ -102,7 +102,7 @@ class ThreadClock:
         return time.monotonic_ns() + (self._offset_ns or 0)
 
 
-class Telemetry:
+class TelemetrySlots:
     """Slots, their handlers, and ``state`` made of them. Handlers run on MAVSDK's thread."""
 
     def __init__(
@@ -194,14 +194,14 @@ class Telemetry:
 
     @property
     def mode_told(self) -> int:
-        """How many messages in a row have said this mode."""
+        """The number of messages in a row that have said this mode."""
         return self.reported_mode.told if self.reported_mode else 0
 
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
         return self._history.attitude_at(stamp_ns)
 
     def missing(self) -> list[str]:
-        """What is not ready for flight. ``is_armable`` alone comes seconds before there is a position.
+        """Returns what is not ready for flight. ``is_armable`` alone comes seconds before there is a position.
 
         ArduPilot tells a global position, and MAVSDK finds it well, 15 s before it has one that it would fly with: then
         it begins to tell the local one.
@@ -297,9 +297,12 @@ class Telemetry:
         self.position = Position(self.clock.now_ns(), n_m, above_home_m)
 
     def _above_home_m(self, position: Any) -> float:
-        """PX4 flies on one of several estimators: when it goes over to another one its altitude steps, by a metre in
+        """Returns the height above home, m: of a PX4 from the local frame, else as it is told.
+
+        PX4 flies on one of several estimators. When it goes over to another one its altitude steps, by a metre in
         simulation, and its home's place in the local frame with it; its own place in that frame does not. It puts its
-        home where it is armed. What was met in the air is believed: nothing better is known."""
+        home where it is armed. What was met in the air is believed: nothing better is known.
+        """
         above_m = self._ground_down_m - self._local_down_m
         return above_m if self.kind is PX4 and math.isfinite(above_m) else float(position.relative_altitude_m)
 

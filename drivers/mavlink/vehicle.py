@@ -14,8 +14,8 @@ from drivers.interfaces import SURE, FlightMode, TakenOver, VehicleError, Vehicl
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.modes import ARDUPILOT, CUSTOM_MODE_ENABLED, PX4, AutopilotKind
 from drivers.mavlink.parameters import Difference, differences
-from drivers.mavlink.session import ACCEPTED, ARM_DISARM, RESULTS, Session, SessionConfig
-from drivers.mavlink.telemetry import Telemetry
+from drivers.mavlink.session import ACCEPTED, ARM_DISARM, RESULTS, MavsdkSession, SessionConfig
+from drivers.mavlink.telemetry import TelemetrySlots
 from drivers.mavlink.vision import VisionConfig, VisionFeed
 from drivers.rig.part_check import Finding, counted
 from drivers.rig.parts import PartContext
@@ -102,7 +102,7 @@ class MavsdkVehicle:
         self._config = config
         origin = context.origin
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
-        self._telemetry = Telemetry(
+        self._telemetry = TelemetrySlots(
             config.sysid, context.clock, tangent, config.height_from == "home", config.vision is not None
         )
         session = SessionConfig(
@@ -116,7 +116,7 @@ class MavsdkVehicle:
             heartbeat_timeout_s=config.heartbeat_timeout_s,
         )
         self._clock = self._telemetry.clock
-        self._session = Session(session, self._telemetry)
+        self._session = MavsdkSession(session, self._telemetry)
         self._kind: AutopilotKind = PX4
         self._vision = config.vision and VisionFeed(config.vision, context, self._session, self._telemetry)
         self._feeding: asyncio.Task[None] | None = None
@@ -157,7 +157,7 @@ class MavsdkVehicle:
         return self._telemetry.attitude_at(stamp_ns)
 
     async def examine(self) -> Sequence[Finding]:
-        """Which autopilot it is, how often it tells what was asked of it, what it waits for before it can be armed."""
+        """Returns which autopilot it is, how often it tells what was asked of it, and what arming waits for."""
         telemetry = self._telemetry
         await self._session.command(REQUEST_MESSAGE, (AUTOPILOT_VERSION,), SAFE_TRIES)
         await self._session.until(lambda: telemetry.firmware is not None, self._config.command_timeout_s)
@@ -176,7 +176,7 @@ class MavsdkVehicle:
         return findings
 
     async def parameter_differences(self) -> tuple[Difference, ...]:
-        """What is not as the rig's ``parameters`` want it. Raises VehicleError."""
+        """Returns the parameters that are not as the rig's ``parameters`` want them. Raises VehicleError."""
         access, wanted = self._session.parameters, self._config.parameters
         if access is None:
             raise VehicleError(f"{self._config.url} is not open", "enter the vehicle with `async with` first")
@@ -336,7 +336,10 @@ class MavsdkVehicle:
     async def _until_mode(
         self, mode: FlightMode, sent_ns: int, what: str, or_else: Callable[[], bool] = lambda: False
     ) -> None:
-        """Until a report younger than the command shows the mode: an older one may still show the last but one."""
+        """Waits until a report younger than the command shows the mode.
+
+        An older one may still show the last but one.
+        """
         telemetry = self._telemetry
 
         def shown() -> bool:
@@ -351,8 +354,11 @@ class MavsdkVehicle:
             )
 
     async def _until_down(self, end_ns: int, timeout_s: float) -> None:
-        """Until it is disarmed. Having landed, PX4 goes back to the mode before it, and tells so up to a heartbeat
-        before it tells that it is disarmed: a mode of a script's is another's only when it stays armed."""
+        """Waits until it is disarmed.
+
+        Having landed, PX4 goes back to the mode before it, and tells so up to a heartbeat before it tells that it is
+        disarmed. So a mode of a script's is another's only when it stays armed.
+        """
         session, telemetry = self._session, self._telemetry
 
         def down() -> bool:
@@ -374,8 +380,10 @@ class MavsdkVehicle:
                 raise TakenOver(f"landing ended by a change to mode {telemetry.mode.value}", "the pilot has control")
 
     async def _climb(self, height_m: float, there: FlightMode, timeout_s: float) -> None:
-        """Until at the height and steady. A pilot's mode, a hold, a landing or disarming on the way ends it with an
-        error."""
+        """Waits until at the height and steady.
+
+        A pilot's mode, a hold, a landing or disarming on the way ends it with an error.
+        """
         telemetry, config = self._telemetry, self._config
         expected = {FlightMode.TAKEOFF, FlightMode.HOLD, there}
         # The heartbeat may still show the mode before the take-off.

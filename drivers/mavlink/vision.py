@@ -11,8 +11,8 @@ import numpy as np
 
 from drivers.interfaces import BeaconError, BeaconFix, Beacons
 from drivers.mavlink.modes import PX4, AutopilotKind
-from drivers.mavlink.session import Session
-from drivers.mavlink.telemetry import Telemetry
+from drivers.mavlink.session import MavsdkSession
+from drivers.mavlink.telemetry import TelemetrySlots
 from drivers.rig.parts import Origin, PartContext, PartSpec, create
 from path.bounds import Bounds
 from path.messages import Vec3
@@ -68,7 +68,9 @@ class VisionFeed:
             positions and has come to rest on them.
     """
 
-    def __init__(self, config: VisionConfig, context: PartContext, session: Session, telemetry: Telemetry) -> None:
+    def __init__(
+        self, config: VisionConfig, context: PartContext, session: MavsdkSession, telemetry: TelemetrySlots
+    ) -> None:
         self._config, self._origin = config, context.origin
         self._session, self._telemetry = session, telemetry
         self._beacons: Beacons = create(config.beacons, context)
@@ -133,8 +135,11 @@ class VisionFeed:
 
 
 def origin_fields(origin: Origin, kind: AutopilotKind | None) -> dict[str, object]:
-    """SET_GPS_GLOBAL_ORIGIN. At sea level for a PX4: whenever it begins with vision anew, after a second without, it
-    takes its height for an altitude, and its local frame would jump by the origin's."""
+    """Returns the fields of SET_GPS_GLOBAL_ORIGIN, at sea level for a PX4.
+
+    Whenever that begins with vision anew, after a second without, it takes its height for an altitude, and its local
+    frame would jump by the origin's.
+    """
     altitude_m = 0.0 if kind is PX4 else origin.altitude_m
     return {
         "latitude": round(origin.latitude_deg * 1e7),

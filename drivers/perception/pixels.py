@@ -38,7 +38,7 @@ UNCUT_IOU, CUT_SCORE = 0.85, 0.5  # of a box with the same before depth cut some
 
 
 @dataclass(frozen=True, slots=True)
-class PixelSightConfig:
+class PixelPerceptionConfig:
     """
     Attributes:
         camera, detector: parts by name.
@@ -56,12 +56,12 @@ class PixelSightConfig:
     max_old_frames: Annotated[int, Bounds(1, 10000, "frames")] = 30
 
 
-class PixelSight:
-    """Implements ``drivers.interfaces.Sight`` over a camera, which it opens, and a detector."""
+class PixelPerception:
+    """Implements ``drivers.interfaces.Perception`` over a camera, which it opens, and a detector."""
 
-    Config = PixelSightConfig
+    Config = PixelPerceptionConfig
 
-    def __init__(self, config: PixelSightConfig, context: PartContext) -> None:
+    def __init__(self, config: PixelPerceptionConfig, context: PartContext) -> None:
         self._config = config
         self._camera: Camera = create(config.camera, context)
         self._detector: Detector = create(config.detector, context)
@@ -82,7 +82,7 @@ class PixelSight:
 
     @property
     def lacks(self) -> frozenset[Capability]:
-        """What the camera lacks, but for ranges that the target's size gives."""
+        """The abilities that the camera lacks, but for ranges that the target's size gives."""
         of_camera = lacking(self._camera)
         return of_camera if self._ranging is None else of_camera - {Capability.RANGE}
 
@@ -92,7 +92,7 @@ class PixelSight:
         return rate_of(self._camera)
 
     async def examine(self) -> Sequence[Finding]:
-        """What the camera says of itself, and whether it is the calibrated one."""
+        """Returns the camera's own findings, and whether it is the calibrated one."""
         return [*await examined(self._camera), self._serial()]
 
     def _serial(self) -> Finding:
@@ -205,7 +205,7 @@ class PixelView:
         return self._frame.color
 
     def _may_be_within(self, region: Region, box: Box) -> bool:
-        """Whether a target in this box can be as far away as the region says; yes where that is not known."""
+        """Returns whether a target in this box can be as far away as the region says; yes where that is not known."""
         depth = None if self._ranging is None else self._ranging(box)
         if depth is None:
             return True

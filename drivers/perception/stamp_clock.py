@@ -16,15 +16,15 @@ WRAP_NS = (1 << 32) * 1000  # the counter of a D400 has 32 bits of microseconds:
 
 
 class Domain(Enum):
-    """Whose clock stamped a frame; the values are librealsense's names."""
+    """The clock that stamped a frame; the values are librealsense's names."""
 
     HARDWARE = "hardware_clock"
     SYSTEM = "system_time"
     GLOBAL = "global_time"
 
 
-class Refused(Enum):
-    """Why a stamp is not used."""
+class StampRefused(Enum):
+    """The reason why a stamp is not used."""
 
     OLD = "repeats or goes back"
     CLOCK = "is not of this computer's time"
@@ -78,7 +78,7 @@ class StampClock:
         self._arrival_ns = 0
         self._mapped_ns: int | None = None
 
-    def to_role(self, stamp_ns: int, domain: Domain, arrival_ns: int, wall_offset_ns: int) -> int | Refused:
+    def to_role(self, stamp_ns: int, domain: Domain, arrival_ns: int, wall_offset_ns: int) -> int | StampRefused:
         """The stamp in the role's clock, always later than the one before; never after the arrival while it follows.
 
         Args:
@@ -91,10 +91,10 @@ class StampClock:
         else:
             mapped = stamp_ns - wall_offset_ns
             if not -self._config.max_ahead_ns <= arrival_ns - mapped <= self._config.max_age_ns:
-                return Refused.CLOCK
+                return StampRefused.CLOCK
             mapped = min(mapped, arrival_ns)
         if self._mapped_ns is not None and mapped <= self._mapped_ns:
-            return Refused.OLD
+            return StampRefused.OLD
         self._mapped_ns = mapped
         return mapped
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from drivers.clock import busy_ns, wall_offset_ns
 from drivers.interfaces import CameraError, Clock, Frame
-from drivers.perception.stamp_clock import Domain, Refused, StampClock, StampConfig, StampLine
+from drivers.perception.stamp_clock import Domain, StampClock, StampConfig, StampLine, StampRefused
 from drivers.realsense.library import QUEUE_FRAMES, Identity, Kind, RawImage, RealSenseDevice, Streams, identity_of
 from drivers.realsense.registration import DepthRegistration, warm_up
 from drivers.realsense.sources import DeviceSource
@@ -50,7 +50,7 @@ class StreamConfig:
 
 @dataclass(slots=True)
 class StreamCounters:
-    """What was done. ``*_ns`` are CPU time of the thread that did it: of the stream's, and of who takes frames.
+    """Counters of a stream. ``*_ns`` are CPU time of the thread that did it: of the stream's, and of who takes frames.
 
     ``domain`` is whose clock stamps the frames, ``age_ns`` how old the newest pair was when it arrived.
     """
@@ -70,7 +70,7 @@ class StreamCounters:
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class ImagePair:
     """Two images that were taken together; ``stamp_ns`` is that of colour, role clock."""
 
     stamp_ns: int
@@ -126,7 +126,7 @@ class PairStream(threading.Thread):
         self._source, self._config, self._color, self._clock, self._on_news = source, config, color, clock, on_news
         self._ending = threading.Event()
         self._lock = threading.Lock()
-        self._newest: Pair | None = None
+        self._newest: ImagePair | None = None
         self._last_id = -1
         self._started_ns = 0
         self._tolerance_ns = round(0.5e9 / config.streams.fps)
@@ -226,7 +226,7 @@ class PairStream(threading.Thread):
                 if base is None:  # a device that was opened again may count from the beginning again
                     base = max(self._last_id + 1 - color.number, 0)
                 frame_id = max(base + color.number, self._last_id + 1)
-                self._publish(Pair(stamp_ns, frame_id, color, depth, registration))
+                self._publish(ImagePair(stamp_ns, frame_id, color, depth, registration))
                 paired_s = heard_s
             elif device.at_end or time.monotonic() - paired_s > limit_s:
                 raise self._silent(time.monotonic() - paired_s, heard=heard_s > paired_s)
@@ -257,16 +257,16 @@ class PairStream(threading.Thread):
         """The role's stamp of a pair; None, and counted, when there is none to be trusted."""
         wall_ns = wall_offset_ns(self._clock.now_ns)
         stamp_ns = clock.to_role(color.stamp_ns, color.image.domain, color.arrival_ns, wall_ns)
-        if not isinstance(stamp_ns, Refused):
+        if not isinstance(stamp_ns, StampRefused):
             self.counters.domain, self.counters.age_ns = color.image.domain, color.arrival_ns - stamp_ns
             return stamp_ns
-        if stamp_ns is Refused.OLD:
+        if stamp_ns is StampRefused.OLD:
             self.counters.old += 1
         else:
             self.counters.clock += 1
         return None
 
-    def _publish(self, pair: Pair) -> None:
+    def _publish(self, pair: ImagePair) -> None:
         with self._lock:
             self.counters.replaced += self._newest is not None
             self._newest, self._last_id, self.trouble = pair, pair.frame_id, None

@@ -53,7 +53,7 @@ class RecordedFrame:
 
 
 class Recording(Protocol):
-    """What was recorded. ``count``: frames, None when that is not known before they are read."""
+    """A recording's frames. ``count``: their number, None when that is not known before they are read."""
 
     @property
     def name(self) -> str: ...
@@ -62,7 +62,7 @@ class Recording(Protocol):
     def count(self) -> int | None: ...
 
     def frames(self) -> Iterator[RecordedFrame]:
-        """From the beginning. Raises RecordingError where it is damaged."""
+        """Yields the frames from the beginning. Raises RecordingError where it is damaged."""
         ...
 
 
@@ -99,7 +99,7 @@ def open_recording(file: Path, options: RecordingOptions | None = None) -> Recor
     if file.is_dir():
         recording: Recording = Folder(file, options)
     elif file.suffix.lower() == ".mcap":
-        recording = Log(file, options.topic)
+        recording = RecordedLog(file, options.topic)
     elif file.suffix.lower() in VIDEO_SUFFIXES:
         recording = Video(file)
     else:
@@ -164,7 +164,7 @@ class Folder:
             yield RecordedFrame(file.name, stamp_ns, lambda file=file: load(file))
 
 
-class Log:
+class RecordedLog:
     """Images in a log of PATH (MCAP), with the stamps they were logged with."""
 
     count: int | None = None

@@ -7,13 +7,13 @@ harness = "hil.harness.sitl:Sitl"            # left out in the field
 [method]                             # path.config.MethodConfig
 [mission]                            # decoded by the missions
 [world]                              # decoded by the harness
-[trials]                             # what trials measure against: studio = "hil.camera.pictures:Studio", ...
+[trials]                             # what trials measure against: studio = "hil.camera.pictures:CameraRenderer", ...
 [relay]                              # decoded by a relay: its drones, their batteries and homes
 [reference.sender], .receiver, .target   # beacons that trials measure against; [reference.beacons] is who listens
 [[markers]]                          # the marker layout on the sender, in frame v
 [sender.vehicle]                     # a part: its factory, and the options of its Config
 factory = "drivers.mavlink.vehicle:MavsdkVehicle"
-[sender.sight], [sender.link], [sender.clock], [sender.camera], [sender.mount.camera], [sender.mount.marker]
+[sender.perception], [sender.link], [sender.clock], [sender.camera], [sender.mount.camera], [sender.mount.marker]
 [sender.guard]                       # may be left out: the guard's own link to the vehicle
 [receiver. ...]                      # the same, without mount.marker
 
@@ -100,9 +100,9 @@ class _Marker:
 
 
 @dataclass(frozen=True, slots=True)
-class _Sender:
+class _SenderTable:
     vehicle: PartSpec
-    sight: PartSpec
+    perception: PartSpec
     link: PartSpec
     clock: PartSpec
     camera: _Camera
@@ -111,9 +111,9 @@ class _Sender:
 
 
 @dataclass(frozen=True, slots=True)
-class _Receiver:
+class _ReceiverTable:
     vehicle: PartSpec
-    sight: PartSpec
+    perception: PartSpec
     link: PartSpec
     clock: PartSpec
     camera: _Camera
@@ -127,8 +127,8 @@ class _RigTable:
     level: Level
     origin: Origin
     markers: tuple[_Marker, ...]
-    sender: _Sender
-    receiver: _Receiver
+    sender: _SenderTable
+    receiver: _ReceiverTable
     description: str = ""
     harness: str | None = None
     marker_dictionary: str = "DICT_4X4_50"
@@ -251,11 +251,11 @@ def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
     )
 
 
-def _role_rig(written: _Sender | _Receiver, T_b_v: Pose) -> RoleRig:
+def _role_rig(written: _SenderTable | _ReceiverTable, T_b_v: Pose) -> RoleRig:
     mount, camera = Mount(written.mount.camera.pose(), T_b_v), written.camera
     return RoleRig(
         vehicle=written.vehicle,
-        sight=written.sight,
+        perception=written.perception,
         link=written.link,
         clock=written.clock,
         camera=camera.model,

@@ -248,7 +248,7 @@ def _refuse(value: Any, kind: Any, where: str, problems: Problems) -> Any:
 
 
 def _expected(kind: Any) -> str:  # noqa: PLR0911
-    """What a person may write there."""
+    """Returns what a person may write for a value of this kind."""
     origin, args = get_origin(kind), get_args(kind)
     if origin is Annotated:
         return _expected(args[0])

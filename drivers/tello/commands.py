@@ -42,7 +42,7 @@ _open: dict[str, TelloLink] = {}  # by host: camera and vehicle of a drone share
 _state_port: list[int] = []  # that the library of this process listens on
 
 
-class _Slot(dict[str, Any]):
+class _TelloSlot(dict[str, Any]):
     """Stands in djitellopy's table of drones: tells when a state packet or an answer came."""
 
     def __init__(self, link: TelloLink) -> None:
@@ -91,7 +91,7 @@ class TelloLink:
         self.late = 0
         self.on_report: Callable[[TelloReport], None] | None = None
         self.tello: Any = None
-        self._slot: _Slot | None = None
+        self._slot: _TelloSlot | None = None
         self._users = 0
         self._asking = asyncio.Lock()
         self._owed: list[tuple[str, float]] = []  # commands without an answer yet, and when they were given up
@@ -165,7 +165,7 @@ class TelloLink:
         return self._slot.answers.take() if self._slot is not None else []
 
     def on_state(self, fields: dict[str, Any]) -> None:
-        """On the library's thread; must not raise there."""
+        """Takes a state packet on the library's thread; must not raise there."""
         report = read_report(fields, self.clock.now_ns())
         if report is None:
             self.bad_reports += 1
@@ -188,7 +188,10 @@ class TelloLink:
             self._forget()
 
     def _forget(self) -> None:
-        """Without the library's ``end``, which would land a drone that it believes to fly, seven seconds long."""
+        """Forgets the drone without the library's ``end``.
+
+        That would land a drone that it believes to fly, seven seconds long.
+        """
         host = self.address.host
         if self._slot is not None and library.drones.get(host) is self._slot:
             del library.drones[host]
@@ -221,7 +224,7 @@ class TelloLink:
         made.address = (address.host, address.command_port)
         if not _state_port:
             _state_port.append(address.state_port)
-        self._slot = _Slot(self)
+        self._slot = _TelloSlot(self)
         library.drones[address.host] = self._slot
         _open[address.host] = self
         return made

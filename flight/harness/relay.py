@@ -45,7 +45,7 @@ class RelayDrone:
     name: str
     home_m: Annotated[Point, Bounds(-1000, 1000)]
     clock: PartSpec | None = None
-    sight: PartSpec | None = None
+    perception: PartSpec | None = None
     vehicle: PartSpec | None = None
     guard: PartSpec | None = None
     link: PartSpec | None = None
@@ -109,7 +109,7 @@ def _role(rig: Rig, drone: RelayDrone, role: str) -> RoleRig:
     return replace(
         built,
         clock=drone.clock or built.clock,
-        sight=drone.sight or built.sight,
+        perception=drone.perception or built.perception,
         vehicle=drone.vehicle or built.vehicle,
         guard=drone.guard or built.guard,
         link=drone.link or (built.link if role == "sender" else rig.receiver.link),
@@ -119,7 +119,7 @@ def _role(rig: Rig, drone: RelayDrone, role: str) -> RoleRig:
 
 
 class DroneProgram(Protocol):
-    """What runs on one drone, from opening its parts to the vehicle on the ground."""
+    """The program of one drone, from opening its parts to the vehicle on the ground."""
 
     def __call__(
         self, name: str, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess, store: RecordStore
@@ -138,7 +138,7 @@ class RelayField(Protocol):
         ...
 
     def landed(self, name: str) -> bool:
-        """Whether it is seen to stand on the ground, its motors off."""
+        """Returns whether it is seen to stand on the ground, its motors off."""
         ...
 
     def swap(self, name: str) -> None:
@@ -148,7 +148,7 @@ class RelayField(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DroneProcesses:
-    """How the drones' programs are run as processes, and reach those on the ground: lines of JSON, either way.
+    """The drones' programs as processes, and their way to those on the ground: lines of JSON, either way.
 
     Attributes:
         command: of a drone's program. It prints ``flight.harness.flights.encode_event``'s lines, ``{"event": "record",
@@ -189,7 +189,7 @@ class RelayRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class FlightTruth:
     """One flight in truth, from switching on to the ground."""
 
     drone: str
@@ -199,7 +199,7 @@ class Flown:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class FieldSample:
     """The truth now and then: who is responsible (by their own word), and every battery."""
 
     time_s: float
@@ -210,7 +210,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class RelayReport:
-    """What the harness saw.
+    """The harness's report of a relay.
 
     ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``errors``: as in ``FlightReport``.
     """
@@ -218,8 +218,8 @@ class RelayReport:
     violations: Mapping[str, int]
     notes: Sequence[str]
     gaps_s: Mapping[int, float]
-    flown: Sequence[Flown]
-    samples: Sequence[Sample]
+    flown: Sequence[FlightTruth]
+    samples: Sequence[FieldSample]
     closest_m: float
     simulated_s: float
     wall_s: float

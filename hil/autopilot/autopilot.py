@@ -80,7 +80,7 @@ class Autopilot:
 
     @property
     def newest_setpoint_s(self) -> float:
-        """When it came; minus infinity before the first."""
+        """The instant of the newest setpoint; minus infinity before the first."""
         return self._setpoint_s
 
     @property

@@ -1,4 +1,4 @@
-"""What goes into and comes out of the autopilot: settings, estimate, commands, answers and texts."""
+"""Inputs and outputs of the autopilot: settings, estimate, commands, answers and texts."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class AutopilotConfig:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What the estimator says. Position (N, E, D) from the mission origin, velocity NED, attitude wxyz body to NED."""
+    """The estimator's output. Position (N, E, D) from the mission origin, velocity NED, attitude wxyz body to NED."""
 
     time_s: float
     position_n_m: Vec3
@@ -62,7 +62,10 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class RateCommand:
-    """To the velocity loop. ``velocity_n_mps`` None: motors idle on the ground; ``thrust_on`` False: motors off."""
+    """A command to the velocity loop.
+
+    ``velocity_n_mps`` None: motors idle on the ground; ``thrust_on`` False: motors off.
+    """
 
     velocity_n_mps: Vec3 | None
     yaw_rad: float

@@ -24,7 +24,7 @@ from drivers.interfaces import BeaconError
 from drivers.mavlink.vision import VisionConfig
 from drivers.rig.parts import PartContext, Rig
 from drivers.rig.tables import RigError, decode_table
-from hil.beacons.system import BeaconConfig, BeaconSystem, Chunk, Frame, truth_of
+from hil.beacons.system import BeaconConfig, BeaconFrame, BeaconSystem, ByteChunk, truth_of
 from hil.camera.shared import RUN_VARIABLE
 from hil.world.snapshot import Snapshot
 from path.messages import Role, Vec3
@@ -54,20 +54,20 @@ class SerialCable:
         self.link.symlink_to(os.ttyname(port))
 
     def send(self, data: bytes) -> None:
-        """What nobody reads in time is lost, as on a wire."""
+        """Sends bytes from the port. As on a wire, what nobody reads in time is lost."""
         if self._ends is not None:
             with suppress(BlockingIOError):
                 os.write(self._ends[0], data)
 
     def received(self) -> bytes:
-        """What was written to the port."""
+        """Returns what was written to the port."""
         with suppress(BlockingIOError):
             if self._ends is not None:
                 return os.read(self._ends[0], 65536)
         return b""
 
     def unplug(self) -> None:
-        """Who has the port open reads its end."""
+        """Closes the port; a program that has it open reads its end."""
         if self._ends is not None:
             self.link.unlink(missing_ok=True)
             for end in self._ends:
@@ -96,7 +96,7 @@ class BeaconThread(threading.Thread):
         self._ending = threading.Event()
 
     def run(self) -> None:
-        due: deque[tuple[Chunk, SerialCable]] = deque()
+        due: deque[tuple[ByteChunk, SerialCable]] = deque()
         for turn_s, name in self._system.turns(self._now_s()):
             while True:
                 now_s = self._now_s()
@@ -194,7 +194,7 @@ def open_hedges(
 
 
 def _vision(rig: Rig, role: Role) -> VisionConfig | None:
-    """What the drone's autopilot is fed with, when this run makes it up."""
+    """Returns how the drone's autopilot is fed, when this run makes it up; else None."""
     table = rig.role(role).vehicle.options.get("vision")
     if table is None:
         return None
@@ -202,11 +202,11 @@ def _vision(rig: Rig, role: Role) -> VisionConfig | None:
     return vision if vision.beacons.factory.startswith(f"{__name__}:") else None
 
 
-def frame_of(x_heading_deg: float, zero_n_m: Vec3) -> Frame:
+def frame_of(x_heading_deg: float, zero_n_m: Vec3) -> BeaconFrame:
     """The beacons' frame as a ``VisionConfig`` has it, from the world's (ENU)."""
     yaw_rad = math.radians(x_heading_deg - 90.0)
     north_m, east_m, down_m = zero_n_m
-    return Frame(yaw_rad, -R_from_rpy(0.0, 0.0, yaw_rad) @ (east_m, north_m, -down_m))
+    return BeaconFrame(yaw_rad, -R_from_rpy(0.0, 0.0, yaw_rad) @ (east_m, north_m, -down_m))
 
 
 def link_of(run: str, role: Role | None = None) -> Path:
@@ -216,7 +216,7 @@ def link_of(run: str, role: Role | None = None) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class PtyBeaconsConfig:
-    """Nothing to set: the port is the run's own."""
+    """The options of beacons on the run's own port: there are none."""
 
 
 class PtyBeacons(Marvelmind):

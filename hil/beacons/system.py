@@ -99,7 +99,7 @@ class BeaconConfig:
         )
 
 
-class Frame(NamedTuple):
+class BeaconFrame(NamedTuple):
     """The system's frame: a point of the world, ``p``, is ``Rz(yaw) p + origin`` in it."""
 
     yaw_rad: float
@@ -107,7 +107,7 @@ class Frame(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Chunk:
+class ByteChunk:
     """Bytes that reach the listener together, at an instant of the world."""
 
     arrives_s: float
@@ -136,7 +136,7 @@ class BeaconSystem:
         seed: int,
         addresses: Mapping[str, int],
         drift_from_s: float = 0.0,
-        surveyed: Frame | None = None,
+        surveyed: BeaconFrame | None = None,
     ) -> None:
         """``surveyed``: the frame, where it was laid out with care; drawn by seed when None."""
         self._config, self._rng = config, np.random.default_rng([seed, 0xBEAC])
@@ -145,7 +145,7 @@ class BeaconSystem:
         self._clock_s, self.listener_offset_s = EPOCH_S + rng.uniform(-1.0, 1.0, 2) * config.clock_offset_s
         self._drift, self._listener_drift = 1e-6 * config.drift_ppm * rng.uniform(-1.0, 1.0, 2)
         self._drift_from_s = drift_from_s
-        drawn = Frame(float(rng.uniform(-math.pi, math.pi)), rng.uniform(-10.0, 10.0, 3))
+        drawn = BeaconFrame(float(rng.uniform(-math.pi, math.pi)), rng.uniform(-10.0, 10.0, 3))
         self.yaw_rad, self.origin_m = surveyed or drawn
         self._R = R_from_rpy(0.0, 0.0, self.yaw_rad)
         self._warp = _Warp(config, rng)
@@ -166,7 +166,7 @@ class BeaconSystem:
         """The listener's clock at an instant of the world."""
         return world_s + self.listener_offset_s + self._listener_drift * (world_s - self._drift_from_s)
 
-    def hear(self, name: str, time_s: float, place_w: Array) -> Chunk:
+    def hear(self, name: str, time_s: float, place_w: Array) -> ByteChunk:
         """One turn of one beacon: what the line brings because of it, perhaps nothing of use.
 
         Args:
@@ -179,7 +179,7 @@ class BeaconSystem:
         late_s = rng.uniform(0.0, config.late_s) if rng.random() < config.late_rate else 0.0
         way_s = config.wire_s + rng.exponential(config.wire_jitter_s) + late_s
         self._line_free_s = max(self._line_free_s, time_s + latency_s + way_s)  # bytes do not overtake each other
-        return Chunk(self._line_free_s, data)
+        return ByteChunk(self._line_free_s, data)
 
     def _frames(self, name: str, time_s: float, place_w: Array, latency_s: float) -> Iterator[bytes]:
         address = self._addresses[name]
@@ -258,7 +258,7 @@ def listen(
 
 
 def truth_of(system: BeaconSystem, config: BeaconConfig) -> BeaconTruth:
-    """What a trial may be judged by."""
+    """Returns the truth that a trial may be judged by."""
     x, y, z = system.origin_m.tolist()
     return BeaconTruth(-float(system.listener_offset_s), system.yaw_rad, (x, y, z), config.table)
 

@@ -1,4 +1,4 @@
-"""A studio that renders: implements ``flight.harness.renderer.Studio`` with the renderer of the simulated world."""
+"""The renderer of trials: implements ``flight.harness.renderer.FrameRenderer`` with that of the simulated world."""
 
 from __future__ import annotations
 
@@ -10,7 +10,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flight.harness.renderer import DepthNoise, Imaging, PlacedBoard, Printing, Shot, Stage, StudioSetup, Thing
+from flight.harness.renderer import (
+    DepthNoise,
+    Imaging,
+    PlacedBoard,
+    Printing,
+    RenderedInstant,
+    RendererSetup,
+    Shot,
+    Thing,
+)
 from hil.camera.pipeline import develop, is_plain
 from hil.render.bodies import Body, flying, lying, standing
 from hil.render.people import person
@@ -29,14 +38,14 @@ CAR, PLAIN_DRONE = car(), drone()
 LIGHTS = 8  # different shadows and blades; every shot has one of them
 
 
-class Studio:
+class CameraRenderer:
     """One camera. Call it from one thread at a time.
 
     Raises:
         ValueError: a setting that cannot be, or a camera with pixels without a ray.
     """
 
-    def __init__(self, setup: StudioSetup, seed: int) -> None:
+    def __init__(self, setup: RendererSetup, seed: int) -> None:
         self._setup = setup
         self._seed = seed
         noise = _sensor_noise(setup.imaging, setup.depth)
@@ -44,15 +53,15 @@ class Studio:
         self._blank = marked_drone(setup.T_b_v, setup.layout, hidden=True)
         self._marked: dict[int, Model] = {}
 
-    def shoot(self, stage: Stage, role: Role, shot_seed: int) -> Shot:
-        """What the role's camera delivers. The drone of the role must be on the stage."""
+    def shoot(self, stage: RenderedInstant, role: Role, shot_seed: int) -> Shot:
+        """Returns the image that the role's camera delivers. The drone of the role must be on the stage."""
         key = self._renderer.key(role, shot_seed)
         light, depth = self._renderer.draw(stage.T_w_b[role], self._bodies(stage, role, key % LIGHTS), key)
         if is_plain(self._setup.imaging):
             return Shot(self._renderer.expose(light, key), depth)
         return Shot(develop(light, self._setup.imaging, np.random.default_rng(key)), depth)
 
-    def true_depth_m(self, stage: Stage, role: Role, u: float, v: float) -> float | None:
+    def true_depth_m(self, stage: RenderedInstant, role: Role, u: float, v: float) -> float | None:
         """Exact depth along the optical axis of what is seen at a pixel, rotors excepted; None for the sky."""
         x, y = self._setup.camera.ray(u, v)
         if not math.isfinite(x):
@@ -89,7 +98,7 @@ class Studio:
             self._marked[light] = marked_drone(setup.T_b_v, setup.layout, hidden=False, prints=prints)
         return self._marked[light]
 
-    def _bodies(self, stage: Stage, role: Role, light: int = 0) -> list[Body]:
+    def _bodies(self, stage: RenderedInstant, role: Role, light: int = 0) -> list[Body]:
         """Everything on the stage but the drone of the role."""
         drones = [
             flying(

@@ -25,7 +25,7 @@ SLOT_HEADER_BYTES = 64
 
 
 def folder() -> Path:
-    """Where segments live: memory where the system has a file system for it."""
+    """Returns the folder of segments: in memory where the system has a file system for it."""
     memory = Path("/dev/shm")
     return memory if memory.is_dir() and os.access(memory, os.W_OK) else Path(tempfile.gettempdir())
 
@@ -68,7 +68,10 @@ def writer_lives(segment: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where things are in a segment of ``slots`` frames; sizes are (width, height) in px. ``fps``: what is aimed at."""
+    """The places of things in a segment of ``slots`` frames; sizes are (width, height) in px.
+
+    ``fps``: what is aimed at.
+    """
 
     color_size: tuple[int, int]
     depth_size: tuple[int, int]
@@ -96,11 +99,11 @@ class Layout:
         return HEADER_BYTES + self.slots * self.slot_bytes
 
     def words(self) -> tuple[int, ...]:
-        """As in the segment's header, after the magic number."""
+        """The numbers in the segment's header, after the magic number."""
         return *self.color_size, *self.depth_size, self.fps, self.slots
 
 
-class Segment:
+class FrameSegment:
     """NumPy views into a mapped segment.
 
     ``header``: magic, colour width and height, depth width and height, fps, slots, newest sequence number (0: none).
@@ -133,7 +136,7 @@ class Segment:
             self._memory.close()
 
 
-def map_segment(path: Path) -> Segment | None:
+def map_segment(path: Path) -> FrameSegment | None:
     """Map a segment that a living writer publishes; None when there is none."""
     if not writer_lives(path):
         return None
@@ -149,7 +152,7 @@ def map_segment(path: Path) -> Segment | None:
     if magic != MAGIC:
         memory.close()
         raise CameraError(f"{path} holds no camera frames of this version", "remove it and start again")
-    return Segment(memory, Layout((width, height), (depth_width, depth_height), fps, slots))
+    return FrameSegment(memory, Layout((width, height), (depth_width, depth_height), fps, slots))
 
 
 def bind(path: Path) -> socket.socket:

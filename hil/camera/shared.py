@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from drivers.interfaces import CameraError
 from hil.camera.segment import (
     MAGIC,
+    FrameSegment,
     Layout,
-    Segment,
     bind,
     folder,
     map_segment,
@@ -61,7 +61,7 @@ class SharedCameraWriter:
         self._path = segment_path(run, role)
         self._layout = Layout(color_size, depth_size, fps, slots)
         self._sequence = 0
-        self._segment: Segment | None = None
+        self._segment: FrameSegment | None = None
         self._handle = -1
         self._socket: socket.socket | None = None
 
@@ -75,7 +75,7 @@ class SharedCameraWriter:
         fcntl.flock(self._handle, fcntl.LOCK_EX)
         os.ftruncate(self._handle, self._layout.total_bytes)
         memory = mmap.mmap(self._handle, self._layout.total_bytes)
-        self._segment = Segment(memory, self._layout)
+        self._segment = FrameSegment(memory, self._layout)
         self._segment.header[:8] = (MAGIC, *self._layout.words(), 0)
         new.replace(self._path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -111,7 +111,7 @@ class SharedCameraWriter:
         np.copyto(segment.colors[slot], color, casting="no")
         np.copyto(segment.depths[slot], depth_mm, casting="no")
         header[0] = 2 * self._sequence
-        segment.header[Segment.NEWEST] = self._sequence
+        segment.header[FrameSegment.NEWEST] = self._sequence
         assert self._socket is not None
         # No reader yet, or one whose queue is full and that will wake anyway: either is no concern of the world's.
         with suppress(OSError):
@@ -134,7 +134,7 @@ class SharedCameraReader:
     def __init__(self, run: str, role: Role, open_timeout_s: float) -> None:
         self._path = segment_path(run, role)
         self._open_timeout_s = open_timeout_s
-        self._segment: Segment | None = None
+        self._segment: FrameSegment | None = None
         self._socket: socket.socket | None = None
         self._given = 0
         self.skipped = 0
@@ -149,7 +149,7 @@ class SharedCameraReader:
             self._segment = None
             raise
         # What was written before this reader came is old: start with the next frame.
-        self._given = int(self._segment.header[Segment.NEWEST])
+        self._given = int(self._segment.header[FrameSegment.NEWEST])
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -191,7 +191,7 @@ class SharedCameraReader:
         assert segment is not None
         return int(segment.slot_headers[frame.number % segment.layout.slots][0]) == 2 * frame.number
 
-    def _attach(self) -> Segment:
+    def _attach(self) -> FrameSegment:
         deadline_s = time.monotonic() + self._open_timeout_s
         while (segment := map_segment(self._path)) is None:
             if time.monotonic() > deadline_s:
@@ -205,7 +205,7 @@ class SharedCameraReader:
     def _newest(self) -> SharedFrame | None:
         segment = self._segment
         assert segment is not None, "read before entering the context"
-        newest = int(segment.header[Segment.NEWEST])
+        newest = int(segment.header[FrameSegment.NEWEST])
         if newest <= self._given:
             return None
         self.skipped += newest - self._given - 1
@@ -214,7 +214,7 @@ class SharedCameraReader:
         return SharedFrame(newest, int(segment.slot_headers[slot][1]), segment.colors[slot], segment.depths[slot])
 
     def _wait(self, timeout_s: float) -> None:
-        """Until the writer says that there is something new; what else it said before is of the same."""
+        """Waits until the writer says that there is something new; what else it said before is of the same."""
         assert self._socket is not None
         self._socket.settimeout(timeout_s)
         with suppress(TimeoutError):

@@ -1,4 +1,4 @@
-"""The sight of level ``sim``: observations straight from the truth's geometry, with measured noise; no pixels.
+"""The perception of level ``sim``: observations straight from the truth's geometry, with measured noise; no pixels.
 
 On each capture the truth is looked at; what a mission then asks of the view is worked out when it asks: the visible
 outlines of the cars, the corners of the markers, rays over a box for its depth (``hil.geometric.scene``), each with
@@ -44,7 +44,7 @@ SLOW_FRAMES = 10  # for so many frames lasts what goes wrong for a while
 
 
 @dataclass(frozen=True, slots=True)
-class GeometricSightConfig:
+class GeometricPerceptionConfig:
     """
     Attributes:
         rate_hz, phase_s, latency_s: when frames are taken (see ``hil.camera.capture.timing_of``).
@@ -65,24 +65,24 @@ class GeometricSightConfig:
         return timing_of(role, self.rate_hz, self.phase_s, self.latency_s)
 
 
-class GeometricSight:
-    """Implements ``drivers.interfaces.Sight`` for a rig whose harness is a ``SensorHarness``."""
+class GeometricPerception:
+    """Implements ``drivers.interfaces.Perception`` for a rig whose harness is a ``SensorHarness``."""
 
-    Config = GeometricSightConfig
+    Config = GeometricPerceptionConfig
 
     def __init__(
-        self, config: GeometricSightConfig, context: PartContext, noise: ObservationNoise | None = None
+        self, config: GeometricPerceptionConfig, context: PartContext, noise: ObservationNoise | None = None
     ) -> None:
         if context.harness is None:
             raise CameraError(
-                "a geometric sight needs a simulated world", "use it with a harness such as hil.harness.sim"
+                "a geometric perception needs a simulated world", "use it with a harness such as hil.harness.sim"
             )
         harness = cast(SensorHarness, context.harness)
         true = true_camera(context, harness.built)
         setup = CameraSetup(context.role, true.camera, true.T_b_c, true.T_b_v, true.layout)
         self._model = context.camera
         self._sensor = Sensor(setup, noise or ObservationNoise(), config.method, harness.seed, true.errors)
-        name = f"the {context.role.value}'s geometric sight"
+        name = f"the {context.role.value}'s geometric perception"
         self._ticker: CaptureTicker[Snapshot] = CaptureTicker(
             name, config.timing(context.role), context.role, context.clock, harness, _keep
         )
@@ -111,7 +111,7 @@ class GeometricSight:
     async def view(self, timeout_s: float) -> GeometricView:
         """The newest view not yet given. Raises CameraError when none came in time."""
         if not self._open:
-            raise CameraError("the geometric sight is not open", "open it with `async with`")
+            raise CameraError("the geometric perception is not open", "open it with `async with`")
         return GeometricView(await self._freshness.next(self._ticker.next, timeout_s), self._sensor)
 
 
@@ -121,7 +121,7 @@ def _keep(snapshot: Snapshot, frame_id: int) -> Snapshot:
 
 
 class Sensor:
-    """What a camera and the perception behind it are like; the same for all its views."""
+    """A camera and the perception behind it; the same for all its views."""
 
     def __init__(
         self,
@@ -235,7 +235,7 @@ class GeometricView:
         return detected
 
     def depth(self, box: Box) -> Depth | None:
-        """What ``path.target.registered_depth`` would make of the depth image."""
+        """Returns the depth that ``path.target.registered_depth`` would make of the depth image."""
         sensor, placed = self._sensor, self._placed_for_depth
         setup, errors = sensor.setup, sensor.errors
         key = fold(fold(self._key(DEPTH), int(16.0 * box.x)), int(16.0 * box.y))
@@ -254,7 +254,7 @@ class GeometricView:
         return Depth(errors.depth * z_m + errors.depth_bias_m, sigma_m) if z_m > 0.0 else None
 
     def image(self) -> None:
-        """There are no pixels."""
+        """Returns None: there are no pixels."""
         return None
 
 
@@ -284,7 +284,7 @@ def _row(region: Region | None) -> Array:
 
 
 def _search_scale(region: Region | None, camera: CameraModel) -> float:
-    """How much ``path.marker.detect`` enlarges what it searches."""
+    """Returns by how much ``path.marker.detect`` enlarges what it searches."""
     area = (region or EVERYWHERE).clipped(camera.width, camera.height)
     pixels = 1.0 if area is None else (area.x1 - area.x0) * (area.y1 - area.y0)
     return max(1.0, min(LARGEST_SCALE, math.floor(2.0 * math.sqrt(DETECTION_PIXELS / max(pixels, 1.0))) / 2.0))

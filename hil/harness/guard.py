@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Protocol, Self, cast
 
 from drivers.interfaces import Clock, FlightMode, Log, VehicleError
-from drivers.mavlink.guard_interfaces import Answer, Beat, GuardView, Watched
+from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, GuardView, Watched
 from drivers.rig.parts import PartContext, PartSpec, create
 from flight.config import MissionConfig
 from flight.guard_watch import GuardWatch, watch
@@ -28,7 +28,7 @@ class GuardWorld(Protocol):
 
 
 class GuardHarness(Protocol):
-    """What the guard needs of ``PartContext.harness``; ``lost_vehicles`` have lost every link."""
+    """The part of ``PartContext.harness`` that the guard needs; ``lost_vehicles`` have lost every link."""
 
     @property
     def world(self) -> GuardWorld: ...
@@ -39,7 +39,7 @@ class GuardHarness(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SimGuardConfig:
-    """Nothing can be set: the rules are the mission's."""
+    """The options of the guard's vehicle: there are none, the rules are the mission's."""
 
 
 class SimGuard:
@@ -123,7 +123,7 @@ class MemoryGuardLine:
     _box: _Mailbox
     name: str = "this process"
     cut: bool = False
-    answered: tuple[int, Answer] | None = None
+    answered: tuple[int, GuardAnswer] | None = None
     _open: bool = False
 
     async def __aenter__(self) -> Self:
@@ -139,7 +139,7 @@ class MemoryGuardLine:
         if self._open and not self.cut:
             self._box.beat = self.clock.now_ns(), beat, self
 
-    def answer(self) -> tuple[int, Answer] | None:
+    def answer(self) -> tuple[int, GuardAnswer] | None:
         return self.answered
 
 
@@ -167,12 +167,12 @@ class MemoryBeatLine:
         arrival_ns, beat, self._from = newest
         return arrival_ns, beat
 
-    def answer(self, answer: Answer) -> None:
+    def answer(self, answer: GuardAnswer) -> None:
         if self._from is not None:
             self._from.answered = self.clock.now_ns(), answer
 
     def role_end(self) -> MemoryGuardLine:
-        """For a program that begins."""
+        """Returns the role's end of the line for a program that begins."""
         self.cut()
         self._newest = MemoryGuardLine(self.clock, self._box)
         return self._newest

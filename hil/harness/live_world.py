@@ -1,4 +1,4 @@
-"""What every world in real time is made of: cameras that draw it, vehicles on the wire, and the pace of its steps."""
+"""The parts of every world in real time: cameras that draw it, vehicles on the wire, and the pace of its steps."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ STEP_S = 0.005
 FrameWriter = SharedCameraWriter | TelloVideo
 
 
-class Scene(Protocol):
-    """What one drone's camera looks at."""
+class CameraScene(Protocol):
+    """The scene before one drone's camera."""
 
     def now_s(self) -> float:
         """The world's clock."""
@@ -45,7 +45,7 @@ class Scene(Protocol):
         ...
 
 
-class Picture:
+class CameraView:
     """Draws what one drone's camera truly sees. Made before the world's clock starts: it takes a moment."""
 
     def __init__(self, built: Built, role: Role, seed: int, *, depth: bool) -> None:
@@ -74,7 +74,9 @@ class CameraThread(threading.Thread):
     ``phase``: of a period; two cameras are never in step.
     """
 
-    def __init__(self, scene: Scene, picture: Picture, writer: FrameWriter, rate_hz: float, phase: float) -> None:
+    def __init__(
+        self, scene: CameraScene, picture: CameraView, writer: FrameWriter, rate_hz: float, phase: float
+    ) -> None:
         super().__init__(name=f"camera-{picture.role.value}", daemon=True)
         self._scene, self._picture, self._writer = scene, picture, writer
         self._period_s = 1.0 / rate_hz
@@ -116,9 +118,9 @@ def running(camera: CameraThread) -> Generator[None, None, None]:
 
 
 def camera_config(rig: Rig, role: Role) -> RealSenseConfig:
-    """How the driver of a role is set. Raises RigError when it is another driver."""
-    sight = rig.role(role).sight
-    camera = PartSpec.from_table(sight.options.get("camera"), f"{sight.where}.camera", sight.base)
+    """Returns the settings of a role's camera driver. Raises RigError when it is another driver."""
+    perception = rig.role(role).perception
+    camera = PartSpec.from_table(perception.options.get("camera"), f"{perception.where}.camera", perception.base)
     _, config = decode_part(camera)
     if not isinstance(config, RealSenseConfig):
         raise RigError(
@@ -134,7 +136,7 @@ def depth_size(rig: Rig, role: Role) -> tuple[int, int]:
 
 
 def shared_camera(run: str, rig: Rig, role: Role) -> SharedCameraWriter:
-    """Where a role's driver looks for its frames."""
+    """Returns the writer of frames to where a role's driver looks for them."""
     color = rig.role(role).camera
     size, fps = (color.width, color.height), camera_config(rig, role).fps
     return SharedCameraWriter(run, role, size, depth_size(rig, role), fps)
@@ -150,7 +152,7 @@ def embedded_vehicle(rig: Rig, own: RoleRig, drone: MavlinkDrone) -> MavlinkVehi
 
 
 def _listener(url: str) -> tuple[str, int]:
-    """Where a MAVLink URL listens."""
+    """Returns the host and port at which a MAVLink URL listens."""
     parts = urlsplit(url)
     return parts.hostname or "127.0.0.1", parts.port or 0
 

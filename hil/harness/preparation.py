@@ -17,17 +17,17 @@ FIRST_START = "preparing: kernels are compiled at the first start, for about hal
 
 
 def starting(role: Role, what: str) -> Progress:
-    """What the console shows while there is no role yet."""
+    """Returns what the console shows while there is no role yet."""
     return Progress(role, 0, "starting", 0, 0, None, None, None, 0.0, False, what)
 
 
 def prepare(rig: Rig, say: Callable[[str], None]) -> None:
-    """The physics, the marker finder, and what the sights of this rig compute."""
+    """The physics, the marker finder, and what the perception of this rig computes."""
     say(FIRST_START)
     world = World(decode_table(rig.world, WorldConfig, rig.where("world")), seed=0)
     world.advance(0.1)
     warm_up_marker()
-    if any("camera" in rig.role(role).sight.options for role in Role):
+    if any("camera" in rig.role(role).perception.options for role in Role):
         from drivers.realsense.registration import warm_up as warm_up_registration  # noqa: PLC0415 (sim needs none of these)
         from hil.render.depth import warm_up as warm_up_depth  # noqa: PLC0415
         from hil.render.renderer import warm_up as warm_up_renderer  # noqa: PLC0415

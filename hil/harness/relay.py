@@ -47,7 +47,7 @@ class RelaySim:
         start_s = time.perf_counter()
         gc.disable()  # nothing here lives in cycles, and collecting takes a tenth of the time
         try:
-            findings = run_virtual(_Relay(request, faults).run())
+            findings = run_virtual(_VirtualRelay(request, faults).run())
         finally:
             gc.enable()
         return RelayReport(**findings, wall_s=time.perf_counter() - start_s)
@@ -63,7 +63,7 @@ def _parse(text: str, level: str) -> Fault:
 
 
 @dataclass(slots=True)
-class _Drone:
+class _VirtualDrone:
     """One drone: what its parts are connected to, its log, and its guard while it is on."""
 
     name: str
@@ -75,7 +75,7 @@ class _Drone:
     guard: asyncio.Task[None] | None = None
 
 
-class _Relay:
+class _VirtualRelay:
     """One relay in virtual time: the ``flight.harness.relay.RelayField``, and what watches it."""
 
     def __init__(self, request: RelayRequest, faults: dict[int, list[Fault]]) -> None:
@@ -114,15 +114,18 @@ class _Relay:
         self._monitors.close()
         return self._findings()
 
-    def _new(self, name: str, own: RoleRig, built: Built) -> _Drone:
-        """To its own parts a drone is always the receiver, with a link to nobody until it is called to a leg."""
+    def _new(self, name: str, own: RoleRig, built: Built) -> _VirtualDrone:
+        """Makes a drone.
+
+        To its own parts it is always the receiver, with a link to nobody until it is called to a leg.
+        """
         view = PairView(self._world, name)
         seed = self._request.seed * 64 + self._world.names.index(name)
         harness = DroneHarness(view, self._world.advance, seed, built, OWN, MemoryHub(seed))
         self._programs.add(name, harness, Disk(lambda duty: self._legs.on_duty(name, duty)))
         offset_ns = round(float(own.clock.options.get("offset_s", 0.0)) * 1e9)
         log = virtual_log(self._request.out / f"{name}.mcap", name, offset_ns)
-        return _Drone(name, own, view, harness, log, offset_ns)
+        return _VirtualDrone(name, own, view, harness, log, offset_ns)
 
     # --- the field ---
 
@@ -151,7 +154,7 @@ class _Relay:
 
     # --- programs ---
 
-    def _switch_on(self, drone: _Drone) -> None:
+    def _switch_on(self, drone: _VirtualDrone) -> None:
         if drone.name not in self._world.on:
             self._world.switch_on(drone.name)
             self._monitors.on_switched_on(drone.name, present_s())
@@ -160,7 +163,7 @@ class _Relay:
                 beats = drone.harness.beats = MemoryBeatLine(context.clock)
                 drone.guard = asyncio.create_task(keep_watch(drone.own.guard, context, beats, self._mission, _NoLog()))
 
-    def _start(self, drone: _Drone, program: DroneProgram) -> Started:
+    def _start(self, drone: _VirtualDrone, program: DroneProgram) -> Started:
         log = RelayLog(drone.log, drone.name, self._monitors, drone.offset_ns, self._request.whole_log)
         emit, stop, disk = self._emit_of(drone), self._programs.stop, self._programs.disk(drone.name)
         return Started(log, program(drone.name, log, emit, stop, drone.harness, disk))
@@ -168,7 +171,7 @@ class _Relay:
     def _died(self, name: str) -> None:
         self._monitors.on_death(name)
 
-    def _emit_of(self, drone: _Drone) -> Callable[[Progress], None]:
+    def _emit_of(self, drone: _VirtualDrone) -> Callable[[Progress], None]:
         def emit(progress: Progress) -> None:
             if not self._programs.killed(drone.name):
                 self._request.emit(progress)
@@ -177,7 +180,7 @@ class _Relay:
         return emit
 
     def _inject(self, leg: int, fault: Fault) -> None:
-        """To the drone that has, or had, the fault's role in the leg."""
+        """Injects a fault at the drone that has, or had, its role in the leg."""
         role = fault.kind.role
         name = None if role is None else self._legs.end_of(leg, role)
         inject_on_link(fault.name, fault.value or 0.0, self._hubs[leg])
@@ -203,8 +206,8 @@ class _Relay:
                 self._monitors.sample(now_s, world.batteries, world.airborne)
             await asyncio.sleep(NEAR_PERIOD_S if len(world.airborne) > 1 else PERIOD_S)
 
-    def _close_flight(self, drone: _Drone) -> None:
-        """What one flight's autopilot leaves, before it is started anew."""
+    def _close_flight(self, drone: _VirtualDrone) -> None:
+        """Closes one flight: its autopilot's record goes to the monitors before it is started anew."""
         self._monitors.on_offboard(drone.name, drone.harness.cut_off_s)
         self._monitors.on_swap(drone.name, present_s())
         drone.harness.cut_off_s = []
@@ -232,7 +235,7 @@ class _Relay:
 
 
 class _NoLog:
-    """For what nobody reads."""
+    """A log that nobody reads."""
 
     def write(self, topic: str, stamp_ns: int, record: Any) -> None: ...
 

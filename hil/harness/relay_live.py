@@ -19,7 +19,7 @@ REMEMBERED_S = 3.0
 
 
 def run_of(run: str, name: str) -> str:
-    """What a drone's program and the world call its camera's frames."""
+    """Returns the name of a drone's camera frames, for its program and the world."""
     return f"{run}-{name}"
 
 
@@ -39,7 +39,7 @@ class LiveRelay:
 
 @dataclass(frozen=True, slots=True)
 class RelayScene:
-    """A ``hil.harness.live_world.Scene``: the field as one drone's camera sees it, the other drone of its leg in it."""
+    """A ``live_world.CameraScene``: the field as one drone's camera sees it, the other drone of its leg in it."""
 
     live: LiveRelay
     name: str

@@ -24,7 +24,7 @@ from drivers.rig.parts import Rig, RoleRig
 from drivers.rig.tables import RigError
 from drivers.stop_signals import leave_signals, stop_on_signals
 from flight.harness.flights import Progress, RoleResult, decode_event
-from flight.harness.relay import DroneProgram, Flown, RelayConfig, RelayReport, RelayRequest, Sample, pair_of
+from flight.harness.relay import DroneProgram, FieldSample, FlightTruth, RelayConfig, RelayReport, RelayRequest, pair_of
 from flight.outcome import Outcome
 from hil.harness.children import (
     Child,
@@ -66,7 +66,7 @@ class RelaySitl:
         """Raises PartError for a rig whose drones are not told apart, and for faults that there are not."""
         check_drones(request.rig, request.config)
         faults = {leg: [_parse(text, request.rig.level) for text in texts] for leg, texts in request.faults.items()}
-        return asyncio.run(_Relay(request, faults).run())
+        return asyncio.run(_ProcessRelay(request, faults).run())
 
 
 def check_drones(rig: Rig, config: RelayConfig) -> None:
@@ -87,7 +87,7 @@ def _parse(text: str, level: str) -> Fault:
 
 
 @dataclass(slots=True)
-class _Drone:
+class _DroneProcesses:
     """One drone's processes. ``told``: the news that its program knows; ``guard_ends``: that of the flight before."""
 
     name: str
@@ -100,7 +100,7 @@ class _Drone:
     told: Mapping[str, Any] | None = None
 
 
-class _Relay:
+class _ProcessRelay:
     """One relay in real time: the ``flight.harness.relay.RelayField``."""
 
     def __init__(self, request: RelayRequest, faults: Mapping[int, list[Fault]]) -> None:
@@ -113,7 +113,7 @@ class _Relay:
         self._children: list[Child] = []
         self._coming: set[asyncio.Task[None]] = set()
         self._drones = {
-            drone.name: _Drone(drone.name, pair_of(request.rig, drone, drone).receiver)
+            drone.name: _DroneProcesses(drone.name, pair_of(request.rig, drone, drone).receiver)
             for drone in request.config.drones
         }
 
@@ -143,7 +143,7 @@ class _Relay:
         return world
 
     async def _fly(self) -> None:
-        """Until the base says that it is over, the world fails, or it takes far too long."""
+        """Flies until the base says that it is over, the world fails, or it takes far too long."""
         request = self._request
         self._landed = dict.fromkeys(self._drones, True)
         stop_on_signals(self._interrupt)
@@ -219,8 +219,8 @@ class _Relay:
         self._children.append(child)
         return child
 
-    async def _listen(self, drone: _Drone, program: Child) -> RoleResult | None:
-        """Until the program has ended: pass on what it says. None when it died."""
+    async def _listen(self, drone: _DroneProcesses, program: Child) -> RoleResult | None:
+        """Passes on what a program says until it has ended. Returns None when it died."""
         assert program.stdout is not None
         result: RoleResult | None = None
         async for line in program.stdout:
@@ -250,7 +250,7 @@ class _Relay:
             self._request.processes.heard(name, word)
 
     async def _tell_news(self) -> None:
-        """To every program, whatever it does not know yet."""
+        """Tells every program whatever it does not know yet."""
         while True:
             for drone in self._drones.values():
                 program = drone.program
@@ -263,7 +263,7 @@ class _Relay:
             await asyncio.sleep(NEWS_S)
 
     async def _watch_records(self) -> None:
-        """What a drone writes down for a restart, as soon as it is there, while a fault waits for it."""
+        """Watches what a drone writes down for a restart, as soon as it is there, while a fault waits for it."""
         seen: dict[str, str] = {}
         while True:
             waited_for = [name for name in self._drones if self._legs.waits_for_duty(name)]
@@ -301,7 +301,7 @@ class _Relay:
     # --- faults ---
 
     def _inject(self, leg: int, fault: Fault) -> None:
-        """To the drone that has, or had, the fault's role in the leg."""
+        """Injects a fault at the drone that has, or had, its role in the leg."""
         role = fault.kind.role
         name = None if role is None else self._legs.end_of(leg, role)
         at_ns = time.monotonic_ns()
@@ -310,7 +310,7 @@ class _Relay:
         told = {"fault": fault.name, "leg": leg, "drone": name, "value": fault.value, "at_ns": at_ns}
         self._tell_world(told)
 
-    def _hit(self, drone: _Drone, fault: Fault) -> None:
+    def _hit(self, drone: _DroneProcesses, fault: Fault) -> None:
         program = drone.program
         if program is not None and program.returncode is None:
             if fault.kills is not None:
@@ -333,8 +333,8 @@ class _Relay:
             violations=finished.get("violations", {}),
             notes=tuple(finished.get("notes", ())),
             gaps_s={int(leg): gap_s for leg, gap_s in finished.get("gaps_s", {}).items()},
-            flown=msgspec.convert(finished.get("flown", []), list[Flown]),
-            samples=msgspec.convert(finished.get("samples", []), list[Sample]),
+            flown=msgspec.convert(finished.get("flown", []), list[FlightTruth]),
+            samples=msgspec.convert(finished.get("samples", []), list[FieldSample]),
             closest_m=float("nan") if closest_m is None else closest_m,
             closest_pair=tuple(finished.get("closest_pair", ())),
             simulated_s=finished.get("simulated_s", wall_s),

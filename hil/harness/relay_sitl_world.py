@@ -1,5 +1,7 @@
-"""The world of a relay in real time, a process of its own: drones by name, each with its vehicle on the wire and its
-camera while it is switched on; the link of the leg under way; and the monitors.
+"""The world of a relay in real time, a process of its own.
+
+It has drones by name, each with its vehicle on the wire and its camera while it is switched on; the link of the leg
+under way; and the monitors.
 
     python -m hil.harness.relay_sitl_world RIG_FILE DRONES SEED ERRORS [FOLDER ...]
 
@@ -33,7 +35,7 @@ from hil.camera.shared import RUN_VARIABLE
 from hil.harness.inject import inject_in_world, inject_on_link
 from hil.harness.live_world import (
     CameraThread,
-    Picture,
+    CameraView,
     at_pace,
     camera_config,
     embedded_vehicle,
@@ -59,12 +61,12 @@ VEHICLES_STEPS = 200
 
 
 @dataclass(slots=True)
-class _Drone:
-    """What the world has of one drone: its vehicle while it is switched on, its camera while a program may look."""
+class _WorldDrone:
+    """One drone in the world: its vehicle while it is switched on, its camera while a program may look."""
 
     own: RoleRig
     pair: Rig
-    picture: Picture
+    picture: CameraView
     phase: float
     vehicle: MavlinkVehicle | None = None
     camera: ExitStack = field(default_factory=ExitStack)
@@ -86,7 +88,7 @@ class RelaySitlWorld:
         self._monitors = RelayMonitors(rig, config, mission_config(rig), self._live.world, owns)
         self._hindsight = Hindsight(self._monitors)
         self._commands = JsonLines(sys.stdin.fileno())
-        self._drones: dict[str, _Drone] = {}
+        self._drones: dict[str, _WorldDrone] = {}
         self._proxies: dict[int, UdpFaultProxy] = {}
         self._orders: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
         self._landed: dict[str, bool] = {}
@@ -96,8 +98,8 @@ class RelaySitlWorld:
         live = self._live
         prepare(self._rig, lambda what: say({"event": "warming", "what": what}))
         for k, (name, pair) in enumerate(self._pairs.items()):
-            picture = Picture(self._built[name], OWN, self._seed * 64 + k, depth=True)
-            self._drones[name] = _Drone(pair.receiver, pair, picture, phase=0.37 * k % 1.0)
+            picture = CameraView(self._built[name], OWN, self._seed * 64 + k, depth=True)
+            self._drones[name] = _WorldDrone(pair.receiver, pair, picture, phase=0.37 * k % 1.0)
         gc.freeze()  # what is loaded by now stays: a full collection would stop the world for 0.1 s
         async with AsyncExitStack() as stack:
             stack.push_async_callback(self._close)
@@ -207,7 +209,7 @@ class RelaySitlWorld:
         live.others.pop(name, None)
 
     def _close_flight(self, name: str, now_s: float) -> None:
-        """What one flight's autopilot leaves, before it is started anew."""
+        """Closes one flight: its autopilot's record goes to the monitors before it is started anew."""
         drone = self._drones[name]
         self._monitors.on_offboard(name, drone.cut_off_s)
         self._monitors.on_swap(name, now_s)

@@ -32,7 +32,7 @@ from hil.camera.shared import RUN_VARIABLE
 from hil.harness.inject import inject_in_world, inject_on_link
 from hil.harness.live_world import (
     CameraThread,
-    Picture,
+    CameraView,
     at_pace,
     camera_config,
     embedded_vehicle,
@@ -84,7 +84,7 @@ class LiveWorld:
 
 @dataclass(frozen=True, slots=True)
 class _Scene:
-    """A ``hil.harness.live_world.Scene``."""
+    """A ``hil.harness.live_world.CameraScene``."""
 
     live: LiveWorld
     role: Role
@@ -174,7 +174,7 @@ class SitlWorld:
             video = self._videos.get(role)
             writer = stack.enter_context(video or shared_camera(os.environ[RUN_VARIABLE], rig, role))
             rate_hz = video.rate_hz if video is not None else float(camera_config(rig, role).fps)
-            picture = Picture(self._built, role, self._seed, depth=video is None)
+            picture = CameraView(self._built, role, self._seed, depth=video is None)
             phase = 0.0 if role is Role.SENDER else 0.37
             camera = CameraThread(_Scene(self._live, role), picture, writer, rate_hz, phase)
             self._cameras[role] = camera

@@ -1,4 +1,4 @@
-"""What must never happen in a relay: the monitors of a handoff for each leg, and those of all drones together.
+"""The monitors of a relay: those of a handoff for each leg, and those of all drones together.
 
 Of all drones: at most one is responsible (S1), nobody is for no longer than lease, uncertainty and guard allow (L2),
 all that are in the air keep their separation (S9), none is below the reserve before it has landed, and who is
@@ -17,7 +17,7 @@ from typing import Any
 from drivers.interfaces import Log
 from drivers.rig.parts import Rig, RoleRig
 from flight.config import MissionConfig
-from flight.harness.relay import OFTEN, Flown, RelayConfig, Sample
+from flight.harness.relay import OFTEN, FieldSample, FlightTruth, RelayConfig
 from flight.outcome import OBJECT_MONITOR
 from hil.harness.relay_world import RelayWorld
 from hil.monitors.claims import Claims, in_world_time
@@ -32,7 +32,7 @@ LOOK_S = 1.0  # at the object that the responsible drone has
 
 
 @dataclass(slots=True)
-class Leg:
+class WatchedLeg:
     """Two drones, and the monitors of their hand-over."""
 
     number: int
@@ -41,7 +41,7 @@ class Leg:
 
 
 @dataclass(slots=True)
-class _Flight:
+class _WatchedFlight:
     began_s: float
     battery: float = math.inf  # the smallest while it was armed
     told: bool = False
@@ -62,18 +62,18 @@ class RelayMonitors:
     own: Mapping[str, RoleRig]
     violations: Counter[str] = field(default_factory=Counter[str])
     details: list[str] = field(default_factory=list[str])
-    flown: list[Flown] = field(default_factory=list[Flown])
+    flown: list[FlightTruth] = field(default_factory=list[FlightTruth])
     gaps_s: dict[int, float] = field(default_factory=dict[int, float])
     closest_m: float = math.inf
     closest_pair: tuple[str, ...] = ()
-    samples: list[Sample] = field(default_factory=list[Sample])
+    samples: list[FieldSample] = field(default_factory=list[FieldSample])
     claims: Claims[str] = field(default_factory=Claims[str])
     scripts: ScriptMonitor = field(init=False)
     members: Mapping[str, Enum] = field(init=False)
     seen: Callable[[float], Seen] | None = None
-    _legs: dict[str, Leg] = field(default_factory=dict[str, Leg])
-    _all_legs: list[Leg] = field(default_factory=list[Leg])
-    _flights: dict[str, _Flight] = field(default_factory=dict[str, _Flight])
+    _legs: dict[str, WatchedLeg] = field(default_factory=dict[str, WatchedLeg])
+    _all_legs: list[WatchedLeg] = field(default_factory=list[WatchedLeg])
+    _flights: dict[str, _WatchedFlight] = field(default_factory=dict[str, _WatchedFlight])
     _alone_s: float | None = None
     _near: set[tuple[str, ...]] = field(default_factory=set[tuple[str, ...]])
     _looked_s: dict[str, float] = field(default_factory=dict[str, float])
@@ -92,18 +92,18 @@ class RelayMonitors:
 
     def on_leg(self, number: int, sender: str, receiver: str) -> None:
         monitors = Monitors(self.rig.method, self.mission.separation.minimum_m, self.mission.guard)
-        leg = Leg(number, {sender: Role.SENDER, receiver: Role.RECEIVER}, monitors)
+        leg = WatchedLeg(number, {sender: Role.SENDER, receiver: Role.RECEIVER}, monitors)
         self._legs[sender] = self._legs[receiver] = leg
         self._all_legs.append(leg)
 
     def on_switched_on(self, name: str, now_s: float) -> None:
-        self._flights[name] = _Flight(now_s)
+        self._flights[name] = _WatchedFlight(now_s)
 
     def on_swap(self, name: str, now_s: float) -> None:
-        """Before its autopilot is started anew."""
+        """Ends a drone's flight, before its autopilot is started anew."""
         flight, autopilot = self._flights.pop(name, None), self.world.drone(name).autopilot
         if flight is not None:
-            self.flown.append(Flown(name, flight.began_s, now_s, min(flight.battery, autopilot.battery)))
+            self.flown.append(FlightTruth(name, flight.began_s, now_s, min(flight.battery, autopilot.battery)))
 
     def on_offboard(self, name: str, cut_off_s: list[float]) -> None:
         """S8 of one flight, before its autopilot is started anew."""
@@ -172,10 +172,12 @@ class RelayMonitors:
         }  # fmt: skip
 
     def sample(self, now_s: float, batteries: tuple[float, ...], airborne: tuple[str, ...]) -> None:
-        self.samples.append(Sample(round(now_s, 2), tuple(sorted(self.claims.holders(now_s))), batteries, airborne))
+        self.samples.append(
+            FieldSample(round(now_s, 2), tuple(sorted(self.claims.holders(now_s))), batteries, airborne)
+        )
 
     def findings(self) -> dict[str, Any]:
-        """After ``close``: those fields of a ``flight.harness.relay.RelayReport`` that say what was seen."""
+        """Returns what was seen, after ``close``, as fields of a ``flight.harness.relay.RelayReport``."""
         return {
             "violations": dict(self.violations),
             "notes": tuple(self.details),

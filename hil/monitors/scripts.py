@@ -1,4 +1,4 @@
-"""What no script may do, from true states and the roles' phases: S7 and S10.
+"""The monitors of what no script may do, from true states and the roles' phases: S7 and S10.
 
 S7 is held as far as it can be measured: while the camera of a drone whose mission goes on truly has the target's middle
 in its image, one such drone looks at its frames (a record of one, at most ``LOOKS_S`` old). A mission goes on from the
@@ -39,7 +39,7 @@ ENDING = frozenset(phase.title for phase in (Phase.DEPART, Phase.LAND, Phase.DON
 
 @dataclass(frozen=True, slots=True)
 class VehicleTruth:
-    """Of one vehicle, at an instant.
+    """The truth of one vehicle at an instant.
 
     Attributes:
         killed: the pilot has stopped the motors.
@@ -169,7 +169,7 @@ def vehicle_truth(autopilot: Autopilot, drone: DroneTruth, own: RoleRig, target:
 
 
 def pixel_of(drone: DroneTruth, own: RoleRig, thing: ObjectTruth) -> tuple[float, float]:
-    """Where an object's origin is in a drone's image; NaN behind the camera."""
+    """Returns the pixel of an object's origin in a drone's image; NaN behind the camera."""
     thing_b_m = drone.T_w_b.R.T @ (np.array(thing.position_w_m) - drone.T_w_b.t)
     thing_c_m = own.mount.T_b_c.R.T @ (thing_b_m - own.mount.T_b_c.t)
     return own.camera.project_point(tuple(thing_c_m.tolist()))

@@ -1,5 +1,8 @@
-"""Both drones' cycles of one Monte-Carlo hand-over: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle`` themselves,
-given frames and messages in the order of time, and a record of what D1's window was ran."""
+"""Both drones' cycles of one Monte-Carlo hand-over, and a record of what D1's window was given.
+
+``MarkerView``, ``ReceiverCycle`` and ``SenderCycle`` are the flight's own. They are given frames and messages in the
+order of time.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.rig.parts import Mount
 from flight.harness.montecarlo import MISS, OWN_MISS, PAIR, Attempt, Series
-from flight.marker_view import MarkerFix, MarkerView, Motion
+from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
 from hil.montecarlo.perception import (
     CLAIMED,
     FOUND,
@@ -44,7 +47,7 @@ from path.receiver import ReceiverCycle
 from path.rigid import rigid, rigid_from_quat
 from path.rivals import Rival
 from path.rotation import normalized
-from path.sender import Pair, SenderCycle
+from path.sender import PairVerdict, SenderCycle
 from path.window import AgreementWindow, Offsets
 
 Array = NDArray[np.float64]
@@ -73,7 +76,7 @@ class _View:
 
 @dataclass(frozen=True, slots=True)
 class CyclesRun:
-    """What D1's window was told, and for how long.
+    """The entries that D1's window was given, and the time that was run.
 
     ``done``: the entry with which it was complete for the first time; None when it never was.
     """
@@ -84,7 +87,7 @@ class CyclesRun:
 
 
 def run_cycles(attempt: Attempt, setup: HandoverSetup, believed: Believed, method: MethodConfig) -> CyclesRun:
-    """Both cycles from the attempt's beginning until it is decided, or over."""
+    """Runs both cycles from the attempt's beginning until it is decided, or over."""
     cycles = _Cycles(setup, believed, method)
     kinds, which, now = setup.events
     events = list(zip(kinds.tolist(), which.tolist(), now.tolist(), strict=True))
@@ -131,7 +134,7 @@ class _Cycles:
         self.done: int | None = None
 
     def run(self, events: Sequence[tuple[int, int, int]], whole: bool) -> bool:
-        """What happens, in this order; True when the window is complete and nothing after it is asked for."""
+        """Runs these events in order. Returns True when the window is complete and nothing after it is asked for."""
         setup = self._setup
         for kind, which, now_ns in events:
             if kind == SENDER_FRAME:
@@ -150,7 +153,7 @@ class _Cycles:
         return False
 
     def hopeless(self, now_ns: int, limit_ns: int) -> bool:
-        """Whether no run can be long enough before the limit: not even one that goes on, or begins now."""
+        """Returns whether no run can be long enough before the limit: not even one that goes on, or begins now."""
         begin_ns = self._begin_ns if self._window.count else now_ns
         return begin_ns - SLACK_NS + self._hold_ns > limit_ns
 
@@ -197,16 +200,16 @@ class _Cycles:
         if candidate.box is not None:
             self.record.whose[candidate.sequence] = whose[candidate.box]
 
-    def _motion(self, k: int, stamp_ns: int) -> Motion:
-        """What D2 has by its frame of how both vehicles move."""
+    def _motion(self, k: int, stamp_ns: int) -> VehicleMotions:
+        """Returns D2's knowledge of both vehicles' motion by its frame."""
         seen = self._setup.seen
         last = int(seen.heard[k]) - 1
         peer = int(seen.peer_stamp[last]), _vector(seen.peer_velocity[last]), float(seen.peer_yaw[last])
-        return Motion(stamp_ns, _vector(seen.own_velocity[k]), *peer)
+        return VehicleMotions(stamp_ns, _vector(seen.own_velocity[k]), *peer)
 
 
 class _Record:
-    """What the gate is told, as a series: scores are those of both mappings, whatever the verdict.
+    """The gate's input as a series: scores are those of both mappings, whatever the verdict.
 
     ``whose``: object of D2's box by sequence; ``own_whose``: of D1's by frame.
     """
@@ -227,7 +230,7 @@ class _Record:
         self._rows.append((OWN_MISS, REASONS.index(reason), now_ns, 0, stamp_ns, number, stamp_ns, 0, 0, 0, 0))
         self._values.append((0.0, 0.0, 0.0, 0.0))
 
-    def pair(self, pair: Pair, now_ns: int) -> None:
+    def pair(self, pair: PairVerdict, now_ns: int) -> None:
         candidate, verdict, at = pair.candidate, pair.verdict, pair.own
         if candidate is None:
             return

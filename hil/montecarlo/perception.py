@@ -65,7 +65,7 @@ NOBODY = -1.0
 NOTHING = -1  # instead of a row
 
 
-class TrueCamera(NamedTuple):
+class MonteCarloCamera(NamedTuple):
     """One camera and its perception: the truth of it.
 
     Attributes:
@@ -142,7 +142,7 @@ def _boxes_of(camera, number, count, ids, boxes, extents, region, seen, rows, fo
 
 @kernel
 def predicted(follower, at_s, point):
-    """Where the followed object is at an instant, into ``point``; its standard deviation per axis."""
+    """Fills ``point`` with the followed object's place at an instant; returns its standard deviation per axis."""
     dt = max(0.0, at_s - follower[AT])
     for i in range(3):
         point[i] = follower[POSITION + i] + dt * follower[VELOCITY + i]
@@ -212,6 +212,23 @@ def _others(found, many, row, reach, picked):
 
 
 @kernel
+def _tell_others(camera, depths, number, bodies, extents, frame, hidden, found, picked, out):
+    """Boxes and depths of the picked detections, into D1's row of a frame."""
+    for j in range(OTHERS_MOST):
+        if picked[j] == NOTHING:
+            return
+        at, other = OTHERS + j * OTHER_COLUMNS, found[picked[j]]
+        out[at : at + 4] = other[:4]
+        box = (other[0], other[1], other[2], other[3])
+        key = fold(fold(fold(fold(camera.seed, number), DEPTH), int(16.0 * box[0])), int(16.0 * box[1]))
+        noise = (depths.sigma_m, depths.common_sigma_m)
+        depth, out[at + 5] = depth_over(
+            bodies, extents, camera.car.shape[0], frame, camera.lens, hidden, box, depths.settings, noise, key
+        )
+        out[at + 4] = depth * depths.scale
+
+
+@kernel
 def _designated(found, many):
     """Row of the target's own detection, and no doubt about it."""
     for i in range(many):
@@ -242,7 +259,7 @@ def _chosen(found, many, u, v, gate, alone):
 
 @kernel
 def sees(lens, x, y, z):
-    """Whether the camera sees a point, and its pixel."""
+    """Returns whether the camera sees a point, and its pixel."""
     if not z > 0.1 or x * x + y * y > (lens[11] * z) ** 2:
         return False, 0.0, 0.0
     u, v = distorted(lens, x / z, y / z)
@@ -314,18 +331,7 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
         ray_x, ray_y = _ray(lens, box[0] + 0.5 * box[2], box[1] + 0.5 * box[3])
         depth *= depths.scale
         _others(found, many, row, OTHERS_REACH_M * scale, picked)
-        for j in range(OTHERS_MOST):
-            if picked[j] == NOTHING:
-                break
-            at, other = OTHERS + j * OTHER_COLUMNS, found[picked[j]]
-            out[at : at + 4] = other[:4]
-            box_j = (other[0], other[1], other[2], other[3])
-            key_j = fold(fold(fold(fold(camera.seed, flown.frame[k]), DEPTH), int(16.0 * box_j[0])), int(16.0 * box_j[1]))
-            z_j, out[at + 5] = depth_over(
-                bodies, extents[: count + 1], camera.car.shape[0], frame, camera.lens, holes[k], box_j,
-                depths.settings, noise, key_j,
-            )  # fmt: skip
-            out[at + 4] = z_j * depths.scale
+        _tell_others(camera, depths, flown.frame[k], bodies, extents[: count + 1], frame, holes[k], found, picked, out)
         if depth > 0.0 and (
             not follower[BEGUN] or _shows(depth, out[SIGMA], ray_x, ray_y, R_n_c[k], t_n_c[k], point, sigma)
         ):
@@ -345,7 +351,7 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
 
 @kernel
 def _shows(depth, depth_sigma, ray_x, ray_y, R_n_c, t_n_c, point, sigma):
-    """Whether a depth on a ray puts the object where it can be."""
+    """Returns whether a depth on a ray puts the object where it can be."""
     off2 = 0.0
     for i in range(3):
         along = R_n_c[i, 0] * ray_x + R_n_c[i, 1] * ray_y + R_n_c[i, 2]

@@ -1,4 +1,4 @@
-"""How the kernels are compiled: cached on disk, without the GIL, exact IEEE arithmetic (the same on every CPU).
+"""The compilation of kernels: cached on disk, without the GIL, exact IEEE arithmetic (the same on every CPU).
 
 A kernel's cache is renewed when its own file changes, not when a constant or a kernel it takes from another file does:
 after such a change clear ``hil/render/__pycache__``.

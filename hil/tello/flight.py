@@ -1,4 +1,4 @@
-"""How an emulated Tello flies what it is told: automatic take-off and landing, sticks, relative moves."""
+"""The flight of an emulated Tello: automatic take-off and landing, sticks, relative moves."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 from drivers.interfaces import FlightMode, VelocitySetpoint
 from hil.autopilot.values import OffboardSession
-from hil.tello.moves import Move, move_of
+from hil.tello.moves import TelloMove, move_of
 from hil.tello.sensors import TelloSensors
 from hil.world.world import SimDrone
 from path.rotation import wrapped, yaw_of
@@ -36,7 +36,7 @@ class TelloFlight:
         self._rc_s = -math.inf
         self._yaw_goal = 0.0
         self._by_rc = False
-        self._move: Move | None = None
+        self._move: TelloMove | None = None
         self._climbing = False  # told to take off, and the motors do not turn fast enough yet
         self.sessions: list[OffboardSession] = []
         self.speed_cm = 50
@@ -141,7 +141,7 @@ class TelloFlight:
 
     # --- inside ---
 
-    def _fly_move(self, move: Move) -> None:
+    def _fly_move(self, move: TelloMove) -> None:
         estimate = self._drone.estimate
         yaw = yaw_of(estimate.q_n_b)
         turn = max(-TURN_RAD, min(TURN_RAD, move.turn_left(yaw)))

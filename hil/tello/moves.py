@@ -19,8 +19,8 @@ THERE_M, THERE_RAD = 0.08, math.radians(3.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Move:
-    """To a place (NED, m) and a heading."""
+class TelloMove:
+    """A move to a place (NED, m) and a heading."""
 
     goal_n_m: Vec3
     yaw_rad: float
@@ -36,8 +36,11 @@ class Move:
         return near and abs(self.turn_left(yaw_of(estimate.q_n_b))) < THERE_RAD
 
 
-def move_of(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float) -> Move | str | None:
-    """What a command asks for, from where the drone is; the drone's refusal; None for a word that is no move."""
+def move_of(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float) -> TelloMove | str | None:
+    """Returns the move that a command asks for, from where the drone is; the drone's refusal.
+
+    None when it is no move.
+    """
     if word not in AXES and word not in TURNS:
         return None
     low, high = (1, 360) if word in TURNS else (20, 500)
@@ -48,8 +51,8 @@ def move_of(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float)
     if not low <= value <= high:
         return "out of range"
     if word in TURNS:
-        return Move(position_n_m, yaw_rad + TURNS[word] * math.radians(value))
+        return TelloMove(position_n_m, yaw_rad + TURNS[word] * math.radians(value))
     forward, right, down = (value / 100.0 * part for part in AXES[word])
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     north, east, height = position_n_m
-    return Move((north + c * forward - s * right, east + s * forward + c * right, height + down), yaw_rad)
+    return TelloMove((north + c * forward - s * right, east + s * forward + c * right, height + down), yaw_rad)

@@ -25,7 +25,7 @@ from hil.tello.emulator import STATE_PERIOD_S
 from hil.tello.sensors import TelloSensors
 from hil.tello.video import new_encoder
 from hil.vehicle.sim_vehicle import SimVehicle, SimVehicleConfig
-from hil.world.world import Telemetry
+from hil.world.world import VehicleTelemetry
 from path.bounds import Bounds
 
 BIT_RATE = 4_000_000
@@ -62,7 +62,7 @@ class SimTello(SimVehicle):
         self._report: TelloReport | None = None
         self._packets = -1
 
-    def _take(self, telemetry: Telemetry, arrival_ns: int) -> None:
+    def _take(self, telemetry: VehicleTelemetry, arrival_ns: int) -> None:
         super()._take_heartbeat(telemetry, arrival_ns)
         packets = math.floor(telemetry.time_s / STATE_PERIOD_S + 1e-6)
         if packets == self._packets:
@@ -110,7 +110,7 @@ class SimTelloCamera(RenderedCamera):
         self._encoded = 0
 
     async def read(self, timeout_s: float) -> Frame:
-        """As ``RenderedCamera.read``."""
+        """Returns the next frame as ``RenderedCamera.read``, through the drone's video codec."""
         frame = await super().read(timeout_s)
         image = cast(Any, av.VideoFrame.from_ndarray(frame.color, format="bgr24")).reformat(format="yuv420p")
         image.pts = self._encoded

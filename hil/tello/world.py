@@ -1,4 +1,4 @@
-"""What a ``sitl`` world puts behind a rig whose drones are Tellos."""
+"""The emulated drones of a ``sitl`` world behind a rig whose drones are Tellos."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from path.messages import Role
 
 
 def is_tello(spec: PartSpec) -> bool:
-    """Whether a vehicle's spec names the Tello's driver."""
+    """Returns whether a vehicle's spec names the Tello's driver."""
     return spec.factory == "drivers.tello.vehicle:TelloVehicle"
 
 
@@ -23,7 +23,7 @@ def tello_of(rig: Rig, role: Role, drone: SimDrone, world: WorldConfig, seed: in
     own = rig.role(role)
     vehicle: TelloVehicleConfig = decode_part(own.vehicle)[1]
     camera: TelloCameraConfig = decode_part(
-        PartSpec.from_table(own.sight.options["camera"], f"{own.sight.where}.camera", own.sight.base)
+        PartSpec.from_table(own.perception.options["camera"], f"{own.perception.where}.camera", own.perception.base)
     )[1]
     video = TelloVideo(TelloVideoConfig(own.camera.width, own.camera.height, float(camera.rate_hz)), seed)
     config = TelloEmulatorConfig(

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import PartError, Vehicle, VehicleError
-from drivers.mavlink.bench import Answer, Heard, Instant, Shown
+from drivers.mavlink.bench import CommandAnswer, HeardOnCable, HeartbeatShown, Instant
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.modes import KINDS, SAFETY_ARMED
 from drivers.rig.parts import PartSpec, Rig, create, part_context
@@ -113,7 +113,7 @@ class SimulatorFarSide:
         self._vehicle.close()
 
 
-class VehicleBench:
+class EmbeddedBench:
     """A ``drivers.mavlink.bench.VehicleBench`` of the sender's vehicle in a rig of level ``sitl``.
 
     MAVSDK listens on a port of its own, a simulator has a number of its own: a run with the same rig is not disturbed.
@@ -142,7 +142,7 @@ class VehicleBench:
         self._watched: Vehicle | None = None
         self._task: asyncio.Task[None] | None = None
         self._failure: Exception | None = None
-        self.heard = Heard()
+        self.heard = HeardOnCable()
         self.instants: list[Instant] = []
 
     async def __aenter__(self) -> Self:
@@ -234,12 +234,12 @@ class VehicleBench:
         match message.get_type():
             case "HEARTBEAT":
                 mode, armed = self._modes.mode(message.custom_mode), bool(message.base_mode & SAFETY_ARMED)
-                heard.shown.append(Shown(time_s, mode, message.custom_mode, armed))
+                heard.shown.append(HeartbeatShown(time_s, mode, message.custom_mode, armed))
             case "SYS_STATUS":
                 passed = message.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_PREARM_CHECK
                 heard.checks.append((time_s, bool(passed)))
             case "COMMAND_ACK":
-                heard.answers.append(Answer(time_s, message.command, message.result, message.target_system))
+                heard.answers.append(CommandAnswer(time_s, message.command, message.result, message.target_system))
             case "EXTENDED_SYS_STATE":
                 heard.landed.append((time_s, message.landed_state))
             case "STATUSTEXT":

@@ -64,8 +64,10 @@ class RemoteAutopilot:
 
     @property
     def pilot_in_control(self) -> bool:
-        """Whether somebody else selects its mode: the harness has, as a second ground station, or it flies in one that
-        no script selects."""
+        """Returns whether somebody else selects its mode.
+
+        The harness does, as a second ground station, or it flies in a mode that no script selects.
+        """
         return self.armed and (self._taken or self.mode is FlightMode.OTHER)
 
     @property
@@ -85,7 +87,7 @@ class RemoteAutopilot:
         return self._cable.watch.setpoint_gap_s
 
     def request_mode(self, now_s: float, mode: FlightMode, by_pilot: bool = False) -> None:
-        """Only a pilot's change can be asked for."""
+        """Changes the mode as a pilot; nobody else's change can be asked for."""
         del now_s, mode
         assert by_pilot
         self._taken = True
@@ -102,15 +104,17 @@ class SimulatedVehicle:
     def __init__(
         self, rig: Rig, role: Role, config: SimulatorConfig, world: WorldConfig, folder: Path, seed: int = 0
     ) -> None:
-        """``seed``: of what the receiver's position is wrong by. Raises PartError when a port is taken or the
-        simulator was not named."""
+        """Raises PartError when a port is taken or the simulator was not named.
+
+        ``seed``: of what the receiver's position is wrong by.
+        """
         options = rig.role(role).vehicle.options
         self.sysid = int(options["sysid"])
         self.config = config
         origin, home = rig.origin, world.home(role)
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
         east, north = home.position_m
-        off_n_m = receiver_off(world.apart, seed) if role is Role.RECEIVER else (0.0, 0.0, 0.0)
+        off_n_m = receiver_off(world.position_offset, seed) if role is Role.RECEIVER else (0.0, 0.0, 0.0)
         place = Home(*tangent.to_global(north + off_n_m[0], east + off_n_m[1], 0.0), home.heading_deg)
         self.follower = TruthFollower(world.airframe.leg_m, off_n_m)
         self._process: AutopilotProcess | None = None
@@ -146,7 +150,7 @@ class SimulatedVehicle:
 
     @silent.setter
     def silent(self, silent: bool) -> None:
-        """Only where the harness has the cable in its hands."""
+        """Silences the cable, where the harness has it in its hands."""
         if self.relay is not None:
             self.relay.silent = silent
 
@@ -185,7 +189,7 @@ class SimulatedVehicle:
             raise SimulatorBroken(f"{self.config.kind} of vehicle {self.sysid} told no truth for {silent_s:.1f} s")
 
     def waits_for(self) -> list[str]:
-        """What it lacks until a mission may start."""
+        """Returns what it lacks until a mission may start."""
         self.pump(0.0)
         missing = self.link.missing
         if not missing and self.config.on_board:
@@ -217,7 +221,7 @@ class SimulatedVehicle:
         )
 
     def not_ready(self, missing: list[str], after_s: float) -> SimulatorBroken:
-        """What is said of one that does not become ready."""
+        """Returns the error of a simulator that does not become ready."""
         said = " | ".join(self.link.texts[-3:]) or (self._process.last_words() if self._process else "nothing")
         return SimulatorBroken(
             f"{self.config.kind} of vehicle {self.sysid} not ready after {after_s:.0f} s: waiting for "
@@ -237,7 +241,7 @@ class FollowedWorld(World):
         }
 
     def advance(self, to_s: float) -> None:
-        """To where the simulators say the drones are at ``to_s``."""
+        """Advances to where the simulators say the drones are at ``to_s``."""
         if to_s < self.time_s:
             raise ValueError(f"the world is at {self.time_s} s and cannot go back to {to_s} s")
         for i, vehicle in enumerate(self._vehicles.values()):
@@ -252,7 +256,7 @@ class FollowedWorld(World):
 
 @dataclass(frozen=True, slots=True)
 class Readiness:
-    """How long each simulator took until it could fly."""
+    """The time that each simulator took until it could fly."""
 
     seconds: Mapping[Role, float]
 

@@ -17,8 +17,8 @@ from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.link.key import signing_time
 from drivers.mavlink.geodesy import LocalTangent
 from hil.autopilot.autopilot import Ack
-from hil.vehicle.channel import Address, Channel
-from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, Flight, MavlinkDrone
+from hil.vehicle.channel import Address, UdpChannel
+from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, FlightInstant, MavlinkDrone
 from hil.vehicle.parameters import Parameters
 from path.messages import Vec3
 from path.rotation import yaw_of
@@ -34,7 +34,7 @@ IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW = 0b111, 0b111000, 1 << 10
 
 @dataclass(frozen=True, slots=True)
 class MavlinkVehicleConfig:
-    """Where a vehicle is on the wire.
+    """The place of a vehicle on the wire.
 
     Attributes:
         sysid: its MAVLink system id.
@@ -65,9 +65,9 @@ class MavlinkVehicle:
         self._drone = drone
         self._tangent = tangent
         self._local_origin_n_m: Vec3 | None = None
-        self._channels = [Channel(config.bind, config.remote)]
+        self._channels = [UdpChannel(config.bind, config.remote)]
         if config.second is not None:
-            self._channels.append(Channel((config.bind[0], 0), config.second))
+            self._channels.append(UdpChannel((config.bind[0], 0), config.second))
         self._mav: Any = mavlink.MAVLink(None, srcSystem=config.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         if config.key is not None:
             self._mav.signing.secret_key, self._mav.signing.sign_outgoing = config.key, True
@@ -83,7 +83,7 @@ class MavlinkVehicle:
         self.received: Counter[str] = Counter()
         self.malformed = 0
         self.tap: Callable[[float, Any], None] | None = None
-        self._commands: dict[int, Callable[[Flight, Any], int]] = {
+        self._commands: dict[int, Callable[[FlightInstant, Any], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
             mavlink.MAV_CMD_NAV_LAND: lambda flight, _: self._request(flight, FlightMode.LAND),
@@ -93,7 +93,7 @@ class MavlinkVehicle:
 
     @property
     def address(self) -> Address:
-        """Where it listens itself, for a second ground station."""
+        """The address at which it listens itself, for a second ground station."""
         return self._channels[0].address
 
     def close(self) -> None:
@@ -104,7 +104,9 @@ class MavlinkVehicle:
         """Take all that came in, act on it, send what is due. ``now_s`` is the time the drone was stepped to."""
         if self._local_origin_n_m is None:
             self._local_origin_n_m = self._drone.estimate.position_n_m
-        flight = Flight(now_s, self._drone.autopilot, self._drone.estimate, self._tangent, self._local_origin_n_m)
+        flight = FlightInstant(
+            now_s, self._drone.autopilot, self._drone.estimate, self._tangent, self._local_origin_n_m
+        )
         for channel in self._channels:
             self._receive(flight, channel)
         if not self.silent:
@@ -113,12 +115,12 @@ class MavlinkVehicle:
 
     # --- out ---
 
-    def _send(self, channel: Channel, message: Any, to: Address | None = None) -> None:
+    def _send(self, channel: UdpChannel, message: Any, to: Address | None = None) -> None:
         packet = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         channel.send(packet, to)
 
-    def _send_texts(self, flight: Flight) -> None:
+    def _send_texts(self, flight: FlightInstant) -> None:
         texts = flight.autopilot.status_texts
         while self._texts_sent < len(texts):
             text = texts[self._texts_sent]
@@ -127,7 +129,7 @@ class MavlinkVehicle:
                 message = mavlink.MAVLink_statustext_message(text.severity.value, text.text.encode()[:50])
                 self._send(channel, message)
 
-    def _send_due(self, flight: Flight) -> None:
+    def _send_due(self, flight: FlightInstant) -> None:
         shown = flight.autopilot.mode, flight.autopilot.armed
         changed = shown != self._shown and self._own_beat_s is None  # a change is told at once
         self._shown = shown
@@ -139,14 +141,14 @@ class MavlinkVehicle:
             for message in channel.due(flight.estimate.time_s):
                 self._send_message(flight, channel, message)
 
-    def _send_message(self, flight: Flight, channel: Channel, message: int) -> None:
+    def _send_message(self, flight: FlightInstant, channel: UdpChannel, message: int) -> None:
         made = STREAMS[message][0](flight)
         if made is not None:
             self._send(channel, made)
 
     # --- in ---
 
-    def _receive(self, flight: Flight, channel: Channel) -> None:
+    def _receive(self, flight: FlightInstant, channel: UdpChannel) -> None:
         for packet, sender in channel.packets():
             if self.silent:
                 continue
@@ -165,7 +167,7 @@ class MavlinkVehicle:
             return None
         return message if message.get_msgId() in mavlink.mavlink_map else None
 
-    def _take(self, flight: Flight, message: Any, channel: Channel, sender: Address) -> None:
+    def _take(self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address) -> None:
         if self.tap is not None:
             self.tap(flight.now_s, message)
         if getattr(message, "target_system", self._config.sysid) not in (0, self._config.sysid):
@@ -184,7 +186,7 @@ class MavlinkVehicle:
             for answer in self._parameters.answer(message):
                 self._send(channel, answer, sender)
 
-    def _setpoint(self, flight: Flight, message: Any) -> None:
+    def _setpoint(self, flight: FlightInstant, message: Any) -> None:
         """Velocity, position by a proportional loop, or both, in MAV_FRAME_LOCAL_NED; the rest is ignored."""
         mask = message.type_mask
         by_velocity, by_position = not mask & IGNORE_VELOCITY, not mask & IGNORE_POSITION
@@ -200,7 +202,7 @@ class MavlinkVehicle:
         if not flight.autopilot.setpoint(flight.now_s, VelocitySetpoint((north, east, down), yaw)):
             self.malformed += 1
 
-    def _command(self, flight: Flight, message: Any, channel: Channel, sender: Address) -> None:
+    def _command(self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address) -> None:
         command = message.command
         after: int | None = None
         if command == mavlink.MAV_CMD_REQUEST_MESSAGE:
@@ -219,7 +221,7 @@ class MavlinkVehicle:
         if after is not None and result == ACCEPTED:
             self._send_message(flight, channel, after)
 
-    def _set_interval(self, flight: Flight, channel: Channel, message: Any) -> int:
+    def _set_interval(self, flight: FlightInstant, channel: UdpChannel, message: Any) -> int:
         which, interval_us = _whole(message.param1), _whole(message.param2)
         if which is None or interval_us is None:
             return DENIED
@@ -227,21 +229,21 @@ class MavlinkVehicle:
             return ACCEPTED  # and goes on as it did
         return ACCEPTED if channel.set_interval(which, interval_us, flight.estimate.time_s) else DENIED
 
-    def _arm(self, flight: Flight, message: Any) -> int:
+    def _arm(self, flight: FlightInstant, message: Any) -> int:
         arm = _whole(message.param1)
         if arm not in (0, 1):
             return DENIED
         return _not_now(flight.autopilot.request_arm(flight.now_s, arm == 1, message.param2 == FORCE_MAGIC))
 
-    def _take_off(self, flight: Flight, message: Any) -> int:
-        """Without an altitude, and MAVSDK gives none, the height is MIS_TAKEOFF_ALT over home."""
+    def _take_off(self, flight: FlightInstant, message: Any) -> int:
+        """Takes off. Without an altitude, and MAVSDK gives none, the height is MIS_TAKEOFF_ALT over home."""
         home, altitude_m = flight.autopilot.home_n_m, float(getattr(message, "param7", math.nan))
         height_m = self._parameters.take_off_m
         if home is not None and math.isfinite(altitude_m):
             height_m = altitude_m - self._tangent.to_global(*home)[2]
         return _result(flight.autopilot.request_takeoff(flight.now_s, height_m))
 
-    def _set_mode(self, flight: Flight, message: Any) -> int:
+    def _set_mode(self, flight: FlightInstant, message: Any) -> int:
         main, sub = _whole(message.param2), _whole(message.param3)
         if main in PILOT_MODES:
             return self._request(flight, FlightMode.OTHER, by_pilot=True)
@@ -253,7 +255,7 @@ class MavlinkVehicle:
             return self._request(flight, AUTO_MODES[sub])
         return DENIED
 
-    def _request(self, flight: Flight, mode: FlightMode, by_pilot: bool = False) -> int:
+    def _request(self, flight: FlightInstant, mode: FlightMode, by_pilot: bool = False) -> int:
         return _not_now(flight.autopilot.request_mode(flight.now_s, mode, by_pilot))
 
 
@@ -278,5 +280,5 @@ def _result(ack: Ack) -> int:
 
 
 def _not_now(ack: Ack) -> int:
-    """As PX4 answers what it would do another time: arming, disarming, a mode."""
+    """Returns PX4's answer to what it would do another time: arming, disarming, a mode."""
     return ACCEPTED if ack.accepted else NOT_NOW

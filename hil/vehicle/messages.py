@@ -46,7 +46,7 @@ FULL_MV, EMPTY_MV = 16_800, 13_200  # four lithium cells
 
 
 class MavlinkDrone(Protocol):
-    """What of a simulated drone is seen on the wire: ``hil.world.world.SimDrone``."""
+    """The part of a simulated drone that is seen on the wire: ``hil.world.world.SimDrone``."""
 
     @property
     def autopilot(self) -> Autopilot: ...
@@ -56,7 +56,7 @@ class MavlinkDrone(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class FlightInstant:
     """One instant of a vehicle. ``local_origin_n_m``: where its own local frame began, which is not the mission's."""
 
     now_s: float
@@ -67,7 +67,7 @@ class Flight:
 
     @property
     def boot_ms(self) -> int:
-        """Of the estimate, which may be older than the message."""
+        """The time of the estimate since the start, ms; it may be older than the message."""
         return int(self.estimate.time_s * 1e3) & 0xFFFFFFFF
 
     @property
@@ -80,7 +80,7 @@ class Flight:
         return n - n0, e - e0, d - d0
 
 
-def heartbeat(flight: Flight) -> Any:
+def heartbeat(flight: FlightInstant) -> Any:
     autopilot = flight.autopilot
     base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
     if autopilot.armed:
@@ -90,12 +90,12 @@ def heartbeat(flight: Flight) -> Any:
     return mavlink.MAVLink_heartbeat_message(kind, make, base, CUSTOM_MODES[autopilot.mode], status, 3)
 
 
-def current_mode(flight: Flight) -> Any:
+def current_mode(flight: FlightInstant) -> Any:
     custom_mode = CUSTOM_MODES[flight.autopilot.mode]
     return mavlink.MAVLink_current_mode_message(mavlink.MAV_STANDARD_MODE_NON_STANDARD, custom_mode, custom_mode)
 
 
-def sys_status(flight: Flight) -> Any:
+def sys_status(flight: FlightInstant) -> Any:
     autopilot = flight.autopilot
     healthy = _ALWAYS_HEALTHY
     if autopilot.home_n_m is not None:
@@ -108,7 +108,7 @@ def sys_status(flight: Flight) -> Any:
     )
 
 
-def gps_raw_int(flight: Flight) -> Any:
+def gps_raw_int(flight: FlightInstant) -> Any:
     latitude, longitude, altitude_m = _global(flight)
     fixed = flight.autopilot.home_n_m is not None
     fix = mavlink.GPS_FIX_TYPE_3D_FIX if fixed else mavlink.GPS_FIX_TYPE_NO_FIX
@@ -118,22 +118,22 @@ def gps_raw_int(flight: Flight) -> Any:
     )
 
 
-def attitude(flight: Flight) -> Any:
+def attitude(flight: FlightInstant) -> Any:
     rpy = rpy_from_quat(flight.estimate.q_n_b)
     return mavlink.MAVLink_attitude_message(flight.boot_ms, *rpy, 0.0, 0.0, 0.0)
 
 
-def attitude_quaternion(flight: Flight) -> Any:
+def attitude_quaternion(flight: FlightInstant) -> Any:
     return mavlink.MAVLink_attitude_quaternion_message(flight.boot_ms, *flight.estimate.q_n_b, 0.0, 0.0, 0.0)
 
 
-def local_position_ned(flight: Flight) -> Any:
+def local_position_ned(flight: FlightInstant) -> Any:
     position, velocity = flight.local_n_m, flight.estimate.velocity_n_mps
     return mavlink.MAVLink_local_position_ned_message(flight.boot_ms, *position, *velocity)
 
 
-def global_position_int(flight: Flight) -> Any | None:
-    """Only once there is a global position, like the real one."""
+def global_position_int(flight: FlightInstant) -> Any | None:
+    """Returns the global position, only once there is one, like the real vehicle."""
     home = flight.autopilot.home_n_m
     if home is None:
         return None
@@ -146,7 +146,7 @@ def global_position_int(flight: Flight) -> Any | None:
     )
 
 
-def battery_status(flight: Flight) -> Any:
+def battery_status(flight: FlightInstant) -> Any:
     cell_mv = _voltage_mv(flight.autopilot) // 4
     voltages = [cell_mv] * 4 + [0xFFFF] * 6
     percent = round(flight.autopilot.battery * 100.0)
@@ -154,7 +154,7 @@ def battery_status(flight: Flight) -> Any:
     return mavlink.MAVLink_battery_status_message(0, 0, lithium, 0x7FFF, voltages, -1, -1, -1, percent)
 
 
-def home_position(flight: Flight) -> Any | None:
+def home_position(flight: FlightInstant) -> Any | None:
     home = flight.autopilot.home_n_m
     if home is None:
         return None
@@ -165,7 +165,7 @@ def home_position(flight: Flight) -> Any | None:
     return mavlink.MAVLink_home_position_message(*place, *local, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
 
 
-def extended_sys_state(flight: Flight) -> Any:
+def extended_sys_state(flight: FlightInstant) -> Any:
     autopilot = flight.autopilot
     landed = _LANDED_STATES.get(autopilot.mode, mavlink.MAV_LANDED_STATE_IN_AIR)
     if autopilot.landed:
@@ -173,13 +173,13 @@ def extended_sys_state(flight: Flight) -> Any:
     return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, landed)
 
 
-def autopilot_version(_flight: Flight) -> Any:
+def autopilot_version(_flight: FlightInstant) -> Any:
     version = 1 << 24 | 16 << 16 | 255  # 1.16.0, release
     none = [0] * 8
     return mavlink.MAVLink_autopilot_version_message(_CAPABILITIES, version, 0, 0, 0, none, none, none, 0, 0, 0)
 
 
-STREAMS: dict[int, tuple[Callable[[Flight], Any | None], float]] = {
+STREAMS: dict[int, tuple[Callable[[FlightInstant], Any | None], float]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: (heartbeat, 2.0),
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: (sys_status, 2.0),
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: (gps_raw_int, 1.0),
@@ -200,7 +200,7 @@ def _voltage_mv(autopilot: Autopilot) -> int:
     return round(EMPTY_MV + (FULL_MV - EMPTY_MV) * autopilot.battery)
 
 
-def _global(flight: Flight) -> tuple[int, int, float]:
+def _global(flight: FlightInstant) -> tuple[int, int, float]:
     """Latitude and longitude in 1e-7 degrees, altitude above mean sea level in metres."""
     latitude_deg, longitude_deg, altitude_m = flight.tangent.to_global(*flight.estimate.position_n_m)
     return round(latitude_deg * 1e7), round(longitude_deg * 1e7), altitude_m

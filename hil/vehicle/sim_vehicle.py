@@ -17,7 +17,7 @@ from drivers.interfaces import Capability, FlightMode, TakenOver, VehicleError, 
 from drivers.perception.history import StateHistory
 from drivers.rig.parts import PartContext
 from hil.autopilot.autopilot import Ack, Autopilot
-from hil.world.world import Telemetry, World
+from hil.world.world import VehicleTelemetry, World
 from path.bounds import Bounds
 from path.messages import Quat, Role
 
@@ -27,7 +27,7 @@ SETPOINT_PERIOD_S = 0.05  # while the vehicle has not shown OFFBOARD yet
 
 
 class WorldHarness(Protocol):
-    """What the vehicle needs of ``PartContext.harness``.
+    """The part of ``PartContext.harness`` that the vehicle needs.
 
     ``world`` is at the loop's present whenever it is read; the vehicles of the roles in ``silent_vehicles`` have lost
     the link to their flight controller.
@@ -86,8 +86,8 @@ class SimVehicle:
         self._clock = context.clock
         self._harness = cast("WorldHarness", context.harness)
         self._history = StateHistory()
-        self._newest: Telemetry | None = None
-        self._beat: Telemetry | None = None
+        self._newest: VehicleTelemetry | None = None
+        self._beat: VehicleTelemetry | None = None
         self._newest_ns = self._beat_ns = 0
         self._beats = -1
         self._taken_s = self._pulled_s = -math.inf
@@ -107,7 +107,7 @@ class SimVehicle:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
-        """Without setpoints the autopilot holds, then lands."""
+        """Closes the vehicle. Without setpoints the autopilot holds, then lands."""
         self._open = False
 
     # --- telemetry ---
@@ -139,7 +139,7 @@ class SimVehicle:
         if self._silent:
             self._taken_s = now_s
             return
-        waiting: list[Telemetry] = []
+        waiting: list[VehicleTelemetry] = []
         for telemetry in reversed(world.drone(self._role).telemetry):
             if telemetry.time_s <= self._taken_s:
                 break
@@ -151,12 +151,12 @@ class SimVehicle:
         if waiting:
             self._state = None
 
-    def _take(self, telemetry: Telemetry, arrival_ns: int) -> None:
+    def _take(self, telemetry: VehicleTelemetry, arrival_ns: int) -> None:
         self._take_heartbeat(telemetry, arrival_ns)
         self._newest, self._newest_ns = telemetry, arrival_ns
         self._history.add(arrival_ns, telemetry.estimate.q_n_b)
 
-    def _take_heartbeat(self, telemetry: Telemetry, arrival_ns: int) -> None:
+    def _take_heartbeat(self, telemetry: VehicleTelemetry, arrival_ns: int) -> None:
         beats = math.floor(telemetry.time_s / self._config.heartbeat_s + 1e-6)
         if beats > self._beats:
             self._beat, self._beats, self._beat_ns = telemetry, beats, arrival_ns
@@ -307,7 +307,7 @@ class SimVehicle:
             await asyncio.sleep(SETPOINT_PERIOD_S)
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Whether the condition came true in time. Raises VehicleError when the vehicle falls silent."""
+        """Returns whether the condition came true in time. Raises VehicleError when the vehicle falls silent."""
 
         def alive_and_true() -> bool:
             self._check_alive()

@@ -20,7 +20,7 @@ from hil.autopilot.simulator import Kind
 from hil.vehicle.arrival import Address
 from hil.vehicle.relay import DO_SET_MODE, PILOT_MODE, FlightWatch
 from hil.vehicle.simulator_wire import open_wire
-from hil.vehicle.truth_follower import Fix, Motion, TruthFollower
+from hil.vehicle.truth_follower import Fix, TrueMotion, TruthFollower
 from path.messages import Vec3
 
 OWN_SYSID, OWN_COMPONENT = 250, 191
@@ -54,8 +54,11 @@ class SimulatorLink:
         follower: TruthFollower,
         placed_later: bool = False,
     ) -> None:
-        """``port``: where it listens, or the URL of a serial port. ``placed_later``: only the mission's own parts tell
-        it where it is, so that it cannot be ready before. Raises OSError, PartError when the port is taken."""
+        """Raises OSError, PartError when the port is taken.
+
+        ``port``: where it listens, or the URL of a serial port. ``placed_later``: only the mission's own parts tell it
+        where it is, so that it cannot be ready before.
+        """
         self._placed_later = placed_later
         self._readiness = (mavlink.MAVLINK_MSG_ID_ATTITUDE, *READINESS) if placed_later else READINESS
         self._kind: Kind = kind
@@ -81,7 +84,7 @@ class SimulatorLink:
 
     @property
     def missing(self) -> list[str]:
-        """What it still lacks before a mission may start; empty when it is ready."""
+        """Returns what it still lacks before a mission may start; empty when it is ready."""
         wanted = {
             "heartbeat": mavlink.MAVLINK_MSG_ID_HEARTBEAT,
             "local position": mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
@@ -127,7 +130,7 @@ class SimulatorLink:
             self._command(mavlink.MAV_CMD_BATTERY_RESET, 1.0, 100.0 * fraction)
 
     def pilot_takes_over(self) -> None:
-        """As a second ground station."""
+        """Changes the mode as a second ground station."""
         self._command(DO_SET_MODE, float(CUSTOM_MODE_ENABLED), *PILOT_MODE[self._kind])
 
     def set_parameter(self, name: str, value: float) -> None:
@@ -187,7 +190,7 @@ class SimulatorLink:
         velocity: Vec3 = (_middle(message.vx) * 1e-2, _middle(message.vy) * 1e-2, _middle(message.vz) * 1e-2)
         w, x, y, z = message.attitude_quaternion
         rates = (message.rollspeed, message.pitchspeed, message.yawspeed)
-        self.follower.on_motion(Motion(time_s, velocity, (w, x, y, z), rates))
+        self.follower.on_motion(TrueMotion(time_s, velocity, (w, x, y, z), rates))
         latitude, longitude, altitude = (_middle(value) for value in (message.lat, message.lon, message.alt))
         place = self._tangent.to_ned(latitude * 1e-7, longitude * 1e-7, altitude * 1e-3)
         self.follower.on_fix(Fix(time_s, place))
@@ -195,7 +198,7 @@ class SimulatorLink:
     def _on_sim_state(self, message: Any, time_s: float) -> None:
         rates = (message.xgyro, message.ygyro, message.zgyro)
         attitude = (message.q1, message.q2, message.q3, message.q4)
-        self.follower.on_motion(Motion(time_s, (message.vn, message.ve, message.vd), attitude, rates))
+        self.follower.on_motion(TrueMotion(time_s, (message.vn, message.ve, message.vd), attitude, rates))
         _, _, down = self._tangent.to_ned(0.0, 0.0, message.alt)
         self.follower.on_fix(Fix(time_s, (math.nan, math.nan, down)))
 

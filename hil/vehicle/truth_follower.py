@@ -23,8 +23,8 @@ ROTOR_RADPS = 380.0
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
-    """What is true but for the position, at ``time_s``: velocity NED, attitude body to NED, body rates."""
+class TrueMotion:
+    """The true motion but for the position, at ``time_s``: velocity NED, attitude body to NED, body rates."""
 
     time_s: float
     velocity_n_mps: Vec3
@@ -47,7 +47,7 @@ class TruthFollower:
         """``told_off_n_m``: what the simulator tells less what is to be true; of the height only in the air."""
         self._leg_m = leg_m
         self._told_off_n_m = told_off_n_m
-        self._motion: Motion | None = None
+        self._motion: TrueMotion | None = None
         self._position: list[float] = [math.nan] * 3
         self._fixed_s: list[float] = [math.nan] * 3
         self._ground_m: float | None = None
@@ -61,7 +61,7 @@ class TruthFollower:
         """Time of the newest motion; -inf before the first."""
         return self._motion.time_s if self._motion else -math.inf
 
-    def on_motion(self, motion: Motion) -> None:
+    def on_motion(self, motion: TrueMotion) -> None:
         """Integrate up to it, by the trapezoid of both velocities."""
         last = self._motion
         if last is not None:
@@ -91,8 +91,10 @@ class TruthFollower:
             self._ground_m = self._position[2]
 
     def row(self, time_s: float) -> Array:
-        """A state row of ``hil.world.dynamics`` at ``time_s``, carried on from the newest motion. Only when
-        ``ready``."""
+        """Returns a state row of ``hil.world.dynamics`` at ``time_s``, carried on from the newest motion.
+
+        Only when ``ready``.
+        """
         motion = self._motion
         assert motion is not None and self._ground_m is not None
         late_s = max(0.0, time_s - motion.time_s)

@@ -50,7 +50,7 @@ class FaultKind:
 
     @property
     def moments(self) -> tuple[str, ...]:
-        """What may stand behind the ``@``: phases of a course, and what the hand-over's records say."""
+        """The moments that may stand behind the ``@``: phases of a course, and what the hand-over's records say."""
         phases = (*COURSE[self.followed], Phase.MISSION)
         return tuple(phase.title for phase in phases) + DUTIES[self.followed]
 
@@ -189,7 +189,7 @@ class FaultTrigger:
         return self._take(lambda fault: fault.kind.followed is role and fault.moment == duty)
 
     def waits_for_duty(self, role: Role) -> bool:
-        """Whether ``on_duty`` can still bring something about."""
+        """Returns whether ``on_duty`` can still bring something about."""
         return any(fault.kind.followed is role and fault.moment in DUTIES[role] for fault in self._waiting)
 
     def _take(self, due: Callable[[Fault], bool]) -> list[Fault]:

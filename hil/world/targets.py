@@ -126,7 +126,7 @@ class Crossing:
     beside: Point
 
 
-class Traffic:
+class GroundVehicles:
     """All ground vehicles. ``at`` is a pure function of time, but for the look-alikes sent so far."""
 
     def __init__(
@@ -149,7 +149,10 @@ class Traffic:
         )
 
     def _driven(self, time_s: float) -> tuple[float, float]:
-        """How far along the loop everything has driven, and how fast: a smooth start, then steadily, or to and fro."""
+        """Returns how far along the loop everything has driven, and how fast.
+
+        A smooth start, then steadily, or to and fro.
+        """
         since = (time_s - self._config.start_time_s) / RAMP_S
         speed = self._config.speed_mps
         if since <= 0.0:
@@ -211,7 +214,10 @@ class Traffic:
 
 
 def _driving(loop: Loop, config: LookAlikeConfig) -> list[float]:
-    """How far along the loop from the target each driving look-alike keeps: behind, ahead, further behind, ..."""
+    """Returns how far along the loop from the target each driving look-alike keeps.
+
+    Behind, ahead, further behind, ...
+    """
     apart: list[float] = []
     for k in range(config.driving):
         side, gap = (-1.0 if k % 2 == 0 else 1.0), config.min_distance_m * (1.2 + k // 2)
@@ -226,7 +232,11 @@ def _driving(loop: Loop, config: LookAlikeConfig) -> list[float]:
 
 
 def _parked(
-    loop: Loop, config: LookAlikeConfig, keep_clear: Sequence[Point], apart: Sequence[float], rng: np.random.Generator
+    loop: Loop,
+    config: LookAlikeConfig,
+    keep_clear: Sequence[Point],
+    apart: Sequence[float],
+    rng: np.random.Generator,
 ) -> list[tuple[float, float, float]]:
     """Places (E, N, yaw) beside the loop: the first near the start, the others anywhere along it."""
     placed: list[tuple[float, float, float]] = []

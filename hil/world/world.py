@@ -35,7 +35,7 @@ from hil.world.dynamics import (
 from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, Sensors, WindConfig
 from hil.world.snapshot import DroneTruth, Snapshot
-from hil.world.targets import LookAlikeConfig, Point, TargetConfig, Traffic
+from hil.world.targets import GroundVehicles, LookAlikeConfig, Point, TargetConfig
 from path.bounds import Bounds
 from path.geometry import Pose
 from path.messages import Quat, Role, Vec3
@@ -51,15 +51,15 @@ Name = TypeVar("Name", bound=Hashable)
 
 @dataclass(frozen=True, slots=True)
 class HomeConfig:
-    """Where a drone stands at the start: (E, N) in m, nose direction clockwise from north."""
+    """The place of a drone at the start: (E, N) in m, nose direction clockwise from north."""
 
     position_m: Annotated[Point, Bounds(-1000, 1000)] = (0.0, 0.0)
     heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class ApartConfig:
-    """How far apart the drones' positions are from the start, besides the errors of their estimators.
+class PositionOffsetConfig:
+    """The offset of the drones' positions from the start, besides the errors of their estimators.
 
     The receiver's is the one that is off, in a direction drawn by seed; upward or downward likewise.
     """
@@ -79,7 +79,7 @@ class WorldConfig:
     errors: ErrorsConfig = field(default_factory=ErrorsConfig)
     wind: WindConfig = field(default_factory=WindConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
-    apart: ApartConfig = field(default_factory=ApartConfig)
+    position_offset: PositionOffsetConfig = field(default_factory=PositionOffsetConfig)
     airframe: AirframeConfig = field(default_factory=AirframeConfig)
     autopilot: AutopilotConfig = field(default_factory=AutopilotConfig)
     detector: DetectorConfig = field(default_factory=DetectorConfig)
@@ -103,8 +103,8 @@ class WorldConfig:
         return self.sender_simulator if role is Role.SENDER else self.receiver_simulator
 
 
-class Telemetry(NamedTuple):
-    """What a drone could say of itself at one tick."""
+class VehicleTelemetry(NamedTuple):
+    """A drone's words about itself at one tick."""
 
     time_s: float
     estimate: Estimate
@@ -127,7 +127,7 @@ class SimDrone:
     def __init__(self, autopilot: Autopilot, state: Array) -> None:
         self.autopilot = autopilot
         self.estimate = Estimate(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        self.telemetry: deque[Telemetry] = deque(maxlen=TELEMETRY_TICKS)
+        self.telemetry: deque[VehicleTelemetry] = deque(maxlen=TELEMETRY_TICKS)
         self._state = state
 
     @property
@@ -155,7 +155,7 @@ class SimDrone:
         n, e, d, vn, ve, vd, w, x, y, z = row
         self.estimate = Estimate(time_s, (n, e, d), (vn, ve, vd), (w, x, y, z))
         own = self.autopilot
-        said = Telemetry(time_s, self.estimate, own.mode, own.armed, own.landed, own.armable, own.battery)
+        said = VehicleTelemetry(time_s, self.estimate, own.mode, own.armed, own.landed, own.armable, own.battery)
         self.telemetry.append(said)
 
     def command(self, time_s: float) -> tuple[float, ...]:
@@ -167,8 +167,9 @@ class SimDrone:
 
 
 class Fleet(Generic[Name]):
-    """Drones by name with their autopilots, and the traffic on the ground, as a function of the seed and of what the
-    autopilots are told.
+    """Drones by name with their autopilots, and the traffic on the ground.
+
+    All is a function of the seed and of what the autopilots are told.
     """
 
     def __init__(
@@ -178,7 +179,7 @@ class Fleet(Generic[Name]):
         self.config = config
         traffic, sensors, autopilots = np.random.SeedSequence(seed).spawn(3)
         keep_clear = [home.position_m for home in homes.values()]
-        self._traffic = Traffic(config.target, config.look_alikes, keep_clear, traffic)
+        self._traffic = GroundVehicles(config.target, config.look_alikes, keep_clear, traffic)
         self._traffic_began_s = 0.0
         estimator = config.estimator.times(config.errors.sizes)
         self._sensors = Sensors(config.wind, estimator, TICK_S, sensors.spawn(len(homes)))
@@ -237,10 +238,13 @@ class Fleet(Generic[Name]):
             self._commands[i] = drone.command(self._step / STEP_HZ)
 
     def _changed(self) -> None:
-        """What was worked out of the truth as it was is of no use any more."""
+        """Drops what was worked out of the truth before it changed."""
 
     def truths(self) -> dict[Name, DroneTruth]:
-        """Of every drone at ``time_s``; between two physics steps they are carried on by their velocities."""
+        """Returns the truth of every drone at ``time_s``.
+
+        Between two physics steps it is carried on by its velocity.
+        """
         poses = np.empty((len(self._drones), 12))
         poses_w(self._states, self._late_s(), poses)
         return {
@@ -252,7 +256,7 @@ class Fleet(Generic[Name]):
         }  # fmt: skip
 
     def _late_s(self) -> float:
-        """From the time of the state rows to ``time_s``."""
+        """Returns the time from the state rows to ``time_s``, s."""
         return self.time_s - self._step / STEP_HZ
 
     # --- faults ---
@@ -273,7 +277,7 @@ class Fleet(Generic[Name]):
         self._changed()
 
     def begin_traffic(self) -> None:
-        """From now on the time of what is on the ground runs, if it was held."""
+        """Lets the time of what is on the ground run from now on, if it was held."""
         self._traffic_began_s = min(self._traffic_began_s, self.time_s)
         self._changed()
 
@@ -308,7 +312,7 @@ class World(Fleet[Role]):
         """Raises ValueError when the objects do not fit."""
         self._snapshot: Snapshot | None = None
         self.min_separation_m = math.inf  # of the two bodies, while both were in the air
-        off = {Role.RECEIVER: receiver_off(config.apart, seed)}
+        off = {Role.RECEIVER: receiver_off(config.position_offset, seed)}
         super().__init__(config, seed, {role: config.home(role) for role in ROLES}, off)
 
     def _sense(self) -> None:
@@ -341,7 +345,7 @@ class World(Fleet[Role]):
         return self._snapshot
 
 
-def receiver_off(apart: ApartConfig, seed: int) -> Vec3:
+def receiver_off(apart: PositionOffsetConfig, seed: int) -> Vec3:
     """The constant part of the receiver's position error, NED: what it believes less what is true."""
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(4)[3])  # after the seeds of the fleet
     angle, up = rng.uniform(0.0, 2.0 * math.pi), bool(rng.integers(2))

@@ -18,7 +18,7 @@ from drivers.rig.calibration_file import CalibrationError, CameraCalibration, Ca
 from drivers.rig.file import load_rig
 from drivers.rig.parts import PartSpec, create, decode_part, part_context
 from missions.calibrate.board import board_of, otherwise
-from missions.calibrate.collect import Collected, Look, from_camera, from_images, from_recording
+from missions.calibrate.collect import Collected, CollectedImage, from_camera, from_images, from_recording
 from missions.calibrate.diagnose import what_else
 from missions.calibrate.picture import draw_calibration
 from missions.options import CalibrateCameraOptions
@@ -28,8 +28,8 @@ from path.calibration.board import Board, BoardView
 from path.calibration.intrinsics import PARAMETERS, RADIAL, Intrinsics, NotSolvable, doubting, solve_intrinsics
 from path.calibration.judge import (
     BadSet,
-    Fault,
     Grade,
+    SetFault,
     SetLimits,
     coverage,
     grade_of,
@@ -47,7 +47,7 @@ LIMITS = SetLimits()
 class BadViews(CalibrationError):
     """A set of views that no calibration should be made from. ``faults`` has every reason."""
 
-    def __init__(self, faults: Sequence[Fault]) -> None:
+    def __init__(self, faults: Sequence[SetFault]) -> None:
         found = "\n".join(f"{fault.reason.value}: {fault.found}" for fault in faults)
         super().__init__(f"these views are refused\n{found}", "\n       ".join(fault.fix for fault in faults))
         self.faults = tuple(faults)
@@ -58,9 +58,9 @@ class Calibrated:
     """A calibration. ``looks``: of ``solution.views``, in their order; ``faults``: what keeps it from being good."""
 
     solution: Intrinsics
-    looks: tuple[Look, ...]
+    looks: tuple[CollectedImage, ...]
     grade: Grade = "good"
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[SetFault, ...] = ()
 
 
 def calibrate_camera(options: CalibrateCameraOptions, out: TextIO) -> int:
@@ -95,33 +95,33 @@ def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) ->
     sizes = Counter(look.size for look in collected.looks)
     if len(sizes) > 1:
         found = ", ".join(f"{count} of {width}x{height} px" for (width, height), count in sizes.most_common())
-        raise BadViews([Fault(BadSet.MIXED_SIZES, f"images of different sizes: {found}",
+        raise BadViews([SetFault(BadSet.MIXED_SIZES, f"images of different sizes: {found}",
                               "put the images of one stream into a folder of their own")])  # fmt: skip
     seen = [look for look in collected.looks if look.view is not None]
     if not seen:
         found, fix = what_else(collected.sample, board)
-        raise BadViews([Fault(BadSet.NO_BOARD, found, fix)])
+        raise BadViews([SetFault(BadSet.NO_BOARD, found, fix)])
     views = [look.view for look in seen if look.view is not None]
     sharp = sharp_enough(views, limits)
-    faults: list[Fault] = []
+    faults: list[SetFault] = []
     blurred = [look.name for look, good in zip(seen, sharp, strict=True) if not good]
     looks = [look for look, good in zip(seen, sharp, strict=True) if good]
     views = [view for view, good in zip(views, sharp, strict=True) if good]
     size = next(iter(sizes))
     faults += judge_views(views, size, limits)
     if blurred and len(views) < limits.min_views:
-        faults.append(Fault(BadSet.BLURRED, f"{len(blurred)} views are blurred, such as {blurred[0]}",
+        faults.append(SetFault(BadSet.BLURRED, f"{len(blurred)} views are blurred, such as {blurred[0]}",
                             "hold board and camera still, give more light or a shorter exposure"))  # fmt: skip
     if len(views) < limits.fewest_views:
         raise BadViews(faults)
     try:
         solution, terms = _solve(views, board, size)
     except NotSolvable as error:
-        fault = Fault(BadSet.NOT_SOLVABLE, f"no camera fits these views: {error}", "is the board the one you named?")
+        fault = SetFault(BadSet.NOT_SOLVABLE, f"no camera fits these views: {error}", "is the board the one you named?")
         raise BadViews([*faults, fault]) from error
     faults += judge_solution(solution, limits)
     if terms < RADIAL:
-        faults.append(Fault(BadSet.UNCERTAIN, f"the distortion is told by {terms} of its {RADIAL} radial terms only",
+        faults.append(SetFault(BadSet.UNCERTAIN, f"the distortion is told by {terms} of its {RADIAL} radial terms only",
                             "bring the board into the corners of the image"))  # fmt: skip
     if faults:
         solution = doubting(solution)
@@ -163,10 +163,12 @@ def _from_rig(options: CalibrateCameraOptions, board: Board, out: TextIO) -> Col
     """Views of a rig's camera. Its calibration in the rig may be of anything: it is not used."""
     rig = load_rig(options.rig, [FOLDER])
     role = Role(options.role)
-    _, sight = decode_part(rig.role(role).sight)
-    spec = getattr(sight, "camera", None)
+    _, perception = decode_part(rig.role(role).perception)
+    spec = getattr(perception, "camera", None)
     if not isinstance(spec, PartSpec):
-        raise PartError(f"{rig.role(role).sight.where}: it has no camera of its own", "name a rig with real cameras")
+        raise PartError(
+            f"{rig.role(role).perception.where}: it has no camera of its own", "name a rig with real cameras"
+        )
     camera = create(spec, part_context(rig, role))
     folder = options.out.with_suffix("")
     out.write(f"show the board to the {role.value}'s camera; views are kept in {folder}\n")

@@ -25,7 +25,7 @@ DIFFERENT = 0.04  # of the diagonal: a new view differs from each other one by m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class CollectedImage:
     """One image that was looked at. ``view`` is None where no board was found."""
 
     name: str
@@ -35,14 +35,14 @@ class Look:
 
 @dataclass(slots=True)
 class Collected:
-    """What a source gave. ``sample``: an image for pictures and for telling what else is in it."""
+    """The views that a source gave. ``sample``: an image for pictures and for telling what else is in it."""
 
-    looks: list[Look] = field(default_factory=list[Look])
+    looks: list[CollectedImage] = field(default_factory=list[CollectedImage])
     sample: Image | None = None
     serial: str = ""
 
     def add(self, name: str, grey: Image, view: BoardView | None) -> None:
-        self.looks.append(Look(name, (grey.shape[1], grey.shape[0]), view))
+        self.looks.append(CollectedImage(name, (grey.shape[1], grey.shape[0]), view))
         if self.sample is None or view is not None:
             self.sample = grey
 

@@ -36,7 +36,7 @@ from missions.work import Bars
 from path.bounds import Bounds
 from path.calibration.board import Board, find_board
 from path.calibration.intrinsics import NotSolvable
-from path.calibration.mount import MountSolution, Pair, solve_mount
+from path.calibration.mount import MountPair, MountSolution, solve_mount
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.marker.detect import detect_markers
@@ -50,7 +50,7 @@ SIDE_SIGMAS = 4.0
 
 @dataclass(frozen=True, slots=True)
 class MeasuredSigma:
-    """How well a tape measure and a protractor were read, one standard deviation per axis."""
+    """The accuracy of a tape measure and a protractor, one standard deviation per axis."""
 
     position_m: Annotated[float, Bounds(0.0, 1.0, above=True)]
     angle_deg: Annotated[float, Bounds(0.0, 90.0, above=True)]
@@ -148,13 +148,13 @@ def _check_board(board: Board, rig: Rig) -> None:
 
 def _pairs(
     first: Path, other: Path, rig: Rig, camera_3: CameraModel, board: Board, out: TextIO
-) -> tuple[list[Pair], list[tuple[str, str]]]:
+) -> tuple[list[MountPair], list[tuple[str, str]]]:
     """Usable pairs, and the names of the others with what they lack. Raises CalibrationError for a wrong size."""
     others = {file.stem: file for file in image_files(other)}
     files = [file for file in image_files(first) if file.stem in others]
     if not files:
         raise PartError(f"{first} and {other} have no image of the same name", "name both images of a moment alike")
-    pairs: list[Pair] = []
+    pairs: list[MountPair] = []
     missing: list[tuple[str, str]] = []
     camera_1 = rig.sender.camera
     with Bars(sys.stderr if out is sys.stdout else out).bar("pairs", len(files)) as advance:
@@ -171,12 +171,12 @@ def _pairs(
                 what = "no board in the other camera" if board_3 is None else what
                 missing.append((file.name, "no board in D1's camera" if board_1 is None else what))
             else:
-                pairs.append(Pair(file.name, board_1, board_3, tuple(markers)))
+                pairs.append(MountPair(file.name, board_1, board_3, tuple(markers)))
             advance()
     return pairs, missing
 
 
-def solve_pairs(pairs: list[Pair], rig: Rig, camera_3: CameraModel, board: Board) -> MountSolution:
+def solve_pairs(pairs: list[MountPair], rig: Rig, camera_3: CameraModel, board: Board) -> MountSolution:
     """Solve; pairs that do not fit the others are left out, the worst first. Raises CalibrationError."""
     solution, kept = _solve(pairs, rig, camera_3, board), pairs
     while len(pairs) - len(kept) < int(MOST_LEFT_OUT * len(pairs)):
@@ -209,7 +209,7 @@ def solve_pairs(pairs: list[Pair], rig: Rig, camera_3: CameraModel, board: Board
     return solution
 
 
-def _solve(pairs: list[Pair], rig: Rig, camera_3: CameraModel, board: Board) -> MountSolution:
+def _solve(pairs: list[MountPair], rig: Rig, camera_3: CameraModel, board: Board) -> MountSolution:
     if len(pairs) < FEWEST_PAIRS:
         raise CalibrationError(
             f"{len(pairs)} usable pairs, at least {FEWEST_PAIRS} are needed",

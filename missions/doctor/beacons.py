@@ -20,7 +20,7 @@ OLD_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class BeaconReadings:
     """Positions as they were read, and how old each was by this computer's clock, s."""
 
     fixes: tuple[BeaconFix, ...]
@@ -51,7 +51,7 @@ async def check_beacons(beacons: Beacons, wanted: Mapping[str, int], clock: Cloc
             yield own
 
 
-async def _heard(beacons: Beacons, clock: Clock) -> Heard:
+async def _heard(beacons: Beacons, clock: Clock) -> BeaconReadings:
     fixes: list[BeaconFix] = []
     ages: list[float] = []
     first = await beacons.read(FIRST_S)
@@ -62,10 +62,10 @@ async def _heard(beacons: Beacons, clock: Clock) -> Heard:
         fixes.append(fix)
         ages.append(math.nan if fix.host_ns is None else (clock.now_ns() - fix.host_ns) * 1e-9)
         fix = await beacons.read(FIRST_S)
-    return Heard(tuple(fixes), tuple(ages), max(loop.time() - start_s, 1e-3))
+    return BeaconReadings(tuple(fixes), tuple(ages), max(loop.time() - start_s, 1e-3))
 
 
-def judged(heard: Heard, wanted: Mapping[str, int]) -> Iterator[Finding]:
+def judged(heard: BeaconReadings, wanted: Mapping[str, int]) -> Iterator[Finding]:
     """One finding for each beacon of the rig, one for those that it does not name, one for their age."""
     for who, address in wanted.items():
         yield _beacon(who, address, heard)
@@ -80,7 +80,7 @@ def judged(heard: Heard, wanted: Mapping[str, int]) -> Iterator[Finding]:
         yield Finding("note" if old else "ok", "age", detail, "a faster port; see latency_s" if old else "")
 
 
-def _beacon(who: str, address: int, heard: Heard) -> Finding:
+def _beacon(who: str, address: int, heard: BeaconReadings) -> Finding:
     own = [fix for fix in heard.fixes if fix.address == address]
     if not own:
         fix = (

@@ -31,7 +31,7 @@ DISTURBED = {
 
 
 @dataclass(slots=True)
-class Exchange:
+class PingExchange:
     """Pings of the measured time and their answers. ``alignment`` has had them all."""
 
     alignment: ClockAlignment = field(default_factory=ClockAlignment)
@@ -61,8 +61,8 @@ async def check_link(link: Link, clock: Clock, wait_s: float) -> AsyncIterator[F
             yield finding
 
 
-async def _exchanged(link: Link, clock: Clock, wait_s: float) -> Exchange:
-    exchange = Exchange()
+async def _exchanged(link: Link, clock: Clock, wait_s: float) -> PingExchange:
+    exchange = PingExchange()
     met = asyncio.Event()
     listening = asyncio.create_task(_listen(link, clock, exchange, met))
     loop = asyncio.get_running_loop()
@@ -89,7 +89,7 @@ async def _exchanged(link: Link, clock: Clock, wait_s: float) -> Exchange:
     return exchange
 
 
-async def _listen(link: Link, clock: Clock, exchange: Exchange, met: asyncio.Event) -> None:
+async def _listen(link: Link, clock: Clock, exchange: PingExchange, met: asyncio.Event) -> None:
     while True:
         received = await link.receive()
         message, arrival_ns = received.message, received.arrival_ns
@@ -102,7 +102,7 @@ async def _listen(link: Link, clock: Clock, exchange: Exchange, met: asyncio.Eve
             met.set()
 
 
-def judged(exchange: Exchange, counters: LinkCounters) -> Iterator[Finding]:
+def judged(exchange: PingExchange, counters: LinkCounters) -> Iterator[Finding]:
     yield from _disturbances(counters)
     if not exchange.trips_ms:
         yield _nobody(counters)

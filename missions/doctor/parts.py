@@ -14,7 +14,7 @@ from drivers.rig.parts import PartSpec, Rig, create, decode_part, part_context
 from missions.doctor.beacons import check_beacons
 from missions.doctor.guard import check_guard
 from missions.doctor.link import check_link
-from missions.doctor.perception import check_detector, check_sight
+from missions.doctor.perception import check_detector, check_perception
 from missions.doctor.vehicle import check_flyer
 from missions.rig_library import mission_of
 from path.messages import Role
@@ -35,7 +35,7 @@ class PartTest:
 
 
 def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
-    """In the order in which a flight opens the parts. Raises RigError."""
+    """Yields the tests in the order in which a flight opens the parts. Raises RigError."""
     own, context = rig.role(role), part_context(rig, role)
     min_battery = mission_of(rig).guard.min_battery
     layout = rig.layout if role is Role.RECEIVER else None
@@ -48,8 +48,8 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
     def vehicle() -> AsyncIterator[Finding]:
         return check_flyer(create(own.vehicle, context), context.clock, min_battery)
 
-    def sight() -> AsyncIterator[Finding]:
-        return check_sight(create(own.sight, context), context.clock, layout)
+    def perception() -> AsyncIterator[Finding]:
+        return check_perception(create(own.perception, context), context.clock, layout)
 
     def link() -> AsyncIterator[Finding]:
         return check_link(create(own.link, context), context.clock, WAIT_S)
@@ -63,12 +63,12 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
         wanted = {who: mounted.address for who, mounted in rig.reference.mounted.items()}
         return check_beacons(create(rig.reference.beacons, context), wanted, context.clock)
 
-    found = detector_of(own.sight)
+    found = detector_of(own.perception)
     if found is not None:
         yield PartTest(f"{role.value} detector", "its time for an image", partial(detector, *found))
     behind = [
         ("vehicle", "telemetry for 2 s", vehicle),
-        ("sight", "frames for 2 s", sight),
+        ("perception", "frames for 2 s", perception),
         ("link", "pings for 2 s, up to 4 s of waiting for the other end", link),
     ]
     if own.guard is not None:
@@ -79,9 +79,9 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
         yield PartTest(f"{role.value} {name}", doing, run if rig.harness is None else partial(_stood_in, rig.harness))
 
 
-def detector_of(sight: PartSpec) -> tuple[PartSpec, float | None] | None:
-    """The detector within an eye, and the rate of its camera as far as the rig sets it."""
-    _, config = decode_part(sight)
+def detector_of(perception: PartSpec) -> tuple[PartSpec, float | None] | None:
+    """The detector within a perception, and the rate of its camera as far as the rig sets it."""
+    _, config = decode_part(perception)
     detector: Any = getattr(config, "detector", None)
     if not isinstance(detector, PartSpec):
         return None

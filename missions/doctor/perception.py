@@ -1,4 +1,4 @@
-"""The short test of a role's eye: frames for two seconds, and what is found in the last of them."""
+"""The short test of a role's perception: frames for two seconds, and what is found in the last of them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces import Capability, Clock, Detector, Sight, View, lacking
+from drivers.interfaces import Capability, Clock, Detector, Perception, View, lacking
 from drivers.rig.part_check import Enough, Finding, examined, rate_finding, rate_of
 from path.camera import CameraModel
 from path.marker.layout import MarkerLayout
@@ -28,7 +28,7 @@ STREAM_FIX = "a USB 3 port and cable, no other load on this computer, more light
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class FrameSample:
     """Frames as they came: instants and ages in ns of the role's clock, and the last few of them."""
 
     stamps_ns: tuple[int, ...]
@@ -41,34 +41,34 @@ class Sample:
         return (self.stamps_ns[-1] - self.stamps_ns[0]) * 1e-9
 
 
-async def check_sight(sight: Sight, clock: Clock, layout: MarkerLayout | None) -> AsyncIterator[Finding]:
+async def check_perception(perception: Perception, clock: Clock, layout: MarkerLayout | None) -> AsyncIterator[Finding]:
     """Open, look, close. ``layout``: of the markers that this role must see; None when it needs none.
 
     Raises PartError for what ends the test.
     """
     start_ns = clock.now_ns()
-    async with sight:
-        await sight.view(FRAME_S)
+    async with perception:
+        await perception.view(FRAME_S)
         yield Finding("ok", "opens", f"first frame after {(clock.now_ns() - start_ns) * 1e-9:.1f} s")
-        sample = await _sampled(sight, clock)
-        yield rate(sample, rate_of(sight))
+        sample = await _sampled(perception, clock)
+        yield rate(sample, rate_of(perception))
         yield missed(sample)
         yield age(sample)
-        for own in await examined(sight):
+        for own in await examined(perception):
             yield own
-        for finding in _pictures(sight, sample):
+        for finding in _pictures(perception, sample):
             yield finding
-        yield _targets(sample, rate_of(sight), clock)
+        yield _targets(sample, rate_of(perception), clock)
         if layout is not None:
             yield markers([view.markers(None) for view in sample.last], layout)
 
 
-async def _sampled(sight: Sight, clock: Clock) -> Sample:
-    await _frames(sight, clock, SETTLE_S)  # what waited since it was opened, and automatic exposure
-    return await _frames(sight, clock, SAMPLE_S)
+async def _sampled(perception: Perception, clock: Clock) -> FrameSample:
+    await _frames(perception, clock, SETTLE_S)  # what waited since it was opened, and automatic exposure
+    return await _frames(perception, clock, SAMPLE_S)
 
 
-async def _frames(sight: Sight, clock: Clock, seconds: float) -> Sample:
+async def _frames(perception: Perception, clock: Clock, seconds: float) -> FrameSample:
     loop = asyncio.get_running_loop()
     end_s = loop.time() + seconds
     stamps: list[int] = []
@@ -76,15 +76,15 @@ async def _frames(sight: Sight, clock: Clock, seconds: float) -> Sample:
     ages: list[int] = []
     last: deque[View] = deque(maxlen=KEPT)
     while loop.time() < end_s or len(stamps) < 2:
-        view = await sight.view(FRAME_S)
+        view = await perception.view(FRAME_S)
         stamps.append(view.stamp_ns)
         ids.append(view.frame_id)
         ages.append(clock.now_ns() - view.stamp_ns)
         last.append(view)
-    return Sample(tuple(stamps), tuple(ids), tuple(ages), tuple(last))
+    return FrameSample(tuple(stamps), tuple(ids), tuple(ages), tuple(last))
 
 
-def rate(sample: Sample, wanted_hz: float | None) -> Finding:
+def rate(sample: FrameSample, wanted_hz: float | None) -> Finding:
     """Frames that came in a second, against what the rig sets."""
     found_hz = (len(sample.ids) - 1) / sample.seconds
     if wanted_hz is None:
@@ -92,7 +92,7 @@ def rate(sample: Sample, wanted_hz: float | None) -> Finding:
     return rate_finding("rate", found_hz, wanted_hz, STREAM_FIX, FRAMES)
 
 
-def missed(sample: Sample) -> Finding:
+def missed(sample: FrameSample) -> Finding:
     """Frames that the camera counted and that never came, or came too late to be the newest."""
     given = sample.ids[-1] - sample.ids[0]
     lost = given - (len(sample.ids) - 1)
@@ -103,8 +103,8 @@ def missed(sample: Sample) -> Finding:
     )
 
 
-def age(sample: Sample) -> Finding:
-    """How old frames are when they come: what is below zero or very old is stamped by another clock."""
+def age(sample: FrameSample) -> Finding:
+    """Finds how old frames are when they come: below zero or very old means that another clock stamped them."""
     median_ms, most_ms = float(np.median(sample.ages_ns)) * 1e-6, max(sample.ages_ns) * 1e-6
     detail = f"frames are {median_ms:.0f} ms old when they come, {most_ms:.0f} ms at most"
     if median_ms < 0.0 or median_ms > OLD_MS:
@@ -114,20 +114,20 @@ def age(sample: Sample) -> Finding:
     return Finding("ok", "stamps", detail)
 
 
-def _pictures(sight: Sight, sample: Sample) -> Iterator[Finding]:
+def _pictures(perception: Perception, sample: FrameSample) -> Iterator[Finding]:
     view = sample.last[-1]
     if (image := view.image()) is not None:
-        model = sight.model
+        model = perception.model
         yield Finding(
             "ok", "size", f"{image.shape[1]}x{image.shape[0]}, as its calibration {model.width}x{model.height}"
         )
         yield brightness(image)
-    if Capability.RANGE not in lacking(sight):
-        yield _range(view, sight.model)
+    if Capability.RANGE not in lacking(perception):
+        yield _range(view, perception.model)
 
 
 def brightness(image: NDArray[np.uint8]) -> Finding:
-    """Whether there is a picture at all, and light enough to see by. ``image``: (h, w, 3) BGR."""
+    """Finds whether there is a picture at all, and light enough to see by. ``image``: (h, w, 3) BGR."""
     grey, glaring = float(image.mean()), float((image.max(axis=2) >= WHITE).mean())
     detail = f"mean {grey:.0f} of 255, {100.0 * glaring:.0f} % overexposed"
     if grey < BLACK:
@@ -175,7 +175,9 @@ def side_px(marker: MarkerDetection) -> float:
 
 
 def check_detector(detector: Detector, model: CameraModel, rate_hz: float | None, clock: Clock) -> Finding:
-    """How long it takes at least, for a grey image of the camera's size. The first one loads things and is left out.
+    """Times the detector on a grey image of the camera's size: it takes that at least.
+
+    The first one loads things and is left out.
 
     How long it takes for what the camera sees is told with its frames.
     """
@@ -189,8 +191,8 @@ def check_detector(detector: Detector, model: CameraModel, rate_hz: float | None
     return _timed("time", f"{median:.1f} ms for a grey image of {model.width}x{model.height}", median, rate_hz)
 
 
-def _targets(sample: Sample, rate_hz: float | None, clock: Clock) -> Finding:
-    """What the detector finds in the last frames, whole, and how long that takes."""
+def _targets(sample: FrameSample, rate_hz: float | None, clock: Clock) -> Finding:
+    """Counts what the detector finds in the last frames, whole, and times it."""
     took_ms: list[float] = []
     counts: list[int] = []
     for view in sample.last:

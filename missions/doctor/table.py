@@ -1,4 +1,4 @@
-"""How a person sees what ``doctor`` finds: one table, and what is measured now below it."""
+"""The display of ``doctor``'s findings: one table, and what is measured now below it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STYLE: dict[State, str] = {"ok": "green", "note": "yellow", "fault": "bold red"}
 WIDTH = 120  # where it is not a terminal
 
 
-class Shown:
+class FindingsTable:
     """Takes findings in. ``found`` are all of them."""
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class Shown:
         self.found.append(finding)
 
     def doing(self, what: str) -> None:
-        """What is measured from now on."""
+        """Names what is measured from now on."""
         self._doing = what
 
     def render(self) -> Group:
@@ -41,8 +41,8 @@ class Shown:
         )
 
 
-class Lines(Shown):
-    """For a file or a pipe: what is measured as a line at once, the table at the end."""
+class Lines(FindingsTable):
+    """The display in a file or a pipe: what is measured as a line at once, the table at the end."""
 
     def __init__(self, stream: TextIO) -> None:
         super().__init__()
@@ -54,10 +54,10 @@ class Lines(Shown):
 
 
 @contextmanager
-def open_findings(stream: TextIO) -> Generator[Shown, None, None]:
+def open_findings(stream: TextIO) -> Generator[FindingsTable, None, None]:
     """A table on a stream: it grows when that is a terminal, and comes at the end, also after Ctrl-C, when not."""
     if stream.isatty():
-        live = Shown()
+        live = FindingsTable()
         with Live(get_renderable=live.render, console=Console(file=stream), refresh_per_second=8) as shown:
             try:
                 yield live

@@ -22,7 +22,7 @@ OLD_S = 0.5  # telemetry: the mission's own guard lands the vehicle when it is o
 SLOWEST_HEARTBEAT_S = 1.5
 
 
-class Difference(Protocol):
+class ParameterFinding(Protocol):
     """One parameter that is not as wanted; its text says all."""
 
     @property
@@ -36,8 +36,8 @@ class Difference(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """What a vehicle told while it was listened to.
+class VehicleReport:
+    """The messages of a vehicle while it was listened to.
 
     Attributes:
         oldest_s: age of its newest telemetry at its worst; None when it never said where it is.
@@ -70,7 +70,7 @@ async def check_flyer(vehicle: Vehicle, clock: Clock, min_battery: float) -> Asy
                 yield finding
 
 
-async def _heard(vehicle: Vehicle, clock: Clock) -> Heard:
+async def _heard(vehicle: Vehicle, clock: Clock) -> VehicleReport:
     loop = asyncio.get_running_loop()
     ages_s: list[float] = []
     heartbeats: set[int] = set()
@@ -81,7 +81,7 @@ async def _heard(vehicle: Vehicle, clock: Clock) -> Heard:
         if state.stamp_ns:
             ages_s.append((clock.now_ns() - state.stamp_ns) * 1e-9)
         await asyncio.sleep(POLL_S)
-    return Heard(max(ages_s, default=None), len(heartbeats), seconds)
+    return VehicleReport(max(ages_s, default=None), len(heartbeats), seconds)
 
 
 async def _ready(vehicle: Vehicle) -> VehicleState:
@@ -93,8 +93,8 @@ async def _ready(vehicle: Vehicle) -> VehicleState:
     return state
 
 
-def streams(heard: Heard) -> Iterator[Finding]:
-    """Whether it tells where it is, and that it lives."""
+def streams(heard: VehicleReport) -> Iterator[Finding]:
+    """Finds whether it tells where it is, and that it lives."""
     fix = "check cable or radio"
     if heard.oldest_s is None:
         yield Finding("fault", "telemetry", "attitude, but no position", "see what its ground station says of its GPS")
@@ -110,7 +110,7 @@ def streams(heard: Heard) -> Iterator[Finding]:
 
 
 def condition(state: VehicleState, min_battery: float) -> Iterator[Finding]:
-    """Whether a mission could begin with it as it is."""
+    """Finds whether a mission could begin with it as it is."""
     if state.armed or state.in_air:
         yield Finding("fault", "armed", "it is armed", "land it, disarm it, and look again")
     else:
@@ -126,7 +126,7 @@ def condition(state: VehicleState, min_battery: float) -> Iterator[Finding]:
 
 
 async def _parameters(vehicle: Any) -> list[Finding]:
-    wrong: Sequence[Difference] = await vehicle.parameter_differences()
+    wrong: Sequence[ParameterFinding] = await vehicle.parameter_differences()
     if not wrong:
         return [Finding("ok", "parameters", "are as the rig wants them")]
     return [Finding("fault", "parameters", str(each), SET) for each in wrong]
@@ -145,14 +145,14 @@ async def _check(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> li
     if not hasattr(vehicle, "parameter_differences"):
         return [Finding("ok", role.value, "this vehicle has no parameters to compare")]
     async with vehicle:
-        wrong: Sequence[Difference] = await vehicle.parameter_differences()
+        wrong: Sequence[ParameterFinding] = await vehicle.parameter_differences()
         if not wrong:
             return [Finding("ok", role.value, "parameters are as the rig wants them")]
         if not set_parameters:
             return [Finding("fault", role.value, str(each), SET) for each in wrong]
         if vehicle.state.armed:
             raise VehicleError("the vehicle is armed: no parameter was set", "disarm it first")
-        changed: list[Difference] = []
+        changed: list[ParameterFinding] = []
         try:
             for each in wrong:
                 await vehicle.set_parameter(each)
@@ -163,8 +163,8 @@ async def _check(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> li
     return [*done, Finding("ok", role.value, f"what was set is recorded in {record}")]
 
 
-def _record(folder: Path, rig: Rig, role: Role, changed: Sequence[Difference]) -> Path | None:
-    """What each parameter was and is now, so that it can be undone."""
+def _record(folder: Path, rig: Rig, role: Role, changed: Sequence[ParameterFinding]) -> Path | None:
+    """Records what each parameter was and is now, so that it can be undone."""
     if not changed:
         return None
     folder.mkdir(parents=True, exist_ok=True)

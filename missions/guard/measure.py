@@ -1,5 +1,7 @@
-"""``path-handoff guard --measure``: how soon a vehicle is held, and down, after its program was killed or hung, and how
-soon a script lets go of one whose mode a second ground station changed.
+"""The measurement of ``path-handoff guard --measure``: how soon a vehicle is held, down, or let go of.
+
+It is held and down after its program was killed or hung. A script lets go of one whose mode a second ground station
+changed.
 
 Real programs, real signals, real sockets: one flight for each fault, role and phase. The autopilots' own failsafe for
 setpoints is switched off, or waits, so that what is measured is the guard.
@@ -66,13 +68,15 @@ class Reaction:
 
     @property
     def reached(self) -> bool:
-        """Whether the vehicle was in the air under a script when it happened."""
+        """Returns whether the vehicle was in the air under a script when it happened."""
         return self.mode in ("offboard", "takeoff", "hold")
 
 
 def measure(options: GuardOptions) -> int:
-    """Fly every case, print the table; 1 when a vehicle was not held within a second or did not land, or a script did
-    not let go at once."""
+    """Flies every case and prints the table; returns 1 when a guard or a script failed.
+
+    A vehicle was not held within a second or did not land, or a script did not let go at once.
+    """
     folder = new_folder(options.out)
     rig = with_patient_failsafe(rig_library.load(options.rig), folder)
     reactions: list[Reaction] = []
@@ -122,7 +126,7 @@ def cases(role: str, only: Sequence[str]) -> Iterator[tuple[str, Role, str]]:
 
 
 def read_reaction(out: Path, fault: str, role: Role, moment: str, outcome: str, violations: dict[str, int]) -> Reaction:
-    """What became of the vehicle, by the world's own log; why, by the guard's."""
+    """Reads what became of the vehicle, by the world's own log; why, by the guard's."""
     at_ns: int | None = None
     last_ns: int | None = None
     modes: list[tuple[int, str, bool]] = []

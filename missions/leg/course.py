@@ -1,4 +1,4 @@
-"""How a role's course is flown: what runs beside it, what may end it, and the way down whatever happens."""
+"""The flight of a role's course: what runs beside it, what may end it, and the way down whatever happens."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from missions.leg.journal import setup_record
-from missions.leg.session import Session, as_end
+from missions.leg.session import RoleSession, as_end
 
 Course = Callable[[], Awaitable[None]]
 Recovery = Callable[[MissionEnd | None], Awaitable[bool]]
 
 
 async def fly_course(
-    session: Session, course: Course, recover: Recovery, good: Outcome = Outcome.COMMITTED
+    session: RoleSession, course: Course, recover: Recovery, good: Outcome = Outcome.COMMITTED
 ) -> RoleResult:
     """Run a mission to its end: the course, then the recovery that brings the vehicle down.
 
@@ -33,7 +33,7 @@ async def fly_course(
     return conclude(session, end, landed, good)
 
 
-async def run_course(session: Session, course: Course) -> MissionEnd | None:
+async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
     """The course, and what runs beside every course; None when it came to its own end.
 
     Whatever ends the course first (its own end, a MissionEnd in anything that was spawned, a part's error, a stop)
@@ -66,8 +66,8 @@ async def run_course(session: Session, course: Course) -> MissionEnd | None:
     return end
 
 
-async def run_recovery(session: Session, recover: Recovery, end: MissionEnd | None) -> bool:
-    """Whether the script landed the vehicle."""
+async def run_recovery(session: RoleSession, recover: Recovery, end: MissionEnd | None) -> bool:
+    """Brings the vehicle down, and returns whether the script landed it."""
     try:
         return await recover(end)
     except Exception as error:
@@ -76,14 +76,16 @@ async def run_recovery(session: Session, recover: Recovery, end: MissionEnd | No
         return False
 
 
-async def close_session(session: Session) -> None:
-    """Nothing of it runs any more."""
+async def close_session(session: RoleSession) -> None:
+    """Ends all that a session runs."""
     await session.cancel_spawned()
     if session.guard is not None:
         session.guard.beat(session.beat())  # the last word on whose the vehicle is
 
 
-def conclude(session: Session, end: MissionEnd | None, landed: bool, good: Outcome = Outcome.COMMITTED) -> RoleResult:
+def conclude(
+    session: RoleSession, end: MissionEnd | None, landed: bool, good: Outcome = Outcome.COMMITTED
+) -> RoleResult:
     """The program's last records. A course that came to its own end may still lose the vehicle on its way home."""
     if end is None and session.pilot.override:
         end = MissionEnd(Outcome.PILOT_OVERRIDE, session.pilot.override)

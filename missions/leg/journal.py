@@ -12,7 +12,7 @@ from drivers.interfaces import View
 from drivers.log.topics import camera_record
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
-from flight.marker_view import MarkerFix, Motion
+from flight.marker_view import MarkerFix, VehicleMotions
 from flight.tracking import Sighting
 from path.agreement import Agreed
 from path.camera import CameraModel
@@ -24,7 +24,7 @@ from path.prior import Prior
 from path.rigid import transform_back
 from path.rivals import Rival
 from path.rotation import quat_from_R
-from path.sender import Pair
+from path.sender import PairVerdict
 from path.window import Evidence, Gate
 
 RIVAL_NUMBERS = 6
@@ -137,7 +137,9 @@ def target_record(message: Target | Missed, frame_id: int, capture_ns: int, box:
     }
 
 
-def agreement_record(pair: Pair, count: int, needed: int, evidence: Evidence | None, target_id: int) -> dict[str, Any]:
+def agreement_record(
+    pair: PairVerdict, count: int, needed: int, evidence: Evidence | None, target_id: int
+) -> dict[str, Any]:
     """``/agreement``: what one answer of D2 was worth."""
     verdict, candidate, offsets = pair.verdict, pair.candidate, pair.offsets
     agreed = isinstance(verdict, Agreed)
@@ -163,7 +165,7 @@ def agreement_record(pair: Pair, count: int, needed: int, evidence: Evidence | N
     }
 
 
-def counted(pair: Pair, gate: Gate) -> tuple[int, Evidence | None]:
+def counted(pair: PairVerdict, gate: Gate) -> tuple[int, Evidence | None]:
     """Count and evidence as of this pair: the gate may already have seen the next."""
     verdict = pair.verdict
     return (verdict.count, verdict.evidence) if isinstance(verdict, Agreed) else (gate.count, gate.evidence)
@@ -189,7 +191,9 @@ def marker_miss_record(capture_ns: int, missed: Missed) -> dict[str, Any]:
     return {"capture_ns": capture_ns, "position_v_m": None, "corners_px": None, "reason": missed.reason.value}
 
 
-def motion_record(motion: Motion, R_n_c: Matrix, R_n_v: Matrix | None, fix: MarkerFix | Missed) -> dict[str, Any]:
+def motion_record(
+    motion: VehicleMotions, R_n_c: Matrix, R_n_v: Matrix | None, fix: MarkerFix | Missed
+) -> dict[str, Any]:
     """``/motion``: what the relative-pose filter was given with one frame."""
     return {
         "own_stamp_ns": motion.own_stamp_ns,

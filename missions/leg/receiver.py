@@ -12,12 +12,12 @@ import numpy as np
 
 from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
 from drivers.rig.parts import Rig
+from flight.camera_pose import CameraPose
 from flight.config import MissionConfig
-from flight.eye import Eye
 from flight.guard import check_separation
 from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, norm, subtract
 from flight.harness.flights import Emit, InProcess, RoleResult
-from flight.marker_view import MarkerFix, MarkerView, Motion
+from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.rendezvous import Rendezvous
@@ -35,7 +35,7 @@ from missions.leg.journal import (
     motion_record,
     track_record,
 )
-from missions.leg.session import Session, open_session
+from missions.leg.session import RoleSession, open_session
 from missions.leg.steps import bring_down, preflight, take_off
 from missions.rig_library import mission_of
 from path.geometry import Matrix, Pose
@@ -77,12 +77,12 @@ async def run_receiver(
 class Receiver:
     """The receiver's course and what it does with every frame and message."""
 
-    def __init__(self, session: Session, store: RecordStore) -> None:
+    def __init__(self, session: RoleSession, store: RecordStore) -> None:
         rig, config = session.rig, session.config
         self._session = session
         self._config: MissionConfig = config
         self._camera = rig.receiver.camera
-        self._eye = Eye(session.vehicle, rig.receiver.mount)
+        self._camera_pose = CameraPose(session.vehicle, rig.receiver.mount)
         x, y, z = rig.sender.mount.T_v_c.t.tolist()
         self._sender_eye_v: Vec3 = (x, y, z)
         self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config)
@@ -135,7 +135,7 @@ class Receiver:
         await asyncio.sleep(config.follow_after_s)
 
     async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
-        """To the stand-off, or until it is near enough; then look for the marker."""
+        """Flies to the stand-off, or until it is near enough; then looks for the marker."""
         session, rendezvous, deadlines = self._session, self._rendezvous, self._config.deadlines
         session.enter(Phase.STAND_OFF)
         session.pilot.guidance = rendezvous.to_stand_off
@@ -156,7 +156,7 @@ class Receiver:
         )
 
     async def _approach(self) -> MissionEnd | None:
-        """To the planned viewpoint; what the mission would end with when something is out of its bounds.
+        """Flies to the planned viewpoint; returns what the mission would end with when something is out of its bounds.
 
         It has arrived once the camera is there, slow, for a while.
         """
@@ -190,7 +190,7 @@ class Receiver:
         return landed
 
     async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
-        """Whether the script landed the vehicle."""
+        """Brings the vehicle down, and returns whether the script landed it."""
         return await bring_down(self._session, end, way_out)
 
     def _peer(self) -> Status:
@@ -199,7 +199,7 @@ class Receiver:
         return peer
 
     def _near(self) -> bool:
-        """By the marker already as near as the stand-off, which reported positions put farther on."""
+        """Returns whether the marker is already nearer than the stand-off, which reported positions put farther on."""
         session = self._session
         now_ns = session.now_ns()
         relative = self._marker.predict(now_ns) if self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH else None
@@ -237,10 +237,10 @@ class Receiver:
         """Look at every frame, at some once the target is held. Raises CameraError when the camera stops."""
         session, guard = self._session, self._config.guard
         while self._watching:
-            view = await session.sight.view(guard.frame_age_s)
+            view = await session.perception.view(guard.frame_age_s)
             session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
-            R_n_b = self._eye.R_n_b(view.stamp_ns)
-            self._rendezvous.lean.note(R_n_b)
+            R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
+            self._rendezvous.tilt.note(R_n_b)
             if self._handover.holds:
                 self._follow_once(view, R_n_b)
             else:
@@ -267,11 +267,11 @@ class Receiver:
             return
         stamp_ns = view.stamp_ns
         gravity_v = cycle.gravity_v(stamp_ns)
-        T_n_c = self._eye.T_n_c(stamp_ns, R_n_b)
+        T_n_c = self._camera_pose.T_n_c(stamp_ns, R_n_b)
         motion = self._motion()
         self._marker.note_motion(motion)
         with session.stage("marker"):
-            fix = self._marker.look(view, T_n_c.R, gravity_v, self._eye.gravity_c(R_n_b))
+            fix = self._marker.look(view, T_n_c.R, gravity_v, self._camera_pose.gravity_c(R_n_b))
         with session.stage("log"):
             session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
             session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, fix))
@@ -295,11 +295,11 @@ class Receiver:
             with session.stage("depth"):
                 self._note_found(view, T_n_c, candidate, prior)
 
-    def _motion(self) -> Motion:
-        """Both vehicles' newest reports."""
+    def _motion(self) -> VehicleMotions:
+        """Returns both vehicles' newest reports."""
         session, peer, own = self._session, self._peer(), self._session.vehicle.state
         peer_ns = session.alignment.to_own_ns(peer.stamp_ns) if session.alignment.ready else session.peer_heard_ns
-        return Motion(own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad)
+        return VehicleMotions(own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad)
 
     def _judge_marker(self, stamp_ns: int) -> None:
         """Separation from the marker's own measurement, and how long it may stay unseen."""
@@ -326,7 +326,7 @@ class Receiver:
             self._track.update(position, view.stamp_ns)
 
     def _follow_once(self, view: View, R_n_b: Matrix) -> None:
-        """After the hand-over: this drone's own track of the target."""
+        """Follows the target by this drone's own track, after the hand-over."""
         session, track = self._session, self._track
         if track is None:
             raise MissionEnd(Outcome.TARGET_LOST, "the target was handed over but never located")
@@ -334,7 +334,7 @@ class Receiver:
             self._keep_n_m = subtract(session.vehicle.state.position_n_m, track.position_n_m)
             session.pilot.guidance = self._follow_target
             self._following = True
-        seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+        seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
         unseen_s = (view.stamp_ns - track.seen_ns) * 1e-9
         session.log.write("/track", view.stamp_ns, track_record(seen))
         if unseen_s > self._config.deadlines.target_coast_s and session.phase is Phase.FOLLOW:
@@ -351,7 +351,7 @@ class Receiver:
             self._on_target(received.message)
 
     def _on_target(self, target: Target) -> None:
-        """Where the target is. The protocol has seen the message first and says which attempt is live."""
+        """Takes the target's place. The protocol has seen the message first and says which attempt is live."""
         session, live = self._session, self._handover.live
         if live is None or not session.alignment.ready:
             return
@@ -375,7 +375,7 @@ class Receiver:
             self._newest = target
 
     def _able(self) -> bool:
-        """Whether the target was seen lately, by this drone itself."""
+        """Returns whether the target was seen lately, by this drone itself."""
         track = self._track
         return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 < _ABLE_S
 

@@ -9,34 +9,34 @@ from dataclasses import replace
 
 from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
 from drivers.rig.parts import Rig
+from flight.camera_pose import CameraPose
 from flight.config import MissionConfig
-from flight.eye import Eye
 from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, subtract
 from flight.harness.flights import Emit, InProcess, RoleResult
-from flight.lean import Lean
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
+from flight.tilt import Tilt
 from flight.tracking import Sighting, TargetTrack, acquire, follow
 from missions.leg.course import fly_course
 from missions.leg.handover import SenderHandover
 from missions.leg.journal import (
     agreement_record,
-    beside_record,
     attempt_record,
+    beside_record,
     counted,
     frame_record,
     heard_candidate_record,
     target_record,
     track_record,
 )
-from missions.leg.session import Session, open_session
+from missions.leg.session import RoleSession, open_session
 from missions.leg.steps import bring_down, preflight, take_off
 from missions.rig_library import mission_of
 from path.geometry import Matrix
 from path.messages import Candidate, Role, Target
 from path.observations import Box, Missed, MissReason
 from path.rotation import yaw_of
-from path.sender import Pair, SenderCycle
+from path.sender import PairVerdict, SenderCycle
 from path.window import Gate
 
 _STEADY_FRAMES = 5
@@ -66,13 +66,13 @@ async def run_sender(
 class Sender:
     """The sender's course and what it does with every frame and message."""
 
-    def __init__(self, session: Session, store: RecordStore) -> None:
+    def __init__(self, session: RoleSession, store: RecordStore) -> None:
         rig, config = session.rig, session.config
         self._session = session
         self._config: MissionConfig = config
         self._camera = rig.sender.camera
-        self._eye = Eye(session.vehicle, rig.sender.mount)
-        self._lean = Lean()
+        self._camera_pose = CameraPose(session.vehicle, rig.sender.mount)
+        self._tilt = Tilt()
         ahead, right, down = rig.sender.mount.T_b_c.R[:, 2].tolist()
         self._axis_b: Vec3 = (ahead, right, down)
         self._heading_rad = math.radians(config.heading_deg)
@@ -98,7 +98,7 @@ class Sender:
         await self.hand_over()
 
     async def acquire(self) -> None:
-        """From the air above the take-off place until the target is tracked."""
+        """Finds the target from the air above the take-off place, until it is tracked."""
         session, deadlines = self._session, self._config.deadlines
         session.enter(Phase.ACQUIRE)
         session.pilot.guidance = self._to_first_place
@@ -156,11 +156,11 @@ class Sender:
         return landed
 
     async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
-        """Whether the script landed the vehicle."""
+        """Brings the vehicle down, and returns whether the script landed it."""
         return await bring_down(self._session, end, way_out)
 
     def _leave(self) -> Anchor:
-        """Where to go before landing: away from the receiver, sideways, and the same place however often asked."""
+        """Returns the place to go to before landing: away from the receiver, sideways, the same however often asked."""
         if self._way_out is None:
             state = self._session.vehicle.state
             aside_m = 0.0 if self._track is None else -self._side_of_receiver(state) * self._config.depart_m
@@ -179,7 +179,7 @@ class Sender:
         return 1.0 if right_m > 0.0 else -1.0
 
     def _may_regain(self) -> bool:
-        """Whether there is room to back off: the receiver is not on its way to this drone yet."""
+        """Returns whether there is room to back off: the receiver is not on its way to this drone yet."""
         peer = self._session.peer
         return peer is None or peer.phase < Phase.STAND_OFF
 
@@ -191,17 +191,17 @@ class Sender:
         return (self._session.now_ns() - track.seen_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
-        """To where the designated place is in view."""
+        """Leads to where the designated place is in view."""
         target = self._config.target
         place = self._view_of((target.north_m, target.east_m, -target.height_m))
         return Anchor(place, self._heading_rad).hold(state)
 
     def _view_of(self, target_n_m: Vec3) -> Vec3:
-        """Behind and above the target, in the heading it was approached with; a drone that leans stands aside."""
+        """Behind and above the target, in the heading it was approached with; a drone that is tilted stands aside."""
         keep, wider = self._config.follow, _WIDER if self._regaining() else 1.0
         below_m = wider * (keep.height_m - self._config.target.height_m)
         place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
-        return add(place, self._lean.aim(self._axis_b, self._heading_rad, below_m))
+        return add(place, self._tilt.aim(self._axis_b, self._heading_rad, below_m))
 
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the target in view from behind."""
@@ -217,7 +217,7 @@ class Sender:
         return VelocitySetpoint(velocity, self._heading_rad)
 
     def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
-        """Make room, the eyes still on the target: nobody has it for sure until the hand-over is settled."""
+        """Make room, the camera still on the target: nobody has it for sure until the hand-over is settled."""
         assert self._track is not None
         target, _ = self._track.predict(self._session.now_ns())
         return replace(self._leave().hold(state), yaw_rad=bearing(subtract(target, state.position_n_m)))
@@ -228,9 +228,9 @@ class Sender:
         """Look at every frame while the receiver is near, else at some. Raises CameraError when the camera stops."""
         session = self._session
         while self._watching:
-            view = await session.sight.view(self._config.guard.frame_age_s)
-            R_n_b = self._eye.R_n_b(view.stamp_ns)
-            self._lean.note(R_n_b)
+            view = await session.perception.view(self._config.guard.frame_age_s)
+            R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
+            self._tilt.note(R_n_b)
             if self._track is None:
                 self._try_to_acquire(view, R_n_b)
             else:
@@ -249,7 +249,7 @@ class Sender:
         """Take the object at the designated place for the target once it was seen there in several frames."""
         target = self._config.target
         place = (target.north_m, target.east_m, -target.height_m)
-        T_n_c = self._eye.T_n_c(view.stamp_ns, R_n_b)
+        T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
         found = acquire(view, T_n_c, self._camera, place, target.radius_m)
         if isinstance(found, MissReason) or not self._well_inside(found[0].box):
             self._steady.clear()
@@ -262,7 +262,7 @@ class Sender:
             self._track = TargetTrack(position, view.stamp_ns, self._config.follow.target_accel_mps2)
 
     def _well_inside(self, box: Box) -> bool:
-        """Whether a gust would not take it out of the image at once."""
+        """Returns whether the box is so far inside the image that a gust would not take it out at once."""
         u, v = box.center
         room_u, room_v = _ROOM * self._camera.width, _ROOM * self._camera.height
         return room_u <= u <= self._camera.width - room_u and room_v <= v <= self._camera.height - room_v
@@ -271,7 +271,7 @@ class Sender:
         """One cycle of PATH: follow the box, say where the target is, judge the receiver's answers."""
         session = self._session
         with session.stage("target"):
-            seen = follow(view, self._eye.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+            seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
         unseen_s, deadlines = (view.stamp_ns - track.seen_ns) * 1e-9, self._config.deadlines
         bearable_s = deadlines.target_coast_s
         if session.phase is not Phase.VERIFY:
@@ -285,7 +285,9 @@ class Sender:
             return
         box, depth, beside = (seen.box, seen.depth, seen.beside) if isinstance(seen, Sighting) else (None, None, ())
         with session.stage("projection"):
-            message = cycle.observe(view.frame_id, view.stamp_ns, box, depth, self._eye.gravity_v(R_n_b), beside)
+            message = cycle.observe(
+                view.frame_id, view.stamp_ns, box, depth, self._camera_pose.gravity_v(R_n_b), beside
+            )
         if isinstance(message, Target):
             with session.stage("link"):
                 session.link.send(message)
@@ -323,7 +325,7 @@ class Sender:
                 self._receiver_side = 1.0 if x > 0.0 else -1.0
                 session.shown.separation_m = math.sqrt(x * x + y * y + z * z)
 
-    def _note_pair(self, pair: Pair, gate: Gate) -> None:
+    def _note_pair(self, pair: PairVerdict, gate: Gate) -> None:
         """Log one verdict and show it."""
         session, verdict = self._session, pair.verdict
         count, evidence = counted(pair, gate)

@@ -1,4 +1,4 @@
-"""What both roles have in common: their parts, the link pump, status, clocks, waits, and how a mission ends."""
+"""The session that both roles share: parts, the link pump, status, clocks, waits, and the end of a mission."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from drivers.interfaces import (
     Link,
     LinkError,
     Log,
+    Perception,
     Received,
-    Sight,
     StateError,
     TakenOver,
     Vehicle,
@@ -70,8 +70,8 @@ def _no_instance() -> int:
 
 
 @dataclass(slots=True)
-class Shown:
-    """What the console shows of the handshake; the role keeps it current."""
+class ConsoleLine:
+    """The console's view of the handshake; the role keeps it current."""
 
     count: int = 0
     evidence: Evidence | None = None
@@ -81,7 +81,7 @@ class Shown:
     note: str = ""
 
 
-class Session:
+class RoleSession:
     """One role's open parts and its shared machinery. Made by ``open_session``."""
 
     def __init__(
@@ -92,7 +92,7 @@ class Session:
         log: Log,
         emit: Emit,
         stop: asyncio.Event,
-        parts: tuple[Clock, Vehicle, Sight, Link],
+        parts: tuple[Clock, Vehicle, Perception, Link],
         entropy: random.Random,
         guard: UnderGuard | None = None,
         stages: Stages | None = None,
@@ -108,11 +108,11 @@ class Session:
         self.log = log
         self.stop = stop
         self.entropy = entropy
-        self.clock, self.vehicle, self.sight, self.link = parts
+        self.clock, self.vehicle, self.perception, self.link = parts
         self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
         self.alignment = ClockAlignment()
         self.phase = Phase.PREFLIGHT
-        self.shown = Shown()
+        self.shown = ConsoleLine()
         self.peer: Status | None = None
         self.peer_heard_ns = 0
         self.claim: TakeResponsibility | None = None
@@ -163,13 +163,13 @@ class Session:
         self.shown.separation_m = self._measured_m = distance_m
 
     def set_script(self, script: Script) -> None:
-        """What the script is about to do with the vehicle; the guard knows it before the vehicle does."""
+        """Sets what the script is about to do with the vehicle; the guard knows it before the vehicle does."""
         self.script = script
         if self.guard is not None:
             self.guard.beat(self.beat())
 
     def beat(self) -> Beat:
-        """What the guard is told; a measured distance once."""
+        """Returns what the guard is told; a measured distance once."""
         script = self.script
         if self.pilot.override:
             script = Script.LET_GO
@@ -181,7 +181,10 @@ class Session:
         return Beat(script, self.pilot.setpoints, measured_m, place)
 
     async def confirm_guard(self) -> None:
-        """Before a command that moves the vehicle. Raises MissionEnd when the guard has it, or there is none."""
+        """Asks the guard before a command that moves the vehicle.
+
+        Raises MissionEnd when the guard has it, or there is none.
+        """
         if self.guard is not None:
             await self.guard.confirm(self.beat())
 
@@ -206,7 +209,7 @@ class Session:
     # --- processor time ------------------------------------------------------------------------------------------
 
     def stage(self, name: str) -> AbstractContextManager[None]:
-        """What is done within is a stage of a frame's cycle; stages do not contain one another."""
+        """Returns a context whose body is a stage of a frame's cycle; stages do not contain one another."""
         return nullcontext() if self._stages is None else self._stages(name)
 
     async def log_cpu(self) -> None:
@@ -231,14 +234,17 @@ class Session:
 
     @property
     def responsible(self) -> bool:
-        """Whether this drone is at this very instant: a lease that is over is over, whatever was slept through."""
+        """Returns whether this drone is responsible at this very instant.
+
+        A lease that is over is over, whatever was slept through.
+        """
         return self.responsible_at(self.now_ns())
 
     def responsible_at(self, now_ns: int) -> bool:
         return self.claim is not None and self.claim.at(now_ns)
 
     def set_claim(self, claim: TakeResponsibility | None) -> None:
-        """What this drone is responsible by from now on; None: it is not."""
+        """Sets what this drone is responsible by from now on; None: it is not."""
         self.claim = claim
         record = {"responsible": claim is not None, "until_ns": None if claim is None else claim.until_ns}
         self.log.write("/responsibility", self.now_ns(), record)
@@ -400,7 +406,7 @@ async def open_session(
     emit: Emit,
     stop: asyncio.Event,
     harness: InProcess | None,
-) -> Session:
+) -> RoleSession:
     """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after. Raises PartError."""
     cv2.setNumThreads(1)  # frames are small: more threads cost more than they gain, and take the other processes' cores
     warm_up()
@@ -409,19 +415,19 @@ async def open_session(
     context = part_context(rig, role, harness)
     own = rig.role(role)
     link: Link = await stack.enter_async_context(create(own.link, context))
-    sight: Sight = await stack.enter_async_context(create(own.sight, context))
+    perception: Perception = await stack.enter_async_context(create(own.perception, context))
     vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
     entropy = entropy_of(role.value, context.clock, harness)
     guard: UnderGuard | None = None
     if own.guard is not None:
         line = guard_line_of(own.guard, role, context.clock, harness)
         guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
-    parts = (context.clock, vehicle, sight, link)
-    return Session(rig, role, config, log, emit, stop, parts, entropy, guard, Stages() if harness is None else None)
+    parts = (context.clock, vehicle, perception, link)
+    return RoleSession(rig, role, config, log, emit, stop, parts, entropy, guard, Stages() if harness is None else None)
 
 
 def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Random:
-    """What a program draws by chance; in virtual time from the seed, and after a restart not the same again."""
+    """Returns a program's source of chance; in virtual time from the seed, and after a restart not the same again."""
     return random.SystemRandom() if harness is None else random.Random(f"{name} {clock.now_ns()} {harness.seed}")
 
 

@@ -12,7 +12,7 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import DOUBT_S
 from flight.under_guard import UnderGuard
-from missions.leg.session import Session
+from missions.leg.session import RoleSession
 from path.messages import Role
 
 _FIRST_FRAME_S = 10.0
@@ -23,18 +23,18 @@ _POLL_S = 0.02
 _NO_MANOEUVRE = frozenset({Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcome.GUARD, Outcome.CRASHED})
 
 
-async def preflight(session: Session) -> None:
+async def preflight(session: RoleSession) -> None:
     """Camera gives frames, vehicle is armable, the other drone is heard and its clock known. Nothing moves before."""
     await check_own(session)
     await hear_peer(session)
 
 
-async def check_own(session: Session) -> None:
+async def check_own(session: RoleSession) -> None:
     """Camera gives frames, vehicle is armable, and the guard watches it."""
     session.enter(Phase.PREFLIGHT)
     check_capabilities(session)
     deadlines = session.config.deadlines
-    await session.sight.view(_FIRST_FRAME_S)
+    await session.perception.view(_FIRST_FRAME_S)
     await session.vehicle.wait_armable(deadlines.armable_s)
     guard = session.guard
     if guard is not None:
@@ -42,7 +42,7 @@ async def check_own(session: Session) -> None:
         await session.until(lambda: guard.watching, deadlines.guard_s, Outcome.GUARD_LOST, what)
 
 
-async def hear_peer(session: Session) -> None:
+async def hear_peer(session: RoleSession) -> None:
     """The other drone is heard, and its clock is known."""
     deadlines = session.config.deadlines
     await session.until(
@@ -53,18 +53,18 @@ async def hear_peer(session: Session) -> None:
     )
 
 
-def check_capabilities(session: Session) -> None:
+def check_capabilities(session: RoleSession) -> None:
     """Raise MissionEnd(UNFIT) when a part lacks what the course or the rig's ``needs`` ask of it."""
     needed = set(session.config.needs)
     if session.role is Role.SENDER:
         needed.add(Capability.RANGE)  # it has to say where the target is
-    for name, part in (("vehicle", session.vehicle), ("sight", session.sight)):
+    for name, part in (("vehicle", session.vehicle), ("perception", session.perception)):
         missing = sorted(each.value for each in needed & lacking(part))
         if missing:
             raise MissionEnd(Outcome.UNFIT, f"the {session.role.value}'s {name} has no {', '.join(missing)}")
 
 
-async def take_off(session: Session, height_m: float) -> None:
+async def take_off(session: RoleSession, height_m: float) -> None:
     """Arm, climb, take control. Refusals end the mission: no motion command is sent twice."""
     session.enter(Phase.TAKE_OFF)
     session.set_script(Script.CLIMB)
@@ -77,7 +77,7 @@ async def take_off(session: Session, height_m: float) -> None:
     session.spawn(session.pilot.run())
 
 
-async def bring_down(session: Session, end: MissionEnd | None, way_out: Anchor) -> bool:
+async def bring_down(session: RoleSession, end: MissionEnd | None, way_out: Anchor) -> bool:
     """Leave the other drone's way, to ``way_out``, then land. Returns whether the vehicle is down.
 
     A pilot who took over keeps the vehicle; a vehicle that is lost or refuses is not flown any farther.
@@ -103,7 +103,7 @@ async def bring_down(session: Session, end: MissionEnd | None, way_out: Anchor) 
     return await _land(session)
 
 
-async def _sure_state(session: Session) -> VehicleState:
+async def _sure_state(session: RoleSession) -> VehicleState:
     """The vehicle's, once more than one message says that it is not armed, or in a pilot's mode; or it stays so."""
     loop = asyncio.get_running_loop()
     end_s = loop.time() + DOUBT_S
@@ -118,13 +118,13 @@ def _may_be_a_pilots(state: VehicleState) -> bool:
     return state.mode is FlightMode.OTHER and state.mode_told < SURE
 
 
-def may_manoeuvre(session: Session, end: MissionEnd | None) -> bool:
-    """Whether the vehicle is still the script's to fly somewhere, after the course ended this way."""
+def may_manoeuvre(session: RoleSession, end: MissionEnd | None) -> bool:
+    """Returns whether the vehicle is still the script's to fly somewhere, after the course ended this way."""
     barred = _NO_MANOEUVRE | _SCRIPT_LET_GO
     return session.pilot.in_control and (end is None or end.outcome not in barred)
 
 
-async def _land(session: Session) -> bool:
+async def _land(session: RoleSession) -> bool:
     session.enter(Phase.LAND)
     session.set_script(Script.LANDING)
     try:
@@ -139,7 +139,7 @@ async def _land(session: Session) -> bool:
     return True
 
 
-def _leave_to_pilot(session: Session) -> bool:
+def _leave_to_pilot(session: RoleSession) -> bool:
     """Send nothing more; whether it is down already: a pilot may have landed it, or stopped the motors there."""
     session.pilot.let_go()
     session.set_script(Script.LET_GO)
@@ -147,7 +147,7 @@ def _leave_to_pilot(session: Session) -> bool:
     return not (state.armed or state.in_air)
 
 
-async def _leave_to_guard(session: Session, guard: UnderGuard) -> bool:
+async def _leave_to_guard(session: RoleSession, guard: UnderGuard) -> bool:
     """Send nothing more, and stay until the guard has brought the vehicle down; whether it has."""
     session.set_script(Script.LET_GO)
     session.enter(Phase.LAND, f"the guard has the vehicle: {guard.taken}")
@@ -158,7 +158,7 @@ async def _leave_to_guard(session: Session, guard: UnderGuard) -> bool:
     return not session.vehicle.state.armed
 
 
-async def _depart(session: Session, way_out: Anchor) -> None:
+async def _depart(session: RoleSession, way_out: Anchor) -> None:
     """Fly the way out under guard; when that fails, what follows (landing) is still right."""
     session.pilot.guidance = way_out.hold
     loop = asyncio.get_running_loop()

@@ -18,7 +18,7 @@ from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord, parts
 from missions.logs.merge import utc_minus_stamp
 from missions.options import ExportOptions
-from missions.report.records import WORLD_LOG, Run, drone_logs, load_run, read_parts
+from missions.report.records import WORLD_LOG, RunRecords, drone_logs, load_run, read_parts
 from missions.report.truth import Truth, truth_of
 from path.messages import Role
 from path.rotation import quat_from_R
@@ -62,7 +62,7 @@ def trajectories(folder: Path) -> dict[str, list[Row]]:
     return found
 
 
-def _true(run: Run, folder: Path) -> dict[str, list[Row]]:
+def _true(run: RunRecords, folder: Path) -> dict[str, list[Row]]:
     offset_ns = utc_minus_stamp([folder / WORLD_LOG])
     records = run.world.get("/truth", ())
     found: dict[str, list[Row]] = {
@@ -77,7 +77,7 @@ def _true(run: Run, folder: Path) -> dict[str, list[Row]]:
     return found
 
 
-def _true_marker(run: Run, truth: Truth, folder: Path) -> Iterator[Row]:
+def _true_marker(run: RunRecords, truth: Truth, folder: Path) -> Iterator[Row]:
     """D2's camera in the marker's frame, at the very instants of ``marker.tum``."""
     offset_ns = utc_minus_stamp(parts(folder, Role.RECEIVER.value))
     for r in run.receiver.get("/candidate", ()):

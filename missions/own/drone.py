@@ -9,14 +9,14 @@ from typing import Any, NoReturn
 
 from drivers.interfaces import Received, VehicleState, VelocitySetpoint, View
 from drivers.rig.parts import Rig
-from flight.eye import Eye
+from flight.camera_pose import CameraPose
 from flight.guidance import Anchor, Vec3, norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Guidance
 from flight.tracking import MIN_SCORE, place
 from missions.leg.journal import frame_record
-from missions.leg.session import Session
+from missions.leg.session import RoleSession
 from missions.leg.steps import take_off
 from path.camera import CameraModel
 from path.geometry import Pose
@@ -40,9 +40,9 @@ class Drone:
         observing: what the other drone hears of this one in ``other.observing``.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: RoleSession) -> None:
         self._session = session
-        self._eye = Eye(session.vehicle, session.own.mount)
+        self._camera_pose = CameraPose(session.vehicle, session.own.mount)
         self.name: str = session.role.value
         self.rig: Rig = session.rig
         self.camera: CameraModel = session.own.camera
@@ -56,7 +56,7 @@ class Drone:
 
     @property
     def position_n_m(self) -> Vec3:
-        """Where it is: north, east, down."""
+        """The drone's place: north, east, down."""
         return self.state.position_n_m
 
     @property
@@ -100,7 +100,7 @@ class Drone:
         )
 
     def guide(self, guidance: Guidance) -> None:
-        """From now on fly what this gives for the vehicle's state, control_hz times a second; it must not block."""
+        """Flies from now on what this gives for the vehicle's state, control_hz times a second; it must not block."""
         if not self._session.pilot.in_control:
             self.fail("to be flown it has to take off first: await drone.take_off(height_m)")
         self._session.pilot.guidance = guidance
@@ -114,22 +114,25 @@ class Drone:
     async def look(self, within_s: float | None = None) -> View:
         """The newest camera frame not yet looked at, logged. Ends the mission as ``camera_lost`` when none comes."""
         session = self._session
-        view = await session.sight.view(session.config.guard.frame_age_s if within_s is None else within_s)
+        view = await session.perception.view(session.config.guard.frame_age_s if within_s is None else within_s)
         session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
         session.log_image(view)
         return view
 
     def camera_pose(self, view: View) -> Pose:
         """``T_n_c``: the camera's pose when the frame was taken."""
-        return self._eye.T_n_c(view.stamp_ns, self._eye.R_n_b(view.stamp_ns))
+        return self._camera_pose.T_n_c(view.stamp_ns, self._camera_pose.R_n_b(view.stamp_ns))
 
     def where(self, view: View, box: Box) -> Vec3 | None:
-        """Where the object in a box of the frame is; None when the camera does not tell how far away it is."""
+        """Returns the place of the object in a box of the frame.
+
+        None when the camera does not tell how far away it is.
+        """
         depth = view.depth(box)
         return None if depth is None else place(box, depth, self.camera, self.camera_pose(view), 0.0)
 
     def objects(self, view: View) -> list[Vec3]:
-        """Where all the objects are that the detector finds in the frame, and whose distance is known."""
+        """Returns the places of all objects that the detector finds in the frame, and whose distance is known."""
         found = (self.where(view, one.box) for one in view.targets(None) if one.score >= MIN_SCORE)
         return [position for position in found if position is not None]
 
@@ -142,7 +145,7 @@ class Drone:
 
     @property
     def other_silence_s(self) -> float:
-        """For how long nothing was heard of the other drone."""
+        """The time for which nothing was heard of the other drone."""
         return self._session.peer_silence_s()
 
     @property

@@ -14,7 +14,7 @@ from flight.harness.flights import Emit, InProcess, RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from missions.leg.course import fly_course
-from missions.leg.session import Session, open_session
+from missions.leg.session import RoleSession, open_session
 from missions.leg.steps import bring_down, preflight
 from missions.own.drone import Drone
 from missions.own.load import Mission
@@ -39,7 +39,10 @@ class OwnMission:
         harness: InProcess | None,
         store: RecordStore,
     ) -> RoleResult:
-        """Nothing is kept in the store: a program that is started again in the air lands. Raises PartError."""
+        """Flies the mission.
+
+        Nothing is kept in the store: a program that is started again in the air lands. Raises PartError.
+        """
         async with AsyncExitStack() as stack:
             session = await open_session(stack, rig, role, mission_of(rig), log, emit, stop, harness)
             return await fly_course(
@@ -50,7 +53,7 @@ class OwnMission:
             )
 
 
-async def _course(session: Session, mission: Mission) -> None:
+async def _course(session: RoleSession, mission: Mission) -> None:
     if session.vehicle.state.armed:
         raise MissionEnd(Outcome.RESTARTED, "started again in the air")
     await preflight(session)
@@ -61,6 +64,6 @@ async def _course(session: Session, mission: Mission) -> None:
         raise MissionEnd(Outcome.CRASHED, f"the mission raised {type(error).__name__}") from error
 
 
-async def _recover(session: Session, end: MissionEnd | None) -> bool:
+async def _recover(session: RoleSession, end: MissionEnd | None) -> bool:
     state = session.vehicle.state
     return await bring_down(session, end, Anchor(state.position_n_m, yaw_of(state.q_n_b)))

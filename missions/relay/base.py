@@ -24,8 +24,8 @@ What = Literal["call", "holds", "leg failed", "alarm", "down", "ready", "end"]
 Where = Literal["ready", "flying", "swap"]
 
 
-class Order(Enum):
-    """What a drone takes off for."""
+class TakeOffOrder(Enum):
+    """The task that a drone takes off for."""
 
     FIND = "find"  # the target, where it was pointed at
     RELIEVE = "relieve"
@@ -47,7 +47,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """For the crew: one line."""
+    """A line for the crew."""
 
     time_s: float
     drone: str
@@ -59,21 +59,21 @@ Tell = Callable[[Event], None]
 
 
 class Ground(Protocol):
-    """What a drone's program asks those on the ground, and tells them: ``Base``, or the way to it."""
+    """The ground as a drone's program asks and tells it: ``Base``, or the way to it."""
 
     @property
     def over(self) -> bool:
-        """Whether the time is: nobody is called any more."""
+        """Returns whether the time is over: nobody is called any more."""
         ...
 
-    def order_of(self, name: str) -> Order: ...
+    def order_of(self, name: str) -> TakeOffOrder: ...
 
     def leg_of(self, name: str) -> Leg | None:
         """The leg under way, when this drone is in it."""
         ...
 
     def ask(self, name: str, battery: float, wait_s: float) -> None:
-        """To be relieved. ``wait_s``: how long it can still wait before it has to go home."""
+        """Asks to be relieved. ``wait_s``: how long it can still wait before it has to go home."""
         ...
 
     def holds(self, name: str) -> None:
@@ -81,15 +81,15 @@ class Ground(Protocol):
         ...
 
     def leg_failed(self, name: str, end: MissionEnd) -> None:
-        """For the drone that goes on with the target."""
+        """Tells the end of a leg for the drone that goes on with the target."""
         ...
 
 
 @dataclass(slots=True)
-class _Drone:
+class _BaseDrone:
     where: Where = "ready"
     ready_s: float = 0.0  # since, or when
-    order: Order = Order.RELIEVE
+    order: TakeOffOrder = TakeOffOrder.RELIEVE
     task: asyncio.Task[None] | None = None
     result: RoleResult | None = None
 
@@ -107,7 +107,7 @@ class Base:
     outcome: Outcome = Outcome.COMMITTED
     detail: str = ""
     over: bool = False  # the time is: nobody is called any more
-    _drones: dict[str, _Drone] = field(init=False)
+    _drones: dict[str, _BaseDrone] = field(init=False)
     _program: DroneProgram = field(init=False)
     _ground: RelayField = field(init=False)
     _begun_s: float = 0.0
@@ -116,11 +116,11 @@ class Base:
     _alarmed: bool = False
 
     def __post_init__(self) -> None:
-        self._drones = {drone.name: _Drone(ready_s=float(k)) for k, drone in enumerate(self.config.drones)}
+        self._drones = {drone.name: _BaseDrone(ready_s=float(k)) for k, drone in enumerate(self.config.drones)}
 
     # --- what the drones' programs ask and say (``Ground``) ---
 
-    def order_of(self, name: str) -> Order:
+    def order_of(self, name: str) -> TakeOffOrder:
         return self._drones[name].order
 
     def leg_of(self, name: str) -> Leg | None:
@@ -149,9 +149,9 @@ class Base:
     # --- the loop ---
 
     async def run(self, ground: RelayField, stop: asyncio.Event, program: DroneProgram) -> None:
-        """From the first take-off until the relay is over and everybody is down. ``program``: of every drone."""
+        """Runs from the first take-off until the relay is over and everybody is down. ``program``: of every drone."""
         self._ground, self._program, self._begun_s = ground, program, asyncio.get_running_loop().time()
-        self._call(self.config.drones[0].name, Order.FIND)
+        self._call(self.config.drones[0].name, TakeOffOrder.FIND)
         end_s = self._now_s() + 3600.0 * self.hours
         while not stop.is_set() and not self._finished():
             self.over = self._now_s() >= end_s
@@ -167,7 +167,7 @@ class Base:
         self._say("", "end", f"{self.outcome.label}{': ' if self.detail else ''}{self.detail}")
 
     def _finished(self) -> bool:
-        """Nobody has the target, and nobody is about to take it."""
+        """Returns whether nobody has the target, and nobody is about to take it."""
         last = [self.holder or self.config.drones[0].name]
         if self._leg is not None:
             last.append(self._leg.receiver)
@@ -209,7 +209,7 @@ class Base:
         self.legs.append(self._leg)
         self._ground.open_leg(self._leg.number, name, relief)
         self._say(relief, "call", f"leg {self._leg.number}: relieves {name}, whose battery is at {100 * battery:.0f} %")
-        self._call(relief, Order.RELIEVE)
+        self._call(relief, TakeOffOrder.RELIEVE)
 
     def _alarm(self, name: str, wait_s: float) -> None:
         if self._alarmed:
@@ -220,12 +220,12 @@ class Base:
         soonest = f"the next one in {min(coming) - now_s:.0f} s" if coming else "and none will be"
         self._say(name, "alarm", f"no relief is ready, {soonest}; the target is given up in {wait_s:.0f} s otherwise")
 
-    def _call(self, name: str, order: Order) -> None:
+    def _call(self, name: str, order: TakeOffOrder) -> None:
         drone = self._drones[name]
         drone.where, drone.order, drone.result = "flying", order, None
         drone.task = asyncio.ensure_future(self._fly(name, drone))
 
-    async def _fly(self, name: str, drone: _Drone) -> None:
+    async def _fly(self, name: str, drone: _BaseDrone) -> None:
         died = RoleResult(Role.RECEIVER, Outcome.CRASHED, "its program died", responsible=False, landed=False)
         try:
             drone.result = await self._ground.begin(name, self._program) or died

@@ -10,13 +10,13 @@ from dataclasses import asdict
 from typing import Any
 
 from flight.outcome import MissionEnd, Outcome
-from missions.relay.base import Base, Leg, Order
+from missions.relay.base import Base, Leg, TakeOffOrder
 
 Say = Callable[[Mapping[str, Any]], None]
 
 
 def news_of(base: Base, name: str) -> dict[str, Any]:
-    """What a drone's program has to know at present."""
+    """Returns what a drone's program has to know at present."""
     leg = base.leg_of(name)
     return {"order": base.order_of(name).value, "leg": leg and asdict(leg), "over": base.over}
 
@@ -42,21 +42,21 @@ class FarBase:
 
     def __init__(self, name: str, say: Say) -> None:
         self._name, self._say = name, say
-        self._order: Order | None = None
+        self._order: TakeOffOrder | None = None
         self._leg: Leg | None = None
         self._ended = 0  # number of the newest leg that is over
         self.over = False
 
     @property
     def told(self) -> bool:
-        """Whether there was any news yet."""
+        """Returns whether there was any news yet."""
         return self._order is not None
 
     def on_news(self, news: Mapping[str, Any]) -> None:
-        self._order, self.over = Order(news["order"]), bool(news["over"])
+        self._order, self.over = TakeOffOrder(news["order"]), bool(news["over"])
         self._leg = None if news["leg"] is None else Leg(**news["leg"])
 
-    def order_of(self, name: str) -> Order:
+    def order_of(self, name: str) -> TakeOffOrder:
         assert name == self._name and self._order is not None, "asked before there was any news"
         return self._order
 

@@ -34,12 +34,12 @@ from missions.guard.command import watch_vehicles
 from missions.relay.base import Base
 from missions.relay.config import relay_of
 from missions.relay.line import FarBase, hear, news_of
-from missions.relay.role import Flight
+from missions.relay.role import DroneFlight
 from path.messages import Role
 
 
 def processes_of(rig: Rig, config: RelayConfig, out: Path, base: Base, whole_log: bool) -> DroneProcesses:
-    """How the harness starts the processes of this relay's drones."""
+    """Returns how the harness starts the processes of this relay's drones."""
 
     def command(what: str, name: str, *more: str) -> Sequence[str]:
         drones = str(len(config.drones))
@@ -53,7 +53,7 @@ def processes_of(rig: Rig, config: RelayConfig, out: Path, base: Base, whole_log
     )
 
 
-class WatchedLog:
+class RelayedLog:
     """The log of a drone's program, of which the monitors in another process read what they judge by."""
 
     def __init__(self, log: Log, name: str, whole: bool) -> None:
@@ -105,7 +105,7 @@ async def _fly(rig: Rig, config: RelayConfig, name: str, log: Log, store: StateF
         raise SystemExit(f"{name} was never told what for")
     cv2.setNumThreads(1)  # as any role in real time
     gc.freeze()
-    return await Flight(rig, config, base, name, log, _show, stop, None, store).run()
+    return await DroneFlight(rig, config, base, name, log, _show, stop, None, store).run()
 
 
 def _drone(config: RelayConfig, name: str) -> RelayDrone:
@@ -115,7 +115,7 @@ def _drone(config: RelayConfig, name: str) -> RelayDrone:
 def fly(rig: Rig, config: RelayConfig, name: str, out: Path, whole: bool) -> None:
     with McapLog(new_part(out, name), name) as log:
         store = StateFile(out / f"{name}.state.json", None)
-        result = asyncio.run(_fly(rig, config, name, WatchedLog(log, name, whole), store))
+        result = asyncio.run(_fly(rig, config, name, RelayedLog(log, name, whole), store))
         print(encode_event(with_log(result, log.failed)), flush=True)
 
 

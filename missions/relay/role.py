@@ -1,8 +1,8 @@
 """One drone's flight in a relay: it takes the target over, has it, hands it over and comes home, all in one program.
 
-A relief is the receiver of a handoff; once it holds, it changes its role in the air. Vehicle, eyes and pilot stay, the
-session and the protocol's machine begin anew on the other side: what it holds is written down as its own before the
-receiver's machine is let go of, so that at any instant one record says that this drone is responsible.
+A relief is the receiver of a handoff; once it holds, it changes its role in the air. Vehicle, perception and pilot
+stay. The session and the protocol's machine begin anew on the other side. What it holds is written down as its own
+before the receiver's machine is let go of, so that at any instant one record says that this drone is responsible.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from drivers.interfaces import (
     Link,
     Log,
     PartError,
+    Perception,
     RecordStore,
-    Sight,
     Vehicle,
     VehicleState,
     VelocitySetpoint,
@@ -34,9 +34,9 @@ from flight.pilot import Pilot
 from flight.tracking import TargetTrack
 from flight.under_guard import UnderGuard
 from missions.leg.course import close_session, conclude, run_course, run_recovery
-from missions.leg.session import Session, as_end, entropy_of, guard_line_of
+from missions.leg.session import RoleSession, as_end, entropy_of, guard_line_of
 from missions.leg.steps import bring_down, may_manoeuvre
-from missions.relay.base import Ground, Leg, Order
+from missions.relay.base import Ground, Leg, TakeOffOrder
 from missions.relay.battery import Gauge
 from missions.relay.guidance import keep_clear, way_home
 from missions.relay.records import as_first, as_holder, as_relief, write
@@ -56,15 +56,15 @@ _THE_RELIEFS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What stays open while the role changes."""
+    """The parts that stay open while the role changes."""
 
     clock: Clock
     vehicle: Vehicle
-    sight: Sight
+    perception: Perception
     guard: UnderGuard | None
 
 
-class Flight:
+class DroneFlight:
     """A drone's program. ``run`` is the whole of it.
 
     Args:
@@ -91,7 +91,7 @@ class Flight:
             self._parts = await self._open(stack)
             if self._parts.vehicle.state.armed:
                 return await self._begun_in_the_air()
-            if self._base.order_of(self._name) is Order.FIND:
+            if self._base.order_of(self._name) is TakeOffOrder.FIND:
                 return await self._find()
             return await self._relieve()
 
@@ -122,9 +122,9 @@ class Flight:
             return await self._change_role(session, relief, stack)
 
     async def _change_role(
-        self, session: Session, flown: Holder | Relief, link: AsyncExitStack | None = None
+        self, session: RoleSession, flown: Holder | Relief, link: AsyncExitStack | None = None
     ) -> RoleResult:
-        """From here on this drone is responsible by its own record, and follows and hands over as a sender."""
+        """Flies on as a sender: from here on this drone is responsible by its own record, follows and hands over."""
         try:
             await write(self._store, as_holder(self._store.load()))
             self._base.holds(self._name)
@@ -147,7 +147,7 @@ class Flight:
         except PartError as error:  # the session that flies still does
             return await self._end(session, flown, as_end(error))
 
-    async def _leg_failed(self, session: Session, holder: Holder, end: MissionEnd) -> None:
+    async def _leg_failed(self, session: RoleSession, holder: Holder, end: MissionEnd) -> None:
         peer = session.peer
         if peer is not None:
             until_s = asyncio.get_running_loop().time() + self._relay.clear_s
@@ -171,18 +171,18 @@ class Flight:
     # --- sessions ---
 
     async def _open(self, stack: AsyncExitStack) -> Parts:
-        """Once for the whole flight. To its own parts a drone is always the one that sees the other's marker."""
+        """Opens the parts once for the whole flight. To them a drone is always the one that sees the other's marker."""
         warm_up()
         context = self._context(Role.RECEIVER)
         own = self._alone.receiver
-        sight: Sight = await stack.enter_async_context(create(own.sight, context))
+        perception: Perception = await stack.enter_async_context(create(own.perception, context))
         vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
         self._entropy = entropy_of(self._name, context.clock, self._harness)
         guard: UnderGuard | None = None
         if own.guard is not None:
             line = guard_line_of(own.guard, Role.RECEIVER, context.clock, self._harness)
             guard = UnderGuard(await stack.enter_async_context(line), context.clock, self._mission.guard_process)
-        return Parts(context.clock, vehicle, sight, guard)
+        return Parts(context.clock, vehicle, perception, guard)
 
     @property
     def _alone(self) -> Rig:
@@ -194,18 +194,18 @@ class Flight:
     async def _link(self, stack: AsyncExitStack, role: Role) -> Link:
         return await stack.enter_async_context(create(self._alone.role(role).link, self._context(role)))
 
-    def _session(self, role: Role, leg: Leg | None, link: Link) -> Session:
+    def _session(self, role: Role, leg: Leg | None, link: Link) -> RoleSession:
         drones = {drone.name: drone for drone in self._relay.drones}
         rig = self._alone if leg is None else pair_of(self._rig, drones[leg.sender], drones[leg.receiver])
         number = 1 if leg is None else 1 + (leg.number - 1) % 65535
         config: MissionConfig = replace(self._mission, handoff_id=number, follow_after_s=self._relay.follow_s)
         parts = self._parts
-        made = (parts.clock, parts.vehicle, parts.sight, link)
-        return Session(rig, role, config, self._log, self._emit, self._stop, made, self._entropy, parts.guard)
+        made = (parts.clock, parts.vehicle, parts.perception, link)
+        return RoleSession(rig, role, config, self._log, self._emit, self._stop, made, self._entropy, parts.guard)
 
     async def _go_on(
-        self, before: Session, leg: Leg | None, link: Link, track: TargetTrack | None
-    ) -> tuple[Session, Holder]:
+        self, before: RoleSession, leg: Leg | None, link: Link, track: TargetTrack | None
+    ) -> tuple[RoleSession, Holder]:
         """The next session of a drone that stays in the air: the same pilot flies it, and misses no setpoint.
 
         Raises StateError; then the one before goes on.
@@ -221,7 +221,7 @@ class Flight:
         session.spawn(pilot.run())
         return session, holder
 
-    async def _end(self, session: Session, flown: Holder | Relief, end: MissionEnd | None) -> RoleResult:
+    async def _end(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd | None) -> RoleResult:
         landed = False
         try:
             landed = await run_recovery(session, flown.recover, end)
@@ -260,7 +260,7 @@ class Flight:
         velocity = keep_clear(wanted.velocity_n_mps, state.position_n_m, place_n_m, self._relay.clear_m)
         return replace(wanted, velocity_n_mps=velocity)
 
-    async def come_home(self, session: Session, end: MissionEnd | None, aside: Anchor) -> bool:
+    async def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> bool:
         """Out of the others' way, up, home, and down; where that cannot be flown, down."""
         east, north = self._me.home_m
         *way, above = way_home(aside, (north, east, -self._relay.return_height_m))
@@ -272,7 +272,7 @@ class Flight:
             await self._fly_to(session, anchor)
         return await bring_down(session, end, above)
 
-    async def _fly_to(self, session: Session, anchor: Anchor) -> None:
+    async def _fly_to(self, session: RoleSession, anchor: Anchor) -> None:
         session.pilot.guidance = lambda state: anchor.hold(state, max_speed_mps=1.2)
         loop = asyncio.get_running_loop()
         end_s = loop.time() + session.config.deadlines.depart_s
@@ -290,6 +290,6 @@ def program_of(rig: Rig, relay: RelayConfig, base: Ground) -> DroneProgram:
     async def fly(
         name: str, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess, store: RecordStore
     ) -> RoleResult:
-        return await Flight(rig, relay, base, name, log, emit, stop, harness, store).run()
+        return await DroneFlight(rig, relay, base, name, log, emit, stop, harness, store).run()
 
     return fly

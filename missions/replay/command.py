@@ -17,7 +17,7 @@ from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord
 from drivers.rig.tables import RigError, decode_table
 from missions.options import ReplayOptions
-from missions.replay.redecide import Complete, Decided, other_answers, redecide
+from missions.replay.redecide import Complete, DecisionPair, other_answers, redecide
 from missions.report.command import show
 from missions.report.records import REPLAY, drone_logs
 from path.config import MethodConfig
@@ -32,16 +32,16 @@ class Replayed:
     """A drone's decisions. ``complete``: when its gate was, the first time in each attempt."""
 
     drone: str
-    decided: Sequence[Decided]
+    decided: Sequence[DecisionPair]
     complete: Sequence[Complete]
 
     @property
-    def different(self) -> list[Decided]:
+    def different(self) -> list[DecisionPair]:
         return [each for each in self.decided if not each.same]
 
     @property
     def verdicts(self) -> list[Mapping[str, Any]]:
-        """What came out for D2's answers, in order."""
+        """Returns the verdicts on D2's answers, in order."""
         return [each.again for each in self.decided if each.topic == _VERDICT and each.again is not None]
 
 
@@ -70,7 +70,7 @@ def run(options: ReplayOptions) -> int:
 
 
 def change_of(settings: Sequence[str], gate: str | None) -> Callable[[MethodConfig], MethodConfig] | None:
-    """What ``--set`` and ``--gate`` ask for; None: nothing. Raises PartError."""
+    """Returns the change that ``--set`` and ``--gate`` ask for; None: nothing. Raises PartError."""
     named = [_setting(text) for text in settings] + ([(["gate"], gate)] if gate else [])
     if not named:
         return None
@@ -94,7 +94,7 @@ def change_of(settings: Sequence[str], gate: str | None) -> Callable[[MethodConf
 def replay_changed(
     logs: Mapping[str, Sequence[LogRecord]], change: Callable[[MethodConfig], MethodConfig]
 ) -> list[Replayed]:
-    """With other settings on both drones: D1 judges what D2 would have answered to what D1 sent."""
+    """Replays with other settings on both drones: D1 judges what D2 would have answered to what D1 sent."""
     receivers = {name: _replay(name, records, change) for name, records in logs.items() if _is(Role.RECEIVER, records)}
     answers = {key: answer for each in receivers.values() for key, answer in other_answers(each.decided).items()}
     return [
@@ -109,10 +109,10 @@ def _replay(
     change: Callable[[MethodConfig], MethodConfig] = lambda method: method,
     answers: Mapping[tuple[int, int], Mapping[str, Any]] | None = None,
 ) -> Replayed:
-    decided: list[Decided] = []
+    decided: list[DecisionPair] = []
     complete: list[Complete] = []
     for each in redecide(records, change, answers):
-        if isinstance(each, Decided):
+        if isinstance(each, DecisionPair):
             decided.append(each)
         else:
             complete.append(each)
@@ -128,7 +128,7 @@ def _of_a_leg(name: str, records: Sequence[LogRecord]) -> Sequence[LogRecord]:
 
 
 def _is(role: Role, records: Sequence[LogRecord]) -> bool:
-    """Whether a drone was nothing else."""
+    """Returns whether a drone was nothing else than this role."""
     return {record.record["role"] for record in records if record.topic == "/setup"} == {role.value}
 
 
@@ -184,7 +184,7 @@ def _figures(drone: Replayed) -> dict[str, str]:
     return rows | {name: str(count) for name, count in sorted(misses.items())}
 
 
-def _difference(each: Decided) -> str:
+def _difference(each: DecisionPair) -> str:
     if each.logged is None or each.again is None:
         return f"  {'only decided again' if each.logged is None else 'only in the log'}\n"
     names = [name for name in each.again if each.logged.get(name) != each.again[name]]

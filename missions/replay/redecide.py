@@ -36,7 +36,7 @@ _NAN3 = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)
-class Decided:
+class DecisionPair:
     """One decision, as it was logged and as it comes out again; None: there is none."""
 
     topic: str
@@ -59,14 +59,14 @@ class Complete:
 
 def redecide(
     records: Iterable[LogRecord], change: Change = lambda method: method, answers: Answers | None = None
-) -> Iterator[Decided | Complete]:
+) -> Iterator[DecisionPair | Complete]:
     """Every decision of one drone's log, in its order.
 
     Args:
         change: of the method's settings, to see what would have been otherwise.
         answers: what the other drone answers instead of what was heard of it, by epoch and sequence.
     """
-    again: _Sender | _Receiver | None = None
+    again: _SenderReplay | _ReceiverReplay | None = None
     for each in records:
         if each.topic == "/setup":
             if again is not None:
@@ -78,22 +78,24 @@ def redecide(
         yield from again.rest()
 
 
-def other_answers(decided: Iterable[Decided | Complete]) -> dict[tuple[int, int], Record]:
-    """What D2 answers otherwise than it did, for ``redecide`` of D1's log."""
+def other_answers(decided: Iterable[DecisionPair | Complete]) -> dict[tuple[int, int], Record]:
+    """Returns what D2 answers otherwise than it did, for ``redecide`` of D1's log."""
     changed: dict[tuple[int, int], Record] = {}
     for each in decided:
-        if isinstance(each, Decided) and each.topic == "/candidate" and not each.same and each.again is not None:
+        if isinstance(each, DecisionPair) and each.topic == "/candidate" and not each.same and each.again is not None:
             fields = ("target_sequence", "box", "reason", "position_v_m", "rotation_v_c2", "sigma_m")
             changed[each.again["epoch"], each.again["sequence"]] = {name: each.again[name] for name in fields}
     return changed
 
 
-def _again(setup: Record, change: Change, answers: Answers) -> _Sender | _Receiver:
+def _again(setup: Record, change: Change, answers: Answers) -> _SenderReplay | _ReceiverReplay:
     method = change(decode_table(setup["method"], MethodConfig, "/setup: method"))
-    return _Sender(setup, method, answers) if setup["role"] == Role.SENDER.value else _Receiver(setup, method)
+    return (
+        _SenderReplay(setup, method, answers) if setup["role"] == Role.SENDER.value else _ReceiverReplay(setup, method)
+    )
 
 
-class _Sender:
+class _SenderReplay:
     """D1's cycle, for one session."""
 
     def __init__(self, setup: Record, method: MethodConfig, answers: Answers) -> None:
@@ -103,7 +105,7 @@ class _Sender:
         self._complete = False
         self._due: deque[tuple[int, dict[str, Any]]] = deque()  # verdicts that the log must hold next
 
-    def take(self, each: LogRecord) -> Iterator[Decided | Complete]:
+    def take(self, each: LogRecord) -> Iterator[DecisionPair | Complete]:
         record, cycle = each.record, self._cycle
         if each.topic == "/attempt":
             yield from self.rest()
@@ -117,13 +119,13 @@ class _Sender:
             yield from self._observe(cycle, record)
         elif each.topic == "/agreement":
             _, again = self._due.popleft() if self._due else (0, None)
-            yield Decided(each.topic, each.stamp_ns, record, again)
+            yield DecisionPair(each.topic, each.stamp_ns, record, again)
 
-    def rest(self) -> Iterator[Decided]:
+    def rest(self) -> Iterator[DecisionPair]:
         """Verdicts that the log does not hold: it ended before them."""
         while self._due:
             stamp_ns, again = self._due.popleft()
-            yield Decided("/agreement", stamp_ns, None, again)
+            yield DecisionPair("/agreement", stamp_ns, None, again)
 
     def _begin(self, attempt: Record) -> None:
         setup, self._epoch, self._complete = self._setup, attempt["epoch"], False
@@ -137,7 +139,7 @@ class _Sender:
             target_id=attempt["target_id"],
         )
 
-    def _observe(self, cycle: SenderCycle, record: Record) -> Iterator[Decided | Complete]:
+    def _observe(self, cycle: SenderCycle, record: Record) -> Iterator[DecisionPair | Complete]:
         yield from self.rest()
         box = _box(record["box"])
         depth = None if record["depth_m"] is None else Depth(record["depth_m"], record["depth_sigma_m"])
@@ -148,7 +150,7 @@ class _Sender:
         if box is None:  # why, was said by what looked for it
             again["reason"] = record["reason"]
         given = {name: record[name] for name in ("judged_ns", "depth_m", "depth_sigma_m", "beside")}
-        yield Decided("/target", capture_ns, record, _as_logged({**again, **given}))
+        yield DecisionPair("/target", capture_ns, record, _as_logged({**again, **given}))
         for pair in cycle.evaluate_ready(judged_ns):
             count, evidence = counted(pair, cycle.gate)
             verdict = agreement_record(pair, count, self._method.needed_pairs, evidence, self._setup["target_id"])
@@ -158,7 +160,7 @@ class _Sender:
             yield Complete(judged_ns, self._epoch)
 
 
-class _Receiver:
+class _ReceiverReplay:
     """D2's cycle, for one session."""
 
     def __init__(self, setup: Record, method: MethodConfig) -> None:
@@ -167,7 +169,7 @@ class _Receiver:
         self._cycle: ReceiverCycle | None = None
         self._newest: dict[str, Record] = {}
 
-    def take(self, each: LogRecord) -> Iterator[Decided | Complete]:
+    def take(self, each: LogRecord) -> Iterator[DecisionPair | Complete]:
         record, cycle = each.record, self._cycle
         if each.topic == "/attempt":
             self._begin(record)
@@ -176,10 +178,10 @@ class _Receiver:
         elif cycle is not None and each.topic == "/heard_target":
             cycle.on_target(_target(record), record["capture_ns"], each.stamp_ns)
         elif cycle is not None and each.topic == "/candidate":
-            yield Decided(each.topic, each.stamp_ns, record, self._answer(cycle, each.stamp_ns, record))
+            yield DecisionPair(each.topic, each.stamp_ns, record, self._answer(cycle, each.stamp_ns, record))
 
-    def rest(self) -> Iterator[Decided]:
-        """Nothing is decided here before it is logged."""
+    def rest(self) -> Iterator[DecisionPair]:
+        """Returns nothing: nothing is decided here before it is logged."""
         return iter(())
 
     def _begin(self, attempt: Record) -> None:
@@ -210,7 +212,7 @@ class _Receiver:
 
 
 def _as_logged(record: Record) -> dict[str, Any]:
-    """As it comes back from a log."""
+    """Returns a record as it comes back from a log."""
     return msgspec.json.decode(msgspec.json.encode(record, enc_hook=encode_other))
 
 
@@ -229,7 +231,7 @@ def _box(box: Any) -> Box | None:
 
 
 def _numbers(values: Any) -> Any:
-    """What was not finite is null in a log."""
+    """Returns numbers as they were before the log: what was not finite is null in it."""
     return tuple(math.nan if value is None else value for value in values)
 
 

@@ -1,4 +1,4 @@
-"""What a camera saw when the views agreed: its image, or the scene drawn as lines, with the boxes on it."""
+"""A camera's view when the views agreed: its image, or the scene drawn as lines, with the boxes on it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.log.mcap_log import LogRecord, decode_image
 from missions.report.palette import DIM, MAPPED_BOX, MARKER, OWN_BOX, PRIOR, ROLE
-from missions.report.records import Run, judged_pairs, last
+from missions.report.records import RunRecords, judged_pairs, last
 from missions.report.truth import Truth
 from path.camera import CameraModel
 from path.messages import Role
@@ -22,7 +22,7 @@ FAR_NS = 150_000_000
 LINE = 1.8
 
 
-def draw_view(axes: Axes, run: Run, role: Role, truth: Truth | None) -> None:
+def draw_view(axes: Axes, run: RunRecords, role: Role, truth: Truth | None) -> None:
     """One camera at the commit, or at the last pair that was judged when there was none."""
     axes.set_xticks([])
     axes.set_yticks([])
@@ -58,8 +58,8 @@ def draw_view(axes: Axes, run: Run, role: Role, truth: Truth | None) -> None:
         )  # fmt: skip
 
 
-def _instant(run: Run, role: Role) -> int | None:
-    """On the role's clock: the commit for the sender, its last agreed candidate for the receiver."""
+def _instant(run: RunRecords, role: Role) -> int | None:
+    """Returns an instant of the role's clock: the commit for the sender, its last agreed candidate for the receiver."""
     agreed = [r for r in judged_pairs(run) if r.record["agreed"]]
     if role is Role.SENDER:
         commit = last(run.sender, "/commit")
@@ -70,7 +70,7 @@ def _instant(run: Run, role: Role) -> int | None:
     return stamps[-1] if stamps else (newest.stamp_ns if newest else None)
 
 
-def _when(run: Run, role: Role, stamp_ns: int | None) -> str:
+def _when(run: RunRecords, role: Role, stamp_ns: int | None) -> str:
     instant_ns = _instant(run, role)
     if stamp_ns is None or instant_ns is None:
         return "never in the handshake"
@@ -93,7 +93,7 @@ def _near(records: Sequence[LogRecord], stamp_ns: int) -> Mapping[str, Any]:
     return found.record if found and abs(found.stamp_ns - stamp_ns) < FAR_NS else {}
 
 
-def _draw_sender(axes: Axes, run: Run, stamp_ns: int) -> None:
+def _draw_sender(axes: Axes, run: RunRecords, stamp_ns: int) -> None:
     target = _near(run.sender.get("/target", ()), stamp_ns)
     # pairs are logged when they are judged, and belong to the instant of D2's frame
     judged = [LogRecord(r.topic, r.record["capture_ns"], r.record) for r in judged_pairs(run)]
@@ -108,7 +108,7 @@ def _draw_sender(axes: Axes, run: Run, stamp_ns: int) -> None:
         )  # fmt: skip
 
 
-def _draw_receiver(axes: Axes, run: Run, stamp_ns: int) -> None:
+def _draw_receiver(axes: Axes, run: RunRecords, stamp_ns: int) -> None:
     marker = _near([r for r in run.receiver.get("/marker", ()) if r.record["corners_px"]], stamp_ns)
     answer = _near(run.receiver.get("/candidate", ()), stamp_ns)
     if marker:

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from drivers.log.mcap_log import LogRecord
 from missions.report.camera_views import draw_view
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, PHASES, ROLE
-from missions.report.records import Run, judged_pairs, last
+from missions.report.records import RunRecords, judged_pairs, last
 from missions.report.summary import start_ns
 from missions.report.truth import Truth, truth_of
 from path.messages import Role
@@ -26,7 +26,7 @@ WIDTH_IN, HEIGHT_IN, DPI = 13.0, 10.6, 110
 LETTER_SHARE = 0.0055  # width of a letter, as a share of the timeline
 
 
-def draw_run(run: Run, summary: Mapping[str, Any], path: Path) -> None:
+def draw_run(run: RunRecords, summary: Mapping[str, Any], path: Path) -> None:
     """Draw a run as PNG. Whatever the records do not hold is left empty. Raises OSError when it cannot be written."""
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
@@ -55,7 +55,7 @@ def _title(summary: Mapping[str, Any]) -> str:
     return "   ·   ".join(parts)
 
 
-def _clock(run: Run, truth: Truth | None) -> Clock:
+def _clock(run: RunRecords, truth: Truth | None) -> Clock:
     """Seconds since the run began; on one clock for both roles when the world's log tells their offsets."""
     starts = {role: start_ns(run, role) for role in Role}
     if truth is None:
@@ -64,7 +64,7 @@ def _clock(run: Run, truth: Truth | None) -> Clock:
     return lambda role, stamp_ns: (truth.to_world_ns(role, stamp_ns) - begin_ns) * 1e-9
 
 
-def _draw_phases(axes: Axes, run: Run, seconds: Clock) -> None:
+def _draw_phases(axes: Axes, run: RunRecords, seconds: Clock) -> None:
     """One bar per role; the part where it is responsible is underlined."""
     end_s = 0.0
     bars: list[tuple[float, float, int, str]] = []
@@ -105,7 +105,7 @@ def _responsible(records: Sequence[LogRecord], role: Role, seconds: Clock, end_s
     return spans
 
 
-def _draw_agreement(axes: Axes, run: Run, seconds: Clock) -> None:
+def _draw_agreement(axes: Axes, run: RunRecords, seconds: Clock) -> None:
     """IoU of each judged pair against what was needed, and the count."""
     pairs = judged_pairs(run)
     axes.set_title("agreement of the two views", loc="left", fontsize=10)
@@ -139,7 +139,9 @@ def _draw_agreement(axes: Axes, run: Run, seconds: Clock) -> None:
     _legend(axes, shown)
 
 
-def _draw_separation(axes: Axes, run: Run, summary: Mapping[str, Any], truth: Truth | None, seconds: Clock) -> None:
+def _draw_separation(
+    axes: Axes, run: RunRecords, summary: Mapping[str, Any], truth: Truth | None, seconds: Clock
+) -> None:
     """Between the drones: true where there is a world, and as D2 measured it by the marker."""
     axes.set_title("separation", loc="left", fontsize=10)
     axes.set_ylabel("m", fontsize=9)
@@ -170,7 +172,7 @@ def _legend(axes: Axes, lines: Sequence[Line2D]) -> None:
     )  # fmt: skip
 
 
-def _mark_commit(axes: Axes, run: Run, seconds: Clock) -> None:
+def _mark_commit(axes: Axes, run: RunRecords, seconds: Clock) -> None:
     commit = last(run.sender, "/commit")
     if commit is not None:
         x = seconds(Role.SENDER, commit.stamp_ns)

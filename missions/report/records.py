@@ -1,4 +1,4 @@
-"""What a run folder holds, and what the records in its logs mean: the contract between those who log and who report.
+"""The contents of a run folder and its logs' records: the contract between those who log and those who report.
 
     sender.mcap, receiver.mcap   one log per role, stamps of the role's own clock; sender.2.mcap and so on of a role
                                  whose program was started again
@@ -41,7 +41,7 @@ class RunFolderError(PartError):
 
 @dataclass(frozen=True, slots=True)
 class RunFacts:
-    """What the logs of the roles cannot tell: what was asked for, and what the harness saw.
+    """The facts of a run that its logs cannot tell: what was asked for, and what the harness saw.
 
     Attributes:
         outcome: label of the whole run's ``flight.outcome.Outcome``.
@@ -67,7 +67,7 @@ class RunFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class RunRecords:
     """A whole run as read back. ``facts`` is None when the run was cut off before its end."""
 
     facts: RunFacts | None
@@ -84,7 +84,7 @@ def write_facts(folder: Path, facts: RunFacts) -> None:
     (folder / FACTS).write_bytes(msgspec.json.format(msgspec.json.encode(facts), indent=2) + b"\n")
 
 
-def load_run(folder: Path) -> Run:
+def load_run(folder: Path) -> RunRecords:
     """Read a run folder; what is missing in it is empty. Raises RunFolderError when it holds no log at all."""
     names = (SENDER_LOG, RECEIVER_LOG, WORLD_LOG)
     logs = [parts(folder, Path(name).stem) for name in names]
@@ -93,7 +93,7 @@ def load_run(folder: Path) -> Run:
             f"{folder} is not the folder of a run: it holds none of {', '.join(names)}",
             "name the folder that `path-handoff handoff` printed, such as runs/20261104-101500",
         )
-    return Run(load_facts(folder), *(by_topic(*files) for files in logs))
+    return RunRecords(load_facts(folder), *(by_topic(*files) for files in logs))
 
 
 def drone_logs(folder: Path) -> dict[str, list[LogRecord]]:
@@ -121,7 +121,7 @@ def read_parts(*paths: Path) -> list[LogRecord]:
 
 
 def load_facts(folder: Path) -> RunFacts | None:
-    """How a run ended; None when it was cut off before its end."""
+    """Returns the facts of a run; None when it was cut off before its end."""
     try:
         return msgspec.json.decode((folder / FACTS).read_bytes(), type=RunFacts)
     except (OSError, msgspec.DecodeError):  # the marker of an unfinished run is not all of it
@@ -129,8 +129,10 @@ def load_facts(folder: Path) -> RunFacts | None:
 
 
 def by_topic(*paths: Path) -> dict[str, list[LogRecord]]:
-    """All records of a log's parts by topic; empty when there is no such file. Raises RunFolderError for what is no
-    log."""
+    """Returns all records of a log's parts by topic; empty when there is no such file.
+
+    Raises RunFolderError for what is no log.
+    """
     topics: dict[str, list[LogRecord]] = {}
     try:
         for path in paths:
@@ -149,7 +151,7 @@ def first(records: Records, topic: str) -> dict[str, Any] | None:
     return found[0].record if found else None
 
 
-def judged_pairs(run: Run) -> list[LogRecord]:
+def judged_pairs(run: RunRecords) -> list[LogRecord]:
     """One record for every candidate that the sender judged, up to the commit."""
     commit = last(run.sender, "/commit")
     return [r for r in run.sender.get("/agreement", ()) if commit is None or r.stamp_ns <= commit.stamp_ns]

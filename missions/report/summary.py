@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from drivers.log.mcap_log import LogRecord
-from missions.report.records import Records, Run, judged_pairs, last
+from missions.report.records import Records, RunRecords, judged_pairs, last
 from missions.report.truth import Truth, box_center, handed_over, truth_of
 from path.geometry import Pose
 from path.messages import Role
 from path.rotation import R_from_quat
 
 
-def summarize(run: Run) -> dict[str, Any]:
+def summarize(run: RunRecords) -> dict[str, Any]:
     """Everything ``summary.json`` holds. What the records do not tell is null.
 
     Errors are medians over the agreeing pairs before the commit: ``d2_error_m`` of the position of D2's camera in the
@@ -43,7 +43,10 @@ def summarize(run: Run) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """From the sender's entry into the verify phase to its commit, or to where its log ends. Sender's clock."""
+    """The time from the sender's entry into the verify phase to its commit, or to where its log ends.
+
+    Sender's clock.
+    """
 
     start_ns: int
     end_ns: int
@@ -54,7 +57,7 @@ class Verification:
         return (self.end_ns - self.start_ns) * 1e-9
 
 
-def _verification(run: Run) -> Verification | None:
+def _verification(run: RunRecords) -> Verification | None:
     begins = [r.stamp_ns for r in run.sender.get("/phase", ()) if r.record["phase"] == "verify"]
     if not begins:
         return None
@@ -63,13 +66,13 @@ def _verification(run: Run) -> Verification | None:
     return Verification(begins[0], ends.stamp_ns if ends else begins[0], commit is not None)
 
 
-def start_ns(run: Run, role: Role) -> int:
+def start_ns(run: RunRecords, role: Role) -> int:
     """Beginning of the run on a role's clock: its first phase."""
     records = run.role(role).get("/phase", ())
     return records[0].stamp_ns if records else 0
 
 
-def phases(run: Run, role: Role) -> list[dict[str, Any]]:
+def phases(run: RunRecords, role: Role) -> list[dict[str, Any]]:
     """The phases of a role in order, times since its own start."""
     records = run.role(role).get("/phase", ())
     changes = [r for k, r in enumerate(records) if k == 0 or r.record["phase"] != records[k - 1].record["phase"]]
@@ -89,7 +92,7 @@ def _end_ns(records: Records) -> int:
     return max((topic[-1].stamp_ns for topic in records.values()), default=0)
 
 
-def _outcome(run: Run) -> dict[str, Any]:
+def _outcome(run: RunRecords) -> dict[str, Any]:
     facts = run.facts
     roles: dict[str, Any] = {}
     for role in Role:
@@ -109,7 +112,7 @@ def _outcome(run: Run) -> dict[str, Any]:
     }
 
 
-def _times(run: Run, span: Verification | None) -> dict[str, Any]:
+def _times(run: RunRecords, span: Verification | None) -> dict[str, Any]:
     committed = span is not None and span.committed
     facts = run.facts
     return {
@@ -121,7 +124,7 @@ def _times(run: Run, span: Verification | None) -> dict[str, Any]:
     }
 
 
-def _agreement(run: Run, span: Verification | None) -> dict[str, Any]:
+def _agreement(run: RunRecords, span: Verification | None) -> dict[str, Any]:
     pairs = judged_pairs(run)
     agreed = [r.record for r in pairs if r.record["agreed"]]
     evidence = [reached for r in pairs if (reached := r.record.get("evidence")) is not None]
@@ -139,7 +142,7 @@ def _agreement(run: Run, span: Verification | None) -> dict[str, Any]:
     }
 
 
-def _own_misses(run: Run, span: Verification | None) -> Counter[str]:
+def _own_misses(run: RunRecords, span: Verification | None) -> Counter[str]:
     """The sender's own frames that could not be half of a pair, while it verified: no target, no depth."""
     if span is None:
         return Counter()
@@ -149,7 +152,7 @@ def _own_misses(run: Run, span: Verification | None) -> Counter[str]:
     )
 
 
-def _separation(run: Run, truth: Truth | None) -> dict[str, Any]:
+def _separation(run: RunRecords, truth: Truth | None) -> dict[str, Any]:
     if truth is not None:
         return {
             "min_separation_m": _minimum(truth.separation_m),
@@ -159,7 +162,7 @@ def _separation(run: Run, truth: Truth | None) -> dict[str, Any]:
     return {"min_separation_m": _minimum(np.linalg.norm(p) for p in measured), "separation_limit_m": None}
 
 
-def _errors(run: Run, span: Verification | None, truth: Truth | None) -> dict[str, Any]:
+def _errors(run: RunRecords, span: Verification | None, truth: Truth | None) -> dict[str, Any]:
     d2: list[float] = []
     target: list[float] = []
     if truth is not None:
@@ -184,12 +187,14 @@ def _errors(run: Run, span: Verification | None, truth: Truth | None) -> dict[st
 
 
 def d2_error_m(truth: Truth, answer: Mapping[str, Any]) -> float:
-    """How far off a candidate's position of D2's camera was, in the marker's frame."""
+    """Returns the error of a candidate's position of D2's camera, m, in the marker's frame."""
     return float(np.linalg.norm(np.array(answer["position_v_m"]) - truth.T_v_c2(answer["capture_ns"]).t))
 
 
 def target_error_m(truth: Truth, answer: Mapping[str, Any], sent: Mapping[str, Any]) -> float | None:
-    """How far off the target's point was in D2's camera frame; None when D1's box was not centred on the target.
+    """Returns the error of the target's point in D2's camera frame, m.
+
+    None when D1's box was not centred on the target.
 
     The true point is where D1's line of sight met the body of the target, carried along with that body to the instant
     of D2's frame.
@@ -209,7 +214,7 @@ def target_error_m(truth: Truth, answer: Mapping[str, Any], sent: Mapping[str, A
     return float(np.linalg.norm(estimated_c2 - true_c2))
 
 
-def _link(run: Run, span: Verification | None) -> dict[str, Any]:
+def _link(run: RunRecords, span: Verification | None) -> dict[str, Any]:
     """Rates while the views are compared (else over the whole log), both ways and each way, at the socket."""
     rates: dict[str, float | None] = {}
     for role in Role:
@@ -226,7 +231,7 @@ def _link(run: Run, span: Verification | None) -> dict[str, Any]:
 
 
 def _dropped(records: Sequence[LogRecord]) -> dict[str, int]:
-    """By reason, of all programs of a role: each counts from nothing."""
+    """Returns packets dropped by reason, of all programs of a role: each counts from nothing."""
     ends = [*records[-1:], *(r for r, after in pairwise(records) if _anew(r, after))]
     return dict(sum((Counter(r.record["dropped"]) for r in ends), Counter[str]()))
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.log.mcap_log import LogRecord
-from missions.report.records import Records, Run, first, judged_pairs, last
+from missions.report.records import Records, RunRecords, first, judged_pairs, last
 from path.camera import CameraModel
 from path.geometry import Pose, Vector
 from path.messages import Role
@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
-    """What does not change in a world: see ``/scene`` in ``missions.report.records``."""
+class TrueScene:
+    """The constants of a world: see ``/scene`` in ``missions.report.records``."""
 
     target_id: int
     min_separation_m: float
@@ -42,7 +42,7 @@ class Scene:
 class Truth:
     """Interpolates ``/truth``. Instants are of the clock of the role that is named with them."""
 
-    def __init__(self, scene: Scene, records: Sequence[LogRecord]) -> None:
+    def __init__(self, scene: TrueScene, records: Sequence[LogRecord]) -> None:
         self.scene = scene
         self.stamps_ns = np.array([r.stamp_ns for r in records], np.int64)
         # interpolation is relative to the start: float64 has no room for nanoseconds since some epoch
@@ -79,7 +79,7 @@ class Truth:
         return Pose(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array([x, y, z]))
 
     def hit_o(self, role: Role, stamp_ns: int, pixel: Sequence[float], object_id: int) -> Vector | None:
-        """Where the ray of a pixel meets an object, in the object's frame; None when it misses."""
+        """Returns where the ray of a pixel meets an object, in the object's frame; None when it misses."""
         x, y = self.scene.cameras[role].ray(pixel[0], pixel[1])
         T_o_c = self.T_w_o(object_id, role, stamp_ns).inverse() @ self.T_w_c(role, stamp_ns)
         return first_hit(T_o_c.t, T_o_c.R @ np.array([x, y, 1.0]), self.scene.boxes)
@@ -132,7 +132,7 @@ def truth_of(world: Records) -> Truth | None:
     return Truth(_scene(scene), records)
 
 
-def handed_over(run: Run, truth: Truth) -> int | None:
+def handed_over(run: RunRecords, truth: Truth) -> int | None:
     """The object, in truth, in D2's box of the last pair that agreed before the commit; None without a commit."""
     if last(run.sender, "/commit") is None:
         return None
@@ -150,7 +150,7 @@ def box_center(box: Sequence[float]) -> tuple[float, float]:
 
 
 def first_hit(origin: Vector, direction: Vector, boxes: Array) -> Vector | None:
-    """Where a ray first enters one of the boxes (n, 6: centre, size; axes-aligned); None when it misses all."""
+    """Returns where a ray first enters one of the boxes (n, 6: centre, size; axes-aligned); None when it misses all."""
     direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
     near = (boxes[:, :3] - boxes[:, 3:] / 2 - origin) / direction
     far = (boxes[:, :3] + boxes[:, 3:] / 2 - origin) / direction
@@ -168,8 +168,8 @@ def _continuous(quaternions: Sequence[Sequence[float]]) -> Array:
     return q
 
 
-def _scene(record: Mapping[str, Any]) -> Scene:
-    return Scene(
+def _scene(record: Mapping[str, Any]) -> TrueScene:
+    return TrueScene(
         target_id=record["target_id"],
         min_separation_m=record["min_separation_m"],
         boxes=np.array([[*box["c"], *box["s"]] for box in record["boxes"]], float),

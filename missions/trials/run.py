@@ -26,7 +26,7 @@ from missions.report.command import show
 from missions.report.records import SUMMARY
 from missions.run_folder import claim_result, new_folder
 from missions.trials.shared.page import MADE_BY, PAGE, Chapter, render_page
-from missions.trials.shared.trial import Finding, TrialRequest, TrialResult, Verdict, trial_part
+from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, Verdict, trial_part
 from missions.work import open_work
 
 NAMES: tuple[str, ...] = tuple(
@@ -102,7 +102,7 @@ SHORT = "Short form, on few samples: it says whether the trial runs, and nothing
 
 
 def short_form(result: TrialResult) -> TrialResult:
-    """What ``--quick`` shows: no goal is met or missed on a few samples."""
+    """Returns a result as ``--quick`` shows it: no goal is met or missed on a few samples."""
     measured = tuple(replace(finding, verdict="measured") for finding in result.findings)
     return replace(result, findings=measured, notes=(SHORT, *result.notes))
 
@@ -146,8 +146,8 @@ def rig_of(name: str) -> str:
     return RIGS.get(name, RIG)
 
 
-def findings_table(findings: Sequence[Finding]) -> Table:
-    """What came out, beside the paper's figures and the goals."""
+def findings_table(findings: Sequence[TrialFinding]) -> Table:
+    """Returns the findings beside the paper's figures and the goals."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     for title in ("", "ours", "95 % interval", "paper", "goal", ""):
         table.add_column(title, overflow="fold")

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from path.baselines.features import Distance, Features, Image, Keypoints, Look, look
+from path.baselines.features import Distance, Features, FeatureSearch, Image, Keypoints, look
 from path.baselines.matching import MatchConfig, Nearest, Pairs, accepted, nearest, verify
 from path.observations import Box
 
@@ -17,7 +17,7 @@ Scope = Literal["each", "all"]
 
 @dataclass(frozen=True, slots=True)
 class BaselineConfig:
-    """How a baseline works.
+    """Configuration of a baseline.
 
     Attributes:
         scope: match D1's features against "each" of D2's boxes by itself, or against the features of "all" together:
@@ -26,7 +26,7 @@ class BaselineConfig:
         min_lead: how many more than any other box.
     """
 
-    look: Look = field(default_factory=Look)
+    look: FeatureSearch = field(default_factory=FeatureSearch)
     match: MatchConfig = field(default_factory=MatchConfig)
     scope: Scope = "each"
     min_inliers: int = 6
@@ -35,7 +35,7 @@ class BaselineConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Votes:
-    """What speaks for each of D2's boxes.
+    """The evidence for each of D2's boxes.
 
     Attributes:
         inliers: verified matches, one number a box.

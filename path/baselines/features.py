@@ -39,7 +39,7 @@ class Keypoints:
         return len(self.points_px)
 
     def pick(self, which: NDArray[Any]) -> Keypoints:
-        """Those of a mask or of indices."""
+        """Returns the keypoints of a mask or of indices."""
         return Keypoints(self.points_px[which], self.descriptors[which], self.scores[which])
 
 
@@ -64,8 +64,8 @@ class Features(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """How features around a box are looked for.
+class FeatureSearch:
+    """The surroundings of a box in which features are searched for, and their scale.
 
     Attributes:
         zoom: enlargement of the image before.
@@ -76,17 +76,17 @@ class Look:
     context: float = 0.0
 
 
-def look(features: Features, image: Image, boxes: Sequence[Box], settings: Look) -> list[Keypoints]:
+def look(features: Features, image: Image, boxes: Sequence[Box], settings: FeatureSearch) -> list[Keypoints]:
     """The features in each box and its surroundings, in pixels of the image. A box outside the image has none."""
     return look_each(features, image, boxes, [settings])[settings]
 
 
 def look_each(
-    features: Features, image: Image, boxes: Sequence[Box], settings: Sequence[Look]
-) -> dict[Look, list[Keypoints]]:
+    features: Features, image: Image, boxes: Sequence[Box], settings: Sequence[FeatureSearch]
+) -> dict[FeatureSearch, list[Keypoints]]:
     """The same in several ways. A network sees the windows of one zoom once, wide enough for all of that zoom."""
     height, width = image.shape[:2]
-    found: dict[Look, list[Keypoints]] = {}
+    found: dict[FeatureSearch, list[Keypoints]] = {}
     for zoom in dict.fromkeys(each.zoom for each in settings):
         alike = sorted({each for each in settings if each.zoom == zoom}, key=lambda each: -each.context)
         for group in [[each] for each in alike] if features.side_px is None else [alike]:
@@ -108,7 +108,7 @@ def _of_area(area: Region | None, windows: Sequence[Region], seen: Sequence[Keyp
 
 
 def inside(keypoints: Keypoints, area: Region) -> Keypoints:
-    """Those within an area."""
+    """Returns the keypoints within an area."""
     u, v = keypoints.points_px[:, 0], keypoints.points_px[:, 1]
     return keypoints.pick((u >= area.x0) & (u < area.x1) & (v >= area.y0) & (v < area.y1))
 

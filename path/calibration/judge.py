@@ -1,4 +1,4 @@
-"""Is a set of views good enough to calibrate with? What is wrong with it is named, each with what to do.
+"""The judgement of a set of views: what is wrong with it for calibration is named, each with what to do.
 
 Some sets determine a camera badly and still leave small residuals: the residuals alone say nothing.
 """
@@ -24,7 +24,7 @@ PLACES = (("top left", "top", "top right"), ("left", "middle", "right"), ("botto
 
 
 class BadSet(Enum):
-    """What is wrong with a set. Values are stable: they are written and tested."""
+    """A fault of a set of views. Values are stable: they are written and tested."""
 
     NO_BOARD = "no_board"
     MIXED_SIZES = "mixed_sizes"
@@ -40,7 +40,7 @@ class BadSet(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class SetFault:
     """One thing that is wrong with a set: what was found, and what to do."""
 
     reason: BadSet
@@ -50,7 +50,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class SetLimits:
-    """What a good set has. A set that has less gives a calibration of a lower grade, as long as it says anything.
+    """Limits of a good set. A set that has less gives a calibration of a lower grade, as long as it says anything.
 
     Attributes:
         min_views: usable ones. ``fewest_views``: with less there is no calibration.
@@ -80,7 +80,7 @@ class SetLimits:
 
 
 def sharp_enough(views: Sequence[BoardView], limits: SetLimits) -> list[bool]:
-    """Which views are not blurred."""
+    """Returns, for each view, whether it is sharp enough."""
     if not views:
         return []
     blurs = sorted(view.blur_px for view in views)
@@ -94,12 +94,12 @@ def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.in
     return _histogram(views, size, GRID)
 
 
-def judge_views(views: Sequence[BoardView], size: tuple[int, int], limits: SetLimits) -> list[Fault]:
-    """What can be said before a camera is solved: their number, and where in the image they are."""
-    faults: list[Fault] = []
+def judge_views(views: Sequence[BoardView], size: tuple[int, int], limits: SetLimits) -> list[SetFault]:
+    """Returns the faults known before a camera is solved: the number of views, and their places in the image."""
+    faults: list[SetFault] = []
     if len(views) < limits.min_views:
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.TOO_FEW_VIEWS,
                 f"{len(views)} usable views, at least {limits.min_views} are needed",
                 "take more, some 20 to 40 in all, each with the board at another place and angle",
@@ -111,7 +111,7 @@ def judge_views(views: Sequence[BoardView], size: tuple[int, int], limits: SetLi
     if share < limits.min_coverage or empty:
         where = f"; none in the {', '.join(empty)}" if empty else ""
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.CLUSTERED,
                 f"corners in {100.0 * share:.0f} % of the image, {100.0 * limits.min_coverage:.0f} % are needed{where}",
                 "bring the board into every part of the image, up to its corners: the distortion is largest there",
@@ -120,12 +120,12 @@ def judge_views(views: Sequence[BoardView], size: tuple[int, int], limits: SetLi
     return faults
 
 
-def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
-    """What the solution says of its views."""
-    faults: list[Fault] = []
+def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
+    """Returns the faults that the solution shows in its views."""
+    faults: list[SetFault] = []
     if solution.rms_px > limits.max_rms_px:
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.WRONG_BOARD,
                 f"the best camera leaves {solution.rms_px:.2f} px, {limits.max_rms_px:g} px are allowed",
                 "is the board the one that was named (squares, size of the markers), flat, and the lens a normal one? "
@@ -136,7 +136,7 @@ def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
     worst = focal_sigma(solution)
     if not worst <= limits.max_focal_sigma:
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.UNCERTAIN,
                 f"the focal length is known to {100.0 * worst:.2f} %, {100.0 * limits.max_focal_sigma:g} % are needed",
                 "take more views with the board tilted by 30 to 45 degrees, large in the image",
@@ -145,7 +145,7 @@ def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
     ratio = solution.held_out_px / solution.rms_px
     if not ratio <= limits.max_held_out_ratio:
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.NOT_PREDICTIVE,
                 f"views that were left out fit {ratio:.2f} times worse than the others, {limits.max_held_out_ratio:g} "
                 "is allowed",
@@ -154,7 +154,7 @@ def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
         )
     if solution.camera is None:
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.UNCERTAIN,
                 f"the solution is no camera: {solution.camera_problem}",
                 "bring the board into the corners of the image, where the distortion is determined",
@@ -169,13 +169,13 @@ def focal_sigma(solution: Intrinsics) -> float:
 
 
 def useless(solution: Intrinsics, limits: SetLimits) -> bool:
-    """Whether nothing should be made of a solution: no camera, another board than named, or nothing known of it."""
+    """Returns whether a solution is useless: no camera, another board than named, or nothing known of it."""
     known = focal_sigma(solution) <= limits.most_focal_sigma
     return solution.camera is None or not known or solution.rms_px > limits.max_rms_px
 
 
-def grade_of(solution: Intrinsics, faults: Sequence[Fault], limits: SetLimits) -> Grade:
-    """How far a calibration can be trusted: good without any fault, fair or weak by what is known of fx and fy."""
+def grade_of(solution: Intrinsics, faults: Sequence[SetFault], limits: SetLimits) -> Grade:
+    """Returns the grade of a calibration: good without any fault, fair or weak by what is known of fx and fy."""
     if not faults:
         return "good"
     return "fair" if focal_sigma(solution) <= limits.fair_focal_sigma else "weak"
@@ -188,13 +188,13 @@ def tilts_deg(solution: Intrinsics) -> Array:
     return np.degrees(np.arctan2(normals[:, [1, 0]], normals[:, 2:]))
 
 
-def _judge_poses(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
-    faults: list[Fault] = []
+def _judge_poses(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
+    faults: list[SetFault] = []
     distances = np.array([view.distance_m for view in solution.views])
     ratio = float(np.percentile(distances, 95) / np.percentile(distances, 5))
     if ratio < limits.min_distance_ratio:
         faults.append(
-            Fault(
+            SetFault(
                 BadSet.ONE_DISTANCE,
                 f"all views are from about the same distance (1 to {ratio:.2f}, at least 1 to "
                 f"{limits.min_distance_ratio:g} is needed)",
@@ -205,7 +205,7 @@ def _judge_poses(solution: Intrinsics, limits: SetLimits) -> list[Fault]:
     for axis, span in zip(("nodded (top away or towards)", "turned (left side away or towards)"), spans, strict=True):
         if span < limits.min_tilt_span_deg:
             faults.append(
-                Fault(
+                SetFault(
                     BadSet.NO_TILT,
                     f"the board was {axis} over {span:.0f} degrees only, {limits.min_tilt_span_deg:g} are needed: "
                     "without tilt the focal length cannot be told from the distance",
@@ -226,6 +226,6 @@ def _histogram(views: Sequence[BoardView], size: tuple[int, int], grid: tuple[in
 
 
 def empty_places(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
-    """Which ninths of the image no view has a corner in."""
+    """Returns the names of those ninths of the image in which no view has a corner."""
     cells = _histogram(views, size, (3, 3))
     return [PLACES[row][column] for row in range(3) for column in range(3) if cells[row, column] == 0]

@@ -1,4 +1,4 @@
-"""Where D1's camera is, seen from the marker: ``T_v_c1`` from pairs of images of one board.
+"""The pose of D1's camera in the marker's frame: ``T_v_c1`` from pairs of images of one board.
 
 D1's camera sees the board; at the same time another camera sees the board and the marker. Board, drone and the other
 camera may move from pair to pair, not within one. Everything is fitted at once: ``T_v_c1``, the size of the print, and
@@ -34,7 +34,7 @@ LEAST_SIGMA_PX = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pair:
+class MountPair:
     """Two images of one moment: the board in D1's camera, the board and markers in the other one."""
 
     name: str
@@ -45,7 +45,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairFit:
-    """What the solution leaves of one pair: rms of the marker's corners in px, and their chi-square per number."""
+    """The residuals of one pair in the solution: rms of the marker's corners in px, and their chi-square per number."""
 
     name: str
     rms_px: float
@@ -71,14 +71,14 @@ class MountSolution:
 
 
 @dataclass(slots=True)
-class _State:
+class _MountState:
     T_v_c1: Pose
     scale: float
     boards: list[tuple[Pose, Pose]]  # T_c1_o, T_c3_o
 
 
 def solve_mount(
-    pairs: Sequence[Pair], camera_1: CameraModel, camera_3: CameraModel, board: Board, layout: MarkerLayout
+    pairs: Sequence[MountPair], camera_1: CameraModel, camera_3: CameraModel, board: Board, layout: MarkerLayout
 ) -> MountSolution:
     """Fit everything to the corners of all pairs, at least two.
 
@@ -91,7 +91,9 @@ def solve_mount(
         max(LEAST_SIGMA_PX, math.sqrt(float((np.concatenate([left for _, left in poses]) ** 2).mean())))
         for poses in (poses_1, poses_3)
     )
-    state = _State(Pose(np.eye(3), np.zeros(3)), 1.0, [(a, b) for (a, _), (b, _) in zip(poses_1, poses_3, strict=True)])
+    state = _MountState(
+        Pose(np.eye(3), np.zeros(3)), 1.0, [(a, b) for (a, _), (b, _) in zip(poses_1, poses_3, strict=True)]
+    )
     marker = [_marker_terms(pair, camera_3, layout) for pair in pairs]
     state.T_v_c1 = _first(pairs, state.boards, marker, camera_3, layout)
     terms = [
@@ -128,7 +130,7 @@ def _board_term(view: BoardView, camera: CameraModel, board: Board, sigma_px: fl
     return residual
 
 
-def _marker_terms(pair: Pair, camera: CameraModel, layout: MarkerLayout) -> Residual:
+def _marker_terms(pair: MountPair, camera: CameraModel, layout: MarkerLayout) -> Residual:
     """Whitened residuals of all markers of a pair."""
     seen: list[tuple[Array, Array, Array]] = []
     for found in pair.markers_3:
@@ -148,13 +150,13 @@ def _marker_terms(pair: Pair, camera: CameraModel, layout: MarkerLayout) -> Resi
 
 
 def _first(
-    pairs: Sequence[Pair],
+    pairs: Sequence[MountPair],
     boards: Sequence[tuple[Pose, Pose]],
     terms: Sequence[Residual],
     camera: CameraModel,
     layout: MarkerLayout,
 ) -> Pose:
-    """Of both planar poses of every marker, the one that fits all pairs best."""
+    """Returns, of both planar poses of every marker, the one that fits all pairs best."""
     matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
     lens = np.array(camera.distortion)
     best, least = Pose(np.eye(3), np.zeros(3)), math.inf
@@ -196,7 +198,7 @@ _Terms = tuple[Callable[[Pose], Array], Callable[[Pose], Array], Residual]
 
 
 def _reduced(
-    state: _State, terms: Sequence[_Terms]
+    state: _MountState, terms: Sequence[_Terms]
 ) -> tuple[list[tuple[Array, Array]], list[tuple[Array, Array, Array]]]:
     """Each pair's information and gradient about the global unknowns, its own eliminated; and what gives these back."""
     reduced: list[tuple[Array, Array]] = []
@@ -221,7 +223,7 @@ def _reduced(
     return reduced, own
 
 
-def _move(state: _State, step: Array, own: Sequence[tuple[Array, Array, Array]]) -> None:
+def _move(state: _MountState, step: Array, own: Sequence[tuple[Array, Array, Array]]) -> None:
     state.T_v_c1 = _moved(state.T_v_c1, step[:6])
     state.scale += float(step[6])
     for number, (slope, free, _) in enumerate(own):
@@ -231,8 +233,8 @@ def _move(state: _State, step: Array, own: Sequence[tuple[Array, Array, Array]])
 
 
 def _solution(
-    pairs: Sequence[Pair],
-    state: _State,
+    pairs: Sequence[MountPair],
+    state: _MountState,
     terms: Sequence[Residual],
     reduced: Sequence[tuple[Array, Array]],
     prior: Array,
@@ -258,7 +260,7 @@ def _solution(
     )
 
 
-def _marker_rms(whitened: Array, pair: Pair) -> float:
+def _marker_rms(whitened: Array, pair: MountPair) -> float:
     """Rms distance of the marker's corners in px."""
     roots = [_root(found.covariance_px2) for found in pair.markers_3]
     left = [root @ part for root, part in zip(roots, whitened.reshape(-1, 8), strict=False)]

@@ -87,7 +87,7 @@ class PhotometricFit:
 
 
 @dataclass(slots=True)
-class _State:
+class _FitState:
     """A fit on its way: first of 16 unknowns ``theta``, then of those in ``groups`` of ``extra`` too."""
 
     image: Gray
@@ -109,8 +109,8 @@ class _State:
     moved: float = math.inf
     passes: int = 0
 
-    def copy(self) -> _State:
-        """With unknowns of its own."""
+    def copy(self) -> _FitState:
+        """Returns a copy with unknowns of its own."""
         return replace(
             self,
             theta=self.theta.copy(),
@@ -194,7 +194,7 @@ def fit(
 
 def _start(
     image: Gray, offset: tuple[int, int], start_px: Array, camera: CameraModel, cells: Array, edges: Array | None
-) -> _State | None:
+) -> _FitState | None:
     n = cells.shape[0] - 2
     lens = lens_of(camera)
     frame, rays, theta = np.empty(9), np.empty((4, 2)), np.zeros(UNKNOWNS)
@@ -203,14 +203,14 @@ def _start(
         return None
     ends = np.repeat(np.arange(n + 1.0)[None], 2, axis=0) if edges is None else edges
     extra, groups = np.zeros(TAPS + 2 * (n - 1) + SHADOW), np.zeros(GROUPS, np.bool_)
-    state = _State(image, offset, cells, ends, lens, frame, theta, rays, np.empty((0, 6)), extra, groups)
+    state = _FitState(image, offset, cells, ends, lens, frame, theta, rays, np.empty((0, 6)), extra, groups)
     if not state.gather(START_BLUR_PX):
         return None
     theta[8], theta[11] = tones(state.pixels)
     return state
 
 
-def _fit_ideal(state: _State, ideal: bool) -> bool:
+def _fit_ideal(state: _FitState, ideal: bool) -> bool:
     """Passes with the 16 unknowns of an ideal print and camera; False when they drift away or off the print."""
     normal, used, sigmas = np.empty((UNKNOWNS, UNKNOWNS + 1)), np.empty(0, np.int64), np.empty(0)
     for _ in range(MAX_PASSES):
@@ -228,21 +228,21 @@ def _fit_ideal(state: _State, ideal: bool) -> bool:
     return True
 
 
-def _misfits(state: _State) -> bool:
-    """Whether an ideal print and camera do not explain the image: to be asked near the end of their fit."""
+def _misfits(state: _FitState) -> bool:
+    """Returns whether an ideal print and camera fail to explain the image: to be asked near the end of their fit."""
     sure = state.misfit < MISFIT and state.correlated_misfit < CORRELATED_MISFIT
     return not sure or state.share_used < SHARE_USED
 
 
-def _filter_pays(state: _State) -> bool:
-    """Whether a filter betters a pose: of a large marker only where much is wrong."""
+def _filter_pays(state: _FitState) -> bool:
+    """Returns whether a filter betters a pose: of a large marker only where much is wrong."""
     much = state.misfit > STRONG_MISFIT or state.correlated_misfit > STRONG_CORRELATED_MISFIT
     return much or state.area_px2 < LARGE_PX**2
 
 
-def _fit_misfit(state: _State) -> _State:
+def _fit_misfit(state: _FitState) -> _FitState:
     """The fit that knows what may be wrong, where that explains more than the ideal one; else that one, to its end."""
-    better: _State | None = None
+    better: _FitState | None = None
     if state.correlated_misfit > SHADOW_MISFIT:
         better = _tried(state, SHADOWED)
     if better is None or better.misfit > SHADOW_LEFT * state.misfit or better.noise > state.noise:
@@ -255,7 +255,7 @@ def _fit_misfit(state: _State) -> _State:
     return better
 
 
-def _filtered_or_ideal(state: _State) -> _State:
+def _filtered_or_ideal(state: _FitState) -> _FitState:
     """The fit with a filter where that leaves noise only, as it does of motion; else the ideal one to its end.
 
     Of a webcam's mosaic, gamma and compression a filter leaves more. It makes the residual smaller all the same, and
@@ -268,7 +268,7 @@ def _filtered_or_ideal(state: _State) -> _State:
     return state
 
 
-def _tried(state: _State, group: int) -> _State | None:
+def _tried(state: _FitState, group: int) -> _FitState | None:
     """A fit with one group more, from where another one is; None when it leads nowhere."""
     own = state.copy()
     if group == SHADOWED and not _look_for_shadow(own):
@@ -289,7 +289,7 @@ def _tried(state: _State, group: int) -> _State | None:
     return own if own.moved < UNSETTLED_PX else None
 
 
-def _look_for_shadow(state: _State) -> bool:
+def _look_for_shadow(state: _FitState) -> bool:
     light = cell_light(state.pixels, state.theta, state.frame, state.cells, state.edges)
     beside = find_shadow(light, state.extra[-SHADOW:])
     state.theta[[8, 11]] *= beside
@@ -298,7 +298,7 @@ def _look_for_shadow(state: _State) -> bool:
     return beside > 0.0
 
 
-def _misfit_pass(state: _State, rays: Array, at: Indices) -> bool:
+def _misfit_pass(state: _FitState, rays: Array, at: Indices) -> bool:
     used, sigmas = used_unknowns(state.groups, state.n)
     normal = np.empty((UNKNOWNS + len(used), UNKNOWNS + len(used) + 1))
     state.residuals = np.empty(len(state.pixels))
@@ -308,7 +308,7 @@ def _misfit_pass(state: _State, rays: Array, at: Indices) -> bool:
     return _step(state, normal, used, sigmas)
 
 
-def _step(state: _State, normal: Array, used: Places, sigmas: Array) -> bool:
+def _step(state: _FitState, normal: Array, used: Places, sigmas: Array) -> bool:
     """Change the unknowns; False when that leads away from the start."""
     state.noise = robust_scale(state.residuals)
     state.spread = 4.0 * state.noise
@@ -330,7 +330,7 @@ def _step(state: _State, normal: Array, used: Places, sigmas: Array) -> bool:
     return state.moved < MAX_DRIFT_PX
 
 
-def _finished(state: _State) -> PhotometricFit:
+def _finished(state: _FitState) -> PhotometricFit:
     covariance, contrast = np.empty((8, 8)), float(state.theta[11])
     measured = state.statistics
     blur_px = float(state.theta[BLUR])

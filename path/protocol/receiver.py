@@ -11,9 +11,9 @@ from path.protocol.values import (
     CommitHeard,
     Ended,
     Handoff,
+    HandoffOutcome,
     Heard,
     NewMission,
-    Outcome,
     PeerStatus,
     Persist,
     ProtocolConfig,
@@ -34,7 +34,10 @@ from path.protocol.values import (
 
 @dataclass(frozen=True, slots=True)
 class Observing:
-    """Not responsible. ``floor`` is the lowest epoch still taken, ``live`` the attempt it is in, until ``end_ns``."""
+    """The receiver is not responsible.
+
+    ``floor`` is the lowest epoch still taken, ``live`` its attempt, until ``end_ns``.
+    """
 
     floor: int = 0
     live: Handoff | None = None
@@ -68,7 +71,7 @@ class LetGo:
     nonce: int
     sure_ns: int
     settle_end_ns: int
-    settled: Outcome | None = None
+    settled: HandoffOutcome | None = None
 
 
 ReceiverState = Observing | Provisional | Holding | LetGo
@@ -76,7 +79,7 @@ Step = tuple[ReceiverState, Actions]
 
 
 def claim(state: ReceiverState) -> TakeResponsibility | None:
-    """What a state is responsible by; None when it is not."""
+    """Returns the claim by which a state is responsible; None when it is not."""
     match state:
         case Provisional():
             return TakeResponsibility(state.lease_end_ns)
@@ -87,7 +90,7 @@ def claim(state: ReceiverState) -> TakeResponsibility | None:
 
 
 def is_responsible(state: ReceiverState, now_ns: int) -> bool:
-    """Whether it is at this instant, be it that nobody has told the machine of it yet."""
+    """Returns whether it is responsible at this instant, even if nobody has told the machine of the instant yet."""
     held = claim(state)
     return held is not None and held.at(now_ns)
 
@@ -104,7 +107,7 @@ def floor(state: ReceiverState) -> int:
 
 
 def record(state: ReceiverState) -> ReceiverRecord:
-    """What is to be written down of a state."""
+    """Returns what is to be written down of a state."""
     match state:
         case Observing():
             return ReceiverRecord(state.floor)
@@ -138,7 +141,7 @@ def restored(config: ProtocolConfig, kept: ReceiverRecord, now_ns: int, *, same_
 
 
 def wake_ns(state: ReceiverState) -> int | None:
-    """When the next Tick is due, own clock; None when time changes nothing."""
+    """Returns when the next Tick is due, own clock; None when time changes nothing."""
     match state:
         case Observing():
             return None if state.live is None else state.end_ns
@@ -163,14 +166,14 @@ def _elapse(config: ProtocolConfig, state: ReceiverState, now_ns: int) -> Step:
     match state:
         case Observing(live=Handoff() as live) if now_ns >= state.end_ns:
             after, actions = _spend(live)
-            return after, (*actions, Send(_abort(live, AbortReason.TIMEOUT, now_ns)), Ended(Outcome.TIMEOUT))
+            return after, (*actions, Send(_abort(live, AbortReason.TIMEOUT, now_ns)), Ended(HandoffOutcome.TIMEOUT))
         case Provisional() if now_ns >= state.lease_end_ns:
-            return _let_go(config, state, AbortReason.TIMEOUT, Ended(Outcome.LET_GO), now_ns)
+            return _let_go(config, state, AbortReason.TIMEOUT, Ended(HandoffOutcome.LET_GO), now_ns)
         case Provisional() if now_ns >= state.resend_ns:
             again = replace(state, resend_ns=now_ns + to_ns(config.retry_s))
             return again, (Send(_accept(state, now_ns)),)
         case LetGo(settled=None) if now_ns >= state.settle_end_ns:
-            return _settle(state, Outcome.UNCONFIRMED)
+            return _settle(state, HandoffOutcome.UNCONFIRMED)
         case _:
             return state, ()
 
@@ -205,9 +208,9 @@ def _hear_target(config: ProtocolConfig, state: ReceiverState, target: Target, n
         return state, (Refused(Refusal.LOWER_EPOCH),)
     before: Actions = ()
     if isinstance(state, Provisional | Holding):
-        before = (Release(), Ended(Outcome.SUPERSEDED))
-    elif isinstance(state, LetGo) and state.settled is not Outcome.TAKEN_BACK:
-        before = (Settled(Outcome.TAKEN_BACK),)
+        before = (Release(), Ended(HandoffOutcome.SUPERSEDED))
+    elif isinstance(state, LetGo) and state.settled is not HandoffOutcome.TAKEN_BACK:
+        before = (Settled(HandoffOutcome.TAKEN_BACK),)
     live = Handoff(target.handoff_id, target.epoch, target.target_id)
     end_ns = now_ns + to_ns(config.handoff_s) + to_ns(config.lease_s)
     after = Observing(live.epoch, live, end_ns)
@@ -272,15 +275,15 @@ def _hear_confirm(state: ReceiverState, confirm: Confirm, now_ns: int) -> Step:
     match state:
         case Provisional():
             holding = Holding(state.live, state.nonce)
-            return holding, (Persist(record(holding)), TakeResponsibility(), Ended(Outcome.HANDED_OVER))
+            return holding, (Persist(record(holding)), TakeResponsibility(), Ended(HandoffOutcome.HANDED_OVER))
         case Holding():
             return state, ()
         case LetGo():
             # Too late, and proof that the sender handed over. Tell it: it cannot know.
             tell = Send(_abort(state.live, AbortReason.TIMEOUT, now_ns))
-            if state.settled is Outcome.ORPHANED:
+            if state.settled is HandoffOutcome.ORPHANED:
                 return state, (tell,)
-            state, actions = _settle(state, Outcome.ORPHANED)
+            state, actions = _settle(state, HandoffOutcome.ORPHANED)
             return state, (tell, *actions)
 
 
@@ -292,7 +295,7 @@ def _hear_abort(state: ReceiverState, abort: Abort) -> Step:
         case Observing() | Provisional():
             before: Actions = (Release(),) if isinstance(state, Provisional) else ()
             after, actions = _spend(state.live)
-            return after, (*before, *actions, Ended(Outcome.ABORTED, abort.reason))
+            return after, (*before, *actions, Ended(HandoffOutcome.ABORTED, abort.reason))
         case Holding():
             return state, (Refused(Refusal.WRONG_STATE),)
         case LetGo():
@@ -303,14 +306,14 @@ def _abort_requested(config: ProtocolConfig, state: ReceiverState, reason: Abort
     match state:
         case Observing(live=Handoff() as live):
             after, actions = _spend(live)
-            return after, (*actions, Send(_abort(live, reason, now_ns)), Ended(Outcome.ABORTED, reason))
+            return after, (*actions, Send(_abort(live, reason, now_ns)), Ended(HandoffOutcome.ABORTED, reason))
         case Provisional():
-            return _let_go(config, state, reason, Ended(Outcome.ABORTED, reason), now_ns)
+            return _let_go(config, state, reason, Ended(HandoffOutcome.ABORTED, reason), now_ns)
         case Holding():
             end = now_ns + to_ns(config.settle_s)
-            gone = LetGo(state.live, state.nonce, now_ns, end, settled=Outcome.ORPHANED)
+            gone = LetGo(state.live, state.nonce, now_ns, end, settled=HandoffOutcome.ORPHANED)
             tell = Send(_abort(state.live, reason, now_ns))
-            ended = (Ended(Outcome.ABORTED, reason), Settled(Outcome.ORPHANED))
+            ended = (Ended(HandoffOutcome.ABORTED, reason), Settled(HandoffOutcome.ORPHANED))
             return gone, (Release(), Persist(record(gone)), tell, *ended)
         case _:
             return state, (Refused(Refusal.WRONG_STATE),)
@@ -318,8 +321,8 @@ def _abort_requested(config: ProtocolConfig, state: ReceiverState, reason: Abort
 
 def _hear_status(state: ReceiverState, status: PeerStatus) -> Step:
     match state:
-        case LetGo(settled=None | Outcome.UNCONFIRMED) if status.stamp_ns > state.sure_ns:
-            return _settle(state, Outcome.TAKEN_BACK if status.responsible else Outcome.ORPHANED)
+        case LetGo(settled=None | HandoffOutcome.UNCONFIRMED) if status.stamp_ns > state.sure_ns:
+            return _settle(state, HandoffOutcome.TAKEN_BACK if status.responsible else HandoffOutcome.ORPHANED)
         case _:
             return state, ()
 
@@ -334,7 +337,7 @@ def _begin_anew(state: ReceiverState) -> Step:
 
 
 def _spend(live: Handoff) -> tuple[Observing, Actions]:
-    """Nothing more is taken in this epoch, not even after a restart."""
+    """Ends an epoch: nothing more is taken in it, not even after a restart."""
     after = Observing(live.epoch + 1)
     return after, (Persist(record(after)),)
 
@@ -345,7 +348,7 @@ def _let_go(config: ProtocolConfig, state: Provisional, reason: AbortReason, end
     return gone, (Release(), Persist(record(gone)), tell, ended)
 
 
-def _settle(state: LetGo, outcome: Outcome) -> Step:
+def _settle(state: LetGo, outcome: HandoffOutcome) -> Step:
     return replace(state, settled=outcome), (Settled(outcome),)
 
 
@@ -375,7 +378,7 @@ class ReceiverMachine:
 
     @property
     def live(self) -> Handoff | None:
-        """What Candidates are to carry; None before the first Target of a handoff, and after its end."""
+        """The attempt that Candidates are to carry; None before the first Target of a handoff, and after its end."""
         return self.state.live
 
     def responsible(self, now_ns: int) -> bool:

@@ -12,10 +12,10 @@ from path.protocol.values import (
     AgreementComplete,
     Ended,
     Handoff,
+    HandoffOutcome,
     Heard,
     NewMission,
     Offer,
-    Outcome,
     PeerStatus,
     Persist,
     ProtocolConfig,
@@ -85,7 +85,7 @@ class HandedOver:
     nonce: int
     sure_ns: int  # from here on the receiver holds for good or not at all
     settle_end_ns: int
-    settled: Outcome | None = None
+    settled: HandoffOutcome | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ def epoch(state: SenderState) -> int:
 
 
 def record(state: SenderState) -> SenderRecord:
-    """What is to be written down of a state."""
+    """Returns what is to be written down of a state."""
     match state:
         case Idle():
             return SenderRecord(state.epoch)
@@ -150,7 +150,7 @@ def restored(config: ProtocolConfig, kept: SenderRecord, now_ns: int, *, same_cl
 
 
 def wake_ns(state: SenderState) -> int | None:
-    """When the next Tick is due, own clock; None when time changes nothing."""
+    """Returns when the next Tick is due, own clock; None when time changes nothing."""
     match state:
         case Offering() | Verifying():
             return _deadline_ns(state)
@@ -184,7 +184,7 @@ def _elapse(config: ProtocolConfig, state: SenderState, now_ns: int) -> Step:
     match state:
         case Offering() | Verifying() if now_ns >= _deadline_ns(state):
             abort = _abort(state.live, AbortReason.TIMEOUT, now_ns)
-            return Keeping(state.live.epoch), (Send(abort), Ended(Outcome.TIMEOUT))
+            return Keeping(state.live.epoch), (Send(abort), Ended(HandoffOutcome.TIMEOUT))
         case AwaitingAccept() if now_ns >= state.take_back_ns:
             return _take_back(state)
         case AwaitingAccept() if not _silent(state) and state.resend_ns <= now_ns:
@@ -193,7 +193,7 @@ def _elapse(config: ProtocolConfig, state: SenderState, now_ns: int) -> Step:
             again = replace(state.commit, stamp_ns=now_ns)
             return replace(state, resend_ns=now_ns + to_ns(config.retry_s)), (Send(again),)
         case HandedOver() if state.settled is None and now_ns >= state.settle_end_ns:
-            return _settle(state, Outcome.UNCONFIRMED)
+            return _settle(state, HandoffOutcome.UNCONFIRMED)
         case _:
             return state, ()
 
@@ -202,7 +202,7 @@ def _take_back(state: AwaitingAccept) -> Step:
     live = replace(state.live, epoch=state.live.epoch + 1, instance=0)
     # A receiver that let go at the lease's end says so with TIMEOUT: that is no abort but the lease running out.
     ran_out = state.withdrawn in (None, AbortReason.TIMEOUT)
-    outcome = Outcome.TAKEN_BACK if ran_out else Outcome.ABORTED
+    outcome = HandoffOutcome.TAKEN_BACK if ran_out else HandoffOutcome.ABORTED
     after = TakenBack(live)
     return after, (Persist(record(after)), TakeResponsibility(), Ended(outcome, state.withdrawn))
 
@@ -226,8 +226,8 @@ def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_n
             return withdrawn, (Persist(record(withdrawn)), Send(_abort(state.live, event.reason, now_ns)))
         case Verifying(), AgreementComplete():
             return _commit(config, state, event, now_ns)
-        case HandedOver(settled=None | Outcome.UNCONFIRMED), PeerStatus() if _tells(state, event):
-            return _settle(state, Outcome.HANDED_OVER if event.responsible else Outcome.ORPHANED)
+        case HandedOver(settled=None | HandoffOutcome.UNCONFIRMED), PeerStatus() if _tells(state, event):
+            return _settle(state, HandoffOutcome.HANDED_OVER if event.responsible else HandoffOutcome.ORPHANED)
         case _, PeerStatus():
             return state, ()
         case _:
@@ -266,8 +266,8 @@ def _commit(config: ProtocolConfig, state: Verifying, agreed: AgreementComplete,
 
 
 def _give_up(state: Offering | Verifying, reason: AbortReason, now_ns: int) -> Step:
-    """Before the commit: over at once, and still responsible."""
-    return Keeping(state.live.epoch), (Send(_abort(state.live, reason, now_ns)), Ended(Outcome.ABORTED, reason))
+    """Ends an attempt before its commit: over at once, and still responsible."""
+    return Keeping(state.live.epoch), (Send(_abort(state.live, reason, now_ns)), Ended(HandoffOutcome.ABORTED, reason))
 
 
 def _hear(  # noqa: PLR0911
@@ -301,25 +301,28 @@ def _hear_abort(state: Offering | Verifying | AwaitingAccept | HandedOver, abort
         return state, (Refused(Refusal.WRONG_HANDOFF),)
     match state:
         case Offering() | Verifying():
-            return Keeping(state.live.epoch), (Ended(Outcome.ABORTED, abort.reason),)
+            return Keeping(state.live.epoch), (Ended(HandoffOutcome.ABORTED, abort.reason),)
         case AwaitingAccept():
             # Not yet responsible again: S4 waits for the lease's end, whatever the receiver says.
             withdrawn = replace(state, withdrawn=state.withdrawn or abort.reason)
             return withdrawn, () if withdrawn == state else (Persist(record(withdrawn)),)
         case HandedOver() if abort.instance != state.live.instance:
             return state, (Refused(Refusal.WRONG_INSTANCE),)  # it never had the target
-        case HandedOver(settled=Outcome.ORPHANED):
+        case HandedOver(settled=HandoffOutcome.ORPHANED):
             return state, ()
         case HandedOver():
-            return _settle(state, Outcome.ORPHANED)
+            return _settle(state, HandoffOutcome.ORPHANED)
 
 
 def _tells(state: HandedOver, status: PeerStatus) -> bool:
-    """Only the receiver that accepted tells what became of it, and only once its lease is over."""
+    """Returns whether a Status tells what became of the hand-over.
+
+    Of the receiver that accepted, once its lease is over.
+    """
     return status.stamp_ns > state.sure_ns and status.instance == state.live.instance
 
 
-def _settle(state: HandedOver, outcome: Outcome) -> Step:
+def _settle(state: HandedOver, outcome: HandoffOutcome) -> Step:
     return replace(state, settled=outcome), (Settled(outcome),)
 
 
@@ -332,7 +335,7 @@ def _hear_accept(config: ProtocolConfig, state: AwaitingAccept, accept: Accept, 
     settle_end = state.take_back_ns + to_ns(config.settle_s)
     handed_over = HandedOver(state.live, accept.nonce, state.take_back_ns, settle_end)
     confirm = Send(_confirm(state.live, accept.nonce, now_ns))
-    return handed_over, (Persist(record(handed_over)), confirm, Ended(Outcome.HANDED_OVER))
+    return handed_over, (Persist(record(handed_over)), confirm, Ended(HandoffOutcome.HANDED_OVER))
 
 
 def _abort(live: Handoff, reason: AbortReason, now_ns: int) -> Abort:
@@ -360,7 +363,7 @@ class SenderMachine:
 
     @property
     def live(self) -> Handoff | None:
-        """What Targets are to carry; None when there is no handoff."""
+        """The attempt that Targets are to carry; None when there is no handoff."""
         return None if isinstance(self.state, Idle | Keeping) else self.state.live
 
     @property

@@ -1,4 +1,4 @@
-"""What every Detector does: by colour, by a network through onnxruntime, and by trackers between its detections.
+"""The contract of every Detector: by colour, by a network through onnxruntime, and by trackers between its detections.
 
 The small graph in place of a network finds bright cells; the real one is run where its weights are.
 """
@@ -62,7 +62,7 @@ def color(folder: Path) -> Stage:
 def tracked(folder: Path) -> Stage:
     del folder
     table = {"detector": {"factory": "drivers.detectors.color:ColorDetector"}}
-    config = decode_table(table, TrackedDetectorConfig, "rig.toml: sender.sight.detector")
+    config = decode_table(table, TrackedDetectorConfig, "rig.toml: sender.perception.detector")
     return colored(TrackedDetector(config, CONTEXT))
 
 

@@ -1,4 +1,4 @@
-"""What both ends of every line between a role and its guard do: over UDP, and inside a process."""
+"""The contract of both ends of every line between a role and its guard: over UDP, and inside a process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from drivers.mavlink.guard_interfaces import Answer, Beat, BeatLine, GuardLine, Hand, Script
+from drivers.mavlink.guard_interfaces import Beat, BeatLine, GuardAnswer, GuardLine, Hand, Script
 from drivers.mavlink.guard_line import UdpBeatLine, UdpGuardLine
 from hil.harness.guard import MemoryBeatLine
 from tests.drivers.link.link_ends import WallClock, free_ports, run, until
@@ -79,20 +79,20 @@ def test_the_newest_beat_counts_once_and_is_stamped(stage_of: StageOf) -> None:
 def test_answers_go_to_whoever_beat_last_and_the_newest_stays(stage_of: StageOf) -> None:
     async def test() -> None:
         async with stage_of() as stage, stage.role() as role:
-            stage.guard.answer(Answer(True, Hand.FREE))  # to nobody yet
+            stage.guard.answer(GuardAnswer(True, Hand.FREE))  # to nobody yet
             await asyncio.sleep(0.01)
             assert role.answer() is None
             role.beat(Beat(Script.CONTROL, 1))
             await heard(stage.guard)
-            stage.guard.answer(Answer(True, Hand.SCRIPT))
-            stage.guard.answer(Answer(True, Hand.GUARD, "why"))
+            stage.guard.answer(GuardAnswer(True, Hand.SCRIPT))
+            stage.guard.answer(GuardAnswer(True, Hand.GUARD, "why"))
             await until(lambda: (newest := role.answer()) is not None and newest[1].hand is Hand.GUARD)
             assert role.answer() == role.answer()
             async with stage.role() as again:  # the program was started again
                 assert again.answer() is None
                 again.beat(Beat(Script.IDLE, 0))
                 await heard(stage.guard)
-                stage.guard.answer(Answer(False, Hand.FREE))
+                stage.guard.answer(GuardAnswer(False, Hand.FREE))
                 await until(lambda: again.answer() is not None)
                 newest = role.answer()
                 assert newest is not None

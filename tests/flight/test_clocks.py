@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flight.clocks import ClockAlignment, ClockConfig, Exchange, answer
+from flight.clocks import ClockAlignment, ClockConfig, PingResult, answer
 from path.messages import Ping, Pong
 
 S = 1_000_000_000
@@ -27,7 +27,7 @@ class Peers:
     def peer(self, own_ns: int) -> int:
         return own_ns + self.offset_ns + round((own_ns - 100 * S) * self.drift_ppm * 1e-6)
 
-    def exchange(self, there_ns: int, back_ns: int, pause_ns: int = S // 4) -> Exchange:
+    def exchange(self, there_ns: int, back_ns: int, pause_ns: int = S // 4) -> PingResult:
         """One ping and its answer, with the delays of both ways, after a pause."""
         self.now_ns += pause_ns
         self.nonce += 1
@@ -47,7 +47,7 @@ def test_a_symmetric_link_gives_the_offset() -> None:
     peers = Peers()
     assert not peers.alignment.ready
     for _ in range(3):
-        assert peers.exchange(2 * MS, 2 * MS) is Exchange.TAKEN
+        assert peers.exchange(2 * MS, 2 * MS) is PingResult.TAKEN
     assert peers.alignment.ready
     assert abs(peers.error_ns) < 1000  # half the drift that a round trip allows
     assert abs(peers.alignment.uncertainty_ns - 2 * MS) < 0.2 * MS
@@ -73,7 +73,7 @@ def test_the_error_stays_within_the_uncertainty(seed: int, offset_s: float, drif
             peers.now_ns += S // 4
             continue
         there, back = (round(rng.expovariate(1 / 5e6)) + 300_000 for _ in range(2))
-        assert peers.exchange(there, back) is Exchange.TAKEN
+        assert peers.exchange(there, back) is PingResult.TAKEN
         assert abs(peers.error_ns) <= peers.alignment.uncertainty_ns + 1
     for ahead in (S, 10 * S):
         own = peers.now_ns + ahead
@@ -88,7 +88,7 @@ def test_a_clock_step_is_a_fault_and_is_not_followed(step_ns: int) -> None:
         peers.exchange(1 * MS, 1 * MS)
     before = peers.alignment.offset_ns
     peers.offset_ns += step_ns
-    assert peers.exchange(1 * MS, 1 * MS) is Exchange.INCONSISTENT
+    assert peers.exchange(1 * MS, 1 * MS) is PingResult.INCONSISTENT
     assert not peers.alignment.ready and not peers.alignment.fault
     for _ in range(2):
         peers.exchange(1 * MS, 1 * MS)
@@ -108,10 +108,10 @@ def test_one_odd_exchange_only_pauses_the_alignment() -> None:
     for _ in range(5):
         peers.exchange(1 * MS, 1 * MS)
     odd = Pong(peers.nonce + 1, peers.now_ns, peers.now_ns, peers.now_ns)
-    assert peers.alignment.on_pong(odd, peers.now_ns + MS) is Exchange.INCONSISTENT
+    assert peers.alignment.on_pong(odd, peers.now_ns + MS) is PingResult.INCONSISTENT
     assert not peers.alignment.ready
     peers.nonce += 1
-    assert peers.exchange(1 * MS, 1 * MS) is Exchange.TAKEN
+    assert peers.exchange(1 * MS, 1 * MS) is PingResult.TAKEN
     assert peers.alignment.ready and not peers.alignment.fault and abs(peers.error_ns) < 1000
 
 
@@ -127,7 +127,7 @@ def test_duplicates_and_latecomers_change_nothing() -> None:
     for _ in range(3):
         peers.exchange(1 * MS, 1 * MS)
     state = (peers.alignment.offset_ns, peers.alignment.uncertainty_ns)
-    assert peers.alignment.on_pong(peers.last, peers.now_ns + S) is Exchange.DUPLICATE
+    assert peers.alignment.on_pong(peers.last, peers.now_ns + S) is PingResult.DUPLICATE
     assert (peers.alignment.offset_ns, peers.alignment.uncertainty_ns) == state
 
 

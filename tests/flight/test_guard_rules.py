@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 
 from drivers.interfaces import FlightMode
 from drivers.mavlink.guard_interfaces import GuardView, Hand, Script
-from flight.guard_rules import Act, GuardRules, GuardState, Heard, Limits, Stage, decide
+from flight.guard_rules import Act, GuardRules, GuardStage, GuardState, Limits, ProgramBeat, decide
 
 S = 1_000_000_000
 NOW = 1000 * S
 RULES = GuardRules()
 LIMITS = Limits(fence_radius_m=25.0, fence_height_m=6.0, min_battery=0.2, separation_m=0.7)
 VIEW = GuardView(NOW, NOW, True, True, FlightMode.OFFBOARD, (1.0, 2.0, -1.5), 0.9, None)
-HEARD = Heard(NOW, Script.CONTROL, NOW)
+HEARD = ProgramBeat(NOW, Script.CONTROL, NOW)
 
 FLOWN = (FlightMode.OFFBOARD, FlightMode.TAKEOFF, FlightMode.HOLD)
 DOWN = (FlightMode.LAND, FlightMode.RETURN)
@@ -34,15 +34,15 @@ def ns(seconds: float) -> int:
 def step(
     state: GuardState = GuardState(),  # noqa: B008 (frozen)
     view: GuardView | None = VIEW,
-    heard: Heard | None = HEARD,
+    heard: ProgramBeat | None = HEARD,
     now_ns: int = NOW,
     rules: GuardRules = RULES,
 ) -> tuple[GuardState, Act]:
     return decide(state, view, heard, now_ns, rules, LIMITS)
 
 
-def dead(script: Script = Script.CONTROL, for_s: float = RULES.beat_age_s + 0.01) -> Heard:
-    return Heard(NOW - ns(for_s), script, NOW - ns(for_s))
+def dead(script: Script = Script.CONTROL, for_s: float = RULES.beat_age_s + 0.01) -> ProgramBeat:
+    return ProgramBeat(NOW - ns(for_s), script, NOW - ns(for_s))
 
 
 # --- the table: whose program is silent, in which mode ---------------------------------------------------------------
@@ -56,14 +56,14 @@ def test_a_silent_program_s_vehicle_is_taken_when_it_is_flown_and_never_else(
 ) -> None:
     state, act = step(view=replace(VIEW, mode=mode, armed=armed, in_air=in_air), heard=dead(script))
     if not (armed and script.flies):
-        assert (state.stage, act) == (Stage.WATCHING, Act.NOTHING)
+        assert (state.stage, act) == (GuardStage.WATCHING, Act.NOTHING)
     elif mode not in FLOWN:
-        assert (state.stage, act) == (Stage.LET_GO, Act.NOTHING)
+        assert (state.stage, act) == (GuardStage.LET_GO, Act.NOTHING)
     elif not in_air:
-        assert (state.stage, act) == (Stage.LANDING, Act.LAND)
+        assert (state.stage, act) == (GuardStage.LANDING, Act.LAND)
     else:
         expected = Act.NOTHING if mode is FlightMode.HOLD else Act.HOLD  # it holds already
-        assert (state.stage, act) == (Stage.HOLDING, expected)
+        assert (state.stage, act) == (GuardStage.HOLDING, expected)
         assert "no sign of life" in state.reason
 
 
@@ -72,7 +72,7 @@ def test_a_living_program_within_its_limits_is_left_alone(script: Script, mode: 
     state, act = step(view=replace(VIEW, mode=mode), heard=replace(HEARD, script=script))
     assert act is Act.NOTHING
     by_a_pilot = script.flies and mode is FlightMode.OTHER
-    assert state.stage is (Stage.LET_GO if by_a_pilot else Stage.WATCHING)
+    assert state.stage is (GuardStage.LET_GO if by_a_pilot else GuardStage.WATCHING)
 
 
 ODD = {
@@ -87,11 +87,11 @@ def test_a_mode_the_script_does_not_fly_is_somebody_else_s_after_a_grace(script:
     state, view = GuardState(), replace(VIEW, mode=mode)
     for passed_s in (0.0, RULES.mode_grace_s - 0.01, RULES.mode_grace_s + 0.01):
         now = NOW + ns(passed_s)
-        heard = Heard(now, script, now)
+        heard = ProgramBeat(now, script, now)
         state, act = step(state, replace(view, heartbeat_ns=now), heard, now)
         assert act is Act.NOTHING
         late = passed_s > RULES.mode_grace_s
-        assert state.stage is (Stage.LET_GO if late and mode in ODD[script] else Stage.WATCHING)
+        assert state.stage is (GuardStage.LET_GO if late and mode in ODD[script] else GuardStage.WATCHING)
 
 
 def test_the_beat_may_be_as_old_as_the_rule_says_and_no_older() -> None:
@@ -102,7 +102,7 @@ def test_the_beat_may_be_as_old_as_the_rule_says_and_no_older() -> None:
 def test_a_program_that_lives_but_sends_no_setpoints_loses_the_vehicle() -> None:
     gap = replace(HEARD, setpoint_ns=NOW - ns(RULES.setpoint_gap_s + 0.01))
     state, act = step(heard=gap)
-    assert (state.stage, act) == (Stage.HOLDING, Act.HOLD)
+    assert (state.stage, act) == (GuardStage.HOLDING, Act.HOLD)
     assert "no setpoint" in state.reason
     assert step(heard=replace(gap, script=Script.CLIMB))[1] is Act.NOTHING  # none are due yet
     assert step(replace(GuardState()), replace(VIEW, mode=FlightMode.HOLD), gap)[1] is Act.NOTHING
@@ -118,16 +118,16 @@ def test_a_program_that_lives_but_sends_no_setpoints_loses_the_vehicle() -> None
         (VIEW, replace(HEARD, separation_m=0.69, separation_ns=NOW), "as measured"),
     ],
 )
-def test_a_limit_that_stays_broken_takes_the_vehicle(view: GuardView, heard: Heard, said: str) -> None:
+def test_a_limit_that_stays_broken_takes_the_vehicle(view: GuardView, heard: ProgramBeat, said: str) -> None:
     state, act = step(view=view, heard=heard)
-    assert (state.stage, act) == (Stage.WATCHING, Act.NOTHING)  # the script is given time
+    assert (state.stage, act) == (GuardStage.WATCHING, Act.NOTHING)  # the script is given time
     late = NOW + ns(RULES.patience_s + 0.01)
     separation_ns = late if heard.separation_ns else 0
     heard = replace(heard, beat_ns=late, setpoint_ns=late, separation_ns=separation_ns)
     recovered, _ = step(state, replace(VIEW, heartbeat_ns=late), replace(heard, separation_m=2.0), late)
     assert recovered.broken_ns is None
     state, act = step(state, replace(view, heartbeat_ns=late), heard, late)
-    assert (state.stage, act) == (Stage.HOLDING, Act.HOLD)
+    assert (state.stage, act) == (GuardStage.HOLDING, Act.HOLD)
     assert said in state.reason
 
 
@@ -143,9 +143,9 @@ def test_positions_count_as_far_as_they_can_be_trusted() -> None:
 
 # --- once it is taken ------------------------------------------------------------------------------------------------
 
-HOLDING = GuardState(Stage.HOLDING, "why", sent_ns=NOW)
+HOLDING = GuardState(GuardStage.HOLDING, "why", sent_ns=NOW)
 HELD = replace(HOLDING, shown_ns=NOW)
-LANDING = GuardState(Stage.LANDING, "why", sent_ns=NOW, tries=1)
+LANDING = GuardState(GuardStage.LANDING, "why", sent_ns=NOW, tries=1)
 COMING_DOWN = replace(LANDING, shown_ns=NOW)
 
 
@@ -156,11 +156,11 @@ def later(state: GuardState, seconds: float, mode: FlightMode, acked: bool | Non
 
 def test_a_hold_that_is_seen_is_followed_by_the_landing_after_its_time() -> None:
     state, act = later(HOLDING, 0.1, FlightMode.HOLD, acked=True)
-    assert (state.stage, act) == (Stage.HOLDING, Act.NOTHING)
+    assert (state.stage, act) == (GuardStage.HOLDING, Act.NOTHING)
     assert state.shown_ns == NOW + ns(0.1)
     assert later(state, RULES.hold_s, FlightMode.HOLD)[1] is Act.NOTHING
     state, act = later(state, RULES.hold_s + 0.11, FlightMode.HOLD)
-    assert (state.stage, act, state.tries) == (Stage.LANDING, Act.LAND, 1)
+    assert (state.stage, act, state.tries) == (GuardStage.LANDING, Act.LAND, 1)
 
 
 @pytest.mark.parametrize("mode", [FlightMode.OFFBOARD, FlightMode.TAKEOFF])
@@ -182,12 +182,12 @@ def test_a_hold_that_is_not_carried_out_becomes_a_landing(
 
 def test_a_landing_alone_is_commanded_again_and_not_for_ever() -> None:
     state, sent, now_s = LANDING, 1, 0.0
-    while state.stage is Stage.LANDING:
+    while state.stage is GuardStage.LANDING:
         now_s += 0.02
         state, act = later(state, now_s, FlightMode.OFFBOARD, acked=False)
         sent += act is Act.LAND
         assert now_s < 2 * RULES.land_tries * RULES.ack_s
-    assert (state.stage, sent) == (Stage.GAVE_UP, RULES.land_tries)
+    assert (state.stage, sent) == (GuardStage.GAVE_UP, RULES.land_tries)
     assert now_s > (RULES.land_tries - 1) * RULES.ack_s  # not all at once
     assert later(state, now_s + 60.0, FlightMode.OFFBOARD) == (state, Act.NOTHING)
 
@@ -196,13 +196,13 @@ def test_a_landing_alone_is_commanded_again_and_not_for_ever() -> None:
 @pytest.mark.parametrize("mode", [FlightMode.OFFBOARD, FlightMode.TAKEOFF])
 def test_a_script_that_wakes_up_and_takes_control_is_landed(taken: GuardState, mode: FlightMode) -> None:
     state, act = later(taken, 0.1, mode)
-    assert (state.stage, act) == (Stage.LANDING, Act.LAND)
+    assert (state.stage, act) == (GuardStage.LANDING, Act.LAND)
 
 
 @pytest.mark.parametrize("taken", [HOLDING, HELD, LANDING, COMING_DOWN])
 def test_a_pilot_wins_at_any_time(taken: GuardState) -> None:
     state, act = later(taken, 0.1, FlightMode.OTHER)
-    assert (state.stage, act) == (Stage.LET_GO, Act.NOTHING)
+    assert (state.stage, act) == (GuardStage.LET_GO, Act.NOTHING)
     for mode in set(FlightMode) - set(MOVING):
         assert later(state, 9.0, mode) == (state, Act.NOTHING)
 
@@ -214,18 +214,18 @@ def test_one_message_alone_lets_nobody_go_and_nothing_is_sent_against_it(state: 
     after, act = step(state, view, dead(script))
     assert act is Act.NOTHING and after.stage is state.stage
     after, act = step(after, replace(VIEW, mode=FlightMode.OFFBOARD, mode_told=1), replace(HEARD, script=script))
-    assert after.stage is not Stage.LET_GO
-    assert step(state, replace(view, mode_told=2), dead(script))[0].stage is Stage.LET_GO
+    assert after.stage is not GuardStage.LET_GO
+    assert step(state, replace(view, mode_told=2), dead(script))[0].stage is GuardStage.LET_GO
 
 
-LET_GO = GuardState(Stage.LET_GO, "a pilot changed the mode")
+LET_GO = GuardState(GuardStage.LET_GO, "a pilot changed the mode")
 GONE = replace(HEARD, script=Script.LET_GO, beat_ns=NOW - 9 * S)
 
 
 @pytest.mark.parametrize("mode", MOVING)
 @pytest.mark.parametrize(("state", "heard"), [(LET_GO, dead()), (LET_GO, None), (LET_GO, GONE), (GuardState(), GONE)])
 def test_what_was_let_go_of_and_nobody_took_is_taken_back(
-    state: GuardState, heard: Heard | None, mode: FlightMode
+    state: GuardState, heard: ProgramBeat | None, mode: FlightMode
 ) -> None:
     begun, grace = state, RULES.mode_grace_s
     for passed_s, told in ((0.0, 1), (0.1, 2), (grace, 9)):
@@ -236,7 +236,7 @@ def test_what_was_let_go_of_and_nobody_took_is_taken_back(
     flickered, _ = step(state, replace(VIEW, mode=FlightMode.OTHER, mode_told=1, heartbeat_ns=now), heard, now)
     assert flickered.odd_ns is None
     state, act = step(state, replace(VIEW, mode=mode, heartbeat_ns=now), heard, now)
-    assert (state.stage, act) == (Stage.HOLDING, Act.HOLD)
+    assert (state.stage, act) == (GuardStage.HOLDING, Act.HOLD)
     assert "nobody flies it" in state.reason and begun.reason in state.reason
 
 
@@ -248,29 +248,29 @@ def test_a_script_that_still_flies_is_watched_again() -> None:
 
 
 def test_a_pilot_may_stop_the_landing_by_hold_too() -> None:
-    assert later(COMING_DOWN, 0.5, FlightMode.HOLD)[0].stage is Stage.LET_GO
-    assert later(LANDING, 0.1, FlightMode.HOLD)[0].stage is Stage.LANDING  # of the hold before it
+    assert later(COMING_DOWN, 0.5, FlightMode.HOLD)[0].stage is GuardStage.LET_GO
+    assert later(LANDING, 0.1, FlightMode.HOLD)[0].stage is GuardStage.LANDING  # of the hold before it
 
 
 @pytest.mark.parametrize("mode", DOWN)
 def test_a_vehicle_that_comes_down_by_another_s_will_is_left_to_it(mode: FlightMode) -> None:
     assert later(HELD, 0.5, mode) == (
-        replace(HELD, stage=Stage.LET_GO, reason=later(HELD, 0.5, mode)[0].reason),
+        replace(HELD, stage=GuardStage.LET_GO, reason=later(HELD, 0.5, mode)[0].reason),
         Act.NOTHING,
     )
     # a hold that is on its way may still end that landing
     assert later(HOLDING, 0.5, mode) == (HOLDING, Act.NOTHING)
-    assert later(HOLDING, RULES.confirm_s + 0.1, mode)[0].stage is Stage.LET_GO
+    assert later(HOLDING, RULES.confirm_s + 0.1, mode)[0].stage is GuardStage.LET_GO
 
 
-@pytest.mark.parametrize("stage", Stage)
-def test_whoever_disarms_has_ended_it(stage: Stage) -> None:
+@pytest.mark.parametrize("stage", GuardStage)
+def test_whoever_disarms_has_ended_it(stage: GuardStage) -> None:
     state, act = step(replace(HELD, stage=stage), replace(VIEW, armed=False), dead())
     assert (state, act) == (GuardState(), Act.NOTHING)
 
 
-@pytest.mark.parametrize("stage", Stage)
-def test_a_vehicle_that_is_not_seen_is_told_nothing(stage: Stage) -> None:
+@pytest.mark.parametrize("stage", GuardStage)
+def test_a_vehicle_that_is_not_seen_is_told_nothing(stage: GuardStage) -> None:
     state = replace(HELD, stage=stage)
     blind = replace(VIEW, heartbeat_ns=NOW - ns(RULES.blind_s + 0.1))
     assert step(state, blind, dead(for_s=9.0)) == (state, Act.NOTHING)
@@ -278,13 +278,13 @@ def test_a_vehicle_that_is_not_seen_is_told_nothing(stage: Stage) -> None:
 
 
 def test_whose_the_vehicle_is() -> None:
-    hands = {stage: replace(HELD, stage=stage).hand(Script.CONTROL, armed=True) for stage in Stage}
+    hands = {stage: replace(HELD, stage=stage).hand(Script.CONTROL, armed=True) for stage in GuardStage}
     assert hands == {
-        Stage.WATCHING: Hand.SCRIPT,
-        Stage.HOLDING: Hand.GUARD,
-        Stage.LANDING: Hand.GUARD,
-        Stage.GAVE_UP: Hand.GUARD,
-        Stage.LET_GO: Hand.OTHER,
+        GuardStage.WATCHING: Hand.SCRIPT,
+        GuardStage.HOLDING: Hand.GUARD,
+        GuardStage.LANDING: Hand.GUARD,
+        GuardStage.GAVE_UP: Hand.GUARD,
+        GuardStage.LET_GO: Hand.OTHER,
     }
     assert GuardState().hand(Script.CONTROL, armed=False) is Hand.FREE
     assert GuardState().hand(Script.LET_GO, armed=True) is Hand.FREE
@@ -314,7 +314,7 @@ VIEWS = st.builds(
     mode_told=st.integers(1, 3),
 )
 HEARDS = st.builds(
-    Heard,
+    ProgramBeat,
     beat_ns=AGES_S.map(lambda age_s: NOW - ns(age_s)),
     script=st.sampled_from(Script),
     setpoint_ns=AGES_S.map(lambda age_s: NOW - ns(age_s)),
@@ -324,7 +324,7 @@ HEARDS = st.builds(
 )
 STATES = st.builds(
     GuardState,
-    stage=st.sampled_from(Stage),
+    stage=st.sampled_from(GuardStage),
     reason=st.just("why"),
     sent_ns=AGES_S.map(lambda age_s: NOW - ns(age_s)),
     shown_ns=st.none() | AGES_S.map(lambda age_s: NOW - ns(age_s)),
@@ -336,27 +336,27 @@ STATES = st.builds(
 
 @settings(max_examples=400)
 @given(STATES, VIEWS, HEARDS | st.none())
-def test_whatever_it_sees(state: GuardState, view: GuardView, heard: Heard | None) -> None:
+def test_whatever_it_sees(state: GuardState, view: GuardView, heard: ProgramBeat | None) -> None:
     after, act = step(state, view, heard)
     if act is not Act.NOTHING:
         assert view.armed
         assert view.mode is not FlightMode.OTHER  # never against a pilot
-        assert state.stage is not Stage.GAVE_UP
-        assert state.stage is not Stage.LET_GO or (view.mode in MOVING and view.mode_told > 1)  # nobody's
+        assert state.stage is not GuardStage.GAVE_UP
+        assert state.stage is not GuardStage.LET_GO or (view.mode in MOVING and view.mode_told > 1)  # nobody's
         assert after.sent_ns == NOW and after.shown_ns is None
         assert NOW - view.heartbeat_ns <= ns(RULES.blind_s)
     if act is Act.HOLD:
-        let_go = state.stage is Stage.LET_GO or (heard is not None and heard.script is Script.LET_GO)
-        assert let_go or (state.stage is Stage.WATCHING and heard is not None and heard.script.flies)
+        let_go = state.stage is GuardStage.LET_GO or (heard is not None and heard.script is Script.LET_GO)
+        assert let_go or (state.stage is GuardStage.WATCHING and heard is not None and heard.script.flies)
     if act is Act.LAND:
-        assert after.stage is Stage.LANDING and after.tries <= RULES.land_tries
-        assert view.mode not in (FlightMode.LAND, FlightMode.RETURN) or state.stage is Stage.LANDING
-    if state.stage is Stage.LET_GO and view.armed and view.mode not in MOVING:
+        assert after.stage is GuardStage.LANDING and after.tries <= RULES.land_tries
+        assert view.mode not in (FlightMode.LAND, FlightMode.RETURN) or state.stage is GuardStage.LANDING
+    if state.stage is GuardStage.LET_GO and view.armed and view.mode not in MOVING:
         assert replace(after, odd_ns=None) == replace(state, odd_ns=None)
-    if after.stage is Stage.LET_GO and state.stage is not Stage.LET_GO:
+    if after.stage is GuardStage.LET_GO and state.stage is not GuardStage.LET_GO:
         assert view.mode_told > 1
-    if heard is None and state.stage is Stage.WATCHING:
-        assert after.stage is Stage.WATCHING
+    if heard is None and state.stage is GuardStage.WATCHING:
+        assert after.stage is GuardStage.WATCHING
 
 
 @settings(max_examples=200)
@@ -368,8 +368,8 @@ def test_however_a_dead_script_s_vehicle_behaves_it_is_told_to_land_in_bounded_t
         now = NOW + ns(0.1 * k)
         state, act = step(state, replace(VIEW, mode=mode, heartbeat_ns=now), dead(), now)
         acts += [] if act is Act.NOTHING else [(0.1 * k, act)]
-        assert state.stage is not Stage.WATCHING
-        if state.stage in (Stage.LET_GO, Stage.GAVE_UP):
+        assert state.stage is not GuardStage.WATCHING
+        if state.stage in (GuardStage.LET_GO, GuardStage.GAVE_UP):
             break
     landings = [at_s for at_s, act in acts if act is Act.LAND]
     assert sum(act is Act.HOLD for _, act in acts) <= 1
@@ -381,6 +381,6 @@ def test_a_limit_that_is_broken_again_after_a_landing_was_begun_has_its_patience
     low = replace(VIEW, battery=0.1)
     state, _ = step(view=low)
     assert state.broken_ns == NOW
-    landing = Heard(NOW + 1, Script.LANDING, NOW + 1)
+    landing = ProgramBeat(NOW + 1, Script.LANDING, NOW + 1)
     state, _ = step(state, replace(low, mode=FlightMode.LAND, heartbeat_ns=NOW + 1), landing, NOW + 1)
-    assert (state.stage, state.broken_ns) == (Stage.WATCHING, None)
+    assert (state.stage, state.broken_ns) == (GuardStage.WATCHING, None)

@@ -10,9 +10,9 @@ from typing import Any, Self
 import pytest
 
 from drivers.interfaces import FlightMode
-from drivers.mavlink.guard_interfaces import Answer, Beat, GuardView, Hand, Script
+from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, GuardView, Hand, Script
 from flight.config import MissionConfig
-from flight.guard_rules import Stage
+from flight.guard_rules import GuardStage
 from flight.guard_watch import GuardWatch, watch
 from hil.harness.virtual_time import run_virtual
 
@@ -66,14 +66,14 @@ class FakeVehicle:
 @dataclass
 class FakeLine:
     waiting: Beat | None = None
-    answers: list[Answer] = field(default_factory=list[Answer])
+    answers: list[GuardAnswer] = field(default_factory=list[GuardAnswer])
     ignored: dict[str, int] = field(default_factory=dict[str, int])
 
     def newest(self) -> tuple[int, Beat] | None:
         beat, self.waiting = self.waiting, None
         return None if beat is None else (LoopClock().now_ns(), beat)
 
-    def answer(self, answer: Answer) -> None:
+    def answer(self, answer: GuardAnswer) -> None:
         self.answers.append(answer)
 
     async def __aenter__(self) -> Self:
@@ -114,7 +114,7 @@ class Bench:
         self.script = Script.CONTROL
         await asyncio.sleep(1.0)
         assert self.vehicle.told == []
-        assert self.line.answers[-1] == Answer(True, Hand.SCRIPT)
+        assert self.line.answers[-1] == GuardAnswer(True, Hand.SCRIPT)
 
     async def end(self) -> None:
         self.stop.set()
@@ -148,7 +148,7 @@ def test_a_program_that_hangs_is_found_in_time_and_its_vehicle_brought_down() ->
         assert bench.line.answers[-1].hand is Hand.GUARD
         bench.vehicle.now = replace(bench.vehicle.now, armed=False, in_air=False)
         await asyncio.sleep(0.1)
-        assert bench.line.answers[-1] == Answer(True, Hand.FREE)
+        assert bench.line.answers[-1] == GuardAnswer(True, Hand.FREE)
         await bench.end()
 
     virtual(main())
@@ -247,7 +247,7 @@ def test_it_ends_only_when_nothing_is_left_to_guard() -> None:
         assert bench.guard.needed
         bench.hung = bench.vehicle.stubborn = True
         await asyncio.sleep(RULES.land_tries * RULES.ack_s + 5.0)
-        assert bench.guard.state.stage is Stage.GAVE_UP
+        assert bench.guard.state.stage is GuardStage.GAVE_UP
         assert not bench.guard.needed
         assert bench._tasks[0].done()
         await bench.end()
@@ -262,7 +262,7 @@ def test_what_is_ignored_raises_an_alarm_once_and_the_role_is_told() -> None:
         for _ in range(3):
             bench.line.ignored["beats of another"] = bench.line.ignored.get("beats of another", 0) + 1
             await asyncio.sleep(0.6)
-        assert bench.line.answers[-1] == Answer(True, Hand.SCRIPT, "", "beats of another")
+        assert bench.line.answers[-1] == GuardAnswer(True, Hand.SCRIPT, "", "beats of another")
         alarms = [record for topic, record in bench.log.records if topic == "/guard_alarm"]
         assert alarms == [{"ignored": "beats of another"}]
         views = [record["ignored"] for topic, record in bench.log.records if topic == "/guard_view"]

@@ -1,4 +1,7 @@
-"""Where the receiver looks for the marker, what it takes for a pose, and what it remembers while it sees none."""
+"""The receiver's view of the marker.
+
+Where it looks, what it takes for a pose, and what it remembers while it sees none.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3
-from flight.marker_view import MarkerFix, MarkerView, Motion, levelled
+from flight.marker_view import MarkerFix, MarkerView, VehicleMotions, levelled
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Matrix, Pose
@@ -87,8 +90,8 @@ class Watch:
         return fix  # type: ignore[possibly-undefined]
 
 
-def motion(stamp_ns: int, peer_n_mps: Vec3, own_n_mps: Vec3, peer_yaw_rad: float = 0.0) -> Motion:
-    return Motion(stamp_ns, own_n_mps, stamp_ns, peer_n_mps, peer_yaw_rad)
+def motion(stamp_ns: int, peer_n_mps: Vec3, own_n_mps: Vec3, peer_yaw_rad: float = 0.0) -> VehicleMotions:
+    return VehicleMotions(stamp_ns, own_n_mps, stamp_ns, peer_n_mps, peer_yaw_rad)
 
 
 NEAR = marker_at(0.1, -0.1, 1.2)

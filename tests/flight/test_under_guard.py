@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import pytest
 
-from drivers.mavlink.guard_interfaces import Answer, Beat, Hand, Script
+from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, Hand, Script
 from flight.guard_rules import GuardRules
 from flight.outcome import MissionEnd, Outcome
 from flight.under_guard import UnderGuard
@@ -17,7 +17,7 @@ from hil.harness.virtual_time import run_virtual
 
 RULES = GuardRules()
 BEAT = Beat(Script.CLIMB, 0)
-WATCHED = Answer(True, Hand.SCRIPT)
+WATCHED = GuardAnswer(True, Hand.SCRIPT)
 
 
 class LoopClock:
@@ -28,19 +28,19 @@ class LoopClock:
 @dataclass
 class FakeLine:
     name: str = "127.0.0.1:1"
-    newest: tuple[int, Answer] | None = None
+    newest: tuple[int, GuardAnswer] | None = None
     beats: list[Beat] = field(default_factory=list[Beat])
-    reply: Answer | None = None
+    reply: GuardAnswer | None = None
 
     def beat(self, beat: Beat) -> None:
         self.beats.append(beat)
         if self.reply is not None:
             asyncio.get_running_loop().call_later(0.02, self.say, self.reply)
 
-    def say(self, answer: Answer) -> None:
+    def say(self, answer: GuardAnswer) -> None:
         self.newest = LoopClock().now_ns(), answer
 
-    def answer(self) -> tuple[int, Answer] | None:
+    def answer(self) -> tuple[int, GuardAnswer] | None:
         return self.newest
 
     async def __aenter__(self) -> Self:
@@ -65,7 +65,7 @@ def test_who_is_watched_flies() -> None:
         guard = UnderGuard(line, LoopClock(), RULES)
         assert not guard.watching
         assert ended(guard.check).outcome is Outcome.GUARD_LOST
-        line.say(Answer(False, Hand.FREE))
+        line.say(GuardAnswer(False, Hand.FREE))
         assert not guard.watching
         assert "does not see" in ended(guard.check).detail
         line.say(WATCHED)
@@ -108,8 +108,8 @@ def test_what_the_guard_took_stays_taken() -> None:
     async def main() -> None:
         line = FakeLine()
         guard = UnderGuard(line, LoopClock(), RULES)
-        line.say(Answer(True, Hand.GUARD, "no setpoint for 0.5 s"))
-        for answer in (None, Answer(True, Hand.FREE), WATCHED):
+        line.say(GuardAnswer(True, Hand.GUARD, "no setpoint for 0.5 s"))
+        for answer in (None, GuardAnswer(True, Hand.FREE), WATCHED):
             end = ended(guard.check_hand)
             assert end.outcome is Outcome.GUARD
             assert "no setpoint" in end.detail
@@ -124,7 +124,7 @@ def test_a_pilot_s_hand_is_told_too() -> None:
     async def main() -> None:
         line = FakeLine()
         guard = UnderGuard(line, LoopClock(), RULES)
-        line.say(Answer(True, Hand.OTHER, "a pilot changed the mode"))
+        line.say(GuardAnswer(True, Hand.OTHER, "a pilot changed the mode"))
         assert ended(guard.check_hand).outcome is Outcome.PILOT_OVERRIDE
         assert not guard.taken
 
@@ -137,7 +137,7 @@ def test_before_anything_moves_the_guard_is_asked_anew() -> None:
         guard = UnderGuard(line, LoopClock(), RULES)
         line.say(WATCHED)
         await asyncio.sleep(20.0)  # the answer that is there says nothing any more
-        line.reply = Answer(True, Hand.GUARD, "no sign of life")
+        line.reply = GuardAnswer(True, Hand.GUARD, "no sign of life")
         begun_s = loop.time()
         with pytest.raises(MissionEnd, match="no sign of life"):
             await guard.confirm(BEAT)
@@ -166,7 +166,7 @@ def test_a_vehicle_that_refuses_because_the_guard_has_it_is_the_guard_s_doing() 
         guard = UnderGuard(line, LoopClock(), RULES)
         refused, lost = MissionEnd(Outcome.VEHICLE_REFUSED, "denied"), MissionEnd(Outcome.PEER_LOST, "silent")
         assert guard.behind(refused) is refused
-        line.say(Answer(True, Hand.GUARD, "no sign of life"))
+        line.say(GuardAnswer(True, Hand.GUARD, "no sign of life"))
         assert guard.behind(refused).outcome is Outcome.GUARD
         assert guard.behind(lost) is lost
 

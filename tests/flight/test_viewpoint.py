@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from flight.config import RendezvousConfig, SeparationConfig
-from flight.viewpoint import Floats, NoViewpoint, Scene, Viewpoint, plan_viewpoint
+from flight.viewpoint import Floats, NoViewpoint, Viewpoint, ViewpointScene, plan_viewpoint
 from path.camera import CameraModel
 from path.geometry import Pose
 
@@ -30,10 +30,10 @@ def pitched(down_deg: float) -> Pose:
 
 def scene(
     ahead_m: float = 1.65, right_m: float = 0.0, below_m: float = 1.42, side_m: float = 0.04, normal_up_deg: float = 45
-) -> Scene:
+) -> ViewpointScene:
     """D1's marker looks back and up; the target is ahead and below."""
     up = math.radians(normal_up_deg)
-    return Scene(
+    return ViewpointScene(
         target_h_m=np.array([ahead_m, right_m, below_m]),
         marker_normal_h=np.array([-math.cos(up), 0.0, -math.sin(up)]),
         marker_side_m=side_m,
@@ -42,7 +42,7 @@ def scene(
 
 
 def plan(
-    view: Scene,
+    view: ViewpointScene,
     camera: CameraModel = CAMERA,
     pitch_deg: float = 45.0,
     rules: RendezvousConfig = RULES,
@@ -53,7 +53,7 @@ def plan(
 
 
 def found(
-    view: Scene, camera: CameraModel = CAMERA, rules: RendezvousConfig = RULES, tilt_h: Floats | None = None
+    view: ViewpointScene, camera: CameraModel = CAMERA, rules: RendezvousConfig = RULES, tilt_h: Floats | None = None
 ) -> Viewpoint:
     viewpoint = plan(view, camera, rules=rules, tilt_h=tilt_h)
     assert isinstance(viewpoint, Viewpoint), str(viewpoint)
@@ -73,9 +73,9 @@ def leaning(axis: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a drone's camera sees from a viewpoint, computed anew."""
+    """The view of a drone's camera from a viewpoint, computed anew."""
 
-    view: Scene
+    view: ViewpointScene
     viewpoint: Viewpoint
     camera: CameraModel = CAMERA
     pitch_deg: float = 45.0
@@ -145,7 +145,7 @@ tilts = st.tuples(st.floats(-0.12, 0.12), st.floats(-0.12, 0.12)).map(
 @settings(max_examples=150)
 @given(scenes, st.sampled_from((CAMERA, BARREL)), st.floats(25.0, 65.0), st.none() | tilts)
 def test_every_viewpoint_keeps_every_rule(
-    view: Scene, camera: CameraModel, pitch_deg: float, tilt_h: Floats | None
+    view: ViewpointScene, camera: CameraModel, pitch_deg: float, tilt_h: Floats | None
 ) -> None:
     viewpoint = plan(view, camera, pitch_deg, tilt_h=tilt_h)
     assume(isinstance(viewpoint, Viewpoint))
@@ -161,7 +161,7 @@ def test_every_viewpoint_keeps_every_rule(
         (scene(1.10, 0.133, 0.925, 0.0844, 53.8), -12.8),
     ],
 )
-def test_what_a_lens_folds_back_into_the_image_is_not_in_view(view: Scene, pitch_deg: float) -> None:
+def test_what_a_lens_folds_back_into_the_image_is_not_in_view(view: ViewpointScene, pitch_deg: float) -> None:
     """Beyond ``max_radius`` a pixel says nothing: the target is then far outside the image."""
     viewpoint = plan(view, BARREL, pitch_deg)
     if isinstance(viewpoint, Viewpoint):
@@ -177,7 +177,7 @@ def test_the_mission_as_it_comes_has_a_viewpoint() -> None:
 
 @settings(max_examples=40)
 @given(scenes)
-def test_a_scene_and_its_mirror_image_are_equally_good(view: Scene) -> None:
+def test_a_scene_and_its_mirror_image_are_equally_good(view: ViewpointScene) -> None:
     """Nothing of the rules prefers a side, and a camera without distortion neither."""
     camera = CameraModel(641, 481, 615.0, 615.0, 320.5, 240.5)
     flip = np.array([1.0, -1.0, 1.0])
@@ -244,7 +244,7 @@ def test_every_candidate_is_accounted_for_once() -> None:
 
 
 def test_a_leaning_drone_is_planned_for_as_it_leans() -> None:
-    """The planner's margin is the one that a drone that leans so will have, and a level plan's is not."""
+    """The planner's margin is the one that a drone with that tilt will have, and a level plan's is not."""
     lean = np.array([math.sin(0.1), 0.0, math.cos(0.1)])  # z axis towards the front: nose up, the camera looks higher
     level, leant = found(scene()), found(scene(), tilt_h=lean)
     assert min(Seen(scene(), leant, tilt_h=lean).margins()) == pytest.approx(leant.margin_px, abs=1e-6)

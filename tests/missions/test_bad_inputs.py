@@ -113,7 +113,7 @@ LINES: tuple[tuple[str, int, str], ...] = (
     ("campaign --rig none", 3, "no rig named 'none'"),
     ("trial statics", 2, "statics"),
     ("trial static --seed -1", 3, "--seed: -1 is not within"),
-    ("trial static --rig sim", 3, "sim.toml: trials: missing key 'studio'"),
+    ("trial static --rig sim", 3, "sim.toml: trials: missing key 'renderer'"),
     ("trial dynamic --quick --rig dynamic-sim", 3, "dynamic-sim.toml: trials: missing key 'estimator'"),
     ("trial all --xfeat none.onnx", 3, "--xfeat none.onnx: no such file"),
     ("trial corners --board none.toml", 3, "--board none.toml: no such file"),

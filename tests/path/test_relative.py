@@ -98,7 +98,7 @@ def test_both_attitudes_turn_what_is_predicted():
 
 
 def test_a_constant_error_of_either_attitude_does_no_harm():
-    """What is predicted in the camera rests on how attitudes change."""
+    """The prediction in the camera rests on how attitudes change."""
     own_error, peer_error = exp(np.array([0.01, -0.01, 0.06])), exp(np.array([-0.01, 0.02, -0.08]))
     filtered = RelativeFilter()
     for k in range(30):
@@ -160,8 +160,8 @@ def test_travel_is_the_integral_of_the_reports():
 
 def flipped(T_c_v: Pose) -> Pose:
     """About what the other planar solution is: the normal mirrored at the line of sight."""
-    sight = T_c_v.t / np.linalg.norm(T_c_v.t)
-    half_turn = 2.0 * np.outer(sight, sight) - np.eye(3)
+    perception = T_c_v.t / np.linalg.norm(T_c_v.t)
+    half_turn = 2.0 * np.outer(perception, perception) - np.eye(3)
     normal_turn = T_c_v.R @ np.diag([-1.0, -1.0, 1.0])
     return Pose(half_turn @ normal_turn, T_c_v.t)
 

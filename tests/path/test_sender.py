@@ -20,7 +20,7 @@ from path.observations import Box, Depth, Detection, Missed, MissReason
 from path.prior import Prior
 from path.receiver import ReceiverCycle
 from path.rotation import exp, quat_from_R
-from path.sender import Pair, SenderCycle
+from path.sender import PairVerdict, SenderCycle
 from path.window import AgreementWindow
 
 MS = 1_000_000
@@ -78,14 +78,14 @@ class Bench:
     def offer(self, message: Candidate, late_ms: float = 5.0) -> Missed | None:
         return self.sender.offer(message, message.capture_ns, message.capture_ns + round(late_ms * MS))
 
-    def step(self, index: int, **changes: Any) -> list[Pair]:
+    def step(self, index: int, **changes: Any) -> list[PairVerdict]:
         """D1's frame ``index``, after D2's frame 7 ms before it came in."""
         if index:
             self.offer(candidate(index, 20.0 * index - 7.0, self.speed_mps, **changes))
         self.see(index)
         return self.sender.evaluate_ready(index * PERIOD)
 
-    def run(self, last: int, first: int = 0) -> list[Pair]:
+    def run(self, last: int, first: int = 0) -> list[PairVerdict]:
         return [pair for index in range(first, last + 1) for pair in self.step(index)]
 
     @property

@@ -23,7 +23,7 @@ IMPATIENT = ("[mission.target]", "[mission.deadlines]\nverify_s = 15.0\n\n[missi
 
 
 class Flown:
-    """How a flight ended, and its logs, read once."""
+    """A flight's end, and its logs, read once."""
 
     def __init__(self, facts: RunFacts, out: Path) -> None:
         self.facts, self.run = facts, load_run(out)

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.rig.parts import Rig, with_errors
-from flight.harness.renderer import Stage, StudioSetup
-from hil.camera.pictures import Studio
+from flight.harness.renderer import RenderedInstant, RendererSetup
+from hil.camera.pictures import CameraRenderer
 from missions import rig_library
 from missions.handoff.command import fly_once
 from missions.report.records import load_run
@@ -36,16 +36,16 @@ def rig_with(rig: str, T_v_m: Pose, side_m: float) -> Rig:
 
 
 def look(rig: Rig, T_v_c: Pose, cover: int | None = None) -> tuple[LocatedMarker | object, float]:
-    """What D2's camera sees of the markers from a place in ``v``, rendered; and how far off its position is, m.
+    """Returns what D2's camera sees of the markers from a place in ``v``, rendered; and the error of its position, m.
 
     ``cover``: something grey hangs in front of this marker.
     """
     own = rig.receiver
-    setup = StudioSetup(own.camera, own.mount.T_b_c, own.mount.T_b_v, rig.layout)
+    setup = RendererSetup(own.camera, own.mount.T_b_c, own.mount.T_b_v, rig.layout)
     T_w_b1 = Pose(R_from_rpy(math.pi, 0.0, 0.0), np.array([0.0, 0.0, 3.0]))
     T_w_c = T_w_b1 @ rig.sender.mount.T_b_v @ T_v_c
-    stage = Stage({Role.SENDER: T_w_b1, Role.RECEIVER: T_w_c @ own.mount.T_b_c.inverse()})
-    image = Studio(setup, 1).shoot(stage, Role.RECEIVER, 1).color.copy()
+    stage = RenderedInstant({Role.SENDER: T_w_b1, Role.RECEIVER: T_w_c @ own.mount.T_b_c.inverse()})
+    image = CameraRenderer(setup, 1).shoot(stage, Role.RECEIVER, 1).color.copy()
     if cover is not None:
         marker = rig.layout.markers[cover]
         plate = marker.T_v_m.t + 1.2 * (marker.corners_v - marker.T_v_m.t)

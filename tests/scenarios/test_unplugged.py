@@ -17,9 +17,9 @@ from typing import Any
 import pytest
 
 from drivers.clock import SystemClock, SystemClockConfig
-from drivers.interfaces import Link, Sight, Vehicle
+from drivers.interfaces import Link, Perception, Vehicle
 from drivers.mavlink.vehicle import MavsdkVehicle, MavsdkVehicleConfig
-from drivers.perception.pixels import PixelSight, PixelSightConfig
+from drivers.perception.pixels import PixelPerception, PixelPerceptionConfig
 from drivers.rig.parts import PartContext
 from drivers.rig.tables import decode_table
 from drivers.tello.config import TelloVehicleConfig
@@ -32,7 +32,7 @@ from flight.phases import Phase
 from hil.tello import video as tello_video
 from missions import rig_library
 from missions.leg.course import fly_course
-from missions.leg.session import Session
+from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, take_off
 from path.messages import Role
 from path.rotation import yaw_of
@@ -51,25 +51,25 @@ LIMIT_S = 60.0  # for a whole flight, on a machine that is busy with others
 
 @dataclass
 class Stage:
-    """What flies; ``silence`` and ``blind`` unplug the vehicle's far side and the camera's."""
+    """The parts that fly; ``silence`` and ``blind`` unplug the vehicle's far side and the camera's."""
 
     vehicle: Vehicle
-    sight: Sight
+    perception: Perception
     silence: Callable[[], object]
     blind: Callable[[], object]
     on_ground: Callable[[], bool]
 
 
-def sight(context: PartContext, camera: dict[str, Any]) -> PixelSight:
+def perception(context: PartContext, camera: dict[str, Any]) -> PixelPerception:
     table = {"camera": camera, "detector": {"factory": "drivers.detectors.color:ColorDetector"}}
-    return PixelSight(decode_table(table, PixelSightConfig, "rig.toml: sender.sight"), context)
+    return PixelPerception(decode_table(table, PixelPerceptionConfig, "rig.toml: sender.perception"), context)
 
 
 @contextmanager
-def d415() -> Generator[tuple[Sight, software_d415.Feed]]:
+def d415() -> Generator[tuple[Perception, software_d415.Feed]]:
     feed = software_d415.Feed()
     camera = {"factory": "drivers.realsense.camera:RealSense", "fps": software_d415.FPS, "silence_s": 0.2}
-    seeing = sight(software_d415.context(), camera)
+    seeing = perception(software_d415.context(), camera)
     opened: Any = seeing._camera
     opened.source = feed
     with feed.running():
@@ -110,7 +110,7 @@ def tello() -> Generator[Stage]:
         camera = {"factory": "drivers.tello.camera:TelloCamera", "rate_hz": VIDEO_HZ, **stand.address}
         yield Stage(
             TelloVehicle(TelloVehicleConfig(**stand.address), context),
-            sight(context, camera),
+            perception(context, camera),
             lambda: setattr(stand.emulator.faults, "no_state", True),
             lambda: setattr(stand.video, "corrupt", True),
             lambda: stand.drone.on_ground,
@@ -122,8 +122,8 @@ class Flight:
 
     def __init__(self, stage: Stage, link: Link) -> None:
         self.log = Recorder()
-        parts = (CLOCK, stage.vehicle, stage.sight, link)
-        self.session = Session(
+        parts = (CLOCK, stage.vehicle, stage.perception, link)
+        self.session = RoleSession(
             rig_library.load("sim"), Role.SENDER, MissionConfig(), self.log, lambda _: None, asyncio.Event(), parts,
             random.Random(1),
         )  # fmt: skip
@@ -136,7 +136,7 @@ class Flight:
         await take_off(session, HEIGHT_M)
         session.enter(Phase.FOLLOW)
         while True:
-            await session.sight.view(session.config.guard.frame_age_s)
+            await session.perception.view(session.config.guard.frame_age_s)
             session.require_peer()
             if session.pilot.setpoints > 5:
                 self.flying.set()
@@ -154,7 +154,7 @@ async def say_status(link: Link) -> None:
 
 
 async def fly(stage: Stage, folder: Path, unplug: Callable[[Stage, Cable], object]) -> tuple[RoleResult, float]:
-    """How it ended, and how long after the unplugging."""
+    """Returns how it ended, and how long after the unplugging."""
     cable = Cable(folder)
     cable.plug()
     sender, receiver = serial_links(cable, None)
@@ -163,7 +163,7 @@ async def fly(stage: Stage, folder: Path, unplug: Callable[[Stage, Cable], objec
             link, peer = await stack.enter_async_context(sender), await stack.enter_async_context(receiver)
             await introduce(link, peer)
             saying = asyncio.create_task(say_status(peer))
-            await stack.enter_async_context(stage.sight)
+            await stack.enter_async_context(stage.perception)
             await stack.enter_async_context(stage.vehicle)
             flight = Flight(stage, link)
             flown = asyncio.create_task(fly_course(flight.session, flight.course, flight.recover))

@@ -13,7 +13,7 @@ from missions.assurance.campaign.program import MISSION, OTHER_ID, Program
 from missions.assurance.verify.rules import lowest_epoch, used_epoch
 from path.messages import Accept, Commit, Message, Ping, Role
 from path.protocol import receiver, sender
-from path.protocol.values import Handoff, Outcome, ProtocolConfig, ReceiverRecord, SenderRecord
+from path.protocol.values import Handoff, HandoffOutcome, ProtocolConfig, ReceiverRecord, SenderRecord
 
 if TYPE_CHECKING:
     from missions.assurance.campaign.machines import Machines
@@ -59,7 +59,7 @@ class Judge:
         self._begun_s: float | None = None  # when one was begun that is not on the disk yet: nothing is said in it
         self._highest = {Role.SENDER: 0, Role.RECEIVER: 0}
         self._since: dict[Role, tuple[int, float] | None] = {Role.SENDER: None, Role.RECEIVER: None}
-        self._ends: dict[Role, list[tuple[Outcome, str | None]]] = {Role.SENDER: [], Role.RECEIVER: []}
+        self._ends: dict[Role, list[tuple[HandoffOutcome, str | None]]] = {Role.SENDER: [], Role.RECEIVER: []}
         self._alone_s: float | None = None
         self._anew = False
         self._told: set[str] = set()
@@ -84,7 +84,7 @@ class Judge:
         self._begun_s = self._world.now_s
 
     def anew(self, program: Program) -> None:
-        """On the ground a new mission begins: what was held or given away is over."""
+        """Notes that a new mission begins on the ground: what was held or given away is over."""
         self._anew = True
         self._since[program.role] = None
 
@@ -149,7 +149,7 @@ class Judge:
         elif state.live.epoch < self._highest[Role.SENDER]:
             self._violated("S2", "taken over in an epoch that is past")
 
-    def decided(self, program: Program, outcome: Outcome, reason: str | None) -> None:
+    def decided(self, program: Program, outcome: HandoffOutcome, reason: str | None) -> None:
         role, now_s = program.role, self._world.now_s
         self._ends[role].append((outcome, reason))
         began = self._since[role]
@@ -229,8 +229,10 @@ class Judge:
             self._violated("L1", f"{type(state).__name__} is {late_s:.2f} s overdue")
 
     def _gap(self) -> None:
-        """L2, as ``missions.assurance.verify.moves`` has it: nobody is responsible, though whoever would have to be
-        runs."""
+        """Checks L2: nobody is responsible, though whoever would have to be runs.
+
+        As ``missions.assurance.verify.moves`` has it.
+        """
         gives, takes = self._world.state(Role.SENDER), self._world.state(Role.RECEIVER)
         if not self._nobody(gives, takes):
             self._close_gap()
@@ -246,7 +248,7 @@ class Judge:
             self._violated("L2", f"nobody is responsible: {type(gives).__name__}, {type(takes).__name__}")
         if _orphan(gives, takes):
             self._orphaned = True
-            if takes.settled is Outcome.TAKEN_BACK:
+            if takes.settled is HandoffOutcome.TAKEN_BACK:
                 self._violated("L2", "an orphan that the receiver takes for well")
 
     def _nobody(self, gives: Any, takes: Any) -> bool:
@@ -273,9 +275,9 @@ class Judge:
     # --- outcome -----------------------------------------------------------------------------------------------
 
     def outcome(self) -> str:
-        """How the run ended, by what both sides decided."""
-        gave = [end for end in self._ends[Role.SENDER] if end[0] is Outcome.HANDED_OVER]
-        held = any(outcome is Outcome.HANDED_OVER for outcome, _ in self._ends[Role.RECEIVER])
+        """Returns the end of the run, by what both sides decided."""
+        gave = [end for end in self._ends[Role.SENDER] if end[0] is HandoffOutcome.HANDED_OVER]
+        held = any(outcome is HandoffOutcome.HANDED_OVER for outcome, _ in self._ends[Role.RECEIVER])
         takes = self._world.state(Role.RECEIVER)
         if held or (gave and isinstance(takes, receiver.Holding)):
             return "commit"
@@ -284,7 +286,7 @@ class Judge:
         ends = self._ends[Role.SENDER] or self._ends[Role.RECEIVER]
         if ends:
             outcome, reason = ends[-1]
-            if outcome is Outcome.ABORTED:
+            if outcome is HandoffOutcome.ABORTED:
                 return f"aborted: {reason}"
             return outcome.value.replace("_", " ")
         program = self._world.program(Role.SENDER)
@@ -306,7 +308,10 @@ def _orphan(gives: Any, takes: Any) -> bool:
 
 
 def _is_what_it_says(program: Program, state: Any) -> bool:
-    """Whether a program's responsibility is its machine's. A sender that starts again on the ground tracks nothing."""
+    """Returns whether a program's responsibility is its machine's.
+
+    A sender that starts again on the ground tracks nothing.
+    """
     if program.role is Role.SENDER:
         if program.responsible == sender.is_responsible(state):
             return True

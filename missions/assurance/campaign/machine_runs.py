@@ -8,23 +8,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from missions import rig_library
-from missions.assurance.campaign.machines import Machines, OpenChannel, Run
-from missions.assurance.campaign.plan import Plan, draw
+from missions.assurance.campaign.machines import Machines, OpenChannel, ProgramRun
+from missions.assurance.campaign.plan import RunPlan, draw
 from missions.assurance.campaign.results import RunLine
 from missions.rig_library import trial_part
 
 if TYPE_CHECKING:
-    from missions.assurance.campaign.run import Order
+    from missions.assurance.campaign.run import RunOrder
 
 
-def fly(order: Order) -> list[RunLine]:
+def fly(order: RunOrder) -> list[RunLine]:
     channel = _channel(order.rig)
     return [
         _line(level, number, Machines(draw(order.seed, level, number), channel).run()) for level, number in order.runs
     ]
 
 
-def replay(order: Order, out: Path | None) -> RunLine:
+def replay(order: RunOrder, out: Path | None) -> RunLine:
     """The run's story on the terminal; it has no logs."""
     del out
     (level, number), *_ = order.runs
@@ -41,11 +41,11 @@ def _channel(rig: str) -> OpenChannel:
     return trial_part(rig_library.load(rig), "channel")
 
 
-def _line(level: str, number: int, run: Run) -> RunLine:
+def _line(level: str, number: int, run: ProgramRun) -> RunLine:
     rounded = {name: round(value, 4) for name, value in run.figures.items()}
     return RunLine(number, level, run.outcome, run.violations, run.beyond, rounded)
 
 
-def _story_of(plan: Plan) -> str:
-    """What was drawn, a line each."""
+def _story_of(plan: RunPlan) -> str:
+    """Returns the drawn plan, a line for each field."""
     return "".join(f"{field.name}: {getattr(plan, field.name)}\n" for field in dataclasses.fields(plan))

@@ -16,7 +16,7 @@ from drivers.link.wire import KEY_LENGTH, Codec
 from drivers.log.state_file import MemoryStore
 from flight.outcome import Outcome
 from missions.assurance.campaign.judge import Judge
-from missions.assurance.campaign.plan import CLOCKS_S, ROLES, Crash, Plan, Stall, Step
+from missions.assurance.campaign.plan import CLOCKS_S, ROLES, Crash, RunPlan, Stall, Step
 from missions.assurance.campaign.program import Program, ReceiverProgram, SenderProgram, Sent
 from path.messages import Accept, Commit, Message, Role
 from path.protocol import receiver, sender
@@ -28,19 +28,19 @@ NOISY = ("Target", "Candidate", "Status", "Ping", "Pong")
 PEER = {Role.SENDER: Role.RECEIVER, Role.RECEIVER: Role.SENDER}
 
 
-class Channel(Protocol):
+class CampaignChannel(Protocol):
     """One direction of a link with faults, by seed (``hil.link.faulty.FaultyChannel``)."""
 
     def arrivals(self, data: bytes, now_s: float) -> list[tuple[float, bytes]]: ...
 
 
-OpenChannel = Callable[[str, Mapping[str, float]], Channel]
+OpenChannel = Callable[[str, Mapping[str, float]], CampaignChannel]
 Tell = Callable[[float, str, str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
-    """What became of a run.
+class ProgramRun:
+    """The result of a run.
 
     Attributes:
         outcome: "commit", "timeout", "aborted: REASON" and so on, see ``docs/campaign.md``.
@@ -68,8 +68,8 @@ class TrueClock:
 
 
 @dataclass(slots=True)
-class _Drone:
-    """What outlives a program: its clock, its disk."""
+class _Computer:
+    """The parts of a drone that outlive its program: its clock, its disk."""
 
     clock: TrueClock
     store: MemoryStore = field(default_factory=MemoryStore)
@@ -81,7 +81,7 @@ class _Drone:
 class Machines:
     """The world of one run. ``tell``: given every event when somebody wants to read the story."""
 
-    def __init__(self, plan: Plan, open_channel: OpenChannel, tell: Tell | None = None) -> None:
+    def __init__(self, plan: RunPlan, open_channel: OpenChannel, tell: Tell | None = None) -> None:
         self.plan, self._tell = plan, tell
         self.now_s = 0.0
         self.random = random.Random(f"{plan.seed} world")
@@ -92,11 +92,11 @@ class Machines:
         self._last_s = _last_s(plan)
         self._channels = {role: open_channel(f"{plan.seed} {role.value}", plan.link) for role in ROLES}
         self._drones = {
-            role: _Drone(TrueClock(plan.offset_s[role], 1.0 + plan.drift_ppm[role] * 1e-6)) for role in ROLES
+            role: _Computer(TrueClock(plan.offset_s[role], 1.0 + plan.drift_ppm[role] * 1e-6)) for role in ROLES
         }
         self._recorded: dict[Role, list[Sent]] = {role: [] for role in ROLES}
 
-    def run(self) -> Run:
+    def run(self) -> ProgramRun:
         plan = self.plan
         for role in ROLES:
             self.at(plan.start_s[role], lambda role=role: self._start(role))
@@ -140,7 +140,7 @@ class Machines:
         return self._drones[role].program
 
     def state(self, role: Role) -> Any:
-        """Of the machine; None while its program does not run."""
+        """Returns the machine's state; None while its program does not run."""
         program = self._drones[role].program
         return program.handover.carried_out if program is not None and program.booted else None
 
@@ -155,7 +155,7 @@ class Machines:
     # --- the link ----------------------------------------------------------------------------------------------
 
     def transmit(self, role: Role, message: Message, data: bytes) -> None:
-        """What a program sends; each packet that arrives knows whether it is the genuine one (S6)."""
+        """Sends a program's packet on; each that arrives knows whether it is the genuine one (S6)."""
         now_s, peer = self.now_s, PEER[role]
         if self._tell is not None and type(message).__name__ not in NOISY:
             self.tell(role, f"sends {_named(message)}")
@@ -253,7 +253,10 @@ class Machines:
     # --- the end -----------------------------------------------------------------------------------------------
 
     def _over(self) -> bool:
-        """Nothing more is to come: both missions have ended, or the receiver holds, and nobody waits for anything."""
+        """Returns whether nothing more is to come.
+
+        Both missions have ended, or the receiver holds, and nobody waits for anything.
+        """
         if self.now_s < self._last_s:
             return False
         for drone in self._drones.values():
@@ -265,7 +268,7 @@ class Machines:
                 return False
         return True
 
-    def _outcome(self) -> Run:
+    def _outcome(self) -> ProgramRun:
         judge = self.judge
         judge.close()
         figures = {"simulated_s": self.now_s}
@@ -273,11 +276,11 @@ class Machines:
             figures |= {"decided_s": judge.decided_s, "gap_s": judge.gap_s}
             if judge.commit_s is not None:
                 figures["commit_s"] = judge.commit_s
-        return Run(judge.outcome(), tuple(judge.violations), tuple(judge.beyond), figures)
+        return ProgramRun(judge.outcome(), tuple(judge.violations), tuple(judge.beyond), figures)
 
 
-def _last_s(plan: Plan) -> float:
-    """When the last of what was planned has happened."""
+def _last_s(plan: RunPlan) -> float:
+    """Returns the instant by which the last of what was planned has happened."""
     at = [plan.start_s[Role.SENDER] + plan.offer_s, *(step.at_s for step in plan.steps)]
     return max((*at, *(out.end_s for out in plan.outages), *(at_s for _, at_s in plan.pilots)))
 

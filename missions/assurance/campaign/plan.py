@@ -1,4 +1,4 @@
-"""What happens to one run of the machines: drawn from its seed, its level and its number, and from nothing else."""
+"""The plan of one run of the machines: drawn from its seed, its level and its number, and from nothing else."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEP_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Outage:
-    """Nothing that is sent arrives; ``of``: whose packets, None for both roles'."""
+    """A time in which nothing that is sent arrives; ``of``: whose packets, None for both roles'."""
 
     begin_s: float
     end_s: float
@@ -65,7 +65,7 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class RunPlan:
     """One run. Instants are true time since its beginning, in s.
 
     Attributes:
@@ -103,7 +103,7 @@ def seed_of(program: str, seed: int, level: str, number: int) -> str:
     return f"{program} {seed} {level} {number}"
 
 
-def draw(seed: int, level: LevelName, number: int) -> Plan:
+def draw(seed: int, level: LevelName, number: int) -> RunPlan:
     """The plan of a run of the machines."""
     of, name = MACHINE_LEVELS[level], seed_of("machines", seed, level, number)
     rng = random.Random(name)
@@ -111,7 +111,7 @@ def draw(seed: int, level: LevelName, number: int) -> Plan:
     offer_s = rng.uniform(0.2, 1.2)
     agree_s = None if rng.random() < of.never else rng.uniform(0.3, 2.5)
     commit_s = start_s[Role.SENDER] + offer_s + (agree_s or 1.0)
-    return Plan(
+    return RunPlan(
         seed=name,
         level=level,
         link=_link(of, rng),

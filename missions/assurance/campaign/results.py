@@ -1,4 +1,4 @@
-"""What is kept of a campaign."""
+"""The file that keeps a campaign's runs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from missions.resumable_lines import KeptLines
+from missions.resumable_lines import ResumableLines
 
 FILE = "runs.jsonl"
 FORMAT = "path-handoff campaign 1"
@@ -33,6 +33,6 @@ class RunLine:
     figures: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
-def kept_results(folder: Path, asked: Mapping[str, Any]) -> KeptLines[RunLine]:
+def resumable_results(folder: Path, asked: Mapping[str, Any]) -> ResumableLines[RunLine]:
     """The file of a campaign in its folder; a folder that holds another campaign is refused."""
-    return KeptLines(folder / FILE, RunLine, {"format": FORMAT, **asked})
+    return ResumableLines(folder / FILE, RunLine, {"format": FORMAT, **asked})

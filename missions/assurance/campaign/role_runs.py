@@ -27,7 +27,7 @@ from missions.run_folder import claimed
 from path.messages import Role
 
 if TYPE_CHECKING:
-    from missions.assurance.campaign.run import Order
+    from missions.assurance.campaign.run import RunOrder
 
 MEMORY = Path("/dev/shm")  # logs that nobody will read need no disk
 
@@ -88,7 +88,7 @@ def _moment(rng: random.Random, role: Role) -> str:
     return f"{rng.choice(PHASES[role])}+{rng.uniform(0.0, 8.0):.2f}"
 
 
-def fly(order: Order) -> list[RunLine]:
+def fly(order: RunOrder) -> list[RunLine]:
     rig = _shorter(order)
     lines: list[RunLine] = []
     for level, number in order.runs:
@@ -97,7 +97,7 @@ def fly(order: Order) -> list[RunLine]:
     return lines
 
 
-def replay(order: Order, out: Path | None) -> RunLine:
+def replay(order: RunOrder, out: Path | None) -> RunLine:
     """The run's story on the terminal, and its logs in a folder."""
     (level, number), *_ = order.runs
     folder = out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign"
@@ -125,7 +125,7 @@ class _Story:
         sys.stdout.write(f"{time_s:9.3f} s  {progress.role.value:<9}{progress.phase:<10}{holds:<12}{progress.note}\n")
 
 
-def _shorter(order: Order) -> Rig:
+def _shorter(order: RunOrder) -> Rig:
     rig = with_errors(rig_library.load(order.rig), order.errors)
     if rig.level not in ("sim", "sim-rendered"):
         raise PartError(f"rig {rig.name} flies in real time", "a campaign of roles wants a rig of level sim")

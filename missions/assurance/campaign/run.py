@@ -1,4 +1,4 @@
-"""``path-handoff campaign``: many seeded runs under faults, kept line by line, and their table."""
+"""``path-handoff campaign``: many seeded runs under faults, as resumable JSON lines, and their table."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from flight.outcome import violated_outcome
 from missions import rig_library
 from missions.assurance.campaign import machine_runs, role_runs
 from missions.assurance.campaign.levels import LEVELS
-from missions.assurance.campaign.results import RunLine, kept_results
+from missions.assurance.campaign.results import RunLine, resumable_results
 from missions.assurance.campaign.summary import draw_outcomes, summarize, table
 from missions.options import CampaignOptions, LevelName
 from missions.report.junit import JUnitCase, write_junit
@@ -29,7 +29,7 @@ SUMMARY, PICTURE = "summary.json", "outcomes.png"
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class RunOrder:
     """Some runs of one campaign, done at a time: ``(level, number)`` each."""
 
     rig: str
@@ -39,10 +39,10 @@ class Order:
 
 
 class Workers(Protocol):
-    """Who does the work: this computer's cores, or a cluster's."""
+    """The workers: this computer's cores, or a cluster's."""
 
     def stream(
-        self, what: str, piece: Callable[[Order], list[RunLine]], items: Sequence[Order]
+        self, what: str, piece: Callable[[RunOrder], list[RunLine]], items: Sequence[RunOrder]
     ) -> Iterator[list[RunLine]]: ...
 
 
@@ -56,8 +56,8 @@ class Kind:
         at_a_time: runs in an order, so that a piece takes about a second.
     """
 
-    fly: Callable[[Order], list[RunLine]]
-    replay: Callable[[Order, Path | None], RunLine]
+    fly: Callable[[RunOrder], list[RunLine]]
+    replay: Callable[[RunOrder, Path | None], RunLine]
     at_a_time: int
 
 
@@ -81,13 +81,13 @@ def run(options: CampaignOptions) -> int:
     if options.errors is not None:
         asked["errors"] = options.errors
     kind = KINDS[options.program]
-    with kept_results(folder, asked) as results:
+    with resumable_results(folder, asked) as results:
         done = {line.number for line in results.lines}
         left = [number for number in range(options.runs) if number not in done]
         if done:
             sys.stdout.write(f"{folder}: {len(done)} runs are done, {len(left)} are left\n")
         orders = [
-            Order(
+            RunOrder(
                 options.rig,
                 options.seed,
                 tuple((levels[number % len(levels)], number) for number in piece),
@@ -137,7 +137,7 @@ def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
     assert options.only is not None
     if len(levels) != 1:
         raise PartError("--only shows one run: of which level?", f"name it with --faults, one of {', '.join(LEVELS)}")
-    order = Order(options.rig, options.seed, ((levels[0], options.only),), options.errors)
+    order = RunOrder(options.rig, options.seed, ((levels[0], options.only),), options.errors)
     line = KINDS[options.program].replay(order, options.out)
     for what in (*line.violations, *(f"(after a clock was set) {one}" for one in line.beyond)):
         sys.stdout.write(f"violated: {what}\n")
@@ -146,7 +146,7 @@ def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
 
 
 def exit_code(monitors: Collection[str]) -> int:
-    """Of runs in which these monitors were violated, none for 0."""
+    """Returns the exit code of runs in which these monitors were violated, none for 0."""
     return violated_outcome(monitors).exit_code if monitors else CommandEnd.DONE.exit_code
 
 

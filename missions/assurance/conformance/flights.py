@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.interfaces import FlightMode, VehicleError, VelocitySetpoint
-from missions.assurance.conformance.stage import ARM, FORCE, SET_MODE, TAKE_OFF, Stage, Values
+from missions.assurance.conformance.stage import ARM, FORCE, SET_MODE, TAKE_OFF, FlightStage, Values
 from missions.assurance.conformance.track import (
     AIRBORNE_M,
-    Track,
+    FlightTrack,
     estimate_errors,
     fastest_mps,
     first,
@@ -39,7 +39,7 @@ STREAMS = {
 }
 
 
-async def on_the_ground(stage: Stage) -> Values:
+async def on_the_ground(stage: FlightStage) -> Values:
     """Answers to what makes no sense, and how long it waits armed."""
     await stage.ready()
     found: Values = {
@@ -60,7 +60,7 @@ async def on_the_ground(stage: Stage) -> Values:
     return found
 
 
-async def course(stage: Stage) -> Values:
+async def course(stage: FlightStage) -> Values:
     """Take-off, hover, steps of speed and heading, another station's hold, landing."""
     found = await _take_off(stage)
     found |= await _in_the_air(stage)
@@ -70,7 +70,7 @@ async def course(stage: Stage) -> Values:
     return found | await _landing(stage)
 
 
-async def _take_off(stage: Stage) -> Values:
+async def _take_off(stage: FlightStage) -> Values:
     await stage.ready()
     await stage.vehicle.arm()
     begun_s = stage.now_s
@@ -79,7 +79,7 @@ async def _take_off(stage: Stage) -> Values:
     answer = stage.answer(TAKE_OFF, begun_s)
     sent_s = begun_s if answer is None else answer.time_s
     await stage.wait(2.0)
-    track = Track.of(stage.bench.instants, sent_s)
+    track = FlightTrack.of(stage.bench.instants, sent_s)
     off_s = first(track.t, track.height > AIRBORNE_M, sent_s)
     final_m = float(np.mean(track.height[track.t > stage.now_s - 1.0]))
     high_s = first(track.t, track.height > 0.9 * final_m, sent_s)
@@ -96,7 +96,7 @@ async def _take_off(stage: Stage) -> Values:
     }
 
 
-async def _in_the_air(stage: Stage) -> Values:
+async def _in_the_air(stage: FlightStage) -> Values:
     found: Values = {
         "arm_in_air": await stage.order(ARM, 1.0),
         "disarm_in_air": await stage.order(ARM, 0.0),
@@ -109,11 +109,11 @@ async def _in_the_air(stage: Stage) -> Values:
     return found
 
 
-async def _hover(stage: Stage) -> Values:
+async def _hover(stage: FlightStage) -> Values:
     """Eight seconds in HOLD: how still it stands, what its estimate is off by, how often it tells."""
     begin_s = stage.now_s
     await stage.wait(HOLD_S)
-    track = Track.of(stage.bench.instants, begin_s)
+    track = FlightTrack.of(stage.bench.instants, begin_s)
     away = track.position - track.position[0]
     errors = estimate_errors([each for each in stage.bench.instants if each.time_s >= begin_s])
     found: Values = {
@@ -129,7 +129,7 @@ async def _hover(stage: Stage) -> Values:
     return found
 
 
-async def _setpoints(stage: Stage) -> Values:
+async def _setpoints(stage: FlightStage) -> Values:
     found: Values = {"offboard_unready": await stage.order_mode(FlightMode.OFFBOARD)}
     await stage.wait(1.5)
     found["offboard_unready_then"] = stage.heard.shown[-1].mode.value
@@ -140,7 +140,7 @@ async def _setpoints(stage: Stage) -> Values:
     found["offboard_s"] = stage.now_s - begun_s
     start_s = await stage.fly((STEP_MPS, 0.0, 0.0), yaw, STEP_S)
     stop_s = await stage.fly((0.0, 0.0, 0.0), yaw, 3.0)
-    track = Track.of(stage.bench.instants, start_s)
+    track = FlightTrack.of(stage.bench.instants, start_s)
     flown = track.t < stop_s
     answer = response(track.t[flown], track.velocity[flown, 0], start_s, STEP_MPS)
     found |= {
@@ -153,13 +153,13 @@ async def _setpoints(stage: Stage) -> Values:
     return found | await _climb_and_turn(stage, yaw)
 
 
-async def _climb_and_turn(stage: Stage, yaw: float) -> Values:
+async def _climb_and_turn(stage: FlightStage, yaw: float) -> Values:
     up_s = await stage.fly((0.0, 0.0, -0.5), yaw, 3.0)
     still_s = await stage.fly((0.0, 0.0, 0.0), yaw, 1.5)
-    track = Track.of(stage.bench.instants, up_s, still_s)
+    track = FlightTrack.of(stage.bench.instants, up_s, still_s)
     climb = response(track.t, -track.velocity[:, 2], up_s, 0.5)
     turn_s = await stage.fly((0.0, 0.0, 0.0), yaw + math.pi / 2.0, 6.0)
-    track = Track.of(stage.bench.instants, turn_s)
+    track = FlightTrack.of(stage.bench.instants, turn_s)
     turned = np.degrees(track.yaw - track.yaw[0])
     return {
         "climb_rise_s": climb.rise_s,
@@ -170,11 +170,11 @@ async def _climb_and_turn(stage: Stage, yaw: float) -> Values:
     }
 
 
-async def _offboard(stage: Stage, yaw: float) -> None:
+async def _offboard(stage: FlightStage, yaw: float) -> None:
     await stage.vehicle.start_offboard(VelocitySetpoint((0.0, 0.0, 0.0), yaw))
 
 
-async def _other_station(stage: Stage) -> Values:
+async def _other_station(stage: FlightStage) -> Values:
     """Another ground station selects the hold while setpoints go on."""
     yaw, sent_s = stage.yaw_rad, stage.now_s
     answer = await stage.order_mode(FlightMode.HOLD)
@@ -186,12 +186,12 @@ async def _other_station(stage: Stage) -> Values:
     return {"other_hold": answer, "other_hold_seen_s": seen_s, "other_hold_then": kept.value}
 
 
-async def _landing(stage: Stage) -> Values:
+async def _landing(stage: FlightStage) -> Values:
     begun_s = stage.now_s
     top_m = stage.height_m
     await stage.vehicle.land(60.0)
     await stage.wait(1.0)
-    track = Track.of(stage.bench.instants, begun_s)
+    track = FlightTrack.of(stage.bench.instants, begun_s)
     touch_s = first(track.t, track.height < AIRBORNE_M, begun_s)
     shown = modes_since(stage.heard.shown, begun_s)
     landed = landed_since(stage.heard.landed, begun_s, stage.now_s)
@@ -208,7 +208,7 @@ async def _landing(stage: Stage) -> Values:
     }
 
 
-async def setpoints_stop(stage: Stage) -> Values:
+async def setpoints_stop(stage: FlightStage) -> Values:
     """The companion lives, its heartbeats come, its setpoints do not."""
     await stage.up(HEIGHT_M)
     await _offboard(stage, stage.yaw_rad)
@@ -216,8 +216,8 @@ async def setpoints_stop(stage: Stage) -> Values:
     return await _left_alone(stage, "silent")
 
 
-async def cable_cut(stage: Stage) -> Values:
-    """Nothing of the companion comes any more, while it flew by setpoints."""
+async def cable_cut(stage: FlightStage) -> Values:
+    """Cuts the cable while it flies by setpoints: nothing of the companion comes any more."""
     await stage.up(HEIGHT_M)
     await _offboard(stage, stage.yaw_rad)
     await stage.fly((0.5, 0.0, 0.0), stage.yaw_rad, 3.0)
@@ -225,19 +225,19 @@ async def cable_cut(stage: Stage) -> Values:
     return await _left_alone(stage, "cut")
 
 
-async def cable_cut_in_hold(stage: Stage) -> Values:
+async def cable_cut_in_hold(stage: FlightStage) -> Values:
     """The same while it holds: no setpoints are missed, only heartbeats."""
     await stage.up(HEIGHT_M)
     stage.bench.cut = True
     return await _left_alone(stage, "cut_hold")
 
 
-async def _left_alone(stage: Stage, name: str) -> Values:
-    """What it does by itself within 20 s, by its heartbeats and by the truth."""
+async def _left_alone(stage: FlightStage, name: str) -> Values:
+    """Returns what it does by itself within 20 s, by its heartbeats and by the truth."""
     from_s = stage.now_s
     await stage.until(lambda: not stage.armed, 20.0)
     changes = modes_since(stage.heard.shown, from_s)
-    track = Track.of(stage.bench.instants, from_s)
+    track = FlightTrack.of(stage.bench.instants, from_s)
     stood_s, stood_m = standing(track, from_s)
     return {
         f"{name}_modes": in_words(changes),
@@ -249,7 +249,7 @@ async def _left_alone(stage: Stage, name: str) -> Values:
     }
 
 
-async def pilot(stage: Stage) -> Values:
+async def pilot(stage: FlightStage) -> Values:
     """A mode that needs sticks, of a vehicle that has no remote control."""
     await stage.up(5.0)
     await stage.wait(1.0)
@@ -259,7 +259,7 @@ async def pilot(stage: Stage) -> Values:
     seen_s = await stage.until(lambda: stage.vehicle.state.mode is not FlightMode.HOLD, 2.0)
     seen_s = None if seen_s is None else stage.now_s - from_s
     await stage.until(lambda: stage.height_m < 1.5, max(0.0, from_s + 3.0 - stage.now_s))
-    track = Track.of(stage.bench.instants, from_s)
+    track = FlightTrack.of(stage.bench.instants, from_s)
     found: Values = {
         "pilot": answer,
         "pilot_seen_s": seen_s,
@@ -275,8 +275,8 @@ async def pilot(stage: Stage) -> Values:
     return found
 
 
-async def battery_and_kill(stage: Stage) -> Values:
-    """Nothing left in the air; and the motors stopped by force before the ground."""
+async def battery_and_kill(stage: FlightStage) -> Values:
+    """Flies until nothing is left in the battery; and stops the motors by force before the ground."""
     await stage.up(HEIGHT_M)
     from_s = stage.now_s
     stage.bench.sag_battery(0.0)
@@ -295,27 +295,27 @@ async def battery_and_kill(stage: Stage) -> Values:
     await stage.until(lambda: not stage.armed, 3.0)
     found["kill_s"] = when(modes_since(stage.heard.shown, kill_s), "disarmed")
     await stage.wait(1.0)
-    track = Track.of(stage.bench.instants, kill_s)
+    track = FlightTrack.of(stage.bench.instants, kill_s)
     found["kill_drop_mps"] = fastest_mps(track.t, -track.height, 0.2)
     return found
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class SuiteFlight:
     """One of the suite's flights; ``limit_s`` of the vehicle's time."""
 
     name: str
     what: str
-    fly: Callable[[Stage], Awaitable[Values]]
+    fly: Callable[[FlightStage], Awaitable[Values]]
     limit_s: float = 150.0
 
 
 FLIGHTS = (
-    Flight("ground", "commands on the ground", on_the_ground),
-    Flight("course", "take-off, hover, setpoints, landing", course, 240.0),
-    Flight("silent", "setpoints stop", setpoints_stop),
-    Flight("cut", "the cable is cut while setpoints fly it", cable_cut),
-    Flight("cut-hold", "the cable is cut while it holds", cable_cut_in_hold),
-    Flight("pilot", "a pilot's mode without a pilot", pilot),
-    Flight("battery", "battery empty, motors stopped by force", battery_and_kill),
+    SuiteFlight("ground", "commands on the ground", on_the_ground),
+    SuiteFlight("course", "take-off, hover, setpoints, landing", course, 240.0),
+    SuiteFlight("silent", "setpoints stop", setpoints_stop),
+    SuiteFlight("cut", "the cable is cut while setpoints fly it", cable_cut),
+    SuiteFlight("cut-hold", "the cable is cut while it holds", cable_cut_in_hold),
+    SuiteFlight("pilot", "a pilot's mode without a pilot", pilot),
+    SuiteFlight("battery", "battery empty, motors stopped by force", battery_and_kill),
 )

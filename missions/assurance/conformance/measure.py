@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 from drivers.interfaces import PartError, Vehicle, VehicleError
 from drivers.mavlink.bench import VehicleBench
-from missions.assurance.conformance.flights import FLIGHTS, Flight
-from missions.assurance.conformance.stage import ARM, POLL_S, READY_S, Stage, Values
+from missions.assurance.conformance.flights import FLIGHTS, SuiteFlight
+from missions.assurance.conformance.stage import ARM, POLL_S, READY_S, FlightStage, Values
 
 HEARTBEAT_S, OPEN_S = 60.0, 120.0
 TEXT_S = 0.5  # until the text that explains a refusal
@@ -19,8 +19,8 @@ FAILURES = (PartError, AssertionError, IndexError, ValueError)  # of a flight wh
 
 
 @dataclass(slots=True)
-class Measured:
-    """What came out of one vehicle.
+class VehicleMeasures:
+    """The figures measured on one vehicle.
 
     Attributes:
         what: the vehicle in words.
@@ -35,17 +35,17 @@ class Measured:
     restarts: int = 0
 
 
-class Suite:
+class FlightSuite:
     """Flies the flights one after the other. One that fails ends in a landing, or else by switching off."""
 
     def __init__(self, bench: Callable[[], VehicleBench], say: Callable[[str], None]) -> None:
         self._bench = bench
         self._say = say
         self._stack = AsyncExitStack()
-        self._stage: Stage | None = None
-        self.measured = Measured()
+        self._stage: FlightStage | None = None
+        self.measured = VehicleMeasures()
 
-    async def run(self, flights: Sequence[Flight]) -> Measured:
+    async def run(self, flights: Sequence[SuiteFlight]) -> VehicleMeasures:
         """Raises PartError when the vehicle never becomes ready to fly."""
         measured = self.measured
         try:
@@ -66,7 +66,7 @@ class Suite:
             await self._off()
         return measured
 
-    async def _ready(self) -> Stage:
+    async def _ready(self) -> FlightStage:
         """A vehicle that can be armed: the one that has landed, or the same switched off and on."""
         stage = self._stage
         if stage is not None:
@@ -80,7 +80,7 @@ class Suite:
                 return stage
         self._say("switched on, until it can be armed")
         bench = await self._stack.enter_async_context(self._bench())
-        stage = self._stage = Stage(bench)
+        stage = self._stage = FlightStage(bench)
         self.measured.what = bench.what
         found = await _start(stage, self._stack)
         self.measured.values = {**found, **self.measured.values}  # of the first start
@@ -91,7 +91,7 @@ class Suite:
         await stack.aclose()
 
 
-async def _within(stage: Stage, flight: Flight, measured: Measured) -> None:
+async def _within(stage: FlightStage, flight: SuiteFlight, measured: VehicleMeasures) -> None:
     """The flight, within its limit. Raises PartError."""
     task = asyncio.ensure_future(flight.fly(stage))
     try:
@@ -103,7 +103,7 @@ async def _within(stage: Stage, flight: Flight, measured: Measured) -> None:
         await asyncio.gather(task, return_exceptions=True)
 
 
-async def _start(stage: Stage, stack: AsyncExitStack) -> Values:
+async def _start(stage: FlightStage, stack: AsyncExitStack) -> Values:
     """Power-on until ready, with one attempt to arm at the first heartbeat."""
     heard = stage.heard
     if await stage.until(lambda: bool(heard.shown), HEARTBEAT_S) is None:
@@ -117,15 +117,15 @@ async def _start(stage: Stage, stack: AsyncExitStack) -> Values:
     return found
 
 
-async def _arm_early(stage: Stage) -> Values:
-    """By the second ground station: the driver waits until it has an attitude."""
+async def _arm_early(stage: FlightStage) -> Values:
+    """Arms by the second ground station: the driver waits until it has an attitude."""
     sent_s = stage.now_s
     answer = await stage.order(ARM, 1.0)
     await stage.wait(TEXT_S)
     return {"early_arm": answer, "early_arm_text": stage.texts(sent_s)}
 
 
-async def _opened(stage: Stage, stack: AsyncExitStack) -> Vehicle:
+async def _opened(stage: FlightStage, stack: AsyncExitStack) -> Vehicle:
     """The driver, open: one that just began to boot may not answer, or not know how it stands."""
     while True:
         try:
@@ -137,7 +137,7 @@ async def _opened(stage: Stage, stack: AsyncExitStack) -> Vehicle:
             await asyncio.sleep(POLL_S)
 
 
-def chosen(words: Sequence[str]) -> list[Flight]:
+def chosen(words: Sequence[str]) -> list[SuiteFlight]:
     """The flights with one of these words in their name or title; all when there are none. Raises PartError."""
     own = [flight for flight in FLIGHTS if not words or any(word in f"{flight.name} {flight.what}" for word in words)]
     if not own:

@@ -13,8 +13,8 @@ from pathlib import Path
 from drivers.interfaces import PartError
 from flight.command_end import CommandEnd
 from missions import rig_library
-from missions.assurance.conformance.flights import FLIGHTS, Flight
-from missions.assurance.conformance.measure import Suite, chosen
+from missions.assurance.conformance.flights import FLIGHTS, SuiteFlight
+from missions.assurance.conformance.measure import FlightSuite, chosen
 from missions.assurance.conformance.page import page, terminal_table
 from missions.assurance.conformance.record import VEHICLES, Record, joined, read_all, write
 from missions.handoff.command import name_simulators
@@ -55,7 +55,7 @@ def run(options: ConformanceOptions) -> int:
 
 
 def _wanted(options: ConformanceOptions) -> list[str]:
-    """What to fly: those asked for whose simulator is named."""
+    """Returns the vehicles to fly: those asked for whose simulator is named."""
     wanted: list[str] = []
     for vehicle in options.vehicle or VEHICLES if options.fly else ():
         variable = BINARY.get(vehicle)
@@ -66,12 +66,12 @@ def _wanted(options: ConformanceOptions) -> list[str]:
     return wanted
 
 
-def fly(vehicle: str, flights: Sequence[Flight], folder: Path) -> Record:
+def fly(vehicle: str, flights: Sequence[SuiteFlight], folder: Path) -> Record:
     """One vehicle through these flights. Raises PartError when it never becomes ready."""
     rig = rig_library.load(RIGS[vehicle])
     made, load_before = f"{datetime.now():%Y-%m-%d %H:%M}", os.getloadavg()[0]
     bench = trial_part(rig, "bench")
-    suite = Suite(lambda: bench(rig, folder / vehicle), lambda text: _say(f"{vehicle}: {text}"))
+    suite = FlightSuite(lambda: bench(rig, folder / vehicle), lambda text: _say(f"{vehicle}: {text}"))
     logging.getLogger("drivers.mavsdk").setLevel(logging.ERROR)  # a cable that is cut is no news here
     measured = asyncio.run(suite.run(flights))
     return Record(

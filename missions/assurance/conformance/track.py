@@ -1,4 +1,4 @@
-"""What a recorded stretch of flight says: pure functions of its instants. Heights and speeds are true ones."""
+"""The figures of a recorded stretch of flight: pure functions of its instants. Heights and speeds are true ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import FlightMode
-from drivers.mavlink.bench import Instant, Shown
+from drivers.mavlink.bench import HeartbeatShown, Instant
 from path.rotation import conjugate, multiply, wrapped, yaw_of
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ LANDED_STATES = ("undefined", "on ground", "in air", "take-off", "landing")  # M
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class FlightTrack:
     """Arrays over time: ``t`` (n,), ``height`` (n,), ``position`` and ``velocity`` (n, 3) NED, ``yaw`` (n,)."""
 
     t: Array
@@ -31,7 +31,7 @@ class Track:
     yaw: Array
 
     @classmethod
-    def of(cls, instants: Sequence[Instant], start_s: float, end_s: float = math.inf) -> Track:
+    def of(cls, instants: Sequence[Instant], start_s: float, end_s: float = math.inf) -> FlightTrack:
         own = [each for each in instants if start_s <= each.time_s <= end_s]
         return cls(
             np.array([each.time_s for each in own]),
@@ -60,7 +60,7 @@ def fastest_mps(t: Array, values: Array, window_s: float = 0.5) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """To a step of a speed: seconds to 63 % of it, largest excess in percent, error once settled."""
+    """The response to a step of a speed: seconds to 63 % of it, largest excess in percent, error once settled."""
 
     rise_s: float | None
     overshoot_percent: float
@@ -75,7 +75,7 @@ def response(t: Array, speed: Array, from_s: float, wanted_mps: float) -> Respon
     return Response(rise_s, max(0.0, excess), float(np.mean(settled)) - wanted_mps)
 
 
-def standing(track: Track, from_s: float, slow_mps: float = 0.2) -> tuple[float | None, float | None]:
+def standing(track: FlightTrack, from_s: float, slow_mps: float = 0.2) -> tuple[float | None, float | None]:
     """Seconds and metres from a moment until the horizontal speed was first below ``slow_mps``."""
     speed = np.hypot(track.velocity[:, 0], track.velocity[:, 1])
     after_s = first(track.t, speed < slow_mps, from_s)
@@ -115,7 +115,7 @@ def _tilt(q: tuple[float, float, float, float]) -> float:
     return math.acos(max(-1.0, min(1.0, w * w - x * x - y * y + z * z)))
 
 
-def modes_since(shown: Sequence[Shown], from_s: float) -> list[tuple[float, str]]:
+def modes_since(shown: Sequence[HeartbeatShown], from_s: float) -> list[tuple[float, str]]:
     """(seconds after ``from_s``, mode or "disarmed") of every change that the heartbeats showed."""
     before = [each for each in shown if each.time_s <= from_s]
     last = _named(before[-1]) if before else ""
@@ -127,7 +127,7 @@ def modes_since(shown: Sequence[Shown], from_s: float) -> list[tuple[float, str]
     return changes
 
 
-def _named(shown: Shown) -> str:
+def _named(shown: HeartbeatShown) -> str:
     if not shown.armed:
         return "disarmed"
     return shown.mode.value if shown.mode is not FlightMode.OTHER else f"mode {shown.custom_mode:#x}"
@@ -138,7 +138,7 @@ def in_words(changes: Sequence[tuple[float, str]]) -> str:
 
 
 def when(changes: Sequence[tuple[float, str]], name: str) -> float | None:
-    """When it first showed ``name``."""
+    """Returns when it first showed ``name``; None when it never did."""
     return next((time_s for time_s, shown in changes if shown == name), None)
 
 

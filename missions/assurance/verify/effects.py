@@ -1,4 +1,4 @@
-"""What either machine makes of an event, worked out once for each state: worlds of numbers, tables of effects."""
+"""The effects of an event on either machine, worked out once for each state: worlds of numbers, tables of effects."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from missions.assurance.verify.model import (
     RECEIVER_ID,
     SECOND_ID,
     UNREAD,
-    Packet,
+    ModelPacket,
     Scope,
     Side,
     candidate,
@@ -59,7 +59,7 @@ class Interned(Generic[T]):
 
 
 class Effect(NamedTuple):
-    """What a machine does on an event.
+    """The effect of an event on a machine.
 
     Attributes:
         what: the event, in words.
@@ -102,15 +102,18 @@ def bits(mask: int) -> list[int]:
 
 
 class Effects:
-    """Tables of one scope. Machines are told every instant relative to the present of the sender's clock, which is 0;
-    the receiver's clock then shows the skew."""
+    """Tables of one scope.
+
+    Machines are told every instant relative to the present of the sender's clock, which is 0. The receiver's clock then
+    shows the skew.
+    """
 
     def __init__(self, scope: Scope) -> None:
         self.scope = scope
         self.config = scope.config
         self.senders = Interned[sender.SenderState | Dead]()
         self.receivers = Interned[receiver.ReceiverState | Dead]()
-        self.packets = Interned[Packet]()
+        self.packets = Interned[ModelPacket]()
         self.sender_records = Interned[SenderRecord]()
         self.receiver_records = Interned[ReceiverRecord]()
         self._by_sender: dict[tuple[int, SenderEvent], Effect] = {}
@@ -151,7 +154,7 @@ class Effects:
         halves: list[tuple[int, int]] = []
         for action in actions:
             if isinstance(action, Send):
-                sent |= 1 << self.packets(Packet(to, unstamped(action.message)))
+                sent |= 1 << self.packets(ModelPacket(to, unstamped(action.message)))
                 if isinstance(action.message, Commit):
                     commits.append((action.message.epoch, action.message.target_id))
             elif isinstance(action, Persist) and isinstance(action.record, SenderRecord):
@@ -164,7 +167,7 @@ class Effects:
     # --- packets ----------------------------------------------------------------------------------------------
 
     def heard_by_sender(self, state: int, packets: int) -> list[Effect]:
-        """What may come of the packets on the link; those of which nothing comes are left out."""
+        """Returns what may come of the packets on the link; those of which nothing comes are left out."""
         return self._heard_of("sender", state, 0, packets)
 
     def heard_by_receiver(self, state: int, skew: int, packets: int, instance: int = RECEIVER_ID) -> list[Effect]:
@@ -184,8 +187,11 @@ class Effects:
             effects.extend(of_packet)
         return effects
 
-    def _hear(self, side: Side, state: int, skew: int, packet: Packet, instance: int) -> tuple[Effect, ...]:
-        """Of the packet itself, and of the same word about something else, of which nothing may come (S6)."""
+    def _hear(self, side: Side, state: int, skew: int, packet: ModelPacket, instance: int) -> tuple[Effect, ...]:
+        """Returns the effects of the packet and, of the same word about something else, any at all.
+
+        There may be none (S6).
+        """
         if packet.to != side:
             return ()
         name = type(packet.message).__name__
@@ -219,24 +225,24 @@ class Effects:
         return self.receiver_told(state, skew, Tick(), "the receiver notices the time")
 
     def said(self, state: int, held: int, skew: int, second: int = NOBODY) -> int:
-        """What the drones say in these states, as they say it all the time."""
+        """Returns the packets that the drones send in these states all the time."""
         found = self._words.get((state, held, skew, second))
         if found is None:
-            packets: list[Packet] = []
+            packets: list[ModelPacket] = []
             gives, takes = self.senders.values[state], self.receivers.values[held]
             if not isinstance(gives, Dead):
-                packets.append(Packet("receiver", status(Role.SENDER, sender.is_responsible(gives), 0)))
+                packets.append(ModelPacket("receiver", status(Role.SENDER, sender.is_responsible(gives), 0)))
                 if not isinstance(gives, sender.Idle | sender.Keeping | sender.HandedOver):
-                    packets.append(Packet("receiver", target(gives.live)))
+                    packets.append(ModelPacket("receiver", target(gives.live)))
             if not isinstance(takes, Dead):
-                packets.append(Packet("sender", status(Role.RECEIVER, receiver.is_responsible(takes, skew), skew)))
+                packets.append(ModelPacket("sender", status(Role.RECEIVER, receiver.is_responsible(takes, skew), skew)))
                 if takes.live is not None:
-                    packets.append(Packet("sender", candidate(takes.live)))
+                    packets.append(ModelPacket("sender", candidate(takes.live)))
             if second != NOBODY:
                 other = self.receivers.values[second]
                 assert not isinstance(other, Dead)
                 said = status(Role.RECEIVER, receiver.is_responsible(other, skew), skew, SECOND_ID)
-                packets.append(Packet("sender", said))
+                packets.append(ModelPacket("sender", said))
             found = 0
             for packet in packets:
                 found |= 1 << self.packets(packet)

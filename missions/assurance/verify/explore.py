@@ -16,8 +16,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from missions.assurance.verify.model import UNREAD, Scope, World
-from missions.assurance.verify.moves import TICK, Move, Moves
+from missions.assurance.verify.model import UNREAD, ModelWorld, Scope
+from missions.assurance.verify.moves import TICK, ModelStep, Moves
 
 _ONES = 24  # bits for a number of crashes, aborts, attempts or ticks
 _RECORD = 16
@@ -26,7 +26,7 @@ _COMPLEMENT = (1 << _RECORD) - 1
 
 @dataclass(frozen=True, slots=True)
 class Exploration:
-    """What was found.
+    """The result of an exploration.
 
     Attributes:
         states, steps: worlds that were entered, and steps that were taken from them.
@@ -49,15 +49,15 @@ class Exploration:
     pairs: Counter[tuple[str, str]]
 
 
-class Seen(Protocol):
+class SeenWorlds(Protocol):
     """The worlds that were seen."""
 
-    def add(self, world: World) -> bool:
-        """Whether it is to be entered: it is new."""
+    def add(self, world: ModelWorld) -> bool:
+        """Returns whether the world is to be entered: it is new."""
         ...
 
-    def still(self, world: World) -> bool:
-        """Whether it is worth going on from: nothing better was seen since."""
+    def still(self, world: ModelWorld) -> bool:
+        """Returns whether the world is worth going on from: nothing better was seen since."""
         ...
 
 
@@ -65,20 +65,22 @@ class Exact:
     """Each world by itself."""
 
     def __init__(self) -> None:
-        self.worlds: set[World] = set()
+        self.worlds: set[ModelWorld] = set()
 
-    def add(self, world: World) -> bool:
+    def add(self, world: ModelWorld) -> bool:
         before = len(self.worlds)
         self.worlds.add(world)
         return len(self.worlds) > before
 
-    def still(self, world: World) -> bool:
+    def still(self, world: ModelWorld) -> bool:
         del world
         return True
 
 
-def weight(world: World) -> int:
-    """As bits, all that may still happen in a world: a world covers another when it has all of the other's bits.
+def weight(world: ModelWorld) -> int:
+    """Returns as bits all that may still happen in a world.
+
+    A world covers another when it has all of the other's bits.
 
     Numbers are as many ones; records, which have to be equal unless nobody reads them, are their bits and the
     complement of their bits, of which none contains another.
@@ -91,23 +93,26 @@ def weight(world: World) -> int:
     return bits
 
 
-def covers(large: World, small: World) -> bool:
-    """Whether what can happen in ``small`` can happen in ``large``. All machines' states, skew and agreement agree."""
+def covers(large: ModelWorld, small: ModelWorld) -> bool:
+    """Returns whether what can happen in ``small`` can happen in ``large``.
+
+    All machines' states, skew and agreement agree.
+    """
     return not weight(small) & ~weight(large)
 
 
-def _place(world: World) -> tuple[int, ...]:
-    """What worlds that cover one another have in common."""
+def _place(world: ModelWorld) -> tuple[int, ...]:
+    """Returns the key that worlds share which may cover one another."""
     return world.sender, world.receiver, world.second, world.skew, world.agreed
 
 
 class Covering:
-    """Only worlds that no other covers."""
+    """The set of only those worlds that no other covers."""
 
     def __init__(self) -> None:
         self._weights: dict[tuple[int, ...], list[int]] = {}
 
-    def add(self, world: World) -> bool:
+    def add(self, world: ModelWorld) -> bool:
         key = _place(world)
         bits = weight(world)
         known = self._weights.get(key)
@@ -121,39 +126,39 @@ class Covering:
         known[:] = [bits, *[other for other in known if bits | other != bits]]
         return True
 
-    def still(self, world: World) -> bool:
+    def still(self, world: ModelWorld) -> bool:
         return weight(world) in self._weights[_place(world)]
 
-    def covered(self, world: World) -> bool:
+    def covered(self, world: ModelWorld) -> bool:
         known = self._weights.get(_place(world), ())
         bits = weight(world)
         return any(bits | other == other for other in known)
 
 
 class _Trail:
-    """What was found so far, and how it was reached."""
+    """The worlds found so far, and how they were reached."""
 
     def __init__(self, moves: Moves) -> None:
         self.moves = moves
-        self.came_from: dict[World, tuple[World, str] | None] = {}
+        self.came_from: dict[ModelWorld, tuple[ModelWorld, str] | None] = {}
         self.broken: Counter[str] = Counter()
         self.example: tuple[str, ...] = ()
         self.entered = self.steps = self.in_flight = 0
         self.pairs: Counter[tuple[int, int]] = Counter()
 
-    def enter(self, world: World) -> None:
+    def enter(self, world: ModelWorld) -> None:
         self.entered += 1
         self.in_flight = max(self.in_flight, world.packets.bit_count())
         self.pairs[world.sender, world.receiver] += 1
 
-    def take(self, world: World, move: Move) -> None:
+    def take(self, world: ModelWorld, move: ModelStep) -> None:
         self.steps += 1
         if move.broken:
             if not self.broken:
                 self.example = (*self._way(world), f"{move.what}: breaks {move.broken}")
             self.broken[move.broken] += 1
 
-    def _way(self, world: World) -> tuple[str, ...]:
+    def _way(self, world: ModelWorld) -> tuple[str, ...]:
         steps: list[str] = []
         while (before := self.came_from[world]) is not None:
             world, what = before
@@ -167,7 +172,7 @@ def explore(
     advance: Callable[[int, int], None] | None = None,
     *,
     until_broken: bool = False,
-    seen: Seen | None = None,
+    seen: SeenWorlds | None = None,
     moves: Moves | None = None,
 ) -> Exploration:
     """Everything that can happen in a scope.
@@ -202,9 +207,9 @@ def explore(
     )
 
 
-def _one_instant(trail: _Trail, seen: Seen, waiting: list[World], until_broken: bool) -> list[World]:
+def _one_instant(trail: _Trail, seen: SeenWorlds, waiting: list[ModelWorld], until_broken: bool) -> list[ModelWorld]:
     """Everything that can happen before the next tick, and the worlds of that tick."""
-    ticks: list[tuple[World, World]] = []
+    ticks: list[tuple[ModelWorld, ModelWorld]] = []
     for world in waiting:  # grows while it is walked through
         if not seen.still(world):
             continue
@@ -218,7 +223,7 @@ def _one_instant(trail: _Trail, seen: Seen, waiting: list[World], until_broken: 
                 waiting.append(move.world)
             if until_broken and trail.broken:
                 return []
-    following: list[World] = []
+    following: list[ModelWorld] = []
     for world, after in ticks:
         if seen.still(world) and seen.add(after):
             trail.came_from[after] = (world, TICK)

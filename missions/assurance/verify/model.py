@@ -39,7 +39,7 @@ Side = Literal["sender", "receiver"]
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """How large a world is explored; times in ticks.
+    """The size of the world that is explored; times in ticks.
 
     Attributes:
         crashes, aborts: how often each may happen; ``attempts``: how often the sender begins.
@@ -91,12 +91,12 @@ class Scope:
         return 2 * self.uncertainty + self.guard + 1 - STATUS_AGE
 
 
-class Packet(NamedTuple):
+class ModelPacket(NamedTuple):
     to: Side
     message: Message
 
 
-class World(NamedTuple):
+class ModelWorld(NamedTuple):
     """One situation: numbers of interned values, see ``Effects``. All instants are relative to the sender's clock.
 
     Attributes:
@@ -122,14 +122,14 @@ class World(NamedTuple):
     alone: int
 
 
-def packet_later(packet: Packet, past: int) -> Packet | None:
+def packet_later(packet: ModelPacket, past: int) -> ModelPacket | None:
     """A tick later; only instants that a machine looks at age. None for a Status that is too old to be told apart."""
     message = packet.message
     if isinstance(message, Commit):
-        return Packet(packet.to, replace(message, lease_end_ns=max(message.lease_end_ns - 1, -past)))
+        return ModelPacket(packet.to, replace(message, lease_end_ns=max(message.lease_end_ns - 1, -past)))
     if isinstance(message, Status):
         aged = replace(message, stamp_ns=message.stamp_ns - 1)
-        return Packet(packet.to, aged) if aged.stamp_ns > STATUS_AGE else None
+        return ModelPacket(packet.to, aged) if aged.stamp_ns > STATUS_AGE else None
     return packet
 
 
@@ -149,13 +149,14 @@ def status(role: Role, responsible: bool, stamp: int, instance: int = RECEIVER_I
 
 
 def unstamped(message: Message) -> Message:
-    """Without the stamps that no machine looks at: packets that say the same are the same."""
+    """Returns a message without the stamps that no machine looks at: packets that say the same are the same."""
     return message if isinstance(message, Status | Target | Candidate) else replace(message, stamp_ns=0)
 
 
 def misdirected(message: Message, scope: Scope) -> tuple[Message, ...]:
-    """The same word about another handoff, object, commit or receiver, and a lease that nobody gives: nothing may
-    follow (S6).
+    """Returns the same word about another handoff, object, commit or receiver, and a lease that nobody gives.
+
+    Nothing may follow from these (S6).
 
     A Target begins an attempt and a first Commit brings its nonce: another is as good.
     """

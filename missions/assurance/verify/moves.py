@@ -1,4 +1,4 @@
-"""What can happen next in a world, and whether it may: every step is held against the invariants of the hand-over."""
+"""The steps from a world, each held against the invariants of the hand-over."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from missions.assurance.verify.model import (
     SECOND_ID,
     TARGET_ID,
     UNREAD,
+    ModelWorld,
     Scope,
-    World,
 )
 from missions.assurance.verify.rules import (
     Dead,
@@ -31,9 +31,9 @@ from path.protocol.values import (
     AbortRequested,
     AgreementComplete,
     Handoff,
+    HandoffOutcome,
     NewMission,
     Offer,
-    Outcome,
     ReceiverRecord,
     SenderEvent,
     SenderRecord,
@@ -47,11 +47,11 @@ _CLOCKS = ((True, ""), (False, ", after a reboot"))
 _PILOT = AbortRequested(AbortReason.PILOT)
 
 
-class Move(NamedTuple):
+class ModelStep(NamedTuple):
     """One step: what happened, what came of it, and the invariant it broke ("" when none)."""
 
     what: str
-    world: World
+    world: ModelWorld
     broken: str = ""
 
 
@@ -64,8 +64,8 @@ class Moves:
         self._senders = self.effects.senders.values
         self._receivers = self.effects.receivers.values
 
-    def start(self, skew: int) -> World:
-        """Nothing has begun; the receiver observes."""
+    def start(self, skew: int) -> ModelWorld:
+        """Returns the world in which nothing has begun; the receiver observes."""
         effects, scope = self.effects, self.scope
         state, held = effects.senders(sender.Idle()), effects.receivers(receiver.Observing())
         kept, noted = effects.sender_records(SenderRecord()), effects.receiver_records(ReceiverRecord())
@@ -73,22 +73,22 @@ class Moves:
             kept = noted = UNREAD
         second = held if scope.receivers > 1 else NOBODY
         packets = effects.said(state, held, skew, second)
-        begun = World(
+        begun = ModelWorld(
             state, held, skew, packets, scope.crashes, scope.aborts, scope.attempts, kept, noted, second, 0, 0
         )
         return begun
 
-    def sender_of(self, world: World) -> sender.SenderState | Dead:
+    def sender_of(self, world: ModelWorld) -> sender.SenderState | Dead:
         return self._senders[world.sender]
 
-    def receiver_of(self, world: World) -> receiver.ReceiverState | Dead:
+    def receiver_of(self, world: ModelWorld) -> receiver.ReceiverState | Dead:
         return self._receivers[world.receiver]
 
     def names(self, state: int, held: int) -> tuple[str, str]:
-        """Of a pair of the machines' states, by their numbers."""
+        """Returns the names of a pair of the machines' states, by their numbers."""
         return type(self._senders[state]).__name__, type(self._receivers[held]).__name__
 
-    def __call__(self, world: World) -> Iterator[Move]:
+    def __call__(self, world: ModelWorld) -> Iterator[ModelStep]:
         if not isinstance(self.sender_of(world), Dead):
             for effect in self.effects.heard_by_sender(world.sender, world.packets):
                 yield from self._sender_does(world, effect)
@@ -108,7 +108,7 @@ class Moves:
 
     # --- time -------------------------------------------------------------------------------------------------
 
-    def _time(self, world: World) -> Iterator[Move]:
+    def _time(self, world: ModelWorld) -> Iterator[ModelStep]:
         """Either program notices what is due, at once or late by up to the guard; or a tick passes."""
         guard, most = self.scope.guard, self.scope.uncertainty + self.scope.beyond
         gives, takes = self.sender_of(world), self.receiver_of(world)
@@ -134,12 +134,12 @@ class Moves:
             if patient or not any(late):
                 yield self._tick(world, skew)
 
-    def _tick(self, world: World, skew: int) -> Move:
+    def _tick(self, world: ModelWorld, skew: int) -> ModelStep:
         effects = self.effects
         state = effects.aged("sender", effects.senders, world.sender)
         held = effects.aged("receiver", effects.receivers, world.receiver)
         second = NOBODY if world.second == NOBODY else effects.aged("receiver", effects.receivers, world.second)
-        after = World(
+        after = ModelWorld(
             state,
             held,
             skew,
@@ -153,25 +153,25 @@ class Moves:
             world.agreed,
             min(world.alone + 1, self.scope.longest_gap + 1) if self._bounded and self._nobody(world) else 0,
         )
-        return Move(TICK, after, self._overdue(after) if self._bounded else "")
+        return ModelStep(TICK, after, self._overdue(after) if self._bounded else "")
 
     @property
     def _bounded(self) -> bool:
         """Programs are awake in time, and each gap and wait may be held against its bound."""
         return not self.scope.stalls and self.scope.receivers == 1
 
-    def _holders(self, world: World) -> int:
+    def _holders(self, world: ModelWorld) -> int:
         second = False if world.second == NOBODY else responsible_receiver(self._second_of(world), world.skew)
         first = responsible_receiver(self.receiver_of(world), world.skew)
         return responsible_sender(self.sender_of(world)) + first + second
 
-    def _second_of(self, world: World) -> receiver.ReceiverState:
+    def _second_of(self, world: ModelWorld) -> receiver.ReceiverState:
         second = self._receivers[world.second]
         assert not isinstance(second, Dead)
         return second
 
-    def _nobody(self, world: World) -> bool:
-        """Nobody is responsible, though whoever would have to be runs."""
+    def _nobody(self, world: ModelWorld) -> bool:
+        """Returns whether nobody is responsible, though whoever would have to be runs."""
         gives, takes = self.sender_of(world), self.receiver_of(world)
         if isinstance(gives, Dead | sender.Idle) or sender.is_responsible(gives):
             return False  # of a sender that is idle nothing is asked
@@ -179,7 +179,7 @@ class Moves:
             return not isinstance(gives, sender.HandedOver)
         return not receiver.is_responsible(takes, world.skew)
 
-    def _overdue(self, world: World) -> str:
+    def _overdue(self, world: ModelWorld) -> str:
         """L1: everything that waits, ends. L2: no gap but the orphan, and neither side takes that for all well."""
         state, held = self.sender_of(world), self.receiver_of(world)
         latest = -self.scope.guard
@@ -205,14 +205,14 @@ class Moves:
             return ""
         if not (isinstance(state, sender.HandedOver) and isinstance(held, receiver.LetGo)):
             return "L2"
-        if held.settled is Outcome.TAKEN_BACK:
+        if held.settled is HandoffOutcome.TAKEN_BACK:
             return "L2"  # the receiver believes that all is well
         no_pilot = world.aborts == self.scope.aborts  # who may have let go of what the sender knows to be held
-        return "L2" if state.settled is Outcome.HANDED_OVER and no_pilot else ""
+        return "L2" if state.settled is HandoffOutcome.HANDED_OVER and no_pilot else ""
 
     # --- the sender's program ---------------------------------------------------------------------------------
 
-    def _sender_program(self, world: World) -> Iterator[Move]:
+    def _sender_program(self, world: ModelWorld) -> Iterator[ModelStep]:
         state = self.sender_of(world)
         if world.attempts:
             begun = world._replace(attempts=world.attempts - 1)
@@ -227,14 +227,14 @@ class Moves:
         if world.aborts:
             yield from self._tell_sender(world._replace(aborts=world.aborts - 1), _PILOT, "a pilot takes the sender")
 
-    def _free(self, world: World) -> bool:
+    def _free(self, world: ModelWorld) -> bool:
         """An idle sender takes off, and offers, only when it has heard that the receiver holds nothing."""
         gives, takes = self.sender_of(world), self.receiver_of(world)
         if not isinstance(gives, sender.Idle):
             return False
         return gives.epoch == 0 or not (isinstance(takes, Dead) or receiver.is_responsible(takes, world.skew))
 
-    def _agreements(self, world: World, live: Handoff) -> Iterator[Move]:
+    def _agreements(self, world: ModelWorld, live: Handoff) -> Iterator[ModelStep]:
         """The one that the window counted, and those of which nothing may come (S5)."""
         nonce, told = 100 * live.epoch, self.scope.uncertainty
         for instance in (RECEIVER_ID, SECOND_ID)[: self.scope.receivers]:  # whichever of them is heard
@@ -254,18 +254,18 @@ class Moves:
         ):
             yield from self._tell_sender(world, wrong, what)
 
-    def _tell_sender(self, world: World, event: SenderEvent, what: str) -> Iterator[Move]:
+    def _tell_sender(self, world: ModelWorld, event: SenderEvent, what: str) -> Iterator[ModelStep]:
         return self._sender_does(world, self.effects.sender_told(world.sender, event, what))
 
     # --- crashes ----------------------------------------------------------------------------------------------
 
-    def _crashes(self, world: World) -> Iterator[Move]:
+    def _crashes(self, world: ModelWorld) -> Iterator[ModelStep]:
         """Killed at any moment, with whatever is on disk; started again at any later one."""
         gives, takes = self.sender_of(world), self.receiver_of(world)
         if world.crashes and not isinstance(gives, Dead):
-            yield Move("the sender is killed", self._sender_killed(world, world.sender_kept))
+            yield ModelStep("the sender is killed", self._sender_killed(world, world.sender_kept))
         if world.crashes and not isinstance(takes, Dead):
-            yield Move("the receiver is killed", self._receiver_killed(world, world.receiver_kept))
+            yield ModelStep("the receiver is killed", self._receiver_killed(world, world.receiver_kept))
         if isinstance(gives, Dead):
             for same_clock, how in _CLOCKS:
                 for read, lost in self._read(world.sender_kept, self.effects.sender_records):
@@ -278,7 +278,7 @@ class Moves:
                     yield self._checked(world, up, f"the receiver is started again{how}{lost}", "")
 
     def _read(self, kept: int, interned: Interned[Any]) -> tuple[tuple[int, str], ...]:
-        """What a program may find on its disk: its record, an earlier one, or none."""
+        """Returns what a program may find on its disk: its record, an earlier one, or none."""
         if not self.scope.forgetful:
             return ((kept, ""),)
         record = interned.values[kept]
@@ -288,7 +288,7 @@ class Moves:
         nothing = type(record)()
         return (kept, ""), (interned(earlier), ", on an earlier record"), (interned(nothing), ", its record lost")
 
-    def _sender_restarted(self, world: World, read: int, same_clock: bool, how: str) -> Move:
+    def _sender_restarted(self, world: ModelWorld, read: int, same_clock: bool, how: str) -> ModelStep:
         state, kept = self.effects.sender_restored(read, same_clock)
         alone = world.alone if same_clock else 0  # a new clock begins anew what is waited for
         up = world._replace(sender=state, sender_kept=kept, alone=alone)
@@ -296,18 +296,18 @@ class Moves:
         lost = "L2" if mine and not responsible_sender(self.sender_of(up)) else ""
         return self._checked(world, up, f"the sender is started again{how}", lost)
 
-    def _sender_killed(self, world: World, kept: int) -> World:
+    def _sender_killed(self, world: ModelWorld, kept: int) -> ModelWorld:
         state = self.sender_of(world)
         dead = self.effects.senders(Dead(used_epoch(state), isinstance(state, sender.HandedOver)))
         return world._replace(sender=dead, sender_kept=kept, crashes=world.crashes - 1)
 
-    def _receiver_killed(self, world: World, kept: int) -> World:
+    def _receiver_killed(self, world: ModelWorld, kept: int) -> ModelWorld:
         dead = self.effects.receivers(Dead(lowest_epoch(self.receiver_of(world))))
         return world._replace(receiver=dead, receiver_kept=kept, crashes=world.crashes - 1)
 
     # --- a machine's step, with all that may interrupt it -----------------------------------------------------
 
-    def _sender_does(self, world: World, effect: Effect) -> Iterator[Move]:
+    def _sender_does(self, world: ModelWorld, effect: Effect) -> Iterator[ModelStep]:
         broken = effect.broken
         if any(commit != (world.agreed, TARGET_ID) for commit in effect.commits):
             broken = broken or "S5"
@@ -318,9 +318,9 @@ class Moves:
             for sent, half_kept in effect.halves:
                 half = world._replace(packets=world.packets | sent)
                 dead = self._sender_killed(half, world.sender_kept if half_kept < 0 else half_kept)
-                yield Move(f"{effect.what}; it is killed half-way", dead)
+                yield ModelStep(f"{effect.what}; it is killed half-way", dead)
 
-    def _receiver_does(self, world: World, effect: Effect) -> Iterator[Move]:
+    def _receiver_does(self, world: ModelWorld, effect: Effect) -> Iterator[ModelStep]:
         kept = world.receiver_kept if effect.kept < 0 else effect.kept
         after = world._replace(receiver=effect.state, receiver_kept=kept, packets=world.packets | effect.sent)
         yield self._checked(world, after, effect.what, effect.broken)
@@ -328,13 +328,13 @@ class Moves:
             for sent, half_kept in effect.halves:
                 half = world._replace(packets=world.packets | sent)
                 dead = self._receiver_killed(half, world.receiver_kept if half_kept < 0 else half_kept)
-                yield Move(f"{effect.what}; it is killed half-way", dead)
+                yield ModelStep(f"{effect.what}; it is killed half-way", dead)
 
-    def _second_does(self, world: World, effect: Effect) -> Move:
+    def _second_does(self, world: ModelWorld, effect: Effect) -> ModelStep:
         after = world._replace(second=effect.state, packets=world.packets | effect.sent)
         return self._checked(world, after, effect.what, effect.broken)
 
-    def _checked(self, before: World, after: World, what: str, broken: str) -> Move:
+    def _checked(self, before: ModelWorld, after: ModelWorld, what: str, broken: str) -> ModelStep:
         now, holds = self.sender_of(after), self.receiver_of(after)
         gives, takes = responsible_sender(now), responsible_receiver(holds, after.skew)
         broken = broken or across_rules(self.sender_of(before), now, self.receiver_of(before), holds)
@@ -347,7 +347,7 @@ class Moves:
             receiver_kept = receiver_kept if isinstance(holds, Dead) else UNREAD
         packets = after.packets | self.effects.said(after.sender, after.receiver, after.skew, after.second)
         world = after._replace(packets=packets, alone=alone, sender_kept=sender_kept, receiver_kept=receiver_kept)
-        return Move(what, world, broken)
+        return ModelStep(what, world, broken)
 
 
 def _awaited(effect: Effect, state: int) -> Effect:

@@ -27,7 +27,7 @@ _LONGEST_S = 900.0
 
 
 @dataclass(frozen=True, slots=True)
-class Suite:
+class FileTests:
     """A file and the tests that are there for it, the quickest first."""
 
     file: str
@@ -39,8 +39,8 @@ class Suite:
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
-    """What became of a wrong version. ``by``: the test that noticed; ``why``: it is the same in all that counts."""
+class TriedMutant:
+    """The result of a wrong version. ``by``: the test that noticed; ``why``: it is the same in all that counts."""
 
     mutation: Mutation
     caught: bool
@@ -50,23 +50,23 @@ class Tried:
 
 
 @dataclass(slots=True)
-class Table:
+class MutationTable:
     """``mutation.toml``."""
 
-    suites: tuple[Suite, ...]
+    suites: tuple[FileTests, ...]
     equivalent: dict[str, str] = field(default_factory=dict[str, str])
 
 
-def load_table(path: Path = TABLE) -> Table:
+def load_table(path: Path = TABLE) -> MutationTable:
     told: Any = tomllib.loads(path.read_text("utf-8"))
-    suites = tuple(Suite(one["file"], tuple(one["tests"])) for one in told["target"])
-    return Table(suites, {one["name"]: one["why"] for one in told.get("equivalent", ())})
+    suites = tuple(FileTests(one["file"], tuple(one["tests"])) for one in told["target"])
+    return MutationTable(suites, {one["name"]: one["why"] for one in told.get("equivalent", ())})
 
 
-def choose(table: Table, seed: int, number: int, root: Path) -> list[tuple[Suite, Mutation]]:
-    """So many of all mutations, by seed: each file its share, the first ``LEAST`` of each in any case."""
+def choose(table: MutationTable, seed: int, number: int, root: Path) -> list[tuple[FileTests, Mutation]]:
+    """Returns so many of all mutations, by seed: each file its share, the first ``LEAST`` of each in any case."""
     rng = random.Random(f"mutants {seed}")
-    every: list[list[tuple[Suite, Mutation]]] = []
+    every: list[list[tuple[FileTests, Mutation]]] = []
     for suite in table.suites:
         own = [(suite, one) for one in mutations(suite.file, (root / suite.file).read_text("utf-8"))]
         rng.shuffle(own)
@@ -85,7 +85,7 @@ class Server:
         command = [sys.executable, "-m", "missions.assurance.verify.mutation_server"]
         self._process = subprocess.Popen(command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
-    def trial(self, suite: Suite, source: str | None, bound_s: float) -> dict[str, Any]:
+    def trial(self, suite: FileTests, source: str | None, bound_s: float) -> dict[str, Any]:
         order = {"module": suite.module, "source": source, "tests": suite.tests, "bound_s": bound_s}
         assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.write(json.dumps(order) + "\n")
@@ -122,18 +122,18 @@ class Trials:
         for server in self._servers:
             server.close()
 
-    def trial(self, suite: Suite, source: str | None, bound_s: float) -> dict[str, Any]:
-        """On the next server that is free."""
+    def trial(self, suite: FileTests, source: str | None, bound_s: float) -> dict[str, Any]:
+        """Runs a trial on the next server that is free."""
         server = self._free.get()
         try:
             return server.trial(suite, source, bound_s)
         finally:
             self._free.put(server)
 
-    def bounds_s(self, suites: Sequence[Suite]) -> dict[str, float]:
-        """How long each suite may take, from how long it takes on the right code. Raises PartError."""
+    def bounds_s(self, suites: Sequence[FileTests]) -> dict[str, float]:
+        """Returns how long each suite may take, from how long it takes on the right code. Raises PartError."""
 
-        def right(suite: Suite) -> float:
+        def right(suite: FileTests) -> float:
             came = self.trial(suite, None, _LONGEST_S)
             if not came["passed"]:
                 raise PartError(f"the tests of {suite.file} fail as it is: {came['what']}", "mend that first")
@@ -142,20 +142,20 @@ class Trials:
         with ThreadPoolExecutor(self._jobs) as threads:
             return {suite.file: bound_s for suite, bound_s in zip(suites, threads.map(right, suites), strict=True)}
 
-    def wrong(self, chosen: Sequence[tuple[Suite, Mutation]], bounds_s: dict[str, float]) -> Iterator[Tried]:
-        def tried(one: tuple[Suite, Mutation]) -> Tried:
+    def wrong(self, chosen: Sequence[tuple[FileTests, Mutation]], bounds_s: dict[str, float]) -> Iterator[TriedMutant]:
+        def tried(one: tuple[FileTests, Mutation]) -> TriedMutant:
             suite, mutation = one
             source = mutated((self._root / suite.file).read_text("utf-8"), mutation)
             came = self.trial(suite, source, bounds_s[suite.file])
             if came["broken"]:
                 raise PartError(f"the tests of {suite.file} were not run: {came['what']}", "mend that first")
-            return Tried(mutation, not came["passed"], by=came["what"], took_s=came["took_s"])
+            return TriedMutant(mutation, not came["passed"], by=came["what"], took_s=came["took_s"])
 
         with ThreadPoolExecutor(self._jobs) as threads:
             yield from threads.map(tried, chosen)
 
 
-def score(table: Table, seed: int, number: int, jobs: int, root: Path, stream: TextIO) -> list[Tried]:
+def score(table: MutationTable, seed: int, number: int, jobs: int, root: Path, stream: TextIO) -> list[TriedMutant]:
     """Runs the tests on a sample of wrong versions; those known to be equivalent are not run. Raises PartError."""
     for suite in table.suites:
         for place in (suite.file, *suite.tests):
@@ -164,7 +164,9 @@ def score(table: Table, seed: int, number: int, jobs: int, root: Path, stream: T
                     f"there is no {place} here", "run `path-handoff verify --mutants` in a checkout of PATH"
                 )
     chosen = choose(table, seed, number, root)
-    known = [Tried(one, False, why=table.equivalent[one.name]) for _, one in chosen if one.name in table.equivalent]
+    known = [
+        TriedMutant(one, False, why=table.equivalent[one.name]) for _, one in chosen if one.name in table.equivalent
+    ]
     rest = [(suite, one) for suite, one in chosen if one.name not in table.equivalent]
     suites = [suite for suite in table.suites if any(suite == of for of, _ in rest)]
     with Trials(root, jobs) as trials:
@@ -176,7 +178,7 @@ def score(table: Table, seed: int, number: int, jobs: int, root: Path, stream: T
     return known
 
 
-def summarize(tried: Sequence[Tried], seed: int, wall_s: float) -> dict[str, Any]:
+def summarize(tried: Sequence[TriedMutant], seed: int, wall_s: float) -> dict[str, Any]:
     """``mutants`` are those that are not equivalent."""
     real = [one for one in tried if not one.why]
     survivors = [one for one in real if not one.caught]

@@ -70,8 +70,8 @@ class Explored:
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
-    """What became of a mutant: the invariant it broke, "" when it was not caught, and the worlds that took."""
+class ModelMutant:
+    """The result of a mutant: the invariant it broke, "" when it was not caught, and the worlds that took."""
 
     rule: str
     broke: str
@@ -80,8 +80,9 @@ class Tried:
 
 
 def run(options: VerifyOptions) -> int:
-    """Returns 0 when nothing is wrong: every invariant holds in every world and every mutant was caught, or no forged
-    packet was taken. Raises PartError.
+    """Returns 0 when nothing is wrong. Raises PartError.
+
+    Then every invariant holds in every world and every mutant was caught, or no forged packet was taken.
     """
     folder = options.out or Path("verify") / datetime.now().strftime("%Y%m%d-%H%M%S")
     new_folder(folder)
@@ -123,14 +124,14 @@ def _run_wire(options: VerifyOptions, folder: Path) -> int:
     return 0 if whole["holds"] else EXIT_BROKEN
 
 
-def verify(work: Work, jobs: tuple[Job, ...]) -> tuple[list[Explored], list[Tried]]:
+def verify(work: Work, jobs: tuple[Job, ...]) -> tuple[list[Explored], list[ModelMutant]]:
     """Scopes and mutants over all cores, the mutants last: they take the least."""
     pieces: list[Job | int] = [*jobs, *range(len(MUTANTS))]
     done = work.map("explored", _piece, pieces)
-    return [one for one in done if isinstance(one, Explored)], [one for one in done if isinstance(one, Tried)]
+    return [one for one in done if isinstance(one, Explored)], [one for one in done if isinstance(one, ModelMutant)]
 
 
-def _piece(piece: Job | int) -> Explored | Tried:
+def _piece(piece: Job | int) -> Explored | ModelMutant:
     began = stopwatch_ns()
     if isinstance(piece, Job):
         found = explore(piece.scope, seen=Exact() if piece.exact else Covering())
@@ -138,10 +139,10 @@ def _piece(piece: Job | int) -> Explored | Tried:
     mutant = MUTANTS[piece]
     catch = caught(mutant)
     broke = next(iter(catch.broken)) if catch else ""
-    return Tried(mutant.rule, broke, catch.states if catch else 0, (stopwatch_ns() - began) * 1e-9)
+    return ModelMutant(mutant.rule, broke, catch.states if catch else 0, (stopwatch_ns() - began) * 1e-9)
 
 
-def summarize(explored: list[Explored], tried: list[Tried], wall_s: float) -> dict[str, object]:
+def summarize(explored: list[Explored], tried: list[ModelMutant], wall_s: float) -> dict[str, object]:
     """``summary.json``. ``holds`` says whether all is as it must be."""
     violations: Counter[str] = Counter()
     for one in explored:
@@ -191,7 +192,7 @@ def _of_scope(one: Explored) -> dict[str, object]:
     }
 
 
-def show(explored: list[Explored], tried: list[Tried], wall_s: float, stream: TextIO) -> None:
+def show(explored: list[Explored], tried: list[ModelMutant], wall_s: float, stream: TextIO) -> None:
     """Tables, and the way to the first violation of each scope."""
     write = stream.write
     write(f"\n{'scope':<46}{'states':>10}{'steps':>11}{'depth':>7}{'in flight':>11}{'violations':>12}{'time':>9}\n")

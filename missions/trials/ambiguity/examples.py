@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from missions.trials.ambiguity.frame import Judged, Pair, Task, shoot, xfeat_for
+from missions.trials.ambiguity.frame import FrameResult, FrameTask, StagePair, shoot, xfeat_for
 from missions.trials.ambiguity.pictures import Example, draw_examples
 from missions.trials.ambiguity.report import TITLES, chosen_box, of_path
 from missions.trials.ambiguity.score import Outcome, Rule
@@ -22,7 +22,9 @@ WORDS: dict[Outcome, str] = {
 }
 
 
-def draw_view(request: TrialRequest, tasks: Sequence[Task], judged: Sequence[Judged], rules: Mapping[str, Rule]) -> str:
+def draw_view(
+    request: TrialRequest, tasks: Sequence[FrameTask], judged: Sequence[FrameResult], rules: Mapping[str, Rule]
+) -> str:
     """``examples.png``: PATH right, then a wrong one of each method that has one. Returns the caption."""
     outcomes: dict[str, list[Outcome]] = {
         "path": [of_path(each, each.path) for each in judged],
@@ -50,7 +52,7 @@ def _first(found: Sequence[Outcome], kinds: tuple[Outcome, ...]) -> int | None:
     return next((number for number, each in enumerate(found) if each in kinds), None)
 
 
-def _example(method: str, task: Task, judged: Judged, kind: Outcome, rules: Mapping[str, Rule]) -> Example:
+def _example(method: str, task: FrameTask, judged: FrameResult, kind: Outcome, rules: Mapping[str, Rule]) -> Example:
     pair = shoot(task)
     images = pair.shots[Role.SENDER].color, pair.shots[Role.RECEIVER].color
     truth = shirt_box(pair.scene, Role.RECEIVER, 0) if judged.visible > 0.0 else None
@@ -62,7 +64,9 @@ def _example(method: str, task: Task, judged: Judged, kind: Outcome, rules: Mapp
     return _matched(method, title, task, pair, judged, rules[method], kind)
 
 
-def _matched(method: str, title: str, task: Task, pair: Pair, judged: Judged, rule: Rule, kind: Outcome) -> Example:
+def _matched(
+    method: str, title: str, task: FrameTask, pair: StagePair, judged: FrameResult, rule: Rule, kind: Outcome
+) -> Example:
     variants = task.orb_variants if method == "orb" else task.xfeat_variants
     features = Orb() if method == "orb" or task.xfeat is None else xfeat_for(task.xfeat)
     images = pair.shots[Role.SENDER].color, pair.shots[Role.RECEIVER].color

@@ -13,11 +13,11 @@ import numpy as np
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
 from drivers.interfaces import Detector
 from drivers.perception.depth_mask import without_elsewhere
-from flight.harness.renderer import DepthNoise, Shot, Studio
-from missions.trials.ambiguity.path import Errors, PathAnswer, beliefs, run_path
+from flight.harness.renderer import DepthNoise, FrameRenderer, Shot
+from missions.trials.ambiguity.path import BeliefErrors, PathAnswer, beliefs, run_path
 from missions.trials.ambiguity.score import Ballot
-from missions.trials.ambiguity.stage import MARKER_SIDE_M, Scene, Wanted, draw, setup
-from missions.trials.ambiguity.truth import Sight, shirt_box
+from missions.trials.ambiguity.stage import MARKER_SIDE_M, DrawnStage, Wanted, draw, setup
+from missions.trials.ambiguity.truth import TrueView, shirt_box
 from path.agreement import iou
 from path.baselines.association import BaselineConfig, vote_each
 from path.baselines.features import Features, look_each
@@ -36,16 +36,16 @@ REDRAWS = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class FrameTask:
     """A frame to make, picklable.
 
     Attributes:
-        studio: the class.
+        studio: the class of the renderer.
         xfeat: weights, None without XFeat.
         orb_variants, xfeat_variants: what of the baselines is tried.
     """
 
-    studio: Any
+    renderer: Any
     wanted: Wanted
     seed: tuple[int, ...]
     xfeat: Path | None
@@ -62,8 +62,8 @@ class Owned:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """What came out for one frame.
+class FrameResult:
+    """The results of one frame.
 
     Attributes:
         path: PATH's answer, and the person its candidate really shows; ``path_depth`` the same when D2's detector looks
@@ -86,10 +86,10 @@ class Judged:
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class StagePair:
     """A stage that shows what was wanted, shot by both cameras."""
 
-    scene: Scene
+    scene: DrawnStage
     shots: dict[Role, Shot]
     box1: Box
     boxes2: tuple[Box, ...]
@@ -99,7 +99,7 @@ class Pair:
 
 
 @lru_cache(maxsize=16)
-def studio_for(kind: Any, role: Role, side: int, marker_side_m: float) -> Studio:
+def renderer_for(kind: Any, role: Role, side: int, marker_side_m: float) -> FrameRenderer:
     return kind(setup(role, side, marker_side_m), 0)
 
 
@@ -115,7 +115,7 @@ def xfeat_for(weights: Path) -> Features:
     return XFeat(weights)
 
 
-def shoot(task: Task) -> Pair:
+def shoot(task: FrameTask) -> StagePair:
     """The first stage of the task's seed that shows what is wanted."""
     for redraws in range(REDRAWS):
         rng = np.random.default_rng([*task.seed, redraws])
@@ -125,33 +125,33 @@ def shoot(task: Task) -> Pair:
     raise RuntimeError(f"no stage shows {task.wanted}")
 
 
-def _shoot(task: Task, rng: np.random.Generator, redraws: int) -> Pair | None:
+def _shoot(task: FrameTask, rng: np.random.Generator, redraws: int) -> StagePair | None:
     scene = draw(task.wanted, rng)
-    studios = {
-        Role.SENDER: studio_for(task.studio, Role.SENDER, 0, MARKER_SIDE_M),
-        Role.RECEIVER: studio_for(task.studio, Role.RECEIVER, scene.side, task.wanted.marker_side_m),
+    renderers = {
+        Role.SENDER: renderer_for(task.renderer, Role.SENDER, 0, MARKER_SIDE_M),
+        Role.RECEIVER: renderer_for(task.renderer, Role.RECEIVER, scene.side, task.wanted.marker_side_m),
     }
-    sights = {role: Sight(studios[role], scene, role) for role in Role}
-    if sights[Role.SENDER].shirt(0)[0] < TRACKED_SHARE:
+    perceptions = {role: TrueView(renderers[role], scene, role) for role in Role}
+    if perceptions[Role.SENDER].shirt(0)[0] < TRACKED_SHARE:
         return None
-    visible, hidden = sights[Role.RECEIVER].shirt(0)
+    visible, hidden = perceptions[Role.RECEIVER].shirt(0)
     shown = {"present": visible >= PRESENT_SHARE, "hidden": visible == 0.0 and hidden >= HIDDEN_SHARE}
     if not shown.get(task.wanted.case, visible == 0.0):
         return None
     seeds = rng.integers(0, 2**31, 2).tolist()
-    shots = {role: studios[role].shoot(scene.stage, role, seed) for role, seed in zip(Role, seeds, strict=True)}
+    shots = {role: renderers[role].shoot(scene.stage, role, seed) for role, seed in zip(Role, seeds, strict=True)}
     box1 = _tracked(scene, shots[Role.SENDER])
-    if box1 is None or sights[Role.SENDER].share(box1, 0) < OWN_SHARE:
+    if box1 is None or perceptions[Role.SENDER].share(box1, 0) < OWN_SHARE:
         return None
     boxes2 = tuple(each.box for each in people_detector().detect(shots[Role.RECEIVER].color, None))
-    owners = tuple(sights[Role.RECEIVER].owner(box) for box in boxes2)
+    owners = tuple(perceptions[Role.RECEIVER].owner(box) for box in boxes2)
     if task.wanted.case != "present" and not any(owner is not None for owner in owners):
         return None
-    return Pair(scene, shots, box1, boxes2, owners, visible, redraws)
+    return StagePair(scene, shots, box1, boxes2, owners, visible, redraws)
 
 
-def _tracked(scene: Scene, shot: Shot) -> Box | None:
-    """What D1's detector finds nearest to the target's true projection; None when it is not the target's box.
+def _tracked(scene: DrawnStage, shot: Shot) -> Box | None:
+    """Returns the detection of D1 nearest to the target's true projection; None when it is not the target's box.
 
     D1's tracker is not under test: it has the target, and knows from the frames before how far away it is.
     """
@@ -164,11 +164,11 @@ def _tracked(scene: Scene, shot: Shot) -> Box | None:
     return nearest if nearest is not None and iou(nearest, expected) >= TRACKED_IOU else None
 
 
-def judge(task: Task) -> Judged:
+def judge(task: FrameTask) -> FrameResult:
     """Every method on one pair of frames."""
     pair = shoot(task)
     network = None if task.xfeat is None else ballot(xfeat_for(task.xfeat), pair, task.xfeat_variants)
-    return Judged(
+    return FrameResult(
         task.wanted,
         pair.scene.viewpoint_rad,
         pair.visible,
@@ -180,18 +180,18 @@ def judge(task: Task) -> Judged:
     )
 
 
-def path_on(task: Task, pair: Pair, *, depth2: bool = True) -> Owned:
+def path_on(task: FrameTask, pair: StagePair, *, depth2: bool = True) -> Owned:
     """PATH on a pair of frames; what the drones believe is of the task's seed."""
     rng = np.random.default_rng([*task.seed, pair.redraws, 1])
-    believed = beliefs(pair.scene, Errors(), rng)
+    believed = beliefs(pair.scene, BeliefErrors(), rng)
     answer = run_path(believed, MethodConfig(), pair.shots, pair.box1, people_detector(), depth2=depth2)
     if answer.box is None:
         return Owned(answer, None)
-    studio = studio_for(task.studio, Role.RECEIVER, pair.scene.side, task.wanted.marker_side_m)
-    return Owned(answer, Sight(studio, pair.scene, Role.RECEIVER).owner(answer.box))
+    renderer = renderer_for(task.renderer, Role.RECEIVER, pair.scene.side, task.wanted.marker_side_m)
+    return Owned(answer, TrueView(renderer, pair.scene, Role.RECEIVER).owner(answer.box))
 
 
-def ballot(features: Features, pair: Pair, variants: tuple[BaselineConfig, ...]) -> Ballot:
+def ballot(features: Features, pair: StagePair, variants: tuple[BaselineConfig, ...]) -> Ballot:
     """A baseline's votes in each of its variants; what variants share is worked out once."""
     looks = tuple(dict.fromkeys(variant.look for variant in variants))
     own = look_each(features, pair.shots[Role.SENDER].color, [pair.box1], looks)

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.interfaces import Detector, Frame
 from drivers.perception.pixels import PixelView
 from flight.harness.renderer import Shot
-from missions.trials.ambiguity.stage import CAMERAS, Scene, camera_mount, layout, marker_mount
+from missions.trials.ambiguity.stage import CAMERAS, DrawnStage, camera_mount, layout, marker_mount
 from path import rotation
 from path.agreement import Agreed
 from path.camera import CameraModel
@@ -31,7 +31,7 @@ REGION_ERROR_PX, REGION_MARGIN_PX = 10.0, 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Errors:
+class BeliefErrors:
     """Standard deviations of what the drones believe wrongly; all but the noise are systematic.
 
     Every stage draws them anew, as if it were another pair of drones: otherwise all frames would share one error.
@@ -47,7 +47,7 @@ class Errors:
 
 @dataclass(frozen=True, slots=True)
 class Beliefs:
-    """What the drones think is so."""
+    """The drones' beliefs."""
 
     camera1: CameraModel
     camera2: CameraModel
@@ -60,7 +60,7 @@ class Beliefs:
 
 @dataclass(frozen=True, slots=True)
 class PathAnswer:
-    """What PATH made of a pair of frames.
+    """PATH's answer to a pair of frames.
 
     Attributes:
         box: D2's candidate; None when it found none.
@@ -77,7 +77,7 @@ class PathAnswer:
     mapped: Box | None = None
 
 
-def beliefs(scene: Scene, errors: Errors, rng: np.random.Generator) -> Beliefs:
+def beliefs(scene: DrawnStage, errors: BeliefErrors, rng: np.random.Generator) -> Beliefs:
     """The truth with errors drawn from their distributions."""
     T_b_c, T_b_v = camera_mount(), marker_mount(scene.side)
     T_v_c = T_b_v.inverse() @ T_b_c
@@ -158,7 +158,7 @@ def _focused(camera: CameraModel, factor: float) -> CameraModel:
     return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
 
 
-def _attitude(scene: Scene, role: Role, errors: Errors, rng: np.random.Generator) -> Matrix:
+def _attitude(scene: DrawnStage, role: Role, errors: BeliefErrors, rng: np.random.Generator) -> Matrix:
     """``R_n_b`` as the drone's own estimate has it."""
     R_n_w = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     tilt = rng.normal(0.0, errors.attitude_bias_rad, 2) + rng.normal(0.0, errors.attitude_noise_rad, 2)
@@ -170,8 +170,8 @@ def _down(R_n_x: Matrix) -> Vec3:
     return x, y, z
 
 
-def _marker_region(scene: Scene, T_b_v: Pose, rng: np.random.Generator) -> Region:
-    """Where a D2 that has seen the marker in the frames before looks for it: off by some pixels, with room around."""
+def _marker_region(scene: DrawnStage, T_b_v: Pose, rng: np.random.Generator) -> Region:
+    """Returns where a D2 that has seen the marker before looks for it: off by some pixels, with room around."""
     T_c_v = scene.T_w_c(Role.RECEIVER).inverse() @ scene.stage.T_w_b[Role.SENDER] @ T_b_v
     x, y, z = T_c_v.t.tolist()
     camera = CAMERAS[Role.RECEIVER]

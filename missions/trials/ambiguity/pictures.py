@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch, Rectangle
 
 from missions.report.palette import COUNT, DIM, FAULT, OWN_BOX, PRIOR, ROLE
-from missions.trials.ambiguity.score import OUTCOMES, Outcome, Tally
+from missions.trials.ambiguity.score import OUTCOMES, FrameTally, Outcome
 from path.baselines.features import Image
 from path.messages import Role
 from path.observations import Box, Region
@@ -35,12 +35,12 @@ WRONG, RIGHT = "#ff3030", OWN_BOX
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class SweepCurve:
     """Accuracy of one method along a sweep."""
 
     method: str
     title: str
-    tallies: tuple[Tally, ...]
+    tallies: tuple[FrameTally, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class Example:
     region: Region | None = None
 
 
-def draw_outcomes(tallies: Mapping[str, Tally], titles: Mapping[str, str], path: Path) -> None:
+def draw_outcomes(tallies: Mapping[str, FrameTally], titles: Mapping[str, str], path: Path) -> None:
     """One bar a method, frames by outcome."""
     figure = Figure(figsize=(10.0, 0.9 + 0.62 * len(tallies)), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
@@ -92,7 +92,7 @@ def draw_outcomes(tallies: Mapping[str, Tally], titles: Mapping[str, str], path:
     figure.savefig(path, format="png", metadata={"Software": None})
 
 
-def draw_sweeps(sweeps: Sequence[tuple[str, Sequence[float], Sequence[Curve]]], path: Path) -> None:
+def draw_sweeps(sweeps: Sequence[tuple[str, Sequence[float], Sequence[SweepCurve]]], path: Path) -> None:
     """Accuracy along each sweep: its axis title, its values, its curves; 95 % intervals as bars."""
     figure = Figure(figsize=(6.2 * len(sweeps), 4.2), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)

@@ -1,4 +1,4 @@
-"""What came out of the ambiguity trial, in findings, tables and notes."""
+"""The results of the ambiguity trial in findings, tables and notes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from drivers.perception.depth_mask import STEP_M
-from missions.trials.ambiguity.frame import Judged, Owned
-from missions.trials.ambiguity.path import Errors
-from missions.trials.ambiguity.score import Ballot, Outcome, Rule, Tally, outcome
+from missions.trials.ambiguity.frame import FrameResult, Owned
+from missions.trials.ambiguity.path import BeliefErrors
+from missions.trials.ambiguity.score import Ballot, FrameTally, Outcome, Rule, outcome
 from missions.trials.ambiguity.stage import FARTHEST_M, MARKER_SIDE_M, SEPARATION_M
-from missions.trials.shared.trial import Finding, Table, verdict
+from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
 from path.baselines.association import choose
 from path.observations import MissReason
 
@@ -31,13 +31,13 @@ REASONS: dict[MissReason | None, str] = {
 }
 
 
-def of_path(judged: Judged, owned: Owned) -> Outcome:
+def of_path(judged: FrameResult, owned: Owned) -> Outcome:
     """PATH's outcome: D2's candidate against the truth, before D1 says anything."""
     return outcome(judged.present, owned.answer.box is not None, owned.owner == 0)
 
 
-def findings(tallies: Mapping[str, Tally]) -> tuple[Finding, ...]:
-    found: list[Finding] = []
+def findings(tallies: Mapping[str, FrameTally]) -> tuple[TrialFinding, ...]:
+    found: list[TrialFinding] = []
     for method, counts in tallies.items():
         paper, frames = PAPER.get(method, {}), counts.frames
         goals = method == "path"
@@ -51,7 +51,7 @@ def findings(tallies: Mapping[str, Tally]) -> tuple[Finding, ...]:
             reached = share >= limit if key == "accuracy" else share <= limit
             wanted = goals and goal != ""
             found.append(
-                Finding(
+                TrialFinding(
                     f"{TITLES[method]}, {words}, % of the frames",
                     f"{100 * share:.1f}",
                     f"{100 * low:.1f} to {100 * high:.1f}",
@@ -64,12 +64,12 @@ def findings(tallies: Mapping[str, Tally]) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def outcome_table(tallies: Mapping[str, Tally], rules: Mapping[str, str]) -> Table:
+def outcome_table(tallies: Mapping[str, FrameTally], rules: Mapping[str, str]) -> TrialTable:
     rows = tuple(
         (TITLES[method], str(t.tp), str(t.tn), str(t.fp), str(t.fn), f"{100 * t.accuracy:.1f} %", rules[method])
         for method, t in tallies.items()
     )
-    return Table(
+    return TrialTable(
         "Outcomes, all methods on the same frames",
         ("", "TP", "TN", "FP", "FN", "right", "how it decides"),
         rows,
@@ -78,8 +78,8 @@ def outcome_table(tallies: Mapping[str, Tally], rules: Mapping[str, str]) -> Tab
     )
 
 
-def cause_table(judged: Sequence[Judged], rules: Mapping[str, Rule]) -> Table:
-    """Why every wrong answer was wrong."""
+def cause_table(judged: Sequence[FrameResult], rules: Mapping[str, Rule]) -> TrialTable:
+    """Returns a table of why every wrong answer was wrong."""
     rows: list[tuple[str, str, str, str]] = []
     for method in ("path", "path_color", *rules):
         causes: Counter[tuple[Outcome, str]] = Counter()
@@ -93,10 +93,10 @@ def cause_table(judged: Sequence[Judged], rules: Mapping[str, Rule]) -> Table:
                 causes[found] += 1
         ordered = sorted(causes.items(), key=lambda item: (item[0][0], -item[1]))
         rows += [(TITLES[method], kind.upper(), str(count), why) for (kind, why), count in ordered]
-    return Table("Wrong answers by cause", ("", "", "frames", "cause"), tuple(rows))
+    return TrialTable("Wrong answers by cause", ("", "", "frames", "cause"), tuple(rows))
 
 
-def _of_path(judged: Judged, owned: Owned) -> tuple[Outcome, str] | None:
+def _of_path(judged: FrameResult, owned: Owned) -> tuple[Outcome, str] | None:
     kind = of_path(judged, owned)
     if kind == "fn":
         reason = owned.answer.reason
@@ -107,7 +107,7 @@ def _of_path(judged: Judged, owned: Owned) -> tuple[Outcome, str] | None:
     return None
 
 
-def _of_ballot(judged: Judged, ballot: Ballot, rule: Rule) -> tuple[Outcome, str] | None:
+def _of_ballot(judged: FrameResult, ballot: Ballot, rule: Rule) -> tuple[Outcome, str] | None:
     kind = ballot.outcome(rule)
     own = 0 in ballot.owners
     if kind == "fn":
@@ -117,7 +117,7 @@ def _of_ballot(judged: Judged, ballot: Ballot, rule: Rule) -> tuple[Outcome, str
     return (kind, _absent(judged)) if kind == "fp" else None
 
 
-def _absent(judged: Judged) -> str:
+def _absent(judged: FrameResult) -> str:
     return "who hides the target, or stands by it" if judged.wanted.case == "hidden" else "the target is out of view"
 
 
@@ -125,8 +125,8 @@ def chosen_box(ballot: Ballot, rule: Rule) -> int | None:
     return choose(ballot.votes[rule.variant], rule.min_inliers, rule.min_lead)
 
 
-def noise_table() -> Table:
-    errors = Errors()
+def noise_table() -> TrialTable:
+    errors = BeliefErrors()
     rows = (
         ("marker, printed size", f"{100 * errors.printed_size:g} %", "drawn for each frame"),
         ("focal lengths, each camera", f"{100 * errors.focal:g} %", "drawn for each frame"),
@@ -143,10 +143,10 @@ def noise_table() -> Table:
         ("colour", "blur 0.6 px, read noise 1.2 grey levels, shot noise", "every pixel"),
         ("depth of both cameras", "5 mm at 1 m, growing with the square; holes along edges; 0.3 to 6 m", "every pixel"),
     )
-    return Table("Noise and errors, standard deviations", ("", "how much", ""), rows)
+    return TrialTable("Noise and errors, standard deviations", ("", "how much", ""), rows)
 
 
-def notes(judged: Sequence[Judged], xfeat: bool) -> tuple[str, ...]:
+def notes(judged: Sequence[FrameResult], xfeat: bool) -> tuple[str, ...]:
     present = [each for each in judged if each.present]
     absent = [each for each in judged if not each.present]
     outside = sum(each.wanted.case == "outside" for each in absent)

@@ -18,7 +18,7 @@ MAX_LEAD = 12
 
 
 def outcome(present: bool, chosen: bool, right: bool) -> Outcome:
-    """By the paper: an incorrect candidate is a false positive, whether the target is present or not.
+    """Returns the outcome by the paper: an incorrect candidate is a false positive, with the target present or not.
 
     Args:
         chosen: D2 selected something.
@@ -30,7 +30,7 @@ def outcome(present: bool, chosen: bool, right: bool) -> Outcome:
 
 
 @dataclass(frozen=True, slots=True)
-class Tally:
+class FrameTally:
     """Frames by outcome. Rates are of all frames, as the paper's are (7 of 350 = 2.0 %)."""
 
     tp: int = 0
@@ -39,7 +39,7 @@ class Tally:
     fn: int = 0
 
     @classmethod
-    def of(cls, outcomes: Iterable[Outcome]) -> Tally:
+    def of(cls, outcomes: Iterable[Outcome]) -> FrameTally:
         counts = dict.fromkeys(OUTCOMES, 0)
         for each in outcomes:
             counts[each] += 1
@@ -72,7 +72,7 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class Ballot:
-    """What a baseline had to choose from in one frame, in each of its variants.
+    """The choice that a baseline had in one frame, in each of its variants.
 
     Attributes:
         owners: the person each of D2's boxes really shows; None: no person.
@@ -94,15 +94,15 @@ class Ballot:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """How a baseline decides: which variant of it, and its thresholds."""
+    """The decision rule of a baseline: which variant of it, and its thresholds."""
 
     variant: int
     min_inliers: int
     min_lead: int
 
 
-def tally(ballots: Sequence[Ballot], rule: Rule) -> Tally:
-    return Tally.of(ballot.outcome(rule) for ballot in ballots)
+def tally(ballots: Sequence[Ballot], rule: Rule) -> FrameTally:
+    return FrameTally.of(ballot.outcome(rule) for ballot in ballots)
 
 
 def best_rule(ballots: Sequence[Ballot], variants: int) -> Rule:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from flight.harness.renderer import Stage, StudioSetup, Thing
+from flight.harness.renderer import RenderedInstant, RendererSetup, Thing
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.marker.layout import MarkerLayout, single_marker
@@ -56,7 +56,7 @@ class NoRoomError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What a stage is drawn for.
+    """The conditions that a stage is drawn for.
 
     Attributes:
         nearest_m: the nearest look-alike is this far from the target, horizontally (a range to draw from).
@@ -72,10 +72,10 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class DrawnStage:
     """A drawn stage. The target is ``stage.things[0]``; ``side`` of D1 carries the marker."""
 
-    stage: Stage
+    stage: RenderedInstant
     side: int
     wanted: Wanted
 
@@ -122,12 +122,12 @@ def layout(side_m: float) -> MarkerLayout:
     return single_marker(side_m, 0.005 * side_m)
 
 
-def setup(role: Role, side: int, marker_side_m: float) -> StudioSetup:
+def setup(role: Role, side: int, marker_side_m: float) -> RendererSetup:
     """One drone's camera, and the marker on D1."""
-    return StudioSetup(CAMERAS[role], camera_mount(), marker_mount(side), layout(marker_side_m))
+    return RendererSetup(CAMERAS[role], camera_mount(), marker_mount(side), layout(marker_side_m))
 
 
-def draw(wanted: Wanted, rng: np.random.Generator) -> Scene:
+def draw(wanted: Wanted, rng: np.random.Generator) -> DrawnStage:
     """A random stage; what people hide of each other is not looked at here, but for ``hidden``.
 
     Raises:
@@ -149,7 +149,7 @@ def draw(wanted: Wanted, rng: np.random.Generator) -> Scene:
     raise NoRoomError(f"no stage for {wanted}")
 
 
-def _drones(wanted: Wanted, turn: float, rng: np.random.Generator) -> Scene | None:
+def _drones(wanted: Wanted, turn: float, rng: np.random.Generator) -> DrawnStage | None:
     """Both drones and the target alone; None when D1 does not see the target, or D2 not what it is to see."""
     target = rng.uniform(-8.0, 8.0, 2)
     azimuth = rng.uniform(0.0, 2.0 * math.pi)
@@ -162,16 +162,16 @@ def _drones(wanted: Wanted, turn: float, rng: np.random.Generator) -> Scene | No
     T1 = _hover(eye1, target, rng.normal(0.0, math.radians(7.0)), rng)
     T2 = _hover(eye2, target, _aside(wanted, target, eye1, eye2, rng), rng)
     alone = (Thing("person", (float(target[0]), float(target[1]), 0.0)),)
-    stage = Stage({Role.SENDER: T1, Role.RECEIVER: T2}, alone, rng.uniform(0.0, 2.0 * math.pi))
-    scene = Scene(stage, _best_side(T1, T2), wanted)
+    stage = RenderedInstant({Role.SENDER: T1, Role.RECEIVER: T2}, alone, rng.uniform(0.0, 2.0 * math.pi))
+    scene = DrawnStage(stage, _best_side(T1, T2), wanted)
     return scene if _target_fits(scene) else None
 
 
-Eye = tuple[float, float]  # horizontal distance from the target, height
+CameraPose = tuple[float, float]  # horizontal distance from the target, height
 
 
-def _eyes(wanted: Wanted, turn: float, rng: np.random.Generator) -> tuple[Eye, Eye] | None:
-    """Where both cameras are, D2's turned by ``turn`` from D1's line of sight; None: too far aside to be near."""
+def _eyes(wanted: Wanted, turn: float, rng: np.random.Generator) -> tuple[CameraPose, CameraPose] | None:
+    """Returns both cameras' places, D2's turned by ``turn`` from D1's line of sight; None: too far aside to be near."""
     if wanted.viewpoint_rad is not None:
         near, far = rng.uniform(2.3, 2.8), rng.uniform(3.8, 4.4)
         return (near, _height(near, wanted, rng)), (far, _height(far, wanted, rng))
@@ -191,13 +191,13 @@ def _toward(azimuth: float) -> Array:
 
 
 def _height(reach: float, wanted: Wanted, rng: np.random.Generator) -> float:
-    """So that the target's shirt at that horizontal distance is seen from above by some angle."""
+    """Returns the height from which the target's shirt at that horizontal distance is seen from above by some angle."""
     down = rng.uniform(0.03, 0.11) if wanted.case == "hidden" else rng.normal(math.radians(24.0), math.radians(4.0))
     return MIDDLE_M + reach * math.tan(down)
 
 
 def _facing(wanted: Wanted, nearest: float, bearing: float, rng: np.random.Generator) -> list[float]:
-    """Where everybody looks.
+    """Draws where everybody looks.
 
     Two that stand closer than they are wide stand one behind the other; who hides the target turns its front or back.
     """
@@ -242,7 +242,10 @@ def _people(
 
 
 def _aside(wanted: Wanted, target: Array, eye1: Array, eye2: Array, rng: np.random.Generator) -> float:
-    """By how much D2 does not look straight at the target, so that D1 is in its view too; or the target is not."""
+    """Returns by how much D2 does not look straight at the target, so that D1 is in its view too.
+
+    Or the target is not.
+    """
     to_target, to_peer = target - eye2[:2], eye1[:2] - eye2[:2]
     between = math.remainder(math.atan2(to_peer[1], to_peer[0]) - math.atan2(to_target[1], to_target[0]), 2.0 * math.pi)
     share = rng.uniform(0.3, 0.7) if wanted.case != "outside" else rng.uniform(1.0, 1.6)
@@ -263,8 +266,8 @@ def _best_side(T_w_b1: Pose, T_w_b2: Pose) -> int:
     return int(np.argmax([float(marker_mount(side).R[:, 2] @ toward) for side in range(SIDES)]))
 
 
-def _target_fits(scene: Scene) -> bool:
-    """Whether D1 sees the target, D2 the marker, and D2 the target or, as wanted, not."""
+def _target_fits(scene: DrawnStage) -> bool:
+    """Returns whether D1 sees the target, D2 the marker, and D2 the target or, as wanted, not."""
     target, receiver = scene.stage.things[0], _view(scene, Role.RECEIVER)
     sender = _view(scene, Role.SENDER)
     if not sender.holds(target) or math.dist(sender.T_w_c.t, scene.middle_w) > FARTHEST_M:
@@ -274,8 +277,8 @@ def _target_fits(scene: Scene) -> bool:
     return receiver.holds(target) if scene.wanted.case != "outside" else not receiver.touches(target)
 
 
-def _crowd_fits(scene: Scene) -> bool:
-    """Whether nobody stands where a drone is, and D2 sees look-alikes."""
+def _crowd_fits(scene: DrawnStage) -> bool:
+    """Returns whether nobody stands where a drone is, and D2 sees look-alikes."""
     others = scene.stage.things[1:]
     eyes = [scene.T_w_c(role).t for role in Role]
     if any(math.dist(other.position_w_m[:2], eye[:2]) < CLEAR_M for other in others for eye in eyes):
@@ -285,7 +288,10 @@ def _crowd_fits(scene: Scene) -> bool:
 
 
 def _hidden_share(eye: Array, target: Array, other: Array, shoulder_m: float) -> float:
-    """About the share of the target's shirt that another person hides from an eye: a column, and a narrow head."""
+    """Returns about the share of the target's shirt that another person hides from a camera.
+
+    A column, and a narrow head.
+    """
     (x, y, z), (ox, oy) = eye.tolist(), other.tolist()
     tx, ty = target.tolist()
     reach = math.hypot(tx - x, ty - y)
@@ -300,12 +306,12 @@ def _hidden_share(eye: Array, target: Array, other: Array, shoulder_m: float) ->
     return blocked / (len(SHIRT_HEIGHTS_M) * len(SHIRT_ACROSS_M))
 
 
-def _view(scene: Scene, role: Role) -> View:
-    return View(scene.T_w_c(role), CAMERAS[role])
+def _view(scene: DrawnStage, role: Role) -> StageCamera:
+    return StageCamera(scene.T_w_c(role), CAMERAS[role])
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class StageCamera:
     """A camera in the world."""
 
     T_w_c: Pose
@@ -316,12 +322,12 @@ class View:
         return self.camera.project_point((x, y, z))
 
     def holds(self, thing: Thing) -> bool:
-        """Whether all of a person's shirt is in the image."""
+        """Returns whether all of a person's shirt is in the image."""
         corners = self.T_w_c.inverse().apply(_room(thing))
         return all(self.camera.sees((x, y, z), MARGIN_PX) for x, y, z in corners.tolist())
 
     def touches(self, thing: Thing) -> bool:
-        """Whether any of the person is."""
+        """Returns whether any of the person is in the image."""
         low, high = np.array(thing.position_w_m), np.array(thing.position_w_m)
         high[2] += PERSON_HEIGHT_M
         across = self.T_w_c.R[:, 0] * PERSON_RADIUS_M
@@ -337,11 +343,11 @@ def _room(thing: Thing) -> Array:
     return np.array(thing.position_w_m) + offsets
 
 
-def _marker_seen(scene: Scene, receiver: View) -> bool:
+def _marker_seen(scene: DrawnStage, receiver: StageCamera) -> bool:
     T_w_v = scene.stage.T_w_b[Role.SENDER] @ marker_mount(scene.side)
-    sight = receiver.T_w_c.t - T_w_v.t
-    distance = float(np.linalg.norm(sight))
-    facing = float(T_w_v.R[:, 2] @ sight) / distance
+    perception = receiver.T_w_c.t - T_w_v.t
+    distance = float(np.linalg.norm(perception))
+    facing = float(T_w_v.R[:, 2] @ perception) / distance
     x, y, z = receiver.T_w_c.inverse().apply(T_w_v.t).tolist()
     return (
         facing > math.cos(MAX_INCIDENCE_RAD)

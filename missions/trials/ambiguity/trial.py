@@ -1,4 +1,4 @@
-"""Which of six similar people is the target? PATH against ORB and XFeat on the same rendered frames."""
+"""The ambiguity trial: finding the target among six similar people, PATH against ORB and XFeat on the same frames."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 
 from missions.trials.ambiguity.examples import draw_view
-from missions.trials.ambiguity.frame import Judged, Task, judge
-from missions.trials.ambiguity.pictures import Curve, draw_outcomes, draw_sweeps
+from missions.trials.ambiguity.frame import FrameResult, FrameTask, judge
+from missions.trials.ambiguity.pictures import SweepCurve, draw_outcomes, draw_sweeps
 from missions.trials.ambiguity.report import TITLES, cause_table, findings, noise_table, notes, of_path, outcome_table
-from missions.trials.ambiguity.score import Ballot, Rule, Tally, best_rule, tally
+from missions.trials.ambiguity.score import Ballot, FrameTally, Rule, best_rule, tally
 from missions.trials.ambiguity.stage import Case, Wanted
 from missions.trials.ambiguity.variants import ORB_VARIANTS, XFEAT_VARIANTS, same_look, sentence, told
-from missions.trials.shared.trial import Picture, Table, TrialRequest, TrialResult
+from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult, TrialTable
 from path.baselines.association import BaselineConfig
 
 TITLE = "Visual ambiguity: which of six similar people is the target"
 PAPER = "Receiver-Side Target Acquisition under Visual Ambiguity"
-NEEDS = ("studio",)
+NEEDS = ("renderer",)
 
 FRAMES: dict[Case, int] = {"present": 317, "outside": 17, "hidden": 16}
 QUICK_FRAMES: dict[Case, int] = {"present": 4, "outside": 1, "hidden": 1}
@@ -33,7 +33,7 @@ WIDE_MARKER_M, WIDE_NEAREST_M = 0.15, (0.8, 2.0)  # drones metres apart need a l
 PATHS = ("path", "path_color")
 
 Variants = dict[str, tuple[BaselineConfig, ...]]
-Sweep = tuple[str, tuple[float, ...], list[dict[str, Tally]]]
+Sweep = tuple[str, tuple[float, ...], list[dict[str, FrameTally]]]
 
 
 def run(request: TrialRequest) -> TrialResult:
@@ -64,21 +64,21 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 def _wanted(request: TrialRequest) -> list[Wanted]:
-    """What the frames show, in an order by chance: the first of them shall be like all of them."""
+    """Returns the conditions of the frames, in an order by chance: the first of them shall be like all of them."""
     frames = QUICK_FRAMES if request.quick else FRAMES
     wanted = [Wanted(case) for case, count in frames.items() for _ in range(count)]
     return [wanted[i] for i in np.random.default_rng([request.seed, 2]).permutation(len(wanted)).tolist()]
 
 
-def _tasks(request: TrialRequest, part: int, wanted: Sequence[Wanted], variants: Variants) -> list[Task]:
-    studio = request.part("studio")
+def _tasks(request: TrialRequest, part: int, wanted: Sequence[Wanted], variants: Variants) -> list[FrameTask]:
+    renderer = request.part("renderer")
     return [
-        Task(studio, each, (request.seed, part, number), request.xfeat, variants["orb"], variants["xfeat"])
+        FrameTask(renderer, each, (request.seed, part, number), request.xfeat, variants["orb"], variants["xfeat"])
         for number, each in enumerate(wanted)
     ]
 
 
-def _judged(request: TrialRequest, wanted: Sequence[Wanted]) -> tuple[list[Judged], Variants]:
+def _judged(request: TrialRequest, wanted: Sequence[Wanted]) -> tuple[list[FrameResult], Variants]:
     """Every method on every frame, and the variants of the baselines that all frames were given to.
 
     Features take longest: the first frames say which way of looking for them is best, the others keep to it.
@@ -100,15 +100,15 @@ def _judged(request: TrialRequest, wanted: Sequence[Wanted]) -> tuple[list[Judge
     return first + rest, chosen
 
 
-def _xfeat(judged: Sequence[Judged]) -> list[Ballot]:
+def _xfeat(judged: Sequence[FrameResult]) -> list[Ballot]:
     return [each.xfeat for each in judged if each.xfeat is not None]
 
 
-def tallied(judged: Sequence[Judged], rules: Mapping[str, Rule]) -> dict[str, Tally]:
+def tallied(judged: Sequence[FrameResult], rules: Mapping[str, Rule]) -> dict[str, FrameTally]:
     """Outcomes of every method."""
     found = {
-        "path": Tally.of(of_path(each, each.path) for each in judged),
-        "path_color": Tally.of(of_path(each, each.path_color) for each in judged),
+        "path": FrameTally.of(of_path(each, each.path) for each in judged),
+        "path_color": FrameTally.of(of_path(each, each.path_color) for each in judged),
         "orb": tally([each.orb for each in judged], rules["orb"]),
     }
     if "xfeat" in rules:
@@ -138,8 +138,8 @@ def _sweeps(request: TrialRequest, variants: Variants, rules: Mapping[str, Rule]
 
 
 def _summary(
-    judged: Sequence[Judged],
-    tallies: Mapping[str, Tally],
+    judged: Sequence[FrameResult],
+    tallies: Mapping[str, FrameTally],
     variants: Variants,
     rules: Mapping[str, Rule],
     sweeps: Mapping[str, Sweep],
@@ -173,41 +173,47 @@ def _summary(
     }
 
 
-def _sweep_table(sweep: Sweep, quick: bool) -> Table:
+def _sweep_table(sweep: Sweep, quick: bool) -> TrialTable:
     title, values, points = sweep
     rows = tuple(
         (f"{value:g}", *(f"{_percent(counts)}" for counts in point.values()))
         for value, point in zip(values, points, strict=True)
     )
     count = QUICK_SWEEP_FRAMES if quick else SWEEP_FRAMES
-    return Table(
+    return TrialTable(
         f"Right answers over: {title}", (title, *(TITLES[method] for method in points[0])), rows,
         f"{count} frames a point, the target present in all of them; 95 % intervals in brackets.",
     )  # fmt: skip
 
 
-def _percent(counts: Tally) -> str:
+def _percent(counts: FrameTally) -> str:
     low, high = counts.interval("tp", "tn")
     return f"{100 * counts.accuracy:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
 
 
 def _draw(
     request: TrialRequest,
-    tasks: Sequence[Task],
-    judged: Sequence[Judged],
+    tasks: Sequence[FrameTask],
+    judged: Sequence[FrameResult],
     rules: Mapping[str, Rule],
-    tallies: Mapping[str, Tally],
+    tallies: Mapping[str, FrameTally],
     sweeps: Mapping[str, Sweep],
-) -> tuple[Picture, ...]:
+) -> tuple[TrialPicture, ...]:
     draw_outcomes(tallies, TITLES, request.out / "outcomes.png")
     drawn = [
-        (title, values, [Curve(method, TITLES[method], tuple(point[method] for point in points)) for method in tallies])
+        (
+            title,
+            values,
+            [SweepCurve(method, TITLES[method], tuple(point[method] for point in points)) for method in tallies],
+        )
         for title, values, points in sweeps.values()
     ]
     draw_sweeps(drawn, request.out / "sweeps.png")
     caption = draw_view(request, tasks, judged, rules)
     return (
-        Picture("outcomes.png", "Frames by outcome. Rates are of all frames, as the paper's are."),
-        Picture("sweeps.png", "Right answers over the nearest look-alike's distance and over the angle of the views."),
-        Picture("examples.png", caption),
+        TrialPicture("outcomes.png", "Frames by outcome. Rates are of all frames, as the paper's are."),
+        TrialPicture(
+            "sweeps.png", "Right answers over the nearest look-alike's distance and over the angle of the views."
+        ),
+        TrialPicture("examples.png", caption),
     )

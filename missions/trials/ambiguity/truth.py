@@ -1,4 +1,4 @@
-"""Who is really where in an image: judged by the exact depth of what each pixel sees, people in front included."""
+"""The true owner of each pixel in an image, by the exact depth of what it sees, people in front included."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flight.harness.renderer import Studio, Thing
-from missions.trials.ambiguity.stage import CAMERAS, PERSON_HEIGHT_M, SHIRT_ACROSS_M, SHIRT_HEIGHTS_M, Scene
+from flight.harness.renderer import FrameRenderer, Thing
+from missions.trials.ambiguity.stage import CAMERAS, PERSON_HEIGHT_M, SHIRT_ACROSS_M, SHIRT_HEIGHTS_M, DrawnStage
 from path.messages import Role
 from path.observations import Box
 
@@ -20,16 +20,16 @@ SHIRT_HALF_M, SHIRT_ENDS_M = (0.17, 0.33), (0.91, 1.45)  # forward and to the si
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
-    """Asks the studio what one camera really sees."""
+class TrueView:
+    """Asks the renderer what one camera really sees."""
 
-    studio: Studio
-    scene: Scene
+    renderer: FrameRenderer
+    scene: DrawnStage
     role: Role
 
     def who(self, u: float, v: float) -> tuple[int | None, float]:
         """Index of the person seen at a pixel (None: no person), and the depth there (inf: nothing in reach)."""
-        depth = self.studio.true_depth_m(self.scene.stage, self.role, u, v)
+        depth = self.renderer.true_depth_m(self.scene.stage, self.role, u, v)
         if depth is None:
             return None, math.inf
         x, y = CAMERAS[self.role].ray(u, v)
@@ -41,7 +41,7 @@ class Sight:
         return (nearest if away[nearest] < BODY_M else None), depth
 
     def in_box(self, box: Box) -> Counter[int | None]:
-        """How many of the pixels of a grid over a box show which person (None: none)."""
+        """Returns how many of the pixels of a grid over a box show which person (None: none)."""
         seen: Counter[int | None] = Counter()
         for v in np.linspace(box.y + 0.06 * box.h, box.y + 0.94 * box.h, BOX_ROWS).tolist():
             for u in np.linspace(box.x + 0.08 * box.w, box.x + 0.92 * box.w, BOX_COLUMNS).tolist():
@@ -84,8 +84,8 @@ class Sight:
         return shown / max(1, asked), behind / max(1, asked)
 
 
-def shirt_box(scene: Scene, role: Role, person: int) -> Box:
-    """About the box of a person's shirt, which is what the detector finds, when nothing hides it."""
+def shirt_box(scene: DrawnStage, role: Role, person: int) -> Box:
+    """Returns about the box of a person's shirt, which is what the detector finds, when nothing hides it."""
     thing: Thing = scene.stage.things[person]
     T_w_c = scene.T_w_c(role)
     c, s = math.cos(thing.yaw_rad), math.sin(thing.yaw_rad)

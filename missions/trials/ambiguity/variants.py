@@ -7,7 +7,7 @@ from itertools import product
 
 from missions.trials.ambiguity.score import Rule
 from path.baselines.association import BaselineConfig, Scope
-from path.baselines.features import Look
+from path.baselines.features import FeatureSearch
 from path.baselines.matching import MatchConfig, Model
 
 MODELS: tuple[Model, ...] = ("affine", "homography")
@@ -15,7 +15,9 @@ REACHES_PX = (2.0, 8.0)
 SCOPES: tuple[Scope, ...] = ("each", "all")
 
 
-def _variants(looks: tuple[Look, ...], ratios: tuple[float, ...], plain: MatchConfig) -> tuple[BaselineConfig, ...]:
+def _variants(
+    looks: tuple[FeatureSearch, ...], ratios: tuple[float, ...], plain: MatchConfig
+) -> tuple[BaselineConfig, ...]:
     """All looks with all ratios, models, reaches and scopes."""
     return tuple(
         BaselineConfig(look, replace(plain, ratio=ratio, model=model, reach_px=reach), scope)
@@ -29,9 +31,13 @@ def same_look(variants: tuple[BaselineConfig, ...], chosen: int) -> tuple[int, .
 
 
 ORB_VARIANTS = _variants(
-    (Look(1.0), Look(2.0), Look(2.0, 0.2), Look(3.0)), (0.75, 0.85, 0.95), MatchConfig(max_hamming=80)
+    (FeatureSearch(1.0), FeatureSearch(2.0), FeatureSearch(2.0, 0.2), FeatureSearch(3.0)),
+    (0.75, 0.85, 0.95),
+    MatchConfig(max_hamming=80),
 )
-XFEAT_VARIANTS = _variants((Look(2.0), Look(1.0), Look(1.0, 0.2)), (0.8, 0.9, 0.95), MatchConfig())
+XFEAT_VARIANTS = _variants(
+    (FeatureSearch(2.0), FeatureSearch(1.0), FeatureSearch(1.0, 0.2)), (0.8, 0.9, 0.95), MatchConfig()
+)
 
 
 def told(variants: tuple[BaselineConfig, ...], rule: Rule) -> dict[str, str | float]:

@@ -1,6 +1,6 @@
 """The offset between two clocks by generalised least squares: what errs together in time or place counts as such.
 
-The model of what is left between a beacon's positions and a vehicle's own ones, by axis, independent of each other
+The model of the residuals between a beacon's positions and a vehicle's own ones, by axis, independent of each other
 (``T`` is the time over which the vehicle's own positions were steadied, weights ``exp(-|t|/T)/2T``; ``u = |dt|/T``):
 
 - a constant shift of each vehicle's estimate (any; free);
@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from missions.trials.shared.trajectory import Alignment, Pair, huber
+from missions.trials.shared.trajectory import Alignment, MotionPair, huber
 from path.rotation import exp
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ class OffsetFit:
     spreads: Spreads
 
 
-def fit_offset(pairs: Sequence[Pair], start: Alignment, steady_s: float) -> OffsetFit:
+def fit_offset(pairs: Sequence[MotionPair], start: Alignment, steady_s: float) -> OffsetFit:
     """Offset of samples to curves of several vehicles in one frame of beacons that is turned about the vertical.
 
     Args:
@@ -110,7 +110,7 @@ class _Means:
     jacobian: Array
 
 
-def _means(pairs: Sequence[Pair], weights: Sequence[Array], offset_s: float, yaw_rad: float) -> _Means:
+def _means(pairs: Sequence[MotionPair], weights: Sequence[Array], offset_s: float, yaw_rad: float) -> _Means:
     R = exp(np.array([0.0, 0.0, yaw_rad]))
     rows, of = list[Array](), list[int]()
     for k, (pair, weight) in enumerate(zip(pairs, weights, strict=True)):
@@ -159,7 +159,7 @@ class _Solution:
         likelihood: logarithm of the restricted one, up to a constant.
         unknowns, covariance: (u,), (u, u).
         inverse: (n, n), of the residuals' covariance, the same for all axes.
-        gains: (3, n, u), inverse times Jacobian. left: (3, n), inverse times what is left of the residuals.
+        gains: (3, n, u), inverse times Jacobian. left: (3, n), inverse times the residuals after the fit.
     """
 
     likelihood: float

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missions.report.records import Run
-from missions.trials.dynamic.judge import SUBJECTS, Compared, Measured
+from missions.report.records import RunRecords
+from missions.trials.dynamic.judge import SUBJECTS, Compared, SessionErrors
 from missions.trials.dynamic.report import NAMES
 from missions.trials.shared.statistics import Interval, blocks_interval
-from missions.trials.shared.trial import Finding, Table, verdict
+from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Segment:
+class SessionPart:
     """A part of the session, s of the receiver's clock."""
 
     name: str
@@ -46,7 +46,7 @@ class Segment:
 
 
 @dataclass(frozen=True, slots=True)
-class Errors:
+class ErrorRow:
     """One row: errors of one trajectory in one segment, m; ``interval`` of the rms is 95 %, over blocks of time."""
 
     segment: str
@@ -60,21 +60,21 @@ class Errors:
     max_m: float
 
 
-def segments_of(run: Run, measured: Measured) -> list[Segment]:
+def segments_of(run: RunRecords, measured: SessionErrors) -> list[SessionPart]:
     """The phases of the receiver in which there was something to compare, after the whole."""
     times = np.concatenate([measured.beacons[name].t for name in SUBJECTS])
-    found = [Segment("all", float(times.min()), float(times.max()) + 1e-6)]
+    found = [SessionPart("all", float(times.min()), float(times.max()) + 1e-6)]
     records = run.receiver.get("/phase", ())
     changes = [r for k, r in enumerate(records) if k == 0 or r.record["phase"] != records[k - 1].record["phase"]]
     for begin, end in zip(changes, [*changes[1:], None], strict=True):
         start_s, end_s = begin.stamp_ns * 1e-9, math.inf if end is None else end.stamp_ns * 1e-9
         if np.count_nonzero((times >= start_s) & (times < end_s)) >= LEAST:
-            found.append(Segment(begin.record["phase"], start_s, end_s))
+            found.append(SessionPart(begin.record["phase"], start_s, end_s))
     return found
 
 
-def errors_of(measured: Measured, segments: Sequence[Segment], seed: int) -> list[Errors]:
-    rows = list[Errors]()
+def errors_of(measured: SessionErrors, segments: Sequence[SessionPart], seed: int) -> list[ErrorRow]:
+    rows = list[ErrorRow]()
     for segment in segments:
         for name in SUBJECTS:
             own = measured.beacons[name]
@@ -84,16 +84,16 @@ def errors_of(measured: Measured, segments: Sequence[Segment], seed: int) -> lis
     return rows
 
 
-def _errors(segment: str, name: str, own: Compared, at: NDArray[np.bool_], rng: np.random.Generator) -> Errors:
+def _errors(segment: str, name: str, own: Compared, at: NDArray[np.bool_], rng: np.random.Generator) -> ErrorRow:
     error_m = own.error_m[at]
     low, high = blocks_interval(error_m**2, own.blocks[at], rng)
-    return Errors(
+    return ErrorRow(
         segment, name, len(error_m), math.sqrt(float(np.mean(error_m**2))), (math.sqrt(low), math.sqrt(high)),
         float(np.mean(error_m)), float(np.median(error_m)), float(np.percentile(error_m, 95)), float(np.max(error_m)),
     )  # fmt: skip
 
 
-def write_errors(file: Path, rows: Sequence[Errors]) -> None:
+def write_errors(file: Path, rows: Sequence[ErrorRow]) -> None:
     """The table as CSV. The same records give the same bytes. Raises OSError."""
     with file.open("w", newline="", encoding="utf-8") as out:
         table = csv.writer(out)
@@ -101,17 +101,19 @@ def write_errors(file: Path, rows: Sequence[Errors]) -> None:
         table.writerows(_texts(row) for row in rows)
 
 
-def _texts(row: Errors) -> tuple[str, ...]:
+def _texts(row: ErrorRow) -> tuple[str, ...]:
     lengths = (row.rmse_m, *row.interval, row.mean_m, row.median_m, row.p95_m, row.max_m)
     return row.segment, row.subject, str(row.n), *(f"{1e3 * length_m:.2f}" for length_m in lengths)
 
 
-def findings(measured: Measured, rows: Sequence[Errors], offset_error_s: float | None) -> tuple[Finding, ...]:
+def findings(
+    measured: SessionErrors, rows: Sequence[ErrorRow], offset_error_s: float | None
+) -> tuple[TrialFinding, ...]:
     clock = measured.clock
     half_ms = 1e3 * 1.96 * clock.offset_sigma_s
     offset_ms = 1e3 * clock.offset_s
     found = [
-        Finding(
+        TrialFinding(
             "receiver's clock minus the listener's, ms",
             f"{offset_ms:.1f}",
             f"{offset_ms - half_ms:.1f} to {offset_ms + half_ms:.1f}",
@@ -124,7 +126,7 @@ def findings(measured: Measured, rows: Sequence[Errors], offset_error_s: float |
     for row in rows:
         if row.segment == "all":
             found.append(
-                Finding(
+                TrialFinding(
                     f"{NAMES[row.subject]} against the beacons, rms, mm",
                     f"{1e3 * row.rmse_m:.1f}",
                     f"{1e3 * row.interval[0]:.1f} to {1e3 * row.interval[1]:.1f}",
@@ -135,8 +137,8 @@ def findings(measured: Measured, rows: Sequence[Errors], offset_error_s: float |
     return tuple(found)
 
 
-def table(rows: Sequence[Errors]) -> Table:
-    return Table(
+def table(rows: Sequence[ErrorRow]) -> TrialTable:
+    return TrialTable(
         "Errors by segment, mm",
         ("segment", "trajectory", "n", "rms", "95 %", "", "mean", "median", "p95", "max"),
         tuple(_texts(row) for row in rows),
@@ -144,7 +146,7 @@ def table(rows: Sequence[Errors]) -> Table:
     )
 
 
-def alignment(measured: Measured) -> Table:
+def alignment(measured: SessionErrors) -> TrialTable:
     clock, frame, heard = measured.clock, measured.frame, measured.heard
     tilt_deg = math.degrees(math.acos(min(1.0, float(measured.free.R[2, 2]))))
     rows = [
@@ -157,10 +159,10 @@ def alignment(measured: Measured) -> Table:
         ("noise of a position at rest", f"{1e3 * measured.noise_m:.1f} mm per axis", f"of {measured.noise_samples}"),
         ("positions refused (jump, poor quality)", f"{heard.refused} of {heard.fixes}", ""),
     ]  # fmt: skip
-    return Table("How the records lie to each other", ("what", "value", "one sigma"), tuple(rows))
+    return TrialTable("How the records lie to each other", ("what", "value", "one sigma"), tuple(rows))
 
 
-def summary(measured: Measured, rows: Sequence[Errors], offset_error_s: float | None) -> dict[str, Any]:
+def summary(measured: SessionErrors, rows: Sequence[ErrorRow], offset_error_s: float | None) -> dict[str, Any]:
     clock, frame = measured.clock, measured.frame
     return {
         "time_offset_s": clock.offset_s,

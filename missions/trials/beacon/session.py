@@ -30,7 +30,7 @@ SILENT_S = 2.0  # without a position before it is said
 
 
 @dataclass(frozen=True, slots=True)
-class Session:
+class BeaconSession:
     """A session's folder, and the beacons as they were heard.
 
     Attributes:
@@ -44,7 +44,7 @@ class Session:
     truth: BeaconTruth | None
 
 
-def load_session(folder: Path) -> Session:
+def load_session(folder: Path) -> BeaconSession:
     """A session from its folder. Raises PartError for one that is not whole."""
     missing = [name for name in (SENDER_LOG, RECEIVER_LOG) if not (folder / name).is_file()]
     records = [folder / name for name in (BEACON_RECORD, BEACON_LIST) if (folder / name).is_file()]
@@ -56,10 +56,10 @@ def load_session(folder: Path) -> Session:
         )
     facts = load_facts(folder)
     notes = () if facts is None or facts.outcome == "committed" else (f"The flight ended as '{facts.outcome}'.",)
-    return Session(folder, tuple(read_any(records[0])), notes, read_truth(folder / TRUTH_FILE))
+    return BeaconSession(folder, tuple(read_any(records[0])), notes, read_truth(folder / TRUTH_FILE))
 
 
-def fly_session(rig: Rig, seed: int, folder: Path) -> Session:
+def fly_session(rig: Rig, seed: int, folder: Path) -> BeaconSession:
     """Fly the rig once and listen to its beacons. Raises PartError: the rig cannot, or the beacons give nothing."""
     reference = reference_of(rig)
     if reference.beacons is None:
@@ -72,11 +72,11 @@ def fly_session(rig: Rig, seed: int, folder: Path) -> Session:
         fixes, notes = listener.fixes, tuple(listener.notes)
     if facts.outcome != "committed":
         notes += (f"The flight ended as '{facts.outcome}'.",)
-    return Session(folder, tuple(fixes), notes, read_truth(folder / TRUTH_FILE))
+    return BeaconSession(folder, tuple(fixes), notes, read_truth(folder / TRUTH_FILE))
 
 
 def _hear_afterwards(rig: Rig, seed: int, folder: Path) -> list[BeaconFix]:
-    """In virtual time the bytes are made from the flight's truth; what takes them is what takes a port's."""
+    """Makes the bytes from the flight's truth in virtual time; what takes them is what takes a port's."""
     if "beacons" not in rig.trials:
         raise PartError(
             f"{rig.where('[reference]')}: nobody listens to the beacons",

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from drivers.interfaces import PartError
 from missions import rig_library
-from missions.report.records import Run, load_run
+from missions.report.records import RunRecords, load_run
 from missions.report.truth import truth_of
 from missions.trials.beacon import report
-from missions.trials.beacon.session import Session, fly_session, load_session, record_session
+from missions.trials.beacon.session import BeaconSession, fly_session, load_session, record_session
 from missions.trials.dynamic.flight import heard_of, reference_of
-from missions.trials.dynamic.judge import Measured, against_truth, measure, offset_error_s, true_path
+from missions.trials.dynamic.judge import SessionErrors, against_truth, measure, offset_error_s, true_path
 from missions.trials.dynamic.pictures import draw_errors, draw_map
-from missions.trials.shared.trial import Picture, Table, TrialRequest, TrialResult
+from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult, TrialTable
 
 TITLE = "Beacons: one session's trajectories against an ultrasonic reference"
 PAPER = "Receiver-View Projection Consistency, dynamic part"
@@ -52,23 +52,23 @@ def run(request: TrialRequest) -> TrialResult:
         findings=report.findings(measured, rows, error_s),
         noise=None
         if session.truth is None
-        else Table("What the harness put in", ("what", "value"), session.truth.noise),
+        else TrialTable("What the harness put in", ("what", "value"), session.truth.noise),
         tables=(report.alignment(measured), report.table(rows)),
         pictures=(
-            Picture("map.png", "From above: left in the beacons' frame, right seen from D1"),
-            Picture("errors.png", "Errors over time"),
+            TrialPicture("map.png", "From above: left in the beacons' frame, right seen from D1"),
+            TrialPicture("errors.png", "Errors over time"),
         ),
         notes=(*session.notes, "A constant latency of the beacons cannot be told from an offset between the clocks."),
     )
 
 
-def _fly(order: tuple[TrialRequest, Path]) -> Session:
+def _fly(order: tuple[TrialRequest, Path]) -> BeaconSession:
     request, rig_file = order
     return fly_session(rig_library.load(str(rig_file)), request.seed, request.out)
 
 
-def _draw(session: Session, flown: Run, measured: Measured, out: Path) -> float | None:
-    """Both pictures; the error of the clock's offset where it is known."""
+def _draw(session: BeaconSession, flown: RunRecords, measured: SessionErrors, out: Path) -> float | None:
+    """Draws both pictures; returns the error of the clock's offset where it is known."""
     truth, beacons = truth_of(flown.world), session.truth
     if truth is None or beacons is None:
         draw_map(measured, out / "map.png")
@@ -80,7 +80,7 @@ def _draw(session: Session, flown: Run, measured: Measured, out: Path) -> float 
 
 
 def _recorded(request: TrialRequest) -> TrialResult:
-    """In the field the drones are flown from their own computers; here the beacons are recorded meanwhile."""
+    """Records the beacons while the drones are flown from their own computers, in the field."""
 
     def show(line: str) -> None:
         sys.stdout.write(f"{line}\n")

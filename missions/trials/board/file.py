@@ -70,7 +70,7 @@ class BoardFile:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Board:
+class BoardPhotograph:
     """A photograph and what is on it.
 
     Attributes:
@@ -86,7 +86,7 @@ class Board:
     centres_m: dict[int, NDArray[np.float64]]
 
 
-def read_board(path: Path) -> Board:
+def read_board(path: Path) -> BoardPhotograph:
     """The board that a TOML file describes.
 
     Raises:
@@ -115,7 +115,7 @@ def read_board(path: Path) -> Board:
                         REMEDY)  # fmt: skip
     ids = range(described.first_id, described.first_id + count)
     places = [np.array([k % described.columns, k // described.columns]) * described.pitch_m for k in range(count)]
-    return Board(
+    return BoardPhotograph(
         described,
         np.asarray(grey, dtype=np.uint8),
         camera,

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import FAULT, MARKER
-from missions.trials.board.file import Board
+from missions.trials.board.file import BoardPhotograph
 from missions.trials.board.trial import BOARD_GOAL_PX, BOARD_TITLES, OnBoard
 
 DPI = 110
@@ -19,7 +19,7 @@ ARROW = 60.0  # px drawn for a pixel of error
 SHOWN = {"subpix": FAULT, "photometric": MARKER}
 
 
-def draw_board(board: Board, scores: Mapping[str, OnBoard], path: Path) -> None:
+def draw_board(board: BoardPhotograph, scores: Mapping[str, OnBoard], path: Path) -> None:
     figure = Figure(figsize=(12.0, 5.2), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     photograph, spread = figure.subplots(1, 2, width_ratios=(3, 2))
@@ -28,7 +28,7 @@ def draw_board(board: Board, scores: Mapping[str, OnBoard], path: Path) -> None:
     figure.savefig(path, format="png", metadata={"Software": None})
 
 
-def _draw_errors(axes: Axes, board: Board, scores: Mapping[str, OnBoard]) -> None:
+def _draw_errors(axes: Axes, board: BoardPhotograph, scores: Mapping[str, OnBoard]) -> None:
     axes.imshow(board.grey, cmap="gray", vmin=-80, vmax=300)
     for name, colour in SHOWN.items():
         if name in scores:

@@ -10,12 +10,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from missions.trials.board.file import Board
+from missions.trials.board.file import BoardPhotograph
 from missions.trials.board.measure import Left, measure
 from missions.trials.corners.methods import OPENCV, PIXEL_CENTRE, TITLES
 from missions.trials.corners.score import calibration_text
 from missions.trials.shared.statistics import Array, Interval, bootstrap, mean
-from missions.trials.shared.trial import Table
+from missions.trials.shared.trial import TrialTable
 from path.geometry import Matrix
 from path.marker.detect import refine_corners
 from path.target import MAD_TO_SIGMA
@@ -102,14 +102,14 @@ Corners = dict[int, tuple[Matrix, Matrix | None]]
 """By id: corners (4, 2) and their covariance (8, 8), if any."""
 
 
-def look_at(board: Board, seed: int) -> dict[str, OnBoard]:
+def look_at(board: BoardPhotograph, seed: int) -> dict[str, OnBoard]:
     """Every method that finds at least half of the markers, by name."""
     found = {name: _by_opencv(board, refinement) for name, refinement in BY_OPENCV.items()}
     found["photometric"] = _photometric(board, found[START])
     return {name: _score(board, own, seed) for name, own in found.items() if 2 * len(own) >= len(board.patterns)}
 
 
-def _by_opencv(board: Board, refinement: Refinement) -> Corners:
+def _by_opencv(board: BoardPhotograph, refinement: Refinement) -> Corners:
     parameters, scale = cv2.aruco.DetectorParameters(), refinement.scale
     parameters.cornerRefinementMethod = refinement.flag
     grey = board.grey
@@ -124,7 +124,7 @@ def _by_opencv(board: Board, refinement: Refinement) -> Corners:
     return found
 
 
-def _photometric(board: Board, start: Corners) -> Corners:
+def _photometric(board: BoardPhotograph, start: Corners) -> Corners:
     """The project's corners; markers at which it falls back to others count with those."""
     found: Corners = {}
     for marker_id, (quad, _) in start.items():
@@ -135,7 +135,7 @@ def _photometric(board: Board, start: Corners) -> Corners:
     return found
 
 
-def _score(board: Board, found: Corners, seed: int) -> OnBoard:
+def _score(board: BoardPhotograph, found: Corners, seed: int) -> OnBoard:
     ids = sorted(found)
     corners = np.stack([found[i][0] for i in ids])
     centres = np.stack([board.centres_m[i] for i in ids])
@@ -172,7 +172,7 @@ def _whitened(error_px: Matrix, covariance_px2: Matrix) -> float:
     return float(e @ np.linalg.solve(covariance_px2, e)) / len(e)
 
 
-def board_table(board: Board, scores: Mapping[str, OnBoard]) -> Table:
+def board_table(board: BoardPhotograph, scores: Mapping[str, OnBoard]) -> TrialTable:
     rows = [
         (
             BOARD_TITLES[name],
@@ -187,7 +187,7 @@ def board_table(board: Board, scores: Mapping[str, OnBoard]) -> Table:
         )
         for name, own in scores.items()
     ]
-    return Table(
+    return TrialTable(
         f"Corners on the photograph {board.file.image.name}: what the best board leaves of them, px per axis",
         ("method", "rms", "robust", "sixth order", "along u / v", "side, mm", "markers", "stated", "error² / stated²"),
         tuple(rows),

@@ -1,4 +1,4 @@
-"""How well a camera is calibrated from views of a board, on rendered boards whose camera is known."""
+"""The trial of camera calibration from views of a board, on rendered boards whose camera is known."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from flight.harness.renderer import IDEAL, REALISTIC, REALISTIC_VIDEO, Imaging, Studio
+from flight.harness.renderer import IDEAL, REALISTIC, REALISTIC_VIDEO, FrameRenderer, Imaging
 from missions.calibrate.camera import BadViews, calibrate
-from missions.calibrate.collect import Collected, Look
+from missions.calibrate.collect import Collected, CollectedImage
 from missions.trials.calibration.views import Held, board_poses, grey, photographs
 from missions.trials.shared.statistics import bootstrap, mean
-from missions.trials.shared.trial import Finding, Table, TrialRequest, TrialResult, verdict
+from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, TrialTable, verdict
 from path.calibration.board import Board, BoardView, find_board, find_corners
 from path.calibration.intrinsics import left_by, solve_intrinsics
 from path.calibration.judge import BadSet
@@ -21,7 +21,7 @@ from path.camera import CameraModel
 
 TITLE = "Calibration from rendered boards: the camera that comes out against the one that is there"
 PAPER = "Experimental Setup (a chessboard calibration; its accuracy is not evaluated there)"
-NEEDS = ("studio",)
+NEEDS = ("renderer",)
 
 CAMERA = CameraModel(1280, 720, 920.0, 919.0, 642.0, 358.0, (0.112, -0.236, 0.0006, -0.0004, 0.095))
 QUICK_CAMERA = CameraModel(640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095))
@@ -47,7 +47,7 @@ BAD: Mapping[str, tuple[Held, int, BadSet]] = {
 class Set:
     """One set of views to shoot and to calibrate from."""
 
-    studio: type[Studio]
+    renderer: type[FrameRenderer]
     camera: CameraModel
     board: str
     condition: str
@@ -56,12 +56,12 @@ class Set:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What came of a set: errors of the corners (n, 2) px by method, relative ones of fx and fy, and the residuals.
+class SetResult:
+    """The result of a set: errors of the corners (n, 2) px by method, relative ones of fx and fy, and the residuals.
 
     Attributes:
         normalised: errors of all nine parameters in units of their stated standard errors.
-        floor_px: what the true camera leaves of the same views.
+        floor_px: residual of the true camera on the same views.
     """
 
     board: str
@@ -78,16 +78,16 @@ class Outcome:
 def run(request: TrialRequest) -> TrialResult:
     camera = QUICK_CAMERA if request.quick else CAMERA
     sets, views = (QUICK_SETS, QUICK_VIEWS) if request.quick else (SETS, VIEWS)
-    studio = request.part("studio")
+    renderer = request.part("renderer")
     conditions = ("ideal", "realistic") if request.quick else tuple(CONDITIONS)
     pieces = [
-        Set(studio, camera, board, condition, 1000 * request.seed + number, views)
+        Set(renderer, camera, board, condition, 1000 * request.seed + number, views)
         for condition in conditions
         for board in BOARDS
         for number in range(sets)
     ]
     outcomes = request.work.map("sets of views", calibrate_set, pieces)
-    refused = request.work.map("bad sets", refuse_set, [(studio, name) for name in BAD])
+    refused = request.work.map("bad sets", refuse_set, [(renderer, name) for name in BAD])
     groups = {(c, b): [o for o in outcomes if (o.condition, o.board) == (c, b)] for c in conditions for b in BOARDS}
     findings = [*_focal_findings(outcomes, groups), _refusals(refused)]
     return TrialResult(
@@ -110,11 +110,11 @@ def run(request: TrialRequest) -> TrialResult:
     )
 
 
-def calibrate_set(work: Set) -> Outcome:
+def calibrate_set(work: Set) -> SetResult:
     """A piece of work."""
     board, camera = BOARDS[work.board], work.camera
     where = list(board_poses(camera, board, Held(), work.views, work.seed))
-    images = photographs(work.studio, camera, board, where, work.seed, CONDITIONS[work.condition])
+    images = photographs(work.renderer, camera, board, where, work.seed, CONDITIONS[work.condition])
     views: list[BoardView] = []
     own: list[np.ndarray[Any, np.dtype[np.float64]]] = []
     opencv: list[np.ndarray[Any, np.dtype[np.float64]]] = []
@@ -131,7 +131,7 @@ def calibrate_set(work: Set) -> Outcome:
     solution = solve_intrinsics(views, board, (camera.width, camera.height))
     truth = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
     off = np.array(solution.values) - truth
-    return Outcome(
+    return SetResult(
         work.board,
         work.condition,
         np.concatenate(opencv),
@@ -144,15 +144,15 @@ def calibrate_set(work: Set) -> Outcome:
     )
 
 
-def refuse_set(work: tuple[type[Studio], str]) -> list[str]:
+def refuse_set(work: tuple[type[FrameRenderer], str]) -> list[str]:
     """A piece of work: what is said to be wrong with a bad set, refused or not; empty when it is called good."""
-    studio, name = work
+    renderer, name = work
     held, count, _ = BAD[name]
     board, camera = BOARDS["charuco"], QUICK_CAMERA
     where = list(board_poses(camera, board, held, count, 1))
     looks = [
-        Look(str(number), (camera.width, camera.height), find_board(grey(color), board))
-        for number, color in enumerate(photographs(studio, camera, board, where, 1))
+        CollectedImage(str(number), (camera.width, camera.height), find_board(grey(color), board))
+        for number, color in enumerate(photographs(renderer, camera, board, where, 1))
     ]
     try:
         done = calibrate(Collected(looks), board)
@@ -161,15 +161,15 @@ def refuse_set(work: tuple[type[Studio], str]) -> list[str]:
     return [fault.reason.value for fault in done.faults]
 
 
-Groups = Mapping[tuple[str, str], Sequence[Outcome]]
+Groups = Mapping[tuple[str, str], Sequence[SetResult]]
 
 
-def _focal_findings(outcomes: Sequence[Outcome], groups: Groups) -> list[Finding]:
-    findings: list[Finding] = []
+def _focal_findings(outcomes: Sequence[SetResult], groups: Groups) -> list[TrialFinding]:
+    findings: list[TrialFinding] = []
     for (condition, board), own in groups.items():
         worst = max(max(abs(f) for f in outcome.focal) for outcome in own)
         findings.append(
-            Finding(
+            TrialFinding(
                 f"fx, fy off by at most, {board}, {condition}",
                 f"{100.0 * worst:.3f} %",
                 f"worst of {len(own)} sets",
@@ -179,7 +179,7 @@ def _focal_findings(outcomes: Sequence[Outcome], groups: Groups) -> list[Finding
         )
     ratios = np.array([outcome.held_out_px / outcome.floor_px for outcome in outcomes])
     findings.append(
-        Finding(
+        TrialFinding(
             "held-out rms over the noise floor",
             f"{ratios.min():.3f} to {ratios.max():.3f}",
             f"all {len(ratios)} sets",
@@ -190,7 +190,7 @@ def _focal_findings(outcomes: Sequence[Outcome], groups: Groups) -> list[Finding
     squares = np.array([float((outcome.normalised**2).mean()) for outcome in outcomes])
     low, high = bootstrap(squares, mean, np.random.default_rng(0))
     findings.append(
-        Finding(
+        TrialFinding(
             "squared error of the parameters over the stated",
             f"{squares.mean():.2f}",
             f"{low:.2f} to {high:.2f}",
@@ -200,9 +200,9 @@ def _focal_findings(outcomes: Sequence[Outcome], groups: Groups) -> list[Finding
     return findings
 
 
-def _refusals(refused: Sequence[Sequence[str]]) -> Finding:
+def _refusals(refused: Sequence[Sequence[str]]) -> TrialFinding:
     right = sum(BAD[name][2].value in reasons for name, reasons in zip(BAD, refused, strict=True))
-    return Finding("bad sets told what is wrong with them", f"{right} of {len(BAD)}", goal=f"{len(BAD)}",
+    return TrialFinding("bad sets told what is wrong with them", f"{right} of {len(BAD)}", goal=f"{len(BAD)}",
                    verdict=verdict(right == len(BAD)))  # fmt: skip
 
 
@@ -210,7 +210,7 @@ def _rms(errors: Sequence[np.ndarray[Any, np.dtype[np.float64]]]) -> float:
     return float(np.sqrt((np.concatenate(errors) ** 2).mean()))
 
 
-def _summary(own: Sequence[Outcome]) -> dict[str, Any]:
+def _summary(own: Sequence[SetResult]) -> dict[str, Any]:
     return {
         "focal_worst": max(max(abs(f) for f in outcome.focal) for outcome in own),
         "centre_worst_px": max(outcome.centre_px for outcome in own),
@@ -223,7 +223,7 @@ def _summary(own: Sequence[Outcome]) -> dict[str, Any]:
     }
 
 
-def _table(groups: Groups, camera: CameraModel, sets: int, views: int) -> Table:
+def _table(groups: Groups, camera: CameraModel, sets: int, views: int) -> TrialTable:
     rows = [
         (
             f"{condition}, {board}",
@@ -238,7 +238,7 @@ def _table(groups: Groups, camera: CameraModel, sets: int, views: int) -> Table:
         )
         for (condition, board), own in groups.items()
     ]
-    return Table(
+    return TrialTable(
         f"{sets} sets of {views} views at {camera.width}x{camera.height}: corners, px per axis, and the camera",
         ("", "OpenCV rms", "bias u / v", "fitted rms", "bias u / v", "worst fx, fy, %", "worst cx, cy, px",
          "held out, px", "floor, px"),
@@ -248,9 +248,9 @@ def _table(groups: Groups, camera: CameraModel, sets: int, views: int) -> Table:
     )  # fmt: skip
 
 
-def _noise() -> Table:
+def _noise() -> TrialTable:
     held = Held()
-    return Table(
+    return TrialTable(
         "Boards and cameras",
         ("what", "how much", "how it is applied"),
         (

@@ -1,4 +1,4 @@
-"""Boards before a camera, with known truth: how they are held, and what a studio makes of them."""
+"""Boards before a camera, with known truth: how they are held, and what a renderer makes of them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from flight.harness.renderer import Imaging, PlacedBoard, Stage, Studio, StudioSetup
+from flight.harness.renderer import FrameRenderer, Imaging, PlacedBoard, RenderedInstant, RendererSetup
 from path.calibration.board import Board, print_cells
 from path.camera import CameraModel
 from path.geometry import Pose
@@ -26,7 +26,7 @@ T_W_C = Pose(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]), np.
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """How a board is held: distance, tilt, and how far from the image's middle its own may be (share of each side)."""
+    """The pose of a board: distance, tilt, and how far from the image's middle its own may be (share of each side)."""
 
     distance_m: tuple[float, float] = (0.40, 0.75)
     tilt_deg: tuple[float, float] = (0.0, 40.0)
@@ -54,7 +54,7 @@ def placed(board: Board, T_w_o: Pose) -> PlacedBoard:
 
 
 def photographs(
-    studio: type[Studio],
+    renderer: type[FrameRenderer],
     camera: CameraModel,
     board: Board,
     where: Sequence[Pose],
@@ -62,10 +62,10 @@ def photographs(
     imaging: Imaging | None = None,
 ) -> Iterator[NDArray[np.uint8]]:
     """Colour images of a board at ``T_c_o``."""
-    setup = StudioSetup(camera, HERE, HERE, single_marker(), imaging=imaging or Imaging())
-    made = studio(setup, seed)
+    setup = RendererSetup(camera, HERE, HERE, single_marker(), imaging=imaging or Imaging())
+    made = renderer(setup, seed)
     for number, T_c_o in enumerate(where):
-        stage = Stage({Role.SENDER: T_W_C}, boards=(placed(board, T_W_C @ T_c_o),))
+        stage = RenderedInstant({Role.SENDER: T_W_C}, boards=(placed(board, T_W_C @ T_c_o),))
         yield made.shoot(stage, Role.SENDER, number).color
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
 from drivers.rig.parts import Rig
-from flight.harness.renderer import Stage, Studio, StudioSetup, Thing
+from flight.harness.renderer import FrameRenderer, RenderedInstant, RendererSetup, Thing
 from missions.trials.shared.trial import TrialRequest
 from path.camera import CameraModel
 from path.geometry import Matrix, Pose
@@ -70,11 +70,13 @@ class Film:
 
 def shoot_film(request: TrialRequest, size: str, count: int) -> Film:
     """Render ``count`` moments. Raises SceneError when the detector does not find the target in one of them."""
-    rig, studio_of = request.rig, request.part("studio")
+    rig, renderer_of = request.rig, request.part("renderer")
     cameras = {role: camera_of(rig, role, size) for role in Role}
     mounts = {role: rig.role(role).mount for role in Role}
-    studios: dict[Role, Studio] = {
-        role: studio_of(StudioSetup(cameras[role], mounts[role].T_b_c, mounts[role].T_b_v, rig.layout), request.seed)
+    renderers: dict[Role, FrameRenderer] = {
+        role: renderer_of(
+            RendererSetup(cameras[role], mounts[role].T_b_c, mounts[role].T_b_v, rig.layout), request.seed
+        )
         for role in Role
     }
     detector = ColorDetector(ColorDetectorConfig())
@@ -82,7 +84,7 @@ def shoot_film(request: TrialRequest, size: str, count: int) -> Film:
     for k in request.work.steps(f"frames of {size}", range(count)):
         instants = {Role.SENDER: float(k), Role.RECEIVER: k + BETWEEN_NS / PERIOD_NS}
         stages = {role: _stage(instant / count) for role, instant in instants.items()}
-        shots = {role: studios[role].shoot(stage, role, k) for role, stage in stages.items()}
+        shots = {role: renderers[role].shoot(stage, role, k) for role, stage in stages.items()}
         T_c_w = (stages[Role.SENDER].T_w_b[Role.SENDER] @ mounts[Role.SENDER].T_b_c).inverse()
         x, y, z = T_c_w.apply(np.array(TARGET_W_M)).tolist()
         found = {role: [each.box for each in detector.detect(shot.color, None)] for role, shot in shots.items()}
@@ -113,8 +115,8 @@ def camera_of(rig: Rig, role: Role, size: str) -> CameraModel:
     return replace(camera, width=width, height=height, fx=factor * camera.fx, fy=factor * camera.fy, cx=cx, cy=cy)
 
 
-def _stage(phase: float) -> Stage:
-    """At a share of the period of the swaying."""
+def _stage(phase: float) -> RenderedInstant:
+    """Returns the stage at a share of the period of the swaying."""
     turn = 2.0 * math.pi * phase
     poses: dict[Role, Pose] = {}
     for number, role in enumerate(Role):
@@ -124,11 +126,11 @@ def _stage(phase: float) -> Stage:
         roll, pitch = SWAY_RAD * math.sin(turn + 1.0 + number), SWAY_RAD * math.cos(turn - number)
         attitude = R_W_N @ R_from_rpy(roll, pitch, HEADINGS_RAD[role])
         poses[role] = Pose(attitude, np.array(PLACES_W_M[role]) + SWAY_M * np.array(sway))
-    return Stage(poses, CARS, rotor_phase_rad=turn)
+    return RenderedInstant(poses, CARS, rotor_phase_rad=turn)
 
 
 def _velocity(role: Role, instant: float, count: int) -> Vec3:
-    """In ``n``, m/s, at an instant in frames, of a film that repeats after ``count`` of them."""
+    """Returns a velocity in ``n``, m/s, at an instant in frames, of a film that repeats after ``count`` of them."""
     before, after = (_stage((instant + step) / count).T_w_b[role].t for step in (-0.05, 0.05))
     north, east, down = (R_W_N.T @ (after - before) / (0.1 * PERIOD_NS * 1e-9)).tolist()
     return north, east, down

@@ -18,7 +18,7 @@ from missions.trials.compute.film import Film, Moment
 from missions.trials.compute.path import PathPair
 from missions.trials.shared.trial import TrialRequest
 from path.baselines.association import BaselineConfig, associate
-from path.baselines.features import Features, Image, Look
+from path.baselines.features import Features, FeatureSearch, Image
 from path.baselines.orb import Orb
 from path.messages import Role
 from path.observations import Box
@@ -29,8 +29,8 @@ LEAD_IN = 3  # cycles after the geometry alone, which leaves the marker unseen f
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """How often: blocks, and cycles of each method in a block; ``path`` is at least the number of frames."""
+class ComputePlan:
+    """The number of blocks, and of each method's cycles in a block; ``path`` is at least the number of frames."""
 
     frames: int = 16
     blocks: int = 12
@@ -39,12 +39,12 @@ class Plan:
     xfeat: int = 1
 
 
-QUICK = Plan(frames=4, blocks=3, path=4, orb=1)
+QUICK = ComputePlan(frames=4, blocks=3, path=4, orb=1)
 
 
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """Of one size: time of every cycle of a stage or method, us, by block: (blocks, cycles)."""
+    """The times of one image size: every cycle of a stage or method, us, by block: (blocks, cycles)."""
 
     us: dict[str, Array]
 
@@ -55,7 +55,7 @@ class Timings:
         return float(np.percentile(self.us[name], 99.0)) / 1e3
 
 
-def time_all(request: TrialRequest, film: Film, plan: Plan) -> Timings:
+def time_all(request: TrialRequest, film: Film, plan: ComputePlan) -> Timings:
     """Every method in every block, one thread. The order within a block turns."""
     path = PathPair(request.rig, rig_library.mission_of(request.rig), film, request.seed)
     turns: list[Callable[[], dict[str, list[float]]]] = [
@@ -86,7 +86,7 @@ class Baseline:
         self._features = features
         self._film = film
         self._whole = whole
-        self._config = replace(BaselineConfig(), look=Look(zoom=1.0)) if whole else BaselineConfig()
+        self._config = replace(BaselineConfig(), look=FeatureSearch(zoom=1.0)) if whole else BaselineConfig()
         self._next = 0
 
     def cycle(self) -> float:
@@ -113,7 +113,7 @@ class Baseline:
         return self._film.moments[self._next % len(self._film.moments)]
 
 
-def _baselines(request: TrialRequest, plan: Plan) -> list[tuple[str, Features, int]]:
+def _baselines(request: TrialRequest, plan: ComputePlan) -> list[tuple[str, Features, int]]:
     """XFeat only with its weights. Raises PartError for weights that are none."""
     found: list[tuple[str, Features, int]] = [("orb", Orb(), plan.orb)]
     if request.xfeat is not None:

@@ -1,4 +1,4 @@
-"""What every stage of PATH costs, held against ORB and XFeat on the same frames."""
+"""The cost of every stage of PATH, held against ORB and XFeat on the same frames."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from matplotlib.figure import Figure
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
 from missions.trials.compute.film import SIZES, shoot_film
 from missions.trials.compute.path import DETECTORS, GEOMETRY, MESSAGES, SUMS
-from missions.trials.compute.rounds import HOT, QUICK, Array, Plan, Timings, time_all
+from missions.trials.compute.rounds import HOT, QUICK, Array, ComputePlan, Timings, time_all
 from missions.trials.shared.statistics import bootstrap
-from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
+from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.messages import Role
 
 TITLE = "Compute: every stage of PATH against ORB and XFeat, one thread, same frames"
 PAPER = "Hardware Performance"
-NEEDS = ("studio",)
+NEEDS = ("renderer",)
 
 GEOMETRY_GOAL_MS, MARKER_GOAL_MS = 0.1, 4.0
 RATIO_GOALS = {"orb": 20.0, "xfeat": 100.0}
@@ -68,7 +68,7 @@ LEFT_MS = 4e-3  # where the picture begins
 
 
 def run(request: TrialRequest) -> TrialResult:
-    plan = QUICK if request.quick else Plan()
+    plan = QUICK if request.quick else ComputePlan()
     sizes = tuple(SIZES)[:1] if request.quick else tuple(SIZES)
     timings = {size: time_all(request, shoot_film(request, size, plan.frames), plan) for size in sizes}
     rng = np.random.default_rng([request.seed, 8])
@@ -87,13 +87,13 @@ def run(request: TrialRequest) -> TrialResult:
         findings=(*_budget_findings(timings, rng), *_ratio_findings(ratios)),
         noise=_conditions(plan),
         tables=(_stage_table(timings), _counted_table(), _ratio_table(ratios)),
-        pictures=(Picture(PICTURE, "Median time of stages and cycles; thin lines reach to the 99th percentile."),),
+        pictures=(TrialPicture(PICTURE, "Median time of stages and cycles; thin lines reach to the 99th percentile."),),
         notes=_notes(request),
     )
 
 
 def _ratios(timing: Timings, rng: np.random.Generator) -> dict[str, dict[str, float]]:
-    """How many times a baseline's cycle costs what PATH does: medians, interval by resampling blocks."""
+    """Returns how many times a baseline's cycle costs what PATH does: medians, interval by resampling blocks."""
     found: dict[str, dict[str, float]] = {}
     for method in (name for name in timing.us if name.startswith(("orb_", "xfeat_"))):
         for counted in COUNTED:
@@ -108,8 +108,8 @@ def _ratio(blocks: Array) -> float:
     return float(np.median(blocks[:, 0]) / np.median(blocks[:, 1]))
 
 
-def _budget_findings(timings: Mapping[str, Timings], rng: np.random.Generator) -> tuple[Finding, ...]:
-    findings: list[Finding] = []
+def _budget_findings(timings: Mapping[str, Timings], rng: np.random.Generator) -> tuple[TrialFinding, ...]:
+    findings: list[TrialFinding] = []
 
     def add(size: str, quantity: str, name: str, statistic: Callable[[Array], float], goal_ms: float, why: str) -> None:
         us = timings[size].us[name]
@@ -118,7 +118,7 @@ def _budget_findings(timings: Mapping[str, Timings], rng: np.random.Generator) -
         interval, goal = f"{low / MS:.3f} to {high / MS:.3f}", f"≤ {goal_ms:g}"
         note = why if ours > goal_ms else ""
         findings.append(
-            Finding(f"{quantity}, {size}, ms", f"{ours:.3f}", interval, "", goal, verdict(ours <= goal_ms), note)
+            TrialFinding(f"{quantity}, {size}, ms", f"{ours:.3f}", interval, "", goal, verdict(ours <= goal_ms), note)
         )
 
     cold = "In the cycle its code and data must be fetched again after the images went through the cache."
@@ -138,8 +138,8 @@ def _p99(values: Array) -> float:
     return float(np.percentile(values, 99.0))
 
 
-def _ratio_findings(ratios: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[Finding, ...]:
-    findings: list[Finding] = []
+def _ratio_findings(ratios: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[TrialFinding, ...]:
+    findings: list[TrialFinding] = []
     for size, found in ratios.items():
         for name, ratio in found.items():
             counted, method = name.split("_vs_")
@@ -150,7 +150,7 @@ def _ratio_findings(ratios: Mapping[str, Mapping[str, Mapping[str, float]]]) -> 
             if method == "xfeat_whole":
                 note = f"{note} Mostly matching of 4096 features in numpy: see XFeat's features alone.".strip()
             findings.append(
-                Finding(
+                TrialFinding(
                     f"{TITLES[method]} / {COUNTED[counted]}, {size}, ratio",
                     f"{ratio['ratio']:.1f}",
                     f"{ratio['low']:.1f} to {ratio['high']:.1f}",
@@ -184,9 +184,9 @@ def _cpu() -> str:
     return names[0] if names else platform.processor() or platform.machine()
 
 
-def _conditions(plan: Plan) -> Table:
+def _conditions(plan: ComputePlan) -> TrialTable:
     machine = ", ".join(f"{name} {value}" for name, value in _machine().items())
-    return Table(
+    return TrialTable(
         "How it was timed",
         ("what", "how"),
         (
@@ -201,13 +201,13 @@ def _conditions(plan: Plan) -> Table:
     )  # fmt: skip
 
 
-def _stage_table(timings: Mapping[str, Timings]) -> Table:
+def _stage_table(timings: Mapping[str, Timings]) -> TrialTable:
     names = [name for name in TITLES if any(name in timing.us for timing in timings.values())]
     rows = tuple(
         (TITLES[name], *(text for timing in timings.values() for text in _two(timing, name))) for name in names
     )
     columns = tuple(text for size in timings for text in (f"{size} median", "p99"))
-    return Table(
+    return TrialTable(
         "Time of each stage, ms",
         ("", *columns),
         rows,
@@ -219,11 +219,11 @@ def _two(timing: Timings, name: str) -> tuple[str, str]:
     return f"{timing.median_ms(name):.3f}", f"{timing.p99_ms(name):.3f}"
 
 
-def _counted_table() -> Table:
+def _counted_table() -> TrialTable:
     def stages(names: tuple[str, ...]) -> str:
         return "; ".join(TITLES[name] for name in names)
 
-    return Table(
+    return TrialTable(
         "What is counted",
         ("name", "stages"),
         (
@@ -239,14 +239,14 @@ def _counted_table() -> Table:
     )  # fmt: skip
 
 
-def _ratio_table(ratios: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table:
+def _ratio_table(ratios: Mapping[str, Mapping[str, Mapping[str, float]]]) -> TrialTable:
     rows = tuple(
         (size, TITLES[name.split("_vs_")[1]], COUNTED[name.split("_vs_")[0]], f"{r['ratio']:.1f}",
          f"{r['low']:.1f} to {r['high']:.1f}")
         for size, found in ratios.items()
         for name, r in found.items()
     )  # fmt: skip
-    return Table("Ratios of medians", ("frames", "method", "against", "ratio", "95 % interval"), rows)
+    return TrialTable("Ratios of medians", ("frames", "method", "against", "ratio", "95 % interval"), rows)
 
 
 def _notes(request: TrialRequest) -> tuple[str, ...]:

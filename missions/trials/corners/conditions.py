@@ -1,4 +1,4 @@
-"""What the corner methods are tried on: cameras, conditions of image and print, and poses of the marker."""
+"""The inputs of the corner methods: cameras, conditions of image and print, and poses of the marker."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from flight.harness.renderer import (
     WEBCAM,
     Imaging,
     Printing,
-    Stage,
+    RenderedInstant,
 )
 from path.camera import CameraModel
 from path.geometry import Matrix, Pose, Vector
@@ -80,15 +80,15 @@ CONDITIONS = {
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class ShotPose:
     """One pose of the marker before the camera: world ENU, camera with z ahead."""
 
     T_w_c: Pose
     T_w_b1: Pose
 
-    def stage(self) -> Stage:
+    def stage(self) -> RenderedInstant:
         """The camera is mounted in its drone's origin."""
-        return Stage({Role.SENDER: self.T_w_b1, Role.RECEIVER: self.T_w_c})
+        return RenderedInstant({Role.SENDER: self.T_w_b1, Role.RECEIVER: self.T_w_c})
 
     def corners_px(self, camera: CameraModel, T_b_v: Pose) -> Matrix:
         """True corners, (4, 2): where the edges of the print were meant to be."""
@@ -96,7 +96,7 @@ class View:
         return camera.project(T_c_v.apply(LAYOUT.markers[0].corners_v))
 
 
-def view(seed: int, number: int, camera: CameraModel, T_b_v: Pose) -> View:
+def view(seed: int, number: int, camera: CameraModel, T_b_v: Pose) -> ShotPose:
     """A random view: range, incidence and place in the image uniform, the same for every camera of one shape."""
     rng = np.random.default_rng([seed, POSE_STREAM, number])
     T_w_b1 = Pose(
@@ -113,7 +113,7 @@ def view(seed: int, number: int, camera: CameraModel, T_b_v: Pose) -> View:
     x, y = camera.ray(float(u), float(v))
     ray = np.array([x, y, 1.0]) / math.sqrt(x * x + y * y + 1.0)
     R_w_c = R_w_c @ _between(ray)  # the marker is seen along ``ray`` at the same incidence
-    return View(Pose(R_w_c, T_w_v.t - rng.uniform(*RANGE_M) * (R_w_c @ ray)), T_w_b1)
+    return ShotPose(Pose(R_w_c, T_w_v.t - rng.uniform(*RANGE_M) * (R_w_c @ ray)), T_w_b1)
 
 
 def _turned(tilt_rad: Vector, heading_rad: float) -> Matrix:

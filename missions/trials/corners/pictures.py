@@ -15,7 +15,7 @@ from missions.report.palette import COUNT, DIM, FAULT, MARKER, OWN_BOX, ROLE
 from missions.trials.corners.conditions import CONDITIONS
 from missions.trials.corners.methods import METHODS, TITLES
 from missions.trials.corners.score import Score
-from missions.trials.corners.shots import Sample
+from missions.trials.corners.shots import CornerShot
 from path.messages import Role
 
 DPI = 110
@@ -66,7 +66,7 @@ def _draw_camera(axes: Axes, scores: Scores, camera: str) -> None:
         axes.spines[side].set_visible(False)
 
 
-def draw_strip(samples: Sequence[Sample], path: Path) -> None:
+def draw_strip(samples: Sequence[CornerShot], path: Path) -> None:
     """The shown view in every condition, with true and found corners."""
     shown = [sample for sample in samples if sample.picture is not None]
     rows = math.ceil(len(shown) / STRIP_COLUMNS)
@@ -82,7 +82,7 @@ def draw_strip(samples: Sequence[Sample], path: Path) -> None:
     figure.savefig(path, format="png", metadata={"Software": None})
 
 
-def _draw_sample(axes: Axes, sample: Sample) -> None:
+def _draw_sample(axes: Axes, sample: CornerShot) -> None:
     if sample.picture is None:
         return
     height, width = sample.picture.shape[:2]

@@ -1,4 +1,4 @@
-"""How good corners are: error per axis, bias towards or away from the centre, honesty of the covariance."""
+"""The accuracy of corners: error per axis, bias towards or away from the centre, honesty of the covariance."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from missions.trials.corners.shots import Sample
+from missions.trials.corners.shots import CornerShot
 from missions.trials.shared.statistics import RESAMPLES, Interval, wilson
 from path.geometry import Matrix, Vector
 from path.target import MAD_TO_SIGMA
@@ -19,7 +19,7 @@ SCORE_STREAM = 3
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Of one method, over views with one camera in one condition.
+    """The score of one method, over views with one camera in one condition.
 
     Attributes:
         rms_px, interval_px: per axis; 95 %, views resampled.
@@ -66,7 +66,7 @@ def calibration_text(calibration: float | None, interval: Interval | None) -> st
     return f"{calibration:.2f} ({interval[0]:.2f}–{interval[1]:.2f})"
 
 
-def score(samples: Sequence[Sample], method: str, seed: int) -> Score | None:
+def score(samples: Sequence[CornerShot], method: str, seed: int) -> Score | None:
     """None when the method found nothing."""
     pairs = [(sample.true_px, found) for sample in samples if (found := sample.found[method]) is not None]
     if not pairs:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flight.harness.renderer import Studio, StudioSetup
+from flight.harness.renderer import FrameRenderer, RendererSetup
 from missions.trials.corners.conditions import CAMERAS, CONDITIONS, LAYOUT, view
 from missions.trials.corners.methods import METHODS, Found, find
 from path.geometry import Matrix, Pose
@@ -20,10 +20,10 @@ REGION_STREAM = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Shooting:
+class CornerSeries:
     """Some views with one camera in one condition; ``shown`` is the view whose picture is kept."""
 
-    studio: type[Studio]
+    renderer: type[FrameRenderer]
     T_b_v: Pose
     camera: str
     condition: str
@@ -33,7 +33,7 @@ class Shooting:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class CornerShot:
     """One shot.
 
     Attributes:
@@ -51,35 +51,35 @@ class Sample:
     corner_px: tuple[int, int] = (0, 0)
 
 
-def shoot(shooting: Shooting) -> list[Sample]:
+def shoot(shooting: CornerSeries) -> list[CornerShot]:
     """A piece of work. Views and noise of the sensor are the same in every condition."""
     camera, condition = CAMERAS[shooting.camera], CONDITIONS[shooting.condition]
     here = Pose(np.eye(3), np.zeros(3))
-    setup = StudioSetup(camera, here, shooting.T_b_v, LAYOUT, condition.imaging, condition.printing)
-    studio = shooting.studio(setup, shooting.seed)
-    samples: list[Sample] = []
+    setup = RendererSetup(camera, here, shooting.T_b_v, LAYOUT, condition.imaging, condition.printing)
+    renderer = shooting.renderer(setup, shooting.seed)
+    samples: list[CornerShot] = []
     for number in shooting.views:
         seen = view(shooting.seed, number, camera, shooting.T_b_v)
         true_px = seen.corners_px(camera, shooting.T_b_v)
-        image = studio.shoot(seen.stage(), Role.RECEIVER, number).color
+        image = renderer.shoot(seen.stage(), Role.RECEIVER, number).color
         region = _predicted(true_px, np.random.default_rng([shooting.seed, REGION_STREAM, number]))
         found = {method: find(method, image, region, LAYOUT, camera) for method in METHODS}
-        sample = Sample(shooting.camera, shooting.condition, number, true_px, found)
+        sample = CornerShot(shooting.camera, shooting.condition, number, true_px, found)
         samples.append(_pictured(sample, image) if number == shooting.shown else sample)
     return samples
 
 
 def _predicted(true_px: Matrix, rng: np.random.Generator) -> Region:
-    """Where flight would look for the marker."""
+    """Returns the region in which flight would look for the marker."""
     low, high = true_px.min(axis=0), true_px.max(axis=0)
     extent = float((high - low).max())
     low, high = (end + rng.uniform(-OFF, OFF, 2) * extent for end in (low - AROUND * extent, high + AROUND * extent))
     return Region(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
-def _pictured(sample: Sample, image: NDArray[np.uint8]) -> Sample:
+def _pictured(sample: CornerShot, image: NDArray[np.uint8]) -> CornerShot:
     u, v = sample.true_px.mean(axis=0)
     reach = 0.75 * float(np.ptp(sample.true_px, axis=0).max())
     u0, v0 = max(round(u - reach), 0), max(round(v - reach), 0)
     cut = image[v0 : round(v + reach) + 1, u0 : round(u + reach) + 1].copy()
-    return Sample(sample.camera, sample.condition, sample.view, sample.true_px, sample.found, cut, (u0, v0))
+    return CornerShot(sample.camera, sample.condition, sample.view, sample.true_px, sample.found, cut, (u0, v0))

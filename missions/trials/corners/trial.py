@@ -1,4 +1,4 @@
-"""How well marker corners are found: OpenCV's methods and the project's, in conditions that depart from the ideal."""
+"""The accuracy of marker corners: OpenCV's methods and the project's, in conditions that depart from the ideal."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from missions.trials.corners.conditions import (
 from missions.trials.corners.methods import ENLARGED, METHODS, OPENCV, TITLES
 from missions.trials.corners.pictures import Scores, draw_errors, draw_strip
 from missions.trials.corners.score import Score, score
-from missions.trials.corners.shots import Sample, Shooting, shoot
-from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
+from missions.trials.corners.shots import CornerSeries, CornerShot, shoot
+from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 
 TITLE = "Corners of a 40 mm marker: five methods, on cameras and prints as they are"
 PAPER = "Experimental Setup (corner detection is not evaluated there)"
-NEEDS = ("studio",)
+NEEDS = ("renderer",)
 
 VIEWS, QUICK_VIEWS = 20, 3
 VIEWS_A_PIECE = 10
@@ -70,19 +70,21 @@ def run(request: TrialRequest) -> TrialResult:
             *photo.tables,
         ),
         pictures=(
-            Picture(ERRORS, "Error of the corners per axis, with 95 % intervals over the views."),
-            Picture(STRIP, f"One view at {main} in every condition, with true and found corners."),
+            TrialPicture(ERRORS, "Error of the corners per axis, with 95 % intervals over the views."),
+            TrialPicture(STRIP, f"One view at {main} in every condition, with true and found corners."),
             *photo.pictures,
         ),
         notes=_notes(main),
     )
 
 
-def _shots(request: TrialRequest, cameras: Sequence[str]) -> list[Sample]:
+def _shots(request: TrialRequest, cameras: Sequence[str]) -> list[CornerShot]:
     views = range(QUICK_VIEWS if request.quick else VIEWS)
-    studio, T_b_v = request.part("studio"), request.rig.sender.mount.T_b_v
+    renderer, T_b_v = request.part("renderer"), request.rig.sender.mount.T_b_v
     pieces = [
-        Shooting(studio, T_b_v, camera, condition, request.seed, tuple(views[first : first + VIEWS_A_PIECE]), shown=0)
+        CornerSeries(
+            renderer, T_b_v, camera, condition, request.seed, tuple(views[first : first + VIEWS_A_PIECE]), shown=0
+        )
         for camera in sorted(cameras, key=lambda name: -CAMERAS[name].width)  # the long ones first
         for condition in CONDITIONS
         for first in range(0, len(views), VIEWS_A_PIECE)
@@ -98,8 +100,8 @@ def _summary(scores: Scores, camera: str) -> dict[str, dict[str, Any]]:
     return summary
 
 
-def _findings(scores: Scores, camera: str) -> tuple[Finding, ...]:
-    found: list[Finding] = []
+def _findings(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:
+    found: list[TrialFinding] = []
     for condition in ("ideal", *REALISTIC):
         for method in METHODS:
             own = scores[camera, condition, method]
@@ -107,7 +109,7 @@ def _findings(scores: Scores, camera: str) -> tuple[Finding, ...]:
                 continue
             goal = f"≤ {NEEDED_PX}" if method == "photometric" else ""
             found.append(
-                Finding(
+                TrialFinding(
                     f"{TITLES[method]}, {CONDITIONS[condition].title}, {camera}, px RMS per axis",
                     f"{own.rms_px:.3f}",
                     _between(own.interval_px),
@@ -121,13 +123,13 @@ def _findings(scores: Scores, camera: str) -> tuple[Finding, ...]:
 
 @dataclass(frozen=True, slots=True)
 class _Photo:
-    """What a photograph of a board gave; empty, with the reason, when there is none."""
+    """The results from a photograph of a board; empty, with the reason, when there is none."""
 
     summary: dict[str, Any] | None
     reason: str
-    finding: Finding
-    tables: tuple[Table, ...] = ()
-    pictures: tuple[Picture, ...] = ()
+    finding: TrialFinding
+    tables: tuple[TrialTable, ...] = ()
+    pictures: tuple[TrialPicture, ...] = ()
 
 
 def _photo(request: TrialRequest) -> _Photo:
@@ -135,30 +137,32 @@ def _photo(request: TrialRequest) -> _Photo:
     quantity, goal = "photometric, photograph of a board, px robust per axis", f"≤ {BOARD_GOAL_PX:.2f}"
     if request.board is None:
         reason = "no photograph of a marker board was named (--board)"
-        return _Photo(None, reason, Finding(quantity, "not measured", goal=goal, note=reason))
+        return _Photo(None, reason, TrialFinding(quantity, "not measured", goal=goal, note=reason))
     board = read_board(request.board)
     scores = look_at(board, request.seed)
     summary = {name: own.summary() for name, own in scores.items()}
     own = scores.get("photometric")
     if own is None:
         reason = f"fewer than half of the markers of {board.file.image.name} were found"
-        return _Photo(summary, reason, Finding(quantity, "not found", goal=goal, verdict="short", note=reason))
+        return _Photo(summary, reason, TrialFinding(quantity, "not found", goal=goal, verdict="short", note=reason))
     best = min(other.robust_px for name, other in scores.items() if name != "photometric")
     note = (
         f"{len(own.ids)} markers; the best of OpenCV's methods {best:.3f}. With lens and paper of sixth order instead "
     )
     note += f"of fourth {own.finer_px:.3f}: what paper does beyond fourth order is in the figure, of all methods."
     reached = verdict(own.robust_px <= BOARD_GOAL_PX)
-    finding = Finding(
+    finding = TrialFinding(
         quantity, f"{own.robust_px:.3f}", _between(own.interval_px), goal=goal, verdict=reached, note=note
     )
     draw_board(board, scores, request.out / PICTURE)
-    picture = Picture(PICTURE, "Corners on the photograph: what the best board and a smooth residual do not explain.")
+    picture = TrialPicture(
+        PICTURE, "Corners on the photograph: what the best board and a smooth residual do not explain."
+    )
     return _Photo(summary, "", finding, (board_table(board, scores),), (picture,))
 
 
-def _worst(scores: Scores, camera: str) -> tuple[Finding, ...]:
-    """Where the project's default is worst, and how honest its covariance is there."""
+def _worst(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:
+    """Returns the default method's worst condition, and the honesty of its covariance where that is boldest."""
     own = {name: s for name in CONDITIONS if (s := scores[camera, name, "photometric"]) is not None}
     if not own:
         return ()
@@ -166,13 +170,13 @@ def _worst(scores: Scores, camera: str) -> tuple[Finding, ...]:
     boldest = max(own, key=lambda name: own[name].calibration or 0.0)
     bold = own[boldest]
     return (
-        Finding(
+        TrialFinding(
             f"photometric, worst condition, {camera}, px RMS per axis",
             f"{own[worst].rms_px:.3f}",
             _between(own[worst].interval_px),
             note=f"{CONDITIONS[worst].title}; found in {100.0 * own[worst].found:.0f} % of the views.",
         ),
-        Finding(
+        TrialFinding(
             f"photometric, squared error over stated variance, most confident condition, {camera}",
             bold.honesty,
             "in brackets",
@@ -181,12 +185,12 @@ def _worst(scores: Scores, camera: str) -> tuple[Finding, ...]:
     )
 
 
-def _error_table(scores: Scores, camera: str) -> Table:
+def _error_table(scores: Scores, camera: str) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for name, condition in CONDITIONS.items():
         cells = [_cell(scores[camera, name, method]) for method in METHODS]
         rows.append((condition.title, *cells))
-    return Table(
+    return TrialTable(
         f"Error of the corners at {camera}: rms / robust / radial, px; share found",
         ("condition", *(TITLES[method] for method in METHODS)),
         tuple(rows),
@@ -201,13 +205,13 @@ def _cell(own: Score | None) -> str:
     return f"{own.rms_px:.3f} / {own.robust_px:.3f} / {own.radial_px:+.3f}; {100.0 * own.found:.0f} %"
 
 
-def _honesty_table(scores: Scores, camera: str) -> Table:
+def _honesty_table(scores: Scores, camera: str) -> TrialTable:
     stated = [method for method in METHODS if method not in OPENCV]
     rows = [
         (condition.title, *("" if (own := scores[camera, name, m]) is None else own.honesty for m in stated))
         for name, condition in CONDITIONS.items()
     ]
-    return Table(
+    return TrialTable(
         f"Honesty of the stated covariance at {camera}: mean squared error in its units",
         ("condition", *(TITLES[method] for method in stated)),
         tuple(rows),
@@ -215,7 +219,7 @@ def _honesty_table(scores: Scores, camera: str) -> Table:
     )
 
 
-def _noise_table() -> Table:
+def _noise_table() -> TrialTable:
     low, high = RANGE_M
     ideal = CONDITIONS["ideal"].imaging
     rows = [
@@ -227,7 +231,7 @@ def _noise_table() -> Table:
         ("search region", "10 % of the marker's size off", "as from a prediction; 60 % of its size around it"),
     ]  # fmt: skip
     rows += [(condition.title, *_departures(condition)) for condition in list(CONDITIONS.values())[1:]]
-    return Table("Cameras, views and conditions", ("what", "how much", "how it is applied"), tuple(rows))
+    return TrialTable("Cameras, views and conditions", ("what", "how much", "how it is applied"), tuple(rows))
 
 
 HOW: Mapping[str, str] = {
@@ -247,7 +251,7 @@ HOW: Mapping[str, str] = {
 
 
 def _departures(condition: Condition) -> tuple[str, str]:
-    """What a condition changes, and how that is applied."""
+    """Returns what a condition changes, and how that is applied."""
     plain = CONDITIONS["ideal"]
     changed: list[str] = []
     for value, ideal in ((condition.imaging, plain.imaging), (condition.printing, plain.printing)):

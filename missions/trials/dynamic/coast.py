@@ -1,4 +1,4 @@
-"""What the relative-pose filter says of a marker that it does not see: a recorded flight replayed with gaps in it."""
+"""The relative-pose filter on a marker that it does not see: a recorded flight replayed with gaps in it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.rig.parts import Rig
-from missions.report.records import Run
+from missions.report.records import RunRecords
 from missions.report.truth import Truth
 from path.geometry import Matrix, Pose
 from path.messages import Vec3
@@ -27,8 +27,8 @@ TRUTH_SIGMAS = np.array([3e-4] * 3 + [5e-4] * 3)  # of the true pose, m and rad:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
-    """What the filter was given with one frame; ``T_c_v`` and ``covariance`` are None when no marker was seen."""
+class FilterInput:
+    """The filter's input of one frame; ``T_c_v`` and ``covariance`` are None when no marker was seen."""
 
     stamp_ns: int
     own: tuple[int, Vec3]
@@ -59,10 +59,10 @@ class Coasts:
     block: NDArray[np.int64]
 
 
-def frames_of(run: Run) -> list[Frame]:
+def frames_of(run: RunRecords) -> list[FilterInput]:
     """All frames in which the marker was looked for."""
     given = {r.stamp_ns: r.record for r in run.receiver.get("/motion", ())}
-    frames: list[Frame] = []
+    frames: list[FilterInput] = []
     for r in run.receiver.get("/marker", ()):
         motion = given[r.stamp_ns]
         T_c_v = covariance = None
@@ -70,7 +70,7 @@ def frames_of(run: Run) -> list[Frame]:
             T_c_v = Pose(R_from_quat(r.record["rotation_v_c2"]), np.array(r.record["position_v_m"], float)).inverse()
             covariance = np.reshape(np.array(motion["covariance"], float), (6, 6))
         frames.append(
-            Frame(
+            FilterInput(
                 r.stamp_ns,
                 (motion["own_stamp_ns"], _vec3(motion["own_n_mps"])),
                 (motion["peer_stamp_ns"], _vec3(motion["peer_n_mps"])),
@@ -88,7 +88,7 @@ def _vec3(values: list[float]) -> Vec3:
     return x, y, z
 
 
-def coasts(run: Run, rig: Rig, truth: Truth) -> Coasts:
+def coasts(run: RunRecords, rig: Rig, truth: Truth) -> Coasts:
     """Replay a flight with gaps of ``HIDDEN_S`` after ``SEEN_S`` of marker each, begun at several instants.
 
     Predictions are judged every ``STEP_S`` of a gap.
@@ -107,7 +107,7 @@ def coasts(run: Run, rig: Rig, truth: Truth) -> Coasts:
 
 
 def _replayed(
-    frames: list[Frame], rig: Rig, true_at: Callable[[int], Pose], start: int
+    frames: list[FilterInput], rig: Rig, true_at: Callable[[int], Pose], start: int
 ) -> Iterator[tuple[float, Array, float, float, float, int]]:
     sender, receiver = rig.sender.mount, rig.receiver.mount
     filtered = RelativeFilter(

@@ -20,7 +20,7 @@ from drivers.interfaces import BeaconFix, PartError
 from drivers.log.mcap_log import LogRecord
 from drivers.rig.parts import Reference, Rig, import_factory
 from missions.handoff.command import fly_once
-from missions.report.records import WORLD_LOG, Run
+from missions.report.records import WORLD_LOG, RunRecords
 from missions.trials.shared.trajectory import Trajectory
 from path.geometry import Pose
 from path.rotation import R_from_quat, normalized
@@ -50,8 +50,8 @@ class FlightOrder:
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
-    """How a flight ended, and what is true of its beacons."""
+class FlownSession:
+    """The end of a flight, and the truth of its beacons."""
 
     folder: Path
     seed: int
@@ -72,7 +72,7 @@ def moving(rig: Rig, verify_s: float = VERIFY_S) -> Rig:
     )
 
 
-def fly(order: FlightOrder) -> Flown:
+def fly(order: FlightOrder) -> FlownSession:
     """Fly one mission and let the beacons listen; the logs are in the order's folder."""
     order.folder.mkdir(parents=True, exist_ok=True)
     facts = fly_once(order.rig, order.seed, (), order.folder, lambda _: None)
@@ -80,7 +80,7 @@ def fly(order: FlightOrder) -> Flown:
     recorder = BeaconRecorder(order.folder / BEACON_RECORD, 0.0, virtual=True)
     truth = listen(order.folder / WORLD_LOG, recorder.write, order.seed, reference_of(order.rig).mounted)
     recorder.close()
-    return Flown(order.folder, order.seed, facts.outcome, facts.simulated_s, truth)
+    return FlownSession(order.folder, order.seed, facts.outcome, facts.simulated_s, truth)
 
 
 def reference_of(rig: Rig) -> Reference:
@@ -96,7 +96,7 @@ def reference_of(rig: Rig) -> Reference:
 
 @dataclass(frozen=True, slots=True)
 class Motions:
-    """What PATH and the vehicles say, by the receiver's clock, s, in ``u``.
+    """The motions that PATH and the vehicles tell, by the receiver's clock, s, in ``u``.
 
     Attributes:
         own, own_1: D2's and D1's beacon by their own estimates; ``still_until_s`` is when D2 was armed.
@@ -113,7 +113,7 @@ class Motions:
     speed_mps: tuple[float, float]
 
 
-def load_motions(run: Run, rig: Rig) -> Motions:
+def load_motions(run: RunRecords, rig: Rig) -> Motions:
     """Read from the logs of the roles alone."""
     levers = {name: np.array(mounted.lever_m) for name, mounted in reference_of(rig).mounted.items()}
     states = run.receiver["/state"]
@@ -194,19 +194,21 @@ def _rms_speed(records: Mapping[str, Sequence[LogRecord]]) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """The beacons' log by body, without what is plainly wrong: by the clock of who listened (the beacons' own in a log
-    without it), s, in their frame."""
+class BeaconTrace:
+    """The beacons' log by body, without what is plainly wrong.
+
+    Instants are by the clock of who listened (the beacons' own in a log without it), s; places in their frame.
+    """
 
     paths: Mapping[str, Trajectory]
     fixes: int
     refused: int
 
 
-def heard_of(fixes: Sequence[BeaconFix], mounted: Mapping[str, Mounted]) -> Heard:
+def heard_of(fixes: Sequence[BeaconFix], mounted: Mapping[str, Mounted]) -> BeaconTrace:
     """Poorly rated positions and jumps are left out, and counted."""
     paths = {name: _clean([fix for fix in fixes if fix.address == own.address]) for name, own in mounted.items()}
-    return Heard(paths, len(fixes), len(fixes) - sum(len(path.t) for path in paths.values()))
+    return BeaconTrace(paths, len(fixes), len(fixes) - sum(len(path.t) for path in paths.values()))
 
 
 def _clean(fixes: Sequence[BeaconFix]) -> Trajectory:
@@ -227,7 +229,10 @@ def _instant_ns(fix: BeaconFix) -> int:
 
 
 def between(of: Trajectory, base: Trajectory) -> tuple[Trajectory, Array]:
-    """From one beacon to another at the other's instants; and how much noisier than one position, in variance (n,)."""
+    """Returns the way from one beacon to another at the other's instants, and its noise.
+
+    The noise is in variances of one position, (n,).
+    """
     at_base = base.at(of.t, 0.4)
     known = np.isfinite(at_base[:, 0])
     after = np.clip(np.searchsorted(base.t, of.t[known]), 1, len(base.t) - 1)

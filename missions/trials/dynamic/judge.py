@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from drivers.beacons.log import BeaconTruth
 from drivers.beacons.record import read_any
 from drivers.rig.parts import Rig
-from missions.report.records import Run, load_run
+from missions.report.records import RunRecords, load_run
 from missions.report.summary import target_error_m
 from missions.report.truth import Truth, truth_of
 from missions.trials.beacon.offset_fit import fit_offset
@@ -20,8 +20,8 @@ from missions.trials.dynamic.coast import Coasts, coasts
 from missions.trials.dynamic.flight import (
     BEACON_RECORD,
     STEADY_S,
-    Flown,
-    Heard,
+    BeaconTrace,
+    FlownSession,
     Motions,
     between,
     heard_of,
@@ -30,7 +30,7 @@ from missions.trials.dynamic.flight import (
 )
 from missions.trials.shared.trajectory import (
     Alignment,
-    Pair,
+    MotionPair,
     align,
     ape,
     blocks_of,
@@ -70,7 +70,7 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class SessionErrors:
     """A session as its records alone give it: how they lie to each other, and how far apart they are.
 
     Attributes:
@@ -81,7 +81,7 @@ class Measured:
         beacons: by subject.
     """
 
-    heard: Heard
+    heard: BeaconTrace
     motions: Motions
     clock: Alignment
     frame: Alignment
@@ -92,7 +92,7 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged(Measured):
+class HarnessVerdict(SessionErrors):
     """The same, judged by the harness.
 
     Attributes:
@@ -100,14 +100,14 @@ class Judged(Measured):
         truth: by subject.
     """
 
-    flown: Flown
+    flown: FlownSession
     offset_error_s: float
     yaw_error_rad: float
     truth: dict[str, Compared]
     coasts: Coasts
 
 
-def measure(run: Run, heard: Heard, rig: Rig, seed: int) -> Measured:
+def measure(run: RunRecords, heard: BeaconTrace, rig: Rig, seed: int) -> SessionErrors:
     """Everything that the records say. Raises ValueError when they are too short or have nothing in common."""
     motions = load_motions(run, rig)
     rng = np.random.default_rng([seed, 1])
@@ -120,10 +120,10 @@ def measure(run: Run, heard: Heard, rig: Rig, seed: int) -> Measured:
         name: _against_beacons(pair, frame, k, noise_m, noise_factors[k])
         for k, (name, pair) in enumerate(zip(SUBJECTS, pairs, strict=True))
     }
-    return Measured(heard, motions, clock, frame, free, noise_m, samples, beacons)
+    return SessionErrors(heard, motions, clock, frame, free, noise_m, samples, beacons)
 
 
-def judge(order: tuple[Flown, Rig]) -> Judged:
+def judge(order: tuple[FlownSession, Rig]) -> HarnessVerdict:
     """Everything the trial says of one flight."""
     flown, rig = order
     run = load_run(flown.folder)
@@ -131,7 +131,7 @@ def judge(order: tuple[Flown, Rig]) -> Judged:
     measured = measure(run, heard, rig, flown.seed)
     truth = truth_of(run.world)
     assert truth is not None, "trials are flown where there is truth"
-    return Judged(
+    return HarnessVerdict(
         *(getattr(measured, part.name) for part in fields(measured)),
         flown=flown,
         offset_error_s=offset_error_s(measured, flown.beacons, truth),
@@ -141,34 +141,34 @@ def judge(order: tuple[Flown, Rig]) -> Judged:
     )
 
 
-def offset_error_s(measured: Measured, beacons: BeaconTruth, truth: Truth) -> float:
-    """Of the offset between the receiver's clock and the listener's, as the harness set them."""
+def offset_error_s(measured: SessionErrors, beacons: BeaconTruth, truth: Truth) -> float:
+    """Returns the error of the offset between the receiver's clock and the listener's, as the harness set them."""
     return measured.clock.offset_s - beacons.offset_s - truth.scene.clock_offset_ns[Role.RECEIVER] * 1e-9
 
 
-def clock_of(motions: Motions, heard: Heard, rng: np.random.Generator) -> Alignment:
+def clock_of(motions: Motions, heard: BeaconTrace, rng: np.random.Generator) -> Alignment:
     """The beacons' clock and frame from the whole flight of both drones, as both believe it to have been.
 
     Robust first, so that outliers are known; then by what errs together. Raises ValueError.
     """
     offset_s = coarse_offset(motions.own, heard.paths["receiver"])
     pairs = [
-        Pair(motions.own, heard.paths["receiver"], WANDER_S),
-        Pair(motions.own_1, heard.paths["sender"], WANDER_S),
+        MotionPair(motions.own, heard.paths["receiver"], WANDER_S),
+        MotionPair(motions.own_1, heard.paths["sender"], WANDER_S),
     ]
     robust = align(pairs, offset_s, rng)
     found = fit_offset(pairs, robust, STEADY_S)
     return replace(align(pairs, found.offset_s, rng, fit_offset=False), offset_sigma_s=found.offset_sigma_s)
 
 
-def pairs_of(motions: Motions, heard: Heard) -> tuple[list[Pair], list[Array]]:
+def pairs_of(motions: Motions, heard: BeaconTrace) -> tuple[list[MotionPair], list[Array]]:
     """PATH's trajectories from D1 with what the beacons say, and how much noisier that is than one position."""
     d2, d2_noise = between(heard.paths["receiver"], heard.paths["sender"])
     target, target_noise = between(heard.paths["target"], heard.paths["sender"])
-    return [Pair(motions.d2, d2), Pair(motions.target, target)], [d2_noise, target_noise]
+    return [MotionPair(motions.d2, d2), MotionPair(motions.target, target)], [d2_noise, target_noise]
 
 
-def noise_at_rest(motions: Motions, heard: Heard, offset_s: float) -> tuple[float, int]:
+def noise_at_rest(motions: Motions, heard: BeaconTrace, offset_s: float) -> tuple[float, int]:
     """Standard deviation of a position per axis while D2 and the target had not moved yet, and from how many.
 
     From the median deviation: a few reflections in a row pass the check for jumps, and would say all positions are bad.
@@ -183,7 +183,7 @@ def noise_at_rest(motions: Motions, heard: Heard, offset_s: float) -> tuple[floa
     return (MAD_TO_SIGMA * float(np.median(together)), len(together)) if len(together) else (math.nan, 0)
 
 
-def _against_beacons(pair: Pair, frame: Alignment, k: int, noise_m: float, factors: Array) -> Compared:
+def _against_beacons(pair: MotionPair, frame: Alignment, k: int, noise_m: float, factors: Array) -> Compared:
     used = frame.used[k]
     t, residuals = pair.samples.t[used] + frame.offset_s, frame.residuals[k][used]
     places = pair.curve.at(t)
@@ -196,7 +196,7 @@ def _against_beacons(pair: Pair, frame: Alignment, k: int, noise_m: float, facto
     )
 
 
-def against_truth(run: Run, truth: Truth, motions: Motions) -> dict[str, Compared]:
+def against_truth(run: RunRecords, truth: Truth, motions: Motions) -> dict[str, Compared]:
     """D2's camera in ``v``; the very point of the target that D1 measured, in D2's camera frame."""
     seen = [r for r in run.receiver["/marker"] if r.record["position_v_m"] is not None]
     t = np.array([r.stamp_ns for r in seen]) * 1e-9
@@ -219,8 +219,8 @@ def _yaw_error(frame: Alignment, beacons: BeaconTruth) -> float:
     return math.remainder(frame.yaw_rad - beacons.yaw_rad - 0.5 * math.pi, 2.0 * math.pi)
 
 
-def true_places(judged: Judged) -> Callable[[str, Array], Array]:
-    """Where a body truly was in the beacons' frame, (n, 3), at instants of the receiver's clock."""
+def true_places(judged: HarnessVerdict) -> Callable[[str, Array], Array]:
+    """Returns a body's true places in the beacons' frame, (n, 3), by instants of the receiver's clock."""
     truth = truth_of(load_run(judged.flown.folder).world)
     assert truth is not None
     return lambda name, t: true_path(truth, name, judged.flown.beacons, t)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
-from missions.trials.dynamic.judge import SUBJECTS, Compared, Judged, Measured, pairs_of
+from missions.trials.dynamic.judge import SUBJECTS, Compared, HarnessVerdict, SessionErrors, pairs_of
 from path.messages import Role
 
 Array = NDArray[np.float64]
@@ -22,8 +22,8 @@ LABELS = {"sender": "D1", "receiver": "D2", "target": "target"}
 OF = {"d2": "receiver", "target": "target"}
 
 
-def draw_map(judged: Measured, file: Path, true_place: Callable[[str, Array], Array] | None = None) -> None:
-    """From above: what beacons and PATH say, in the beacons' frame and around D1.
+def draw_map(judged: SessionErrors, file: Path, true_place: Callable[[str, Array], Array] | None = None) -> None:
+    """Draws from above what beacons and PATH say, in the beacons' frame and around D1.
 
     Args:
         true_place: where a body truly was in the beacons' frame, (n, 3), at instants of the receiver's clock.
@@ -64,7 +64,7 @@ def draw_map(judged: Measured, file: Path, true_place: Callable[[str, Array], Ar
     _save(figure, file)
 
 
-def draw_errors(judged: Measured, file: Path, truth: Mapping[str, Compared] | None = None) -> None:
+def draw_errors(judged: SessionErrors, file: Path, truth: Mapping[str, Compared] | None = None) -> None:
     """Errors over time of both trajectories, against the beacons and, where it is known, the truth."""
     figure = Figure(figsize=(11.0, 6.0), layout="constrained")
     start = float(judged.motions.d2.t[0])
@@ -88,7 +88,7 @@ def _draw_error(axes: Axes, beacons: Compared, truth: Compared | None, name: str
     axes.grid(alpha=0.3, which="both")
 
 
-def draw_coast(judged: Sequence[Judged], file: Path) -> None:
+def draw_coast(judged: Sequence[HarnessVerdict], file: Path) -> None:
     """Errors of the predicted position and what is claimed, by the time without a marker."""
     figure = Figure(figsize=(8.0, 4.8), layout="constrained")
     axes = figure.subplots()

@@ -8,9 +8,9 @@ from dataclasses import fields
 from typing import Any
 
 from drivers.rig.parts import Rig
-from missions.trials.dynamic.flight import MIN_QUALITY, TARGET_MPS, Flown
-from missions.trials.dynamic.judge import RPE_M, RPE_S, SUBJECTS, Judged
-from missions.trials.shared.trial import Finding, Table, verdict
+from missions.trials.dynamic.flight import MIN_QUALITY, TARGET_MPS, FlownSession
+from missions.trials.dynamic.judge import RPE_M, RPE_S, SUBJECTS, HarnessVerdict
+from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
 
 NAMES = {"d2": "D2 from D1", "target": "the target from D1"}
 OFFSET_GOAL_S = 0.010
@@ -25,10 +25,10 @@ def _between(interval: Sequence[float]) -> str:
     return f"{_mm(interval[0])} to {_mm(interval[1])}"
 
 
-def findings(summary: Mapping[str, Any]) -> tuple[Finding, ...]:
+def findings(summary: Mapping[str, Any]) -> tuple[TrialFinding, ...]:
     static = {"d2": "static: 47 mm mean", "target": "static: 30 mm mean"}
     found = [
-        Finding(
+        TrialFinding(
             "offset of the beacons' clock, worst error, ms",
             f"{1e3 * summary['time_offset_error_s']:.1f}",
             f"claimed sigma {1e3 * max(summary['time_offset_sigma_s']):.1f} at most",
@@ -42,7 +42,7 @@ def findings(summary: Mapping[str, Any]) -> tuple[Finding, ...]:
     for name in SUBJECTS:
         beacons, truth = summary["ape"][name], summary["ape_truth"][name]
         found += [
-            Finding(
+            TrialFinding(
                 f"{NAMES[name]} against the beacons, mean, mm",
                 _mm(beacons["mean_m"]),
                 _between(beacons["mean_interval_m"]),
@@ -50,7 +50,7 @@ def findings(summary: Mapping[str, Any]) -> tuple[Finding, ...]:
                 note=f"rms {_mm(beacons['rmse_m'])}, of which the beacons' noise alone makes "
                 f"{_mm(summary['ape_expected_m'][name])}; the paper gives no number for the dynamic part",
             ),
-            Finding(
+            TrialFinding(
                 f"{NAMES[name]} against the truth, mean, mm",
                 _mm(truth["mean_m"]),
                 _between(truth["mean_interval_m"]),
@@ -61,7 +61,7 @@ def findings(summary: Mapping[str, Any]) -> tuple[Finding, ...]:
     for coast in summary["coast"]:
         nees, (low, high) = coast["nees_per_dof"], coast["nees_interval"]
         found.append(
-            Finding(
+            TrialFinding(
                 f"error squared over what is claimed, {coast['after_s']:g} s without a marker",
                 f"{nees:.2f}",
                 f"{low:.2f} to {high:.2f}",
@@ -74,7 +74,7 @@ def findings(summary: Mapping[str, Any]) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def noise(rig: Rig, estimator: Any, flown: Flown) -> Table:
+def noise(rig: Rig, estimator: Any, flown: FlownSession) -> TrialTable:
     """``estimator``: dataclass of what the vehicles' own estimates get wrong."""
     rows = [
         ("target", f"{TARGET_MPS:g} m/s round a bent loop, D1 behind it, D2 round D1"),
@@ -83,10 +83,10 @@ def noise(rig: Rig, estimator: Any, flown: Flown) -> Table:
         *((f"own estimate: {part.name}", f"{getattr(estimator, part.name):g}") for part in fields(estimator)),
         *flown.beacons.noise,
     ]
-    return Table("Noise and systematic errors", ("what", "value"), tuple(rows))
+    return TrialTable("Noise and systematic errors", ("what", "value"), tuple(rows))
 
 
-def flights(judged: Sequence[Judged]) -> Table:
+def flights(judged: Sequence[HarnessVerdict]) -> TrialTable:
     rows = [
         (
             str(each.flown.seed), each.flown.outcome, f"{each.flown.simulated_s:.0f}",
@@ -100,12 +100,12 @@ def flights(judged: Sequence[Judged]) -> Table:
         "seed", "outcome", "s flown", "D1 rms, m/s", "D2 rms, m/s", "D2 poses", "target points",
         f"fixes refused (jump, quality below {MIN_QUALITY:g})", "fixes compared",
     )  # fmt: skip
-    return Table(
+    return TrialTable(
         "Flights", columns, tuple(rows), "The views had to agree for longer than usual, to have more to compare."
     )
 
 
-def alignments(judged: Sequence[Judged]) -> Table:
+def alignments(judged: Sequence[HarnessVerdict]) -> TrialTable:
     rows = [
         (
             str(each.flown.seed),
@@ -128,10 +128,10 @@ def alignments(judged: Sequence[Judged]) -> Table:
         "its roof, where the beacon is, to the side that D1 looks at; D2's is what D1's tilt and the warp of the "
         "beacons' frame leave. Errors are judged by the harness."
     )
-    return Table("Clock and frame of the beacons, estimated from the records", columns, tuple(rows), note)
+    return TrialTable("Clock and frame of the beacons, estimated from the records", columns, tuple(rows), note)
 
 
-def errors(summary: Mapping[str, Any]) -> Table:
+def errors(summary: Mapping[str, Any]) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for name in SUBJECTS:
         for what, key in (("beacons", "ape"), ("truth", "ape_truth")):
@@ -160,14 +160,14 @@ def errors(summary: Mapping[str, Any]) -> Table:
         + " are left, which still hold the warp of their frame, D1's attitude, and the side of the target."
     )
     columns = ("trajectory, reference", "n", "rmse", "95 %", "mean", "median", "p95", "max")
-    return Table("Absolute and relative errors, mm", columns, tuple(rows), note)
+    return TrialTable("Absolute and relative errors, mm", columns, tuple(rows), note)
 
 
 def _truth_rpe(summary: Mapping[str, Any], name: str, part: str) -> Mapping[str, Any] | None:
     return summary["rpe_truth"].get(name, {}).get(part)
 
 
-def coasts(summary: Mapping[str, Any]) -> Table:
+def coasts(summary: Mapping[str, Any]) -> TrialTable:
     rows = [
         (
             f"{c['after_s']:g} s", str(c["n"]), _mm(c["error_rms_m"]), _mm(c["sigma_rms_m"]),
@@ -186,7 +186,7 @@ def coasts(summary: Mapping[str, Any]) -> Table:
         "when they are cautious: print and focal length are exactly what the rig says in these flights, and the "
         "claim allows for both. The true pose is interpolated between 25 Hz: 0.3 mm and 0.03 deg are granted to it."
     )
-    return Table("Without a marker", columns, tuple(rows), note)
+    return TrialTable("Without a marker", columns, tuple(rows), note)
 
 
 def notes(summary: Mapping[str, Any], quick: bool) -> tuple[str, ...]:

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from missions import rig_library
 from missions.trials.dynamic import report
-from missions.trials.dynamic.flight import VERIFY_S, FlightOrder, Flown, fly, moving, reference_of
-from missions.trials.dynamic.judge import SUBJECTS, Compared, Judged, judge, true_places
+from missions.trials.dynamic.flight import VERIFY_S, FlightOrder, FlownSession, fly, moving, reference_of
+from missions.trials.dynamic.judge import SUBJECTS, Compared, HarnessVerdict, judge, true_places
 from missions.trials.dynamic.pictures import draw_coast, draw_errors, draw_map
 from missions.trials.shared.statistics import blocks_interval
-from missions.trials.shared.trial import Picture, TrialRequest, TrialResult
+from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ QUICK_VERIFY_S = 8.0
 def run(request: TrialRequest) -> TrialResult:
     reference_of(request.rig)
     rig = request.rig
-    if request.quick:  # the geometric sight instead of rendered frames: the same mission, seconds instead of minutes
+    if request.quick:  # geometric perception instead of rendered frames: the same mission, seconds instead of minutes
         quick = rig_library.load(QUICK_LEVEL)
         errors = {key: value for key, value in rig.world.items() if key == "errors"}
         rig = replace(quick, trials=rig.trials, reference=rig.reference, world={**quick.world, **errors})
@@ -49,7 +49,7 @@ def run(request: TrialRequest) -> TrialResult:
         FlightOrder(rig, rig.trials["beacons"], request.seed + k, request.out / f"flight-{request.seed + k}")
         for k in range(flights)
     ]
-    flown: list[Flown] = request.work.map("missions flown", fly, orders)
+    flown: list[FlownSession] = request.work.map("missions flown", fly, orders)
     judged = request.work.map("flights judged", judge, [(each, rig) for each in flown])
     rng = np.random.default_rng([request.seed, 2])
     summary = _summary(judged, rng)
@@ -63,17 +63,17 @@ def run(request: TrialRequest) -> TrialResult:
         noise=report.noise(rig, estimator, flown[0]),
         tables=(report.flights(judged), report.alignments(judged), report.errors(summary), report.coasts(summary)),
         pictures=(
-            Picture(
+            TrialPicture(
                 "map.png", "The flight with the first seed from above: left in the beacons' frame, right seen from D1"
             ),
-            Picture("errors.png", "Errors over time, against the beacons and against the truth"),
-            Picture("coast.png", "Without a marker: error of the predicted position, and what the filter claims"),
+            TrialPicture("errors.png", "Errors over time, against the beacons and against the truth"),
+            TrialPicture("coast.png", "Without a marker: error of the predicted position, and what the filter claims"),
         ),
         notes=report.notes(summary, request.quick),
     )
 
 
-def _summary(judged: Sequence[Judged], rng: np.random.Generator) -> dict[str, Any]:
+def _summary(judged: Sequence[HarnessVerdict], rng: np.random.Generator) -> dict[str, Any]:
     noise = [(each.noise_m, each.noise_samples) for each in judged if each.noise_samples]
     beacon_noise_m = math.sqrt(sum(s * s * n for s, n in noise) / sum(n for _, n in noise)) if noise else math.nan
     expected = {name: _rms([each.beacons[name].expected_m for each in judged]) for name in SUBJECTS}
@@ -121,7 +121,10 @@ def _summary(judged: Sequence[Judged], rng: np.random.Generator) -> dict[str, An
 
 
 def _errors_of(compared: Sequence[Compared], rng: np.random.Generator) -> dict[str, Any]:
-    """Of all flights together; intervals from a bootstrap over blocks of time, as neighbouring errors are alike."""
+    """Returns errors of all flights together.
+
+    Intervals from a bootstrap over blocks of time, as neighbours are alike.
+    """
     errors = np.concatenate([each.error_m for each in compared])
     ends = np.cumsum([0, *(int(each.blocks.max(initial=-1)) + 1 for each in compared)])
     groups = np.concatenate([each.blocks + end for each, end in zip(compared, ends[:-1], strict=True)])
@@ -151,7 +154,7 @@ def _rms(values: Array | Sequence[float]) -> float:
     return math.sqrt(float(np.mean(np.square(values))))
 
 
-def _coast(judged: Sequence[Judged], after_s: float, rng: np.random.Generator) -> dict[str, Any]:
+def _coast(judged: Sequence[HarnessVerdict], after_s: float, rng: np.random.Generator) -> dict[str, Any]:
     errors, sigmas, turns, turn_sigmas, nees, groups = ([] for _ in range(6))
     base = 0
     for each in judged:

@@ -30,8 +30,8 @@ class Batch:
 
 
 @dataclass(frozen=True, slots=True)
-class Decided:
-    """What a gate made of an attempt: how long after the first agreeing pair it was complete; with the right box?"""
+class GateTime:
+    """The decision of a gate: when it was complete, after the first agreeing pair, and whether with the right box."""
 
     after_s: float | None
     right: bool
@@ -46,7 +46,7 @@ class Blocks:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class EvidenceAttempt:
     """One attempt.
 
     Attributes:
@@ -55,27 +55,27 @@ class Told:
     """
 
     attempt: Attempt
-    evidence: Decided
-    papers: Decided
+    evidence: GateTime
+    papers: GateTime
     strength: float
     blocks: Blocks
     correlation: NDArray[np.float64]
 
 
-def run_batch(batch: Batch) -> list[Told]:
+def run_batch(batch: Batch) -> list[EvidenceAttempt]:
     """Run the attempts and tell both gates, whatever either says."""
     runner = batch.runner(batch.rig, batch.method).warmed()
     return [_told(runner, batch.method, attempt) for attempt in batch.attempts]
 
 
-def _told(runner: HandoverRunner, method: MethodConfig, attempt: Attempt) -> Told:
+def _told(runner: HandoverRunner, method: MethodConfig, attempt: Attempt) -> EvidenceAttempt:
     series = runner.run(replace(attempt, whole=True)).series
     never = EvidenceGate(replace(method, evidence=replace(method.evidence, alpha=NEVER)))
     tell(series, never, method)
     first, later = never.judged.first, never.judged.later
     agrees = agreeing(series, method)
     begin_ns = int(series.capture_ns[np.argmax(agrees)]) if agrees.any() else 0
-    return Told(
+    return EvidenceAttempt(
         attempt=attempt,
         evidence=_decided(series, tell(series, EvidenceGate(method), method), begin_ns),
         papers=_decided(series, tell(series, AgreementWindow(method), method), begin_ns),
@@ -85,14 +85,14 @@ def _told(runner: HandoverRunner, method: MethodConfig, attempt: Attempt) -> Tol
     )
 
 
-def _decided(series: Series, done: int | None, begin_ns: int) -> Decided:
+def _decided(series: Series, done: int | None, begin_ns: int) -> GateTime:
     if done is None:
-        return Decided(None, True)
-    return Decided((int(series.now_ns[done]) - begin_ns) * 1e-9, bool(series.right[done]))
+        return GateTime(None, True)
+    return GateTime((int(series.now_ns[done]) - begin_ns) * 1e-9, bool(series.right[done]))
 
 
 def mean_strength(series: Series, method: MethodConfig) -> float:
-    """Of all pairs whose boxes were compared."""
+    """Returns the mean strength of all pairs whose boxes were compared."""
     pairs = series.kind == PAIR
     if np.sum(pairs) < ENOUGH_PAIRS:
         return float("nan")

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from flight.harness.montecarlo import Attempt, WrongAssociation
 from missions.report.palette import COUNT, DIM, FAULT, ROLE
-from missions.trials.evidence.blocks import LAGS, Batch, Decided, Told, run_batch
+from missions.trials.evidence.blocks import LAGS, Batch, EvidenceAttempt, GateTime, run_batch
 from missions.trials.shared.statistics import Interval, bootstrap, upper_bound
-from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
+from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.config import MethodConfig
 from path.evidence import evidence_needed, evidence_of, persistent_bound
 from path.messages import Role
@@ -36,7 +36,7 @@ SIDE_M, TAU = 0.33, 0.37  # mean of both boxes' sides on the target, and a usual
 RATE_HZ = 50.0
 PICTURE = "evidence.png"
 
-Groups = dict[str, list[Told]]
+Groups = dict[str, list[EvidenceAttempt]]
 
 
 def run(request: TrialRequest) -> TrialResult:
@@ -82,7 +82,7 @@ FORCED_WAYS: dict[str, tuple[WrongAssociation, ...]] = {
 }
 
 
-def rate(told: Sequence[Told], later: bool, seed: int) -> tuple[int, int, Interval]:
+def rate(told: Sequence[EvidenceAttempt], later: bool, seed: int) -> tuple[int, int, Interval]:
     """Agreeing of judged blocks, and a 95 % interval by attempts: its upper end by Clopper and Pearson if larger."""
     agreeing, judged = _counted(told, later)
     blocks = [each.blocks.later if later else each.blocks.first for each in told]
@@ -103,11 +103,11 @@ def reach_m(side_m: float = SIDE_M, tau: float = TAU) -> float:
     return side_m * (1.0 - overlap) / (1.0 + overlap)
 
 
-def wrongly(decisions: Sequence[Decided]) -> int:
+def wrongly(decisions: Sequence[GateTime]) -> int:
     return sum(decided.after_s is not None and not decided.right for decided in decisions)
 
 
-def _times(told: Sequence[Told], papers: bool) -> np.ndarray:
+def _times(told: Sequence[EvidenceAttempt], papers: bool) -> np.ndarray:
     """(n,) s to the commit; as long as the attempt was where there was none."""
     decisions = [(each, each.papers if papers else each.evidence) for each in told]
     return np.array([each.attempt.limit_s if d.after_s is None else d.after_s for each, d in decisions])
@@ -150,22 +150,22 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
         },
     }
     findings = (
-        Finding(
+        TrialFinding(
             "time from the first agreeing pair to the commit, median, s", f"{median:.2f}",
             f"{interval[0]:.2f} to {interval[1]:.2f}", "7.20", "<= 2", verdict(median <= 2.0),
             f"350 in a row on the same pairs: {papers:.2f} s; 95 % of the attempts: {summary['evidence_p95_s']:.2f} s",
         ),
-        Finding(
+        TrialFinding(
             "first block agrees, wrong object", _of(first), f"up to {first[2][1]:.4f}", goal=f"<= {own.first_rate:g}",
             verdict=verdict(first[2][1] <= own.first_rate),
             note=f"attempts whose mean strength is at most {ACCIDENT}; the upper end is what counts",
         ),
-        Finding(
+        TrialFinding(
             "later block agrees after agreeing ones, wrong object", _of(later), f"up to {later[2][1]:.2f}",
             goal=f"<= {own.next_rate:g}", verdict=verdict(later[2][1] <= own.next_rate),
             note=f"attempts whose mean strength is at most {NEAR_ACCIDENT}: nearer ones than the bound is for",
         ),
-        Finding(
+        TrialFinding(
             "accepted although persistently wrong", f"{fooled} of {len(accident)} in {WRONG_S:.0f} s each",
             f"at most {upper_bound(fooled, len(accident)):.2%}", goal=f"alpha = {own.alpha:g}",
             note="too few attempts to see alpha itself; what the bound rests on are the two rates above",
@@ -173,12 +173,12 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
     )  # fmt: skip
     return TrialResult(
         summary, findings, NOISE, (_blocks_table(wrong), _forced_table(by_group), _bound_table(method)),
-        (Picture(PICTURE, "Time to commit of true pairs by both gates, and how fast blocks of wrong pairs give up."),),
+        (TrialPicture(PICTURE, "Time to commit of true pairs by both gates; how fast blocks of wrong pairs give up."),),
         NOTES,
     )  # fmt: skip
 
 
-def _counted(told: Sequence[Told], later: bool) -> tuple[int, int]:
+def _counted(told: Sequence[EvidenceAttempt], later: bool) -> tuple[int, int]:
     """Agreeing and judged blocks."""
     blocks = [each.blocks.later if later else each.blocks.first for each in told]
     return sum(agreeing for _, agreeing in blocks), sum(judged for judged, _ in blocks)
@@ -196,7 +196,7 @@ def _mean(values: np.ndarray) -> float | None:
 EDGES = (-1.0, -0.1, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 1.0)
 
 
-def _blocks_table(wrong: Sequence[Told]) -> Table:
+def _blocks_table(wrong: Sequence[EvidenceAttempt]) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for low, high in pairwise(EDGES):
         told = [each for each in wrong if low < each.strength <= high]
@@ -207,7 +207,7 @@ def _blocks_table(wrong: Sequence[Told]) -> Table:
                 str(wrongly([each.evidence for each in told])), str(wrongly([each.papers for each in told])),
             )
         )  # fmt: skip
-    return Table(
+    return TrialTable(
         "D2 answers with another object all the time: agreeing blocks and accepted attempts",
         (
             "mean strength",
@@ -223,7 +223,7 @@ def _blocks_table(wrong: Sequence[Told]) -> Table:
     )
 
 
-def _forced_table(by_group: Groups) -> Table:
+def _forced_table(by_group: Groups) -> TrialTable:
     rows = tuple(
         (
             name, str(len(told)), str(wrongly([each.evidence for each in told])),
@@ -232,7 +232,7 @@ def _forced_table(by_group: Groups) -> Table:
         for name, told in by_group.items()
         if name not in ("true", "wrong")
     )  # fmt: skip
-    return Table(
+    return TrialTable(
         "Accepted with a wrong object", ("what is forced", "attempts", "evidence", "350 in a row"), rows,
         "Where the prior itself lies on the look-alike (0.06 m beside it, per axis) both gates are fooled: such an "
         "error is many standard deviations of a calibrated system. 'prior right' below 0.4 m are mostly attempts in "
@@ -240,7 +240,7 @@ def _forced_table(by_group: Groups) -> Table:
     )  # fmt: skip
 
 
-def _bound_table(method: MethodConfig) -> Table:
+def _bound_table(method: MethodConfig) -> TrialTable:
     own, reach = method.evidence, reach_m()
     rows = tuple(
         (f"{d:.2f} m", f"{persistent_bound(d, reach, SIGMA_M, MEASURED):.1g}", f"{own.alpha:g}",
@@ -248,14 +248,14 @@ def _bound_table(method: MethodConfig) -> Table:
         for d in (0.2, 0.25, 0.3, 0.35, 0.5, 1.0)
     )  # fmt: skip
     blocks = next(n for n in range(1, 100) if evidence_of(n, own) >= evidence_needed(1, own))
-    return Table(
+    return TrialTable(
         "Stated bound on a false accept in one attempt", ("nearest other object", "persistent", "varying", "sum"), rows,
         f"Distance across D2's line of sight; r0 = {reach:.3f} m for boxes of {SIDE_M} m, sigma = {SIGMA_M} m. "
         f"A first run needs {blocks} blocks of {own.block_s} s.",
     )  # fmt: skip
 
 
-NOISE = Table(
+NOISE = TrialTable(
     "What differs from what is believed, drawn once for each attempt",
     ("error", "standard deviation"),
     (

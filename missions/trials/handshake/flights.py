@@ -10,7 +10,7 @@ from typing import Any
 from drivers.rig.parts import Rig
 from missions import rig_library
 from missions.handoff.command import fly_once
-from missions.report.records import Run, judged_pairs, last, load_run
+from missions.report.records import RunRecords, judged_pairs, last, load_run
 from missions.report.summary import summarize
 from missions.run_folder import new_folder
 from path.config import GateKind
@@ -24,7 +24,7 @@ FAULTS: tuple[tuple[str, ...], ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class MissionOrder:
     """One mission."""
 
     seed: int
@@ -34,8 +34,8 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
-    """What came of a mission.
+class FlightResult:
+    """The result of a mission.
 
     Attributes:
         seconds: from the first pair whose overlap exceeds the threshold to the commit; None without a commit.
@@ -43,7 +43,7 @@ class Flown:
         wrong: whether another object than the target was handed over.
     """
 
-    asked: Asked
+    asked: MissionOrder
     committed: bool
     seconds: float | None
     wrong: bool
@@ -53,13 +53,13 @@ class Flown:
     violations: int
 
 
-def asked_for(count: int, seed: int, gate: GateKind, out: Path) -> list[Asked]:
+def asked_for(count: int, seed: int, gate: GateKind, out: Path) -> list[MissionOrder]:
     return [
-        Asked(seed * 1000 + k, FAULTS[k % len(FAULTS)], gate, out / f"{gate}-{k:03d}") for k in range(count)
+        MissionOrder(seed * 1000 + k, FAULTS[k % len(FAULTS)], gate, out / f"{gate}-{k:03d}") for k in range(count)
     ]  # fmt: skip
 
 
-def fly(asked: Asked) -> Flown:
+def fly(asked: MissionOrder) -> FlightResult:
     """One mission from take-off to landing; its logs are read and thrown away."""
     rig = _rig(asked.gate)
     folder = new_folder(asked.folder)
@@ -70,7 +70,7 @@ def fly(asked: Asked) -> Flown:
         shutil.rmtree(folder, ignore_errors=True)
     summary: dict[str, Any] = summarize(run)
     seconds = agreement_s(run)
-    return Flown(
+    return FlightResult(
         asked=asked,
         committed=seconds is not None,
         seconds=seconds,
@@ -87,7 +87,7 @@ def _rig(gate: GateKind) -> Rig:
     return replace(rig, method=replace(rig.method, gate=gate))
 
 
-def agreement_s(run: Run) -> float | None:
+def agreement_s(run: RunRecords) -> float | None:
     """The paper's time to hand-off: from the first frame whose IoU exceeds the threshold to the commit, s.
 
     None without a commit. Resets of the count in between are part of it.

@@ -24,8 +24,8 @@ LIMIT_S = 12.0
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """What one gate made of an attempt.
+class GateVerdict:
+    """The result of one gate on an attempt.
 
     Attributes:
         seconds: from the first agreeing pair to the commit.
@@ -39,11 +39,11 @@ class Judged:
     same: bool
 
 
-NOT_COMMITTED = Judged(committed=False, seconds=0.0, right=False, same=False)
+NOT_COMMITTED = GateVerdict(committed=False, seconds=0.0, right=False, same=False)
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
+class HandshakeAttempt:
     """One attempt.
 
     Attributes:
@@ -55,21 +55,21 @@ class Tried:
     index: int
     fault: FaultName
     reason: str
-    judged: tuple[Judged, Judged]
+    judged: tuple[GateVerdict, GateVerdict]
     closest_m: float
 
 
 @dataclass(frozen=True, slots=True)
-class Chunk:
+class BatchResult:
     """Attempts run by one process. ``busy_s``: what its core spent on them."""
 
-    tried: tuple[Tried, ...]
+    tried: tuple[HandshakeAttempt, ...]
     simulated_s: float
     busy_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class AttemptBatch:
     """``indices`` of the attempts to run."""
 
     rig: str
@@ -77,9 +77,9 @@ class Asked:
     indices: tuple[int, ...]
 
 
-def asked_for(rig: str, seed: int, attempts: int) -> list[Asked]:
+def asked_for(rig: str, seed: int, attempts: int) -> list[AttemptBatch]:
     return [
-        Asked(rig, seed, tuple(range(first, min(first + CHUNK, attempts)))) for first in range(0, attempts, CHUNK)
+        AttemptBatch(rig, seed, tuple(range(at, min(at + CHUNK, attempts)))) for at in range(0, attempts, CHUNK)
     ]  # fmt: skip
 
 
@@ -97,9 +97,9 @@ def attempt_of(seed: int, index: int) -> Attempt:
     return Attempt(seed, index, FAULT_NAMES[index % len(FAULT_NAMES)], limit_s=LIMIT_S)
 
 
-def run_chunk(asked: Asked) -> Chunk:
+def run_chunk(asked: AttemptBatch) -> BatchResult:
     runner, method = runner_of(asked.rig), rig_library.load(asked.rig).method
-    tried: list[Tried] = []
+    tried: list[HandshakeAttempt] = []
     start_ns, simulated_s = busy_ns(), 0.0
     for index in asked.indices:
         attempt = attempt_of(asked.seed, index)
@@ -112,19 +112,19 @@ def run_chunk(asked: Asked) -> Chunk:
             simulated_s += more.simulated_s
             evidence = by_evidence(more.series, method)
         judged = by_consecutive(found), evidence
-        tried.append(Tried(index, attempt.fault, found.reason, judged, found.circumstances.closest_m))
-    return Chunk(tuple(tried), simulated_s, (busy_ns() - start_ns) * 1e-9)
+        tried.append(HandshakeAttempt(index, attempt.fault, found.reason, judged, found.circumstances.closest_m))
+    return BatchResult(tuple(tried), simulated_s, (busy_ns() - start_ns) * 1e-9)
 
 
-def by_consecutive(found: MonteCarloHandover) -> Judged:
+def by_consecutive(found: MonteCarloHandover) -> GateVerdict:
     """The paper's gate has judged it already."""
     if found.start_s is None or found.commit_s is None:
         return NOT_COMMITTED
     seconds = found.commit_s - found.start_s
-    return Judged(committed=True, seconds=seconds, right=found.right is True, same=found.same is True)
+    return GateVerdict(committed=True, seconds=seconds, right=found.right is True, same=found.same is True)
 
 
-def by_evidence(series: Series, method: MethodConfig) -> Judged:
+def by_evidence(series: Series, method: MethodConfig) -> GateVerdict:
     """The other gate on the same stream."""
     own = replace(method, gate="evidence")
     done = tell(series, make_gate(own), own)
@@ -132,15 +132,15 @@ def by_evidence(series: Series, method: MethodConfig) -> Judged:
         return NOT_COMMITTED
     start = int(np.argmax(agreeing(series, own)))
     seconds = (int(series.now_ns[done]) - int(series.capture_ns[start])) * 1e-9
-    return Judged(committed=True, seconds=seconds, right=bool(series.right[done]), same=bool(series.same[done]))
+    return GateVerdict(committed=True, seconds=seconds, right=bool(series.right[done]), same=bool(series.same[done]))
 
 
-def reasons(tried: Sequence[Tried]) -> dict[str, int]:
+def reasons(tried: Sequence[HandshakeAttempt]) -> dict[str, int]:
     """Timeouts of the paper's gate by what was missed most often."""
     return dict(Counter(each.reason for each in tried if each.reason).most_common())
 
 
-def wrong_by_fault(tried: Sequence[Tried]) -> dict[GateKind, dict[str, int]]:
+def wrong_by_fault(tried: Sequence[HandshakeAttempt]) -> dict[GateKind, dict[str, int]]:
     """Wrong hand-overs of each gate by the attempt's fault."""
     found: dict[GateKind, dict[str, int]] = {}
     for k, gate in enumerate(GATES):

@@ -11,8 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, NEEDED, ROLE
-from missions.trials.handshake.flights import Flown
-from missions.trials.handshake.handovers import FAULT_NAMES, GATES, LIMIT_S, Tried
+from missions.trials.handshake.flights import FlightResult
+from missions.trials.handshake.handovers import FAULT_NAMES, GATES, LIMIT_S, HandshakeAttempt
 from missions.trials.shared.statistics import wilson
 from path.config import GateKind
 from path.messages import Role
@@ -23,7 +23,10 @@ PAPER_S = (7.20, 7.95)
 
 
 def draw_times(
-    flown: Mapping[GateKind, Sequence[Flown]], times: Mapping[GateKind, Sequence[float]], attempts: int, path: Path
+    flown: Mapping[GateKind, Sequence[FlightResult]],
+    times: Mapping[GateKind, Sequence[float]],
+    attempts: int,
+    path: Path,
 ) -> None:
     """``times``: of the commits in so many ``attempts``. Raises OSError when it cannot be written."""
     figure = Figure(figsize=(11.0, 4.2), dpi=110, layout="constrained")
@@ -63,7 +66,7 @@ def _shares(
     )
 
 
-def draw_faults(tried: Sequence[Tried], path: Path) -> None:
+def draw_faults(tried: Sequence[HandshakeAttempt], path: Path) -> None:
     """Raises OSError when it cannot be written."""
     figure = Figure(figsize=(11.0, 4.6), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from missions.trials.handshake import flights, handovers
-from missions.trials.handshake.flights import Flown
-from missions.trials.handshake.handovers import FAULT_NAMES, GATES, Chunk, Judged, Tried
+from missions.trials.handshake.flights import FlightResult
+from missions.trials.handshake.handovers import FAULT_NAMES, GATES, BatchResult, GateVerdict, HandshakeAttempt
 from missions.trials.handshake.pictures import draw_faults, draw_times
 from missions.trials.shared.statistics import bootstrap, upper_bound, wilson
-from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
+from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.config import GateKind
 
 TITLE = "Handshake: 45 whole missions, and ten thousand Monte-Carlo hand-overs with faults, by both gates"
@@ -51,11 +51,15 @@ def run(request: TrialRequest) -> TrialResult:
     return TrialResult(
         summary=summary,
         findings=(*_flight_findings(flown, rng), *_handover_findings(tried, summary, rng)),
-        noise=Table("What Monte-Carlo hand-overs are drawn from", ("what", "how much"), runner.conditions(), _DRAWN),
+        noise=TrialTable(
+            "What Monte-Carlo hand-overs are drawn from", ("what", "how much"), runner.conditions(), _DRAWN
+        ),
         tables=(_flight_table(flown), _gate_table(tried, rng), _fault_table(tried, dict(runner.meanings()))),
         pictures=(
-            Picture(TIMES, "Time from the first agreeing pair to the commit, and the share of attempts done by then."),
-            Picture(FAULTS, "Share of attempts that committed in time, by fault and gate, with 95 % intervals."),
+            TrialPicture(
+                TIMES, "Time from the first agreeing pair to the commit, and the share of attempts done by then."
+            ),
+            TrialPicture(FAULTS, "Share of attempts that committed in time, by fault and gate, with 95 % intervals."),
         ),
         notes=_notes(chunks, attempts),
     )
@@ -70,7 +74,9 @@ _DRAWN = (
 # --- figures ------------------------------------------------------------------------------------------------------
 
 
-def _summary(flown: Sequence[Flown], tried: Sequence[Tried], chunks: Sequence[Chunk]) -> dict[str, Any]:
+def _summary(
+    flown: Sequence[FlightResult], tried: Sequence[HandshakeAttempt], chunks: Sequence[BatchResult]
+) -> dict[str, Any]:
     by_gate = _by_gate(flown)
     paper = [_of(each, "consecutive") for each in tried]
     busy = sum(chunk.busy_s for chunk in chunks)
@@ -94,7 +100,7 @@ def _summary(flown: Sequence[Flown], tried: Sequence[Tried], chunks: Sequence[Ch
     }
 
 
-def _flights_summary(flown: Sequence[Flown]) -> dict[str, Any]:
+def _flights_summary(flown: Sequence[FlightResult]) -> dict[str, Any]:
     seconds = _seconds(flown)
     return {
         "attempts": len(flown),
@@ -107,7 +113,7 @@ def _flights_summary(flown: Sequence[Flown]) -> dict[str, Any]:
     }
 
 
-def _gate_summary(judged: Sequence[Judged]) -> dict[str, Any]:
+def _gate_summary(judged: Sequence[GateVerdict]) -> dict[str, Any]:
     seconds = [each.seconds for each in judged if each.committed]
     wrong = _wrong(judged)
     return {
@@ -121,38 +127,38 @@ def _gate_summary(judged: Sequence[Judged]) -> dict[str, Any]:
     }
 
 
-def _fault_summary(tried: Sequence[Tried]) -> dict[str, Any]:
+def _fault_summary(tried: Sequence[HandshakeAttempt]) -> dict[str, Any]:
     gates = {gate: _gate_summary([_of(each, gate) for each in tried]) for gate in GATES}
     return {"attempts": len(tried), "reasons": handovers.reasons(tried), **gates}
 
 
-def _look_alikes(tried: Sequence[Tried], within_m: float) -> int:
+def _look_alikes(tried: Sequence[HandshakeAttempt], within_m: float) -> int:
     """Attempts in which one came as near to the target as this."""
     return sum(each.closest_m <= within_m for each in tried)
 
 
-def _of(tried: Tried, gate: GateKind) -> Judged:
+def _of(tried: HandshakeAttempt, gate: GateKind) -> GateVerdict:
     return tried.judged[GATES.index(gate)]
 
 
-def _wrong(judged: Sequence[Judged]) -> int:
+def _wrong(judged: Sequence[GateVerdict]) -> int:
     return sum(each.committed and not each.right for each in judged)
 
 
-def _fooled(judged: Sequence[Judged]) -> int:
-    """Both boxes agreed although they were of different objects."""
+def _fooled(judged: Sequence[GateVerdict]) -> int:
+    """Counts the attempts in which both boxes agreed although they were of different objects."""
     return sum(each.committed and not each.same for each in judged)
 
 
-def _by_gate(flown: Sequence[Flown]) -> dict[GateKind, list[Flown]]:
+def _by_gate(flown: Sequence[FlightResult]) -> dict[GateKind, list[FlightResult]]:
     return {gate: [each for each in flown if each.asked.gate == gate] for gate in GATES}
 
 
-def _seconds(flown: Sequence[Flown]) -> list[float]:
+def _seconds(flown: Sequence[FlightResult]) -> list[float]:
     return [each.seconds for each in flown if each.seconds is not None]
 
 
-def _times(tried: Sequence[Tried]) -> dict[GateKind, list[float]]:
+def _times(tried: Sequence[HandshakeAttempt]) -> dict[GateKind, list[float]]:
     return {gate: [j.seconds for j in (_of(each, gate) for each in tried) if j.committed] for gate in GATES}
 
 
@@ -180,7 +186,7 @@ def _with_interval(values: Series, statistic: Any, rng: np.random.Generator) -> 
 # --- findings -----------------------------------------------------------------------------------------------------
 
 
-def _flight_findings(flown: Sequence[Flown], rng: np.random.Generator) -> tuple[Finding, ...]:
+def _flight_findings(flown: Sequence[FlightResult], rng: np.random.Generator) -> tuple[TrialFinding, ...]:
     by_gate = _by_gate(flown)
     paper, evidence = by_gate["consecutive"], by_gate["evidence"]
     seconds, wrong = _seconds(paper), sum(each.wrong for each in flown)
@@ -188,29 +194,29 @@ def _flight_findings(flown: Sequence[Flown], rng: np.random.Generator) -> tuple[
     median, median_in = _with_interval(seconds, _median, rng)
     p90, p90_in = _with_interval(seconds, _p90, rng)
     findings = [
-        Finding("whole missions of level sim: commits of attempts", f"{len(seconds)} of {len(paper)}",
+        TrialFinding("whole missions of level sim: commits of attempts", f"{len(seconds)} of {len(paper)}",
                 f"{low:.0%}-{high:.0%}", f"{PAPER_COMMITS} of 45",
                 note="the paper does not say what went wrong in its three; ours is the share of our mix of faults, see "
                 "the table"),
-        Finding("wrong hand-overs in them", str(wrong), f"≤ {upper_bound(wrong, len(flown)):.1%}", "0", "0",
+        TrialFinding("wrong hand-overs in them", str(wrong), f"≤ {upper_bound(wrong, len(flown)):.1%}", "0", "0",
                 verdict(wrong == 0)),
-        Finding("first frame above the threshold to commit, s, median", median, median_in, f"{PAPER_MEDIAN_S:.2f}",
+        TrialFinding("first frame above the threshold to commit, s, median", median, median_in, f"{PAPER_MEDIAN_S:.2f}",
                 note="350 pairs at 50 Hz and 7 s; what is above 7 s are resets and the time until D1 has judged"),
-        Finding("the same, 90th percentile", p90, p90_in, f"{PAPER_P90_S:.2f}"),
+        TrialFinding("the same, 90th percentile", p90, p90_in, f"{PAPER_P90_S:.2f}"),
     ]  # fmt: skip
     if evidence:
         quick, quick_in = _with_interval(_seconds(evidence), _median, rng)
         met = bool(_seconds(evidence)) and float(quick) <= GOAL_MEDIAN_S
         findings.append(
-            Finding("missions with the evidence gate: the same time, s, median", quick, quick_in, "", "≤ 2",
+            TrialFinding("missions with the evidence gate: the same time, s, median", quick, quick_in, "", "≤ 2",
                     verdict(met), f"{len(_seconds(evidence))} commits of {len(evidence)}")
         )  # fmt: skip
     return tuple(findings)
 
 
 def _handover_findings(
-    tried: Sequence[Tried], summary: dict[str, Any], rng: np.random.Generator
-) -> tuple[Finding, ...]:
+    tried: Sequence[HandshakeAttempt], summary: dict[str, Any], rng: np.random.Generator
+) -> tuple[TrialFinding, ...]:
     times, gates = _times(tried), summary["gates"]
     consecutive, evidence = gates["consecutive"], gates["evidence"]
     median, interval = _with_interval(times["evidence"], _median, rng)
@@ -219,17 +225,17 @@ def _handover_findings(
     near, beside = (_look_alikes(tried, within) for within in (NEAR_M, BESIDE_M))
     low, high = wilson(near, len(tried))
 
-    def wrong(gate: GateKind, figures: dict[str, Any]) -> Finding:
+    def wrong(gate: GateKind, figures: dict[str, Any]) -> TrialFinding:
         where = ", ".join(f"{name} {count}" for name, count in faults[gate].items())
-        return Finding(
+        return TrialFinding(
             f"Monte-Carlo hand-overs, wrong ones of any cause, {gate} gate", f"{figures['wrong']} of {len(tried)}",
             f"≤ {figures['wrong_upper_95']:.3%} of attempts", "0 of 45", "0", verdict(figures["wrong"] == 0),
             f"by fault: {where}. Where both boxes were of one object, D1 had lost the target to it by itself"
             if where else "",
         )  # fmt: skip
 
-    def fooled(gate: GateKind, figures: dict[str, Any]) -> Finding:
-        return Finding(
+    def fooled(gate: GateKind, figures: dict[str, Any]) -> TrialFinding:
+        return TrialFinding(
             f"Monte-Carlo hand-overs done with boxes of different objects at the end, {gate} gate",
             f"{figures['fooled']} of {len(tried)}", f"≤ {figures['fooled_upper_95']:.3%} of attempts", "", "0",
             verdict(figures["fooled"] == 0),
@@ -240,15 +246,15 @@ def _handover_findings(
         fooled("consecutive", consecutive),
         wrong("evidence", evidence),
         fooled("evidence", evidence),
-        Finding(f"Monte-Carlo hand-overs in which a look-alike came within {NEAR_M:g} m of the target",
+        TrialFinding(f"Monte-Carlo hand-overs in which a look-alike came within {NEAR_M:g} m of the target",
                 f"{near} of {len(tried)}", f"{low:.1%}-{high:.1%}",
                 note=f"within {BESIDE_M:g} m: {beside}; all have three farther away"),
-        Finding("Monte-Carlo hand-overs, time to commit, consecutive gate, s, median", median_paper, interval_paper,
+        TrialFinding("Monte-Carlo hand-overs, time to commit, count gate, s, median", median_paper, interval_paper,
                 f"{PAPER_MEDIAN_S:.2f}", note=f"{consecutive['commit_rate']:.1%} commit in {handovers.LIMIT_S:g} s"),
-        Finding("Monte-Carlo hand-overs, time to commit, evidence gate, s, median", median, interval, "", "≤ 2",
+        TrialFinding("Monte-Carlo hand-overs, time to commit, evidence gate, s, median", median, interval, "", "≤ 2",
                 verdict(evidence["median_s"] is not None and evidence["median_s"] <= GOAL_MEDIAN_S),
                 f"{evidence['commit_rate']:.1%} commit in {handovers.LIMIT_S:g} s"),
-        Finding("Monte-Carlo hand-overs, times real time on one core", f"{summary['hand_overs']['speed']:.0f}",
+        TrialFinding("Monte-Carlo hand-overs, times real time on one core", f"{summary['hand_overs']['speed']:.0f}",
                 "time this core spent on it", "", "≥ 100", verdict(summary["hand_overs"]["speed"] >= 100.0)),
     )  # fmt: skip
 
@@ -256,7 +262,7 @@ def _handover_findings(
 # --- tables -------------------------------------------------------------------------------------------------------
 
 
-def _flight_table(flown: Sequence[Flown]) -> Table:
+def _flight_table(flown: Sequence[FlightResult]) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for gate, own in _by_gate(flown).items():
         for faults in sorted({each.asked.faults for each in own}):
@@ -265,7 +271,7 @@ def _flight_table(flown: Sequence[Flown]) -> Table:
             times = [f"{seconds:.2f}" for seconds in sorted(_seconds(some))]
             rows.append((gate, ", ".join(faults) or "none", str(len(some)), str(len(times)), ", ".join(times),
                          "; ".join(ends)))  # fmt: skip
-    return Table(
+    return TrialTable(
         "Whole missions, by gate and fault",
         ("gate", "fault", "attempts", "commits", "time to commit, s", "how the others ended"),
         tuple(rows),
@@ -274,7 +280,7 @@ def _flight_table(flown: Sequence[Flown]) -> Table:
     )
 
 
-def _gate_table(tried: Sequence[Tried], rng: np.random.Generator) -> Table:
+def _gate_table(tried: Sequence[HandshakeAttempt], rng: np.random.Generator) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for gate, seconds in _times(tried).items():
         low, high = wilson(len(seconds), len(tried))
@@ -284,7 +290,7 @@ def _gate_table(tried: Sequence[Tried], rng: np.random.Generator) -> Table:
         bound = upper_bound(_wrong(judged), len(judged))
         rows.append((gate, f"{len(seconds)} ({low:.1%}-{high:.1%})", f"{median} ({median_in})", f"{p90} ({p90_in})",
                      str(_wrong(judged)), f"{bound:.3%}"))  # fmt: skip
-    return Table(
+    return TrialTable(
         "Both gates on the same Monte-Carlo hand-overs",
         ("gate", "commits", "median, s", "p90, s", "wrong", "wrong, 95 % bound"),
         tuple(rows),
@@ -292,7 +298,7 @@ def _gate_table(tried: Sequence[Tried], rng: np.random.Generator) -> Table:
     )
 
 
-def _fault_table(tried: Sequence[Tried], meanings: dict[Any, str]) -> Table:
+def _fault_table(tried: Sequence[HandshakeAttempt], meanings: dict[Any, str]) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for name in FAULT_NAMES:
         some = [each for each in tried if each.fault == name]
@@ -304,7 +310,7 @@ def _fault_table(tried: Sequence[Tried], meanings: dict[Any, str]) -> Table:
             cells += [share, f"{_wrong(judged)} (≤ {upper_bound(_wrong(judged), len(judged)):.2%})"]
         why = ", ".join(f"{reason} {count}" for reason, count in list(handovers.reasons(some).items())[:3])
         rows.append((name, meanings[name], str(len(some)), *cells, why))
-    return Table(
+    return TrialTable(
         "Monte-Carlo hand-overs by fault",
         ("fault", "what it is", "attempts", "350 pairs: commits", "wrong", "evidence: commits", "wrong",
          "timeouts of the 350 pairs, by the most frequent miss"),
@@ -312,7 +318,7 @@ def _fault_table(tried: Sequence[Tried], meanings: dict[Any, str]) -> Table:
     )  # fmt: skip
 
 
-def _notes(chunks: Sequence[Chunk], attempts: int) -> tuple[str, ...]:
+def _notes(chunks: Sequence[BatchResult], attempts: int) -> tuple[str, ...]:
     return (
         f"The {attempts} Monte-Carlo hand-overs are {len(FAULT_NAMES)} kinds of fault in equal numbers, "
         f"{handovers.LIMIT_S:g} s each at the most. That is far more trouble than a field day has: the overall commit "

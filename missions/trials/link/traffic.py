@@ -46,7 +46,7 @@ SETTLE_S = 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class Packet:
+class TappedPacket:
     """One datagram as the tap saw it."""
 
     kind: str
@@ -57,13 +57,13 @@ class Packet:
 
     @property
     def wire_b(self) -> int:
-        """With its UDP and IPv4 headers, which the kernel adds."""
+        """The size with its UDP and IPv4 headers, which the kernel adds."""
         return self.mavlink_b + UDP_IP_OVERHEAD
 
 
 @dataclass(slots=True)
-class Traffic:
-    """What was on one link.
+class LinkTraffic:
+    """The traffic on one link.
 
     Attributes:
         hz: frames a second on both sides.
@@ -75,8 +75,8 @@ class Traffic:
 
     hz: int
     seconds: int
-    packets: list[Packet] = field(default_factory=list[Packet])
-    extremes: list[Packet] = field(default_factory=list[Packet])
+    packets: list[TappedPacket] = field(default_factory=list[TappedPacket])
+    extremes: list[TappedPacket] = field(default_factory=list[TappedPacket])
     sent: int = 0
     received: int = 0
     dropped: dict[str, int] = field(default_factory=dict[str, int])
@@ -99,7 +99,7 @@ class _Tap(asyncio.DatagramProtocol):
 
     def __init__(self, direction: Role, to: tuple[str, int]) -> None:
         self.direction = direction
-        self.packets: list[Packet] = []
+        self.packets: list[TappedPacket] = []
         self.other: _Tap | None = None
         self._to = to  # the link end on this side
         self._transport: asyncio.DatagramTransport | None = None
@@ -109,17 +109,19 @@ class _Tap(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         kind = dialect.mavlink_map[int.from_bytes(data[7:10], "little")].msgname.removeprefix("PATH_").lower()
-        self.packets.append(Packet(kind, self.direction, data[1], len(data), asyncio.get_running_loop().time()))
+        self.packets.append(TappedPacket(kind, self.direction, data[1], len(data), asyncio.get_running_loop().time()))
         if self.other is not None and self.other._transport is not None:
             self.other._transport.sendto(data, self.other._to)
 
 
-def flow(work: Work, rates_hz: Sequence[int], seconds: int, mission: MissionConfig, seed: int) -> list[Traffic]:
+def flow(work: Work, rates_hz: Sequence[int], seconds: int, mission: MissionConfig, seed: int) -> list[LinkTraffic]:
     """The traffic at each rate, all at the same time. Raises LinkError when a port cannot be had."""
     return asyncio.run(_flow(work, rates_hz, seconds, mission, seed))
 
 
-async def _flow(work: Work, rates_hz: Sequence[int], seconds: int, mission: MissionConfig, seed: int) -> list[Traffic]:
+async def _flow(
+    work: Work, rates_hz: Sequence[int], seconds: int, mission: MissionConfig, seed: int
+) -> list[LinkTraffic]:
     async with AsyncExitStack() as stack:
         key = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "pair.key"
         with os.fdopen(os.open(key, os.O_WRONLY | os.O_CREAT, 0o600), "wb") as file:
@@ -134,7 +136,7 @@ async def _flow(work: Work, rates_hz: Sequence[int], seconds: int, mission: Miss
                 one.cancel()
 
 
-async def _one(hz: int, seconds: int, mission: MissionConfig, seed: int, key: Path) -> Traffic:
+async def _one(hz: int, seconds: int, mission: MissionConfig, seed: int, key: Path) -> LinkTraffic:
     """One pair of links with the tap between them."""
     own = dict(zip(Role, _free_ports(2), strict=True))
     async with AsyncExitStack() as stack:
@@ -155,7 +157,7 @@ async def _one(hz: int, seconds: int, mission: MissionConfig, seed: int, key: Pa
         sides = [_Side(role, links[role], mission, hz, rng) for role, rng in zip(Role, rngs, strict=True)]
         await asyncio.gather(*(side.talk(seconds) for side in sides))
         await asyncio.sleep(SETTLE_S)
-        traffic = Traffic(hz, seconds, _taken(taps))
+        traffic = LinkTraffic(hz, seconds, _taken(taps))
         for role, link in links.items():
             for message in extremes(role):
                 link.send(message)
@@ -172,7 +174,7 @@ async def _one(hz: int, seconds: int, mission: MissionConfig, seed: int, key: Pa
     return traffic
 
 
-def _taken(taps: dict[Role, _Tap]) -> list[Packet]:
+def _taken(taps: dict[Role, _Tap]) -> list[TappedPacket]:
     packets = sorted((packet for tap in taps.values() for packet in tap.packets), key=lambda packet: packet.at_s)
     for tap in taps.values():
         tap.packets = []
@@ -180,7 +182,7 @@ def _taken(taps: dict[Role, _Tap]) -> list[Packet]:
 
 
 async def _pump(link: UdpLink) -> None:
-    """As a role does: answer pings, take the rest."""
+    """Pumps as a role does: answers pings, takes the rest."""
     while True:
         received = await link.receive()
         if isinstance(received.message, Ping):
@@ -188,7 +190,7 @@ async def _pump(link: UdpLink) -> None:
 
 
 class _Side:
-    """What one role sends while it verifies, and the hand-over at the end of it."""
+    """The messages of one role while it verifies, and the hand-over at the end of it."""
 
     def __init__(self, role: Role, link: UdpLink, mission: MissionConfig, hz: int, rng: np.random.Generator) -> None:
         self._role = role
@@ -238,7 +240,7 @@ class _Side:
 
 
 def a_target(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Target:
-    """With everything it can carry, as in a verification two metres from the target."""
+    """Returns a Target with everything it can carry, as in a verification two metres from the target."""
     x, y, z = rng.normal((0.0, 0.0, 1.0), 0.3).tolist()
     norm = float(np.linalg.norm((x, y, z)))
     gravity = (x / norm, y / norm, z / norm)
@@ -247,7 +249,7 @@ def a_target(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Target:
 
 
 def a_candidate(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Candidate:
-    """With box and pose."""
+    """Returns a Candidate with box and pose."""
     w, x, y, z = rng.standard_normal(4).tolist()
     norm = float(np.linalg.norm((w, x, y, z)))
     rotation: Quat = (w / norm, x / norm, y / norm, z / norm)

@@ -16,9 +16,9 @@ from drivers.link.wire import UDP_IP_OVERHEAD
 from missions import rig_library
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
 from missions.trials.link.cost import PACKETS, Times, measure_costs
-from missions.trials.link.traffic import Packet, Traffic, flow
+from missions.trials.link.traffic import LinkTraffic, TappedPacket, flow
 from missions.trials.shared.statistics import bootstrap
-from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
+from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.messages import Role
 
 TITLE = "Link: bytes on the socket at 30, 50 and 60 Hz, signed, and the cost of signing"
@@ -62,7 +62,7 @@ def run(request: TrialRequest) -> TrialResult:
         findings=(*_size_findings(rates, largest, traffic), *_cost_findings(costs, rng)),
         noise=_conditions(mission.status_hz, mission.receiver_status_hz, mission.ping_hz, seconds),
         tables=(_size_table(sizes), _rate_table(rates), _cost_table(costs, rng)),
-        pictures=(Picture(PICTURE, "Bytes a second by message, and what a packet consists of."),),
+        pictures=(TrialPicture(PICTURE, "Bytes a second by message, and what a packet consists of."),),
         notes=(
             f"Counted by a tap between two real UDP links on loopback: each datagram's length and {UDP_IP_OVERHEAD} B "
             "for its UDP and IPv4 headers. Ethernet, Wi-Fi or radio framing comes on top and is the channel's.",
@@ -74,14 +74,14 @@ def run(request: TrialRequest) -> TrialResult:
     )
 
 
-def _sizes(kind: str, traffic: Sequence[Traffic]) -> dict[str, int]:
+def _sizes(kind: str, traffic: Sequence[LinkTraffic]) -> dict[str, int]:
     """The largest packet of a kind that was seen."""
     seen = [packet for one in traffic for packet in (*one.packets, *one.extremes) if packet.kind == kind]
     packet = max(seen, key=lambda p: p.wire_b)
     return {"payload_b": packet.payload_b, "mavlink_b": packet.mavlink_b, "wire_b": packet.wire_b}
 
 
-def _rates(one: Traffic, sizes: dict[str, dict[str, int]]) -> dict[str, float]:
+def _rates(one: LinkTraffic, sizes: dict[str, dict[str, int]]) -> dict[str, float]:
     """Bytes a second of one link: as sent, by direction, over its seconds, and if no byte had been cut off."""
     stream = [packet for packet in one.packets if packet.kind not in ONCE]
     by_role = {role: sum(p.wire_b for p in stream if p.direction is role) / one.seconds for role in Role}
@@ -97,7 +97,7 @@ def _rates(one: Traffic, sizes: dict[str, dict[str, int]]) -> dict[str, float]:
     }
 
 
-def _each_second(stream: Sequence[Packet], seconds: int) -> list[int]:
+def _each_second(stream: Sequence[TappedPacket], seconds: int) -> list[int]:
     """Bytes that came within each second from the first packet on."""
     bins = [0] * seconds
     for packet in stream:
@@ -111,15 +111,17 @@ def _median(values: Times) -> float:
     return float(np.median(values))
 
 
-def _size_findings(rates: dict[str, dict[str, float]], largest: int, traffic: Sequence[Traffic]) -> tuple[Finding, ...]:
+def _size_findings(
+    rates: dict[str, dict[str, float]], largest: int, traffic: Sequence[LinkTraffic]
+) -> tuple[TrialFinding, ...]:
     findings = [
-        Finding("largest packet with UDP/IP, B", str(largest), "every kind of message, no byte cut off",
+        TrialFinding("largest packet with UDP/IP, B", str(largest), "every kind of message, no byte cut off",
                 "≤ 128", "≤ 128", verdict(largest <= LIMIT_PACKET_B)),
     ]  # fmt: skip
     for hz, rate in rates.items():
         goal = f"≤ {GOAL_BYTES_PER_S / 1000:.0f}" if hz == "60" else ""
         findings.append(
-            Finding(
+            TrialFinding(
                 f"both ways at {hz} Hz, signed, all fields, kB/s",
                 f"{rate['bytes_per_s'] / 1000:.2f}",
                 f"{rate['least_second_b'] / 1000:.2f} to {rate['most_second_b'] / 1000:.2f} over its seconds; "
@@ -131,14 +133,14 @@ def _size_findings(rates: dict[str, dict[str, float]], largest: int, traffic: Se
         )
     lost = sum(one.sent - one.received for one in traffic)
     dropped = sum(sum(one.dropped.values()) for one in traffic)
-    findings.append(Finding("packets lost, and dropped by a codec", f"{lost}, {dropped}", "of all that were sent"))
+    findings.append(TrialFinding("packets lost, and dropped by a codec", f"{lost}, {dropped}", "of all that were sent"))
     return tuple(findings)
 
 
-def _cost_findings(costs: dict[str, Times], rng: np.random.Generator) -> tuple[Finding, ...]:
-    def found(quantity: str, name: str) -> Finding:
+def _cost_findings(costs: dict[str, Times], rng: np.random.Generator) -> tuple[TrialFinding, ...]:
+    def found(quantity: str, name: str) -> TrialFinding:
         low, high = bootstrap(costs[name], _median, rng)
-        return Finding(quantity, f"{_median(costs[name]):.1f}", f"{low:.1f} to {high:.1f}")
+        return TrialFinding(quantity, f"{_median(costs[name]):.1f}", f"{low:.1f} to {high:.1f}")
 
     added = _both(costs, "signed") / _both(costs, "unsigned")
     low, high = bootstrap(added, _median, rng)
@@ -146,8 +148,8 @@ def _cost_findings(costs: dict[str, Times], rng: np.random.Generator) -> tuple[F
     return (
         found("encode and sign a packet, µs median", "encode_signed"),
         found("verify and decode a packet, µs median", "decode_signed"),
-        Finding("signed against unsigned, both ends, ratio", f"{_median(added):.2f}", f"{low:.2f} to {high:.2f}"),
-        Finding("one core at 60 Hz, a packet out and one in, per role", f"{share:.2f} %"),
+        TrialFinding("signed against unsigned, both ends, ratio", f"{_median(added):.2f}", f"{low:.2f} to {high:.2f}"),
+        TrialFinding("one core at 60 Hz, a packet out and one in, per role", f"{share:.2f} %"),
     )
 
 
@@ -155,8 +157,8 @@ def _both(costs: dict[str, Times], how: str) -> Times:
     return costs[f"encode_{how}"] + costs[f"decode_{how}"]
 
 
-def _conditions(sender_hz: float, receiver_hz: float, ping_hz: float, seconds: int) -> Table:
-    return Table(
+def _conditions(sender_hz: float, receiver_hz: float, ping_hz: float, seconds: int) -> TrialTable:
+    return TrialTable(
         "What is on the link",
         ("message", "how often"),
         (
@@ -171,13 +173,13 @@ def _conditions(sender_hz: float, receiver_hz: float, ping_hz: float, seconds: i
     )
 
 
-def _size_table(sizes: dict[str, dict[str, int]]) -> Table:
+def _size_table(sizes: dict[str, dict[str, int]]) -> TrialTable:
     rows = tuple(
         (kind, WHO[kind], str(size["payload_b"]), str(size["mavlink_b"]), str(size["wire_b"]))
         for kind, size in sizes.items()
     )
     handover = sum(sizes[kind]["wire_b"] for kind in ("commit", "accept", "confirm"))
-    return Table(
+    return TrialTable(
         "Largest packet of each message, B",
         ("message", "who", "payload", f"MAVLink 2 (+ {FRAME_B} frame, {SIGNATURE_B} signature)",
          f"wire (+ {UDP_IP_OVERHEAD} UDP/IP)"),
@@ -186,24 +188,24 @@ def _size_table(sizes: dict[str, dict[str, int]]) -> Table:
     )  # fmt: skip
 
 
-def _rate_table(rates: dict[str, dict[str, float]]) -> Table:
+def _rate_table(rates: dict[str, dict[str, float]]) -> TrialTable:
     rows = tuple(
         (f"{hz} Hz", f"{r['sender_bytes_per_s']:.0f}", f"{r['receiver_bytes_per_s']:.0f}", f"{r['bytes_per_s']:.0f}",
          f"{r['untrimmed_bytes_per_s']:.0f}", f"{r['packets_per_s']:.0f}")
         for hz, r in rates.items()
     )  # fmt: skip
-    return Table(
+    return TrialTable(
         "Bytes a second", ("frames", "D1 to D2", "D2 to D1", "both", "no byte cut off", "packets a second"), rows
     )
 
 
-def _cost_table(costs: dict[str, Times], rng: np.random.Generator) -> Table:
+def _cost_table(costs: dict[str, Times], rng: np.random.Generator) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for name, values in costs.items():
         low, high = bootstrap(values, _median, rng)
         ends = f"{low:.1f} to {high:.1f}"
         rows.append((name.replace("_", ", "), f"{_median(values):.1f}", ends, f"{np.percentile(values, 99):.1f}"))
-    return Table(
+    return TrialTable(
         f"Time per packet, µs (targets and candidates alike, mean of {PACKETS} each)",
         ("", "median", "95 % interval", "p99 of the means"),
         tuple(rows),
@@ -211,7 +213,7 @@ def _cost_table(costs: dict[str, Times], rng: np.random.Generator) -> Table:
     )
 
 
-def _draw(traffic: Sequence[Traffic], sizes: dict[str, dict[str, int]], path: Path) -> None:
+def _draw(traffic: Sequence[LinkTraffic], sizes: dict[str, dict[str, int]], path: Path) -> None:
     figure = Figure(figsize=(10.5, 4.2), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     _draw_rates(figure.add_subplot(1, 2, 1), traffic)
@@ -219,15 +221,15 @@ def _draw(traffic: Sequence[Traffic], sizes: dict[str, dict[str, int]], path: Pa
     figure.savefig(path, format="png", metadata={"Software": None})
 
 
-def _draw_rates(axes: Axes, traffic: Sequence[Traffic]) -> None:
-    def rate(one: Traffic, chosen: Callable[[Packet], bool]) -> float:
+def _draw_rates(axes: Axes, traffic: Sequence[LinkTraffic]) -> None:
+    def rate(one: LinkTraffic, chosen: Callable[[TappedPacket], bool]) -> float:
         return (
             sum(packet.wire_b for packet in one.packets if chosen(packet) and packet.kind not in ONCE)
             / one.seconds
             / 1000.0
         )
 
-    parts: tuple[tuple[str, str, Callable[[Packet], bool]], ...] = (
+    parts: tuple[tuple[str, str, Callable[[TappedPacket], bool]], ...] = (
         ("target", ROLE[Role.SENDER], lambda p: p.kind == "target"),
         ("candidate", ROLE[Role.RECEIVER], lambda p: p.kind == "candidate"),
         ("status", COUNT, lambda p: p.kind == "status"),

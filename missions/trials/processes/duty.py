@@ -1,4 +1,4 @@
-"""Who was responsible when, from the logs of both roles' programs: nobody's own count is believed.
+"""The responsibility over time, from the logs of both roles' programs: nobody's own count is believed.
 
 A program that died is responsible for nothing until it is started again and says what it is; one that ended in good
 order keeps its last word. Instants are of the world's clock.
@@ -18,7 +18,7 @@ ALARMS = frozenset({"orphaned", "unconfirmed"})
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class RoleEvent:
     """Something one role's log tells, at an instant; ``alive`` False: its program died then."""
 
     at_ns: int
@@ -54,7 +54,7 @@ class _Now:
     alive: dict[Role, bool] = field(default_factory=lambda: dict.fromkeys(Role, True))
     handed_over: bool = False
 
-    def take(self, told: Told) -> None:
+    def take(self, told: RoleEvent) -> None:
         self.alive[told.role] = told.alive
         if not told.alive:
             self.responsible[told.role] = False
@@ -65,17 +65,20 @@ class _Now:
 
     @property
     def excused(self) -> bool:
-        """Nobody can be responsible: the program is dead whose turn it is, the sender's until it has handed over."""
+        """True if nobody can be responsible.
+
+        The program is dead whose turn it is, the sender's until it has handed over.
+        """
         return not self.alive[Role.RECEIVER if self.handed_over else Role.SENDER]
 
 
 def read(folder: Path) -> Responsibility:
-    """Of the run in a folder."""
+    """Reads the responsibility of the run in a folder."""
     offsets = _offsets(folder)
-    told, commits, alarm = list[Told](), list[int](), False
+    told, commits, alarm = list[RoleEvent](), list[int](), False
     for role in Role:
         for one in _told(folder, role, offsets[role]):
-            if isinstance(one, Told):
+            if isinstance(one, RoleEvent):
                 told.append(one)
             elif one is None:
                 alarm = True
@@ -84,7 +87,7 @@ def read(folder: Path) -> Responsibility:
     return judge(sorted(told, key=lambda one: one.at_ns), min(commits, default=None), alarm)
 
 
-def judge(told: Sequence[Told], commit_ns: int | None = None, alarm: bool = False) -> Responsibility:
+def judge(told: Sequence[RoleEvent], commit_ns: int | None = None, alarm: bool = False) -> Responsibility:
     """
     Args:
         told: in the order of time; nothing counts before the first responsibility.
@@ -119,7 +122,7 @@ def judge(told: Sequence[Told], commit_ns: int | None = None, alarm: bool = Fals
     )
 
 
-def _told(folder: Path, role: Role, offset_ns: int) -> Iterator[Told | int | None]:
+def _told(folder: Path, role: Role, offset_ns: int) -> Iterator[RoleEvent | int | None]:
     """Changes of one role, instants of its COMMITs, and None for each alarm."""
     for part in parts(folder, role.value):
         begun, ended, newest_ns = False, False, 0
@@ -130,12 +133,12 @@ def _told(folder: Path, role: Role, offset_ns: int) -> Iterator[Told | int | Non
             match record.topic:
                 case "/responsibility":
                     if until_ns is not None and until_ns < at_ns:
-                        yield Told(until_ns, role, responsible=False)
+                        yield RoleEvent(until_ns, role, responsible=False)
                     end_ns = record.record["until_ns"]
                     until_ns = None if end_ns is None else end_ns - offset_ns
-                    yield Told(at_ns, role, responsible=bool(record.record["responsible"]))
+                    yield RoleEvent(at_ns, role, responsible=bool(record.record["responsible"]))
                 case "/epoch":
-                    yield Told(at_ns, role, duty=str(record.record["duty"]))
+                    yield RoleEvent(at_ns, role, duty=str(record.record["duty"]))
                 case "/commit":
                     yield at_ns
                 case "/settled" if record.record["outcome"] in ALARMS:
@@ -144,12 +147,12 @@ def _told(folder: Path, role: Role, offset_ns: int) -> Iterator[Told | int | Non
                     ended = True
                 case _:
                     if not begun:
-                        yield Told(at_ns, role)
+                        yield RoleEvent(at_ns, role)
             begun = True
         if until_ns is not None and until_ns < newest_ns:
-            yield Told(until_ns, role, responsible=False)
+            yield RoleEvent(until_ns, role, responsible=False)
         if begun:
-            yield Told(newest_ns, role, alive=ended)
+            yield RoleEvent(newest_ns, role, alive=ended)
 
 
 def _offsets(folder: Path) -> Mapping[Role, int]:

@@ -43,7 +43,7 @@ NO_CONFIRM = "link_out=3@handed_over"  # so that a receiver lets go
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class ProcessRun:
     """One run. ``what`` names it for a reader, ``where`` is the moment of a kill."""
 
     rig: str
@@ -58,7 +58,7 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class Came:
-    """What came of it.
+    """The result of a run.
 
     Attributes:
         outcomes: by role; "died" for a program that was not started again, with the run's own ending for the rest.
@@ -66,7 +66,7 @@ class Came:
         violations: of the harness's monitors, by name.
     """
 
-    asked: Asked
+    asked: ProcessRun
     outcome: str
     detail: str
     outcomes: dict[str, str]
@@ -91,19 +91,19 @@ def signed_rig(name: str, folder: Path) -> str:
     return str(file)
 
 
-def links(rig: str, seeds: Sequence[int], out: Path) -> list[Asked]:
+def links(rig: str, seeds: Sequence[int], out: Path) -> list[ProcessRun]:
     """Whole handoffs on links of every badness."""
     return [
-        Asked(rig, seed, what, faults, out / f"link-{number}-{seed}")
+        ProcessRun(rig, seed, what, faults, out / f"link-{number}-{seed}")
         for number, (what, faults) in enumerate(LINKS)
         for seed in seeds
     ]
 
 
-def attacks(rig: str, seeds: Sequence[int], out: Path) -> list[Asked]:
+def attacks(rig: str, seeds: Sequence[int], out: Path) -> list[ProcessRun]:
     """Whole handoffs beside a third process that floods both roles, and the same without it."""
     return [
-        Asked(rig, seed, what, faults, out / f"attack-{number}-{seed}")
+        ProcessRun(rig, seed, what, faults, out / f"attack-{number}-{seed}")
         for number, (what, faults) in enumerate(ATTACKS)
         for seed in seeds
     ]
@@ -111,10 +111,12 @@ def attacks(rig: str, seeds: Sequence[int], out: Path) -> list[Asked]:
 
 def kills(
     rig: str, seeds: Sequence[int], phases_s: Sequence[float], restarts_s: Sequence[float | None], out: Path
-) -> list[Asked]:
-    """A kill of either side in every phase of its course, ``phases_s`` after it began, and at every record it writes
-    down; each without and with being started again."""
-    asked: list[Asked] = []
+) -> list[ProcessRun]:
+    """Returns a kill of either side in every phase of its course, and at every record it writes down.
+
+    The phases' kills come ``phases_s`` after each began. All are without and with being started again.
+    """
+    asked: list[ProcessRun] = []
     for role in Role:
         moments = [(phase.title, after_s) for phase in COURSE[role] for after_s in phases_s]
         moments += [(step, 0.0) for step in STEPS[role]]
@@ -125,14 +127,16 @@ def kills(
     return asked
 
 
-def _kill(rig: str, seed: int, role: Role, moment: str, after_s: float, restart_s: float | None, folder: Path) -> Asked:
+def _kill(
+    rig: str, seed: int, role: Role, moment: str, after_s: float, restart_s: float | None, folder: Path
+) -> ProcessRun:
     where = moment + (f"+{after_s:g}" if after_s else "")
     fault = f"kill_{role.value}" + ("" if restart_s is None else f"={restart_s:g}") + f"@{where}"
     faults = (NO_CONFIRM, fault) if moment == "let_go" else (fault,)
-    return Asked(rig, seed, f"{role.value} killed at {where}", faults, folder, role, where, restart_s)
+    return ProcessRun(rig, seed, f"{role.value} killed at {where}", faults, folder, role, where, restart_s)
 
 
-def fly(asked: Asked) -> Came:
+def fly(asked: ProcessRun) -> Came:
     """One run; its logs are thrown away unless something is wrong with it."""
     folder = new_folder(asked.folder)
     facts = fly_once(rig_library.load(asked.rig), asked.seed, asked.faults, folder, lambda _: None)
@@ -165,6 +169,6 @@ def suspicious(came: Came) -> bool:
     )
 
 
-def _ending(summary: dict[str, Any], role: Role, asked: Asked) -> str:
+def _ending(summary: dict[str, Any], role: Role, asked: ProcessRun) -> str:
     end = summary["roles"][role.value]
     return "died" if end is None or (role is asked.killed and asked.restart_s is None) else str(end["outcome"])

@@ -9,7 +9,7 @@ from typing import Any
 from missions.handoff.command import new_folder
 from missions.trials.processes import runs
 from missions.trials.processes.runs import LIVE, SIM, Came
-from missions.trials.shared.trial import Finding, Table, TrialRequest, TrialResult, verdict
+from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, TrialTable, verdict
 from path.protocol.values import ProtocolConfig
 
 TITLE = "Processes: the hand-over on bad links, killed at every step, and under attack"
@@ -102,7 +102,7 @@ def _row(came: Came) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _findings(what: str, came: Runs) -> tuple[Finding, ...]:
+def _findings(what: str, came: Runs) -> tuple[TrialFinding, ...]:
     if not came:
         return ()
     two = max(one.duty.both_s for one in came)
@@ -111,16 +111,16 @@ def _findings(what: str, came: Runs) -> tuple[Finding, ...]:
     broken = sum((Counter(one.violations) for one in came), Counter[str]())
     count, none_two = f"{len(came)} runs", verdict(two == 0.0)
     return (
-        Finding(f"{what}: longest time with two responsible, s", f"{two:.3f}", count, goal="0", verdict=none_two),
-        Finding(
+        TrialFinding(f"{what}: longest time with two responsible, s", f"{two:.3f}", count, goal="0", verdict=none_two),
+        TrialFinding(
             f"{what}: longest time with none that no dead program excuses, s", f"{gap:.2f}", count,
             goal=f"≤ {bound_s():.2f}", verdict=verdict(gap <= bound_s()),
         ),
-        Finding(
+        TrialFinding(
             f"{what}: monitors violated", ", ".join(sorted(broken)) or "none", count, goal="none",
             verdict=verdict(not broken),
         ),
-        Finding(
+        TrialFinding(
             f"{what}: both vehicles on the ground in the end", f"{down} of {len(came)}", goal="all",
             verdict=verdict(down == len(came)),
         ),
@@ -138,7 +138,7 @@ def _counted(names: Sequence[str]) -> str:
     return ", ".join(name + (f" ×{count}" if count > 1 else "") for name, count in Counter(names).items())
 
 
-def _link_tables(title: str, came: Runs) -> tuple[Table, ...]:
+def _link_tables(title: str, came: Runs) -> tuple[TrialTable, ...]:
     if not came:
         return ()
     names = dict.fromkeys(one.asked.what for one in came)
@@ -152,7 +152,7 @@ def _link_tables(title: str, came: Runs) -> tuple[Table, ...]:
         for what, own in groups.items()
     ]  # fmt: skip
     columns = ("link", "outcome", "agreement took, s", "nobody, at most, s", "two, s", "packets dropped by the ends")
-    return (Table(title, columns, tuple(rows)),)
+    return (TrialTable(title, columns, tuple(rows)),)
 
 
 def _dropped(came: Runs) -> str:
@@ -163,7 +163,7 @@ def _dropped(came: Runs) -> str:
     return ", ".join(f"{name} {count}" for name, count in total.most_common()) or "none"
 
 
-def _kill_tables(title: str, came: Runs) -> tuple[Table, ...]:
+def _kill_tables(title: str, came: Runs) -> tuple[TrialTable, ...]:
     if not came:
         return ()
     rows: list[tuple[str, ...]] = []
@@ -179,4 +179,4 @@ def _kill_tables(title: str, came: Runs) -> tuple[Table, ...]:
         "killed", "started again", "sender", "receiver", "two, s", "nobody, s", "nobody, its program dead, s",
         "responsible in the end", "both down",
     )  # fmt: skip
-    return (Table(title, columns, tuple(rows)),)
+    return (TrialTable(title, columns, tuple(rows)),)

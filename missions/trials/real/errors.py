@@ -51,7 +51,7 @@ class SeenMarker:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class MethodPoses:
     """All markers of one method, and the print as it sees it.
 
     Attributes:
@@ -71,7 +71,7 @@ def printed(own: RealSet, larger: float, marker_id: int) -> Matrix:
     return middle + (corners - middle) * (1.0 + larger)
 
 
-def measure_set(own: RealSet, seen: SetSeen, found: Sequence[Corners]) -> Measured:
+def measure_set(own: RealSet, seen: SetSeen, found: Sequence[Corners]) -> MethodPoses:
     """Errors of what a method found in each view."""
     raw: list[SeenMarker] = []
     pairs = list(zip(seen.boards, found, strict=True))
@@ -87,7 +87,7 @@ def measure_set(own: RealSet, seen: SetSeen, found: Sequence[Corners]) -> Measur
         by_id.setdefault(marker.marker_id, []).append(marker)
     print_m = {i: _print_of(markers) for i, markers in by_id.items() if len(markers) >= FEWEST_VIEWS}
     measured = [_without_print(m, print_m.get(m.marker_id), len(by_id[m.marker_id])) for m in raw]
-    return Measured(tuple(measured), larger, print_m)
+    return MethodPoses(tuple(measured), larger, print_m)
 
 
 def _print_of(markers: Sequence[SeenMarker]) -> Array:

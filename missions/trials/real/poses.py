@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missions.trials.real.board import BoardSeen, SetSeen
-from missions.trials.real.errors import Measured, SeenMarker, printed
+from missions.trials.real.errors import MethodPoses, SeenMarker, printed
 from missions.trials.real.set import RealSet
 from path import rotation
 from path.camera import CameraModel
@@ -57,7 +57,7 @@ class Poses:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Task:
+class PoseTask:
     """Markers of one view that make up a frame ``v``: what is known of their print, and the true pose."""
 
     view: int
@@ -67,9 +67,9 @@ class Task:
     scale: float
 
 
-def single_tasks(own: RealSet, seen: SetSeen, measured: Measured, *, perfect: bool = False) -> list[Task]:
+def single_tasks(own: RealSet, seen: SetSeen, measured: MethodPoses, *, perfect: bool = False) -> list[PoseTask]:
     """Each marker on its own; ``perfect``: with the corners that the whole board gives it."""
-    tasks: list[Task] = []
+    tasks: list[PoseTask] = []
     for marker in measured.seen:
         board, (T_o_m, side_m) = seen.boards[marker.view], _print_frame(own, measured, marker.marker_id)
         found = _perfect(own, seen, measured, marker) if perfect else _detection(marker)
@@ -78,9 +78,9 @@ def single_tasks(own: RealSet, seen: SetSeen, measured: Measured, *, perfect: bo
     return tasks
 
 
-def plate_tasks(own: RealSet, seen: SetSeen, measured: Measured) -> list[Task]:
+def plate_tasks(own: RealSet, seen: SetSeen, measured: MethodPoses) -> list[PoseTask]:
     """Neighbours in a row as a plate of two; frame ``v`` is the left one's."""
-    tasks: list[Task] = []
+    tasks: list[PoseTask] = []
     for view, board in enumerate(seen.boards):
         there = {m.marker_id: m for m in measured.seen if m.view == view}
         for marker_id, marker in there.items():
@@ -95,7 +95,9 @@ def plate_tasks(own: RealSet, seen: SetSeen, measured: Measured) -> list[Task]:
     return tasks
 
 
-def estimate_all(own: RealSet, camera: CameraModel, tasks: Sequence[Task], seed: int, *, gravity: bool = True) -> Poses:
+def estimate_all(
+    own: RealSet, camera: CameraModel, tasks: Sequence[PoseTask], seed: int, *, gravity: bool = True
+) -> Poses:
     """Estimate every pose; gravity has an error of its own in each."""
     rng = np.random.default_rng([seed, POSE_STREAM])
     sigma = math.radians(own.file.gravity_sigma_deg)
@@ -116,7 +118,7 @@ def estimate_all(own: RealSet, camera: CameraModel, tasks: Sequence[Task], seed:
     return Poses(tuple(errors), refused)
 
 
-def _error(task: Task, pose: MarkerPose) -> PoseError:
+def _error(task: PoseTask, pose: MarkerPose) -> PoseError:
     estimate, true = pose.T_c_v, task.T_c_v
     d2_m = float(np.linalg.norm(estimate.inverse().t - true.inverse().t)) * task.scale
     turn = rotation.log(estimate.R @ true.R.T)
@@ -130,15 +132,15 @@ def _error(task: Task, pose: MarkerPose) -> PoseError:
 def _task(
     own: RealSet, view: int, board: BoardSeen, found: tuple[MarkerDetection, ...],
     prints: Mapping[int, tuple[Pose, float]], T_o_v: Pose,
-) -> Task:  # fmt: skip
+) -> PoseTask:  # fmt: skip
     markers = tuple(Marker(i, side_m, 0.0, T_o_v.inverse() @ T_o_m) for i, (T_o_m, side_m) in prints.items())
     side_m = markers[0].side_m
     T_c_v = board.T_c_o @ T_o_v if own.file.flat else board.pose_under(T_o_v, side_m)
-    return Task(view, found, MarkerLayout(markers, ANY_DICTIONARY), T_c_v, own.file.scaled_side_m / side_m)
+    return PoseTask(view, found, MarkerLayout(markers, ANY_DICTIONARY), T_c_v, own.file.scaled_side_m / side_m)
 
 
-def _print_frame(own: RealSet, measured: Measured, marker_id: int) -> tuple[Pose, float]:
-    """Where a marker sits on the board as printed, and its mean side: what a ruler would tell."""
+def _print_frame(own: RealSet, measured: MethodPoses, marker_id: int) -> tuple[Pose, float]:
+    """Returns the pose of a marker on the board as printed, and its mean side: what a ruler would tell."""
     corners = printed(own, measured.growth, marker_id)
     off = measured.print_m.get(marker_id)
     if off is not None:
@@ -156,7 +158,7 @@ def _detection(marker: SeenMarker) -> MarkerDetection | None:
     return None if covariance is None else MarkerDetection(marker.marker_id, marker.found.corners_px, covariance)
 
 
-def _perfect(own: RealSet, seen: SetSeen, measured: Measured, marker: SeenMarker) -> MarkerDetection:
+def _perfect(own: RealSet, seen: SetSeen, measured: MethodPoses, marker: SeenMarker) -> MarkerDetection:
     """The corners as board and print tell them, almost without error."""
     points = printed(own, measured.growth, marker.marker_id)
     off = measured.print_m.get(marker.marker_id, np.zeros((4, 2)))

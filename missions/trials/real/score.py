@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from missions.trials.real.board import SetSeen, look_at_set
 from missions.trials.real.corners import METHODS, corners_by
-from missions.trials.real.errors import Measured, measure_set
+from missions.trials.real.errors import MethodPoses, measure_set
 from missions.trials.real.poses import Poses, estimate_all, plate_tasks, single_tasks
 from missions.trials.real.set import RealSet, read_set
 from missions.trials.shared.statistics import Interval, bootstrap, mean, p95
@@ -103,7 +103,7 @@ class SetScore:
 
     Attributes:
         images, views: photographs, and those that show the board. ``markers``: seen in all of them.
-        board_px: what the board's own corners leave of pose and bend, median over views of the rms per axis.
+        board_px: residual of the board's own corners to pose and bend, median over views of the rms per axis.
         print_m: rms by which the printed corners are off, as all views show it; None when that cannot be told.
         poses: by what they rest on; empty on a chessboard. ``named``: what the fits called wrong, and how often.
         example: the photograph in the middle, for the page.
@@ -151,7 +151,7 @@ def score_set(task: SetTask) -> SetScore:
     own = read_set(task.file, task.photographs)
     images = own.images[:: max(1, len(own.images) // QUICK_IMAGES)] if task.quick else own.images
     seen = look_at_set(own, images)
-    measured: dict[str, Measured] = {}
+    measured: dict[str, MethodPoses] = {}
     for method in METHODS if own.markers else ():
         found = [
             corners_by(method, own, shot.grey, start, seen.camera)
@@ -179,7 +179,7 @@ def score_set(task: SetTask) -> SetScore:
     )
 
 
-def _corner_score(measured: Measured, rng: np.random.Generator) -> CornerScore:
+def _corner_score(measured: MethodPoses, rng: np.random.Generator) -> CornerScore:
     groups = np.array([marker.view for marker in measured.seen])
     errors = np.stack([marker.error_px for marker in measured.seen])
     robust = _figure(errors, _robust, groups, rng)
@@ -194,7 +194,7 @@ def _corner_score(measured: Measured, rng: np.random.Generator) -> CornerScore:
 
 
 def _pose_scores(
-    own: RealSet, seen: SetSeen, measured: Measured, seed: int, rng: np.random.Generator
+    own: RealSet, seen: SetSeen, measured: MethodPoses, seed: int, rng: np.random.Generator
 ) -> dict[str, PoseScore]:
     singles = single_tasks(own, seen, measured)
     found = {

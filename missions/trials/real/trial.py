@@ -8,7 +8,7 @@ from drivers.interfaces import PartError
 from missions.trials.real.corners import METHOD_TITLES, METHODS
 from missions.trials.real.pictures import draw_sets
 from missions.trials.real.score import Figure95, SetScore, SetTask, score_set
-from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
+from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 
 TITLE = "Photographs of boards: corners and poses of single markers against the whole board"
 PAPER = ""
@@ -40,7 +40,9 @@ def run(request: TrialRequest) -> TrialResult:
         summary={"sets": {score.name: score.summary() for score in scores}},
         findings=tuple(finding for score in scores for finding in _findings(score)),
         tables=(_corner_table(scores), _pose_table(scores), _set_table(scores)),
-        pictures=(Picture(PICTURE, "A view of each set, corners by method, D2's error by what the pose rests on."),),
+        pictures=(
+            TrialPicture(PICTURE, "A view of each set, corners by method, D2's error by what the pose rests on."),
+        ),
         notes=(
             "The board's pose comes from all its corners; what all views of a marker agree on is the print's, not an "
             "error of its corners. The row of the board's own corners is the floor: what gravity, print, and a board "
@@ -53,11 +55,13 @@ def run(request: TrialRequest) -> TrialResult:
 
 def _nothing() -> TrialResult:
     reason = "no set of photographs was named (--set)"
-    return TrialResult({"sets": {}, "reason": reason}, (Finding("photographs of boards", "not measured", note=reason),))
+    return TrialResult(
+        {"sets": {}, "reason": reason}, (TrialFinding("photographs of boards", "not measured", note=reason),)
+    )
 
 
-def _findings(score: SetScore) -> list[Finding]:
-    found: list[Finding] = []
+def _findings(score: SetScore) -> list[TrialFinding]:
+    found: list[TrialFinding] = []
     single, corners = score.poses.get("single"), score.corners.get("photometric")
     if single is not None:
         large = score.side_px >= LARGE_PX
@@ -66,7 +70,7 @@ def _findings(score: SetScore) -> list[Finding]:
             found.append(_length(score, "D2, median, mm", single.d2_median_m, 0.008))
         found.append(_honesty(score, "honesty of poses", single.chi2))
         found.append(
-            Finding(f"{score.name}: flips", f"{single.flips} of {single.poses}", goal="0",
+            TrialFinding(f"{score.name}: flips", f"{single.flips} of {single.poses}", goal="0",
                     verdict=verdict(single.flips == 0))
         )  # fmt: skip
     if "plate" in score.poses:
@@ -75,33 +79,33 @@ def _findings(score: SetScore) -> list[Finding]:
         rival = score.corners.get("apriltag")
         limit = min(GOAL_CORNERS_PX, rival.robust_px.value if rival is not None else GOAL_CORNERS_PX)
         found.append(
-            Finding(f"{score.name}: corners, px robust per axis", corners.robust_px.text(3), goal=f"≤ {limit:.3f}",
+            TrialFinding(f"{score.name}: corners, px robust per axis", corners.robust_px.text(3), goal=f"≤ {limit:.3f}",
                     verdict=verdict(corners.robust_px.value <= limit))
         )  # fmt: skip
         if corners.chi2 is not None:
             found.append(_honesty(score, "honesty of corners", corners.chi2))
     if not found:
-        found.append(Finding(f"{score.name}: corners of the board, px rms per axis", f"{score.board_px:.3f}"))
+        found.append(TrialFinding(f"{score.name}: corners of the board, px rms per axis", f"{score.board_px:.3f}"))
     return found
 
 
-def _length(score: SetScore, what: str, figure: Figure95, goal_m: float) -> Finding:
+def _length(score: SetScore, what: str, figure: Figure95, goal_m: float) -> TrialFinding:
     low, high = figure.interval
-    return Finding(
+    return TrialFinding(
         f"{score.name}: {what}", f"{1e3 * figure.value:.1f}", f"{1e3 * low:.1f} to {1e3 * high:.1f}",
         goal=f"≤ {1e3 * goal_m:g}", verdict=verdict(figure.value <= goal_m),
     )  # fmt: skip
 
 
-def _honesty(score: SetScore, what: str, figure: Figure95) -> Finding:
+def _honesty(score: SetScore, what: str, figure: Figure95) -> TrialFinding:
     low, high = GOAL_HONEST
-    return Finding(
+    return TrialFinding(
         f"{score.name}: {what}", f"{figure.value:.2f}", f"{figure.interval[0]:.2f} to {figure.interval[1]:.2f}",
         goal=f"{low:g} to {high:g}", verdict=verdict(low <= figure.value <= high),
     )  # fmt: skip
 
 
-def _corner_table(scores: Sequence[SetScore]) -> Table:
+def _corner_table(scores: Sequence[SetScore]) -> TrialTable:
     rows = [
         (
             score.name,
@@ -117,7 +121,7 @@ def _corner_table(scores: Sequence[SetScore]) -> Table:
         for method in METHODS
         if (own := score.corners.get(method)) is not None
     ]
-    return Table(
+    return TrialTable(
         "Corners against the board, px per axis",
         ("set", "method", "markers", "robust", "markers printed alike", "rms", "stated", "honesty"),
         tuple(rows),
@@ -127,7 +131,7 @@ def _corner_table(scores: Sequence[SetScore]) -> Table:
     )
 
 
-def _pose_table(scores: Sequence[SetScore]) -> Table:
+def _pose_table(scores: Sequence[SetScore]) -> TrialTable:
     rows = [
         (
             score.name,
@@ -145,14 +149,14 @@ def _pose_table(scores: Sequence[SetScore]) -> Table:
         for kind, title in POSE_TITLES.items()
         if (own := score.poses.get(kind)) is not None
     ]
-    return Table(
+    return TrialTable(
         "Poses against the board's, D2 in mm for a marker of the scaled side",
         ("set", "from", "poses", "D2 mean", "median", "p95", "rotation, median deg", "flips", "refused", "honesty"),
         tuple(rows),
     )
 
 
-def _set_table(scores: Sequence[SetScore]) -> Table:
+def _set_table(scores: Sequence[SetScore]) -> TrialTable:
     rows = [
         (
             score.name,
@@ -166,7 +170,7 @@ def _set_table(scores: Sequence[SetScore]) -> Table:
         )
         for score in scores
     ]
-    return Table(
+    return TrialTable(
         "The sets",
         ("set", "views with the board", "marker, px", "board left, px", "print off, mm", "fx", "its error",
          "called wrong"),

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.rig.parts import Rig
 from flight.harness.montecarlo import Attempt, HandoverRunner, Series, WrongAssociation, tell
-from missions.trials.recall.detectors import Detector, with_detector
+from missions.trials.recall.detectors import DetectorFaults, with_detector
 from path.config import GateKind, MethodConfig
 from path.evidence import make_gate
 
@@ -22,7 +22,7 @@ LOCKED_M = (0.3, 0.4, 0.6, 1.0)  # from the target to the object that D2 sees in
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class AttemptOrder:
     """One attempt: a hand-over of its own, through one pair of detectors. ``cell``: number of that pair."""
 
     cell: int
@@ -36,14 +36,17 @@ class Pieces:
 
     runner: type[HandoverRunner]
     rig: Rig
-    detectors: Sequence[Detector]
-    orders: Sequence[Order]
+    detectors: Sequence[DetectorFaults]
+    orders: Sequence[AttemptOrder]
 
 
 @dataclass(frozen=True, slots=True)
-class Commit:
-    """When a gate was complete, since the attempt began; whether D2's box was of the designated object, and of the same
-    one as D1's."""
+class GateCommit:
+    """The commit of a gate: its time since the attempt began, and whether the objects were right.
+
+    Attributes:
+        right: whether D2's box was of the designated object. ``same``: of the same one as D1's.
+    """
 
     after_s: float
     right: bool
@@ -51,17 +54,20 @@ class Commit:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """What became of one attempt by each gate, in the order of ``GATES``; None without a commit."""
+class AttemptCommits:
+    """The result of one attempt by each gate, in the order of ``GATES``; None without a commit."""
 
-    order: Order
-    commits: tuple[Commit | None, ...]
+    order: AttemptOrder
+    commits: tuple[GateCommit | None, ...]
 
 
-def orders(seed: int, detectors: int, of_each: int) -> list[Order]:
-    """Every attempt has a hand-over of its own. Half have nothing but the errors that last, a quarter a look-alike
-    beside the target or driving past it, a quarter a D2 that sees only another object."""
-    made: list[Order] = []
+def orders(seed: int, detectors: int, of_each: int) -> list[AttemptOrder]:
+    """Returns the attempts, each with a hand-over of its own.
+
+    Half have nothing but the errors that last, a quarter a look-alike beside the target or driving past it, a quarter a
+    D2 that sees only another object.
+    """
+    made: list[AttemptOrder] = []
     for index in range(detectors * of_each):
         cell, turn = index % detectors, index // detectors
         group: Group = ("true", "wrong object", "look-alike", "true")[turn % 4]
@@ -70,25 +76,25 @@ def orders(seed: int, detectors: int, of_each: int) -> list[Order]:
             attempt = replace(attempt, fault=("look_alike_near", "look_alike_crossing")[turn // 4 % 2])
         elif group == "wrong object":
             attempt = replace(attempt, wrong=WrongAssociation("lock", LOCKED_M[turn // 4 % len(LOCKED_M)]))
-        made.append(Order(cell, group, attempt))
+        made.append(AttemptOrder(cell, group, attempt))
     return made
 
 
-def run_pieces(pieces: Pieces) -> list[Judged]:
+def run_pieces(pieces: Pieces) -> list[AttemptCommits]:
     runner = pieces.runner(pieces.rig).warmed()
     method = pieces.rig.method
-    judged: list[Judged] = []
+    judged: list[AttemptCommits] = []
     for order in pieces.orders:
         series = runner.run(order.attempt).series
         rng = np.random.default_rng([order.attempt.seed, order.attempt.index, 0x64657465])
         seen = with_detector(series, pieces.detectors[order.cell], method, rng)
-        judged.append(Judged(order, tuple(_commit(seen, replace(method, gate=gate)) for gate in GATES)))
+        judged.append(AttemptCommits(order, tuple(_commit(seen, replace(method, gate=gate)) for gate in GATES)))
     return judged
 
 
-def _commit(series: Series, method: MethodConfig) -> Commit | None:
+def _commit(series: Series, method: MethodConfig) -> GateCommit | None:
     done = tell(series, make_gate(method), method) if len(series) else None
     if done is None:
         return None
     after_s = (int(series.now_ns[done]) - int(series.capture_ns[0])) * 1e-9
-    return Commit(after_s, bool(series.right[done]), bool(series.same[done]))
+    return GateCommit(after_s, bool(series.right[done]), bool(series.same[done]))

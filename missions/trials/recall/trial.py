@@ -9,21 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from missions.trials.recall.detectors import Detector
-from missions.trials.recall.handovers import GATES, LIMIT_S, LOCKED_M, Judged, Pieces, orders, run_pieces
+from missions.trials.recall.detectors import DetectorFaults
+from missions.trials.recall.handovers import GATES, LIMIT_S, LOCKED_M, AttemptCommits, Pieces, orders, run_pieces
 from missions.trials.shared.statistics import upper_bound
-from missions.trials.shared.trial import Finding, Table, TrialRequest, TrialResult, Verdict, verdict
+from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, TrialTable, Verdict, verdict
 from path.config import GateKind
 
 TITLE = "Recall: detectors that miss and invent, and both gates"
 PAPER = "Mutual Agreement Handshake"
 
 RECALLS, MISS_FRAMES, FALSE_POSITIVES = (1.0, 0.99, 0.97, 0.9, 0.7), (1.0, 5.0, 15.0), (0.0, 0.01, 0.05)
-DETECTORS = tuple(Detector(*each) for each in product(RECALLS, MISS_FRAMES, FALSE_POSITIVES))
+DETECTORS = tuple(DetectorFaults(*each) for each in product(RECALLS, MISS_FRAMES, FALSE_POSITIVES))
 OF_EACH, QUICK = 672, 2  # attempts
 BATCH = 90
 WRONG_LIMIT = 1e-4
-EASY, HARD = Detector(0.9, 5.0), Detector(0.7, 5.0)
+EASY, HARD = DetectorFaults(0.9, 5.0), DetectorFaults(0.7, 5.0)
 EASY_RATE, EASY_S, HARD_RATE = 0.95, 4.0, 0.80
 
 
@@ -31,7 +31,7 @@ EASY_RATE, EASY_S, HARD_RATE = 0.95, 4.0, 0.80
 class Cell:
     """One pair of detectors, judged by one gate. Times are of true attempts; one without a commit takes for ever."""
 
-    detector: Detector
+    detector: DetectorFaults
     gate: GateKind
     true_attempts: int
     attempts: int
@@ -64,7 +64,7 @@ def run(request: TrialRequest) -> TrialResult:
     return result(judged, short=request.quick)
 
 
-def cell_of(judged: Sequence[Judged], number: int, gate: GateKind) -> Cell:
+def cell_of(judged: Sequence[AttemptCommits], number: int, gate: GateKind) -> Cell:
     own = [each for each in judged if each.order.cell == number]
     column = GATES.index(gate)
     true = [each.commits[column] for each in own if each.order.group == "true"]
@@ -75,7 +75,7 @@ def cell_of(judged: Sequence[Judged], number: int, gate: GateKind) -> Cell:
     return Cell(DETECTORS[number], gate, len(true), len(own), committed, median, p90, wrong)
 
 
-def result(judged: Sequence[Judged], short: bool) -> TrialResult:
+def result(judged: Sequence[AttemptCommits], short: bool) -> TrialResult:
     cells = [cell_of(judged, number, gate) for number in range(len(DETECTORS)) for gate in GATES]
     wrong = {gate: sum(cell.wrong for cell in cells if cell.gate == gate) for gate in GATES}
     followed = sum(
@@ -91,21 +91,21 @@ def result(judged: Sequence[Judged], short: bool) -> TrialResult:
         return "measured" if short and reached else verdict(reached)
 
     findings = (
-        Finding(
+        TrialFinding(
             f"commits in {LIMIT_S:g} s at recall {EASY.recall}, misses of {EASY.miss_frames:g} frames",
             f"{easy.commit_rate:.1%}", f"{easy.true_attempts} attempts", goal=f">= {EASY_RATE:.0%}",
             verdict=held(easy.commit_rate >= EASY_RATE),
         ),
-        Finding(
+        TrialFinding(
             "there, median time, s", f"{easy.t_median_s:.2f}", goal=f"<= {EASY_S:g}",
             verdict=held(easy.t_median_s <= EASY_S), note=f"nine of ten within {easy.t_p90_s:.2f} s",
         ),
-        Finding(
+        TrialFinding(
             f"commits in {LIMIT_S:g} s at recall {HARD.recall}, misses of {HARD.miss_frames:g} frames",
             f"{hard.commit_rate:.1%}", f"{hard.true_attempts} attempts", goal=f">= {HARD_RATE:.0%}",
             verdict=held(hard.commit_rate >= HARD_RATE),
         ),
-        Finding(
+        TrialFinding(
             "wrong objects handed over, by evidence", f"{wrong['evidence']} of {len(judged)}", f"at most {bound:.2g}",
             goal=f"0, <= {WRONG_LIMIT:g}", verdict=held(wrong["evidence"] == 0 and bound <= WRONG_LIMIT),
             note=f"in {followed} of them D1 itself had gone over to the other object; by the count: "
@@ -124,7 +124,7 @@ def result(judged: Sequence[Judged], short: bool) -> TrialResult:
     return TrialResult(summary, findings, tables=(_table(cells), _wrong_table(judged)), notes=NOTES)
 
 
-def _table(cells: Sequence[Cell]) -> Table:
+def _table(cells: Sequence[Cell]) -> TrialTable:
     by_gate = [[cell for cell in cells if cell.gate == gate] for gate in GATES]
     rows = tuple(
         (
@@ -135,7 +135,7 @@ def _table(cells: Sequence[Cell]) -> Table:
     )  # fmt: skip
     columns = ("recall", "frames of a miss", "false positives")
     figures = ("commits", "median s", "p90 s", "wrong")
-    return Table(
+    return TrialTable(
         "Both drones' detectors, true attempts by the paper's gate and by evidence, and wrong ones of all",
         (*columns, *(f"{name}, {gate}" for gate in ("350 in a row", "evidence") for name in figures)), rows,
         f"Commits within {LIMIT_S:g} s. A time of inf: fewer than so many commit.",
@@ -146,7 +146,7 @@ def _shown(cell: Cell) -> tuple[str, ...]:
     return f"{cell.commit_rate:.0%}", f"{cell.t_median_s:.2f}", f"{cell.t_p90_s:.2f}", str(cell.wrong)
 
 
-def _wrong_table(judged: Sequence[Judged]) -> Table:
+def _wrong_table(judged: Sequence[AttemptCommits]) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     kinds = [("look-alike", None), *(("wrong object", distance) for distance in LOCKED_M)]
     for group, distance in kinds:
@@ -157,13 +157,13 @@ def _wrong_table(judged: Sequence[Judged]) -> Table:
         wrong = [sum(c is not None and not c.right for c in column) for column in zip(*(e.commits for e in own))]  # noqa: B905
         name = group if distance is None else f"{group}, {distance:g} m from the target"
         rows.append((name, str(len(own)), *(map(str, wrong or (0, 0)))))
-    return Table(
+    return TrialTable(
         "Commits with a wrong object, over all detectors", ("attempts with a", "attempts", "350 in a row", "evidence"),
         tuple(rows), "look-alike: 0.3-1.0 m from the target, or driving past it; wrong object: D2 sees nothing else.",
     )  # fmt: skip
 
 
-def _distance(judged: Judged) -> float:
+def _distance(judged: AttemptCommits) -> float:
     wrong = judged.order.attempt.wrong
     return wrong.distance_m if wrong is not None else 0.0
 

@@ -13,7 +13,7 @@ from flight.config import SeparationConfig
 from flight.phases import Phase
 from missions import rig_library
 from missions.handoff.command import fly_once
-from missions.report.records import Records, Run, load_run
+from missions.report.records import Records, RunRecords, load_run
 from missions.rig_library import mission_of
 from missions.run_folder import new_folder
 from path.messages import Role, Vec3
@@ -23,7 +23,7 @@ STEP = 5  # every so many records of the truth are kept of a way
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class RendezvousOrder:
     """One mission."""
 
     rig: str
@@ -32,8 +32,8 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
-    """What came of a mission.
+class RendezvousResult:
+    """The result of a mission.
 
     Attributes:
         seed: of the mission.
@@ -66,15 +66,15 @@ class Flown:
 
     @property
     def rendezvous_s(self) -> float | None:
-        """From the take-off's end to the viewpoint."""
+        """The time from the take-off's end to the viewpoint."""
         return None if self.began_s is None or self.arrived_s is None else self.arrived_s - self.began_s
 
 
-def asked_for(rig: str, count: int, seed: int, out: Path) -> list[Asked]:
-    return [Asked(rig, seed * 1_000_000 + k, out / f"{k:04d}") for k in range(count)]
+def asked_for(rig: str, count: int, seed: int, out: Path) -> list[RendezvousOrder]:
+    return [RendezvousOrder(rig, seed * 1_000_000 + k, out / f"{k:04d}") for k in range(count)]
 
 
-def fly(asked: Asked) -> Flown:
+def fly(asked: RendezvousOrder) -> RendezvousResult:
     """One mission from take-off to landing. Its logs are kept only when a monitor was violated."""
     rig = rig_library.shorter(rig_library.load(asked.rig))
     folder = new_folder(asked.folder)
@@ -83,7 +83,7 @@ def fly(asked: Asked) -> Flown:
     began_s, arrived_s = _entered(run, Phase.STAND_OFF), _entered(run, Phase.VERIFY)
     places = list(_places(run.world))
     separation = mission_of(rig).separation
-    flown = Flown(
+    flown = RendezvousResult(
         seed=asked.seed,
         outcome=facts.outcome,
         why=facts.detail,
@@ -102,8 +102,8 @@ def fly(asked: Asked) -> Flown:
     return flown
 
 
-def _entered(run: Run, phase: Phase) -> float | None:
-    """When the receiver first entered a phase, on its own clock."""
+def _entered(run: RunRecords, phase: Phase) -> float | None:
+    """Returns when the receiver first entered a phase, on its own clock, s; None when it did not."""
     of = (one.stamp_ns for one in run.receiver.get("/phase", ()) if one.record["phase"] == phase.title)
     first = next(of, None)
     return None if first is None else first * 1e-9
@@ -133,7 +133,7 @@ def _in_ellipsoids(place: _Place, separation: SeparationConfig) -> float:
 
 
 def _in_cone_s(places: Sequence[_Place], separation: SeparationConfig) -> float:
-    """How long one was in the downwash of the other."""
+    """Returns how long one was in the downwash of the other, s."""
     slope = math.tan(math.radians(separation.downwash_half_angle_deg))
     cone_s, before_s = 0.0, math.inf
     for place in places:
@@ -144,8 +144,8 @@ def _in_cone_s(places: Sequence[_Place], separation: SeparationConfig) -> float:
     return cone_s
 
 
-def _way(run: Run, places: Sequence[_Place], began_s: float | None, arrived_s: float | None) -> tuple[Vec3, ...]:
-    """From the stand-off's beginning until it verifies, or for as long as both fly."""
+def _way(run: RunRecords, places: Sequence[_Place], began_s: float | None, arrived_s: float | None) -> tuple[Vec3, ...]:
+    """Returns the way from the stand-off's beginning until it verifies, or for as long as both fly."""
     if began_s is None or not run.world.get("/scene"):
         return ()
     offset_s = run.world["/scene"][0].record["clock_offset_ns"][Role.RECEIVER.value] * 1e-9
@@ -160,13 +160,13 @@ def _from_heading(place: _Place) -> Vec3:
     return c * east + s * north, s * east - c * north, up
 
 
-def separations_m(flown: Sequence[Flown]) -> list[float]:
-    """Of the missions in which both flew."""
+def separations_m(flown: Sequence[RendezvousResult]) -> list[float]:
+    """Returns the separations of the missions in which both flew."""
     return [one.separation_m for one in flown if one.separation_m is not None]
 
 
-def reasons(flown: Sequence[Flown]) -> dict[str, int]:
-    """How those ended that did not hand over, the most frequent first."""
+def reasons(flown: Sequence[RendezvousResult]) -> dict[str, int]:
+    """Counts how those ended that did not hand over, the most frequent first."""
     counts: dict[str, int] = {}
     for one in flown:
         if not one.committed:
@@ -174,7 +174,7 @@ def reasons(flown: Sequence[Flown]) -> dict[str, int]:
     return dict(sorted(counts.items(), key=lambda item: -item[1]))
 
 
-def as_summary(flown: Sequence[Flown]) -> dict[str, Any]:
+def as_summary(flown: Sequence[RendezvousResult]) -> dict[str, Any]:
     """Plain numbers."""
     return {
         "missions": len(flown),

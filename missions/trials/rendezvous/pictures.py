@@ -13,13 +13,13 @@ from matplotlib.patches import Ellipse
 
 from flight.config import SeparationConfig
 from missions.report.palette import COUNT, DIM, NEEDED, ROLE
-from missions.trials.rendezvous.flights import Flown, separations_m
+from missions.trials.rendezvous.flights import RendezvousResult, separations_m
 from path.messages import Role
 
 WAYS = 150  # drawn at most
 
 
-def draw(flown: Sequence[Flown], separation: SeparationConfig, path: Path) -> None:
+def draw(flown: Sequence[RendezvousResult], separation: SeparationConfig, path: Path) -> None:
     """Raises OSError when it cannot be written."""
     figure = Figure(figsize=(11.0, 5.0), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
@@ -34,7 +34,7 @@ def draw(flown: Sequence[Flown], separation: SeparationConfig, path: Path) -> No
     figure.savefig(path, format="png", metadata={"Software": None})
 
 
-def _ways(axes: Axes, flown: Sequence[Flown], separation: SeparationConfig) -> None:
+def _ways(axes: Axes, flown: Sequence[RendezvousResult], separation: SeparationConfig) -> None:
     for one in flown:
         if len(one.way_h_m) > 1:
             ahead, right = np.array(one.way_h_m)[:, 0], np.array(one.way_h_m)[:, 1]

@@ -10,13 +10,13 @@ import numpy as np
 
 from drivers.rig.parts import Rig
 from flight.rendezvous import stand_off_m
-from missions.resumable_lines import KeptLines
+from missions.resumable_lines import ResumableLines
 from missions.rig_library import mission_of
 from missions.trials.rendezvous import flights
-from missions.trials.rendezvous.flights import Asked, Flown
+from missions.trials.rendezvous.flights import RendezvousOrder, RendezvousResult
 from missions.trials.rendezvous.pictures import draw
 from missions.trials.shared.statistics import upper_bound, wilson
-from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
+from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 
 TITLE = "Rendezvous: positions that are wrong by metres, in wind"
 PAPER = ""
@@ -35,10 +35,10 @@ def run(request: TrialRequest) -> TrialResult:
     return TrialResult(
         summary=flights.as_summary(flown),
         findings=_findings(flown, separation.minimum_m),
-        noise=Table("What goes wrong", ("what", "how much"), _conditions(rig), "Directions are drawn by seed."),
+        noise=TrialTable("What goes wrong", ("what", "how much"), _conditions(rig), "Directions are drawn by seed."),
         tables=(_ends(flown), _times(flown)),
         pictures=(
-            Picture(
+            TrialPicture(
                 PICTURE,
                 "Left: the receiver's true ways around the sender until it verifies, from above, in the sender's "
                 "heading; right: the smallest true separation of each mission.",
@@ -53,10 +53,10 @@ def run(request: TrialRequest) -> TrialResult:
     )
 
 
-def _flown(request: TrialRequest, asked: Sequence[Asked]) -> list[Flown]:
+def _flown(request: TrialRequest, asked: Sequence[RendezvousOrder]) -> list[RendezvousResult]:
     """Each is kept as soon as it is flown: the same command with the same ``--out`` flies what is left."""
     head = {"format": "path-handoff rendezvous 1", "rig": str(request.rig.file), "seed": request.seed}
-    with KeptLines(request.out / KEPT, Flown, head) as kept:
+    with ResumableLines(request.out / KEPT, RendezvousResult, head) as kept:
         done = {one.seed for one in kept.lines}
         left = [one for one in asked if one.seed not in done]
         for one in request.work.stream("missions", flights.fly, left):
@@ -65,7 +65,7 @@ def _flown(request: TrialRequest, asked: Sequence[Asked]) -> list[Flown]:
         return sorted((one for one in kept.lines if one.seed in seeds), key=lambda one: one.seed)
 
 
-def _findings(flown: Sequence[Flown], minimum_m: float) -> tuple[Finding, ...]:
+def _findings(flown: Sequence[RendezvousResult], minimum_m: float) -> tuple[TrialFinding, ...]:
     count = len(flown)
     arrived, committed = sum(one.arrived for one in flown), sum(one.committed for one in flown)
     inside = sum(one.ellipsoid is not None and one.ellipsoid < 1.0 for one in flown)
@@ -74,27 +74,27 @@ def _findings(flown: Sequence[Flown], minimum_m: float) -> tuple[Finding, ...]:
     violated = sum(bool(one.violations) for one in flown)
     washed = [one.downwash_s for one in flown if one.downwash_s > 0.0]
     return (
-        Finding(
+        TrialFinding(
             "the receiver reached its viewpoint", f"{arrived} of {count}", _share(arrived, count), "",
             f">= {100 * GOAL:.0f} %", verdict(arrived >= GOAL * count),
         ),
-        Finding("handed over", f"{committed} of {count}", _share(committed, count)),
-        Finding(
+        TrialFinding("handed over", f"{committed} of {count}", _share(committed, count)),
+        TrialFinding(
             "inside the separation ellipsoid", f"{inside} of {count}", f"<= {100 * upper_bound(inside, count):.2f} %",
             "", "0", verdict(inside == 0),
         ),
-        Finding(
+        TrialFinding(
             "smallest separation, m", f"{nearest_m:.2f}", f"seed {of_seed}", "",
             f">= {minimum_m:.2f}", verdict(nearest_m >= minimum_m),
         ),
-        Finding(
+        TrialFinding(
             "missions in which a monitor was violated", f"{violated} of {count}", "", "", "0", verdict(violated == 0)
         ),
-        Finding(
+        TrialFinding(
             "missions with a drone below the other's rotors", f"{len(washed)} of {count}",
             f"for {max(washed, default=0.0):.1f} s at most",
         ),
-        Finding("went around", f"{sum(one.go_arounds > 0 for one in flown)} of {count}"),
+        TrialFinding("went around", f"{sum(one.go_arounds > 0 for one in flown)} of {count}"),
     )  # fmt: skip
 
 
@@ -103,25 +103,25 @@ def _share(part: int, whole: int) -> str:
     return f"{100 * low:.1f}-{100 * high:.1f} %"
 
 
-def _ends(flown: Sequence[Flown]) -> Table:
+def _ends(flown: Sequence[RendezvousResult]) -> TrialTable:
     examples = {one.outcome: one for one in reversed(flown)}
     rows = tuple(
         (name, str(number), f"{examples[name].why} (seed {examples[name].seed})")
         for name, number in flights.reasons(flown).items()
     )
-    return Table("Why the rest did not hand over", ("outcome", "missions", "for example"), rows)
+    return TrialTable("Why the rest did not hand over", ("outcome", "missions", "for example"), rows)
 
 
-def _times(flown: Sequence[Flown]) -> Table:
+def _times(flown: Sequence[RendezvousResult]) -> TrialTable:
     took = np.array([one.rendezvous_s for one in flown if one.rendezvous_s is not None])
     if not len(took):
-        return Table("From the first way to the viewpoint", ("", "s"), ())
+        return TrialTable("From the first way to the viewpoint", ("", "s"), ())
     rows = tuple((name, f"{np.percentile(took, q):.1f}") for name, q in (("median", 50), ("p95", 95), ("longest", 100)))
-    return Table("From the first way to the viewpoint", ("", "s"), rows)
+    return TrialTable("From the first way to the viewpoint", ("", "s"), rows)
 
 
 def _conditions(rig: Rig) -> tuple[tuple[str, ...], ...]:
-    """Of the rig's own tables."""
+    """Returns the conditions in the rig's own tables."""
     world, mission = rig.world, mission_of(rig)
     apart, wind = world.get("apart", {}), world.get("wind", {})
     across_m, height_m = float(apart.get("across_m", 0.0)), float(apart.get("height_m", 0.0))

@@ -1,4 +1,4 @@
-"""How far wrong depth and a wrong marker pose move D2's prior, in the paper's nominal geometry."""
+"""The effect of a wrong depth and a wrong marker pose on D2's prior, in the paper's nominal geometry."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
 from missions.trials.shared.statistics import Z95
-from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
+from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.messages import Role
 from path.sensitivity import (
     ReferenceErrors,
@@ -54,7 +54,7 @@ class AtDepth:
     pose_error: float
 
     def terms(self, law: str) -> Terms:
-        """With the depth term of a law of the depth's error."""
+        """Returns the terms with the depth term of a law of the depth's error."""
         camera, T_c2_v = nominal_camera(), nominal_pose()
         squares = depth_error2(camera, T_c2_v, on_axis(self.depth_m), depth_error_m(law, self.depth_m))
         return Terms(math.sqrt(float(np.mean(squares))), self.translation, self.rotation)
@@ -113,12 +113,12 @@ def run(request: TrialRequest) -> TrialResult:
         findings=(*_nominal_findings(nominal, pixel, diagonal), *_range_findings(depths)),
         noise=_noise_table(),
         tables=(_depth_table(depths), _linear_table(depths)),
-        pictures=(Picture(PICTURE, "RMS displacement of the prior over the target's depth, by what is wrong."),),
+        pictures=(TrialPicture(PICTURE, "RMS displacement of the prior over the target's depth, by what is wrong."),),
         notes=_notes(marker, count),
     )
 
 
-def _nominal_findings(nominal: AtDepth, pixel: np.ndarray, diagonal: float) -> tuple[Finding, ...]:
+def _nominal_findings(nominal: AtDepth, pixel: np.ndarray, diagonal: float) -> tuple[TrialFinding, ...]:
     terms, tolerance = nominal.terms("constant"), TOLERANCE_PX
 
     def near(ours: float, paper: float, by: float) -> bool:
@@ -127,27 +127,27 @@ def _nominal_findings(nominal: AtDepth, pixel: np.ndarray, diagonal: float) -> t
     pixel_met = all(near(float(a), b, tolerance["nominal"]) for a, b in zip(pixel, PAPER_NOMINAL, strict=True))
     exact = "exact: both signs"
     return (
-        Finding("nominal projection, px", f"({pixel[0]:.3f}, {pixel[1]:.3f})", "exact", "(540.08, 685.69)",
+        TrialFinding("nominal projection, px", f"({pixel[0]:.3f}, {pixel[1]:.3f})", "exact", "(540.08, 685.69)",
                 "± 0.01", verdict(pixel_met)),
-        Finding("depth term, 5 mm at 1 m, px RMS", f"{terms.depth:.3f}", exact, "2.56", "± 0.01",
+        TrialFinding("depth term, 5 mm at 1 m, px RMS", f"{terms.depth:.3f}", exact, "2.56", "± 0.01",
                 verdict(near(terms.depth, 2.56, tolerance["depth"]))),
-        Finding("pose term, 4.3 mm and 1.83°, px RMS", f"{terms.pose:.2f}", _between(nominal.interval()), "17.22",
+        TrialFinding("pose term, 4.3 mm and 1.83°, px RMS", f"{terms.pose:.2f}", _between(nominal.interval()), "17.22",
                 "± 0.05", verdict(near(terms.pose, 17.22, tolerance["term"]))),
-        Finding("combined, px RMS", f"{terms.combined:.2f}", _between(nominal.interval("constant")), "17.41",
+        TrialFinding("combined, px RMS", f"{terms.combined:.2f}", _between(nominal.interval("constant")), "17.41",
                 "± 0.05", verdict(near(terms.combined, 17.41, tolerance["term"]))),
-        Finding("combined, share of the image's diagonal", f"{diagonal:.3f} %", "", "0.79 %", "± 0.005 %",
+        TrialFinding("combined, share of the image's diagonal", f"{diagonal:.3f} %", "", "0.79 %", "± 0.005 %",
                 verdict(near(diagonal, 0.79, 0.005))),
     )  # fmt: skip
 
 
-def _range_findings(depths: list[AtDepth]) -> tuple[Finding, ...]:
+def _range_findings(depths: list[AtDepth]) -> tuple[TrialFinding, ...]:
     low, high = depths[0], depths[-1]
-    findings: list[Finding] = []
+    findings: list[TrialFinding] = []
     for law, title in LAW_TITLES.items():
         ends = low.terms(law).combined, high.terms(law).combined
         far = max(abs(end - paper) for end, paper in zip(ends, PAPER_RANGE, strict=True))
         findings.append(
-            Finding(
+            TrialFinding(
                 f"combined over 0.6–1.5 m, px RMS, depth error {title}",
                 f"{ends[0]:.2f} to {ends[1]:.2f}",
                 f"{_between(low.interval(law))}; {_between(high.interval(law))}",
@@ -160,8 +160,8 @@ def _range_findings(depths: list[AtDepth]) -> tuple[Finding, ...]:
     return tuple(findings)
 
 
-def _noise_table() -> Table:
-    return Table(
+def _noise_table() -> TrialTable:
+    return TrialTable(
         "What is wrong, and how",
         ("input", "error", "how it is applied"),
         (
@@ -174,14 +174,14 @@ def _noise_table() -> Table:
     )
 
 
-def _depth_table(depths: list[AtDepth]) -> Table:
+def _depth_table(depths: list[AtDepth]) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for depth in depths:
         by_law = [depth.terms(law) for law in LAWS]
         texts = [f"{terms.depth:.2f} / {terms.combined:.2f}" for terms in by_law]
         rows.append((f"{depth.depth_m:.2f}", f"{depth.translation:.2f}", f"{depth.rotation:.2f}", *texts))
     laws = tuple(f"depth {LAW_TITLES[law]} / combined" for law in LAWS)
-    return Table("Over the target's depth, px RMS", ("Z, m", "translation", "rotation", *laws), tuple(rows))
+    return TrialTable("Over the target's depth, px RMS", ("Z, m", "translation", "rotation", *laws), tuple(rows))
 
 
 def _linear(depth_m: float) -> Terms:
@@ -194,7 +194,7 @@ def _linear_summary() -> dict[str, float]:
     return {"depth": terms.depth, "translation": terms.translation, "rotation": terms.rotation, "pose": terms.pose}
 
 
-def _linear_table(depths: list[AtDepth]) -> Table:
+def _linear_table(depths: list[AtDepth]) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for depth in (depths[0], next(d for d in depths if d.depth_m == NOMINAL_DEPTH_M), depths[-1]):
         tried, linear = depth.terms("constant"), _linear(depth.depth_m)
@@ -204,7 +204,7 @@ def _linear_table(depths: list[AtDepth]) -> Table:
             (tried.rotation, linear.rotation),
         )
         rows.append((f"{depth.depth_m:.2f}", *(f"{a:.3f} / {b:.3f}" for a, b in pairs)))
-    return Table(
+    return TrialTable(
         "Check: tried out in every direction / by the derivatives in closed form, px RMS",
         ("Z, m", "depth (constant)", "translation", "rotation"),
         tuple(rows),

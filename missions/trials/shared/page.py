@@ -11,7 +11,7 @@ from html import escape
 from importlib.metadata import version
 from pathlib import Path
 
-from missions.trials.shared.trial import Finding, Table, TrialResult, Verdict
+from missions.trials.shared.trial import TrialFinding, TrialResult, TrialTable, Verdict
 
 PAGE = "index.html"
 MADE_BY = '<p class="dim">PATH '
@@ -101,7 +101,7 @@ def _overview(chapters: Sequence[Chapter]) -> str:
 FINDING_HEADS = ("", "ours", "95 % interval", "paper", "goal", "verdict")
 
 
-def _cells(finding: Finding) -> str:
+def _cells(finding: TrialFinding) -> str:
     said: dict[Verdict, str] = {"met": "met", "short": "falls short", "measured": ""}
     texts = (finding.quantity, finding.ours, finding.interval, finding.paper, finding.goal)
     return "".join(f"<td>{escape(text)}</td>" for text in texts) + (
@@ -127,7 +127,7 @@ def _chapter(chapter: Chapter, *, alone: bool) -> str:
     return "\n".join(parts)
 
 
-def _findings(findings: Iterable[Finding]) -> str:
+def _findings(findings: Iterable[TrialFinding]) -> str:
     rows: list[str] = []
     for finding in findings:
         rows.append(f"<tr>{_cells(finding)}</tr>")
@@ -137,7 +137,7 @@ def _findings(findings: Iterable[Finding]) -> str:
     return f'<div class="wide"><table><tr>{heads}</tr>{"".join(rows)}</table></div>'
 
 
-def _table(table: Table) -> str:
+def _table(table: TrialTable) -> str:
     heads = "".join(f"<th>{escape(head)}</th>" for head in table.columns)
     rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in table.rows)
     note = f'<p class="dim">{escape(table.note)}</p>' if table.note else ""

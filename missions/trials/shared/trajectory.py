@@ -55,7 +55,7 @@ class Trajectory:
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class MotionPair:
     """One motion in both records.
 
     ``wander_s``: the curve drifts, its shift changes from one such time to the next, linearly between; None: never.
@@ -68,7 +68,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """How samples lie to curves; standard deviations are from a bootstrap over blocks of time.
+    """The alignment of samples with curves; standard deviations are from a bootstrap over blocks of time.
 
     Attributes:
         offset_s: add it to a sample's stamp to get the curve's.
@@ -126,7 +126,7 @@ def _speeds(motion: Trajectory) -> tuple[float, Array]:
 
 
 def align(
-    pairs: Sequence[Pair],
+    pairs: Sequence[MotionPair],
     offset_s: float,
     rng: np.random.Generator,
     *,
@@ -170,7 +170,7 @@ def align(
 
 
 @dataclass(frozen=True, slots=True)
-class _State:
+class _TrajectoryFit:
     """``shifts``: (knots, 3) of each pair."""
 
     offset_s: float
@@ -181,7 +181,7 @@ class _State:
 class _Problem:
     """Residuals of all pairs, stacked: unknown are the offset, the rotation vector, and the shifts of each pair."""
 
-    def __init__(self, pairs: Sequence[Pair], fit_offset: bool, turn: Turn) -> None:
+    def __init__(self, pairs: Sequence[MotionPair], fit_offset: bool, turn: Turn) -> None:
         self._pairs = pairs
         self._axes = np.eye(3)[2:] if turn == "vertical" else np.eye(3)
         self._fit_offset = fit_offset
@@ -197,7 +197,7 @@ class _Problem:
             for a, b in pairwise(first + np.cumsum([0, *(3 * hats.shape[1] for hats in self._hats)]))
         ]
 
-    def start(self, offset_s: float) -> _State:
+    def start(self, offset_s: float) -> _TrajectoryFit:
         """Closed form at the guessed offset (Umeyama without scale); outliers are still in, few, and within metres.
 
         Shifts are medians of what is left, by then in one frame: medians of each record's own places turn with the
@@ -213,13 +213,13 @@ class _Problem:
         a, b = (np.concatenate([own - own.mean(axis=0) for own in side]) for side in zip(*together, strict=True))
         R = rotation_between(a, b, self._turn)
         shifts = (np.median(y - x @ R.T, axis=0) for x, y in together)
-        return _State(
+        return _TrajectoryFit(
             offset_s,
             R,
             tuple(np.tile(shift, (hats.shape[1], 1)) for shift, hats in zip(shifts, self._hats, strict=True)),
         )
 
-    def linearized(self, state: _State) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def linearized(self, state: _TrajectoryFit) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Residuals (n, 3), Jacobian (n, 3, unknowns), and which samples lie on their curve."""
         count = self.parts[-1].stop
         residuals = np.zeros((count, 3))
@@ -251,15 +251,18 @@ class _Problem:
             weights[part] = np.where(known[part], huber(own, scales[-1]) / scales[-1] ** 2, 0.0)
         return weights, tuple(scales)
 
-    def stepped(self, state: _State, residuals: Array, jacobian: Array, weights: Array) -> _State:
+    def stepped(self, state: _TrajectoryFit, residuals: Array, jacobian: Array, weights: Array) -> _TrajectoryFit:
         """One Gauss-Newton step."""
         rows = (jacobian * np.sqrt(weights)[:, None, None]).reshape(-1, jacobian.shape[2])
         return self._moved(state, rows.T @ rows, rows.T @ (residuals * np.sqrt(weights)[:, None]).ravel())
 
     def resampled(
-        self, state: _State, residuals: Array, jacobian: Array, weights: Array, rng: np.random.Generator
-    ) -> list[_State]:
-        """Where one step leads when each block of time counts as often as it is drawn: how sure the solution is."""
+        self, state: _TrajectoryFit, residuals: Array, jacobian: Array, weights: Array, rng: np.random.Generator
+    ) -> list[_TrajectoryFit]:
+        """Returns where one step leads when each block of time counts as often as it is drawn.
+
+        How sure the solution is.
+        """
         blocks = [np.flatnonzero(self.blocks == block) for block in np.unique(self.blocks)]
         normals, gradients = list[Array](), list[Array]()
         for block in blocks:
@@ -272,13 +275,13 @@ class _Problem:
             for draw in draws
         ]
 
-    def _moved(self, state: _State, normal: Array, gradient: Array) -> _State:
+    def _moved(self, state: _TrajectoryFit, normal: Array, gradient: Array) -> _TrajectoryFit:
         step = -_solved(normal, gradient)
         R = exp(self._axes.T @ step[1 : 1 + len(self._axes)]) @ state.R
         # small against the curve's own bends, so that the slope still holds
         offset_s = state.offset_s + float(np.clip(step[0], -0.3, 0.3))
         shifts = [shift + step[own].reshape(-1, 3) for shift, own in zip(state.shifts, self._columns, strict=True)]
-        return _State(offset_s, R, tuple(shifts))
+        return _TrajectoryFit(offset_s, R, tuple(shifts))
 
 
 def _solved(normal: Array, gradient: Array) -> Array:
@@ -290,7 +293,7 @@ def _solved(normal: Array, gradient: Array) -> Array:
 
 
 def _hats(t: Array, wander_s: float | None) -> Array:
-    """How much of each knot's shift an instant has, (n, knots)."""
+    """Returns each knot's share in the shift at an instant, (n, knots)."""
     if wander_s is None:
         return np.ones((len(t), 1))
     knots = max(2, 1 + round((t.max() - t.min()) / wander_s))
@@ -321,7 +324,7 @@ def _scale(residuals: Array) -> float:
 
 
 def huber(residuals: Array, scale: float) -> Array:
-    """How much each of the residuals (n, 3) counts, (n,), by its length over a deviation per axis."""
+    """Returns the weight of each of the residuals (n, 3), (n,), by its length over a deviation per axis."""
     length = np.linalg.norm(residuals, axis=1) / (math.sqrt(3.0) * scale)
     return np.where(length < HUBER, 1.0, np.where(length < REJECT, HUBER / np.maximum(length, HUBER), 0.0))
 

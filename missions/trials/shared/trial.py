@@ -1,4 +1,4 @@
-"""What a trial is asked for, and what it gives back: a summary, findings, tables and figures.
+"""The request to a trial, and what it gives back: a summary, findings, tables and figures.
 
 A trial is a module of this package with
 
@@ -26,7 +26,7 @@ class TrialRequest:
     """One trial to run.
 
     Attributes:
-        rig: names the studio and the other parts that know the truth (``[trials]``).
+        rig: names the renderer and the other parts that know the truth (``[trials]``).
         out: folder of this trial; it exists.
         seed: of every random number.
         quick: a short form: the same code on few samples, for tests.
@@ -57,7 +57,7 @@ class TrialRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class TrialFinding:
     """One number held against the paper's or against a goal, as the reader sees it.
 
     Attributes:
@@ -79,7 +79,7 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class TrialTable:
     """A table of the report: texts, the first column names the row."""
 
     title: str
@@ -89,7 +89,7 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class TrialPicture:
     """A PNG in the trial's folder."""
 
     file: str
@@ -98,7 +98,7 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """What a trial found.
+    """The result of a trial.
 
     Attributes:
         summary: for ``summary.json``: plain numbers in SI units, names with unit suffixes.
@@ -108,10 +108,10 @@ class TrialResult:
     """
 
     summary: Mapping[str, Any]
-    findings: tuple[Finding, ...]
-    noise: Table | None = None
-    tables: tuple[Table, ...] = ()
-    pictures: tuple[Picture, ...] = ()
+    findings: tuple[TrialFinding, ...]
+    noise: TrialTable | None = None
+    tables: tuple[TrialTable, ...] = ()
+    pictures: tuple[TrialPicture, ...] = ()
     notes: tuple[str, ...] = ()
     violations: Mapping[str, int] = field(default_factory=dict[str, int])
 

@@ -12,13 +12,15 @@ from matplotlib.figure import Figure
 
 from drivers.log.mcap_log import LogRecord
 from missions.report.palette import DIM, ROLE
-from missions.trials.soak.watch import Sample
+from missions.trials.soak.watch import ProgramSample
 from path.messages import Role
 
 _BLOCK_S = 5.0
 
 
-def draw(samples: Mapping[str, Sequence[Sample]], frames: Mapping[Role, Sequence[LogRecord]], path: Path) -> None:
+def draw(
+    samples: Mapping[str, Sequence[ProgramSample]], frames: Mapping[Role, Sequence[LogRecord]], path: Path
+) -> None:
     """Raises OSError when it cannot be written."""
     figure = Figure(figsize=(11.0, 4.2), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)

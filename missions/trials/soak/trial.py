@@ -20,11 +20,11 @@ from flight.phases import Phase
 from missions import rig_library
 from missions.handoff.command import fly_once
 from missions.report.command import make_report
-from missions.report.records import Records, Run, load_run
+from missions.report.records import Records, RunRecords, load_run
 from missions.run_folder import new_folder
-from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult, verdict
+from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from missions.trials.soak.pictures import draw
-from missions.trials.soak.watch import PROC, Sample, Watch
+from missions.trials.soak.watch import PROC, ProgramSample, Watch
 from path.messages import Role
 
 TITLE = "Soak: memory, processor and queues over a long verification in real time"
@@ -40,7 +40,7 @@ QUEUE_MS = 5.0
 PICTURE = "soak.png"
 _QUANTILES = (("p50", 50), ("p95", 95))
 
-Samples = Mapping[str, Sequence[Sample]]
+Samples = Mapping[str, Sequence[ProgramSample]]
 """Of each program by its name, while both roles verified."""
 
 
@@ -63,7 +63,7 @@ def run(request: TrialRequest) -> TrialResult:
         },
         findings=_findings(samples, flown, seconds),
         tables=(_memory_table(samples), _cpu_table(samples), _stage_table(flown)),
-        pictures=(Picture(PICTURE, caption),),
+        pictures=(TrialPicture(PICTURE, caption),),
         notes=(
             f"Rig {request.rig.name}, seed {request.seed}, {os.cpu_count()} cores. No number of agreeing frames is "
             f"enough, so that both drones verify for {seconds:.0f} s, at full rate; then they end by the deadline.",
@@ -89,7 +89,7 @@ def _endless(rig: Rig, seconds: float, out: Path) -> Rig:
     return rig_library.load(str(file))
 
 
-def _fly(rig: Rig, request: TrialRequest, seconds: float) -> tuple[Samples, Run]:
+def _fly(rig: Rig, request: TrialRequest, seconds: float) -> tuple[Samples, RunRecords]:
     """Samples of the programs while both verify, and the flight's logs. Raises PartError when they never did."""
     phases: dict[Role, str] = {}
 
@@ -119,14 +119,14 @@ def _fly(rig: Rig, request: TrialRequest, seconds: float) -> tuple[Samples, Run]
 # --- what was measured --------------------------------------------------------------------------------------------
 
 
-def growth_mib(taken: Sequence[Sample]) -> float:
-    """How much more memory a program holds at the end than once it had settled."""
+def growth_mib(taken: Sequence[ProgramSample]) -> float:
+    """Returns how much more memory a program holds at the end than once it had settled."""
     held = np.array([sample.private_mib for sample in taken])[int(SETTLED * len(taken)) :]
     quarter = max(1, len(held) // 4)
     return round(float(np.median(held[-quarter:]) - np.median(held[:quarter])), 2)
 
 
-def cpu_share(taken: Sequence[Sample]) -> dict[str, float]:
+def cpu_share(taken: Sequence[ProgramSample]) -> dict[str, float]:
     """Cores that a program kept busy, by thread name."""
     first, last = taken[0], taken[-1]
     elapsed_s = max(last.time_s - first.time_s, 1e-9)
@@ -150,7 +150,7 @@ def stages_ms(records: Records) -> dict[str, float]:
 
 
 def ages_ms(records: Records) -> dict[str, float]:
-    """How old frames were when their cycle began: over all, and in the first and the last quarter of the time."""
+    """Returns the age of frames when their cycle began: over all, and in the first and the last quarter of the time."""
     ages = np.array([frame.record["age_ns"] * 1e-6 for frame in _verifying(records, "/frame")])
     if len(ages) < 4:
         return {}
@@ -172,13 +172,15 @@ def _verifying(records: Records, topic: str) -> list[LogRecord]:
 # --- how it is shown ----------------------------------------------------------------------------------------------
 
 
-def _findings(samples: Samples, run: Run, seconds: float) -> tuple[Finding, ...]:
+def _findings(samples: Samples, run: RunRecords, seconds: float) -> tuple[TrialFinding, ...]:
     facts = run.facts
     assert facts is not None, "the flight came to its end"
     ended = facts.outcome == Outcome.NO_AGREEMENT.label
     findings = [
-        Finding("ended", facts.outcome, "", "", f"by the deadline of {seconds:.0f} s", verdict(ended), facts.detail),
-        Finding(
+        TrialFinding(
+            "ended", facts.outcome, "", "", f"by the deadline of {seconds:.0f} s", verdict(ended), facts.detail
+        ),
+        TrialFinding(
             "monitors violated", str(sum(facts.violations.values())), "", "", "0", verdict(not facts.violations),
             "; ".join(facts.notes),
         ),
@@ -190,18 +192,20 @@ def _findings(samples: Samples, run: Run, seconds: float) -> tuple[Finding, ...]
     return tuple(findings)
 
 
-def _memory_findings(name: str, taken: Sequence[Sample]) -> Iterator[Finding]:
+def _memory_findings(name: str, taken: Sequence[ProgramSample]) -> Iterator[TrialFinding]:
     grown, most = growth_mib(taken), max(one.private_mib for one in taken)
     goal = f"<= {FLAT_MIB:.0f}"
-    yield Finding(f"memory grown, {name}, MiB", f"{grown:+.1f}", "", "", goal, verdict(grown <= FLAT_MIB))
+    yield TrialFinding(f"memory grown, {name}, MiB", f"{grown:+.1f}", "", "", goal, verdict(grown <= FLAT_MIB))
     if name in [role.value for role in Role]:
-        yield Finding(f"memory, {name}, MiB", f"{most:.0f}", "", "", f"<= {GOAL_MIB:.0f}", verdict(most <= GOAL_MIB))
+        yield TrialFinding(
+            f"memory, {name}, MiB", f"{most:.0f}", "", "", f"<= {GOAL_MIB:.0f}", verdict(most <= GOAL_MIB)
+        )
 
 
-def _age_findings(role: Role, ages: Mapping[str, float]) -> Iterator[Finding]:
+def _age_findings(role: Role, ages: Mapping[str, float]) -> Iterator[TrialFinding]:
     if ages:
         first, last = ages["first_quarter_p95"], ages["last_quarter_p95"]
-        yield Finding(
+        yield TrialFinding(
             f"age of frames at their cycle, {role.value}, ms: median, p95",
             f"{ages['p50']:.1f}, {ages['p95']:.1f}",
             goal=f"p95 of the end <= of the begin + {QUEUE_MS:.0f}",
@@ -210,26 +214,26 @@ def _age_findings(role: Role, ages: Mapping[str, float]) -> Iterator[Finding]:
         )
 
 
-def _memory_table(samples: Samples) -> Table:
+def _memory_table(samples: Samples) -> TrialTable:
     rows = tuple(
         (name, f"{taken[0].private_mib:.1f}", f"{max(one.private_mib for one in taken):.1f}",
          f"{taken[-1].private_mib:.1f}", f"{growth_mib(taken):+.2f}")
         for name, taken in samples.items()
     )  # fmt: skip
-    return Table("Memory of their own, MiB", ("program", "begin", "highest", "end", "grown"), rows)
+    return TrialTable("Memory of their own, MiB", ("program", "begin", "highest", "end", "grown"), rows)
 
 
-def _cpu_table(samples: Samples) -> Table:
+def _cpu_table(samples: Samples) -> TrialTable:
     rows: list[tuple[str, str, str]] = []
     for name, taken in samples.items():
         shares = cpu_share(taken)
         threads = ", ".join(f"{thread} {100 * share:.1f}" for thread, share in shares.items() if share >= 0.001)
         rows.append((name, f"{100 * sum(shares.values()):.1f}", threads))
-    return Table("Processor, % of a core", ("program", "all", "by thread"), tuple(rows))
+    return TrialTable("Processor, % of a core", ("program", "all", "by thread"), tuple(rows))
 
 
-def _stage_table(run: Run) -> Table:
+def _stage_table(run: RunRecords) -> TrialTable:
     of = {role: stages_ms(run.role(role)) for role in Role}
     names = list(dict.fromkeys(name for stages in of.values() for name in stages))
     rows = tuple((name, *(f"{of[role][name]:.3f}" if name in of[role] else "" for role in Role)) for name in names)
-    return Table("Processor time of a frame, ms", ("stage", *(role.value for role in Role)), rows)
+    return TrialTable("Processor time of a frame, ms", ("stage", *(role.value for role in Role)), rows)

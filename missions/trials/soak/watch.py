@@ -1,4 +1,4 @@
-"""What the programs of a flight hold in memory and spend of the processor, from /proc while it goes on."""
+"""The memory and the processor time of a flight's programs, from /proc while it goes on."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ROLES = ("sender", "receiver")
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class ProgramSample:
     """One program at one time.
 
     Attributes:
@@ -42,7 +42,7 @@ class Watch:
     now_s: Callable[[], float]
     wanted: Callable[[], bool]
     sampled: Callable[[], object]
-    samples: dict[str, list[Sample]] = field(default_factory=dict[str, list[Sample]])
+    samples: dict[str, list[ProgramSample]] = field(default_factory=dict[str, list[ProgramSample]])
     _ending: threading.Event = field(default_factory=threading.Event)
     _thread: threading.Thread | None = None
 
@@ -66,7 +66,7 @@ class Watch:
         """One sample of every program that is there."""
         for process, name in programs(os.getpid()):
             try:
-                sample = Sample(self.now_s(), _private_mib(process), dict(_cpu(process)))
+                sample = ProgramSample(self.now_s(), _private_mib(process), dict(_cpu(process)))
             except (OSError, ValueError):
                 continue  # it ended while it was looked at
             self.samples.setdefault(name, []).append(sample)
@@ -120,7 +120,7 @@ def _private_mib(process: int) -> float:
 
 
 def _cpu(process: int) -> Iterator[tuple[str, float]]:
-    """By thread name; threads of one name together."""
+    """Yields the processor time by thread name; threads of one name together."""
     spent: dict[str, float] = {}
     for task in (PROC / str(process) / "task").iterdir():
         fields = _stat(task)

@@ -1,4 +1,4 @@
-"""From one sighting to D2's and the target's error, by method, under errors of calibration, print and attitude.
+"""The errors of D2's and the target's place from one sighting, by method, under errors of calibration, print, attitude.
 
 What a method is told (print, cameras, mounting, attitudes) is the truth with the errors of its session; it is never
 told the truth.
@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from missions.trials.static.shots import Sighting
+from missions.trials.static.shots import StaticMeasurement
 from missions.trials.static.stage import CAMERA, SIDE_M, STANDS, Mounts
 from path import rotation
 from path.camera import CameraModel
@@ -54,8 +54,8 @@ comparison: "depth", wrong over the whole target, and "wide", depth from a large
 
 
 @dataclass(frozen=True, slots=True)
-class Errors:
-    """What is wrong in one measurement.
+class MethodErrors:
+    """The errors of one measurement.
 
     Attributes:
         side: of the marker's printed side, relative.
@@ -75,7 +75,7 @@ class Errors:
     wide: bool
 
 
-def errors_of(seed: int, configuration: int, session: int, on: tuple[Error, ...]) -> Errors:
+def errors_of(seed: int, configuration: int, session: int, on: tuple[Error, ...]) -> MethodErrors:
     """The errors of a measurement; ``on`` names those that are switched on.
 
     Print, focal lengths, mounting and attitude biases are those of the session, the same in all configurations.
@@ -87,7 +87,7 @@ def errors_of(seed: int, configuration: int, session: int, on: tuple[Error, ...]
     bias = BIAS_SIGMA_RAD * rng.normal(size=(2, 2))
     frame = np.random.default_rng([seed, FRAME_STREAM, configuration, session])
     noise = NOISE_SIGMA_RAD * frame.normal(size=(2, 2))
-    return Errors(
+    return MethodErrors(
         float(side) * ("side" in on),
         (float(focal[0]) * ("focal" in on), float(focal[1]) * ("focal" in on)),
         turned * ("mount" in on),
@@ -99,7 +99,7 @@ def errors_of(seed: int, configuration: int, session: int, on: tuple[Error, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class MethodResult:
     """Errors of one method in one measurement.
 
     Attributes:
@@ -132,7 +132,7 @@ class Results:
 class Judging:
     """A method, on some sightings, under some errors."""
 
-    sightings: Sequence[Sighting]
+    sightings: Sequence[StaticMeasurement]
     mounts: Mounts
     seed: int
     method: Method
@@ -152,12 +152,12 @@ def measure(judging: Judging) -> Results:
     return Results(*table)
 
 
-def judge(sighting: Sighting, mounts: Mounts, method: Method, errors: Errors) -> Outcome:
+def judge(sighting: StaticMeasurement, mounts: Mounts, method: Method, errors: MethodErrors) -> MethodResult:
     """One method on one sighting, told what its session believes."""
     truth, found = sighting.T_c2_v, sighting.markers[CORNERS[method]]
     sent_v, true_v = sent_point(sighting, mounts, errors), _true_point(sighting, mounts)
     sent_m = math.nan if sent_v is None or true_v is None else float(np.linalg.norm(sent_v - true_v))
-    refused = Outcome(math.nan, math.nan, math.nan, sent_m, math.nan)
+    refused = MethodResult(math.nan, math.nan, math.nan, sent_m, math.nan)
     if found is None:
         return refused
     layout, camera, nees = believed_layout(errors), focused(CAMERA, errors.focal[1]), math.nan
@@ -174,16 +174,16 @@ def judge(sighting: Sighting, mounts: Mounts, method: Method, errors: Errors) ->
     if sent_v is not None and true_v is not None:
         target_m = float(np.linalg.norm(pose.apply(sent_v) - truth.apply(true_v)))
     d2_m = float(np.linalg.norm(pose.inverse().t - truth.inverse().t))
-    return Outcome(d2_m, rotation.angle_between(pose.R, truth.R), target_m, sent_m, nees)
+    return MethodResult(d2_m, rotation.angle_between(pose.R, truth.R), target_m, sent_m, nees)
 
 
-def _true_point(sighting: Sighting, mounts: Mounts) -> Vector | None:
+def _true_point(sighting: StaticMeasurement, mounts: Mounts) -> Vector | None:
     """The target's point in ``v`` as it truly is."""
     return None if sighting.target is None else mounts.T_v_c1.apply(sighting.target.point_c1_m)
 
 
 def estimated(
-    sighting: Sighting, mounts: Mounts, method: Method, errors: Errors, found: MarkerDetection
+    sighting: StaticMeasurement, mounts: Mounts, method: Method, errors: MethodErrors, found: MarkerDetection
 ) -> MarkerPose | None:
     """The project's pose, with or without gravity; None when it is refused."""
     down_v = down_c = None
@@ -196,8 +196,8 @@ def estimated(
     return pose if isinstance(pose, MarkerPose) else None
 
 
-def believed_layout(errors: Errors) -> MarkerLayout:
-    """What is believed of the print; ``side`` is by how much that is too large."""
+def believed_layout(errors: MethodErrors) -> MarkerLayout:
+    """Returns the layout as the print is believed to be; ``side`` is by how much that is too large."""
     return single_marker(SIDE_M * (1.0 + errors.side), SIDE_M * SIDE_SIGMA)
 
 
@@ -205,12 +205,12 @@ def focused(camera: CameraModel, error: float) -> CameraModel:
     return replace(camera, fx=camera.fx * (1.0 + error), fy=camera.fy * (1.0 + error))
 
 
-def believed_mounting(mounts: Mounts, errors: Errors) -> Pose:
+def believed_mounting(mounts: Mounts, errors: MethodErrors) -> Pose:
     true = mounts.T_v_c1
     return Pose(rotation.exp(errors.mount_rad) @ true.R, true.t + errors.mount_m)
 
 
-def sent_point(sighting: Sighting, mounts: Mounts, errors: Errors) -> Vector | None:
+def sent_point(sighting: StaticMeasurement, mounts: Mounts, errors: MethodErrors) -> Vector | None:
     """The target in ``v`` as D1 sends it (eqs. target_backprojection, target_virtual)."""
     seen = sighting.target
     depth = None if seen is None else seen.wide_depth if errors.wide else seen.depth

@@ -1,4 +1,4 @@
-"""What the static experiment found, as summary, findings and tables."""
+"""The results of the static experiment as summary, findings and tables."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missions.trials.shared.statistics import RESAMPLES, Interval, wilson
-from missions.trials.shared.trial import Finding, Table, verdict
+from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
 from missions.trials.static.methods import (
     BIAS_SIGMA_RAD,
     FLIPPED_RAD,
@@ -133,7 +133,7 @@ def _intervals(errors: Array, statistics: Mapping[str, Statistic], rng: np.rando
 
 
 def plain_number(value: float | Array) -> float | None:
-    """For JSON, which knows no NaN."""
+    """Returns a number for JSON, which knows no NaN."""
     return None if math.isnan(value) else float(value)
 
 
@@ -168,7 +168,7 @@ def configurations_summary(
     ]
 
 
-def findings(figures: Mapping[str, Mapping[Method, Figures]], square_p95_m: float | Array) -> tuple[Finding, ...]:
+def findings(figures: Mapping[str, Mapping[Method, Figures]], square_p95_m: float | Array) -> tuple[TrialFinding, ...]:
     """The paper's numbers, and the goals, beside ours."""
     ideal, raw = figures["ideal"][DEFAULT], figures["ideal"]["ippe"]
     worst = f"seen along its normal from 1.5 m, which is none of the seven: p95 {_mm(square_p95_m)} mm"
@@ -192,19 +192,21 @@ def findings(figures: Mapping[str, Mapping[Method, Figures]], square_p95_m: floa
 
 def _finding(
     figures: Figures, name: str, quantity: str, paper: str, goal_m: float | None = None, note: str = ""
-) -> Finding:
+) -> TrialFinding:
     value, (low, high) = figures.values[name], figures.intervals[name]
     if goal_m is None:
-        return Finding(quantity, _mm(value), f"{_mm(low)} to {_mm(high)}", paper, note=note)
+        return TrialFinding(quantity, _mm(value), f"{_mm(low)} to {_mm(high)}", paper, note=note)
     reached = verdict(value <= goal_m)
-    return Finding(quantity, _mm(value), f"{_mm(low)} to {_mm(high)}", paper, f"≤ {1e3 * goal_m:.0f}", reached, note)
+    return TrialFinding(
+        quantity, _mm(value), f"{_mm(low)} to {_mm(high)}", paper, f"≤ {1e3 * goal_m:.0f}", reached, note
+    )
 
 
 def _mm(metres: float | Array) -> str:
     return "–" if math.isnan(metres) else f"{1e3 * float(metres):.1f}"
 
 
-def methods_table(title: str, figures: Mapping[Method, Figures]) -> Table:
+def methods_table(title: str, figures: Mapping[Method, Figures]) -> TrialTable:
     def row(method: Method) -> tuple[str, ...]:
         f = figures[method]
         v = f.values
@@ -222,12 +224,12 @@ def methods_table(title: str, figures: Mapping[Method, Figures]) -> Table:
     columns = ("method", "D2 mean, mm", "median", "p95", "same dir.", "facing", "target mean, mm", "median", "p95",
                "rotation, °", "flips", "refused")  # fmt: skip
     note = "Intervals 95 %, resampled by session. Flips: more than 10° off. Refused: no pose; not in the other figures."
-    return Table(title, columns, tuple(row(method) for method in METHODS), note)
+    return TrialTable(title, columns, tuple(row(method) for method in METHODS), note)
 
 
-def breakdown_table(title: str, rows: Sequence[tuple[str, Results]]) -> Table:
+def breakdown_table(title: str, rows: Sequence[tuple[str, Results]]) -> TrialTable:
     columns = ("errors", "D2 mean, mm", "p95", "target in D2's camera mean, mm", "p95", "target as sent mean, mm")
-    return Table(
+    return TrialTable(
         title,
         columns,
         tuple(
@@ -246,7 +248,7 @@ def breakdown_table(title: str, rows: Sequence[tuple[str, Results]]) -> Table:
     )
 
 
-def configurations_table(summary: Sequence[Mapping[str, Any]]) -> Table:
+def configurations_table(summary: Sequence[Mapping[str, Any]]) -> TrialTable:
     rows = tuple(
         (
             c["name"],
@@ -265,11 +267,13 @@ def configurations_table(summary: Sequence[Mapping[str, Any]]) -> Table:
     )
     columns = ("", "D2", "range, m", "azimuth, °", "elevation, °", "yaw, °", "incidence, °", "marker, px", "place",
                "D2 mm: IPPE", "gravity SUBPIX", "photometric", "default", "target mm: IPPE", "default")  # fmt: skip
-    note = "Azimuth of D2 from behind D1, seen from the marker; incidence between the marker's normal and the sight."
-    return Table("The seven configurations", columns, rows, note)
+    note = (
+        "Azimuth of D2 from behind D1, seen from the marker; incidence between the marker's normal and the perception."
+    )
+    return TrialTable("The seven configurations", columns, rows, note)
 
 
-def noise_table() -> Table:
+def noise_table() -> TrialTable:
     rows = (
         ("printed side", f"{100 * SIDE_SIGMA} % of {1e3 * SIDE_M:.0f} mm", "session"),
         ("focal length, each camera", f"{100 * FOCAL_SIGMA} %, fx and fy together", "session"),
@@ -290,4 +294,6 @@ def noise_table() -> Table:
         ("depth of the target from", f"the middle {100 * METHOD.depth_center_fraction:.0f} % of its box, per side: it "
                                      "is 170 to 300 px wide", "–"),
     )  # fmt: skip
-    return Table("Noise: standard deviations, normally distributed", ("what", "how much", "drawn anew for every"), rows)
+    return TrialTable(
+        "Noise: standard deviations, normally distributed", ("what", "how much", "drawn anew for every"), rows
+    )

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
-from flight.harness.renderer import DepthNoise, Imaging, Shot, Stage, Studio, StudioSetup
+from flight.harness.renderer import DepthNoise, FrameRenderer, Imaging, RenderedInstant, RendererSetup, Shot
 from missions.trials.static.stage import CAMERA, SIDE_M, STANDS, Mounts, stage_of
 from path.config import MethodConfig
 from path.geometry import Pose, Vector
@@ -29,17 +29,17 @@ STREAM = 1  # first of the seeds of a stage; errors use others
 
 
 @dataclass(frozen=True, slots=True)
-class Shooting:
+class StaticSeries:
     """Some sessions of one configuration, with one kind of cameras.
 
     Attributes:
-        studio: the class that renders.
+        studio: the class of the renderer.
         imaging: of each drone's camera.
         configuration: its number in ``STANDS``.
         sessions: their numbers.
     """
 
-    studio: type[Studio]
+    renderer: type[FrameRenderer]
     mounts: Mounts
     imaging: Mapping[Role, Imaging]
     seed: int
@@ -48,8 +48,8 @@ class Shooting:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """What D1 saw of the target.
+class SenderObservation:
+    """D1's observation of the target.
 
     Attributes:
         depth: over the middle of its box; ``wide_depth`` over a larger part, the method's default.
@@ -63,7 +63,7 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
+class StaticMeasurement:
     """One measurement: the truth, and what both drones saw.
 
     Attributes:
@@ -79,48 +79,50 @@ class Sighting:
     gravity_b1: Vector
     gravity_b2: Vector
     markers: dict[str, MarkerDetection | None]
-    target: Seen | None
+    target: SenderObservation | None
 
 
-def shoot(shooting: Shooting) -> list[Sighting]:
+def shoot(shooting: StaticSeries) -> list[StaticMeasurement]:
     """A piece of work. The stages depend on seed, configuration and session, not on the camera."""
-    studios = {role: studio_of(shooting, role) for role in Role}
-    return [_sighting(shooting, studios, session) for session in shooting.sessions]
+    renderers = {role: renderer_of(shooting, role) for role in Role}
+    return [_sighting(shooting, renderers, session) for session in shooting.sessions]
 
 
-def studio_of(shooting: Shooting, role: Role) -> Studio:
+def renderer_of(shooting: StaticSeries, role: Role) -> FrameRenderer:
     """One drone's camera."""
-    return _studio(shooting.studio, shooting.mounts, shooting.imaging[role], shooting.seed, role)
+    return _studio_renderer(shooting.renderer, shooting.mounts, shooting.imaging[role], shooting.seed, role)
 
 
 @lru_cache(maxsize=2)
-def _studio(kind: type[Studio], mounts: Mounts, imaging: Imaging, seed: int, role: Role) -> Studio:
+def _studio_renderer(
+    kind: type[FrameRenderer], mounts: Mounts, imaging: Imaging, seed: int, role: Role
+) -> FrameRenderer:
     """Kept: to make one takes longer than to use it for a measurement."""
-    return kind(StudioSetup(CAMERA, mounts.T_b_c(role), mounts.T_b_v, LAYOUT, imaging, depth=DEPTH), seed)
+    return kind(RendererSetup(CAMERA, mounts.T_b_c(role), mounts.T_b_v, LAYOUT, imaging, depth=DEPTH), seed)
 
 
-def stage_in(shooting: Shooting, session: int) -> Stage:
+def stage_in(shooting: StaticSeries, session: int) -> RenderedInstant:
     rng = np.random.default_rng([shooting.seed, STREAM, shooting.configuration, session])
     heading = float(rng.uniform(-math.pi, math.pi))
     return stage_of(STANDS[shooting.configuration], shooting.mounts, heading, rng)
 
 
-def shot_seed(shooting: Shooting, session: int) -> int:
+def shot_seed(shooting: StaticSeries, session: int) -> int:
     return 10_000 * shooting.configuration + session
 
 
-def _sighting(shooting: Shooting, studios: dict[Role, Studio], session: int) -> Sighting:
+def _sighting(shooting: StaticSeries, renderers: dict[Role, FrameRenderer], session: int) -> StaticMeasurement:
     stage, mounts = stage_in(shooting, session), shooting.mounts
-    shots = {role: studio.shoot(stage, role, shot_seed(shooting, session)) for role, studio in studios.items()}
+    shots = {role: renderer.shoot(stage, role, shot_seed(shooting, session)) for role, renderer in renderers.items()}
     T_w_b1, T_w_b2 = stage.T_w_b[Role.SENDER], stage.T_w_b[Role.RECEIVER]
-    return Sighting(
+    return StaticMeasurement(
         shooting.configuration,
         session,
         (T_w_b2 @ mounts.T_b_c2).inverse() @ T_w_b1 @ mounts.T_b_v,
         -T_w_b1.R[2],
         -T_w_b2.R[2],
         find_marker(shots[Role.RECEIVER]),
-        _target(shots[Role.SENDER], studios[Role.SENDER], stage),
+        _target(shots[Role.SENDER], renderers[Role.SENDER], stage),
     )
 
 
@@ -139,15 +141,15 @@ def find_marker(shot: Shot) -> dict[str, MarkerDetection | None]:
     return {"photometric": found[0], "subpix": again[0] if len(again) == 1 else None}
 
 
-def _target(shot: Shot, studio: Studio, stage: Stage) -> Seen | None:
+def _target(shot: Shot, renderer: FrameRenderer, stage: RenderedInstant) -> SenderObservation | None:
     """D1's target: its best detection, and the depth over it."""
     found = ColorDetector(DETECTOR).detect(shot.color, None)
     depth = registered_depth(shot.depth_mm, found[0].box, METHOD) if found else None
     if depth is None:
         return None
     u, v = found[0].box.center
-    true_m = studio.true_depth_m(stage, Role.SENDER, u, v)
+    true_m = renderer.true_depth_m(stage, Role.SENDER, u, v)
     if true_m is None:
         return None
     wide = registered_depth(shot.depth_mm, found[0].box, MethodConfig())
-    return Seen(found[0].box, depth, wide, np.array(back_project(CAMERA, u, v, true_m)))
+    return SenderObservation(found[0].box, depth, wide, np.array(back_project(CAMERA, u, v, true_m)))

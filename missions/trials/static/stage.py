@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.rig.parts import Rig
-from flight.harness.renderer import Stage, Thing
+from flight.harness.renderer import RenderedInstant, Thing
 from path import rotation
 from path.camera import CameraModel
 from path.geometry import Matrix, Pose, Vector
@@ -62,7 +62,7 @@ STANDS = (*CONFIGURATIONS, SQUARE)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mounts:
-    """How both drones are built, as they truly are: cameras and marker frame to body (FRD). Equal by their numbers."""
+    """The true mounts of both drones: cameras and marker frame to body (FRD). Equal by their numbers."""
 
     T_b_c1: Pose
     T_b_v: Pose
@@ -114,12 +114,14 @@ def hovering(T_w_b: Pose, rng: np.random.Generator) -> Pose:
     return Pose(T_w_b.R @ turn, T_w_b.t + rng.normal(0.0, HOVER_M, 3))
 
 
-def stage_of(configuration: Configuration, mounts: Mounts, heading_rad: float, rng: np.random.Generator) -> Stage:
+def stage_of(
+    configuration: Configuration, mounts: Mounts, heading_rad: float, rng: np.random.Generator
+) -> RenderedInstant:
     """The stage of one measurement; ``heading_rad`` of the target."""
     D1, D2, _ = nominal(configuration, mounts)
     x, y, z = target_w(configuration).tolist()
     drones = {Role.SENDER: hovering(D1, rng), Role.RECEIVER: hovering(D2, rng)}
-    return Stage(drones, (Thing("car", (x, y, z), heading_rad),), float(rng.uniform(0.0, math.tau)))
+    return RenderedInstant(drones, (Thing("car", (x, y, z), heading_rad),), float(rng.uniform(0.0, math.tau)))
 
 
 def attitude(roll: float, pitch: float, heading_rad: float) -> Matrix:

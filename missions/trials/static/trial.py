@@ -1,4 +1,4 @@
-"""How exactly D2's place and the target's are known from one frame: seven configurations, sixty measurements each.
+"""The accuracy of D2's place and the target's from one frame: seven configurations, sixty measurements each.
 
 Sixty sessions: in each a drone pair is printed, calibrated, mounted and flown anew, with errors of its own, and
 measures once in all seven configurations. So 420 measurements rest on sixty draws of every systematic error, not on
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from flight.harness.renderer import REALISTIC, REALISTIC_VIDEO, Imaging
-from missions.trials.shared.trial import Picture, Table, TrialRequest, TrialResult
+from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult, TrialTable
 from missions.trials.static.methods import (
     ALL,
     METHODS,
@@ -44,7 +44,16 @@ from missions.trials.static.report import (
     p95,
     plain_number,
 )
-from missions.trials.static.shots import LAYOUT, REFINES, Shooting, Sighting, shoot, shot_seed, stage_in, studio_of
+from missions.trials.static.shots import (
+    LAYOUT,
+    REFINES,
+    StaticMeasurement,
+    StaticSeries,
+    renderer_of,
+    shoot,
+    shot_seed,
+    stage_in,
+)
 from missions.trials.static.stage import CAMERA, CONFIGURATIONS, STANDS, Mounts, mounts_of, nominal
 from path.config import MethodConfig
 from path.messages import Role
@@ -53,7 +62,7 @@ from path.rigid import rigid
 
 TITLE = "Static accuracy: where D2 and the target are, from one frame, by method"
 PAPER = "Receiver-View Projection Consistency"
-NEEDS = ("studio",)
+NEEDS = ("renderer",)
 
 SESSIONS = {"ideal": 60, "realistic": 60, "realistic_h264": 30}  # H.264 encodes a short stream for every image
 QUICK_SESSIONS = {"ideal": 2, "realistic": 1, "realistic_h264": 1}
@@ -100,13 +109,13 @@ def run(request: TrialRequest) -> TrialResult:
     )
 
 
-def _shoot(request: TrialRequest, mounts: Mounts, pipeline: str) -> list[Sighting]:
+def _shoot(request: TrialRequest, mounts: Mounts, pipeline: str) -> list[StaticMeasurement]:
     """All measurements with one camera pipeline; the view beside the seven only with the ideal one."""
     sessions = (QUICK_SESSIONS if request.quick else SESSIONS)[pipeline]
     stands = STANDS if pipeline == "ideal" else CONFIGURATIONS
-    studio = request.part("studio")
+    renderer = request.part("renderer")
     items = [
-        Shooting(studio, mounts, IMAGING[pipeline], request.seed, k, tuple(range(s, min(s + BLOCK, sessions))))
+        StaticSeries(renderer, mounts, IMAGING[pipeline], request.seed, k, tuple(range(s, min(s + BLOCK, sessions))))
         for k in range(len(stands))
         for s in range(0, sessions, BLOCK)
     ]
@@ -114,7 +123,7 @@ def _shoot(request: TrialRequest, mounts: Mounts, pipeline: str) -> list[Sightin
 
 
 def _judge(
-    request: TrialRequest, mounts: Mounts, sightings: dict[str, list[Sighting]]
+    request: TrialRequest, mounts: Mounts, sightings: dict[str, list[StaticMeasurement]]
 ) -> tuple[dict[str, dict[Method, Results]], list[tuple[str, str, Results]]]:
     """Every method on every pipeline's sightings, and the default method under each error alone."""
     names: list[tuple[str, Method]] = [(name, method) for name in sightings for method in METHODS]
@@ -128,8 +137,8 @@ def _judge(
     return results, rows
 
 
-def _geometry(mounts: Mounts, sightings: Sequence[Sighting]) -> tuple[list[float], list[float], list[float]]:
-    """Of each configuration: D2's heading relative to D1's, mean incidence in rad, mean side of the marker in px."""
+def _geometry(mounts: Mounts, sightings: Sequence[StaticMeasurement]) -> tuple[list[float], list[float], list[float]]:
+    """Returns each configuration's geometry: D2's heading relative to D1's, mean incidence in rad, mean side in px."""
     headings = [nominal(c, mounts)[2] for c in CONFIGURATIONS]
     angles: list[list[float]] = [[] for _ in STANDS]
     sides: list[list[float]] = [[] for _ in STANDS]
@@ -145,7 +154,7 @@ def _summary(
     configurations: list[dict[str, Any]],
     rows: Sequence[tuple[str, str, Results]],
     square: np.ndarray,
-    sightings: dict[str, list[Sighting]],
+    sightings: dict[str, list[StaticMeasurement]],
 ) -> dict[str, Any]:
     tables = {name: {"methods": {m: f.summary() for m, f in by.items()}} for name, by in figures.items()}
     seen = {
@@ -182,7 +191,7 @@ def _tables(
     figures: ByPipeline,
     configurations: list[dict[str, Any]],
     rows: Sequence[tuple[str, str, Results]],
-) -> tuple[Table, ...]:
+) -> tuple[TrialTable, ...]:
     return (
         *(methods_table(f"Camera: {title}", figures[name]) for name, title in PIPELINES.items()),
         configurations_table(configurations),
@@ -190,7 +199,7 @@ def _tables(
     )
 
 
-def _notes(figures: ByPipeline, square: np.ndarray, sightings: dict[str, list[Sighting]]) -> tuple[str, ...]:
+def _notes(figures: ByPipeline, square: np.ndarray, sightings: dict[str, list[StaticMeasurement]]) -> tuple[str, ...]:
     missed = sum(s.target is None for shots in sightings.values() for s in shots)
     counted = sum(len(shots) for shots in sightings.values())
     return (
@@ -216,25 +225,25 @@ def _notes(figures: ByPipeline, square: np.ndarray, sightings: dict[str, list[Si
     )
 
 
-def _draw(request: TrialRequest, mounts: Mounts, results: dict[str, dict[Method, Results]]) -> tuple[Picture, ...]:
+def _draw(request: TrialRequest, mounts: Mounts, results: dict[str, dict[Method, Results]]) -> tuple[TrialPicture, ...]:
     draw_configurations(mounts, request.out / "configurations.png")
     draw_errors(results, request.out / "errors.png")
     pictures = [
-        Picture("configurations.png", "The seven configurations and the three places of the target."),
-        Picture("errors.png", "Share of the measurements below an error, by method, on a logarithmic scale."),
+        TrialPicture("configurations.png", "The seven configurations and the three places of the target."),
+        TrialPicture("errors.png", "Share of the measurements below an error, by method, on a logarithmic scale."),
     ]
     if _draw_view(request, mounts):
         caption = (
             f"What D2 sees in configuration {STANDS[SHOWN].name}: the marker as fitted (and enlarged), the prior with "
             "its 3σ ellipse and search region (yellow), and the point of the target that D1 truly saw (red)."
         )
-        pictures.append(Picture("view.png", caption))
+        pictures.append(TrialPicture("view.png", caption))
     return tuple(pictures)
 
 
 def _draw_view(request: TrialRequest, mounts: Mounts) -> bool:
     """The first session of one configuration; False when there is nothing to show."""
-    shooting = Shooting(request.part("studio"), mounts, IMAGING["ideal"], request.seed, SHOWN, (0,))
+    shooting = StaticSeries(request.part("renderer"), mounts, IMAGING["ideal"], request.seed, SHOWN, (0,))
     (sighting,) = shoot(shooting)
     errors = errors_of(request.seed, SHOWN, 0, ALL)
     found, point_v = sighting.markers["photometric"], sent_point(sighting, mounts, errors)
@@ -249,7 +258,7 @@ def _draw_view(request: TrialRequest, mounts: Mounts) -> bool:
     )
     if not isinstance(prior, Prior):
         return False
-    shot = studio_of(shooting, Role.RECEIVER).shoot(stage_in(shooting, 0), Role.RECEIVER, shot_seed(shooting, 0))
+    shot = renderer_of(shooting, Role.RECEIVER).shoot(stage_in(shooting, 0), Role.RECEIVER, shot_seed(shooting, 0))
     true_c2 = sighting.T_c2_v.apply(mounts.T_v_c1.apply(sighting.target.point_c1_m))
     target_px = CAMERA.project(true_c2[None, :])[0]
     if not math.isfinite(float(target_px.sum())):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from missions.trials.shared.statistics import RESAMPLES, Interval
 from missions.trials.thresholds.grid import BINS, FRAMES, MAPPINGS, RIGHT, WRONG, Setting, grid
-from missions.trials.thresholds.series import BESIDE, NEAR, Tried
+from missions.trials.thresholds.series import BESIDE, NEAR, GridAttempt
 from path.config import BoxMapping
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ SHORTEST = 0
 
 @dataclass(frozen=True, slots=True)
 class Shares:
-    """Of attempts, by setting and window length, (settings, FRAMES).
+    """The shares of attempts, by setting and window length, (settings, FRAMES).
 
     Attributes:
         right: hand-overs of the target in time, of the true attempts.
@@ -35,12 +35,12 @@ class Shares:
     slipped: Array
 
     @classmethod
-    def of(cls, tried: Sequence[Tried]) -> Shares:
+    def of(cls, tried: Sequence[GridAttempt]) -> Shares:
         true, forced = commits(tried, forced=False), commits(tried, forced=True)
         return cls(_mean(true == RIGHT), _mean(forced == WRONG), _mean(true == WRONG))
 
 
-def commits(tried: Sequence[Tried], *, forced: bool) -> NDArray[np.int8]:
+def commits(tried: Sequence[GridAttempt], *, forced: bool) -> NDArray[np.int8]:
     """(attempts, settings, FRAMES) of the forced or of the true ones."""
     some = [each.outcomes.commit for each in tried if bool(each.way) == forced]
     return np.stack(some) if some else np.zeros((0, len(grid()), len(FRAMES)), np.int8)
@@ -63,9 +63,9 @@ def choose(shares: Shares) -> int:
     return int(order[0])
 
 
-def halves(tried: Sequence[Tried]) -> tuple[list[Tried], list[Tried]]:
-    """To choose on, and to report on: neighbours by turns, so that both have all of every kind."""
-    parts: tuple[list[Tried], list[Tried]] = ([], [])
+def halves(tried: Sequence[GridAttempt]) -> tuple[list[GridAttempt], list[GridAttempt]]:
+    """Returns attempts to choose on, and to report on: neighbours by turns, so that both have all of every kind."""
+    parts: tuple[list[GridAttempt], list[GridAttempt]] = ([], [])
     turn: dict[tuple[str, object], int] = {}
     for each in tried:
         kind = (each.way, each.attempt.wrong or each.attempt.fault)
@@ -74,7 +74,7 @@ def halves(tried: Sequence[Tried]) -> tuple[list[Tried], list[Tried]]:
     return parts
 
 
-def difference(tried: Sequence[Tried], a: int, b: int, *, forced: bool, rng: np.random.Generator) -> Interval:
+def difference(tried: Sequence[GridAttempt], a: int, b: int, *, forced: bool, rng: np.random.Generator) -> Interval:
     """95 % interval of the difference between two settings, b minus a, in right (or wrong) hand-overs."""
     found = commits(tried, forced=forced)[:, :, PAPER_N] == (WRONG if forced else RIGHT)
     if not len(found):
@@ -89,7 +89,7 @@ def difference(tried: Sequence[Tried], a: int, b: int, *, forced: bool, rng: np.
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class RocCurve:
     """ROC of pairs for one mapping with a fixed threshold.
 
     Attributes:
@@ -109,9 +109,11 @@ class Curve:
     pairs: tuple[int, int]
 
 
-def curve(tried: Sequence[Tried], mapping: BoxMapping, rng: np.random.Generator) -> Curve | None:
-    """Pairs of the target in true attempts against pairs of something else where the prior is not on it; None when
-    there are none of either."""
+def curve(tried: Sequence[GridAttempt], mapping: BoxMapping, rng: np.random.Generator) -> RocCurve | None:
+    """Returns the curve of the target's pairs in true attempts against pairs of something else; None without either.
+
+    The other pairs are of attempts whose prior is not on that other thing.
+    """
     k = MAPPINGS.index(mapping)
     right = np.array([each.outcomes.pairs[1, k] for each in tried if not each.way], float)
     wrong = np.array([each.outcomes.pairs[0, k] for each in tried if each.way in (NEAR, BESIDE)], float)
@@ -124,7 +126,7 @@ def curve(tried: Sequence[Tried], mapping: BoxMapping, rng: np.random.Generator)
     low, high = np.nanpercentile(resampled, (2.5, 97.5))
     true, false = right.sum(axis=0), wrong.sum(axis=0)
     above = [counts[::-1].cumsum()[::-1] / counts.sum() for counts in (true, false)]
-    return Curve(
+    return RocCurve(
         mapping, np.arange(BINS) / BINS, above[0], above[1], _auc(true, false), (float(low), float(high)),
         (int(true.sum()), int(false.sum())),
     )  # fmt: skip
@@ -136,7 +138,7 @@ def _weighted(rows: Array, rng: np.random.Generator) -> Array:
 
 
 def _auc(right: Array, wrong: Array) -> float:
-    """From histograms of the overlap; equal bins count half."""
+    """Returns the area under the curve from histograms of the overlap; equal bins count half."""
     total = right.sum() * wrong.sum()
     below = np.concatenate(([0.0], wrong.cumsum()[:-1]))
     return float((right * (below + 0.5 * wrong)).sum() / total) if total else float("nan")

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
-from missions.trials.thresholds.choice import PAPER_N, Curve, Shares
+from missions.trials.thresholds.choice import PAPER_N, RocCurve, Shares
 from missions.trials.thresholds.grid import FRAMES, MAPPINGS, TAUS, grid
 from missions.trials.thresholds.series import Rolled
 from path.config import BoxMapping
@@ -22,7 +22,7 @@ MARKED = (0.25, 0.35, 0.45, 0.55)
 
 
 def draw_roc(
-    curves: Sequence[Curve], shares: Shares, rolled: Sequence[Rolled], default: int, chosen: int, path: Path
+    curves: Sequence[RocCurve], shares: Shares, rolled: Sequence[Rolled], default: int, chosen: int, path: Path
 ) -> None:
     """Raises OSError when it cannot be written."""
     figure = Figure(figsize=(13.5, 4.4), dpi=110, layout="constrained")
@@ -77,7 +77,10 @@ def _turned(axes: Axes, rolled: Sequence[Rolled]) -> None:
 
 
 def draw_map(shares: Shares, default: int, chosen: int, path: Path) -> None:
-    """Both shares over tau_min and tau_max, z0 and mapping as by default. Raises OSError when it cannot be written."""
+    """Draws both shares over tau_min and tau_max, z0 and mapping as by default.
+
+    Raises OSError when it cannot be written.
+    """
     own = grid()[default]
     figure = Figure(figsize=(11.0, 4.6), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)

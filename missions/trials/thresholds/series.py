@@ -33,7 +33,7 @@ WAYS: Mapping[str, tuple[WrongAssociation, ...]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class RigAttempt:
     """One attempt with a rig (its file). ``way``: of ``WAYS``, empty for a true one."""
 
     rig: str
@@ -42,7 +42,7 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
+class GridAttempt:
     """One attempt under every setting of the grid."""
 
     way: str
@@ -58,19 +58,22 @@ class Rolled:
     iou: tuple[float, float] | None
 
 
-def true_attempts(rig: str, seed: int, count: int) -> list[Asked]:
-    """With every kind of fault, from every distance."""
+def true_attempts(rig: str, seed: int, count: int) -> list[RigAttempt]:
+    """Returns attempts with every kind of fault, from every distance."""
     names, reaches = FAULT_NAMES, REACHES
     return [
-        Asked(rig, "", Attempt(seed, k, names[k % len(names)], reach=reaches[k % len(reaches)], limit_s=TRUE_LIMIT_S,
-                               whole=True))
+        RigAttempt(
+            rig,
+            "",
+            Attempt(seed, k, names[k % len(names)], reach=reaches[k % len(reaches)], limit_s=TRUE_LIMIT_S, whole=True),
+        )
         for k in range(count)
-    ]  # fmt: skip
+    ]
 
 
-def wrong_attempts(rig: str, seed: int, each: int) -> list[Asked]:
+def wrong_attempts(rig: str, seed: int, each: int) -> list[RigAttempt]:
     """``each`` for every way: its distances and D1's reach one after the other."""
-    asked: list[Asked] = []
+    asked: list[RigAttempt] = []
     for way, forms in WAYS.items():
         for k in range(each):
             reach = REACHES[(k // len(forms)) % len(REACHES)]
@@ -78,25 +81,25 @@ def wrong_attempts(rig: str, seed: int, each: int) -> list[Asked]:
                 seed, WRONG_FIRST + len(asked), wrong=forms[k % len(forms)], reach=reach, limit_s=WRONG_LIMIT_S,
                 whole=True,
             )  # fmt: skip
-            asked.append(Asked(rig, way, attempt))
+            asked.append(RigAttempt(rig, way, attempt))
     return asked
 
 
-def rolled_attempts(rig: str, seed: int, each: int) -> list[Asked]:
+def rolled_attempts(rig: str, seed: int, each: int) -> list[RigAttempt]:
     return [
-        Asked(rig, "", Attempt(seed, ROLL_FIRST + k, roll_deg=roll, limit_s=ROLL_LIMIT_S, whole=True))
+        RigAttempt(rig, "", Attempt(seed, ROLL_FIRST + k, roll_deg=roll, limit_s=ROLL_LIMIT_S, whole=True))
         for roll in ROLLS_DEG
         for k in range(each)
     ]  # fmt: skip
 
 
-def sweep(asked: Asked) -> Tried:
+def sweep(asked: RigAttempt) -> GridAttempt:
     """Run once, try every setting."""
     found = runner_of(asked.rig).run(asked.attempt)
-    return Tried(asked.way, asked.attempt, outcomes(found.series, rig_library.load(asked.rig).method))
+    return GridAttempt(asked.way, asked.attempt, outcomes(found.series, rig_library.load(asked.rig).method))
 
 
-def roll(asked: Asked) -> Rolled:
+def roll(asked: RigAttempt) -> Rolled:
     found = runner_of(asked.rig).run(asked.attempt)
     compared = found.series.iou[found.series.kind == PAIR]
     medians = np.median(compared, axis=0).tolist() if len(compared) else None

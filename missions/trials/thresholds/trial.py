@@ -1,4 +1,4 @@
-"""Why the thresholds are what they are: a sweep over recorded series of true and of wrong pairs, and a stated rule."""
+"""The reasons for the thresholds: a sweep over recorded series of true and of wrong pairs, and a stated rule."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 from missions.trials.handshake.handovers import runner_of
 from missions.trials.shared.statistics import upper_bound, wilson
-from missions.trials.shared.trial import Finding, Picture, Table, TrialRequest, TrialResult
+from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable
 from missions.trials.thresholds import series
 from missions.trials.thresholds.choice import (
     MAY_COST,
     PAPER_N,
-    Curve,
+    RocCurve,
     Shares,
     choose,
     commits,
@@ -25,7 +25,7 @@ from missions.trials.thresholds.choice import (
 )
 from missions.trials.thresholds.grid import FRAMES, MAPPINGS, RIGHT, WRONG, Setting, grid
 from missions.trials.thresholds.pictures import draw_map, draw_roc
-from missions.trials.thresholds.series import WAYS, Rolled, Tried
+from missions.trials.thresholds.series import WAYS, GridAttempt, Rolled
 
 TITLE = "Thresholds: tau_min, tau_max, z0, N and the mapping of the box, swept over recorded agreements"
 PAPER = "Adaptive threshold and temporal verification"
@@ -54,7 +54,7 @@ def run(request: TrialRequest) -> TrialResult:
     return TrialResult(
         summary=summary,
         findings=_findings(summary, curves),
-        noise=Table("What Monte-Carlo hand-overs are drawn from", ("what", "how much"), runner.conditions()),
+        noise=TrialTable("What Monte-Carlo hand-overs are drawn from", ("what", "how much"), runner.conditions()),
         tables=(
             _settings_table(tried, {"default": default, "chosen": chosen}),
             _ways_table(tried, default, chosen),
@@ -62,8 +62,10 @@ def run(request: TrialRequest) -> TrialResult:
             _roll_table(rolled),
         ),
         pictures=(
-            Picture(ROC, "Pairs: a fixed threshold from 0 to 1. Hand-overs: a dot for each setting. Both mappings."),
-            Picture(MAP, "Hand-overs in time and wrong ones over both thresholds, in percent of the attempts."),
+            TrialPicture(
+                ROC, "Pairs: a fixed threshold from 0 to 1. Hand-overs: a dot for each setting. Both mappings."
+            ),
+            TrialPicture(MAP, "Hand-overs in time and wrong ones over both thresholds, in percent of the attempts."),
         ),
         notes=_notes(len(to_choose), len(to_report)),
     )
@@ -73,9 +75,9 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 def _summary(
-    tried: Sequence[Tried],
-    to_report: Sequence[Tried],
-    curves: Sequence[Curve],
+    tried: Sequence[GridAttempt],
+    to_report: Sequence[GridAttempt],
+    curves: Sequence[RocCurve],
     shares: Shares,
     default: int,
     chosen: int,
@@ -110,8 +112,8 @@ def _as_dict(setting: Setting) -> dict[str, Any]:
     return {"mapping": setting.mapping, "tau_min": setting.tau_min, "tau_max": setting.tau_max, "z0_m": setting.z0_m}
 
 
-def _held_out(tried: Sequence[Tried], shares: Shares, k: int) -> dict[str, Any]:
-    """Of one setting with the paper's window, on attempts that were not chosen on."""
+def _held_out(tried: Sequence[GridAttempt], shares: Shares, k: int) -> dict[str, Any]:
+    """Returns the shares of one setting with the paper's window, on attempts that were not chosen on."""
     beside = [each for each in tried if each.way in (series.ABSENT, series.NEAR) and _distance(each) >= 0.3]
     wrong = sum(each.outcomes.commit[k, PAPER_N] == WRONG for each in beside)
     return {
@@ -127,32 +129,32 @@ def _held_out(tried: Sequence[Tried], shares: Shares, k: int) -> dict[str, Any]:
     }
 
 
-def _distance(each: Tried) -> float:
+def _distance(each: GridAttempt) -> float:
     return each.attempt.wrong.distance_m if each.attempt.wrong is not None else 0.0
 
 
 # --- findings and tables ------------------------------------------------------------------------------------------
 
 
-def _findings(summary: dict[str, Any], curves: Sequence[Curve]) -> tuple[Finding, ...]:
+def _findings(summary: dict[str, Any], curves: Sequence[RocCurve]) -> tuple[TrialFinding, ...]:
     default, chosen, off = summary["default"], summary["chosen"], summary["chosen_minus_default"]
     alone = default["right_prior_from_0_3_m"]
     found = [
-        Finding(f"one pair: area under the ROC, mapping {each.mapping}", f"{each.auc:.4f}", _span(each.interval, 4),
+        TrialFinding(f"one pair: ROC area, mapping {each.mapping}", f"{each.auc:.4f}", _span(each.interval, 4),
                 note=f"{each.pairs[0]} pairs of the target, {each.pairs[1]} of something else; attempts resampled")
         for each in curves
     ]  # fmt: skip
     return (
         *found,
-        Finding("setting chosen by the rule", _words(chosen), "", note=_RULE),
-        Finding("default setting", _words(default)),
-        Finding("true hand-overs in time, chosen minus default, percentage points",
+        TrialFinding("setting chosen by the rule", _words(chosen), "", note=_RULE),
+        TrialFinding("default setting", _words(default)),
+        TrialFinding("true hand-overs in time, chosen minus default, percentage points",
                 f"{100 * (chosen['true'] - default['true']):+.1f}", _span([100 * v for v in off["true"]], 1),
                 note=f"default {default['true']:.1%}, on attempts that were not chosen on; all kinds of fault"),
-        Finding("forced wrong hand-overs, chosen minus default, percentage points",
+        TrialFinding("forced wrong hand-overs, chosen minus default, percentage points",
                 f"{100 * (chosen['wrong'] - default['wrong']):+.1f}", _span([100 * v for v in off["wrong"]], 1),
                 note=f"default {default['wrong']:.1%} of attempts in which D2 always answers with something else"),
-        Finding("wrong hand-overs when the prior is right and the look-alike 0.3 m away or farther, default",
+        TrialFinding("wrong hand-overs when the prior is right and the look-alike 0.3 m away or farther, default",
                 f"{alone['wrong']} of {alone['attempts']}", f"≤ {alone['upper_95']:.1%}", "", "0",
                 "met" if alone["wrong"] == 0 else "short"),
     )  # fmt: skip
@@ -177,7 +179,7 @@ def _share(count: int, total: int) -> str:
     return f"{count / total:.1%} ({low:.1%}-{high:.1%})" if total else "none"
 
 
-def _settings_table(tried: Sequence[Tried], named: dict[str, int]) -> Table:
+def _settings_table(tried: Sequence[GridAttempt], named: dict[str, int]) -> TrialTable:
     """The chosen one, the default one, and fixed thresholds."""
     true, forced = commits(tried, forced=False), commits(tried, forced=True)
     fixed = [("fixed", k) for k, setting in enumerate(grid()) if setting.tau_min == setting.tau_max]
@@ -189,7 +191,7 @@ def _settings_table(tried: Sequence[Tried], named: dict[str, int]) -> Table:
         z0 = f"{setting.z0_m:g}" if setting.tau_min < setting.tau_max else ""
         rows.append((name, setting.mapping, f"{setting.tau_min:g}", f"{setting.tau_max:g}", z0,
                      _share(right, len(true)), str(slipped), _share(wrong, len(forced))))  # fmt: skip
-    return Table(
+    return TrialTable(
         "Settings with 350 pairs, all attempts",
         ("", "mapping", "tau_min", "tau_max", "z0, m", "true, in time", "something else instead", "forced wrong"),
         tuple(rows),
@@ -197,7 +199,7 @@ def _settings_table(tried: Sequence[Tried], named: dict[str, int]) -> Table:
     )
 
 
-def _ways_table(tried: Sequence[Tried], default: int, chosen: int) -> Table:
+def _ways_table(tried: Sequence[GridAttempt], default: int, chosen: int) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for way in WAYS:
         some = [each for each in tried if each.way == way]
@@ -209,7 +211,7 @@ def _ways_table(tried: Sequence[Tried], default: int, chosen: int) -> Table:
             ]
             pairs = sum(int(each.outcomes.pairs[0, 0].sum()) for each in own)
             rows.append((way, f"{distance:g}", str(len(own)), f"{pairs}", *cells))
-    return Table(
+    return TrialTable(
         "Wrong hand-overs by what is forced",
         (
             "what is forced",
@@ -226,7 +228,7 @@ def _ways_table(tried: Sequence[Tried], default: int, chosen: int) -> Table:
     )
 
 
-def _windows_table(tried: Sequence[Tried], default: int) -> Table:
+def _windows_table(tried: Sequence[GridAttempt], default: int) -> TrialTable:
     true, forced = commits(tried, forced=False), commits(tried, forced=True)
     rows = tuple(
         (str(frames), _share(int(np.sum(true[:, default, n] == RIGHT)), len(true)),
@@ -234,7 +236,7 @@ def _windows_table(tried: Sequence[Tried], default: int) -> Table:
          _share(int(np.sum(forced[:, default, n] == WRONG)), len(forced)))
         for n, frames in enumerate(FRAMES)
     )  # fmt: skip
-    return Table(
+    return TrialTable(
         "Length of the window, default thresholds",
         ("pairs", "true, in time", "something else instead", "forced wrong"),
         rows,
@@ -242,13 +244,13 @@ def _windows_table(tried: Sequence[Tried], default: int) -> Table:
     )
 
 
-def _roll_table(rolled: Sequence[Rolled]) -> Table:
+def _roll_table(rolled: Sequence[Rolled]) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for angle in sorted({each.roll_deg for each in rolled}):
         known = [each.iou for each in rolled if each.roll_deg == angle and each.iou is not None]
         cells = [f"{np.median([iou[k] for iou in known]):.2f}" if known else "no pair" for k in range(len(MAPPINGS))]
         rows.append((f"{angle:g}", str(len(known)), *cells))
-    return Table(
+    return TrialTable(
         "Overlap on the target when D2's camera is rolled on its mount",
         ("roll, degrees", "attempts with pairs", *(f"mapping {mapping}" for mapping in MAPPINGS)),
         tuple(rows),

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.beacons.frames import (
-    Framer,
+    BeaconFramer,
     MobilePosition,
     Other,
     Packet,
@@ -27,7 +27,7 @@ PACKET = MobilePosition(7, 123_456, 32, 61, PLACE, None)
 
 
 def read(data: bytes) -> list[Packet]:
-    return Framer().feed(data)
+    return BeaconFramer().feed(data)
 
 
 def test_the_checksum_is_modbus() -> None:
@@ -76,7 +76,7 @@ def test_inertial_frames_hide_nothing_that_looks_like_a_frame() -> None:
 
 @pytest.mark.parametrize("cut", range(1, len(FRAME)))
 def test_a_cut_frame_costs_no_other(cut: int) -> None:
-    framer = Framer()
+    framer = BeaconFramer()
     assert framer.feed(FRAME[:cut] + FRAME + FRAME) == [PACKET, PACKET]
     assert framer.counters.skipped == cut
 
@@ -91,8 +91,8 @@ def test_a_wrong_bit_never_passes(bit: int) -> None:
 @settings(max_examples=60)
 @given(st.lists(st.binary(max_size=60), max_size=4), st.integers(1, 40))
 def test_frames_are_found_in_any_noise_however_the_bytes_come(noise: list[bytes], size: int) -> None:
-    """What noise can cost is the wait for the end of a frame that it seemed to begin: under 262 bytes."""
+    """Noise can cost no more than the wait for the end of a frame that it seemed to begin: under 262 bytes."""
     stream = b"".join(each + FRAME for each in noise) + FRAME * 10
-    framer = Framer()
+    framer = BeaconFramer()
     found = [packet for k in range(0, len(stream), size) for packet in framer.feed(stream[k : k + size])]
     assert found == [PACKET] * (len(noise) + 10)

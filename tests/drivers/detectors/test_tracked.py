@@ -58,7 +58,9 @@ CONTEXT = PartContext(Role.SENDER, Clock(), CAMERA, Mount(LEVEL, LEVEL), single_
 
 def made(**options: object) -> tuple[TrackedDetector, Oracle]:
     table = {"detector": {"factory": f"{__name__}:Oracle"}, **options}
-    detector = TrackedDetector(decode_table(table, TrackedDetectorConfig, "rig.toml: sender.sight.detector"), CONTEXT)
+    detector = TrackedDetector(
+        decode_table(table, TrackedDetectorConfig, "rig.toml: sender.perception.detector"), CONTEXT
+    )
     oracle = detector._detector
     assert isinstance(oracle, Oracle)
     return detector, oracle
@@ -171,7 +173,7 @@ def test_a_detection_elsewhere_counts_and_the_drift_is_noted() -> None:
 
 
 def test_look_alikes_are_followed_too() -> None:
-    """Who asks must see that there are two."""
+    """Both are given: whoever asks must see that there are two."""
     detector, oracle = made(every=10)
     image, first = scene(40, 60)
     image[150:186, 200:248] = THING

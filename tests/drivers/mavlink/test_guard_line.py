@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.mavlink.guard_interfaces import Answer, Beat, Hand, Script
+from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, Hand, Script
 from drivers.mavlink.guard_line import (
     FOREIGN,
     GuardLineError,
@@ -42,8 +42,8 @@ def test_a_beat_comes_back_as_it_was(beat: Beat) -> None:
     assert decode_beat(encode_beat(beat)) == beat
 
 
-@given(st.builds(Answer, st.booleans(), st.sampled_from(Hand), WORDS, WORDS))
-def test_an_answer_comes_back_as_it_was(answer: Answer) -> None:
+@given(st.builds(GuardAnswer, st.booleans(), st.sampled_from(Hand), WORDS, WORDS))
+def test_an_answer_comes_back_as_it_was(answer: GuardAnswer) -> None:
     assert decode_answer(encode_answer(answer)) == answer
 
 
@@ -58,7 +58,7 @@ def test_what_is_nearly_a_beat_is_none() -> None:
     assert decode_beat(packet[:-1]) is None
     assert decode_beat(packet[:4] + b"\x09" + packet[5:]) is None
     assert decode_answer(packet) is None
-    answer = encode_answer(Answer(True, Hand.GUARD, "why"))
+    answer = encode_answer(GuardAnswer(True, Hand.GUARD, "why"))
     assert decode_answer(answer[:5] + b"\x09" + answer[6:]) is None
     assert decode_beat(answer) is None
 
@@ -69,7 +69,7 @@ def test_the_newest_beat_counts_and_the_answer_finds_its_way() -> None:
         assert not is_taken(bind)
         async with UdpBeatLine(bind, clock) as guard, UdpGuardLine(bind, clock) as role:
             assert is_taken(bind)
-            guard.answer(Answer(True, Hand.FREE))  # to nobody yet
+            guard.answer(GuardAnswer(True, Hand.FREE))  # to nobody yet
             assert guard.newest() is None and role.answer() is None
             for setpoints in range(5):
                 role.beat(Beat(Script.CONTROL, setpoints))
@@ -77,12 +77,12 @@ def test_the_newest_beat_counts_and_the_answer_finds_its_way() -> None:
             assert newest is not None
             assert newest[1].setpoints == 4 and math.isnan(newest[1].separation_m)
             assert guard.newest() is None
-            guard.answer(Answer(True, Hand.SCRIPT))
-            guard.answer(Answer(True, Hand.GUARD, "why"))
+            guard.answer(GuardAnswer(True, Hand.SCRIPT))
+            guard.answer(GuardAnswer(True, Hand.GUARD, "why"))
             until(lambda: role.answer() is not None)
             assert role.answer() == role.answer()
             answer = role.answer()
-            assert answer is not None and answer[1] == Answer(True, Hand.GUARD, "why")
+            assert answer is not None and answer[1] == GuardAnswer(True, Hand.GUARD, "why")
             with pytest.raises(GuardLineError, match="cannot listen"):
                 async with UdpBeatLine(bind, clock):
                     pass
@@ -100,7 +100,7 @@ def test_noise_between_the_beats_changes_nothing() -> None:
                 stranger.sendto(b"noise", ("127.0.0.1", port))
                 newest = guard.newest()
                 assert newest is not None and newest[1].script is Script.LANDING
-            guard.answer(Answer(False, Hand.FREE))  # to the role, not to the stranger
+            guard.answer(GuardAnswer(False, Hand.FREE))  # to the role, not to the stranger
             until(lambda: role.answer() is not None)
 
     asyncio.run(main())
@@ -125,7 +125,7 @@ def test_what_another_program_says_is_counted_and_ignored() -> None:
                     assert guard.newest() is None
                 assert guard.ignored == {FOREIGN: len(packets)}
                 stranger.setblocking(False)
-                guard.answer(Answer(True, Hand.SCRIPT))  # still to the role
+                guard.answer(GuardAnswer(True, Hand.SCRIPT))  # still to the role
                 until(lambda: role.answer() is not None)
                 with pytest.raises(BlockingIOError):
                     stranger.recv(100)
@@ -150,7 +150,7 @@ def test_who_sits_where_the_guard_was_is_not_believed() -> None:
                 impostor.setblocking(False)
                 with pytest.raises(BlockingIOError):
                     impostor.recv(100)  # nothing is said to it
-                said = encode_answer(Answer(True, Hand.SCRIPT))
+                said = encode_answer(GuardAnswer(True, Hand.SCRIPT))
                 impostor.sendto(said, role._socket._socket.getsockname())  # type: ignore[union-attr]
                 impostor.sendto(Seals().seal(bytes(32), said), role._socket._socket.getsockname())  # type: ignore[union-attr]
                 await asyncio.sleep(0)
@@ -158,7 +158,7 @@ def test_who_sits_where_the_guard_was_is_not_believed() -> None:
             async with UdpBeatLine(bind, clock) as again:  # another run, another key, the same program
                 role.beat(Beat(Script.CONTROL, 3))
                 assert again.newest() is not None and again.ignored == {}
-                again.answer(Answer(True, Hand.FREE))
+                again.answer(GuardAnswer(True, Hand.FREE))
                 until(lambda: role.answer() is not None)
 
     asyncio.run(main())

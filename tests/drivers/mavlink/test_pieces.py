@@ -1,4 +1,4 @@
-"""What the MAVSDK driver is made of, without MAVSDK: modes, the local frame, telemetry, the callback thread's clock."""
+"""The parts of the MAVSDK driver, without MAVSDK: modes, the local frame, telemetry, the callback thread's clock."""
 
 import asyncio
 import json
@@ -13,7 +13,7 @@ import pytest
 from drivers.interfaces import FlightMode, VehicleError
 from drivers.mavlink.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, LocalTangent
 from drivers.mavlink.modes import ARDUPILOT, PX4, AutopilotKind
-from drivers.mavlink.telemetry import Telemetry, ThreadClock
+from drivers.mavlink.telemetry import TelemetrySlots, ThreadClock
 from tests.drivers.mavlink.mavsdk_bench import AHEAD_NS, SYSID, TANGENT, LoopClock, until
 
 
@@ -58,7 +58,7 @@ def test_local_frame_agrees_with_earth_centred_coordinates(
 
 def test_an_exception_in_a_callback_comes_out_at_the_next_look() -> None:
     async def look() -> None:
-        telemetry = Telemetry(SYSID, LoopClock(), TANGENT)
+        telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT)
         telemetry._guarded(telemetry._on_battery)(object(), None)  # MAVSDK itself would print it and go on
         with pytest.raises(VehicleError, match=r"telemetry cannot be understood.*remaining_percent"):
             telemetry.state()
@@ -67,7 +67,7 @@ def test_an_exception_in_a_callback_comes_out_at_the_next_look() -> None:
 
 
 def test_heartbeats_of_others_are_not_the_vehicles() -> None:
-    telemetry = Telemetry(SYSID, LoopClock(), TANGENT)
+    telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT)
 
     class Message:
         system_id, component_id, fields_json = SYSID, 191, '{"autopilot":8,"base_mode":0,"custom_mode":0}'
@@ -79,7 +79,7 @@ def test_heartbeats_of_others_are_not_the_vehicles() -> None:
 
 
 def test_a_mode_is_news_without_a_heartbeat() -> None:
-    telemetry = Telemetry(SYSID, LoopClock(), TANGENT)
+    telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT)
     telemetry.kind = PX4
 
     class Message:
@@ -109,7 +109,7 @@ def test_a_mode_is_news_without_a_heartbeat() -> None:
 @pytest.mark.parametrize(("kind", "shown_m"), [(PX4, 2.0), (ARDUPILOT, 3.2)])
 def test_a_px4_s_height_does_not_step_with_its_altitude(kind: AutopilotKind, shown_m: float) -> None:
     """As seen when PX4 goes over to another of its estimators: 1.2 m more above sea level, and above home."""
-    telemetry = Telemetry(SYSID, LoopClock(), TANGENT, height_from_home=True)
+    telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT, height_from_home=True)
     telemetry.kind = kind
     latitude, longitude, _ = TANGENT.to_global(0.0, 0.0, 0.0)
     ned = SimpleNamespace(
@@ -141,7 +141,7 @@ def test_a_px4_s_height_does_not_step_with_its_altitude(kind: AutopilotKind, sho
 
 @pytest.mark.parametrize("without_gps", [False, True])
 def test_a_vehicle_without_gps_is_not_asked_for_the_gps_s_health(without_gps: bool) -> None:
-    telemetry = Telemetry(SYSID, LoopClock(), TANGENT, without_gps=without_gps)
+    telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT, without_gps=without_gps)
     telemetry.health = dict.fromkeys(("is_armable", "is_local_position_ok", "is_home_position_ok"), True)
     assert ("global position" in telemetry.missing()) is not without_gps
     assert "position telemetry" in telemetry.missing()  # it is to know where on earth it is all the same

@@ -1,4 +1,4 @@
-"""The sight over a camera and a detector: which frames become views, and what a view answers."""
+"""The perception over a camera and a detector: which frames become views, and what a view answers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError, Capability, Frame
 from drivers.perception.depth_mask import GREY
-from drivers.perception.pixels import PixelSight, PixelSightConfig, PixelView
+from drivers.perception.pixels import PixelPerception, PixelPerceptionConfig, PixelView
 from drivers.rig.parts import Mount, Origin, PartContext, PartSpec
 from drivers.rig.tables import RigError, decode_table
 from path.camera import CameraModel
@@ -88,8 +88,10 @@ def table(**settings: Any) -> dict[str, Any]:
     return {**parts, **settings}
 
 
-def sight(**settings: Any) -> tuple[PixelSight, StubCamera, StubDetector]:
-    made = PixelSight(decode_table(table(**settings), PixelSightConfig, "rig.toml: sender.sight"), CONTEXT)
+def perception(**settings: Any) -> tuple[PixelPerception, StubCamera, StubDetector]:
+    made = PixelPerception(
+        decode_table(table(**settings), PixelPerceptionConfig, "rig.toml: sender.perception"), CONTEXT
+    )
     camera, detector = made._camera, made._detector
     assert isinstance(camera, StubCamera)
     assert isinstance(detector, StubDetector)
@@ -102,12 +104,12 @@ def frame(number: int, stamp_ns: int | None = None, depth: bool = True) -> Frame
     return Frame(number * 1000 if stamp_ns is None else stamp_ns, number, color, depth_mm)
 
 
-def view_of(made: PixelSight, timeout_s: float = 0.05) -> PixelView:
+def view_of(made: PixelPerception, timeout_s: float = 0.05) -> PixelView:
     return asyncio.run(made.view(timeout_s))
 
 
 def test_it_opens_and_closes_its_camera() -> None:
-    made, camera, _ = sight()
+    made, camera, _ = perception()
 
     async def main() -> None:
         async with made:
@@ -120,7 +122,7 @@ def test_it_opens_and_closes_its_camera() -> None:
 
 def test_frames_that_wait_already_leave_the_loop_to_the_pilot() -> None:
     """A program that is slower than its camera for a while must go on sending setpoints."""
-    made, camera, _ = sight()
+    made, camera, _ = perception()
     camera.frames = [frame(number) for number in range(1, 21)]
     steps = 0
 
@@ -141,7 +143,7 @@ def test_frames_that_wait_already_leave_the_loop_to_the_pilot() -> None:
 
 
 def test_old_and_repeated_frames_are_never_given() -> None:
-    made, camera, _ = sight()
+    made, camera, _ = perception()
     camera.frames = [frame(1), frame(1), frame(3), frame(2), frame(4, stamp_ns=3000), frame(5), frame(5, 6000)]
     views = [view_of(made) for _ in range(3)]
     assert [view.frame_id for view in views] == [1, 3, 5]
@@ -152,7 +154,7 @@ def test_old_and_repeated_frames_are_never_given() -> None:
 
 
 def test_a_camera_whose_clock_went_back_is_a_fault_after_a_limit() -> None:
-    made, camera, _ = sight(max_old_frames=5)
+    made, camera, _ = perception(max_old_frames=5)
     camera.frames = [frame(1, stamp_ns=10_000_000_000)]
     view_of(made)
     camera.frames = [frame(2 + k, stamp_ns=4_000_000_000 + k) for k in range(20)]
@@ -162,7 +164,7 @@ def test_a_camera_whose_clock_went_back_is_a_fault_after_a_limit() -> None:
 
 
 def test_the_wait_is_bounded_however_many_old_frames_come() -> None:
-    made, camera, _ = sight(max_old_frames=10_000)
+    made, camera, _ = perception(max_old_frames=10_000)
     camera.frames = [frame(7)]
     view_of(made)
     camera.frames = [frame(7)] * 200_000
@@ -172,7 +174,7 @@ def test_the_wait_is_bounded_however_many_old_frames_come() -> None:
 
 @pytest.mark.parametrize("color_only", [True, False])
 def test_frames_of_another_size_than_the_calibration_are_refused_with_both_sizes(color_only: bool) -> None:
-    made, camera, _ = sight()
+    made, camera, _ = perception()
     small = np.zeros((90, 120), np.uint16)
     good = frame(1)
     camera.frames = [Frame(1, 1, np.zeros((90, 120, 3), np.uint8), None)]
@@ -183,7 +185,7 @@ def test_frames_of_another_size_than_the_calibration_are_refused_with_both_sizes
 
 
 def test_nothing_is_computed_before_it_is_asked() -> None:
-    made, camera, detector = sight()
+    made, camera, detector = perception()
     camera.frames = [frame(9)]
     view = view_of(made)
     assert detector.asked == []
@@ -194,7 +196,7 @@ def test_nothing_is_computed_before_it_is_asked() -> None:
 
 
 def test_the_detector_is_shown_only_what_is_as_far_away_as_the_region_says() -> None:
-    made, camera, detector = sight()
+    made, camera, detector = perception()
     half = frame(9)
     assert half.depth_mm is not None
     half.depth_mm[:] = 1000
@@ -258,7 +260,7 @@ def test_pieces_that_the_cut_made_of_one_thing_are_that_thing_with_its_own_edges
 
 
 def test_the_uncut_image_is_looked_at_only_when_something_is_left_of_the_cut_one() -> None:
-    made, camera, detector = sight()
+    made, camera, detector = perception()
     camera.frames = [frame(9), frame(10)]
     region = Region(0.0, 0.0, 160.0, 120.0, 1.8, 2.2)
     view_of(made).targets(region)
@@ -269,7 +271,7 @@ def test_the_uncut_image_is_looked_at_only_when_something_is_left_of_the_cut_one
 
 
 def test_depth_is_asked_of_the_registered_image() -> None:
-    made, camera, _ = sight()
+    made, camera, _ = perception()
     holes = frame(2)
     assert holes.depth_mm is not None
     holes.depth_mm[:] = 0
@@ -284,7 +286,7 @@ def test_depth_is_asked_of_the_registered_image() -> None:
 
 
 def test_depth_limits_are_those_of_the_settings() -> None:
-    made, camera, _ = sight(method={"max_depth_m": 1.5})
+    made, camera, _ = perception(method={"max_depth_m": 1.5})
     camera.frames = [frame(1)]
     assert view_of(made).depth(Box(40.0, 30.0, 60.0, 40.0)) is None
 
@@ -295,7 +297,7 @@ def test_markers_are_found_in_the_pixels(corners: str) -> None:
     printed = cv2.cvtColor(cv2.aruco.generateImageMarker(dictionary, 0, 240), cv2.COLOR_GRAY2BGR)
     large = np.full((480, 640, 3), 255, np.uint8)
     large[100:340, 200:440] = printed
-    made, camera, _ = sight(corners=corners)
+    made, camera, _ = perception(corners=corners)
     camera.frames = [
         Frame(1, 1, np.asarray(cv2.resize(large, (160, 120), interpolation=cv2.INTER_AREA), np.uint8), None)
     ]
@@ -310,11 +312,11 @@ def test_markers_are_found_in_the_pixels(corners: str) -> None:
 
 def test_a_rig_that_names_no_detector_is_refused() -> None:
     with pytest.raises(RigError, match="missing key 'detector'"):
-        decode_table({"camera": table()["camera"]}, PixelSightConfig, "rig.toml: sender.sight")
+        decode_table({"camera": table()["camera"]}, PixelPerceptionConfig, "rig.toml: sender.perception")
 
 
 def test_a_detector_that_wants_the_whole_image_is_asked_once_and_depth_judges_its_boxes() -> None:
-    made, camera, detector = sight()
+    made, camera, detector = perception()
     detector.box = Box(40.0, 30.0, 60.0, 50.0)
     setattr(detector, "whole_image", True)  # noqa: B010 (the stub has no such attribute)
     camera.frames = [frame(1)]
@@ -380,4 +382,4 @@ def test_a_sight_lacks_what_its_camera_lacks_but_for_ranges_by_size(
 ) -> None:
     camera = PartSpec(f"{__name__}:NoDepth", {}, "test: camera")
     detector = PartSpec(f"{__name__}:StubDetector", {}, "test: detector")
-    assert PixelSight(PixelSightConfig(camera, detector, target=size), CONTEXT).lacks == lacks
+    assert PixelPerception(PixelPerceptionConfig(camera, detector, target=size), CONTEXT).lacks == lacks

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.perception.stamp_clock import WRAP_NS, Domain, Refused, StampClock, StampConfig, StampLine
+from drivers.perception.stamp_clock import WRAP_NS, Domain, StampClock, StampConfig, StampLine, StampRefused
 
 MS = 1_000_000
 PERIOD = 20 * MS
@@ -68,7 +68,7 @@ def test_a_wall_clock_stamp_is_taken_as_it_is() -> None:
 def test_a_wall_clock_that_was_set_is_not_followed(step_ms: int) -> None:
     clock = StampClock()
     assert mapped(clock, 100 * MS, Domain.GLOBAL, 110 * MS) == 100 * MS
-    assert clock.to_role(120 * MS, Domain.GLOBAL, 130 * MS, step_ms * MS) is Refused.CLOCK
+    assert clock.to_role(120 * MS, Domain.GLOBAL, 130 * MS, step_ms * MS) is StampRefused.CLOCK
 
 
 @given(

@@ -376,7 +376,7 @@ def test_the_computer_s_own_usb_is_asked() -> None:
 )
 def test_options_that_cannot_be_are_refused(options: dict[str, Any], problem: str) -> None:
     with pytest.raises(RigError, match=problem):
-        decode_table(options, RealSenseConfig, "rig.toml: sender.sight.camera")
+        decode_table(options, RealSenseConfig, "rig.toml: sender.perception.camera")
 
 
 # --- recording and playing back ----------------------------------------------------------------------------------

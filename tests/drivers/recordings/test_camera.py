@@ -13,7 +13,7 @@ import pytest
 
 from drivers.clock import SystemClock, SystemClockConfig
 from drivers.interfaces import CameraError, Frame
-from drivers.perception.pixels import PixelSight, PixelSightConfig
+from drivers.perception.pixels import PixelPerception, PixelPerceptionConfig
 from drivers.recordings.camera import RecordedCamera, RecordedCameraConfig, RecordingEnded
 from drivers.rig.calibration_file import CalibrationError
 from drivers.rig.parts import Mount, Origin, PartContext
@@ -171,7 +171,7 @@ def test_videos_and_logs_play_in_real_time_too(tmp_path: Path) -> None:
     assert [seen_level(frame.color) for frame in frames] == list(GREYS)
 
 
-def sight(file: Path, serial: str) -> PixelSight:
+def perception(file: Path, serial: str) -> PixelPerception:
     camera = {
         "factory": "drivers.recordings.camera:RecordedCamera",
         "file": str(file),
@@ -180,7 +180,9 @@ def sight(file: Path, serial: str) -> PixelSight:
     }
     detector = {"factory": "drivers.detectors.color:ColorDetector"}
     table = {"camera": camera, "detector": detector}
-    return PixelSight(decode_table(table, PixelSightConfig, "rig.toml: sender.sight"), context(serial=serial))
+    return PixelPerception(
+        decode_table(table, PixelPerceptionConfig, "rig.toml: sender.perception"), context(serial=serial)
+    )
 
 
 def test_a_sight_sees_a_recording_and_finds_what_is_in_it(folder: Path) -> None:
@@ -189,7 +191,7 @@ def test_a_sight_sees_a_recording_and_finds_what_is_in_it(folder: Path) -> None:
     cv2.imwrite(str(folder / "10.1.png"), shown)
 
     async def main() -> None:
-        async with sight(folder, "0815") as eye:
+        async with perception(folder, "0815") as eye:
             assert (await eye.view(1.0)).targets(None) == []
             (found,) = (await eye.view(1.0)).targets(None)
             assert found.box.center == pytest.approx((31.5, 22.5), abs=1.0)
@@ -200,7 +202,7 @@ def test_a_sight_sees_a_recording_and_finds_what_is_in_it(folder: Path) -> None:
 def test_a_camera_other_than_the_calibrations_is_refused_when_it_opens(folder: Path) -> None:
     async def main() -> None:
         with pytest.raises(CalibrationError, match="serial number 4711, this one is 0815"):
-            async with sight(folder, "4711"):
+            async with perception(folder, "4711"):
                 pass
 
     run_virtual(main())
@@ -209,7 +211,7 @@ def test_a_camera_other_than_the_calibrations_is_refused_when_it_opens(folder: P
 def test_what_cannot_be_is_refused_by_name() -> None:
     table = {"file": "x.mp4", "speed": 0.0}
     with pytest.raises(RigError, match=r"speed: 0\.0 times is not within"):
-        decode_table(table, RecordedCameraConfig, "rig.toml: sender.sight.camera")
+        decode_table(table, RecordedCameraConfig, "rig.toml: sender.perception.camera")
 
     async def unopened() -> None:
         with pytest.raises(CameraError, match="not open"):

@@ -63,7 +63,7 @@ def rig_with(tmp_path: Path, *, camera: str | None = None, marker: str | None = 
         begin, end = text.index("[sender.mount.marker]"), text.index("# --- D2")
         text = f"{text[:begin]}[sender.mount.marker]\n{marker}\n\n{text[end:]}"
     file = tmp_path / "rig.toml"
-    file.write_text(text.replace("[sender.sight.camera]", f"[sender.sight.camera]\n{more}"), "utf-8")
+    file.write_text(text.replace("[sender.perception.camera]", f"[sender.perception.camera]\n{more}"), "utf-8")
     return file
 
 
@@ -140,10 +140,10 @@ def test_a_rig_whose_camera_has_another_serial_number_is_refused(tmp_path: Path)
     def rig(serial: str) -> Path:
         file = rig_with(tmp_path, camera='calibration = "c.toml"', more="")
         text = file.read_text("utf-8")
-        begin = text.index("[sender.sight.camera]")
-        end = text.index("[sender.sight.detector]")
+        begin = text.index("[sender.perception.camera]")
+        end = text.index("[sender.perception.detector]")
         part = f'factory = "drivers.recordings.camera:RecordedCamera"\nfile = "recorded"\nserial = "{serial}"\n\n'
-        file.write_text(f"{text[:begin]}[sender.sight.camera]\n{part}{text[end:]}", "utf-8")
+        file.write_text(f"{text[:begin]}[sender.perception.camera]\n{part}{text[end:]}", "utf-8")
         return file
 
     with pytest.raises(RigError, match=r"camera with serial number 0815, this one is 4711"):

@@ -287,7 +287,11 @@ def test_a_part_is_made_with_its_options_and_context(write: Write) -> None:
         ("sysid = 2", "sysid = 1", "receiver.vehicle.sysid: 1 is already used by sender.vehicle.sysid"),
         (":14542", ":14541", "receiver.vehicle.url: 'udpin://127.0.0.1:14541' is already used by sender.vehicle.url"),
         (":14542", ":14601", "receiver.vehicle.url: 'udpin://127.0.0.1:14601' is already used by sender.link.bind"),
-        ("eth2", "eth1", "receiver.sight.inner.interface: 'eth1' is already used by sender.sight.inner.interface"),
+        (
+            "eth2",
+            "eth1",
+            "receiver.perception.inner.interface: 'eth1' is already used by sender.perception.inner.interface",
+        ),
         ('peer = "127.0.0.1:14602"', 'peer = "127.0.0.1:9"', "sender.link.peer: '127.0.0.1:9' is not where the other"),
         ("sysid = 1", "sysid_ = 1", "sender.vehicle: unknown key 'sysid_' (did you mean 'sysid'?)"),
         ("fx = 615", "", "sender.camera: missing key 'fx'"),
@@ -347,7 +351,9 @@ def test_the_ports_a_rig_listens_on_are_known(write: Write) -> None:
 
 def test_files_are_looked_for_beside_the_rig(write: Write, tmp_path: Path) -> None:
     path = write(RIG.replace("interface =", 'key_file = "keys/pair.key"\ninterface =', 1))
-    assert problems_of(path) == (f"bench.toml: sender.sight.inner.key_file: {tmp_path}/keys/pair.key: no such file",)
+    assert problems_of(path) == (
+        f"bench.toml: sender.perception.inner.key_file: {tmp_path}/keys/pair.key: no such file",
+    )
     (tmp_path / "keys").mkdir()
     (tmp_path / "keys/pair.key").touch()
     check_rig(load_rig(path))

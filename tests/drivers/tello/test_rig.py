@@ -75,6 +75,6 @@ def test_both_rigs_of_tellos_fly_the_same_mission_with_the_same_eyes() -> None:
     for role in Role:
         assert virtual.role(role).camera == real.role(role).camera
         for table in ("target", "detector"):
-            assert virtual.role(role).sight.options[table] == real.role(role).sight.options[table]
+            assert virtual.role(role).perception.options[table] == real.role(role).perception.options[table]
         for name in ("north_m", "east_m", "heading_deg"):
             assert virtual.role(role).vehicle.options.get(name) == real.role(role).vehicle.options.get(name)

@@ -10,8 +10,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flight.harness.renderer import IDEAL, PRINTED, REALISTIC, REALISTIC_VIDEO, Imaging, Printing, Stage, StudioSetup
-from hil.camera.pictures import Studio
+from flight.harness.renderer import (
+    IDEAL,
+    PRINTED,
+    REALISTIC,
+    REALISTIC_VIDEO,
+    Imaging,
+    Printing,
+    RenderedInstant,
+    RendererSetup,
+)
+from hil.camera.pictures import CameraRenderer
 from hil.camera.pipeline import blur_kernel, develop, h264, is_plain, jpeg
 from path.marker.layout import single_marker
 from path.messages import Role
@@ -89,13 +98,13 @@ def test_without_effects_the_image_is_the_light() -> None:
 
 def test_optics_and_noise_are_those_of_the_plain_camera() -> None:
     """The pipeline, forced by a gamma that changes nothing visible, against the renderer's own exposure."""
-    stage = Stage({Role.RECEIVER: T_W_B[Role.RECEIVER]})
+    stage = RenderedInstant({Role.RECEIVER: T_W_B[Role.RECEIVER]})
     almost = replace(IDEAL, gamma=1.0 + 1e-9)
     assert not is_plain(almost)
     images = [
         np.stack(
             [
-                Studio(StudioSetup(VGA, mount(45.0), TAIL, single_marker(), imaging), 1)
+                CameraRenderer(RendererSetup(VGA, mount(45.0), TAIL, single_marker(), imaging), 1)
                 .shoot(stage, Role.RECEIVER, k)
                 .color[::3, ::3]
                 for k in range(3)
@@ -245,8 +254,8 @@ def test_jpeg_and_h264_leave_grey_grey() -> None:
 
 @pytest.mark.parametrize("imaging", [REALISTIC, REALISTIC_VIDEO])
 def test_a_shot_of_the_realistic_camera_repeats_byte_for_byte(imaging: Imaging) -> None:
-    setup = StudioSetup(VGA, mount(45.0), TAIL, single_marker(), imaging, PRINTED)
-    first, again = (Studio(setup, 1).shoot(Stage(T_W_B), Role.RECEIVER, 5) for _ in range(2))
+    setup = RendererSetup(VGA, mount(45.0), TAIL, single_marker(), imaging, PRINTED)
+    first, again = (CameraRenderer(setup, 1).shoot(RenderedInstant(T_W_B), Role.RECEIVER, 5) for _ in range(2))
     assert first.color.tobytes() == again.color.tobytes()
-    other = Studio(setup, 1).shoot(Stage(T_W_B), Role.RECEIVER, 6)
+    other = CameraRenderer(setup, 1).shoot(RenderedInstant(T_W_B), Role.RECEIVER, 6)
     assert np.any(first.color != other.color)

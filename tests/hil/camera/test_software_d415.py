@@ -1,4 +1,4 @@
-"""What the world draws reaches the driver through pyrealsense2: frames, stamps, and a world that is gone."""
+"""The way of the world's pictures to the driver through pyrealsense2: frames, stamps, and a world that is gone."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_without_a_run_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> No
 def test_the_world_draws_what_the_driver_asks_for() -> None:
     rig = rig_library.load("sitl")
     assert (camera_config(rig, Role.SENDER).fps, depth_size(rig, Role.SENDER)) == (50, (640, 480))
-    sight = rig.sender.sight
-    other = {**sight.options, "camera": {**sight.options["camera"], "depth_size": [320, 240]}}
-    finer = replace(rig, sender=replace(rig.sender, sight=replace(sight, options=other)))
+    perception = rig.sender.perception
+    other = {**perception.options, "camera": {**perception.options["camera"], "depth_size": [320, 240]}}
+    finer = replace(rig, sender=replace(rig.sender, perception=replace(perception, options=other)))
     assert depth_size(finer, Role.SENDER) == (320, 240)

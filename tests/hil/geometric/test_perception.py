@@ -1,4 +1,4 @@
-"""The geometric sight against the camera model and the renderer, and beside the pixel sight as one contract."""
+"""The geometric perception against the camera model and the renderer, and beside that on pixels as one contract."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from drivers.interfaces import CameraError, Sight, View
+from drivers.interfaces import CameraError, Perception, View
 from drivers.rig.parts import Mount, Origin, PartContext
 from hil.camera.capture import Capture, Freeze
 from hil.geometric import targets as geometric_targets
 from hil.geometric.noise import EXACT, ObservationNoise
-from hil.geometric.perception import GeometricSight, GeometricSightConfig, GeometricView, Sensor, warm_up
+from hil.geometric.perception import GeometricPerception, GeometricPerceptionConfig, GeometricView, Sensor, warm_up
 from hil.geometric.scene import Array, CameraSetup
 from hil.render.renderer import Renderer
 from hil.render.scene import car
@@ -326,7 +326,7 @@ def test_what_goes_wrong_for_a_while_lasts_some_frames_at_its_rate() -> None:
     assert not np.array_equal(missed, odd)
 
 
-# --- a sight in a world; what it shares with others: tests/contracts/test_sight.py ---
+# --- a perception in a world; what it shares with others: tests/contracts/test_sight.py ---
 
 
 @dataclass
@@ -353,8 +353,8 @@ def context(harness: object | None) -> PartContext:
     return PartContext(Role.SENDER, LoopClock(), CAMERA, mount, LAYOUT, Origin(0.0, 0.0, 0.0), harness)
 
 
-def geometric_sight(harness: StubHarness) -> Sight:
-    return GeometricSight(GeometricSightConfig(rate_hz=50.0), context(harness))
+def geometric_perception(harness: StubHarness) -> Perception:
+    return GeometricPerception(GeometricPerceptionConfig(rate_hz=50.0), context(harness))
 
 
 def test_after_warming_up_nothing_is_left_to_compile() -> None:
@@ -368,4 +368,4 @@ def test_after_warming_up_nothing_is_left_to_compile() -> None:
 
 def test_a_geometric_sight_needs_a_world() -> None:
     with pytest.raises(CameraError, match="simulated world"):
-        GeometricSight(GeometricSightConfig(), context(None))
+        GeometricPerception(GeometricPerceptionConfig(), context(None))

@@ -17,7 +17,7 @@ from flight.harness.relay import DroneProcesses, RelayRequest
 from hil.harness.children import end, spawn
 from hil.harness.leg_faults import LegFaults
 from hil.harness.relay_live import Hindsight
-from hil.harness.relay_sitl import RECORD, _Relay, check_drones
+from hil.harness.relay_sitl import RECORD, _ProcessRelay, check_drones
 from hil.harness.relay_sitl_world import drones_of
 from hil.world.faults import Fault, parse_fault
 from missions import rig_library
@@ -130,7 +130,7 @@ def test_what_a_killed_program_did_not_finish_saying_is_not_passed_on(rig: Rig, 
     request = RelayRequest(rig, drones_of(rig, 3), tmp_path, 1, {}, nothing, nothing, processes)
 
     async def main() -> object:
-        relay = _Relay(request, {})
+        relay = _ProcessRelay(request, {})
         python = [sys.executable, "-I", "-S", "-c"]
         relay._world = await spawn([*python, WRITES_DOWN.format(file=str(tmp_path / "told"))], tmp_path / "world.txt")
         dies = DIES_IN_THE_MIDDLE.format(record=record, half=record[:40])
@@ -145,12 +145,12 @@ def test_what_a_killed_program_did_not_finish_saying_is_not_passed_on(rig: Rig, 
 
 
 def test_the_parent_knows_a_record_from_other_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    from missions.relay.process import WatchedLog  # noqa: PLC0415 (what it says is all that is asked for)
+    from missions.relay.process import RelayedLog  # noqa: PLC0415 (what it says is all that is asked for)
 
     class NoLog:
         def write(self, topic: str, stamp_ns: int, record: Any) -> None: ...
 
         def image(self, topic: str, stamp_ns: int, image: Any) -> None: ...
 
-    WatchedLog(NoLog(), "D1", whole=False).write("/phase", 1, {"phase": "follow"})
+    RelayedLog(NoLog(), "D1", whole=False).write("/phase", 1, {"phase": "follow"})
     assert capsys.readouterr().out.encode().startswith(RECORD)

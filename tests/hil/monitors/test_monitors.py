@@ -198,7 +198,7 @@ class Stream:
     monitors: Monitors = field(default_factory=lambda: Monitors(EVIDENCE, 0.7))
     gate: EvidenceGate = field(default_factory=lambda: EvidenceGate(EVIDENCE))
     epoch: int = 1
-    offsets: Offsets = Offsets((0.01, -0.005))
+    offsets: Offsets = field(default_factory=lambda: Offsets((0.01, -0.005)))
 
     def pair(self, index: int, iou: float = 0.8, **changes: Any) -> None:
         capture_ns = index * 20_000_000

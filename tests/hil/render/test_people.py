@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
-from flight.harness.renderer import Imaging, Stage, StudioSetup, Thing
-from hil.camera.pictures import Studio
+from flight.harness.renderer import Imaging, RenderedInstant, RendererSetup, Thing
+from hil.camera.pictures import CameraRenderer
 from hil.render.people import HEIGHT_M, PARTS, person
 from hil.render.scene import GAP_M, PATTERN
 from path.camera import CameraModel
@@ -59,13 +59,13 @@ def test_patterns_have_contrast_and_corners() -> None:
 
 @pytest.mark.parametrize("distance_m", [3.0, 5.0, 8.0])
 def test_the_colour_detector_finds_a_person_from_pixels_alone(distance_m: float) -> None:
-    studio = Studio(StudioSetup(HD, mount(20.0), TAIL, single_marker(), Imaging()), 1)
+    renderer = CameraRenderer(RendererSetup(HD, mount(20.0), TAIL, single_marker(), Imaging()), 1)
     detector = ColorDetector(ColorDetectorConfig())
     height_m = 1.1 + distance_m * np.tan(np.radians(20.0))
     for number, yaw_rad in enumerate(np.radians([-90.0, -40.0, 20.0, 90.0, 170.0])):
         thing = Thing("person", (0.2, distance_m, 0.0), float(yaw_rad), number)
-        stage = Stage({Role.RECEIVER: hovering(0.0, 0.0, float(height_m))}, (thing,))
-        (found,) = detector.detect(studio.shoot(stage, Role.RECEIVER, number).color, None)
+        stage = RenderedInstant({Role.RECEIVER: hovering(0.0, 0.0, float(height_m))}, (thing,))
+        (found,) = detector.detect(renderer.shoot(stage, Role.RECEIVER, number).color, None)
         u, v = found.box.center
         assert found.score > 0.5
         assert u == pytest.approx(640.0 + 920.0 * 0.2 / distance_m, abs=0.1 * 920.0 / distance_m)

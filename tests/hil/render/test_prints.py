@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flight.harness.renderer import Imaging, Printing, Stage, StudioSetup
-from hil.camera.pictures import LIGHTS, Studio
+from flight.harness.renderer import Imaging, Printing, RenderedInstant, RendererSetup
+from hil.camera.pictures import LIGHTS, CameraRenderer
 from hil.render.prints import SHADED, marker_print
 from hil.render.scene import INK, PAPER, PLATE_SCALE
 from path.marker.layout import single_marker
@@ -20,7 +20,7 @@ from tests.hil.render.views import TAIL, VGA, hovering, mount
 SIDE_M = 0.040
 CELLS = cells("DICT_4X4_50", 0)
 QUIET = Imaging(read_sigma=0.0, shot_gain=0.0)
-STAGE = Stage({Role.SENDER: hovering(0.0, 0.0, 1.4), Role.RECEIVER: hovering(0.1, -0.8, 1.9, -0.1)})
+STAGE = RenderedInstant({Role.SENDER: hovering(0.0, 0.0, 1.4), Role.RECEIVER: hovering(0.1, -0.8, 1.9, -0.1)})
 BLACK = 255.0 * INK[0] / PAPER[0]
 
 
@@ -34,8 +34,8 @@ def texel_m(shades: NDArray[np.float64]) -> float:
 
 
 def shot(printing: Printing, shot_seed: int = 0, imaging: Imaging = QUIET) -> NDArray[np.float64]:
-    setup = StudioSetup(VGA, mount(45.0), TAIL, single_marker(), imaging, printing)
-    return Studio(setup, 0).shoot(STAGE, Role.RECEIVER, shot_seed).color.astype(float)
+    setup = RendererSetup(VGA, mount(45.0), TAIL, single_marker(), imaging, printing)
+    return CameraRenderer(setup, 0).shoot(STAGE, Role.RECEIVER, shot_seed).color.astype(float)
 
 
 def test_a_print_without_faults_is_the_ideal_marker() -> None:

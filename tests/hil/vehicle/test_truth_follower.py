@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hil.vehicle.truth_follower import Fix, Motion, TruthFollower
+from hil.vehicle.truth_follower import Fix, TrueMotion, TruthFollower
 from hil.world.dynamics import ATTITUDE, CONTACT, POSITION
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -24,7 +24,7 @@ def flown(seconds: float, velocity_mps: float) -> tuple[TruthFollower, list[floa
     for tick in range(int(seconds * 100)):
         now_s = tick / 100
         north = velocity_mps * now_s
-        follower.on_motion(Motion(now_s, (velocity_mps, 0.0, 0.0), LEVEL, STILL))
+        follower.on_motion(TrueMotion(now_s, (velocity_mps, 0.0, 0.0), LEVEL, STILL))
         follower.on_fix(Fix(now_s, (coarse(north), 0.0, -2.0)))
         later_s = now_s + 0.004
         errors.append(float(follower.row(later_s)[0]) - velocity_mps * later_s)
@@ -46,7 +46,7 @@ def test_a_drone_that_was_moved_is_where_it_was_moved_to() -> None:
 
 def test_parts_of_a_position_may_come_in_messages_of_their_own() -> None:
     follower = TruthFollower(LEG_M)
-    follower.on_motion(Motion(0.0, STILL, LEVEL, STILL))
+    follower.on_motion(TrueMotion(0.0, STILL, LEVEL, STILL))
     follower.on_fix(Fix(0.0, (3.0, 4.0, math.nan)))
     assert not follower.ready
     follower.on_fix(Fix(0.0, (math.nan, math.nan, 0.0)))
@@ -63,29 +63,29 @@ def test_fixes_before_any_motion_are_not_believed() -> None:
 
 def test_attitude_is_carried_on_by_the_rates() -> None:
     follower = TruthFollower(LEG_M)
-    follower.on_motion(Motion(0.0, STILL, LEVEL, (0.0, 0.0, 0.5)))
+    follower.on_motion(TrueMotion(0.0, STILL, LEVEL, (0.0, 0.0, 0.5)))
     follower.on_fix(Fix(0.0, (0.0, 0.0, 0.0)))
     assert follower.row(0.02)[ATTITUDE] == pytest.approx([math.cos(0.005), 0, 0, math.sin(0.005)], abs=1e-6)
 
 
 def test_it_stands_on_the_ground_where_it_stood_first() -> None:
     follower = TruthFollower(LEG_M)
-    follower.on_motion(Motion(0.0, STILL, LEVEL, STILL))
+    follower.on_motion(TrueMotion(0.0, STILL, LEVEL, STILL))
     follower.on_fix(Fix(0.0, (0.0, 0.0, 0.3)))  # its home is 0.3 m below the mission's zero
     assert follower.row(0.0)[CONTACT] == 1.0
-    follower.on_motion(Motion(0.1, (0.0, 0.0, -2.0), LEVEL, STILL))
-    follower.on_motion(Motion(0.2, (0.0, 0.0, -2.0), LEVEL, STILL))
+    follower.on_motion(TrueMotion(0.1, (0.0, 0.0, -2.0), LEVEL, STILL))
+    follower.on_motion(TrueMotion(0.2, (0.0, 0.0, -2.0), LEVEL, STILL))
     assert follower.row(0.2)[CONTACT] == 0.0
 
 
 def test_a_drone_whose_positions_are_wrong_is_elsewhere_and_in_height_only_once_it_flies() -> None:
     follower = TruthFollower(LEG_M, (2.0, -1.0, -0.8))
-    follower.on_motion(Motion(0.0, STILL, LEVEL, STILL))
+    follower.on_motion(TrueMotion(0.0, STILL, LEVEL, STILL))
     follower.on_fix(Fix(0.0, (5.0, 5.0, 0.0)))
     assert follower.row(0.0)[POSITION] == pytest.approx([3.0, 6.0, -LEG_M])
     heights: list[float] = []
     for tick in range(1, 31):
-        follower.on_motion(Motion(0.1 * tick, (0.0, 0.0, -1.0), LEVEL, STILL))
+        follower.on_motion(TrueMotion(0.1 * tick, (0.0, 0.0, -1.0), LEVEL, STILL))
         heights.append(-float(follower.row(0.1 * tick)[2]) - LEG_M)
     assert heights[-1] == pytest.approx(2.95 - 0.8, abs=0.01)
     assert np.all(np.diff(heights) > 0.0)

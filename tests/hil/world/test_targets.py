@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from hil.world.snapshot import ObjectTruth
-from hil.world.targets import CROSSING_S, LookAlikeConfig, TargetConfig, Traffic
+from hil.world.targets import CROSSING_S, GroundVehicles, LookAlikeConfig, TargetConfig
 
 TARGET = TargetConfig()
 HOMES = ((0.0, 0.0), (1.5, -3.0))
 SEEDS = range(25)
 
 
-def traffic(seed: int, target: TargetConfig = TARGET, look_alikes: LookAlikeConfig | None = None) -> Traffic:
-    return Traffic(target, look_alikes or LookAlikeConfig(), HOMES, np.random.SeedSequence(seed))
+def traffic(seed: int, target: TargetConfig = TARGET, look_alikes: LookAlikeConfig | None = None) -> GroundVehicles:
+    return GroundVehicles(target, look_alikes or LookAlikeConfig(), HOMES, np.random.SeedSequence(seed))
 
 
 def apart(a: ObjectTruth, b: ObjectTruth) -> float:

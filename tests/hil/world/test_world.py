@@ -13,7 +13,7 @@ from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.rig.tables import RigError, decode_table
 from flight.guidance import subtract
 from hil.world.estimator import EstimatorConfig, WindConfig
-from hil.world.world import ApartConfig, HomeConfig, World, WorldConfig
+from hil.world.world import HomeConfig, PositionOffsetConfig, World, WorldConfig
 from path.messages import Role
 
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
@@ -252,7 +252,7 @@ def test_the_configuration_is_a_table_and_wrong_keys_are_named() -> None:
 def test_positions_that_are_apart_differ_by_as_much_as_is_told_and_change_nothing_else() -> None:
     names = EstimatorConfig.__slots__
     exact = WorldConfig(estimator=EstimatorConfig(**dict.fromkeys(names, 0.0)))
-    apart = replace(exact, apart=ApartConfig(across_m=2.0, height_m=1.0))
+    apart = replace(exact, apart=PositionOffsetConfig(across_m=2.0, height_m=1.0))
     angles: set[float] = set()
     for seed in range(5):
         right, wrong = World(exact, seed), World(apart, seed)
@@ -266,7 +266,7 @@ def test_positions_that_are_apart_differ_by_as_much_as_is_told_and_change_nothin
 
 def test_positions_cannot_be_apart_by_less_than_nothing() -> None:
     with pytest.raises(ValueError, match="across_m"):
-        ApartConfig(across_m=-1.0)
+        PositionOffsetConfig(across_m=-1.0)
 
 
 def test_what_is_on_the_ground_waits_until_it_is_told_to_begin() -> None:

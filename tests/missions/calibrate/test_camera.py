@@ -14,7 +14,7 @@ import pytest
 from drivers.interfaces import PartError
 from drivers.rig.calibration_file import read_camera
 from missions.calibrate.camera import BadViews, calibrate
-from missions.calibrate.collect import Chooser, Collected, Look, from_recording
+from missions.calibrate.collect import Chooser, Collected, CollectedImage, from_recording
 from missions.calibrate.run import run
 from missions.options import CalibrateBoardOptions, CalibrateCameraOptions, CalibrateOptions
 from missions.rig_list import FOLDER
@@ -95,11 +95,11 @@ def test_a_rigs_camera_is_calibrated_as_it_runs(folder: Path, tmp_path: Path) ->
 def collected(held: Held, count: int, **change: float) -> Collected:
     rng = np.random.default_rng(1)
     views = [replace(seen(CHARUCO, pose, 0.05, rng), **change) for pose in poses(CHARUCO, held, count, 1)]
-    return Collected([Look(f"{number}.png", (640, 480), view) for number, view in enumerate(views)])
+    return Collected([CollectedImage(f"{number}.png", (640, 480), view) for number, view in enumerate(views)])
 
 
 def graded(views: Collected, board: Board = CHARUCO) -> tuple[set[BadSet], str]:
-    """What is said of a set that is not good, and its grade."""
+    """Returns what is said of a set that is not good, and its grade."""
     done = calibrate(views, board)
     assert all(fault.fix for fault in done.faults)
     return {fault.reason for fault in done.faults}, done.grade
@@ -186,7 +186,7 @@ def test_every_reason_is_given_at_once() -> None:
 def test_another_board_than_named_is_told_by_what_is_there(shown: Board, named: Board, words: str) -> None:
     pose = next(poses(shown, Held((0.6, 0.6), (5.0, 5.0), 0.0), 1, 0))
     image = grey(next(photographs(shown, [pose], 0)))
-    views = Collected([Look("one.png", (640, 480), None)], image)
+    views = Collected([CollectedImage("one.png", (640, 480), None)], image)
     with pytest.raises(BadViews, match=words) as caught:
         calibrate(views, named)
     assert caught.value.faults[0].reason is BadSet.NO_BOARD

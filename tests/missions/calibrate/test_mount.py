@@ -1,4 +1,4 @@
-"""Where D1's camera sits relative to its marker: from pairs of rendered images, and from a tape measure."""
+"""The place of D1's camera relative to its marker: from pairs of rendered images, and from a tape measure."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from drivers.rig.calibration_file import (
 )
 from drivers.rig.file import load_rig
 from drivers.rig.parts import Rig
-from flight.harness.renderer import Stage, StudioSetup
-from hil.camera.pictures import Studio
+from flight.harness.renderer import RenderedInstant, RendererSetup
+from hil.camera.pictures import CameraRenderer
 from missions.calibrate.mount import solve_pairs
 from missions.calibrate.run import run
 from missions.options import CalibrateMountOptions, CalibrateOptions
 from missions.rig_list import FOLDER
 from path.calibration.board import Board, find_board
-from path.calibration.mount import Pair
+from path.calibration.mount import MountPair
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.marker.detect import detect_markers
@@ -77,7 +77,7 @@ class Views(NamedTuple):
     first: Path
     other: Path
     other_camera: Path
-    pairs: list[Pair]
+    pairs: list[MountPair]
 
 
 @pytest.fixture(scope="module")
@@ -86,12 +86,14 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> Views:
     folder = tmp_path_factory.mktemp("mount")
     rig = load_rig("sim-rendered", [FOLDER])
     mount, rng = rig.sender.mount, np.random.default_rng(3)
-    of_d1 = Studio(StudioSetup(rig.sender.camera, mount.T_b_c, mount.T_b_v, rig.layout), 1)
-    of_other = Studio(StudioSetup(OTHER, LEVEL, mount.T_b_v, rig.layout), 2)
-    pairs: list[Pair] = []
+    of_d1 = CameraRenderer(RendererSetup(rig.sender.camera, mount.T_b_c, mount.T_b_v, rig.layout), 1)
+    of_other = CameraRenderer(RendererSetup(OTHER, LEVEL, mount.T_b_v, rig.layout), 2)
+    pairs: list[MountPair] = []
     for number in range(PAIRS):
         truth = moment(rig, rng)
-        stage = Stage({Role.SENDER: truth.T_w_b, Role.RECEIVER: truth.T_w_c3}, boards=(placed(BOARD, truth.T_w_o),))
+        stage = RenderedInstant(
+            {Role.SENDER: truth.T_w_b, Role.RECEIVER: truth.T_w_c3}, boards=(placed(BOARD, truth.T_w_o),)
+        )
         one, three = of_d1.shoot(stage, Role.SENDER, number), of_other.shoot(stage, Role.RECEIVER, number)
         for name, color in (("d1", one.color), ("other", three.color)):
             (folder / name).mkdir(exist_ok=True)
@@ -99,7 +101,7 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> Views:
         board_1, board_3 = find_board(grey(one.color), BOARD), find_board(grey(three.color), BOARD)
         markers = detect_markers(three.color, None, rig.layout, OTHER)
         if board_1 is not None and board_3 is not None and markers:
-            pairs.append(Pair(f"{number}.png", board_1, board_3, tuple(markers)))
+            pairs.append(MountPair(f"{number}.png", board_1, board_3, tuple(markers)))
     lens = CameraTable(OTHER.width, OTHER.height, OTHER.fx, OTHER.fy, OTHER.cx, OTHER.cy, OTHER.distortion)
     file = folder / "other.toml"
     write_calibration(file, CameraCalibration("camera", 1, "", "", "", "", lens, {}, Quality(0.0, 0.0, 0, 0, 0.0)))
@@ -138,7 +140,7 @@ def test_pairs_of_images_give_the_mount_to_a_millimetre_and_a_tenth_of_a_degree(
     assert "[sender.mount.marker] calibration" in out.getvalue()
 
 
-def moved(pair: Pair) -> Pair:
+def moved(pair: MountPair) -> MountPair:
     """The board was pushed between the two images."""
     return replace(pair, board_1=replace(pair.board_1, corners_px=pair.board_1.corners_px + np.array([25.0, 0.0])))
 

@@ -18,7 +18,7 @@ from drivers.rig.part_check import Finding
 from hil.beacons import marvelmind_bytes as sent
 from hil.beacons.pty import SerialCable
 from missions.doctor import beacons as doctor_beacons
-from missions.doctor.beacons import Heard, check_beacons, judged
+from missions.doctor.beacons import BeaconReadings, check_beacons, judged
 from path.messages import Role
 from tests.drivers.link.link_ends import Context, WallClock
 from tests.missions.doctor.doctor_findings import found
@@ -87,5 +87,5 @@ def test_silence_is_a_fault_and_a_port_that_is_not_here_a_note(tmp_path: Path) -
 
 def test_rare_positions_are_a_note() -> None:
     fixes = tuple(BeaconFix(k, 5, (0.0, 0.0, 0.0), math.nan, time.monotonic_ns()) for k in range(3))
-    assert next(judged(Heard(fixes, (0.1,) * 3, 3.0), {"sender": 5})).state == "note"
-    assert next(judged(Heard(fixes, (0.1,) * 3, 1.0), {"sender": 5})).state == "ok"
+    assert next(judged(BeaconReadings(fixes, (0.1,) * 3, 3.0), {"sender": 5})).state == "note"
+    assert next(judged(BeaconReadings(fixes, (0.1,) * 3, 1.0), {"sender": 5})).state == "ok"

@@ -13,7 +13,7 @@ import pytest
 from drivers.link.udp import UdpLink, UdpLinkConfig
 from drivers.rig.part_check import Finding
 from missions.doctor import link as doctor_link
-from missions.doctor.link import Exchange, check_link, judged
+from missions.doctor.link import PingExchange, check_link, judged
 from path.messages import Pong, Role
 from tests.drivers.link.link_ends import Cable, Context, WallClock, serial_links
 from tests.missions.doctor.doctor_findings import LIMIT_S, both, found
@@ -86,7 +86,7 @@ def test_another_key_at_the_other_end_is_a_fault(key_file: Path, tmp_path: Path)
 
 
 def radios(folder: Path, look: Callable[[Cable], list[AsyncIterator[Finding]]]) -> list[dict[str, Finding]]:
-    """What is found at the ends of a pair of pseudo terminals."""
+    """Returns the findings at the ends of a pair of pseudo terminals."""
 
     async def looked() -> list[list[Finding]]:
         cable = Cable(folder)
@@ -142,7 +142,7 @@ def test_a_port_in_use_and_a_key_that_others_can_read_end_the_test(key_file: Pat
 
 @pytest.mark.parametrize(("answered", "state"), [(100, "ok"), (90, "note"), (60, "fault")])
 def test_losses_are_judged(answered: int, state: str) -> None:
-    exchange = Exchange(sent=set(range(1, 101)))
+    exchange = PingExchange(sent=set(range(1, 101)))
     for nonce in range(1, answered + 1):
         sent_ns = nonce * 25_000_000
         exchange.trips_ms[nonce] = 2.0

@@ -32,7 +32,7 @@ SITL = rig_library.load("sitl")
 def test_behind_a_harness_only_what_needs_no_far_side_is_tested() -> None:
     tests = list(part_tests(SITL, Role.SENDER))
     assert [test.name for test in tests] == [
-        "sender detector", "sender vehicle", "sender guard", "sender sight", "sender link",
+        "sender detector", "sender vehicle", "sender guard", "sender perception", "sender link",
     ]  # fmt: skip
     for test in tests[1:]:
         (finding,) = run_test(test)
@@ -44,8 +44,8 @@ def test_behind_a_harness_only_what_needs_no_far_side_is_tested() -> None:
 def with_model(file: Path) -> PartTest:
     """The test of a detector that is a network, as the rig names it."""
     detector = {"factory": "drivers.detectors.yolox:YoloxDetector", "model": str(file)}
-    sight = replace(SITL.sender.sight, options={**SITL.sender.sight.options, "detector": detector})
-    return next(part_tests(replace(SITL, sender=replace(SITL.sender, sight=sight)), Role.SENDER))
+    perception = replace(SITL.sender.perception, options={**SITL.sender.perception.options, "detector": detector})
+    return next(part_tests(replace(SITL, sender=replace(SITL.sender, perception=perception)), Role.SENDER))
 
 
 def test_a_model_is_loaded_and_timed_through_onnxruntime_and_one_that_cannot_be_used_is_named(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ def test_in_the_field_every_part_is_opened(monkeypatch: pytest.MonkeyPatch) -> N
     sender = replace(
         SITL.sender,
         vehicle=replace(SITL.sender.vehicle, options=options),
-        sight=replace(SITL.sender.sight, options={**SITL.sender.sight.options, "camera": camera}),
+        perception=replace(SITL.sender.perception, options={**SITL.sender.perception.options, "camera": camera}),
         link=replace(SITL.sender.link, options=link),
         guard=None,
     )
@@ -84,8 +84,8 @@ def test_in_the_field_every_part_is_opened(monkeypatch: pytest.MonkeyPatch) -> N
     every = {finding.name: finding for test in part_tests(rig, Role.SENDER) for finding in run_test(test)}
     assert every["sender vehicle"].state == "fault"
     assert "no heartbeat" in every["sender vehicle"].detail
-    assert every["sender sight"].state == "fault"
-    assert "RealSense" in every["sender sight"].detail
+    assert every["sender perception"].state == "fault"
+    assert "RealSense" in every["sender perception"].detail
     assert every["sender link opens"].state == "ok"
     assert every["sender link other end"].state == "note"
 
@@ -108,11 +108,11 @@ class Part:
 
 def test_what_was_found_before_an_error_or_the_limit_stays_and_the_part_is_closed() -> None:
     broken, endless = Part(CameraError("it fell silent", "look at its cable")), Part(None)
-    found = run_test(PartTest("sight", "", broken.findings))
+    found = run_test(PartTest("perception", "", broken.findings))
     assert [(each.state, each.name, each.fix) for each in found] == [
-        ("ok", "sight opens", ""), ("fault", "sight", "look at its cable"),
+        ("ok", "perception opens", ""), ("fault", "perception", "look at its cable"),
     ]  # fmt: skip
-    found = run_test(PartTest("sight", "", endless.findings), limit_s=0.05)
+    found = run_test(PartTest("perception", "", endless.findings), limit_s=0.05)
     assert (found[-1].state, found[-1].detail) == ("fault", "its test did not end within 0.05 s")
     assert broken.closed
     assert endless.closed
@@ -129,11 +129,11 @@ def test_ctrl_c_closes_the_part_and_shows_what_was_found() -> None:
     thread.start()
     with pytest.raises(KeyboardInterrupt), open_findings(out) as shown:
         shown.add(Finding("ok", "Python", "is here"))
-        shown.doing("sight: frames")
-        run_test(PartTest("sight", "", part.findings))
+        shown.doing("perception: frames")
+        run_test(PartTest("perception", "", part.findings))
     thread.join()
     assert part.closed
-    assert out.getvalue().startswith("sight: frames ...\n")
+    assert out.getvalue().startswith("perception: frames ...\n")
     assert "Python" in out.getvalue()
 
 
@@ -143,13 +143,13 @@ def test_doctor_tests_the_parts_of_the_role_and_a_fault_among_them_is_its_exit_c
     monkeypatch.chdir(tmp_path)
 
     def tests(rig: object, role: Role) -> Iterator[PartTest]:
-        yield PartTest(f"{role.value} sight", "frames", Part(CameraError("it fell silent")).findings)
+        yield PartTest(f"{role.value} perception", "frames", Part(CameraError("it fell silent")).findings)
 
     monkeypatch.setattr(doctor, "part_tests", tests)
     monkeypatch.setattr(doctor, "findings", lambda _: [Finding("ok", "rig", "is read")])  # type: ignore[misc]
     out = io.StringIO()
     assert doctor.run(DoctorOptions("sitl", role="receiver"), out) == doctor.EXIT_UNFIT
-    assert "receiver sight: frames ..." in out.getvalue()
+    assert "receiver perception: frames ..." in out.getvalue()
     assert "it fell silent" in out.getvalue()
     assert out.getvalue().endswith("1 fault: not ready to fly\n")
     out = io.StringIO()
@@ -164,6 +164,6 @@ def test_a_terminal_sees_the_same_table_grow() -> None:
 
     out = Terminal()
     with open_findings(out) as shown:
-        shown.doing("sight: frames")
-        shown.add(Finding("fault", "sight", "is silent", "look at its cable"))
+        shown.doing("perception: frames")
+        shown.add(Finding("fault", "perception", "is silent", "look at its cable"))
     assert "fix: look at its cable" in out.getvalue()

@@ -1,4 +1,4 @@
-"""The test of an eye, with the D415 driver on librealsense's software device: what is well, and what is not."""
+"""The test of a perception, with the D415 driver on librealsense's software device: what is well, and what is not."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.perception.pixels import PixelSight
+from drivers.perception.pixels import PixelPerception
 from drivers.rig.part_check import Finding
 from drivers.rig.parts import PartSpec, create
-from missions.doctor import perception as doctor_sight
-from missions.doctor.perception import Sample, age, brightness, check_detector, check_sight, rate
+from missions.doctor import perception as doctor_perception
+from missions.doctor.perception import FrameSample, age, brightness, check_detector, check_perception, rate
 from path.camera import CameraModel
 from path.marker.layout import single_marker
 from path.observations import Detection, Region
@@ -31,7 +31,7 @@ FED_HZ = 40.0
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, seconds in (("SETTLE_S", 0.1), ("SAMPLE_S", 0.5), ("FRAME_S", 0.5)):
-        monkeypatch.setattr(doctor_sight, name, seconds)
+        monkeypatch.setattr(doctor_perception, name, seconds)
 
 
 def picture(grey: int = 160, marker_px: int = 0) -> NDArray[np.uint8]:
@@ -55,10 +55,10 @@ def examined(bench: Bench, calibrated: str = "", model: CameraModel = COLOR) -> 
     }
     options = {"camera": camera, "detector": {"factory": "drivers.detectors.color:ColorDetector"}}
     here = replace(context(model), camera_serial=calibrated)
-    sight: PixelSight = create(PartSpec("drivers.perception.pixels:PixelSight", options, "test"), here)
+    perception: PixelPerception = create(PartSpec("drivers.perception.pixels:PixelPerception", options, "test"), here)
     with bench.running(FED_HZ):
-        every = found(check_sight(sight, here.clock, LAYOUT))
-    del BENCHES["d415"], sight
+        every = found(check_perception(perception, here.clock, LAYOUT))
+    del BENCHES["d415"], perception
     gc.collect()  # librealsense's devices have files open until they are collected
     return every
 
@@ -96,9 +96,9 @@ def test_a_camera_that_is_silent_or_of_another_size_ends_the_test_with_its_reaso
     assert examined(Bench(picture()), model=other)[""].state == "fault"
 
 
-def sampled(stamps_s: Sequence[float], ids: Sequence[int], age_ms: float = 30.0) -> Sample:
+def sampled(stamps_s: Sequence[float], ids: Sequence[int], age_ms: float = 30.0) -> FrameSample:
     ages = tuple(round(age_ms * 1e6) for _ in ids)
-    return Sample(tuple(round(each * 1e9) for each in stamps_s), tuple(ids), ages, ())
+    return FrameSample(tuple(round(each * 1e9) for each in stamps_s), tuple(ids), ages, ())
 
 
 @pytest.mark.parametrize(("hz", "state"), [(30.0, "ok"), (27.0, "note"), (15.0, "fault")])

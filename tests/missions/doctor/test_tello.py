@@ -7,9 +7,9 @@ import pytest
 from drivers.rig.parts import PartSpec, create
 from drivers.tello.config import TelloVehicleConfig
 from drivers.tello.vehicle import TelloVehicle
-from missions.doctor import perception as doctor_sight
+from missions.doctor import perception as doctor_perception
 from missions.doctor import vehicle as doctor_vehicle
-from missions.doctor.perception import check_sight
+from missions.doctor.perception import check_perception
 from missions.doctor.vehicle import check_flyer
 from tests.drivers.tello.tello_stand import CAMERA, STATE_PORT, context, emulated, free_port, next_host
 from tests.missions.doctor.doctor_findings import found
@@ -21,9 +21,9 @@ MOTION = ("takeoff", "land", "rc", "emergency")
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.rig.part_check.COUNT_S", 0.5)
     monkeypatch.setattr(doctor_vehicle, "SAMPLE_S", 0.6)
-    monkeypatch.setattr(doctor_sight, "SETTLE_S", 0.1)
+    monkeypatch.setattr(doctor_perception, "SETTLE_S", 0.1)
     monkeypatch.setattr("drivers.tello.camera.PACE_S", 0.4)
-    monkeypatch.setattr(doctor_sight, "SAMPLE_S", 0.5)
+    monkeypatch.setattr(doctor_perception, "SAMPLE_S", 0.5)
 
 
 def test_a_drone_that_is_well_answers_with_sdk_battery_and_state_packets_and_does_not_move() -> None:
@@ -51,7 +51,9 @@ def test_its_video_is_timed_from_the_first_frame_on() -> None:
         options = {"camera": camera, "detector": {"factory": "drivers.detectors.color:ColorDetector"}}
         here = context()
         every = found(
-            check_sight(create(PartSpec("drivers.perception.pixels:PixelSight", options, "t"), here), here.clock, None)
+            check_perception(
+                create(PartSpec("drivers.perception.pixels:PixelPerception", options, "t"), here), here.clock, None
+            )
         )
     assert every["opens"].detail.startswith("first frame after ")
     assert "of 30 a second" in every["rate"].detail

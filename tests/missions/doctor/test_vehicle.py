@@ -8,7 +8,7 @@ import pytest
 
 from drivers.interfaces import FlightMode, VehicleState
 from missions.doctor import vehicle as doctor_vehicle
-from missions.doctor.vehicle import Heard, check_flyer, condition, streams
+from missions.doctor.vehicle import VehicleReport, check_flyer, condition, streams
 from tests.drivers.mavlink.mavsdk_bench import CONTEXT, SYSID, free_port, px4, vehicle_at
 from tests.missions.doctor.doctor_findings import found, states
 
@@ -67,10 +67,10 @@ def test_what_forbids_a_flight_is_a_fault(changed: dict[str, object], name: str)
 @pytest.mark.parametrize(
     ("heard", "told"),
     [
-        (Heard(0.05, 10, 2.0), ["ok", "ok"]),
-        (Heard(0.8, 10, 2.0), ["fault", "ok"]),
-        (Heard(None, 1, 2.0), ["fault"] * 2),
+        (VehicleReport(0.05, 10, 2.0), ["ok", "ok"]),
+        (VehicleReport(0.8, 10, 2.0), ["fault", "ok"]),
+        (VehicleReport(None, 1, 2.0), ["fault"] * 2),
     ],
 )
-def test_old_telemetry_and_silence_are_faults(heard: Heard, told: list[str]) -> None:
+def test_old_telemetry_and_silence_are_faults(heard: VehicleReport, told: list[str]) -> None:
     assert [finding.state for finding in streams(heard)] == told

@@ -19,7 +19,7 @@ import pytest
 from drivers.interfaces import FlightMode, PartError
 from drivers.link.udp import address_of
 from drivers.log.mcap_log import read_log
-from drivers.mavlink.guard_interfaces import Answer, Beat, Hand, Script
+from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, Hand, Script
 from drivers.mavlink.guard_line import UdpGuardLine, encode_beat
 from hil.autopilot.values import OffboardSession
 from missions import rig_library
@@ -47,7 +47,7 @@ class FakeRole:
         self._line = UdpGuardLine(bind, MonotonicClock())
         self.script = Script.IDLE
         self.stopped = False
-        self.answers: list[Answer] = []
+        self.answers: list[GuardAnswer] = []
         self._setpoints = 0
 
     def run(self, stop: threading.Event) -> None:

@@ -16,7 +16,7 @@ from flight.outcome import MissionEnd, Outcome
 from hil.harness.virtual_time import run_virtual
 from hil.monitors.claims import Claims, in_world_time
 from missions.leg.handover import ReceiverHandover, SenderHandover
-from missions.leg.session import Session
+from missions.leg.session import RoleSession
 from path.messages import Candidate, Message, Role, Target
 from path.observations import MissReason
 
@@ -116,11 +116,11 @@ class Pair:
         sender.on_message, sender.on_status = self.sender.on_message, self.sender.on_status
         receiver.on_message, receiver.on_status = self.on_receiver, self.receiver.on_status
 
-    def _session(self, rig: Any, role: Role) -> Session:
+    def _session(self, rig: Any, role: Role) -> RoleSession:
         link = self.link[role]
         parts = cast(Any, (link.clock, FakeVehicle(), None, link))
         entropy = random.Random(role.value)
-        return Session(rig, role, CONFIG, self.log[role], lambda _: None, asyncio.Event(), parts, entropy)
+        return RoleSession(rig, role, CONFIG, self.log[role], lambda _: None, asyncio.Event(), parts, entropy)
 
     def on_receiver(self, received: Received) -> None:
         self.receiver.on_message(received)
@@ -188,7 +188,7 @@ class Pair:
         self.verified_again.append(self.sender.epoch)
 
     def lose(self, role: Role, *kinds: type[Message], when: Callable[[], bool] = lambda: True) -> None:
-        """What this role sends of these kinds does not arrive, as long as ``when``."""
+        """Loses what this role sends of these kinds, as long as ``when``."""
         self.link[role].lost = lambda message: isinstance(message, kinds) and when()
 
     def cut(self) -> None:

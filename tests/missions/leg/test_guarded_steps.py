@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import FlightMode
-from drivers.mavlink.guard_interfaces import Answer, Beat, Hand, Script
+from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, Hand, Script
 from flight.outcome import MissionEnd, Outcome
 from flight.under_guard import UnderGuard
 from hil.harness.virtual_time import run_virtual
@@ -19,7 +19,7 @@ from missions.leg.steps import bring_down, preflight, take_off
 from tests.flight.test_under_guard import FakeLine
 from tests.missions.leg.test_steps import CONFIG, WAY_OUT, Bench, Clock
 
-WATCHED, TAKEN = Answer(True, Hand.SCRIPT), Answer(True, Hand.GUARD, "no setpoint for 0.5 s")
+WATCHED, TAKEN = GuardAnswer(True, Hand.SCRIPT), GuardAnswer(True, Hand.GUARD, "no setpoint for 0.5 s")
 
 
 @pytest.fixture(scope="module")
@@ -30,12 +30,12 @@ def rig() -> Any:
 class Line(FakeLine):
     """Stamps with the role's clock."""
 
-    def say(self, answer: Answer) -> None:
+    def say(self, answer: GuardAnswer) -> None:
         self.newest = Clock().now_ns(), answer
 
 
 class Guarded(Bench):
-    def __init__(self, rig: Any, reply: Answer | None = WATCHED) -> None:
+    def __init__(self, rig: Any, reply: GuardAnswer | None = WATCHED) -> None:
         super().__init__(rig)
         self.line = Line(reply=reply)
         self.session.guard = UnderGuard(self.line, Clock(), CONFIG.guard_process)
@@ -43,7 +43,7 @@ class Guarded(Bench):
 
     @property
     def scripts(self) -> list[Script]:
-        """What the guard was told, each change once."""
+        """The scripts that the guard was told, each change once."""
         told = [beat.script for beat in self.line.beats]
         return [script for before, script in zip([None, *told], told, strict=False) if script is not before]
 
@@ -74,7 +74,7 @@ def test_nothing_begins_before_the_guard_answers(rig: Any) -> None:
 
 
 @pytest.mark.parametrize(("reply", "outcome"), [(None, Outcome.GUARD_LOST), (TAKEN, Outcome.GUARD)])
-def test_nothing_is_armed_without_the_guards_word(rig: Any, reply: Answer | None, outcome: Outcome) -> None:
+def test_nothing_is_armed_without_the_guards_word(rig: Any, reply: GuardAnswer | None, outcome: Outcome) -> None:
     async def main() -> None:
         bench = Guarded(rig, reply)
         with pytest.raises(MissionEnd) as caught:

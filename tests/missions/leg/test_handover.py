@@ -12,7 +12,7 @@ import pytest
 
 from drivers.interfaces import Received
 from drivers.log.state_file import MemoryStore
-from flight.clocks import ClockAlignment, Exchange
+from flight.clocks import ClockAlignment, PingResult
 from flight.outcome import MissionEnd, Outcome
 from missions import rig_library
 from missions.leg.handover import protocol_config
@@ -461,9 +461,9 @@ def test_no_commit_is_given_or_taken_while_the_clocks_are_not_aligned(rig: Any) 
 class Deaf(ClockAlignment):
     """Clocks that do not become aligned."""
 
-    def on_pong(self, pong: Pong, arrival_ns: int) -> Exchange:
+    def on_pong(self, pong: Pong, arrival_ns: int) -> PingResult:
         del pong, arrival_ns
-        return Exchange.DUPLICATE
+        return PingResult.DUPLICATE
 
 
 def test_a_slow_disk_is_told_of(rig: Any) -> None:

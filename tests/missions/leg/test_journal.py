@@ -28,7 +28,7 @@ from path.observations import Box, Detection, MarkerDetection, Missed, MissReaso
 from path.prior import Prior
 from path.rigid import rigid
 from path.rotation import R_from_rpy
-from path.sender import Pair
+from path.sender import PairVerdict
 from path.window import Evidence
 
 CAMERA = CameraModel(640, 480, 615.0, 615.0, 320.0, 240.0, (0.1, -0.2, 0.0, 0.0, 0.05))
@@ -73,7 +73,7 @@ def test_a_frame_without_a_target_says_why_and_has_a_number() -> None:
 
 def test_an_agreement() -> None:
     verdict = Agreed(iou=0.7, tau=0.3, count=12)
-    record = agreement_record(Pair(FOUND, 456, verdict, BOX, Box(11.0, 21.0, 30.0, 40.0), 0.3), 12, 350, None, 3)
+    record = agreement_record(PairVerdict(FOUND, 456, verdict, BOX, Box(11.0, 21.0, 30.0, 40.0), 0.3), 12, 350, None, 3)
     check("/agreement", record)
     assert (record["agreed"], record["counted"], record["reason"]) == (True, True, None)
     assert (record["iou"], record["tau"], record["count"], record["needed"]) == (0.7, 0.3, 12, 350)
@@ -82,7 +82,7 @@ def test_an_agreement() -> None:
 
 
 def test_an_agreement_of_the_gate_that_goes_by_evidence() -> None:
-    pair = Pair(FOUND, 456, Agreed(0.7, 0.3, 12), BOX, BOX)
+    pair = PairVerdict(FOUND, 456, Agreed(0.7, 0.3, 12), BOX, BOX)
     record = agreement_record(pair, 12, 30, Evidence(3.7, 4.3), 3)
     check("/agreement", record)
     assert (record["evidence"], record["evidence_needed"], record["epoch"]) == (3.7, 4.3, FOUND.epoch)
@@ -91,14 +91,14 @@ def test_an_agreement_of_the_gate_that_goes_by_evidence() -> None:
 @pytest.mark.parametrize(("ignored", "counted"), [(True, False), (False, True)])
 def test_a_miss_counts_unless_it_was_no_evidence_at_all(ignored: bool, counted: bool) -> None:
     verdict = Missed(MissReason.LOW_IOU, iou=0.1, ignored=ignored)
-    record = agreement_record(Pair(FOUND, 456, verdict, BOX, None), 0, 350, None, 3)
+    record = agreement_record(PairVerdict(FOUND, 456, verdict, BOX, None), 0, 350, None, 3)
     check("/agreement", record)
     assert (record["agreed"], record["counted"], record["reason"]) == (False, counted, "low_iou")
     assert (record["iou"], record["tau"], record["mapped_box"]) == (0.1, None, None)
 
 
 def test_a_gap_in_the_answers_has_no_candidate() -> None:
-    record = agreement_record(Pair(None, 456, Missed(MissReason.LINK_SILENT), None, None), 0, 350, None, 3)
+    record = agreement_record(PairVerdict(None, 456, Missed(MissReason.LINK_SILENT), None, None), 0, 350, None, 3)
     check("/agreement", record)
     assert (record["sequence"], record["target_sequence"]) == (None, None)
 

@@ -1,4 +1,7 @@
-"""What ends a mission decides its outcome, the recovery always runs, and whatever fails in it is told, not raised."""
+"""The end of a session: what ends a mission decides its outcome, and the recovery always runs.
+
+Whatever fails in the recovery is told, not raised.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ from flight.phases import Phase
 from hil.harness.virtual_time import run_virtual
 from missions import rig_library
 from missions.leg.course import fly_course
-from missions.leg.session import Session, as_end
+from missions.leg.session import RoleSession, as_end
 from path.messages import Message, Ping, Pong, Role, Status, Target
 from path.protocol.values import TakeResponsibility
 
@@ -99,7 +102,7 @@ class Bench:
         self.shown: list[Progress] = []
         self.stop = asyncio.Event()
         parts = cast(Any, (Clock(), self.vehicle, None, self.link))
-        self.session = Session(
+        self.session = RoleSession(
             rig, role, config or MissionConfig(), self.log, self.shown.append, self.stop, parts, random.Random(1)
         )
         self.recovered: list[MissionEnd | None] = []

@@ -28,7 +28,7 @@ from flight.outcome import MissionEnd, Outcome
 from hil.harness.virtual_time import run_virtual
 from missions import rig_library
 from missions.leg.course import fly_course
-from missions.leg.session import Session
+from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, check_capabilities, preflight, take_off
 from path.messages import Pong, Role, Status
 
@@ -98,7 +98,7 @@ class FakeVehicle:
 
 
 @dataclass
-class FakeSight:
+class FakePerception:
     error: CameraError | None = None
 
     async def view(self, timeout_s: float) -> object:
@@ -128,10 +128,12 @@ class Recorder:
 
 class Bench:
     def __init__(self, rig: Any) -> None:
-        self.vehicle, self.sight, self.log = FakeVehicle(), FakeSight(), Recorder()
-        parts = cast(Any, (Clock(), self.vehicle, self.sight, FakeLink()))
+        self.vehicle, self.perception, self.log = FakeVehicle(), FakePerception(), Recorder()
+        parts = cast(Any, (Clock(), self.vehicle, self.perception, FakeLink()))
         log = cast(Any, self.log)
-        self.session = Session(rig, Role.SENDER, CONFIG, log, lambda _: None, asyncio.Event(), parts, random.Random(1))
+        self.session = RoleSession(
+            rig, Role.SENDER, CONFIG, log, lambda _: None, asyncio.Event(), parts, random.Random(1)
+        )
 
     def hear_the_peer(self) -> None:
         self.session.peer = STATUS
@@ -196,8 +198,8 @@ def test_a_part_that_lacks_what_is_needed_is_refused_before_anything_else(rig: A
 
     async def main() -> None:
         bench = Bench(rig)
-        setattr(bench.sight, "lacks", frozenset({Capability.RANGE}))  # noqa: B010 (no field of it)
-        assert str(await refused(bench)) == "unfit: the sender's sight has no range"
+        setattr(bench.perception, "lacks", frozenset({Capability.RANGE}))  # noqa: B010 (no field of it)
+        assert str(await refused(bench)) == "unfit: the sender's perception has no range"
         bench = Bench(rig)
         setattr(bench.vehicle, "lacks", frozenset({Capability.GEOFENCE, Capability.PILOT_OVERRIDE}))  # noqa: B010
         check_capabilities(bench.session)
@@ -210,7 +212,7 @@ def test_a_part_that_lacks_what_is_needed_is_refused_before_anything_else(rig: A
 def test_preflight_asks_for_a_frame_first(rig: Any) -> None:
     async def main() -> None:
         bench = Bench(rig)
-        bench.sight.error = CameraError("no frame")
+        bench.perception.error = CameraError("no frame")
         with pytest.raises(CameraError):
             await preflight(bench.session)
         assert bench.vehicle.done == []

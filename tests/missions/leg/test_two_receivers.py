@@ -15,7 +15,7 @@ from flight.outcome import Outcome
 from hil.harness.virtual_time import run_virtual
 from missions import rig_library
 from missions.leg.handover import ReceiverHandover
-from missions.leg.session import Session
+from missions.leg.session import RoleSession
 from path.messages import Accept, Commit, Message, Role, Status
 from path.protocol.receiver import Holding, Observing
 from tests.missions.leg.handover_pair import CONFIG, FakeLink, FakeVehicle, OffsetClock, Pair, Recorder, kinds, until
@@ -27,7 +27,7 @@ def rig() -> Any:
 
 
 class Ether:
-    """What the sender says reaches both receivers."""
+    """The ether in which the sender's words reach both receivers."""
 
     def __init__(self, *ends: FakeLink) -> None:
         self.ends = ends
@@ -47,7 +47,7 @@ class Trio(Pair):
         sender.other = cast(FakeLink, Ether(first, self.second_link))
         parts = cast(Any, (self.second_link.clock, FakeVehicle(), None, self.second_link))
         self.second_log = Recorder()
-        session = Session(
+        session = RoleSession(
             rig, Role.RECEIVER, CONFIG, self.second_log, lambda _: None, asyncio.Event(), parts, random.Random("second")
         )
         self.second_session = session

@@ -13,9 +13,9 @@ import pytest
 from drivers.log.mcap_log import McapLog, read_log
 from flight.harness.relay import RelayConfig, RelayDrone
 from flight.outcome import MissionEnd, Outcome
-from missions.relay.base import Base, Leg, Order
+from missions.relay.base import Base, Leg, TakeOffOrder
 from missions.relay.line import FarBase, hear, news_of
-from missions.relay.process import WatchedLog
+from missions.relay.process import RelayedLog
 
 CONFIG = RelayConfig("no:harness", tuple(RelayDrone(name, (0.0, 0.0)) for name in ("D1", "D2")))
 
@@ -57,7 +57,7 @@ def test_a_program_knows_what_the_base_knows(line: Line) -> None:
     assert not line.far.told
     line.far.on_news(line.news())
     assert line.far.told
-    assert (line.far.order_of("D2"), line.far.leg_of("D2"), line.far.over) == (Order.RELIEVE, None, False)
+    assert (line.far.order_of("D2"), line.far.leg_of("D2"), line.far.over) == (TakeOffOrder.RELIEVE, None, False)
     line.call(1, "D1", "D2")
     line.base.over = True
     line.far.on_news(line.news())
@@ -98,7 +98,7 @@ def test_the_monitors_read_what_they_judge_by_and_the_disk_keeps_what_is_rare(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with McapLog(tmp_path / "D2.mcap") as file:
-        log = WatchedLog(file, "D2", whole=False)
+        log = RelayedLog(file, "D2", whole=False)
         for k in range(11):
             log.write("/frame", k * 50_000_000, {"frame_id": k})
             log.write("/agreement", k * 50_000_000, {"iou": np.float64(0.5)})

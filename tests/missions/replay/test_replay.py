@@ -14,7 +14,7 @@ from missions import rig_library
 from missions.handoff.command import fly_once
 from missions.options import ReplayOptions
 from missions.replay.command import change_of, replay_changed, run
-from missions.replay.redecide import Complete, Decided, redecide
+from missions.replay.redecide import Complete, DecisionPair, redecide
 from missions.report.records import REPLAY, drone_logs
 
 SETTINGS = ("method.tau_min=0.3", "method.tau_max=0.55", "method.hold_s=5.0", "method.hold_frames=240")
@@ -34,8 +34,8 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     return fly
 
 
-def decided(records: list[LogRecord]) -> list[Decided]:
-    return [each for each in redecide(records) if isinstance(each, Decided)]
+def decided(records: list[LogRecord]) -> list[DecisionPair]:
+    return [each for each in redecide(records) if isinstance(each, DecisionPair)]
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_other_settings_decide_as_if_they_had_been_flown_with(flown: Callable[..
     (complete,) = replayed["sender"].complete
     assert complete in [each for each in with_them if isinstance(each, Complete)]
     mine = verdicts(replayed["sender"].decided, complete.stamp_ns)
-    theirs = verdicts([each for each in with_them if isinstance(each, Decided)], complete.stamp_ns)
+    theirs = verdicts([each for each in with_them if isinstance(each, DecisionPair)], complete.stamp_ns)
     assert len(mine) >= 240
     assert mine == theirs
 

@@ -66,7 +66,7 @@ def test_a_single_handoff_says_it_and_does_not_end_with_0(tmp_path: Path, capsys
 
 @pytest.mark.usefixtures("other_object")
 def test_runs_of_a_campaign_count_it(tmp_path: Path) -> None:
-    order = campaign.Order("sim", 0, (("none", 0),))
+    order = campaign.RunOrder("sim", 0, (("none", 0),))
     (line,) = missions.assurance.campaign.role_runs.fly(order)
     assert [what.partition(" ")[0] for what in line.violations] == ["S12"]
     assert campaign.exit_code(["S12"]) == 42

@@ -12,7 +12,7 @@ from drivers.interfaces import PartError
 from missions import rig_library
 from missions.options import TrialOptions
 from missions.trials import run as command
-from missions.trials.shared.trial import Finding, TrialRequest, TrialResult, trial_part
+from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, trial_part
 
 
 def trial(name: str, monkeypatch: pytest.MonkeyPatch, *, fails: bool = False) -> None:
@@ -22,7 +22,7 @@ def trial(name: str, monkeypatch: pytest.MonkeyPatch, *, fails: bool = False) ->
         if fails:
             raise ValueError("the lens broke")
         values = np.array([0.5, np.nan]) * request.seed
-        return TrialResult({"d2_mean_m": np.float64(0.25), "values": values}, (Finding("error", "0.25 m"),))
+        return TrialResult({"d2_mean_m": np.float64(0.25), "values": values}, (TrialFinding("error", "0.25 m"),))
 
     module = ModuleType(name)
     vars(module).update(TITLE=f"The {name} trial", PAPER="", run=run)
@@ -64,8 +64,8 @@ def test_a_file_that_is_not_there_is_refused_before_anything_runs(tmp_path: Path
 
 
 def test_a_rig_that_knows_no_truth_is_refused() -> None:
-    with pytest.raises(PartError, match=r"sitl.toml: trials: missing key 'studio'"):
-        trial_part(rig_library.load("sitl"), "studio")
+    with pytest.raises(PartError, match=r"sitl.toml: trials: missing key 'renderer'"):
+        trial_part(rig_library.load("sitl"), "renderer")
 
 
 def test_the_command_that_is_shown_runs_the_same_again() -> None:

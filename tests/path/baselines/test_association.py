@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from path.baselines.association import BaselineConfig, Scope, associate, choose
-from path.baselines.features import Image, Look
+from path.baselines.features import FeatureSearch, Image
 from path.baselines.matching import MatchConfig
 from path.baselines.orb import Orb
 from path.observations import Box
@@ -28,7 +28,7 @@ def scene(*seeds: int) -> Image:
 
 
 def config(scope: Scope) -> BaselineConfig:
-    return BaselineConfig(Look(2.0, 0.0), MatchConfig(), scope, 12, 4)
+    return BaselineConfig(FeatureSearch(2.0, 0.0), MatchConfig(), scope, 12, 4)
 
 
 @pytest.mark.parametrize("scope", ["each", "all"])

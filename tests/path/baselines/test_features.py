@@ -1,4 +1,4 @@
-"""Where features are looked for, and that they come back in pixels of the whole image."""
+"""The areas in which features are looked for; they come back in pixels of the whole image."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from path.baselines.features import Distance, Image, Keypoints, Look, cover, inside, look
+from path.baselines.features import Distance, FeatureSearch, Image, Keypoints, cover, inside, look
 from path.baselines.orb import Orb, OrbConfig
 from path.observations import Box, Region
 
@@ -41,7 +41,9 @@ def dots(*places: tuple[int, int], size: tuple[int, int] = (360, 480)) -> Image:
 @pytest.mark.parametrize("zoom", [1.0, 2.0, 3.0])
 def test_features_come_back_in_pixels_of_the_whole_image(side_px: int | None, zoom: float) -> None:
     image = dots((100, 120), (140, 90), (400, 300))
-    first, second = look(Corners(side_px), image, [Box(80, 70, 80, 80), Box(380, 280, 50, 50)], Look(zoom, 0.0))
+    first, second = look(
+        Corners(side_px), image, [Box(80, 70, 80, 80), Box(380, 280, 50, 50)], FeatureSearch(zoom, 0.0)
+    )
     assert np.sort(first.points_px, axis=0) == pytest.approx(np.array([[100, 90], [140, 120]]), abs=0.3)
     assert second.points_px == pytest.approx(np.array([[400, 300]]), abs=0.3)
 
@@ -49,32 +51,32 @@ def test_features_come_back_in_pixels_of_the_whole_image(side_px: int | None, zo
 def test_context_is_what_is_around_the_box_too() -> None:
     image = dots((100, 100), (160, 100))
     box = [Box(80, 80, 40, 60)]
-    assert len(look(Corners(), image, box, Look(1.0, 0.0))[0]) == 1
-    assert len(look(Corners(), image, box, Look(1.0, 0.8))[0]) == 2
+    assert len(look(Corners(), image, box, FeatureSearch(1.0, 0.0))[0]) == 1
+    assert len(look(Corners(), image, box, FeatureSearch(1.0, 0.8))[0]) == 2
 
 
 def test_boxes_that_share_a_window_share_the_work() -> None:
     corners = Corners(320)
-    look(corners, dots(), [Box(80, 70, 60, 60), Box(150, 90, 60, 60), Box(400, 250, 60, 60)], Look(2.0, 0.0))
+    look(corners, dots(), [Box(80, 70, 60, 60), Box(150, 90, 60, 60), Box(400, 250, 60, 60)], FeatureSearch(2.0, 0.0))
     assert corners.shown == [(320, 320), (320, 320)]  # and nothing else is asked for
 
 
 def test_without_a_box_in_the_image_nothing_is_extracted() -> None:
     corners = Corners()
-    (outside,) = look(corners, dots(), [Box(-200, 10, 50, 50)], Look())
+    (outside,) = look(corners, dots(), [Box(-200, 10, 50, 50)], FeatureSearch())
     assert len(outside) == 0
     assert not corners.shown
 
 
 def test_a_box_too_large_for_a_window_is_enlarged_less() -> None:
     corners = Corners(320)
-    (found,) = look(corners, dots((200, 200)), [Box(50, 50, 300, 290)], Look(2.0, 0.0))
+    (found,) = look(corners, dots((200, 200)), [Box(50, 50, 300, 290)], FeatureSearch(2.0, 0.0))
     assert max(corners.shown[0]) == 320
     assert found.points_px == pytest.approx(np.array([[200, 200]]), abs=0.5)
 
 
 def test_a_box_outside_the_image_has_no_features() -> None:
-    assert len(look(Corners(), dots((10, 10)), [Box(-90, 10, 40, 40)], Look())[0]) == 0
+    assert len(look(Corners(), dots((10, 10)), [Box(-90, 10, 40, 40)], FeatureSearch())[0]) == 0
 
 
 def test_inside_is_half_open() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flight.harness.renderer import Imaging
-from hil.camera.pictures import Studio
+from hil.camera.pictures import CameraRenderer
 from missions.trials.calibration import views as calibration_views
 from missions.trials.calibration.views import HERE as LEVEL
 from missions.trials.calibration.views import Held, grey, placed
@@ -32,7 +32,7 @@ def photographs(
     board: Board, where: Sequence[Pose], seed: int, imaging: Imaging | None = None
 ) -> Iterator[NDArray[np.uint8]]:
     """Colour images of a board at ``T_c_o``."""
-    return calibration_views.photographs(Studio, CAMERA, board, where, seed, imaging)
+    return calibration_views.photographs(CameraRenderer, CAMERA, board, where, seed, imaging)
 
 
 def seen(board: Board, pose: Pose, sigma_px: float, rng: np.random.Generator, *, blur_px: float = 0.7) -> BoardView:

@@ -20,9 +20,9 @@ from path.protocol.values import (
     AgreementComplete,
     CommitHeard,
     Ended,
+    HandoffOutcome,
     Heard,
     Offer,
-    Outcome,
     Persist,
     ReceiverEvent,
     ReceiverRecord,
@@ -54,7 +54,7 @@ class Pair:
     receiver_kept: ReceiverRecord = field(default_factory=ReceiverRecord)
     sender_flag: bool = True  # responsibility as the actions alone tell it
     receiver_flag: bool = False
-    sender_ended: list[Outcome] = field(default_factory=list[Outcome])
+    sender_ended: list[HandoffOutcome] = field(default_factory=list[HandoffOutcome])
 
     def receiver_clock(self, true_ns: int) -> int:
         return true_ns + self.offset_ns + true_ns * DRIFT_PPM // 1_000_000
@@ -267,7 +267,7 @@ TestHandovers = Handovers.TestCase
 
 def test_a_lossy_link_decides_in_bounded_time() -> None:
     """L1: a third of the packets lost, the rest late by up to 80 ms, some twice."""
-    outcomes: list[Outcome] = []
+    outcomes: list[HandoffOutcome] = []
     for seed in range(60):
         rng = random.Random(seed)
         pair = Pair(offset_ns=rng.randrange(10**9), error_ns=rng.randrange(-8 * MS, 8 * MS))
@@ -291,8 +291,8 @@ def test_a_lossy_link_decides_in_bounded_time() -> None:
         outcomes += pair.sender_ended
         assert agreed_ns is not None and pair.now_ns - agreed_ns < 1600 * MS
     assert len(outcomes) == 60
-    assert outcomes.count(Outcome.HANDED_OVER) >= 58
-    assert set(outcomes) <= {Outcome.HANDED_OVER, Outcome.TAKEN_BACK}
+    assert outcomes.count(HandoffOutcome.HANDED_OVER) >= 58
+    assert set(outcomes) <= {HandoffOutcome.HANDED_OVER, HandoffOutcome.TAKEN_BACK}
 
 
 def test_a_link_that_dies_between_accept_and_confirm_leaves_an_orphan_that_both_alarm() -> None:
@@ -310,5 +310,5 @@ def test_a_link_that_dies_between_accept_and_confirm_leaves_an_orphan_that_both_
     assert isinstance(pair.wire.pop()[1], Confirm)  # lost, and everything after it
     pair.advance(6 * 10**9)
     assert not pair.sender.responsible and not pair.holds()
-    assert isinstance(pair.sender.state, HandedOver) and pair.sender.state.settled is Outcome.UNCONFIRMED
+    assert isinstance(pair.sender.state, HandedOver) and pair.sender.state.settled is HandoffOutcome.UNCONFIRMED
     assert pair.sender.state.settled.alarming

@@ -12,9 +12,9 @@ from path.protocol.values import (
     CommitHeard,
     Ended,
     Handoff,
+    HandoffOutcome,
     Heard,
     NewMission,
-    Outcome,
     PeerStatus,
     Persist,
     ProtocolConfig,
@@ -79,7 +79,7 @@ def test_the_whole_way() -> None:
     assert machine.step(Tick(), again) == (Send(Accept(7, 5, 3, 99, again, ME)),)
     assert machine.step(HEARD, again) == ()  # the repeated Commit changes nothing
     kept = Persist(ReceiverRecord(5, "holding", LIVE, 99))
-    assert machine.step(Heard(CONFIRM), again) == (kept, TakeResponsibility(), Ended(Outcome.HANDED_OVER))
+    assert machine.step(Heard(CONFIRM), again) == (kept, TakeResponsibility(), Ended(HandoffOutcome.HANDED_OVER))
     assert isinstance(machine.state, Holding) and machine.responsible(T0)
     assert machine.step(Heard(CONFIRM), again) == () and machine.step(HEARD, again) == ()
     assert machine.step(Tick(), T0 + 1000 * S) == () and machine.responsible(T0 + 1000 * S)
@@ -91,14 +91,14 @@ def test_without_confirm_it_lets_go_before_the_lease_ends_on_any_clock() -> None
     assert machine.responsible(LEASE_END - 1)
     actions = machine.step(Tick(), LEASE_END)
     told = Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END, ME))
-    assert actions == (Release(), GONE, told, Ended(Outcome.LET_GO))
-    assert not machine.responsible(LEASE_END - 1) and Outcome.LET_GO.alarming
+    assert actions == (Release(), GONE, told, Ended(HandoffOutcome.LET_GO))
+    assert not machine.responsible(LEASE_END - 1) and HandoffOutcome.LET_GO.alarming
 
 
 def test_a_confirm_at_the_very_end_comes_too_late_and_is_proof_of_an_orphan() -> None:
     machine = provisional()
     actions = machine.step(Heard(CONFIRM), LEASE_END)
-    assert Release() in actions and actions[-1] == Settled(Outcome.ORPHANED)
+    assert Release() in actions and actions[-1] == Settled(HandoffOutcome.ORPHANED)
     assert Send(Abort(7, 5, AbortReason.TIMEOUT, LEASE_END, ME)) in actions
     assert not machine.responsible(T0)
     (tell,) = machine.step(Heard(CONFIRM), LEASE_END + S)
@@ -155,7 +155,7 @@ def test_an_epoch_let_go_is_never_taken_again() -> None:
     restarted = ReceiverMachine(CONFIG, Observing(6))  # what it wrote down
     assert restarted.step(Heard(TARGET), LEASE_END + 1) == (Refused(Refusal.LOWER_EPOCH),)
     assert machine.step(Heard(replace(TARGET, epoch=6)), LEASE_END + 1) == (
-        Settled(Outcome.TAKEN_BACK),
+        Settled(HandoffOutcome.TAKEN_BACK),
         Persist(ReceiverRecord(6)),
     )
 
@@ -165,7 +165,7 @@ def test_lower_epochs_are_refused_and_higher_ones_beat_everything() -> None:
     for machine in (provisional(), holding()):
         assert machine.step(Heard(replace(TARGET, epoch=4)), T0) == (Refused(Refusal.LOWER_EPOCH),)
         actions = machine.step(Heard(replace(TARGET, epoch=6)), T0)
-        assert actions == (Release(), Ended(Outcome.SUPERSEDED), Persist(ReceiverRecord(6)))
+        assert actions == (Release(), Ended(HandoffOutcome.SUPERSEDED), Persist(ReceiverRecord(6)))
         assert machine.live == Handoff(7, 6, 3) and not machine.responsible(T0)
 
 
@@ -178,7 +178,7 @@ def test_another_target_or_handoff_within_the_epoch_is_refused() -> None:
 
 def test_the_senders_abort_ends_it_and_spends_the_epoch() -> None:
     abort = Heard(Abort(7, 5, AbortReason.TARGET_LOST, 5))
-    ended = Ended(Outcome.ABORTED, AbortReason.TARGET_LOST)
+    ended = Ended(HandoffOutcome.ABORTED, AbortReason.TARGET_LOST)
     machine = joined()
     assert machine.step(Heard(Abort(7, 4, AbortReason.PILOT, 5)), T0) == (Refused(Refusal.WRONG_HANDOFF),)
     assert machine.step(abort, T0) == (Persist(ReceiverRecord(6)), ended)
@@ -193,18 +193,18 @@ def test_the_senders_abort_ends_it_and_spends_the_epoch() -> None:
 
 def test_the_pilots_veto() -> None:
     told = Send(Abort(7, 5, AbortReason.PILOT, T0))
-    ended = Ended(Outcome.ABORTED, AbortReason.PILOT)
+    ended = Ended(HandoffOutcome.ABORTED, AbortReason.PILOT)
     machine = joined()
     assert machine.step(PILOT, T0) == (Persist(ReceiverRecord(6)), told, ended)
     assert machine.state == Observing(6)
     machine = provisional()
     told = Send(Abort(7, 5, AbortReason.PILOT, T0, ME))  # it was committed to this very receiver
     assert machine.step(PILOT, T0) == (Release(), GONE, told, ended)
-    assert machine.step(Heard(CONFIRM), T0)[-1] == Settled(Outcome.ORPHANED)
+    assert machine.step(Heard(CONFIRM), T0)[-1] == Settled(HandoffOutcome.ORPHANED)
     assert not machine.responsible(T0)
     machine = holding()
     gone = Persist(ReceiverRecord(6, "let_go", LIVE, 99, 0, T0))
-    assert machine.step(PILOT, T0) == (Release(), gone, told, ended, Settled(Outcome.ORPHANED))
+    assert machine.step(PILOT, T0) == (Release(), gone, told, ended, Settled(HandoffOutcome.ORPHANED))
     assert ReceiverMachine(CONFIG).step(PILOT, T0) == (Refused(Refusal.WRONG_STATE),)
 
 
@@ -214,19 +214,21 @@ def test_a_handoff_that_comes_to_nothing_ends_in_timeout() -> None:
     assert machine.wake_ns == end
     assert machine.step(Tick(), end - 1) == ()
     told = Send(Abort(7, 5, AbortReason.TIMEOUT, end))
-    assert machine.step(Tick(), end) == (Persist(ReceiverRecord(6)), told, Ended(Outcome.TIMEOUT))
+    assert machine.step(Tick(), end) == (Persist(ReceiverRecord(6)), told, Ended(HandoffOutcome.TIMEOUT))
     assert machine.live is None and machine.wake_ns is None
 
 
 @pytest.mark.parametrize(
     ("event", "at", "outcome"),
     [
-        (PeerStatus(responsible=True, stamp_ns=SURE + 1), SURE + 2, Outcome.TAKEN_BACK),
-        (PeerStatus(responsible=False, stamp_ns=SURE + 1), SURE + 2, Outcome.ORPHANED),
-        (Tick(), SURE + 2 * S, Outcome.UNCONFIRMED),
+        (PeerStatus(responsible=True, stamp_ns=SURE + 1), SURE + 2, HandoffOutcome.TAKEN_BACK),
+        (PeerStatus(responsible=False, stamp_ns=SURE + 1), SURE + 2, HandoffOutcome.ORPHANED),
+        (Tick(), SURE + 2 * S, HandoffOutcome.UNCONFIRMED),
     ],
 )
-def test_after_letting_go_it_learns_who_is_responsible(event: PeerStatus | Tick, at: int, outcome: Outcome) -> None:
+def test_after_letting_go_it_learns_who_is_responsible(
+    event: PeerStatus | Tick, at: int, outcome: HandoffOutcome
+) -> None:
     machine = let_go()
     assert isinstance(machine.state, LetGo)
     assert machine.step(PeerStatus(responsible=False, stamp_ns=SURE), LEASE_END + 1) == ()

@@ -23,10 +23,10 @@ from path.protocol.values import (
     AgreementComplete,
     Ended,
     Handoff,
+    HandoffOutcome,
     Heard,
     NewMission,
     Offer,
-    Outcome,
     PeerStatus,
     Persist,
     ProtocolConfig,
@@ -110,7 +110,7 @@ def test_an_accept_is_final_and_every_accept_is_confirmed() -> None:
     machine = awaiting()
     confirm = replace(CONFIRM, stamp_ns=T0 + 1)
     kept = Persist(SenderRecord(1, "handed_over", LIVE, 99, 0, TAKE_BACK))
-    assert machine.step(Heard(ACCEPT), T0 + 1) == (kept, Send(confirm), Ended(Outcome.HANDED_OVER))
+    assert machine.step(Heard(ACCEPT), T0 + 1) == (kept, Send(confirm), Ended(HandoffOutcome.HANDED_OVER))
     assert not machine.responsible
     for late in (T0 + 2, TAKE_BACK + 100 * S):
         actions = machine.step(Heard(ACCEPT), late)
@@ -125,7 +125,7 @@ def test_it_takes_back_only_after_lease_end_and_uncertainty() -> None:
     machine.step(Tick(), TAKE_BACK - 1)
     assert not machine.responsible
     actions = machine.step(Tick(), TAKE_BACK)
-    assert actions == (Persist(SenderRecord(2, "mine")), TakeResponsibility(), Ended(Outcome.TAKEN_BACK))
+    assert actions == (Persist(SenderRecord(2, "mine")), TakeResponsibility(), Ended(HandoffOutcome.TAKEN_BACK))
     assert machine.responsible and machine.live == replace(OPEN, epoch=2)
 
 
@@ -192,25 +192,25 @@ def test_deadlines_end_in_timeout_and_responsible() -> None:
     machine = offering()
     assert machine.wake_ns == T0 + 10 * S
     abort = Abort(7, 1, AbortReason.TIMEOUT, T0 + 10 * S)
-    assert machine.step(Tick(), T0 + 10 * S) == (Send(abort), Ended(Outcome.TIMEOUT))
+    assert machine.step(Tick(), T0 + 10 * S) == (Send(abort), Ended(HandoffOutcome.TIMEOUT))
     assert machine.responsible and machine.live is None
     machine = verifying()
     assert machine.wake_ns == T0 + 20 * S
     actions = machine.step(AGREED, T0 + 20 * S)
-    assert actions[1:] == (Ended(Outcome.TIMEOUT), Refused(Refusal.WRONG_STATE))
+    assert actions[1:] == (Ended(HandoffOutcome.TIMEOUT), Refused(Refusal.WRONG_STATE))
     assert machine.responsible
     assert machine.step(Offer(8, 3), T0 + 21 * S) == (Persist(SenderRecord(2, "mine")),)
 
 
 def test_an_abort_before_the_commit_ends_it_at_once() -> None:
     machine = verifying()
-    told = (Send(Abort(7, 1, AbortReason.PILOT, T0)), Ended(Outcome.ABORTED, AbortReason.PILOT))
+    told = (Send(Abort(7, 1, AbortReason.PILOT, T0)), Ended(HandoffOutcome.ABORTED, AbortReason.PILOT))
     assert machine.step(AbortRequested(AbortReason.PILOT), T0) == told
     assert machine.state == Keeping(1)
     machine = verifying()
     abort = Abort(7, 1, AbortReason.TARGET_LOST, 5)
     assert machine.step(Heard(replace(abort, epoch=0)), T0) == (Refused(Refusal.WRONG_HANDOFF),)
-    assert machine.step(Heard(abort), T0) == (Ended(Outcome.ABORTED, AbortReason.TARGET_LOST),)
+    assert machine.step(Heard(abort), T0) == (Ended(HandoffOutcome.ABORTED, AbortReason.TARGET_LOST),)
     assert machine.responsible
 
 
@@ -227,25 +227,27 @@ def test_an_abort_after_the_commit_still_waits_for_the_lease_and_confirms_nothin
     assert isinstance(answer, Send) and isinstance(answer.message, Abort)
     assert machine.step(Tick(), TAKE_BACK - 1) == ()
     actions = machine.step(Tick(), TAKE_BACK)
-    assert TakeResponsibility() in actions and actions[-1] == Ended(Outcome.ABORTED, AbortReason.PILOT)
+    assert TakeResponsibility() in actions and actions[-1] == Ended(HandoffOutcome.ABORTED, AbortReason.PILOT)
 
 
 @pytest.mark.parametrize(
     ("event", "at", "outcome"),
     [
-        (PeerStatus(True, TAKE_BACK + 1, ME), TAKE_BACK + 2, Outcome.HANDED_OVER),
-        (PeerStatus(False, TAKE_BACK + 1, ME), TAKE_BACK + 2, Outcome.ORPHANED),
-        (Heard(Abort(7, 1, AbortReason.TIMEOUT, 5, ME)), T0 + 900 * MS, Outcome.ORPHANED),
-        (Tick(), TAKE_BACK + 2 * S, Outcome.UNCONFIRMED),
+        (PeerStatus(True, TAKE_BACK + 1, ME), TAKE_BACK + 2, HandoffOutcome.HANDED_OVER),
+        (PeerStatus(False, TAKE_BACK + 1, ME), TAKE_BACK + 2, HandoffOutcome.ORPHANED),
+        (Heard(Abort(7, 1, AbortReason.TIMEOUT, 5, ME)), T0 + 900 * MS, HandoffOutcome.ORPHANED),
+        (Tick(), TAKE_BACK + 2 * S, HandoffOutcome.UNCONFIRMED),
     ],
 )
-def test_it_learns_what_became_of_the_receiver(event: PeerStatus | Heard | Tick, at: int, outcome: Outcome) -> None:
+def test_it_learns_what_became_of_the_receiver(
+    event: PeerStatus | Heard | Tick, at: int, outcome: HandoffOutcome
+) -> None:
     machine = handed_over()
     provisional = PeerStatus(True, TAKE_BACK, ME)  # within the lease it says nothing
     assert machine.step(provisional, T0 + 300 * MS) == ()
     assert machine.step(event, at) == (Settled(outcome),)
     assert not machine.responsible
-    assert outcome.alarming == (outcome is not Outcome.HANDED_OVER)
+    assert outcome.alarming == (outcome is not HandoffOutcome.HANDED_OVER)
     assert machine.wake_ns is None
 
 
@@ -270,7 +272,7 @@ def test_a_link_that_comes_back_settles_what_was_unconfirmed() -> None:
     machine = handed_over()
     machine.step(Tick(), TAKE_BACK + 3 * S)
     holds = PeerStatus(True, TAKE_BACK + 4 * S, ME)
-    assert machine.step(holds, TAKE_BACK + 5 * S) == (Settled(Outcome.HANDED_OVER),)
+    assert machine.step(holds, TAKE_BACK + 5 * S) == (Settled(HandoffOutcome.HANDED_OVER),)
 
 
 def restarted(machine: SenderMachine, now_ns: int, *, same_clock: bool = True) -> SenderMachine:
@@ -356,7 +358,7 @@ def test_a_config_that_cannot_work_is_refused(changes: dict[str, float]) -> None
 
 def test_an_orphan_is_told_of_once() -> None:
     machine, abort = handed_over(), Heard(Abort(7, 1, AbortReason.TIMEOUT, 5, ME))
-    assert machine.step(abort, T0 + 2) == (Settled(Outcome.ORPHANED),)
+    assert machine.step(abort, T0 + 2) == (Settled(HandoffOutcome.ORPHANED),)
     assert machine.step(abort, T0 + 3) == ()
 
 

@@ -1,4 +1,4 @@
-"""The command: kept line by line, gone on with, refused for another campaign, replayed by the line it prints."""
+"""The command: resumable JSON lines, gone on with, refused for another campaign, replayed by the line it prints."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from drivers.interfaces import PartError
-from missions.assurance.campaign.results import FILE, RunLine, kept_results
+from missions.assurance.campaign.results import FILE, RunLine, resumable_results
 from missions.assurance.campaign.run import replay_command, run
 from missions.assurance.campaign.summary import summarize, table
 from missions.cli import main
@@ -49,15 +49,15 @@ def test_another_campaign_in_the_same_folder_is_refused(tmp_path: Path) -> None:
 
 def test_what_is_no_campaign_is_refused(tmp_path: Path) -> None:
     (tmp_path / FILE).write_text("something else\n")
-    with pytest.raises(PartError, match="no file of this version"), kept_results(tmp_path, ASKED):
+    with pytest.raises(PartError, match="no file of this version"), resumable_results(tmp_path, ASKED):
         pass
 
 
 def test_lines_come_back_as_they_were(tmp_path: Path) -> None:
     line = RunLine(3, "none", "commit", ("S1 at 2 s: two",), (), {"gap_s": 0.25})
-    with kept_results(tmp_path, ASKED) as results:
+    with resumable_results(tmp_path, ASKED) as results:
         results.add([line])
-    with kept_results(tmp_path, ASKED) as results:
+    with resumable_results(tmp_path, ASKED) as results:
         assert results.lines == [line]
 
 

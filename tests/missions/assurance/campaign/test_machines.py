@@ -9,7 +9,7 @@ import pytest
 from hil.link.faulty import faulty_channel
 from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.machines import Machines
-from missions.assurance.campaign.plan import Crash, Outage, Plan, Stall, draw
+from missions.assurance.campaign.plan import Crash, Outage, RunPlan, Stall, draw
 from missions.assurance.verify.mutants import MUTANTS, wrong
 from missions.options import LevelName
 from path.messages import Role
@@ -17,13 +17,13 @@ from path.messages import Role
 CALM = replace(draw(0, "none", 1), disk_s=0.0, late_s=0.0, agree_s=1.0, wrong=False)
 
 
-def story(plan: Plan) -> list[tuple[float, str, str]]:
+def story(plan: RunPlan) -> list[tuple[float, str, str]]:
     told: list[tuple[float, str, str]] = []
     Machines(plan, faulty_channel, lambda at_s, who, what: told.append((at_s, who, what))).run()
     return told
 
 
-def commit_s(plan: Plan) -> float:
+def commit_s(plan: RunPlan) -> float:
     return next(at_s for at_s, _, what in story(plan) if what.startswith("sends COMMIT"))
 
 

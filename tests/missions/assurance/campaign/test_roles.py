@@ -1,4 +1,4 @@
-"""What goes wrong in a run of the roles: drawn from its arguments alone, and orders that the harness understands."""
+"""The faults in a run of the roles: drawn from its arguments alone, as orders that the harness understands."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hil.world.faults import parse_fault
 from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.results import RunLine
 from missions.assurance.campaign.role_runs import CONCERNS, draw, fly
-from missions.assurance.campaign.run import Order
+from missions.assurance.campaign.run import RunOrder
 from missions.options import LevelName
 
 
@@ -29,7 +29,7 @@ def test_the_hostile_level_has_every_kind() -> None:
 
 
 def test_one_whole_run_of_both_programs() -> None:
-    (line,) = fly(Order("sim", 0, (("none", 0),)))
+    (line,) = fly(RunOrder("sim", 0, (("none", 0),)))
     assert isinstance(line, RunLine)
     assert (line.outcome, line.violations) == ("commit", ())
     assert 0.0 < line.figures["gap_s"] < 0.1

@@ -1,4 +1,4 @@
-"""What the suite makes of its figures: whom a vehicle is like, records, the page, and the figures themselves."""
+"""The suite's use of its figures: whom a vehicle is like, records, the page, and the figures themselves."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import FlightMode, PartError
-from drivers.mavlink.bench import Instant, Shown
+from drivers.mavlink.bench import HeartbeatShown, Instant
 from missions import cli
 from missions.assurance.conformance import track
 from missions.assurance.conformance.page import page
@@ -105,10 +105,10 @@ def instant(time_s: float, north_m: float = 0.0, speed_mps: float = 0.0) -> Inst
 def test_when_and_where_it_stands() -> None:
     times = np.arange(0.0, 3.0, 0.1)
     flown = [instant(t, t - 0.25 * t * t if t < 2.0 else 1.0, max(0.0, 1.0 - 0.5 * t)) for t in times]
-    seconds, metres = track.standing(track.Track.of(flown, 0.0), 0.0)
+    seconds, metres = track.standing(track.FlightTrack.of(flown, 0.0), 0.0)
     assert seconds == pytest.approx(1.7, abs=0.11)
     assert metres == pytest.approx(0.98, abs=0.05)
-    moving = track.Track.of([instant(t, t, 1.0) for t in times], 0.0)
+    moving = track.FlightTrack.of([instant(t, t, 1.0) for t in times], 0.0)
     assert track.standing(moving, 0.0) == (None, None)
 
 
@@ -121,7 +121,7 @@ def test_the_steepest_half_second() -> None:
 def test_changes_of_mode_as_heartbeats_show_them() -> None:
     beats = [(0.0, FlightMode.OFFBOARD, True), (1.0, FlightMode.OFFBOARD, True), (2.0, FlightMode.LAND, True),
              (3.0, FlightMode.OTHER, True), (4.0, FlightMode.HOLD, False)]  # fmt: skip
-    shown = [Shown(t, mode, 5, armed) for t, mode, armed in beats]
+    shown = [HeartbeatShown(t, mode, 5, armed) for t, mode, armed in beats]
     changes = track.modes_since(shown, 0.5)
     assert changes == [(1.5, "land"), (2.5, "mode 0x5"), (3.5, "disarmed")]
     assert track.in_words(changes) == "land → mode 0x5 → disarmed"

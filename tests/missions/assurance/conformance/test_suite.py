@@ -10,17 +10,17 @@ import pytest
 
 from drivers.interfaces import PartError
 from flight.command_end import CommandEnd
-from hil.vehicle.bench import VehicleBench
+from hil.vehicle.bench import EmbeddedBench
 from missions import cli, rig_library
-from missions.assurance.conformance.measure import Measured, Suite, chosen
+from missions.assurance.conformance.measure import FlightSuite, VehicleMeasures, chosen
 from missions.assurance.conformance.run import BINARY, RIGS
 
 SPEED = 4.0
 
 
-def flown(vehicle: str, folder: Path, words: list[str], speed: float = 1.0) -> Measured:
+def flown(vehicle: str, folder: Path, words: list[str], speed: float = 1.0) -> VehicleMeasures:
     rig = rig_library.load(RIGS[vehicle])
-    suite = Suite(lambda: VehicleBench(rig, folder, speed), lambda _: None)
+    suite = FlightSuite(lambda: EmbeddedBench(rig, folder, speed), lambda _: None)
     return asyncio.run(suite.run(chosen(words)))
 
 

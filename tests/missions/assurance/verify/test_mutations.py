@@ -12,7 +12,15 @@ import pytest
 
 from drivers.interfaces import PartError
 from missions.assurance.verify import mutation_run, run
-from missions.assurance.verify.mutation_run import Suite, Table, Trials, choose, load_table, score, summarize
+from missions.assurance.verify.mutation_run import (
+    FileTests,
+    MutationTable,
+    Trials,
+    choose,
+    load_table,
+    score,
+    summarize,
+)
 from missions.assurance.verify.mutations import mutated, mutations
 from missions.options import VerifyOptions
 
@@ -92,7 +100,7 @@ def project(tmp_path: Path) -> Path:
 
 def test_the_score_counts_what_the_tests_notice_and_names_what_they_do_not(project: Path) -> None:
     nobody = "sums.py one: number: 1 -> 2"
-    table = Table((Suite("sums.py", ("test_sums.py",)),), {nobody: "nobody calls it"})
+    table = MutationTable((FileTests("sums.py", ("test_sums.py",)),), {nobody: "nobody calls it"})
     stream = io.StringIO()
     tried = score(table, 0, 100, 1, project, stream)
     told = summarize(tried, 0, 1.0)
@@ -107,14 +115,14 @@ def test_the_score_counts_what_the_tests_notice_and_names_what_they_do_not(proje
 
 def test_a_wrong_version_that_hangs_is_ended_and_noticed(project: Path) -> None:
     with Trials(project, 1) as trials:
-        came = trials.trial(Suite("sums.py", ("test_sums.py",)), "while True:\n    pass\n", 1.0)
+        came = trials.trial(FileTests("sums.py", ("test_sums.py",)), "while True:\n    pass\n", 1.0)
     assert not came["passed"] and came["what"] == "too slow"
 
 
 def test_tests_that_fail_as_it_is_are_told(project: Path) -> None:
     (project / "test_sums.py").write_text("def test_wrong():\n    assert False\n")
     with pytest.raises(PartError, match=r"sums\.py fail as it is.*test_wrong"):
-        score(Table((Suite("sums.py", ("test_sums.py",)),)), 0, 1, 1, project, io.StringIO())
+        score(MutationTable((FileTests("sums.py", ("test_sums.py",)),)), 0, 1, 1, project, io.StringIO())
 
 
 def test_outside_a_checkout_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,7 +135,7 @@ def test_a_sample_of_the_real_ones_is_caught(tmp_path: Path, monkeypatch: pytest
     """The command, on the quickest of the suites."""
     monkeypatch.chdir(ROOT)
     quickest = next(suite for suite in load_table().suites if suite.file.endswith("guard_rules.py"))
-    table = Table((Suite(quickest.file, quickest.tests[:1]),), load_table().equivalent)
+    table = MutationTable((FileTests(quickest.file, quickest.tests[:1]),), load_table().equivalent)
     monkeypatch.setattr(mutation_run, "load_table", lambda: table)
     code = run.run(VerifyOptions(out=tmp_path, mutants=True, sample=4, seed=2, jobs=1))
     told = json.loads((tmp_path / "summary.json").read_text())

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from missions.trials.ambiguity.score import Ballot, Outcome, Rule, Tally, best_rule, outcome, tally
+from missions.trials.ambiguity.score import Ballot, FrameTally, Outcome, Rule, best_rule, outcome, tally
 from missions.trials.ambiguity.variants import ORB_VARIANTS, XFEAT_VARIANTS, same_look
-from path.baselines.features import Look
+from path.baselines.features import FeatureSearch
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ def test_outcomes_are_the_papers(present: bool, chosen: bool, right: bool, expec
 
 
 def test_the_papers_own_counts_give_the_papers_own_rates() -> None:
-    summary = Tally(tp=310, tn=26, fp=7, fn=7).summary()
+    summary = FrameTally(tp=310, tn=26, fp=7, fn=7).summary()
     assert summary["accuracy"] == pytest.approx(0.96)
     assert summary["fp_rate"] == summary["fn_rate"] == pytest.approx(0.02)
     low, high = summary["fp_interval"]
@@ -56,19 +56,21 @@ def test_the_best_rule_is_found_over_variants_and_thresholds() -> None:
     rule = best_rule(ballots, 2)
     assert rule.variant == 1
     assert rule.min_inliers == 11
-    assert tally(ballots, rule) == Tally(tp=2, tn=1)
+    assert tally(ballots, rule) == FrameTally(tp=2, tn=1)
 
 
 def test_of_rules_as_good_the_one_with_fewer_false_positives_is_taken() -> None:
     # 3 votes for the target, 3 for somebody else: right and wrong come together, so rather take neither
     ballots = [Ballot(True, (0,), ((3,),)), Ballot(False, (1,), ((3,),))]
-    assert tally(ballots, best_rule(ballots, 1)) == Tally(tn=1, fn=1)
+    assert tally(ballots, best_rule(ballots, 1)) == FrameTally(tn=1, fn=1)
 
 
 def test_fewer_variants_keep_their_votes() -> None:
     ballot = Ballot(True, (0,), ((1,), (2,), (3,)))
     assert ballot.only((0, 2)).votes == ((1,), (3,))
-    assert same_look(ORB_VARIANTS, 0) == tuple(i for i, each in enumerate(ORB_VARIANTS) if each.look == Look(1.0))
+    assert same_look(ORB_VARIANTS, 0) == tuple(
+        i for i, each in enumerate(ORB_VARIANTS) if each.look == FeatureSearch(1.0)
+    )
     assert 0 < len(same_look(XFEAT_VARIANTS, 1)) < len(XFEAT_VARIANTS)
 
 

@@ -10,11 +10,11 @@ import pytest
 from missions import rig_library
 from missions.trials.ambiguity import frame as ambiguity_frame
 from missions.trials.ambiguity import trial as ambiguity
-from missions.trials.ambiguity.frame import Owned, Pair, Task, ballot, path_on, shoot, studio_for
-from missions.trials.ambiguity.path import Errors, PathAnswer, beliefs
+from missions.trials.ambiguity.frame import FrameTask, Owned, StagePair, ballot, path_on, renderer_for, shoot
+from missions.trials.ambiguity.path import BeliefErrors, PathAnswer, beliefs
 from missions.trials.ambiguity.report import of_path
 from missions.trials.ambiguity.stage import CAMERAS, MARKER_SIDE_M, Wanted
-from missions.trials.ambiguity.truth import Sight, shirt_box
+from missions.trials.ambiguity.truth import TrueView, shirt_box
 from missions.trials.ambiguity.variants import ORB_VARIANTS
 from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
 from missions.work import open_work
@@ -25,12 +25,12 @@ from path.observations import Box
 RIG = rig_library.load("sim-rendered")
 
 
-def task(case: ambiguity.Case, *seed: int) -> Task:
-    return Task(trial_part(RIG, "studio"), Wanted(case), seed, None, ORB_VARIANTS[:1], ())
+def task(case: ambiguity.Case, *seed: int) -> FrameTask:
+    return FrameTask(trial_part(RIG, "renderer"), Wanted(case), seed, None, ORB_VARIANTS[:1], ())
 
 
 @pytest.fixture(scope="module")
-def pair() -> Pair:
+def pair() -> StagePair:
     return shoot(task("present", 1, 4))
 
 
@@ -72,25 +72,27 @@ def test_the_full_trial_has_the_papers_counts() -> None:
     assert ambiguity.FRAMES["outside"] + ambiguity.FRAMES["hidden"] == 33
 
 
-def test_a_frame_is_the_same_whoever_makes_it(pair: Pair) -> None:
+def test_a_frame_is_the_same_whoever_makes_it(pair: StagePair) -> None:
     again = shoot(task("present", 1, 4))
     assert again.owners == pair.owners
     assert all(np.array_equal(again.shots[role].color, pair.shots[role].color) for role in Role)
 
 
-def test_owners_are_who_is_at_the_boxes_by_exact_depth(pair: Pair) -> None:
+def test_owners_are_who_is_at_the_boxes_by_exact_depth(pair: StagePair) -> None:
     scene = pair.scene
-    sight = Sight(studio_for(trial_part(RIG, "studio"), Role.RECEIVER, scene.side, MARKER_SIDE_M), scene, Role.RECEIVER)
+    perception = TrueView(
+        renderer_for(trial_part(RIG, "renderer"), Role.RECEIVER, scene.side, MARKER_SIDE_M), scene, Role.RECEIVER
+    )
     for person in range(6):
-        shown, hidden = sight.shirt(person)
+        shown, hidden = perception.shirt(person)
         assert 0.0 <= shown <= 1.0
         if shown == 1.0:
-            assert sight.owner(shirt_box(scene, Role.RECEIVER, person)) == person
+            assert perception.owner(shirt_box(scene, Role.RECEIVER, person)) == person
             assert hidden == 0.0
-    assert sight.owner(Box(3.0, 700.0, 12.0, 12.0)) is None
+    assert perception.owner(Box(3.0, 700.0, 12.0, 12.0)) is None
 
 
-def test_paths_answer_is_judged_by_truth_alone(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_answer_is_judged_by_truth_alone(pair: StagePair, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same candidate is right or wrong by who is in it, whatever PATH or D1 make of it."""
     asked = task("present", 1, 4)
     honest = path_on(asked, pair)
@@ -106,7 +108,7 @@ def test_paths_answer_is_judged_by_truth_alone(pair: Pair, monkeypatch: pytest.M
     monkeypatch.setattr(ambiguity_frame, "run_path", sure_of_another)
     wrong = path_on(asked, pair)
     assert wrong.owner == other
-    judged = ambiguity_frame.Judged(
+    judged = ambiguity_frame.FrameResult(
         pair.scene.wanted, 0.0, 1.0, 0, wrong, wrong, ballot(Orb(), pair, asked.orb_variants), None
     )
     assert of_path(judged, wrong) == "fp"
@@ -123,9 +125,9 @@ def test_without_the_target_nothing_of_it_is_seen() -> None:
         assert any(owner is not None for owner in made.owners)
 
 
-def test_beliefs_are_wrong_by_the_errors_and_right_without(pair: Pair) -> None:
+def test_beliefs_are_wrong_by_the_errors_and_right_without(pair: StagePair) -> None:
     rng = np.random.default_rng(1)
-    wrong, none = beliefs(pair.scene, Errors(), rng), Errors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    wrong, none = beliefs(pair.scene, BeliefErrors(), rng), BeliefErrors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     right = beliefs(pair.scene, none, rng)
     assert right.layout.markers[0].side_m == MARKER_SIDE_M
     assert wrong.layout.markers[0].side_m != MARKER_SIDE_M

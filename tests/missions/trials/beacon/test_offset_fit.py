@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from missions.trials.beacon.offset_fit import OffsetFit, fit_offset
 from missions.trials.dynamic.flight import steadied
-from missions.trials.shared.trajectory import Alignment, Pair, Trajectory, align
+from missions.trials.shared.trajectory import Alignment, MotionPair, Trajectory, align
 from path.rotation import exp
 
 Array = NDArray[np.float64]
@@ -29,12 +29,12 @@ def way(t: Array, first: float) -> Array:
     )
 
 
-def session(seed: int, moves: bool = True) -> list[Pair]:
+def session(seed: int, moves: bool = True) -> list[MotionPair]:
     """Two vehicles whose own positions jitter and walk away, and beacons with noise in a frame that is warped."""
     rng = np.random.default_rng([seed, 42])
     waves, phases = rng.standard_normal((6, 3)), rng.uniform(0.0, 2.0 * math.pi, (6, 3))
     waves *= (math.pi / 3.0) / np.linalg.norm(waves, axis=1, keepdims=True)
-    pairs = list[Pair]()
+    pairs = list[MotionPair]()
     for first in (0.0, 2.0):
         t = np.arange(0.0, 62.0, 0.1)
         true = way(t if moves else np.zeros_like(t), first)
@@ -45,7 +45,7 @@ def session(seed: int, moves: bool = True) -> list[Pair]:
         places = way(instants if moves else np.zeros_like(instants), first)
         warp = WARP_M / math.sqrt(3.0) * np.sin((places @ waves.T)[:, :, None] + phases).sum(axis=1)
         seen = (places + warp + rng.normal(0.0, NOISE_M, places.shape)) @ R.T + np.array([4.0, -7.0, 0.3])
-        pairs.append(Pair(Trajectory(t, steadied(t, own, velocity)), Trajectory(instants - OFFSET_S, seen), 4.0))
+        pairs.append(MotionPair(Trajectory(t, steadied(t, own, velocity)), Trajectory(instants - OFFSET_S, seen), 4.0))
     return pairs
 
 

@@ -13,7 +13,7 @@ from drivers.interfaces import PartError
 from missions.trials.board.file import read_board
 from missions.trials.board.measure import measure
 from missions.trials.board.pictures import draw_board
-from missions.trials.board.trial import BOARD_TITLES, Board, OnBoard, board_table, look_at
+from missions.trials.board.trial import BOARD_TITLES, BoardPhotograph, OnBoard, board_table, look_at
 from path import rotation
 from path.camera import CameraModel
 from path.geometry import Pose
@@ -62,12 +62,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def board(folder: Path) -> Board:
+def board(folder: Path) -> BoardPhotograph:
     return read_board(folder / "board.toml")
 
 
 @pytest.fixture(scope="module")
-def scores(board: Board) -> dict[str, OnBoard]:
+def scores(board: BoardPhotograph) -> dict[str, OnBoard]:
     return look_at(board, 0)
 
 
@@ -89,7 +89,7 @@ def test_the_stated_sigma_is_held_against_what_is_left(scores: dict[str, OnBoard
     assert "calibration" not in scores["subpix"].summary()
 
 
-def test_table_and_picture(board: Board, scores: dict[str, OnBoard], tmp_path: Path) -> None:
+def test_table_and_picture(board: BoardPhotograph, scores: dict[str, OnBoard], tmp_path: Path) -> None:
     table = board_table(board, scores)
     assert [row[0] for row in table.rows] == list(BOARD_TITLES.values())
     assert all(len(row) == len(table.columns) for row in table.rows)
@@ -113,7 +113,7 @@ def test_the_measure_takes_away_view_side_and_what_is_smooth_and_nothing_else() 
     assert np.sqrt(np.mean(noisy.errors_px**2)) == pytest.approx(0.1 * math.sqrt(1.0 - 31.0 / 288.0), rel=0.1)
 
 
-def test_a_dictionary_may_be_a_file(folder: Path, board: Board) -> None:
+def test_a_dictionary_may_be_a_file(folder: Path, board: BoardPhotograph) -> None:
     (folder / "own.toml").write_text(TEXT.format(dictionary="dictionary.yml", more="first_id = 5"))
     again = read_board(folder / "own.toml")
     assert all(np.array_equal(again.patterns[i], pattern) for i, pattern in board.patterns.items())

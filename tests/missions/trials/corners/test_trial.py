@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.camera.pictures import Studio
+from hil.camera.pictures import CameraRenderer
 from missions import rig_library
 from missions.trials.corners.conditions import CAMERAS, CONDITIONS, QUICK_MAIN, RANGE_M, view
 from missions.trials.corners.methods import METHODS, OPENCV, Found
 from missions.trials.corners.score import score
-from missions.trials.corners.shots import Sample, Shooting, shoot
+from missions.trials.corners.shots import CornerSeries, CornerShot, shoot
 from missions.trials.corners.trial import ERRORS, STRIP, run
 from missions.trials.shared.trial import TrialRequest, TrialResult
 from missions.work import open_work
@@ -86,7 +86,7 @@ def test_views_are_within_what_they_say_and_the_same_for_every_camera() -> None:
 def test_no_method_is_off_by_a_convention() -> None:
     """Mean error over corners that point everywhere: half a pixel of an enlarged image would be 0.125 px."""
     camera = QUICK_MAIN
-    samples = shoot(Shooting(Studio, T_B_V, camera, "ideal", 1, tuple(range(6)), shown=-1))
+    samples = shoot(CornerSeries(CameraRenderer, T_B_V, camera, "ideal", 1, tuple(range(6)), shown=-1))
     for method in METHODS:
         errors = [found.corners_px - s.true_px for s in samples if (found := s.found[method]) is not None]
         assert len(errors) == 6
@@ -95,8 +95,8 @@ def test_no_method_is_off_by_a_convention() -> None:
 
 
 def test_the_same_shots_come_from_any_split_of_the_views() -> None:
-    whole = shoot(Shooting(Studio, T_B_V, QUICK_MAIN, "realistic", 2, (0, 1), shown=1))
-    part = shoot(Shooting(Studio, T_B_V, QUICK_MAIN, "realistic", 2, (1,), shown=1))
+    whole = shoot(CornerSeries(CameraRenderer, T_B_V, QUICK_MAIN, "realistic", 2, (0, 1), shown=1))
+    part = shoot(CornerSeries(CameraRenderer, T_B_V, QUICK_MAIN, "realistic", 2, (1,), shown=1))
     assert whole[0].picture is None
     assert whole[1].picture is not None and part[0].picture is not None
     assert np.array_equal(whole[1].picture, part[0].picture)
@@ -105,12 +105,12 @@ def test_the_same_shots_come_from_any_split_of_the_views() -> None:
     assert np.array_equal(a.corners_px, b.corners_px)
 
 
-def made_up(sigma_px: float, stated_px: float, radial_px: float, views: int) -> list[Sample]:
+def made_up(sigma_px: float, stated_px: float, radial_px: float, views: int) -> list[CornerShot]:
     rng = np.random.default_rng(0)
     true_px = np.array([[100.0, 100.0], [140.0, 100.0], [140.0, 140.0], [100.0, 140.0]])
     out = (true_px - 120.0) / np.hypot(20.0, 20.0)
     return [
-        Sample("", "", k, true_px, {"m": None if k % 4 == 3 else Found(
+        CornerShot("", "", k, true_px, {"m": None if k % 4 == 3 else Found(
             true_px + radial_px * out + rng.normal(0.0, sigma_px, (4, 2)), stated_px**2 * np.eye(8))})
         for k in range(views)
     ]  # fmt: skip

@@ -20,7 +20,7 @@ from missions.report.records import load_run
 from missions.trials.dynamic import trial as dynamic
 from missions.trials.dynamic.flight import (
     BEACON_RECORD,
-    Heard,
+    BeaconTrace,
     Motions,
     heard_of,
     load_motions,
@@ -61,7 +61,7 @@ def test_the_summary_is_complete_and_plausible(result: TrialResult) -> None:
         assert against["median_m"] < against["p95_m"] <= against["max_m"]
         assert against["mean_interval_m"][0] < against["mean_m"] < against["mean_interval_m"][1]
         assert against["n"] > 30
-    # of the mean nothing is said: it hangs on the few first sights, from 2.4 m, where a pixel is worth centimetres
+    # of the mean nothing is said: it hangs on the few first views, from 2.4 m, where a pixel is worth centimetres
     assert summary["ape_truth"]["d2"]["median_m"] < 0.004
     assert summary["ape_truth"]["target"]["mean_m"] < 0.02
     assert summary["rpe"]["d2"]["s"]["n"] > 50
@@ -82,7 +82,7 @@ def test_report_and_pictures_are_there(result: TrialResult, out: Path) -> None:
     assert any("no number" in note for note in result.notes)
 
 
-def records(out: Path) -> tuple[Motions, Heard]:
+def records(out: Path) -> tuple[Motions, BeaconTrace]:
     folder = out / "flight-1"
     rig = moving(rig_library.load("sim-rendered"))
     return load_motions(load_run(folder), rig), heard_of(read_any(folder / BEACON_RECORD), reference_of(rig).mounted)
@@ -145,8 +145,8 @@ def test_reflections_before_take_off_do_not_make_the_beacons_worse() -> None:
     struck[20:25] += 0.7  # as long as the median over five positions follows it
     none = Trajectory(np.zeros(0), np.zeros((0, 3)))
     motions = Motions(none, none, 100.0, none, none, (0.0, 0.0))
-    clean, _ = noise_at_rest(motions, Heard({"receiver": still, "target": none}, 60, 0), 0.0)
-    noisy, count = noise_at_rest(motions, Heard({"receiver": Trajectory(t, struck), "target": none}, 60, 0), 0.0)
+    clean, _ = noise_at_rest(motions, BeaconTrace({"receiver": still, "target": none}, 60, 0), 0.0)
+    noisy, count = noise_at_rest(motions, BeaconTrace({"receiver": Trajectory(t, struck), "target": none}, 60, 0), 0.0)
     assert count == 180
     assert clean == pytest.approx(0.02, rel=0.15)
     assert noisy == pytest.approx(clean, rel=0.2)

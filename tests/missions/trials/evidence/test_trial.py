@@ -9,7 +9,7 @@ import pytest
 
 from flight.harness.montecarlo import Attempt
 from missions import rig_library
-from missions.trials.evidence.blocks import LAGS, Batch, Blocks, Decided, Told, correlation, run_batch
+from missions.trials.evidence.blocks import LAGS, Batch, Blocks, EvidenceAttempt, GateTime, correlation, run_batch
 from missions.trials.evidence.trial import FORCED_WAYS, QUICK, SIDE_M, rate, reach_m, run
 from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
 from missions.work import open_work
@@ -49,9 +49,9 @@ def test_every_forced_way_is_in_the_table(result: TrialResult) -> None:
     assert result.noise is not None
 
 
-def told(first: tuple[int, int], later: tuple[int, int]) -> Told:
-    nobody = Decided(None, True)
-    return Told(None, nobody, nobody, 0.0, Blocks(first, later), np.zeros(len(LAGS)))  # type: ignore[arg-type]
+def told(first: tuple[int, int], later: tuple[int, int]) -> EvidenceAttempt:
+    nobody = GateTime(None, True)
+    return EvidenceAttempt(None, nobody, nobody, 0.0, Blocks(first, later), np.zeros(len(LAGS)))  # type: ignore[arg-type]
 
 
 def test_a_rate_counts_blocks_and_resamples_attempts() -> None:

@@ -20,9 +20,9 @@ from missions.trials.handshake.handovers import (
     FAULT_NAMES,
     GATES,
     NOT_COMMITTED,
-    Asked,
-    Judged,
-    Tried,
+    AttemptBatch,
+    GateVerdict,
+    HandshakeAttempt,
     asked_for,
     attempt_of,
     by_consecutive,
@@ -90,7 +90,7 @@ def test_attempts_are_all_run_once_with_every_fault_equally_often() -> None:
 def test_what_an_attempt_came_to_is_what_both_gates_say_of_all_of_it() -> None:
     """Run only as far as needed, with the same verdicts as told the whole of it."""
     indices = (1, 3, 10)
-    chunk = run_chunk(Asked(str(RIG.file), 5, indices))
+    chunk = run_chunk(AttemptBatch(str(RIG.file), 5, indices))
     for index, tried in zip(indices, chunk.tried, strict=True):
         series = runner().run(replace(attempt_of(5, index), whole=True)).series
         for gate, judged in zip(GATES, tried.judged, strict=True):
@@ -117,9 +117,9 @@ def misled() -> MonteCarloHandover:
 def test_a_wrong_hand_over_is_seen_and_counted() -> None:
     both = by_consecutive(misled()), by_evidence(misled().series, METHOD)
     assert [(judged.committed, judged.right) for judged in both] == [(True, False)] * 2
-    tried = Tried(0, "flip", "", both, 0.8)
+    tried = HandshakeAttempt(0, "flip", "", both, 0.8)
     assert not any(judged.same for judged in both)
-    good = Tried(1, "flip", "", (Judged(True, 7.0, True, True), NOT_COMMITTED), 2.0)
+    good = HandshakeAttempt(1, "flip", "", (GateVerdict(True, 7.0, True, True), NOT_COMMITTED), 2.0)
     lost = replace(good, index=2, reason="no_marker", judged=(NOT_COMMITTED,) * 2)
     counted = wrong_by_fault([tried, good, lost])
     assert counted == {"consecutive": {"flip": 1}, "evidence": {"flip": 1}}

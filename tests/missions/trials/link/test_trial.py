@@ -9,7 +9,7 @@ from drivers.link.wire import UDP_IP_OVERHEAD, Codec
 from flight.config import MissionConfig
 from missions import rig_library
 from missions.trials.link import trial as link
-from missions.trials.link.traffic import Packet, Traffic, extremes, flow
+from missions.trials.link.traffic import LinkTraffic, TappedPacket, extremes, flow
 from missions.trials.shared.trial import TrialRequest, TrialResult
 from missions.work import open_work
 from path.messages import Role
@@ -25,7 +25,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> TrialResult:
 
 
 @pytest.fixture(scope="module")
-def traffic() -> Traffic:
+def traffic() -> LinkTraffic:
     with open_work(1) as work:
         return flow(work, [60], SECONDS, MissionConfig(), seed=4)[0]
 
@@ -44,13 +44,13 @@ def test_sizes_add_up(result: TrialResult) -> None:
         assert size["wire_b"] == size["mavlink_b"] + 28
 
 
-def test_a_tap_sees_what_the_ends_sent_and_nothing_is_lost_or_dropped(traffic: Traffic) -> None:
+def test_a_tap_sees_what_the_ends_sent_and_nothing_is_lost_or_dropped(traffic: LinkTraffic) -> None:
     assert traffic.sent == traffic.received == len(traffic.packets) + len(traffic.extremes)
     assert not set(traffic.dropped) - {"superseded", "unproven"}
     assert traffic.dropped.get("unproven", 0) <= 8  # what was said before the first ping was answered
 
 
-def test_every_frame_has_its_messages_and_the_mission_its_own_rates(traffic: Traffic) -> None:
+def test_every_frame_has_its_messages_and_the_mission_its_own_rates(traffic: LinkTraffic) -> None:
     kinds = [packet.kind for packet in traffic.packets]
     rates = MissionConfig()
     assert kinds.count("target") == kinds.count("candidate") == 60 * SECONDS
@@ -75,8 +75,8 @@ def test_extremes_are_as_long_as_their_message_can_be(role: Role) -> None:
 
 
 def test_rates_count_the_headers_that_the_kernel_adds() -> None:
-    packet = Packet("target", Role.SENDER, 28, 53, 0.0)
-    traffic = Traffic(60, 2, [packet, replace(packet, at_s=1.5, direction=Role.RECEIVER)])
+    packet = TappedPacket("target", Role.SENDER, 28, 53, 0.0)
+    traffic = LinkTraffic(60, 2, [packet, replace(packet, at_s=1.5, direction=Role.RECEIVER)])
     rates = link._rates(traffic, {"target": {"wire_b": 100}})
     assert rates["bytes_per_s"] == 53 + UDP_IP_OVERHEAD
     assert rates["sender_bytes_per_s"] == rates["receiver_bytes_per_s"] == (53 + UDP_IP_OVERHEAD) / 2
@@ -85,6 +85,6 @@ def test_rates_count_the_headers_that_the_kernel_adds() -> None:
 
 
 def test_a_hand_over_is_no_part_of_a_rate() -> None:
-    target, commit = Packet("target", Role.SENDER, 28, 53, 0.0), Packet("commit", Role.SENDER, 25, 50, 0.5)
+    target, commit = TappedPacket("target", Role.SENDER, 28, 53, 0.0), TappedPacket("commit", Role.SENDER, 25, 50, 0.5)
     sizes = {"target": {"wire_b": 81}, "commit": {"wire_b": 78}}
-    assert link._rates(Traffic(60, 1, [target, commit]), sizes) == link._rates(Traffic(60, 1, [target]), sizes)
+    assert link._rates(LinkTraffic(60, 1, [target, commit]), sizes) == link._rates(LinkTraffic(60, 1, [target]), sizes)

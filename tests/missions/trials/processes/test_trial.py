@@ -8,7 +8,7 @@ import pytest
 
 from drivers.log.mcap_log import McapLog, new_part
 from missions import rig_library
-from missions.trials.processes.duty import Told, judge, read
+from missions.trials.processes.duty import RoleEvent, judge, read
 from missions.trials.processes.trial import bound_s, runs
 from path.messages import Role
 
@@ -18,8 +18,8 @@ S = 1_000_000_000
 
 def told(
     at_s: float, role: Role, responsible: bool | None = None, *, alive: bool = True, duty: str | None = None
-) -> Told:
-    return Told(round(at_s * S), role, alive, responsible, duty)
+) -> RoleEvent:
+    return RoleEvent(round(at_s * S), role, alive, responsible, duty)
 
 
 def test_a_hand_over_has_a_gap_of_a_message_and_a_holder_in_the_end() -> None:

@@ -10,8 +10,8 @@ import pytest
 from flight.harness.montecarlo import MISS, PAIR, Series
 from missions import rig_library
 from missions.trials.recall import trial
-from missions.trials.recall.detectors import REASONS, Detector, spells, unwrapped, with_detector
-from missions.trials.recall.handovers import GATES, LOCKED_M, Commit, Judged, Order, orders
+from missions.trials.recall.detectors import REASONS, DetectorFaults, spells, unwrapped, with_detector
+from missions.trials.recall.handovers import GATES, LOCKED_M, AttemptCommits, AttemptOrder, GateCommit, orders
 from missions.trials.shared.trial import TrialRequest
 from missions.work import open_work
 from path.config import MethodConfig
@@ -51,13 +51,13 @@ def test_numbers_of_frames_are_unwrapped_also_out_of_order() -> None:
 
 def test_perfect_detectors_change_nothing() -> None:
     series = series_of(300)
-    seen = with_detector(series, Detector(), METHOD, np.random.default_rng(1))
+    seen = with_detector(series, DetectorFaults(), METHOD, np.random.default_rng(1))
     assert np.array_equal(seen.kind, series.kind)
     assert np.array_equal(seen.iou, series.iou)
 
 
 def test_misses_of_both_drones_take_pairs_and_say_why() -> None:
-    seen = with_detector(series_of(50_000), Detector(0.9, 5.0), METHOD, np.random.default_rng(1))
+    seen = with_detector(series_of(50_000), DetectorFaults(0.9, 5.0), METHOD, np.random.default_rng(1))
     names = [REASONS[reason] for reason in seen.reason[seen.kind == MISS].tolist()]
     shares = {name: names.count(name) / len(seen) for name in set(names)}
     assert shares[MissReason.NO_CANDIDATE] == pytest.approx(0.1, rel=0.15)
@@ -66,12 +66,12 @@ def test_misses_of_both_drones_take_pairs_and_say_why() -> None:
 
 
 def test_long_misses_of_d1_leave_d2_without_a_target() -> None:
-    seen = with_detector(series_of(50_000), Detector(0.7, 15.0), METHOD, np.random.default_rng(1))
+    seen = with_detector(series_of(50_000), DetectorFaults(0.7, 15.0), METHOD, np.random.default_rng(1))
     assert np.sum(seen.kind == PAIR) / len(seen) == pytest.approx(0.7 * 0.68, rel=0.1)
 
 
 def test_invented_boxes_overlap_with_nothing() -> None:
-    seen = with_detector(series_of(50_000), Detector(1.0, 5.0, 0.05), METHOD, np.random.default_rng(1))
+    seen = with_detector(series_of(50_000), DetectorFaults(1.0, 5.0, 0.05), METHOD, np.random.default_rng(1))
     assert np.all(seen.kind == PAIR)
     assert np.mean(seen.iou[:, 0] == 0.0) == pytest.approx(0.11, rel=0.2)
 
@@ -87,13 +87,13 @@ def test_every_cell_has_every_kind_of_attempt_and_no_hand_over_comes_twice() -> 
         assert all(order.attempt.whole for order in own)
 
 
-def judged(cell: int, group: str, *commits: Commit | None) -> Judged:
+def judged(cell: int, group: str, *commits: GateCommit | None) -> AttemptCommits:
     template = next(o for o in orders(0, 1, 4) if o.group == group)
-    return Judged(Order(cell, template.group, template.attempt), commits)
+    return AttemptCommits(AttemptOrder(cell, template.group, template.attempt), commits)
 
 
 def test_a_cell_counts_true_commits_and_all_wrong_ones() -> None:
-    good, late, wrong = Commit(2.0, True, True), Commit(4.0, True, True), Commit(1.0, False, False)
+    good, late, wrong = GateCommit(2.0, True, True), GateCommit(4.0, True, True), GateCommit(1.0, False, False)
     told = [
         judged(1, "true", None, good),
         judged(1, "true", None, late),
@@ -112,7 +112,7 @@ def test_a_cell_counts_true_commits_and_all_wrong_ones() -> None:
 
 @pytest.mark.parametrize(("short", "said"), [(True, "measured"), (False, "met")])
 def test_a_short_run_meets_no_goal(short: bool, said: str) -> None:
-    good = Commit(2.0, True, True)
+    good = GateCommit(2.0, True, True)
     told = [judged(cell, "true", good, good) for cell in range(len(trial.DETECTORS)) for _ in range(4)]
     found = trial.result(told, short)
     assert [finding.verdict for finding in found.findings[:3]] == [said] * 3

@@ -63,7 +63,7 @@ def test_a_mission_from_bad_positions_finds_the_sender(
 
 
 def test_a_mission_in_which_one_drone_never_flew_does_not_spoil_the_rest(tmp_path: Path) -> None:
-    never = rendezvous_flights.Flown(
+    never = rendezvous_flights.RendezvousResult(
         seed=0, outcome="vehicle_refused", why="", arrived=False, began_s=None, arrived_s=None, go_arounds=0,
         separation_m=None, ellipsoid=None, downwash_s=0.0, violations={}, way_h_m=(),
     )  # fmt: skip

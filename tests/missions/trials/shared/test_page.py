@@ -1,15 +1,15 @@
-"""What a reader of the page gets."""
+"""The page as its reader gets it."""
 
 from html.parser import HTMLParser
 from pathlib import Path
 
 from missions.trials.shared.page import Chapter, render_page
-from missions.trials.shared.trial import Finding, Picture, Table, TrialResult
+from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialResult, TrialTable
 
 FINDINGS = (
-    Finding("pairs < 1 mm & more", "97 %", "95 % to 98 %", "90 %", "≥ 95 %", "met"),
-    Finding("time, s", "9.1", goal="≤ 8", verdict="short", note="because of <the lens>"),
-    Finding("frames", "350"),
+    TrialFinding("pairs < 1 mm & more", "97 %", "95 % to 98 %", "90 %", "≥ 95 %", "met"),
+    TrialFinding("time, s", "9.1", goal="≤ 8", verdict="short", note="because of <the lens>"),
+    TrialFinding("frames", "350"),
 )
 
 
@@ -50,8 +50,8 @@ def chapter(name: str, folder: Path, result: TrialResult | None, error: str = ""
 
 def test_one_trial_fills_its_page(tmp_path: Path) -> None:
     (tmp_path / "errors.png").write_bytes(b"\x89PNG not really")
-    noise = Table("Noise", ("what", "sigma"), (("blur", "0.6 px"),), "as <measured>")
-    result = TrialResult({}, FINDINGS, noise, (), (Picture("errors.png", "Errors & more"),), ("A note.",))
+    noise = TrialTable("Noise", ("what", "sigma"), (("blur", "0.6 px"),), "as <measured>")
+    result = TrialResult({}, FINDINGS, noise, (), (TrialPicture("errors.png", "Errors & more"),), ("A note.",))
     page = read(render_page([chapter("static", tmp_path, result)], 1))
     text = "\n".join(page.texts)
     for expected in ("Title of static", "path-handoff trial static --seed 3", "pairs < 1 mm & more", "95 % to 98 %"):

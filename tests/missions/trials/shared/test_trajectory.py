@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from missions.trials.shared.trajectory import (
     Alignment,
-    Pair,
+    MotionPair,
     Trajectory,
     align,
     ape,
@@ -43,7 +43,7 @@ def records(seed: int, noise_m: float = NOISE_M, seconds: float = 60.0, R: Array
 
 
 def found(curve: Trajectory, samples: Trajectory, seed: int = 0) -> Alignment:
-    return align([Pair(curve, samples)], coarse_offset(curve, samples), np.random.default_rng(seed))
+    return align([MotionPair(curve, samples)], coarse_offset(curve, samples), np.random.default_rng(seed))
 
 
 def test_clock_and_frame_are_found() -> None:
@@ -64,7 +64,7 @@ def test_a_clock_that_is_wrong_by_0_3_s_is_found_out(wrong_s: float) -> None:
     right, wrong = found(curve, samples), found(curve, replace(samples, t=samples.t + wrong_s))
     assert right.offset_s - wrong.offset_s == pytest.approx(wrong_s, abs=0.001)
     assert wrong.offset_s + wrong_s == pytest.approx(OFFSET_S, abs=0.01)
-    started_wrong = align([Pair(curve, samples)], OFFSET_S + wrong_s, np.random.default_rng(0))
+    started_wrong = align([MotionPair(curve, samples)], OFFSET_S + wrong_s, np.random.default_rng(0))
     assert started_wrong.offset_s == pytest.approx(OFFSET_S, abs=0.01)
 
 
@@ -100,15 +100,15 @@ def test_a_curve_that_drifts_may_wander() -> None:
     curve, samples = records(4)
     walk = np.cumsum(np.random.default_rng(5).normal(0.0, 0.02 * math.sqrt(0.1), (len(curve.t), 3)), axis=0)
     drifting = Trajectory(curve.t, curve.p + walk)
-    wandering = align([Pair(drifting, samples, 8.0)], OFFSET_S, np.random.default_rng(0))
-    fixed = align([Pair(drifting, samples)], OFFSET_S, np.random.default_rng(0))
+    wandering = align([MotionPair(drifting, samples, 8.0)], OFFSET_S, np.random.default_rng(0))
+    fixed = align([MotionPair(drifting, samples)], OFFSET_S, np.random.default_rng(0))
     assert abs(wandering.offset_s - OFFSET_S) < 0.02
     assert wandering.scales_m[0] < fixed.scales_m[0]
 
 
 def test_two_motions_share_clock_and_frame() -> None:
     first, second = records(6), records(7)
-    alignment = align([Pair(*first), Pair(*second)], OFFSET_S + 0.1, np.random.default_rng(0))
+    alignment = align([MotionPair(*first), MotionPair(*second)], OFFSET_S + 0.1, np.random.default_rng(0))
     single = found(*first)
     assert alignment.offset_sigma_s < single.offset_sigma_s
     assert len(alignment.shifts) == len(alignment.residuals) == 2
@@ -123,7 +123,7 @@ def test_no_pair_is_lost_because_the_frames_are_turned() -> None:
         turned = exp(np.array([0.0, 0.0, turn]))
         rng = np.random.default_rng(1)
         pairs = [
-            Pair(
+            MotionPair(
                 Trajectory(t, places),
                 Trajectory(t[5:-5] + 0.03, (places @ turned.T + rng.normal(0.0, NOISE_M, places.shape))[5:-5]),
             )
@@ -136,7 +136,7 @@ def test_no_pair_is_lost_because_the_frames_are_turned() -> None:
 def test_a_free_rotation_is_found_too() -> None:
     turned = R_from_rpy(0.3, -0.2, 1.0)
     curve, samples = records(8, R=turned)
-    alignment = align([Pair(curve, samples)], OFFSET_S, np.random.default_rng(0), turn="any")
+    alignment = align([MotionPair(curve, samples)], OFFSET_S, np.random.default_rng(0), turn="any")
     assert pytest.approx(turned, abs=0.01) == alignment.R
 
 
@@ -152,7 +152,7 @@ def test_rotations_are_proper() -> None:
 def test_records_that_do_not_meet_are_refused() -> None:
     curve, samples = records(9)
     with pytest.raises(ValueError, match="too few"):
-        align([Pair(curve, samples)], OFFSET_S + 500.0, np.random.default_rng(0))
+        align([MotionPair(curve, samples)], OFFSET_S + 500.0, np.random.default_rng(0))
     with pytest.raises(ValueError, match="too short"):
         coarse_offset(curve, Trajectory(samples.t[:10], samples.p[:10]))
 

@@ -1,4 +1,4 @@
-"""What a soak reads from the programs and their logs, and that it notices what grows."""
+"""The figures that a soak reads from the programs and their logs; it notices what grows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from drivers.log.mcap_log import LogRecord
 from missions import rig_library
 from missions.rig_library import mission_of
 from missions.trials.soak import trial as soak
-from missions.trials.soak.watch import Sample, Watch, programs
+from missions.trials.soak.watch import ProgramSample, Watch, programs
 from path.messages import Role
 
 GROWS = """
@@ -63,7 +63,7 @@ def test_memory_that_grows_is_noticed_in_the_program_that_holds_it() -> None:
 
 
 def test_the_processor_s_share_is_of_the_time_between_the_samples() -> None:
-    taken = [Sample(10.0, 1.0, {"main": 2.0}), Sample(14.0, 1.0, {"main": 3.0, "camera": 1.0})]
+    taken = [ProgramSample(10.0, 1.0, {"main": 2.0}), ProgramSample(14.0, 1.0, {"main": 3.0, "camera": 1.0})]
     assert soak.cpu_share(taken) == {"main": 0.25, "camera": 0.25}
 
 

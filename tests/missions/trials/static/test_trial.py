@@ -17,16 +17,16 @@ from missions.trials.static.methods import (
     ALL,
     METHODS,
     SIDE_SIGMA,
-    Errors,
     Judging,
     Method,
+    MethodErrors,
     Results,
     errors_of,
     judge,
     measure,
 )
 from missions.trials.static.report import SEVEN, figures_of, mean, median, p95, percentile
-from missions.trials.static.shots import LAYOUT, Seen, Shooting, Sighting, shoot
+from missions.trials.static.shots import LAYOUT, SenderObservation, StaticMeasurement, StaticSeries, shoot
 from missions.trials.static.stage import (
     CAMERA,
     CONFIGURATIONS,
@@ -44,7 +44,7 @@ from path.observations import Box, Depth, MarkerDetection
 
 RIG = rig_library.load("sim-rendered")
 MOUNTS = mounts_of(RIG)
-RIGHT = Errors(0.0, (0.0, 0.0), np.zeros(3), np.zeros(3), np.zeros((2, 2)), 0.0, wide=False)
+RIGHT = MethodErrors(0.0, (0.0, 0.0), np.zeros(3), np.zeros(3), np.zeros((2, 2)), 0.0, wide=False)
 WITH_GRAVITY: tuple[Method, ...] = ("gravity_subpix", "gravity_photometric")
 
 
@@ -59,7 +59,7 @@ def result(out: Path) -> TrialResult:
         return run(TrialRequest(RIG, out, 3, True, work))
 
 
-def exact(configuration: int = 4, session: int = 0) -> Sighting:
+def exact(configuration: int = 4, session: int = 0) -> StaticMeasurement:
     """A measurement without any noise, of a target a metre from D1's camera."""
     rng = np.random.default_rng([1, configuration, session])
     stage = stage_of(STANDS[configuration], MOUNTS, 0.0, rng)
@@ -68,9 +68,9 @@ def exact(configuration: int = 4, session: int = 0) -> Sighting:
     corners = CAMERA.project(T_c2_v.apply(LAYOUT.markers[0].corners_v))
     marker = MarkerDetection(0, corners, 1e-4 * np.eye(8))
     x, y = CAMERA.ray(600.0, 400.0)
-    seen = Seen(Box(580.0, 390.0, 40.0, 20.0), Depth(1.0, 0.005), Depth(1.1, 0.005), np.array([x, y, 1.0]))
+    seen = SenderObservation(Box(580.0, 390.0, 40.0, 20.0), Depth(1.0, 0.005), Depth(1.1, 0.005), np.array([x, y, 1.0]))
     markers: dict[str, MarkerDetection | None] = {"subpix": marker, "photometric": marker}
-    return Sighting(configuration, session, T_c2_v, -T_w_b1.R[2], -T_w_b2.R[2], markers, seen)
+    return StaticMeasurement(configuration, session, T_c2_v, -T_w_b1.R[2], -T_w_b2.R[2], markers, seen)
 
 
 def test_the_summary_has_every_figure_of_every_method_and_camera(result: TrialResult):
@@ -176,7 +176,7 @@ def test_a_wrong_attitude_matters_to_who_uses_gravity_only():
         assert (after.d2_m - before.d2_m > 0.001) == (method in WITH_GRAVITY)
 
 
-def replace_covariance(sighting: Sighting, sigma_px: float) -> MarkerDetection:
+def replace_covariance(sighting: StaticMeasurement, sigma_px: float) -> MarkerDetection:
     found = sighting.markers["photometric"]
     assert found is not None
     return replace(found, covariance_px2=sigma_px**2 * np.eye(8))
@@ -253,8 +253,8 @@ def test_intervals_resample_whole_sessions():
 
 
 def test_a_sighting_depends_on_nothing_but_seed_configuration_and_session():
-    studio = trial_part(RIG, "studio")
-    shooting = Shooting(studio, MOUNTS, IMAGING["ideal"], 3, 1, (0, 1))
+    renderer = trial_part(RIG, "renderer")
+    shooting = StaticSeries(renderer, MOUNTS, IMAGING["ideal"], 3, 1, (0, 1))
     _, after = shoot(shooting)
     (alone,) = shoot(replace(shooting, sessions=(1,)))
     one, two = (sighting.markers["photometric"] for sighting in (after, alone))

@@ -27,7 +27,16 @@ from missions.trials.shared.trial import TrialRequest, TrialResult
 from missions.trials.thresholds import trial as thresholds
 from missions.trials.thresholds.choice import MAY_COST, PAPER_N, Shares, choose, curve, difference, halves, index_of
 from missions.trials.thresholds.grid import BINS, FRAMES, MAPPINGS, RIGHT, WRONG, Outcomes, Setting, grid, outcomes
-from missions.trials.thresholds.series import BESIDE, FAULT_NAMES, NEAR, ON, WAYS, Tried, true_attempts, wrong_attempts
+from missions.trials.thresholds.series import (
+    BESIDE,
+    FAULT_NAMES,
+    NEAR,
+    ON,
+    WAYS,
+    GridAttempt,
+    true_attempts,
+    wrong_attempts,
+)
 from missions.work import open_work
 from path.config import MethodConfig
 from path.window import AgreementWindow
@@ -115,17 +124,17 @@ def test_the_strictest_setting_that_costs_nothing_is_chosen() -> None:
     assert choose(shares(right, {3: (0.05, 0.5), 5: (0.05, 0.5), 8: (0.0, 0.0), 9: (0.05, 0.5)})) == 3  # the most true
 
 
-def tried(way: str, iou: Sequence[float], committed: int, number: int = 0) -> Tried:
+def tried(way: str, iou: Sequence[float], committed: int, number: int = 0) -> GridAttempt:
     """Every setting with every window comes to the same; all pairs are of what the attempt is about."""
     counts = np.zeros((2, len(MAPPINGS), BINS), np.int64)
     for value in iou:
         counts[int(not way), :, int(value * BINS)] += 1
     wrong = WrongAssociation("lock", 0.5) if way else None
     commit = np.full((len(grid()), len(FRAMES)), committed, np.int8)
-    return Tried(way, Attempt(0, number, wrong=wrong), Outcomes(commit, counts))
+    return GridAttempt(way, Attempt(0, number, wrong=wrong), Outcomes(commit, counts))
 
 
-def area(*some: Tried) -> tuple[float, Interval]:
+def area(*some: GridAttempt) -> tuple[float, Interval]:
     found = curve(some, "center", np.random.default_rng(0))
     assert found is not None
     assert (np.diff(found.true) <= 0.0).all() and (np.diff(found.false) <= 0.0).all()
@@ -153,7 +162,9 @@ def test_shares_tell_true_and_forced_attempts_apart() -> None:
 
 def test_halves_share_every_kind_and_no_attempt() -> None:
     asked = [*true_attempts("rig", 0, 56), *wrong_attempts("rig", 0, 20)]
-    some = [Tried(each.way, each.attempt, Outcomes(np.zeros(0, np.int8), np.zeros(0, np.int64))) for each in asked]
+    some = [
+        GridAttempt(each.way, each.attempt, Outcomes(np.zeros(0, np.int8), np.zeros(0, np.int64))) for each in asked
+    ]
     one, other = halves(some)
     indices = [{each.attempt.index for each in part} for part in (one, other)]
     assert indices[0] | indices[1] == {each.attempt.index for each in asked} and not indices[0] & indices[1]

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.interfaces import FlightMode, Vehicle, VehicleState
 from drivers.rig.parts import Mount
-from flight.eye import Eye
+from flight.camera_pose import CameraPose
 from path.geometry import Pose
 from path.messages import Quat
 from path.rotation import R_from_rpy, quat_from_rpy
@@ -33,8 +33,8 @@ class Attitudes:
         return quat_from_rpy(stamp_ns * 1e-9, 0.0, 0.0)
 
 
-def eye_of(vehicle: Any) -> Eye:
-    return Eye(cast(Vehicle, vehicle), Mount(AHEAD_AND_DOWN, MARKER))
+def eye_of(vehicle: Any) -> CameraPose:
+    return CameraPose(cast(Vehicle, vehicle), Mount(AHEAD_AND_DOWN, MARKER))
 
 
 def test_the_attitude_is_that_of_the_frame_not_the_newest() -> None:
@@ -58,13 +58,13 @@ def test_the_mount_is_left_as_it_is() -> None:
 
 @pytest.mark.parametrize("rpy", [(0.0, 0.0, 0.0), (0.0, 0.0, 2.5), (0.2, -0.1, 1.0)])
 def test_down_seen_from_camera_and_marker_points_down(rpy: tuple[float, float, float]) -> None:
-    eye, R = eye_of(SimpleNamespace()), R_from_rpy(*rpy)
+    camera_pose, R = eye_of(SimpleNamespace()), R_from_rpy(*rpy)
     down_n = np.array([0.0, 0.0, 1.0])
-    assert R @ AHEAD_AND_DOWN.R @ np.array(eye.gravity_c(R)) == pytest.approx(down_n, abs=1e-12)
-    assert R @ MARKER.R @ np.array(eye.gravity_v(R)) == pytest.approx(down_n, abs=1e-12)
+    assert R @ AHEAD_AND_DOWN.R @ np.array(camera_pose.gravity_c(R)) == pytest.approx(down_n, abs=1e-12)
+    assert R @ MARKER.R @ np.array(camera_pose.gravity_v(R)) == pytest.approx(down_n, abs=1e-12)
 
 
 def test_a_level_camera_that_looks_45_degrees_down_has_gravity_between_its_axes() -> None:
-    eye = eye_of(SimpleNamespace())
-    assert eye.gravity_c(np.eye(3)) == pytest.approx((0.0, C, C))
-    assert eye.gravity_v(np.eye(3)) == pytest.approx((0.0, -C, -C))
+    camera_pose = eye_of(SimpleNamespace())
+    assert camera_pose.gravity_c(np.eye(3)) == pytest.approx((0.0, C, C))
+    assert camera_pose.gravity_v(np.eye(3)) == pytest.approx((0.0, -C, -C))

@@ -1,4 +1,4 @@
-"""Where a drone's camera is and where down is, at the instant a frame was taken."""
+"""The pose of a drone's camera, and the direction of down, at the instant a frame was taken."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from path.geometry import Matrix, Pose
 from path.rotation import R_from_quat
 
 
-class Eye:
+class CameraPose:
     """The camera of a vehicle, by the vehicle's own estimate."""
 
     def __init__(self, vehicle: Vehicle, mount: Mount) -> None:
