@@ -212,8 +212,10 @@ def _others(found, many, row, reach, picked):
 
 
 @kernel
-def _tell_others(camera, depths, number, bodies, extents, frame, hidden, found, picked, out):
-    """Boxes and depths of the picked detections, into D1's row of a frame."""
+def _tell_others(camera, depths, number, bodies, extents, frame, hidden, found, row, reach, out):
+    """Boxes and depths of the detections nearest to the chosen one, into D1's row of a frame."""
+    picked = np.empty(OTHERS_MOST, np.int64)
+    _others(found, found.shape[0], row, reach, picked)
     for j in range(OTHERS_MOST):
         if picked[j] == NOTHING:
             return
@@ -285,10 +287,9 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
     )
     frame, region, point, measured = np.empty(FRAME_COLUMNS), np.empty(4), np.empty(3), np.empty(3)
     seen, rows = np.empty((most, SEEN_COLUMNS)), np.empty((most, DETECTION_COLUMNS))
-    found, picked = np.empty((most, FOUND_COLUMNS)), np.empty(OTHERS_MOST, np.int64)
+    found = np.empty((most, FOUND_COLUMNS))
     for k in range(first, last):
         out = own[k]
-        out[OTHERS:] = 0.0
         out[STATUS], out[Z], out[WHO] = LOST, -1.0, NOBODY
         sigma = predicted(follower, times[k], point)
         x, y, z = _in_camera(R_n_c[k], t_n_c[k], point)
@@ -315,7 +316,6 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
         out[BOX], out[BOX + 1], out[BOX + 2], out[BOX + 3] = box
         key = fold(fold(fold(fold(camera.seed, flown.frame[k]), DEPTH), int(16.0 * box[0])), int(16.0 * box[1]))
         bodies = boxes[: count * camera.car.shape[0] + camera.drone.shape[0]]
-        noise = (depths.sigma_m, depths.common_sigma_m)
         depth, out[SIGMA] = depth_over(
             bodies,
             extents[: count + 1],
@@ -325,13 +325,15 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
             holes[k],
             box,
             depths.settings,
-            noise,
+            (depths.sigma_m, depths.common_sigma_m),
             key,
         )
         ray_x, ray_y = _ray(lens, box[0] + 0.5 * box[2], box[1] + 0.5 * box[3])
         depth *= depths.scale
-        _others(found, many, row, OTHERS_REACH_M * scale, picked)
-        _tell_others(camera, depths, flown.frame[k], bodies, extents[: count + 1], frame, holes[k], found, picked, out)
+        _tell_others(
+            camera, depths, flown.frame[k], bodies, extents[: count + 1], frame, holes[k], found[:many], row,
+            OTHERS_REACH_M * scale, out,
+        )  # fmt: skip
         if depth > 0.0 and (
             not follower[BEGUN] or _shows(depth, out[SIGMA], ray_x, ray_y, R_n_c[k], t_n_c[k], point, sigma)
         ):
