@@ -266,7 +266,7 @@ class ReplayOptions:
     """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4; may be given several
     times. Without any (and without --gate) every decision must come out as it was logged."""
 
-    gate: Literal["consecutive", "evidence"] | None = None
+    gate: Literal["count", "evidence"] | None = None
     """The gate to decide with instead."""
 
     picture: bool = True

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from path.bounds import Bounds, check_bounds
 
 BoxMapping = Literal["center", "corner"]
-GateKind = Literal["consecutive", "evidence"]
+GateKind = Literal["count", "evidence"]
 TargetError = Literal["point", "ray"]
 
 
@@ -71,8 +71,8 @@ class MethodConfig:
         tau_min, tau_max: IoU needed far away and at ``z0_m`` or nearer (eq. adaptive_threshold).
         z0_m: reference viewing distance (eq. scale_factor).
         gate: what decides that the views have agreed for long enough: all of the last ``hold_frames`` pairs, as the
-            paper has it ("consecutive"), or the strength of the agreement as well ("evidence", ``path.evidence``).
-        hold_frames, hold_s: of the gate "consecutive": distinct fresh agreeing frame pairs, and the time from the first
+            paper has it ("count"), or the strength of the agreement as well ("evidence", ``path.evidence``).
+        hold_frames, hold_s: of the gate "count": distinct fresh agreeing frame pairs, and the time from the first
             to the last of them on capture stamps; both are needed.
         max_gap_s: longest time between two consecutive agreeing pairs; a longer one restarts the count.
         max_age_s: a message whose frame is older than this when it comes in, is stale.
@@ -139,7 +139,7 @@ class MethodConfig:
     min_search_px: Annotated[float, Bounds(0.5, 4000.0)] = 16.0
     max_search_px: Annotated[float, Bounds(0.5, 16384.0)] = 200.0
     ambiguity_margin: Annotated[float, Bounds(0.0, 1000.0, "(squared distances)", above=True)] = 6.0
-    gate: GateKind = "consecutive"
+    gate: GateKind = "count"
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
 
     def __post_init__(self) -> None:
@@ -148,8 +148,8 @@ class MethodConfig:
             raise ValueError(f'box_mapping: {self.box_mapping!r} is neither "center" nor "corner"')
         if self.target_error not in ("point", "ray"):
             raise ValueError(f'target_error: {self.target_error!r} is neither "point" nor "ray"')
-        if self.gate not in ("consecutive", "evidence"):
-            raise ValueError(f'gate: {self.gate!r} is neither "consecutive" nor "evidence"')
+        if self.gate not in ("count", "evidence"):
+            raise ValueError(f'gate: {self.gate!r} is neither "count" nor "evidence"')
         check_bounds(self)
         for low, high in (
             ("tau_min", "tau_max"),

@@ -1,4 +1,4 @@
-"""The gate before a commit, and the paper's: consecutive agreements on distinct fresh frame pairs only.
+"""The gate before a commit, and the paper's, "count": consecutive agreements on distinct fresh frame pairs only.
 
 Paper, eq. temporal_verification. The other gate, ``path.evidence``, rests on the same run of pairs.
 
@@ -121,7 +121,7 @@ class Gate(Protocol):
 
 
 class AgreementWindow:
-    """Counts consecutive agreeing pairs: the gate "consecutive". Mutable; one instance for one attempt."""
+    """Counts consecutive agreeing pairs: the gate "count". Mutable; one instance for one attempt."""
 
     def __init__(self, config: MethodConfig) -> None:
         self._hold_frames = config.hold_frames

@@ -118,7 +118,7 @@ class _Cycles:
         self._marker_id = rig.layout.markers[0].id
         camera_1, camera_2 = calibrated.camera_1, calibrated.camera_2
         # the paper's gate decides when to stop; others are told the series afterwards
-        method = replace(method, gate="consecutive")
+        method = replace(method, gate="count")
         carried = Mount(calibrated.T_b_c2, calibrated.T_b_v)
         self._marker = MarkerView(rig.layout, camera_2, carried, method, believed.mission)
         self._window = AgreementWindow(method)

@@ -16,7 +16,7 @@ from path.evidence import make_gate
 
 Group = Literal["true", "look-alike", "wrong object"]
 
-GATES: tuple[GateKind, ...] = ("consecutive", "evidence")
+GATES: tuple[GateKind, ...] = ("count", "evidence")
 LIMIT_S = 10.0
 LOCKED_M = (0.3, 0.4, 0.6, 1.0)  # from the target to the object that D2 sees instead of it, all the time
 

@@ -107,7 +107,7 @@ def test_a_cell_counts_true_commits_and_all_wrong_ones() -> None:
     assert evidence.commit_rate == pytest.approx(2 / 3)
     assert evidence.t_median_s == 4.0
     assert evidence.t_p90_s == np.inf
-    assert trial.cell_of(told, 1, "consecutive").wrong == 1
+    assert trial.cell_of(told, 1, "count").wrong == 1
 
 
 @pytest.mark.parametrize(("short", "said"), [(True, "measured"), (False, "met")])
