@@ -32,6 +32,8 @@ class EvidenceConfig:
             long as a run lasts, in D1's image at the target's depth; and from how many measurements that is known.
         unseen: share of the hand-overs in which D2 may see another object than the target that D1 does not see.
         rival_s: for so long an object that D1 saw beside the target is taken to be there still.
+        apart_m, swap: D1 itself may have gone over to an object that is nearer to the target than that in its image, in
+            so many of the hand-overs with one.
     """
 
     alpha: Annotated[float, Bounds(0.0, 0.5, "of 1", above=True)] = 1e-3
@@ -48,8 +50,10 @@ class EvidenceConfig:
     max_pose_sigma_m: Annotated[float, Bounds(0.0005, 1.0)] = 0.03
     offset_sigma_m: Annotated[float, Bounds(0.001, 1.0)] = 0.025
     offset_known: Annotated[int, Bounds(1, 10_000, "measurements")] = 20
-    unseen: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 1e-4
-    rival_s: Annotated[float, Bounds(0.0, 30.0)] = 1.0
+    unseen: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 1e-3
+    rival_s: Annotated[float, Bounds(0.0, 30.0)] = 3.0
+    apart_m: Annotated[float, Bounds(0.0, 10.0)] = 0.45
+    swap: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.05
 
     def __post_init__(self) -> None:
         """Raises ValueError naming the first field that cannot be right, and what is allowed."""

@@ -14,7 +14,11 @@ decides:
   a share ``unseen`` of all hand-overs at most, in which D2 does not see the target either. No frame tells more of it:
   p(offset from the target) / (unseen * p(anywhere)).
 
-The run's evidence is the smallest of both and of what the blocks say (``path.evidence``).
+- against D1's own: where an object is nearer than ``apart_m`` to what D1 follows, D1 may have gone over to it, in a
+  share ``swap`` of such hand-overs. Both boxes agree then for ever, so that nothing beyond 1 / swap can be reached while
+  it is there, which is for ``rival_s`` after D1 has seen it.
+
+The run's evidence is the smallest of these and of what the blocks say (``path.evidence``).
 """
 
 from __future__ import annotations
@@ -65,9 +69,11 @@ class Identity:
     beside: int = 0
     target_then: Offset = (0.0, 0.0)  # of the pairs in which there was something beside the target
     rival: Offset = (0.0, 0.0)
+    near_m: float = math.inf  # in the newest pair, from what D1 follows to the nearest other object
 
     def note(self, offsets: Offsets) -> None:
         self.pairs += 1
+        self.near_m = min((math.dist(each, offsets.target_m) for each in offsets.rivals_m), default=math.inf)
         self.target = _sum(self.target, offsets.target_m)
         rival = nearest_rival(offsets)
         if rival is not None:
@@ -83,6 +89,8 @@ class Identity:
         if self.beside:
             target_m, rival_m = _mean(self.target_then, self.beside), _mean(self.rival, self.beside)
             found = min(found, against_rival(target_m, rival_m, config))
+        if self.near_m < config.apart_m:
+            found = min(found, -math.log10(config.swap))
         return max(NOTHING, found)
 
 

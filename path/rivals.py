@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from path.agreement import TwoViews, depth_in, map_box
 from path.config import MethodConfig
@@ -22,8 +22,10 @@ from path.window import Offset, Offsets
 
 SAME_M = 0.15
 """Two sightings that are nearer to each other than that are of one object."""
-MOST = 3
-"""The nearest ones that are remembered."""
+MOST, REMEMBERED = 3, 8
+"""How many are told of, and how many are remembered: the nearest ones."""
+SEEN_TIMES = 3
+"""One that was seen less often may be nothing: detectors invent, but hardly ever several times in the same place."""
 _LEAST_DESCENT = 0.1  # of a line of sight towards the target's level, per metre of depth
 
 
@@ -47,6 +49,7 @@ class _Beside:
     dv: float
     dz: float
     dpoint: Vec3
+    times: int = 1
 
 
 class Rivals:
@@ -71,13 +74,15 @@ class Rivals:
                 (x, y, z), z1 = place
                 there = x - point_v[0], y - point_v[1], z - point_v[2]
                 seen.append(_Beside(stamp_ns, rival.box.center[0] - u, rival.box.center[1] - v, z1 - z_m, there))
-        for old in self._beside:
-            if stamp_ns - old.stamp_ns <= self._remember_ns and all(
-                math.dist(old.dpoint, new.dpoint) > SAME_M for new in seen
-            ):
-                seen.append(old)
+        known = [old for old in self._beside if stamp_ns - old.stamp_ns <= self._remember_ns]
+        for k, new in enumerate(seen):
+            old = min(known, key=lambda each: math.dist(each.dpoint, new.dpoint), default=None)
+            if old is not None and math.dist(old.dpoint, new.dpoint) <= SAME_M:
+                known.remove(old)
+                seen[k] = replace(new, times=old.times + 1)
+        seen += known
         seen.sort(key=lambda each: math.hypot(*each.dpoint))
-        self._beside = seen[:MOST]
+        self._beside = seen[:REMEMBERED]
 
     def offsets(self, T_v_c2: Rigid, box2: Box, own: Box, z_m: float, point_v: Vec3) -> Offsets | None:
         """How far D2's box is from the target and from each object beside it; None when it cannot be told.
@@ -90,7 +95,7 @@ class Rivals:
             return None
         u, v = own.center
         others: list[Offset] = []
-        for each in self._beside:
+        for each in [each for each in self._beside if each.times >= SEEN_TIMES][:MOST]:
             there = point_v[0] + each.dpoint[0], point_v[1] + each.dpoint[1], point_v[2] + each.dpoint[2]
             offset = self._offset(T_v_c2, box2, (u + each.du, v + each.dv), z_m + each.dz, there)
             if offset is not None:

@@ -58,6 +58,9 @@ class AgreedPairs:
         if near:
             then, beside = (np.array(column) for column in zip(*near, strict=True))
             found = min(found, self._likely(then) - self._likely(beside))
+        target, rival = self.offsets[-1]
+        if rival is not None and math.dist(target, rival) < own.apart_m:
+            found = min(found, -math.log10(own.swap))
         return max(0.0, found)
 
     def _likely(self, offsets: NDArray[np.float64]) -> float:

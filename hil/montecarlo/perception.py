@@ -84,12 +84,13 @@ class MonteCarloCamera(NamedTuple):
 
 
 class Depths(NamedTuple):
-    """The depth camera; ``scale``: how much too far it measures."""
+    """The depth camera; ``scale``, ``bias_m``: how much too far it measures."""
 
     settings: DepthSettings
     sigma_m: float
     common_sigma_m: float
     scale: float
+    bias_m: float
 
 
 class CameraPath(NamedTuple):
@@ -227,7 +228,7 @@ def _tell_others(camera, depths, number, bodies, extents, frame, hidden, found, 
         depth, out[at + 5] = depth_over(
             bodies, extents, camera.car.shape[0], frame, camera.lens, hidden, box, depths.settings, noise, key
         )
-        out[at + 4] = depth * depths.scale
+        out[at + 4] = depth * depths.scale + depths.bias_m if depth > 0.0 else depth
 
 
 @kernel
@@ -329,7 +330,7 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
             key,
         )
         ray_x, ray_y = _ray(lens, box[0] + 0.5 * box[2], box[1] + 0.5 * box[3])
-        depth *= depths.scale
+        depth = depth * depths.scale + depths.bias_m if depth > 0.0 else depth
         _tell_others(
             camera, depths, flown.frame[k], bodies, extents[: count + 1], frame, holes[k], found[:many], row,
             OTHERS_REACH_M * scale, out,

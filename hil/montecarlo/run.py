@@ -21,6 +21,7 @@ from hil.montecarlo.conditions import MEANINGS, conditions
 from hil.montecarlo.cycles import REASONS, CyclesRun, run_cycles
 from hil.montecarlo.scene import Believed
 from hil.montecarlo.setup import EPOCH_S, BodyBoxes, HandoverSetup
+from hil.world.errors import level_of, sizes_of
 from path.config import MethodConfig
 from path.messages import Role
 from path.observations import MissReason
@@ -51,7 +52,7 @@ class MonteCarloHandovers:
         return _result(attempt, setup, run_cycles(attempt, setup, self._believed, self._method), self._method)
 
     def conditions(self) -> tuple[tuple[str, str], ...]:
-        return conditions()
+        return conditions(sizes_of(level_of(self._believed.rig)))
 
     def meanings(self) -> Mapping[FaultName, str]:
         return MEANINGS

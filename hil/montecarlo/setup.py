@@ -94,17 +94,20 @@ class Timed:
         number: (n,) running number; frames that a frozen camera did not give are left out.
         taken_s, done_s, heard_s: (n,) when it was taken, when its processing ended, when the other drone heard of it;
             infinite for a message that was lost.
+        stamped_s: (n,) when it was taken, by its stamp.
     """
 
     number: Whole
     taken_s: Array
     done_s: Array
     heard_s: Array
+    stamped_s: Array
 
     def until(self, time_s: float) -> Timed:
         """Returns the frames taken before an instant."""
         count = int(np.searchsorted(self.taken_s, time_s))
-        return Timed(self.number[:count], self.taken_s[:count], self.done_s[:count], self.heard_s[:count])
+        columns = self.number, self.taken_s, self.done_s, self.heard_s, self.stamped_s
+        return Timed(*(column[:count] for column in columns))  # type: ignore[arg-type]
 
 
 class BodyBoxes:
@@ -137,8 +140,10 @@ class HandoverSetup:
         faults = self.drawn.faults
         self.clock_ns = round((self.drawn.errors.clock_s + faults.clock_s) * 1e9)
         self.frames = tuple(
-            self._timed(attempt.limit_s, latency, frozen, streams[5])
-            for latency, frozen in zip((SENDER_LATENCY_S, RECEIVER_LATENCY_S), faults.frozen, strict=True)
+            self._timed(attempt.limit_s, latency, frozen, late_s, streams[5])
+            for latency, frozen, late_s in zip(
+                (SENDER_LATENCY_S, RECEIVER_LATENCY_S), faults.frozen, self.drawn.errors.stamp_late_s, strict=True
+            )
         )
         look_seeds = streams[6].integers(1 << 62, size=2).tolist()
         true = self.drawn.errors.true
@@ -146,7 +151,9 @@ class HandoverSetup:
         self._camera_1 = _true_camera(true.camera_1, true.T_b_c1, parts.car, parts.plain, boxes[0], look_seeds[0])
         marked = parts.marked(true.T_b_v)
         self._camera_2 = _true_camera(true.camera_2, true.T_b_c2, parts.car, marked, boxes[1], look_seeds[1])
-        self._depths = Depths(sensor.depth, *sensor.depth_noise, self.drawn.errors.depth_scale)
+        self._depths = Depths(
+            sensor.depth, *sensor.depth_noise, self.drawn.errors.depth_scale, self.drawn.errors.depth_bias_m
+        )
         self._corners_b = true.T_b_v.apply(true.corners_v)
         self._print = with_lapses(believed.noise.marker, faults.lapse_rate)
         self._T_v_m = believed.rig.layout.markers[0].T_v_m
@@ -156,7 +163,9 @@ class HandoverSetup:
         self._limit_s, self._lost_s = attempt.limit_s, believed.mission.deadlines.target_coast_s
         self._prepare(min(HORIZON_S, attempt.limit_s))
 
-    def _timed(self, limit_s: float, latency: tuple[float, float], frozen: Array, rng: np.random.Generator) -> Timed:
+    def _timed(
+        self, limit_s: float, latency: tuple[float, float], frozen: Array, late_s: float, rng: np.random.Generator
+    ) -> Timed:
         faults, count = self.drawn.faults, math.ceil(limit_s * RATE_HZ)
         taken = rng.uniform(0.0, 1.0 / RATE_HZ) + np.arange(count) / RATE_HZ
         first = int(rng.integers(1, 60000))
@@ -164,8 +173,10 @@ class HandoverSetup:
         done = np.maximum.accumulate(done)
         heard = done + faults.delay_s + rng.uniform(0.0, faults.jitter_s, count)
         heard[rng.random(count) < faults.loss] = math.inf
+        jitter = np.clip(self.drawn.errors.stamp_jitter_s * rng.standard_normal(count), -0.45 / RATE_HZ, 0.45 / RATE_HZ)
+        stamped = taken + late_s + jitter
         there = ~within(taken, frozen)
-        return Timed(first + np.flatnonzero(there), taken[there], done[there], heard[there])
+        return Timed(first + np.flatnonzero(there), taken[there], done[there], heard[there], stamped[there])
 
     def _prepare(self, horizon_s: float) -> None:
         """Poses of all frames up to a time."""
@@ -189,9 +200,9 @@ class HandoverSetup:
             self._follower = self._following(sender.taken_s, target_1, at_1.drift)
         own, markers, found, many = self._room(len(sender.number), len(receiver.number), things_2.shape[1])
         self.seen = HandoverViews(
-            sender.number, _ns(sender.taken_s), own,
+            sender.number, _ns(sender.stamped_s), own,
             np.ascontiguousarray((R_n_b1 @ calibrated.T_b_v.R)[:, 2]), receiver.number,
-            _ns(receiver.taken_s) + self.clock_ns, markers, found, many, self._gravity_c(R_n_c2, receiver), R_n_c2,
+            _ns(receiver.stamped_s) + self.clock_ns, markers, found, many, self._gravity_c(R_n_c2, receiver), R_n_c2,
             drawn.shift_c, exp_all(drawn.turn_c[None])[0], *self._reports(receiver),
         )  # fmt: skip
 
@@ -280,7 +291,7 @@ class HandoverSetup:
     @property
     def circumstances(self) -> Circumstances:
         """The true circumstances at the beginning."""
-        things = self.flown_2.things[0]
+        things = self.flown_1.things[0]
         middle = np.array([things[0, 0], things[0, 1], TARGET_HEIGHT_M])
         true = self.drawn.errors.true
         T_w_c1 = Pose(self.flown_1.R[0], self.flown_1.t[0]) @ true.T_b_c1

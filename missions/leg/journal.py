@@ -105,7 +105,7 @@ def beside_record(beside: Sequence[Rival]) -> list[float]:
 
 def beside_of(numbers: Sequence[float] | None) -> tuple[Rival, ...]:
     """What ``beside_record`` has written."""
-    rows = [(numbers or ())[k : k + RIVAL_NUMBERS] for k in range(0, len(numbers or ()), RIVAL_NUMBERS)]
+    rows = np.asarray(numbers or (), float).reshape(-1, RIVAL_NUMBERS).tolist()
     return tuple(Rival(Box(x, y, w, h), Depth(z, sigma) if z > 0.0 else None) for x, y, w, h, z, sigma in rows)
 
 

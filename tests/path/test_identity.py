@@ -28,7 +28,7 @@ def gate_after(pairs: int, offsets: Offsets | None) -> EvidenceGate:
 
 def test_on_the_target_with_nothing_beside_it_is_enough() -> None:
     assert gate_after(100, Offsets((0.0, 0.0))).complete
-    assert gate_after(100, Offsets((2.0 * SIGMA, 0.0))).complete
+    assert gate_after(100, Offsets((2.5 * SIGMA, 0.0))).complete
 
 
 def test_no_number_of_frames_makes_up_for_an_offset_that_errors_do_not_explain() -> None:
@@ -46,7 +46,17 @@ def test_an_object_that_is_as_near_as_the_errors_reach_is_no_evidence_whatever_t
 
 
 def test_an_object_beyond_the_errors_does_not_disturb() -> None:
-    assert gate_after(100, Offsets((0.01, 0.0), ((0.3, 0.0), (0.0, -0.4)))).complete
+    assert gate_after(100, Offsets((0.01, 0.0), ((0.5, 0.0), (0.0, -0.6)))).complete
+
+
+def test_an_object_to_which_d1_itself_may_have_gone_over_is_no_evidence_while_it_is_there() -> None:
+    gate = gate_after(200, Offsets((0.01, 0.0), ((0.3, 0.0),)))
+    assert gate.evidence.reached == pytest.approx(-math.log10(OWN.swap))
+    assert not gate.complete
+    for k in range(200, 260):
+        frames = (k, 20 * k * MS), (k + 1, 20 * (k + 1) * MS)
+        gate.agree(FramePair(k, 20 * k * MS, frames, Offsets((0.01, 0.0))), 0.9, 0.4)
+    assert gate.complete
 
 
 def test_pairs_of_which_nobody_knows_the_offset_identify_nothing() -> None:
@@ -100,7 +110,7 @@ def test_a_box_of_something_unseen_passes_no_more_often_than_the_bound() -> None
 
 
 def test_true_boxes_pass() -> None:
-    """Errors of the size stated: 98 in 100 reach what a first run needs."""
+    """Errors of the size stated: 96 in 100 reach what a first run needs."""
     rng = np.random.default_rng(7)
     passed = [against_unseen((x, y), OWN) >= ENOUGH for x, y in (SIGMA * rng.standard_normal((20_000, 2))).tolist()]
-    assert np.mean(passed) > 0.98
+    assert np.mean(passed) > 0.96

@@ -25,7 +25,7 @@ def run_of(pairs: dict[int, Any], own_misses: tuple[int, ...] = ()) -> RunRecord
     return RunRecords(None, {"/setup": setup, "/agreement": judged, "/target": frames}, {}, {})
 
 
-def row_of(*args: Any) -> tuple[int, float, bool]:
+def row_of(*args: Any) -> tuple[int, Any, bool]:
     row = longest_row(run_of(*args))
     assert row is not None
     return row.pairs, pytest.approx(row.seconds), row.complete
