@@ -48,7 +48,7 @@ class EvidenceConfig:
     min_s: Annotated[float, Bounds(0.05, 600.0)] = 1.0
     min_pairs: Annotated[int, Bounds(1, 100_000, "pairs")] = 30
     max_pose_sigma_m: Annotated[float, Bounds(0.0005, 1.0)] = 0.03
-    offset_sigma_m: Annotated[float, Bounds(0.001, 1.0)] = 0.025
+    offset_sigma_m: Annotated[float, Bounds(0.001, 1.0)] = 0.03
     offset_known: Annotated[int, Bounds(1, 10_000, "measurements")] = 20
     unseen: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 1e-3
     rival_s: Annotated[float, Bounds(0.0, 30.0)] = 3.0

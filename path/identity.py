@@ -15,8 +15,8 @@ decides:
   p(offset from the target) / (unseen * p(anywhere)).
 
 - against D1's own: where an object is nearer than ``apart_m`` to what D1 follows, D1 may have gone over to it, in a
-  share ``swap`` of such hand-overs. Both boxes agree then for ever, so that nothing beyond 1 / swap can be reached while
-  it is there, which is for ``rival_s`` after D1 has seen it.
+  share ``swap`` of such hand-overs. Both boxes agree then for ever, so that nothing beyond 1 / swap can be reached
+  while it is there, which is for ``rival_s`` after D1 has seen it.
 
 The run's evidence is the smallest of these and of what the blocks say (``path.evidence``).
 """

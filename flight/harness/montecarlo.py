@@ -7,7 +7,7 @@ complete or the time is over.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, Self
 
@@ -213,8 +213,11 @@ class HandoverRunner(Protocol):
         """``method`` in place of the rig's. Raises PartError for a rig that it cannot run."""
         ...
 
-    def run(self, attempt: Attempt) -> MonteCarloHandover:
-        """Through the method itself: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle``."""
+    def run(self, attempt: Attempt, until: Callable[[Series], bool] | None = None) -> MonteCarloHandover:
+        """Through the method itself: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle``.
+
+        ``until``: asked now and then with the series so far; True ends the attempt.
+        """
         ...
 
     def warmed(self) -> Self:

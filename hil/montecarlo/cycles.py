@@ -7,7 +7,7 @@ order of time.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,8 +86,18 @@ class CyclesRun:
     simulated_s: float
 
 
-def run_cycles(attempt: Attempt, setup: HandoverSetup, believed: Believed, method: MethodConfig) -> CyclesRun:
-    """Runs both cycles from the attempt's beginning until it is decided, or over."""
+def run_cycles(
+    attempt: Attempt,
+    setup: HandoverSetup,
+    believed: Believed,
+    method: MethodConfig,
+    until: Callable[[Series], bool] | None = None,
+) -> CyclesRun:
+    """Both cycles from the attempt's beginning until it is decided, or over.
+
+    Args:
+        until: asked twice a second with what the gate was told so far; True ends the attempt.
+    """
     cycles = _Cycles(setup, believed, method)
     kinds, which, now = setup.events
     events = list(zip(kinds.tolist(), which.tolist(), now.tolist(), strict=True))
@@ -99,6 +109,8 @@ def run_cycles(attempt: Attempt, setup: HandoverSetup, believed: Believed, metho
         if cycles.run(events[first:last], attempt.whole):
             break
         if not attempt.whole and cycles.hopeless(_ns(until_s), limit_ns):
+            break
+        if until is not None and len(cycles.record) and until(cycles.record.series):
             break
         first = last
     return CyclesRun(cycles.record.series, cycles.done, until_s)

@@ -17,7 +17,7 @@ from path.rigid import Rigid, rigid, transform_back
 from path.rivals import SEEN_TIMES, Rival, Rivals
 from path.rotation import exp
 
-CAMERA = CameraModel(640, 480, 600.0, 600.0, 319.5, 239.5, (0.0,) * 5)
+CAMERA = CameraModel(640, 480, 600.0, 600.0, 319.5, 239.5, (0.0, 0.0, 0.0, 0.0, 0.0))
 DOWN: Vec3 = (0.0, 0.0, 1.0)
 # the marker's frame is D1's camera's; both look straight down, D2 from half a metre aside and turned
 T_V_C1 = Pose(np.eye(3), np.zeros(3))

@@ -47,8 +47,6 @@ class Cell:
             "miss_frames": self.detector.miss_frames,
             "false_positives": self.detector.false_positives,
             "gate": self.gate,
-            "true_attempts": self.true_attempts,
-            "attempts": self.attempts,
             "commit_rate": round(self.commit_rate, 4),
             "t_median_s": round(self.t_median_s, 2),
             "t_p90_s": round(self.t_p90_s, 2),
