@@ -12,7 +12,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from enum import Enum
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -216,6 +216,16 @@ class Vehicle(Part, Protocol):
 
     async def land(self, timeout_s: float) -> None:
         """Land where it is; returns once disarmed on the ground."""
+        ...
+
+
+@runtime_checkable
+class Wary(Protocol):
+    """A part that does not believe everybody who speaks for what it drives."""
+
+    @property
+    def ignored(self) -> Mapping[str, int]:
+        """What was not believed, in words, and how often."""
         ...
 
 

@@ -10,6 +10,13 @@ from drivers.interfaces import SURE, FlightMode
 # HEARTBEAT.base_mode (MAV_MODE_FLAG).
 CUSTOM_MODE_ENABLED = 1
 SAFETY_ARMED = 128
+# HEARTBEAT.system_status (MAV_STATE): so PX4 shows a pilot's kill switch, and calls itself armed for 5 s more.
+FLIGHT_TERMINATION = 8
+
+
+def powered(base_mode: int, system_status: int) -> bool:
+    """Returns whether a heartbeat says that the motors may turn: armed, and not stopped by a kill switch."""
+    return bool(base_mode & SAFETY_ARMED) and system_status != FLIGHT_TERMINATION
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,8 @@ class Transport(Protocol):
 
     shared: bool
 
+    def fileno(self) -> int: ...
+
     def read(self) -> tuple[bytes, Address | None]:
         """Returns what came in, and from where; empty when nothing waits."""
         ...
@@ -57,6 +59,9 @@ class UdpIn:
             self._socket.close()
             raise
 
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
     def read(self) -> tuple[bytes, Address | None]:
         try:
             return self._socket.recvfrom(_READ_AT_ONCE)
@@ -81,6 +86,9 @@ class UdpOut:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.connect(address)
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
 
     def read(self) -> tuple[bytes, Address | None]:
         try:
@@ -142,7 +150,7 @@ class MavlinkPort:
         self._signer = None if key is None else Signer(key, own[1], extras())
         self._lock = PortLock(url)
         try:
-            self._transport = _open(url)
+            self._transport = open_transport(url)
         except (OSError, serial.SerialException) as error:
             self._lock.release()
             raise VehicleError(
@@ -217,7 +225,7 @@ def extras() -> dict[int, int]:
     return {message: kind.crc_extra for message, kind in mavlink.mavlink_map.items()}
 
 
-def _open(url: str) -> Transport:
+def open_transport(url: str) -> Transport:
     match = URL.fullmatch(url)
     assert match is not None  # PortLock and the Config have read it
     kind, host, number = match[1], match[2], int(match[3])

@@ -15,7 +15,7 @@ from typing import Any
 
 from drivers.interfaces import Clock, FlightMode, VehicleError, VehicleState
 from drivers.mavlink.geodesy import LocalTangent
-from drivers.mavlink.modes import PX4, SAFETY_ARMED, AutopilotKind
+from drivers.mavlink.modes import PX4, SAFETY_ARMED, AutopilotKind, powered
 from drivers.perception.history import StateHistory
 
 Vec3 = tuple[float, float, float]
@@ -29,8 +29,9 @@ UNDISTURBED_NS = 100_000  # two readings this close had no other thread between 
 class Heartbeat:
     arrival_ns: int
     autopilot: int
-    armed: bool
+    armed: bool  # and not stopped by a kill switch
     told: int = 1  # how many in a row have said the same of arming
+    disarmed: bool = False  # which a vehicle whose motors a pilot has stopped in the air is not
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,9 +241,10 @@ class TelemetrySlots:
             return
         fields, now_ns = json.loads(message.fields_json), self.clock.now_ns()
         self._note_mode(now_ns, int(fields["custom_mode"]))
-        armed, before = bool(int(fields["base_mode"]) & SAFETY_ARMED), self.heartbeat
+        base_mode, before = int(fields["base_mode"]), self.heartbeat
+        armed = powered(base_mode, int(fields.get("system_status", 0)))
         told = before.told + 1 if before is not None and before.armed is armed else 1
-        self.heartbeat = Heartbeat(now_ns, int(fields["autopilot"]), armed, told)
+        self.heartbeat = Heartbeat(now_ns, int(fields["autopilot"]), armed, told, not base_mode & SAFETY_ARMED)
 
     def _on_current_mode(self, message: Any) -> None:
         if self._of_autopilot(message) and self.kind is not None:
@@ -309,7 +311,7 @@ class TelemetrySlots:
     def _on_velocity(self, ned: Any) -> None:
         velocity = ned.velocity
         self._local_down_m = float(ned.position.down_m)
-        if self.heartbeat is not None and not self.heartbeat.armed:
+        if self.heartbeat is not None and self.heartbeat.disarmed:
             self._ground_down_m = self._local_down_m
         self.velocity_n_mps = (float(velocity.north_m_s), float(velocity.east_m_s), float(velocity.down_m_s))
 

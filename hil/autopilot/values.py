@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Annotated
 
 from drivers.interfaces import FlightMode
+from hil.autopilot.radio import RadioConfig
 from path.bounds import Bounds
 from path.messages import Quat, Vec3
 
@@ -48,6 +49,7 @@ class AutopilotConfig:
     idle_disarm_s: Annotated[float, Bounds(0.1, 3600.0)] = 10.0
     endurance_s: Annotated[float, Bounds(10.0, 36000.0)] = 900.0  # full battery, flying
     low_battery: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.1  # lands by itself; scripts should come down earlier
+    radio: RadioConfig = field(default_factory=RadioConfig)
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,7 +86,7 @@ class SimGuard:
         self._seen = GuardView(
             heartbeat_ns=now_ns,
             position_ns=now_ns,
-            armed=autopilot.armed,
+            armed=autopilot.powered,
             in_air=not autopilot.landed,
             mode=autopilot.mode,
             position_n_m=drone.estimate.position_n_m,

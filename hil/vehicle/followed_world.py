@@ -47,6 +47,7 @@ class RemoteAutopilot:
     """
 
     killed = False  # nobody has its kill switch
+    failsafe = ""  # its modes say no more than that they changed
     config = AutopilotConfig()  # of which the monitors ask at what battery it may land by itself
 
     def __init__(self, relay: MavlinkRelay | None, link: SimulatorLink) -> None:
@@ -57,6 +58,10 @@ class RemoteAutopilot:
     @property
     def armed(self) -> bool:
         return self._cable.watch.armed
+
+    @property
+    def powered(self) -> bool:
+        return self.armed
 
     @property
     def mode(self) -> FlightMode:

@@ -17,6 +17,7 @@ from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.link.key import signing_time
 from drivers.mavlink.geodesy import LocalTangent
 from hil.autopilot.autopilot import Ack
+from hil.autopilot.radio import CHANNELS
 from hil.vehicle.channel import Address, UdpChannel
 from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, FlightInstant, MavlinkDrone
 from hil.vehicle.parameters import Parameters
@@ -115,6 +116,10 @@ class MavlinkVehicle:
 
     # --- out ---
 
+    def send_raw(self, packet: bytes) -> None:
+        """A packet from the vehicle's own address that is not its own, as a forger would send it."""
+        self._channels[0].send(packet)
+
     def _send(self, channel: UdpChannel, message: Any, to: Address | None = None) -> None:
         packet = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
@@ -182,6 +187,9 @@ class MavlinkVehicle:
             flight.autopilot.companion_heard(flight.now_s)
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self._send(channel, mavlink.MAVLink_timesync_message(round(flight.now_s * 1e9) + 1, message.ts1), sender)
+        elif kind == "RC_CHANNELS_OVERRIDE":
+            channels = [getattr(message, f"chan{number}_raw") for number in range(1, CHANNELS + 1)]
+            flight.autopilot.radio.override(flight.now_s, channels)
         elif kind.startswith("PARAM_"):
             for answer in self._parameters.answer(message):
                 self._send(channel, answer, sender)

@@ -218,6 +218,8 @@ class SimVehicle:
             if self.state.armed:
                 said = f"take-off ended on the way: mode {self.state.mode.value}"
                 raise TakenOver(said, "the pilot has control, or a failsafe acted")
+            if self._beat is not None and self._beat.killed:
+                raise TakenOver("take-off ended on the way: the motors were stopped", "the pilot's kill switch")
             raise VehicleError("take-off ended on the way: disarmed", "see why it disarmed")
 
     async def start_offboard(self, first: VelocitySetpoint) -> None:

@@ -114,6 +114,16 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("fc_link_loss", Role.RECEIVER, "no", "the receiver's flight controller falls silent"),
         FaultKind("pilot_takeover", Role.RECEIVER, "no", "the receiver's pilot changes the mode"),
         FaultKind("motor_kill", Role.RECEIVER, "no", "the receiver's pilot stops the motors in the air"),
+        *(
+            FaultKind(f"{name}_{role.value}", role, value, meaning.format(role.value), most=LONGEST_S)
+            for name, value, meaning in (
+                ("rc_mode", "no", "the {}'s pilot turns the transmitter's mode switch"),
+                ("rc_kill", "no", "the {}'s pilot throws the transmitter's kill switch"),
+                ("rc_sticks", "no", "the {}'s pilot grabs the sticks"),
+                ("rc_lost", "may", "the {}'s transmitter falls silent, for so many seconds"),
+            )
+            for role in Role
+        ),
         FaultKind("battery_sag", Role.SENDER, "may", "the sender's battery drops to this share, or to 15 %"),
     )
 }  # fmt: skip

@@ -113,6 +113,7 @@ class VehicleTelemetry(NamedTuple):
     landed: bool
     armable: bool
     battery: float
+    killed: bool = False
 
 
 class SimDrone:
@@ -155,7 +156,9 @@ class SimDrone:
         n, e, d, vn, ve, vd, w, x, y, z = row
         self.estimate = Estimate(time_s, (n, e, d), (vn, ve, vd), (w, x, y, z))
         own = self.autopilot
-        said = VehicleTelemetry(time_s, self.estimate, own.mode, own.armed, own.landed, own.armable, own.battery)
+        said = VehicleTelemetry(
+            time_s, self.estimate, own.mode, own.powered, own.landed, own.armable, own.battery, own.killed
+        )
         self.telemetry.append(said)
 
     def command(self, time_s: float) -> tuple[float, ...]:

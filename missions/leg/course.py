@@ -13,6 +13,7 @@ from missions.leg.session import RoleSession, as_end
 
 Course = Callable[[], Awaitable[None]]
 Recovery = Callable[[MissionEnd | None], Awaitable[bool]]
+_STAYS = frozenset({Outcome.PILOT_OVERRIDE, Outcome.CRASHED})  # a bug is named, whoever flew after it
 
 
 async def fly_course(
@@ -86,9 +87,11 @@ async def close_session(session: RoleSession) -> None:
 def conclude(
     session: RoleSession, end: MissionEnd | None, landed: bool, good: Outcome = Outcome.COMMITTED
 ) -> RoleResult:
-    """The program's last records. A course that came to its own end may still lose the vehicle on its way home."""
-    if end is None and session.pilot.override:
-        end = MissionEnd(Outcome.PILOT_OVERRIDE, session.pilot.override)
+    """The program's last records. However a course ended, its vehicle may still be taken on its way home."""
+    override = session.pilot.override
+    if override and (end is None or end.outcome not in _STAYS):
+        before = "" if end is None else f"; the mission had ended: {end}"
+        end = MissionEnd(Outcome.PILOT_OVERRIDE, f"{override}{before}")
     outcome, detail = (end.outcome, end.detail) if end else (good, "")
     session.log.write(
         "/outcome",

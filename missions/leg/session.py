@@ -28,6 +28,7 @@ from drivers.interfaces import (
     Vehicle,
     VehicleError,
     View,
+    Wary,
 )
 from drivers.mavlink.guard_interfaces import NOWHERE, Beat, GuardLine, Script
 from drivers.mavlink.guard_line import UdpGuardLine
@@ -108,6 +109,7 @@ class RoleSession:
         self.log = log
         self.stop = stop
         self.entropy = entropy
+        self._ignored: set[str] = set()  # kinds of what the crew was told not to be believed
         self.clock, self.vehicle, self.perception, self.link = parts
         self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
         self.alignment = ClockAlignment()
@@ -325,6 +327,13 @@ class RoleSession:
             tick += 1
             await asyncio.sleep(period_s)
 
+    def _newly_ignored(self) -> list[str]:
+        """What the vehicle's driver does not believe, each kind once."""
+        vehicle = self.vehicle
+        new = [what for what in vehicle.ignored if what not in self._ignored] if isinstance(vehicle, Wary) else []
+        self._ignored.update(new)
+        return new
+
     async def log_state(self) -> None:
         """Log where the vehicle believes to be, for ever."""
         logged_ns = 0  # what no position was known at
@@ -333,6 +342,8 @@ class RoleSession:
             if self.pilot.taken_back > taken_back:
                 taken_back = self.pilot.taken_back
                 self.say("ALARM: one message said that a pilot has the vehicle, the next took it back: who sends them?")
+            for what in self._newly_ignored():
+                self.say(f"ALARM: ignored {what}")
             state = self.vehicle.state
             if state.stamp_ns > logged_ns:
                 logged_ns = state.stamp_ns

@@ -109,6 +109,7 @@ def test_what_is_taken_the_link_can_do(name: str, value: float | str) -> None:
         ("fc_link_loss", None, Role.RECEIVER),
         ("camera_freeze", None, None),
         ("pilot_takeover", None, None),
+        ("rc_kill_sender", None, None),
     ],
 )
 def test_who_is_killed_and_who_is_cut_off(name: str, kills: Role | None, cuts_off: Role | None) -> None:
