@@ -325,6 +325,10 @@ class TrialOptions:
     """The rig; by default sim-rendered, whose harness knows the truth; `dynamic` for `beacon`, `sim-field` for
     `rendezvous`, `sitl` for `soak`."""
 
+    errors: Errors = None
+    """How far the world of flights and Monte-Carlo hand-overs is from what the rig says (docs/errors.md); careful
+    unless the rig says otherwise. `static` and `ambiguity` have errors of their own."""
+
     xfeat: FileName = None
     """Weights of XFeat (ONNX), for the trials that compare with it; without them XFeat is left out."""
 
