@@ -23,6 +23,7 @@ from missions.assurance.campaign.results import RunLine, resumable_results
 from missions.assurance.campaign.summary import draw_outcomes, summarize, table
 from missions.options import CampaignOptions, LevelName
 from missions.report.junit import JUnitCase, write_junit
+from missions.run_folder import claim_result
 from missions.work import open_work
 
 SUMMARY, PICTURE = "summary.json", "outcomes.png"
@@ -89,6 +90,8 @@ def run(options: CampaignOptions) -> int:
         asked["errors"] = options.errors
     if options.hours is not None:
         asked["hours"] = options.hours
+    if options.junit is not None:
+        claim_result(options.junit, "<testsuites>")
     kind = KINDS[options.program]
     with resumable_results(folder, asked) as results:
         done = {line.number for line in results.lines}
