@@ -73,6 +73,31 @@ class PositionOffsetConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class AltitudeConfig:
+    """What the vehicles' altitude above the sea is wrong by. Their local frames and barometers have none of it.
+
+    Attributes:
+        offset_m: of the first drone upward, of the second downward, and so on.
+        drift_mps: by which that grows, with the same sign, until it has grown by ``drift_most_m``.
+        jump_m: by which every altitude jumps ``jump_after_s`` after it was switched on: a PX4 without GPS that begins
+            with vision anew takes the height it has for its altitude.
+    """
+
+    offset_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 0.0
+    drift_mps: Annotated[float, Bounds(-1.0, 1.0)] = 0.0
+    drift_most_m: Annotated[float, Bounds(0.0, 100.0)] = 10.0
+    jump_m: Annotated[float, Bounds(-5000.0, 5000.0)] = 0.0
+    jump_after_s: Annotated[float, Bounds(0.0, 3600.0)] = 5.0
+
+    def error_m(self, number: int, time_s: float) -> float:
+        """The error of the drone with this number, from 0."""
+        sign = -1.0 if number % 2 else 1.0
+        drift_m = math.copysign(min(self.drift_most_m, abs(self.drift_mps) * time_s), self.drift_mps)
+        jumped_m = self.jump_m if time_s >= self.jump_after_s else 0.0
+        return sign * (self.offset_m + drift_m) + jumped_m
+
+
+@dataclass(frozen=True, slots=True)
 class WorldConfig:
     """The ``[world]`` table of a rig."""
 
@@ -80,6 +105,7 @@ class WorldConfig:
     wind: WindConfig = field(default_factory=WindConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     position_offset: PositionOffsetConfig = field(default_factory=PositionOffsetConfig)
+    altitude: AltitudeConfig = field(default_factory=AltitudeConfig)
     airframe: AirframeConfig = field(default_factory=AirframeConfig)
     autopilot: AutopilotConfig = field(default_factory=AutopilotConfig)
     detector: DetectorConfig = field(default_factory=DetectorConfig)
@@ -236,7 +262,9 @@ class Fleet(Generic[Name]):
 
     def _sense(self) -> None:
         rows, time_s = self._sensors.tick(self._states).tolist(), self._step / STEP_HZ
-        for drone, row in zip(self._drones.values(), rows, strict=True):
+        altitude = self.config.altitude
+        for number, (drone, row) in enumerate(zip(self._drones.values(), rows, strict=True)):
+            drone.autopilot.altitude_error_m = altitude.error_m(number, time_s)
             drone.sense(time_s, row)
 
     def _command(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import os
 import shlex
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.interfaces import PartError
+from drivers.link.udp import address_of
 from drivers.rig.parts import Rig, import_factory, with_errors
 from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleMain, RoleResult
 from flight.outcome import Outcome, violated_outcome
@@ -41,6 +43,7 @@ def run(options: HandoffOptions) -> int:
     name_simulators(options)
     rig = with_errors(rig_library.load(options.rig), options.errors)
     harness_of(rig)
+    name_ground_station(rig, options)
     with unless_refused(options.out) as folder:
         if options.seeds > 1:
             if options.live is not None:
@@ -63,6 +66,28 @@ def name_simulators(options: HandoffOptions | FlyOptions | ConformanceOptions) -
             if not binary.is_file():
                 raise PartError(f"{binary}: no such file", "name the simulator's binary, or leave the option out")
             os.environ[variable] = str(binary.resolve())
+
+
+def name_ground_station(rig: Rig, options: HandoffOptions | FlyOptions) -> None:
+    """For the harness: where a ground station listens. Raises PartError at levels that have no MAVLink of ours."""
+    if options.gcs is None:
+        return
+    embedded = all("sysid" in rig.role(role).vehicle.options for role in Role) and "sender_simulator" not in rig.world
+    if rig.level != "sitl" or not embedded:
+        raise PartError(
+            f"--gcs: rig {rig.name} has no embedded MAVLink vehicles in real time",
+            "a real autopilot has a port for its ground station already; at the sim levels there is no MAVLink: "
+            "take --rig sitl",
+        )
+    try:
+        host, _ = address_of(options.gcs, "--gcs")
+    except ValueError as error:
+        raise PartError(str(error), "write it as 127.0.0.1:14550") from error
+    if not ipaddress.ip_address(host).is_loopback:
+        raise PartError(
+            f"--gcs {options.gcs}: another computer", "let the ground station run on this one: the port is not signed"
+        )
+    os.environ["PATH_GCS"] = options.gcs
 
 
 def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
