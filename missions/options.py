@@ -484,8 +484,8 @@ class CampaignOptions:
     set, forged and repeated packets, pilots, a receiver that does not see the target). See docs/campaign.md.
     """
 
-    program: Literal["machines", "roles"] = "machines"
-    """machines: both protocol machines, real messages; roles: both whole role programs."""
+    program: Literal["machines", "roles", "team"] = "machines"
+    """machines: both protocol machines, real messages; roles: both whole role programs; team: whole teams."""
 
     runs: Annotated[int, Bounds(1, 100_000_000, "runs")] = 1000
     """How many runs, shared out among the levels."""
@@ -509,7 +509,10 @@ class CampaignOptions:
     """A Dask scheduler that does the work instead, such as tcp://192.168.1.5:8786."""
 
     rig: RigName = "sim"
-    """The rig that is flown, of level sim."""
+    """The rig that is flown, of level sim; with --program team it is team-sim by default."""
+
+    hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
+    """With --program team: how long each team flies; as its rig says by default."""
 
     junit: FileName = None
     """Write a JUnit file too: a test case a run, failed by what it violated, with the line that replays it."""
