@@ -344,7 +344,7 @@ class ReplayOptions:
     """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4; may be given several
     times. Without any (and without --gate) every decision must come out as it was logged."""
 
-    gate: Literal["consecutive", "evidence"] | None = None
+    gate: Literal["count", "evidence"] | None = None
     """The gate to decide with instead."""
 
     picture: bool = True
@@ -427,6 +427,10 @@ class TrialOptions:
     """The rig; by default sim-rendered, whose harness knows the truth; `dynamic` for `beacon`, `sim-field` for
     `rendezvous`, `sitl` for `soak`."""
 
+    errors: Errors = None
+    """How far the world of flights and Monte-Carlo hand-overs is from what the rig says (docs/errors.md); careful
+    unless the rig says otherwise. `static` and `ambiguity` have errors of their own."""
+
     xfeat: FileName = None
     """Weights of XFeat (ONNX), for the trials that compare with it; without them XFeat is left out."""
 
@@ -484,8 +488,8 @@ class CampaignOptions:
     set, forged and repeated packets, pilots, a receiver that does not see the target). See docs/campaign.md.
     """
 
-    program: Literal["machines", "roles"] = "machines"
-    """machines: both protocol machines, real messages; roles: both whole role programs."""
+    program: Literal["machines", "roles", "team"] = "machines"
+    """machines: both protocol machines, real messages; roles: both whole role programs; team: whole teams."""
 
     runs: Annotated[int, Bounds(1, 100_000_000, "runs")] = 1000
     """How many runs, shared out among the levels."""
@@ -509,7 +513,10 @@ class CampaignOptions:
     """A Dask scheduler that does the work instead, such as tcp://192.168.1.5:8786."""
 
     rig: RigName = "sim"
-    """The rig that is flown, of level sim."""
+    """The rig that is flown, of level sim; with --program team it is team-sim by default."""
+
+    hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
+    """With --program team: how long each team flies; as its rig says by default."""
 
     junit: FileName = None
     """Write a JUnit file too: a test case a run, failed by what it violated, with the line that replays it."""

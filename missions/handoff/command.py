@@ -19,8 +19,9 @@ from drivers.interfaces import PartError
 from drivers.link.udp import address_of
 from drivers.rig.parts import Rig, import_factory, with_errors
 from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleMain, RoleResult
-from flight.outcome import OBJECT_MONITOR, Outcome, violated_outcome
+from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
+from missions.lateness import for_lateness
 from missions.leg.process import fly_role
 from missions.live.start import live
 from missions.options import ConformanceOptions, FlyOptions, HandoffOptions
@@ -33,13 +34,6 @@ from missions.report.summary import summarize
 from missions.run_folder import claim_result, claimed, new_folder, refuse_foreign, unless_refused
 from missions.shown import say_unwritten
 from path.messages import Role
-
-OF_TIME = frozenset(Outcome) - {
-    Outcome.COMMITTED, Outcome.FLOWN, Outcome.PILOT_OVERRIDE, Outcome.ORPHANED, Outcome.STATE_LOST, Outcome.UNFIT,
-    Outcome.INTERRUPTED, Outcome.CRASHED, Outcome.RESTARTED, Outcome.LOG_FAILED,
-}  # fmt: skip
-MONITORS_OF_TIME = frozenset({"S7", "S8", OBJECT_MONITOR, "L1", "L2"})
-"""What a computer that does not keep up can be the cause of: then it says nothing of the mission."""
 
 _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
 
@@ -248,9 +242,7 @@ def unwritten(facts: RunFacts, error: OSError) -> RunFacts:
 def judge(report: FlightReport, good: Outcome = Outcome.COMMITTED) -> tuple[Outcome, str]:
     """The outcome of the whole run: what a computer that was too slow explains is blamed on nobody else."""
     outcome, detail = _cause(report, good)
-    if report.overload and outcome in OF_TIME and not report.violations.keys() - MONITORS_OF_TIME:
-        return Outcome.OVERLOADED, f"{report.overload} (and so {outcome.label}: {detail})"
-    return outcome, detail
+    return for_lateness(report.overload, report.violations, outcome, detail)
 
 
 def _cause(report: FlightReport, good: Outcome) -> tuple[Outcome, str]:
