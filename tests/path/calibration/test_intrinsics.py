@@ -62,12 +62,13 @@ def test_standard_errors_are_the_errors_there_are() -> None:
         pixels = np.array([[20.0, 20.0], [SIZE[0] - 20.0, 20.0], [0.5 * SIZE[0], SIZE[1] - 20.0]])
         assert solution.camera is not None
         rays = np.column_stack([solution.camera.rays(pixels), np.ones(3)])
-        moved = [moved_by(solution.camera, doubt, rays) for doubt in solution.doubts]
+        radial = np.isin(np.arange(9), (4, 5, 8))
+        moved = [moved_by(solution.camera, np.where(radial, doubt, 0.0), rays) for doubt in solution.doubts]
         apart = [
-            moved_by(solution.camera, np.where(np.arange(9) == k, solution.sigmas[k], 0.0), rays) for k in range(9)
+            moved_by(solution.camera, np.where(np.arange(9) == k, together, 0.0), rays) for k in np.flatnonzero(radial)
         ]
-        # radial terms make up for each other: one by one they would move the corners of the image by much more
-        assert np.linalg.norm(moved) < 0.8 * np.linalg.norm(apart)
+        # radial terms make up for each other: one by one they would move the corners of the image by more
+        assert np.linalg.norm(moved) < 0.7 * np.linalg.norm(apart)
     assert 0.3 < np.sqrt((np.array(ratios) ** 2).mean()) < 1.4
 
 
