@@ -237,6 +237,14 @@ class DoctorOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class PrepareOptions:
+    """Compile the kernels of a rig now: for images, for services, and before the first flight of a day."""
+
+    rig: RigName = "sitl"
+    """A rig by name (see `path-handoff rigs`), or a rig's TOML file."""
+
+
+@dataclass(frozen=True, slots=True)
 class RigsOptions:
     """List the rigs that come with PATH, or check one of your own."""
 
