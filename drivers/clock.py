@@ -11,7 +11,7 @@ from drivers.rig.parts import PartContext
 
 @dataclass(frozen=True, slots=True)
 class SystemClockConfig:
-    """Nothing to set."""
+    """The options of the system clock: there are none."""
 
 
 class SystemClock:
@@ -44,10 +44,10 @@ def wall_offset_ns(now_ns: Callable[[], int]) -> int:
 
 
 def stopwatch_ns() -> int:
-    """For measuring how long something takes: the finest clock there is, from an arbitrary zero."""
+    """Returns the time of the finest clock there is, from an arbitrary zero, for measuring how long something takes."""
     return time.perf_counter_ns()
 
 
 def busy_ns() -> int:
-    """How long this thread has run on a core, from an arbitrary zero: other programs' turns are not in it."""
+    """Returns how long this thread has run on a core, from an arbitrary zero: other programs' turns are not in it."""
     return time.thread_time_ns()

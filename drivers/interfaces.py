@@ -12,7 +12,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from enum import Enum
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,7 @@ class BeaconError(PartError):
 
 
 class StateError(PartError):
-    """What a role must know after a restart cannot be written, or not be read."""
+    """The record that a role must have after a restart cannot be written, or not be read."""
 
 
 class Part(Protocol):
@@ -70,7 +70,7 @@ class Part(Protocol):
 
 
 class Capability(Enum):
-    """What a mission may need of a part. A part that lacks some says so in ``lacks``, a set of these.
+    """An ability that a mission may need of a part. A part that lacks some says so in ``lacks``, a set of these.
 
     Attributes:
         GEOFENCE: the vehicle keeps a fence of its own.
@@ -86,7 +86,7 @@ class Capability(Enum):
 
 
 def lacking(part: object) -> frozenset[Capability]:
-    """What a part says that it cannot do."""
+    """Returns the abilities that a part says it does not have."""
     return getattr(part, "lacks", frozenset[Capability]())
 
 
@@ -98,7 +98,7 @@ class Clock(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """What a role had written down before it was started again.
+    """The record that a role had written down before it was started again.
 
     Attributes:
         same_clock: the record's instants are of the clock that runs now; after a reboot they are not.
@@ -112,12 +112,14 @@ class RecordStore(Protocol):
     """One record that outlives the role's program."""
 
     def load(self) -> Kept | None:
-        """What was saved last; None when nothing ever was. Raises StateError."""
+        """Returns the record that was saved last; None when nothing ever was. Raises StateError."""
         ...
 
     def save(self, record: SenderRecord | ReceiverRecord) -> None:
-        """On return it is safe from a crash of the program and of the computer. Raises StateError: then it may be
-        either the old record or this one that is found later."""
+        """Saves the record: on return it is safe from a crash of the program and of the computer.
+
+        Raises StateError: then it may be either the old record or this one that is found later.
+        """
         ...
 
     def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
@@ -217,6 +219,16 @@ class Vehicle(Part, Protocol):
         ...
 
 
+@runtime_checkable
+class Wary(Protocol):
+    """A part that does not believe everybody who speaks for what it drives."""
+
+    @property
+    def ignored(self) -> Mapping[str, int]:
+        """What was not believed, in words, and how often."""
+        ...
+
+
 # --- camera ----------------------------------------------------------------------------------------------------
 
 
@@ -252,7 +264,7 @@ class Camera(Part, Protocol):
 
 
 class View(Protocol):
-    """What can be asked of one camera frame. Nothing is computed before it is asked."""
+    """A view of one camera frame. Nothing is computed before it is asked."""
 
     @property
     def stamp_ns(self) -> int: ...
@@ -364,7 +376,7 @@ class Beacons(Part, Protocol):
 
 
 class Log(Protocol):
-    """Where a role writes all it sees and decides. Never raises: flight goes on with a full disk."""
+    """The log of all that a role sees and decides. Never raises: flight goes on with a full disk."""
 
     def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
         """One record: JSON-able mapping, stamp of the role clock."""

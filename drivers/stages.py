@@ -1,4 +1,4 @@
-"""What a program's main thread spends its processor time on."""
+"""The processor time of a program's main thread, by stage of its work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ends a flight from outside: the drone lands, and then the program ends."""
+"""Requests from outside to end a flight: the drone lands, and then the program ends."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a drone does in the air, written on the driver Protocols only."""
+"""The behaviour of a drone in the air, written on the driver Protocols only."""

@@ -1,4 +1,4 @@
-"""Where a drone's camera is and where down is, at the instant a frame was taken."""
+"""The pose of a drone's camera, and the direction of down, at the instant a frame was taken."""
 
 from __future__ import annotations
 

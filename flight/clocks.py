@@ -33,7 +33,7 @@ class ClockConfig:
 
 
 class PingResult(Enum):
-    """What an answered ping did to the alignment."""
+    """The effect of an answered ping on the alignment."""
 
     TAKEN = "taken"
     DUPLICATE = "duplicate"  # or overtaken by the answer to a later ping
@@ -93,7 +93,7 @@ class ClockAlignment:
 
     @property
     def ready(self) -> bool:
-        """Whether stamps may be converted now."""
+        """Returns whether stamps may be converted now."""
         return (
             not self._fault
             and self._inconsistent == 0

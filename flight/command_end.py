@@ -1,4 +1,4 @@
-"""How a command can end that has no outcome of a flight to tell. Exit codes of flights are in ``flight.outcome``."""
+"""Ends of commands that have no flight's outcome to tell. Exit codes of flights are in ``flight.outcome``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a mission flies: heights, distances, limits and deadlines (the ``[mission]`` table of a rig)."""
+"""The heights, distances, limits and deadlines of a mission (the ``[mission]`` table of a rig)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from path.bounds import Bounds
 
 @dataclass(frozen=True, slots=True)
 class TargetDesignation:
-    """Which object the sender is to track: the place where the operator pointed, in the mission's local frame."""
+    """The object that the sender is to track: the place where the operator pointed, in the mission's local frame."""
 
     north_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 4.0
     east_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 0.0
@@ -23,7 +23,7 @@ class TargetDesignation:
 
 @dataclass(frozen=True, slots=True)
 class FollowConfig:
-    """Where a drone stays relative to the target it follows, in the heading it came with."""
+    """The place of a drone relative to the target it follows, in the heading it came with."""
 
     behind_m: Annotated[float, Bounds(0.0, 30.0)] = 1.45  # horizontal distance
     height_m: Annotated[float, Bounds(0.3, 100.0)] = 1.50  # above the ground
@@ -113,7 +113,7 @@ class Deadlines:
 class MissionConfig:
     """One handoff mission, both roles."""
 
-    needs: tuple[Capability, ...] = ()  # of the vehicle and the sight, besides what the course itself needs
+    needs: tuple[Capability, ...] = ()  # of the vehicle and the perception, besides what the course itself needs
     handoff_id: Annotated[int, Bounds(1, 65535, "(an id)")] = 1
     target_id: Annotated[int, Bounds(1, 65535, "(an id)")] = 1
     heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0  # of the sender's approach to the target

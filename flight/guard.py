@@ -37,7 +37,7 @@ def check_vehicle(state: VehicleState, now_ns: int, config: GuardConfig, command
 
 
 def in_doubt(state: VehicleState, commanded: FlightMode) -> bool:
-    """Whether one message alone says that the vehicle is not the script's any more.
+    """Returns whether one message alone says that the vehicle is not the script's any more.
 
     Nothing is sent until the next one says so, too, or takes it back: a pilot does not wait for it, and one forged
     packet does not leave the vehicle to nobody.

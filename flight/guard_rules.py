@@ -70,7 +70,7 @@ class GuardRules:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the mission allows (``[mission.guard]`` and ``[mission.separation]``)."""
+    """The limits that the mission sets (``[mission.guard]`` and ``[mission.separation]``)."""
 
     fence_radius_m: float
     fence_height_m: float
@@ -97,7 +97,7 @@ class ProgramBeat:
 
 
 class Act(Enum):
-    """What the guard sends, now and once."""
+    """The command that the guard sends, now and once."""
 
     NOTHING = "nothing"
     HOLD = "hold"
@@ -122,7 +122,7 @@ _HANDS = {
 
 @dataclass(frozen=True, slots=True)
 class GuardState:
-    """Where the guard stands.
+    """The state of the guard.
 
     Attributes:
         reason: why the vehicle was taken, or let go of.
@@ -142,7 +142,7 @@ class GuardState:
     odd_ns: int | None = None
 
     def hand(self, script: Script, armed: bool) -> Hand:
-        """Whose the vehicle is."""
+        """Returns whose the vehicle is."""
         if self.stage is GuardStage.WATCHING:
             return Hand.SCRIPT if armed and script.flies else Hand.FREE
         return _HANDS[self.stage]
@@ -186,7 +186,7 @@ def _armed(
 
 
 def was_let_go(state: GuardState, heard: ProgramBeat | None) -> bool:
-    """By the guard, or by the script."""
+    """Returns whether the vehicle was let go of, by the guard or by the script."""
     by_script = state.stage is GuardStage.WATCHING and heard is not None and heard.script is Script.LET_GO
     return by_script or state.stage is GuardStage.LET_GO
 
@@ -223,7 +223,7 @@ def _watch(
 
 
 def _somebody_else(state: GuardState, view: GuardView, heard: ProgramBeat, now_ns: int, rules: GuardRules) -> bool:
-    """Whether the mode is not the script's doing.
+    """Returns whether the mode is somebody else's doing than the script's.
 
     A dead program's vehicle may be held by the autopilot's own failsafe: there is nobody to leave it to. One that comes
     down without a script comes down by somebody's will.
@@ -254,15 +254,17 @@ def broken_limit(view: GuardView, heard: ProgramBeat, now_ns: int, rules: GuardR
 
 
 def flown_by_scripts_alone(view: GuardView) -> bool:
-    """Whether more than one message says that the vehicle is in a mode that no person flies."""
+    """Returns whether more than one message says that the vehicle is in a mode that no person flies."""
     return view.mode in _MOVING and view.mode_told >= SURE
 
 
 def _let_go_of(
     state: GuardState, view: GuardView, heard: ProgramBeat | None, now_ns: int, rules: GuardRules
 ) -> tuple[GuardState, Act]:
-    """Somebody else has it, or so it seemed: what is in a script's mode again is flown by the living script, or by
-    nobody, and then it is taken."""
+    """Decides on a vehicle that somebody else has, or seemed to have.
+
+    What is in a script's mode again is flown by the living script, or by nobody, and then it is taken.
+    """
     if not flown_by_scripts_alone(view):
         return replace(state, odd_ns=None), Act.NOTHING
     state = replace(state, odd_ns=_since(state.odd_ns, now_ns))

@@ -73,7 +73,7 @@ class GuardWatch:
 
     @property
     def flown(self) -> bool:
-        """It is armed, by whomever, and can be seen."""
+        """Returns whether the vehicle is armed, by whomever, and can be seen."""
         view = self._vehicle.view()
         return view is not None and view.armed and self.sees(self._clock.now_ns())
 
@@ -84,7 +84,7 @@ class GuardWatch:
         return heard is not None and (self._clock.now_ns() - heard.beat_ns) * 1e-9 <= self._rules.beat_age_s
 
     def sees(self, now_ns: int) -> bool:
-        """Whether the own link brings telemetry."""
+        """Returns whether the own link brings telemetry."""
         view = self._vehicle.view()
         oldest_ns = 0 if view is None else min(view.heartbeat_ns, view.position_ns)
         return oldest_ns > 0 and (now_ns - oldest_ns) * 1e-9 <= self._rules.blind_s

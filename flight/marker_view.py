@@ -39,7 +39,7 @@ class MarkerFix:
 
 @dataclass(frozen=True, slots=True)
 class VehicleMotions:
-    """How both vehicles move, as they report it. Stamps are of the receiver's clock."""
+    """The motion of both vehicles as they report it. Stamps are of the receiver's clock."""
 
     own_stamp_ns: int
     own_n_mps: Vec3
@@ -84,7 +84,10 @@ class MarkerView:
         return len(self._fixes)
 
     def note_motion(self, motion: VehicleMotions) -> None:
-        """What both vehicles report: how the marker moves between two looks, and while it is not seen."""
+        """Takes both vehicles' reported motion.
+
+        It says how the marker moves between two looks, and while it is not seen.
+        """
         self._filter.set_own_velocity(motion.own_stamp_ns, motion.own_n_mps)
         self._filter.set_peer_velocity(motion.peer_stamp_ns, motion.peer_n_mps)
         self._motion = motion
@@ -119,7 +122,7 @@ class MarkerView:
         return MarkerFix(pose.T_c_v, pose.covariance, pose.side_px, detections)
 
     def note_target(self, prior: Prior, R_n_c: Matrix) -> None:
-        """Where the target is, from the camera, in ``n``: for the heading that keeps both in view."""
+        """Takes the target's place from the camera, in ``n``, for the heading that keeps both in view."""
         x, y = self._camera.ray(*prior.pixel)
         north, east, down = (R_n_c @ (x * prior.depth_m, y * prior.depth_m, prior.depth_m)).tolist()
         self.target_n_m = (north, east, down)

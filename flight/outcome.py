@@ -1,4 +1,4 @@
-"""How a mission can end. Every failure has a name, an exit code and a sentence for the crew."""
+"""The ends of a mission. Every failure has a name, an exit code and a sentence for the crew."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ _ABORT_REASONS = {
 
 
 def abort_reason(outcome: Outcome) -> AbortReason:
-    """What the other drone is told when a mission ends this way."""
+    """Returns the reason that the other drone is told when a mission ends this way."""
     return _ABORT_REASONS.get(outcome, AbortReason.SHUTDOWN)
 
 
@@ -87,7 +87,7 @@ OBJECT_MONITOR = "S12"
 
 
 def violated_outcome(monitors: Collection[str]) -> Outcome:
-    """How a run ends in which these monitors were violated; there is at least one."""
+    """Returns the end of a run in which these monitors were violated; there is at least one."""
     return Outcome.WRONG_OBJECT if OBJECT_MONITOR in monitors else Outcome.MONITOR_VIOLATED
 
 

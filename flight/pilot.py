@@ -87,7 +87,10 @@ class Pilot:
             await asyncio.sleep(due_s - loop.time())
 
     def _doubts(self, state: VehicleState, now_ns: int) -> bool:
-        """Whether a takeover is to be confirmed or taken back yet. What nothing takes back in time has happened."""
+        """Returns whether a takeover is still to be confirmed or taken back.
+
+        What nothing takes back in time has happened.
+        """
         if not in_doubt(state, FlightMode.OFFBOARD):
             ours = state.armed and state.mode is FlightMode.OFFBOARD
             self.taken_back += ours and self._doubt_ns is not None

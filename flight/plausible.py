@@ -1,4 +1,4 @@
-"""What of a rig must fit together for a mission to be flown as it says: checked before anything moves.
+"""The checks that a rig's parts fit together for a mission to be flown as it says, before anything moves.
 
 Each number by itself has bounds (``path.bounds``). Here they are held against each other: places and heights against
 the fence, ranges against the cameras, waits against what they wait for. Whether the world of a simulated rig fits is
@@ -65,7 +65,7 @@ def _fence(rig: Rig, mission: MissionConfig) -> Found:
 
 
 def _ranges(rig: Rig, mission: MissionConfig) -> Found:
-    """From where the sender follows the target its camera sees it, and can range it."""
+    """Checks that the sender's camera sees the target from where it follows it, and can range it."""
     target_b = _target_from_sender(mission)
     own, method = rig.sender, rig.method
     x, y, z = own.mount.T_b_c.inverse().apply(target_b).tolist()
@@ -84,7 +84,7 @@ def _ranges(rig: Rig, mission: MissionConfig) -> Found:
 
 
 def _viewpoint(rig: Rig, mission: MissionConfig) -> Found:
-    """There is a place for the receiver, with these cameras, mounts and markers."""
+    """Checks that there is a place for the receiver, with these cameras, mounts and markers."""
     T_b_v, own = rig.sender.mount.T_b_v, rig.receiver
     side_m = max(marker.side_m for marker in rig.layout.markers)
     scene = ViewpointScene(_target_from_sender(mission) - T_b_v.t, T_b_v.R[:, 2], side_m, -T_b_v.t)
@@ -136,7 +136,7 @@ def _waits(rig: Rig, mission: MissionConfig) -> Found:
 
 
 def _ages(rig: Rig, mission: MissionConfig) -> Found:
-    """Nothing is called lost before its next sign of life is due."""
+    """Checks that nothing is called lost before its next sign of life is due."""
     guard = mission.guard
     slowest_hz = min(mission.status_hz, mission.receiver_status_hz)
     for key, age_s, every_s, what in (
@@ -180,7 +180,7 @@ def _target_from_sender(mission: MissionConfig) -> np.ndarray[tuple[int], np.dty
 
 
 def camera_rate_hz(own: RoleRig) -> float | None:
-    """How many frames a second a role's camera gives; None when its part does not say."""
+    """Returns a role's camera rate in frames a second; None when its part does not say."""
     config = decode_part(own.perception)[1]
     inner = getattr(config, "camera", None)
     if isinstance(inner, PartSpec):

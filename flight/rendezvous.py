@@ -1,4 +1,4 @@
-"""How D2 gets to D1: stand-off by reported positions, search for the marker, approach by the marker alone."""
+"""D2's way to D1: stand-off by reported positions, search for the marker, approach by the marker alone."""
 
 from __future__ import annotations
 
@@ -33,7 +33,10 @@ _FINDABLE_PX = 14.0  # of a marker's side: found in nearly every image, at a sla
 
 
 def stand_off_m(config: MissionConfig) -> float:
-    """Where reported positions may lead: clear of the other drone even if they are wrong by all that they may be."""
+    """Returns the distance that reported positions may lead to.
+
+    It is clear of the other drone even if they are wrong by all that they may be.
+    """
     rendezvous = config.rendezvous
     wrong_m = math.hypot(rendezvous.positions_within_m, rendezvous.heights_within_m)
     return max(rendezvous.stand_off_m, config.separation.minimum_m + rendezvous.clearance_m + wrong_m)
@@ -93,7 +96,7 @@ class Rendezvous:
     # --- stand-off and search: by the positions both drones report -------------------------------------------------
 
     def to_stand_off(self, state: VehicleState) -> VelocitySetpoint:
-        """To where the marker faces D2, in the middle of the image, if both positions are right.
+        """Leads to where the marker faces D2, in the middle of the image, if both positions are right.
 
         That is not on the viewpoint's side: with positions off by a metre the marker would be seen edge-on there.
         """
@@ -135,11 +138,14 @@ class Rendezvous:
 
     @property
     def stand_off_m(self) -> float:
-        """As near as this drone comes by reported positions; nearer once the marker has told what those are worth."""
+        """The least distance by reported positions; nearer once the marker has told what those are worth."""
         return stand_off_m(self._config) if self._shift_n_m is None else self._config.rendezvous.stand_off_m
 
     def _search_from_m(self) -> float:
-        """How far from the marker the search is: where its side has enough pixels, and no nearer than need be."""
+        """Returns how far from the marker the search is.
+
+        Its side has enough pixels there, and no nearer than need be.
+        """
         findable_m = 0.5 * (self._camera.fx + self._camera.fy) * self._side_m / _FINDABLE_PX
         return min(self.stand_off_m, max(self._config.rendezvous.stand_off_m, findable_m))
 
@@ -186,7 +192,7 @@ class Rendezvous:
         return VelocitySetpoint(velocity, self._yaw_between(relative.marker_n_m))
 
     def at_viewpoint(self) -> bool:
-        """There, and slow."""
+        """Returns whether the camera is at the viewpoint, and slow."""
         relative, rendezvous = self._marker.predict(self._now_ns()), self._config.rendezvous
         return (
             relative is not None
@@ -195,7 +201,7 @@ class Rendezvous:
         )
 
     def out_of_bounds(self) -> str:
-        """Why this approach must not go on; "" while all is within its bounds."""
+        """Returns why this approach must not go on; "" while all is within its bounds."""
         relative, rendezvous = self._marker.predict(self._now_ns()), self._config.rendezvous
         if relative is None:
             return ""
@@ -213,11 +219,11 @@ class Rendezvous:
         return ""
 
     def _off_viewpoint(self, marker_n_m: Vec3) -> Vec3:
-        """What is missing to the viewpoint, given the way from the camera to the marker."""
+        """Returns what is missing to the viewpoint, given the way from the camera to the marker."""
         return add(from_heading(self.viewpoint.camera_h_m, self._peer().yaw_rad), marker_n_m)
 
     def _yaw_between(self, marker_n_m: Vec3) -> float:
-        """So that marker and target share the image."""
+        """Returns the yaw with which marker and target share the image."""
         to_marker = bearing(marker_n_m)
         if self._marker.target_n_m is None:
             return self._peer().yaw_rad + self.viewpoint.yaw_h_rad
@@ -225,7 +231,7 @@ class Rendezvous:
 
 
 def _swing(widest: float, phase_rad: float) -> float:
-    """From 0 to the widest and back."""
+    """Returns a way from 0 to the widest and back."""
     return 0.5 * widest * (1.0 - math.cos(phase_rad))
 
 

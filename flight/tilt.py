@@ -1,4 +1,4 @@
-"""How a drone leans as it hovers: wind tilts it, and with it a camera that is fixed to it."""
+"""The tilt of a drone as it hovers: wind tilts it, and with it a camera that is fixed to it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Tilt:
         self.down_n = add(scale(self.down_n, 1.0 - _SHARE), scale((north, east, down), _SHARE))
 
     def aim(self, axis_b: Vec3, heading_rad: float, below_m: float) -> Vec3:
-        """How much farther to one side a drone has to be for its camera to look where it would look if it were level.
+        """Returns how much farther to one side a drone has to be for its camera to look where a level one would.
 
         Args:
             axis_b: of the camera, in the body; it looks downward.
@@ -35,7 +35,7 @@ class Tilt:
         """
         level = from_heading(axis_b, heading_rad)
         north, east, down = (tilted(np.array(self.down_n)) @ level).tolist()
-        if down < 0.1 or level[2] < 0.1:  # it looks at the horizon: where it leans to is no place on the ground
+        if down < 0.1 or level[2] < 0.1:  # it looks at the horizon: the tilt leads to no place on the ground
             return 0.0, 0.0, 0.0
         farther = subtract(scale(level, below_m / level[2]), scale((north, east, down), below_m / down))
         return limit((farther[0], farther[1], 0.0), _FARTHEST_M)

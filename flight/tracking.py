@@ -67,7 +67,7 @@ class TargetTrack:
         return add(self.position_n_m, scale(self.velocity_n_mps, dt)), math.sqrt(variance)
 
     def gate_m(self, sigma_m: float, stamp_ns: int) -> float:
-        """How far from its prediction, with this standard deviation, the object may be found at a stamp."""
+        """Returns how far from its prediction, with this standard deviation, the object may be found at a stamp."""
         most_m = min(_GATE_MOST_M, _RIVAL_SHARE * self.rival_m) if self._rival_known(stamp_ns) else _GATE_MOST_M
         return max(_GATE_LEAST_M, min(3.0 * sigma_m + _GATE_FLOOR_M, most_m))
 
@@ -178,7 +178,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
 
 
 def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3:
-    """Where a box's object is, in ``n``: by its depth, or where its ray comes down to a height, where that is better.
+    """Returns the place of a box's object in ``n``: by its depth, or where its ray meets a height if that is better.
 
     Args:
         down_m: of the object, when it stands on the ground that the drone measures its own height from.
@@ -191,7 +191,7 @@ def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: floa
 
 
 def _at_height(box: Box, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3 | None:
-    """Where the ray of a box's centre comes down to a height; None for a ray that hardly does."""
+    """Returns where the ray of a box's centre comes down to a height; None for a ray that hardly does."""
     x, y = camera.ray(*box.center)
     ray = T_n_c.R @ (x, y, 1.0)
     if ray[2] < _MIN_DESCENT:
@@ -205,12 +205,12 @@ def _by_distance(found: Sequence[Detection], pixel: Pixel) -> list[Detection]:
 
 
 def _nearest_m(ranked: Sequence[Detection], px_per_m: float) -> float:
-    """From the first detection to the nearest other one."""
+    """Returns the distance from the first detection to the nearest other one, m."""
     first, *others = (d.box.center for d in ranked)
     return min(math.dist(first, other) for other in others) / px_per_m
 
 
 def _nearly_as_near(ranked: Sequence[Detection], pixel: Pixel) -> bool:
-    """Whether the second detection might be the one expected at a pixel as well as the first."""
+    """Returns whether the second detection might be the one expected at a pixel as well as the first."""
     first, second = (math.dist(d.box.center, pixel) for d in ranked[:2])
     return first > _AMBIGUITY * second

@@ -38,7 +38,10 @@ class UnderGuard:
         return answer
 
     def behind(self, end: MissionEnd) -> MissionEnd:
-        """What is behind a mission's end: a vehicle that the guard took refuses, or is not heard by who stood still."""
+        """Returns the cause behind a mission's end.
+
+        A vehicle that the guard took refuses, or is not heard by who stood still.
+        """
         self.look()
         if self.taken and end.outcome in _BY_A_VEHICLE:
             return MissionEnd(Outcome.GUARD, f"the guard took the vehicle: {self.taken}")
@@ -60,7 +63,7 @@ class UnderGuard:
             raise MissionEnd(Outcome.GUARD_LOST, missing)
 
     async def confirm(self, beat: Beat) -> None:
-        """Before anything moves: ask, and wait for an answer that is younger than the question.
+        """Asks the guard before anything moves, and waits for an answer that is younger than the question.
 
         A program that slept does not go on where it was: what happened meanwhile is in that answer. Raises MissionEnd.
         """

@@ -24,7 +24,7 @@ _TARGET_RADIUS_M = 0.25
 
 @dataclass(frozen=True, slots=True)
 class ViewpointScene:
-    """What the planner knows, in D1's heading frame ``h`` (forward, right, down), origin at the marker."""
+    """The planner's knowledge, in D1's heading frame ``h`` (forward, right, down), origin at the marker."""
 
     target_h_m: Floats  # (3,)
     marker_normal_h: Floats  # (3,), out of the print
@@ -65,7 +65,7 @@ def plan_viewpoint(
 ) -> Viewpoint | NoViewpoint:
     """The best place for D2's camera among a grid around the marker.
 
-    ``tilt_h`` is D2's body z axis in ``h`` while it hovers (unit, (3,)): wind leans a drone, and with it a camera that
+    ``tilt_h`` is D2's body z axis in ``h`` while it hovers (unit, (3,)): wind tilts a drone, and with it a camera that
     is fixed to it. None: level.
 
     Rules, in this order: separation ellipsoid, downwash cone of the upper drone, marker size in the image,
@@ -132,7 +132,7 @@ def _candidates() -> Floats:
 
 
 def _clear_of_body(to_body: Floats, to_target: Floats, body_radius_m: float) -> NDArray[np.bool_]:
-    """Whether D1's body leaves the line of sight to the whole target free."""
+    """Returns whether D1's body leaves the line of sight to the whole target free."""
     body_range = np.linalg.norm(to_body, axis=1)
     target_range = np.linalg.norm(to_target, axis=1)
     cosine = np.sum(to_body * to_target, axis=1) / (body_range * target_range)

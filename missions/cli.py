@@ -166,7 +166,7 @@ def _carry_out(arguments: Sequence[str] | None) -> int:
 
 
 def error_text(what: str, remedy: str) -> str:
-    """What went wrong and what to do, as the user sees it."""
+    """Returns what went wrong and what to do, as the user sees it."""
     lines = what.replace("\n", "\n       ")
     return f"error: {lines}\n" + (f"  fix: {remedy}\n" if remedy else "")
 

@@ -32,7 +32,7 @@ GREEN = (80, 230, 60)
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How long a detector took for each frame, ms: on the wall's clock, and of this thread on a core."""
+    """The time that a detector took for each frame, ms: on the wall's clock, and of this thread on a core."""
 
     wall_ms: tuple[float, ...]
     busy_ms: tuple[float, ...]

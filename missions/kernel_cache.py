@@ -1,4 +1,4 @@
-"""Where numba keeps what it compiled: beside the source, in the user's cache folder, or else in a folder of our own.
+"""The cache of numba's compiled code: beside the source, in the user's cache folder, or else in a folder of our own.
 
 Where neither of the first two can be written to, numba does not compile at all: a read-only install and an account
 without a home, as services and containers have them.
@@ -18,7 +18,7 @@ INSTALLED = Path(__file__).resolve().parent.parent
 
 
 def usual_folders() -> tuple[Path, ...]:
-    """Where numba looks by itself."""
+    """Returns the folders in which numba looks by itself."""
     return INSTALLED / "path", Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
 
 
@@ -45,7 +45,7 @@ def have_kernel_cache(usual: Sequence[Path] | None = None, temporary: Path | Non
 
 
 def can_write(folder: Path) -> bool:
-    """Whether a file can be made in a folder, or the folder itself."""
+    """Returns whether a file can be made in a folder, or the folder itself."""
     existing = next((path for path in (folder, *folder.parents) if path.exists()), None)
     if existing is None or not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
         return False

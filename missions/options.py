@@ -1,4 +1,4 @@
-"""What the commands can be told. The command line is generated from these, and so is its help."""
+"""The options of the commands. The command line is generated from these, and so is its help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is kept of many runs: a line for each, in a file that an interrupted command goes on with."""
+"""Resumable JSON lines: one for each of many runs, in a file that an interrupted command goes on with."""
 
 from __future__ import annotations
 

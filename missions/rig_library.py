@@ -30,7 +30,7 @@ def load(name_or_path: str) -> Rig:
 
 
 def name_of(rig: Rig) -> str:
-    """What ``--rig`` takes to name it: its name when it comes with PATH, else its file."""
+    """Returns the name that ``--rig`` takes: the rig's own when it comes with PATH, else its file."""
     return rig.file.stem if rig.file.resolve().parent == FOLDER.resolve() else str(rig.file)
 
 

@@ -1,4 +1,4 @@
-"""Where a run leaves what it wrote, and what it may take away of an earlier one's."""
+"""The folder of a run, and what it may take away of an earlier one's."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ REMEDY = "name another folder with --out"
 
 @dataclass(frozen=True, slots=True)
 class RunKind:
-    """What the folder of a run holds.
+    """A kind of run, by the files in its folder.
 
     Attributes:
         marker: the file that is written first, and says that the folder is a run's.
@@ -30,7 +30,7 @@ class RunKind:
     actors: tuple[str, ...]
 
     def files(self, folder: Path) -> Iterator[Path]:
-        """Those in a folder that have the names of a run's."""
+        """Yields the files in a folder that have the names of a run's."""
         actors = "|".join(map(re.escape, self.actors))
         logs = re.compile(rf"({actors})(\.guard)?(\.\d+)?\.(mcap|stderr\.txt|state\.json)")
         for file in sorted(folder.iterdir()):

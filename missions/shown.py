@@ -1,4 +1,4 @@
-"""What is said to somebody who may be gone: a closed terminal, a full disk behind stdout. A flight goes on."""
+"""Output to somebody who may be gone: a closed terminal, a full disk behind stdout. A flight goes on."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def say_unwritten(error: OSError) -> None:
 
 
 def flush_or_drop(stream: TextIO) -> bool:
-    """Whether what was written to a stream came out. What did not is dropped, so that nothing fails at exit."""
+    """Returns whether what was written to a stream came out. What did not is dropped, so that nothing fails at exit."""
     try:
         stream.flush()
     except (OSError, ValueError):
@@ -36,7 +36,7 @@ def flush_or_drop(stream: TextIO) -> bool:
 
 
 def drop(stream: TextIO) -> None:
-    """Whatever is still in a stream, or comes, goes nowhere."""
+    """Sends nowhere whatever is still in a stream, or comes."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

@@ -1,5 +1,7 @@
-"""Do both boxes show the same thing: D2's box in D1's image, IoU, adaptive threshold (paper, eqs. bbox_rescaling to
-instant_verification)."""
+"""The comparison of both boxes: D2's box in D1's image, IoU, adaptive threshold.
+
+Paper, eqs. bbox_rescaling to instant_verification.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ Verdict = Agreed | Missed
 
 @dataclass(frozen=True, slots=True)
 class TwoViews:
-    """What is calibrated before take-off: both cameras and the mounting ``T_v_c1`` of D1's."""
+    """The calibration from before take-off: both cameras, and the mounting ``T_v_c1`` of D1's."""
 
     camera1: CameraModel
     camera2: CameraModel

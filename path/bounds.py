@@ -1,4 +1,4 @@
-"""What a number of a configuration may be: bounds and a unit, declared beside the field.
+"""Plausible bounds and units of a configuration's numbers, declared beside the field.
 
     take_off_height_m: Annotated[float, Bounds(0.3, 100.0)] = 1.5
     hold_frames: Annotated[int, Bounds(1, 100_000, "frames")] = 350
@@ -37,8 +37,9 @@ _MISTAKES: Mapping[str, tuple[tuple[float, str], ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The least and the largest plausible value. ``unit``: where the field's name does not end with it; in brackets
-    when it is no measure, such as ``(an id)``.
+    """The least and the largest plausible value.
+
+    ``unit``: where the field's name does not end with it; in brackets when it is no measure, such as ``(an id)``.
 
     ``above``: the least value itself is already too small.
     """
@@ -49,7 +50,7 @@ class Bounds:
     above: bool = False
 
     def holds(self, value: float) -> bool:
-        """Whether a value is within; False for NaN."""
+        """Returns whether a value is within the bounds; False for NaN."""
         return self.low <= value <= self.high and not (self.above and value == self.low)
 
 
@@ -81,7 +82,7 @@ def out_of_bounds(config: object) -> list[tuple[str, str]]:
 
 
 def refusal(name: str, value: float, bounds: Bounds) -> str:
-    """Why a field's value is not taken: the value, what is allowed, and the likely mistake."""
+    """Returns why a field's value is refused: the value, what is allowed, and the likely mistake."""
     unit = unit_of(name, bounds)
     shown = f" {unit}" if unit and not unit.startswith("(") else ""
     low, high = (str(each) if isinstance(each, int) else f"{each:g}" for each in (bounds.low, bounds.high))
@@ -118,7 +119,7 @@ def bounded_fields(kind: type[Any]) -> dict[str, tuple[type[Any], Bounds]]:
 
 
 def bounds_of(hint: Any) -> Bounds | None:
-    """Those of an annotation; None without."""
+    """Returns the bounds in an annotation; None without."""
     if get_origin(hint) is not Annotated:
         return None
     return next((each for each in hint.__metadata__ if isinstance(each, Bounds)), None)

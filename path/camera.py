@@ -112,13 +112,16 @@ class CameraModel:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def contains(self, u: float, v: float, margin_px: float = 0.0) -> bool:
-        """Whether a pixel lies at least ``margin_px`` inside the image (False for NaN)."""
+        """Returns whether a pixel lies at least ``margin_px`` inside the image (False for NaN)."""
         return (
             margin_px - 0.5 <= u < self.width - 0.5 - margin_px and margin_px - 0.5 <= v < self.height - 0.5 - margin_px
         )
 
     def sees(self, point_c: Point3, margin_px: float = 0.0) -> bool:
-        """Whether a point in the camera frame, in metres, projects into the image (in front, not folded back)."""
+        """Returns whether a point in the camera frame, in metres, projects into the image.
+
+        It does not when it is not in front, or folded back by the distortion.
+        """
         x, y, z = point_c
         if not z > 0.0 or x * x + y * y > (self.max_radius * z) ** 2:
             return False

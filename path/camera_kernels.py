@@ -68,8 +68,10 @@ def project(lens: Array, x: float, y: float, z: float) -> tuple[float, float]:
 
 @kernel
 def extent(lens: Array, points_c: Array, nearest_m: float) -> tuple[float, float, float, float, float]:
-    """What the image shows of points (n, 3) that are farther than this: ``u0, v0, u1, v1`` and the depth of the nearest
-    one, infinite when it shows none."""
+    """Returns the extent in the image of points (n, 3) beyond a distance: ``u0, v0, u1, v1`` and the least depth.
+
+    The depth is infinite when the image shows none.
+    """
     u0 = v0 = near = np.inf
     u1 = v1 = -np.inf
     for k in range(points_c.shape[0]):

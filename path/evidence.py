@@ -52,12 +52,12 @@ def make_gate(config: MethodConfig) -> Gate:
 
 
 def strength(iou: float, tau: float) -> float:
-    """By how much a pair agrees: 0 at the threshold, 1 for equal boxes; below 0 it does not agree."""
+    """Returns by how much a pair agrees: 0 at the threshold, 1 for equal boxes; below 0 it does not agree."""
     return (iou - tau) / (1.0 - tau) if tau < 1.0 else iou - tau
 
 
 def gain(config: EvidenceConfig) -> float:
-    """What an agreeing block after the first multiplies a run's evidence by: all that the setbacks allow."""
+    """Returns the factor on a run's evidence of an agreeing block after the first: all that the setbacks allow."""
     return (1.0 - (1.0 - config.next_rate) * config.setback) / config.next_rate
 
 
@@ -70,7 +70,10 @@ def evidence_of(blocks: int, config: EvidenceConfig, setbacks: int = 0) -> float
 
 
 def evidence_needed(run: int, config: EvidenceConfig) -> float:
-    """What the ``run``-th run of an attempt (1, 2, ...) must reach: each later one may spend less of ``alpha``."""
+    """Returns the evidence that the ``run``-th run of an attempt needs (1, 2, ...).
+
+    Each later one may spend less of ``alpha``.
+    """
     return -math.log10(config.alpha / (run * (run + 1.0)))
 
 
@@ -94,7 +97,7 @@ def persistent_bound(distance_m: float, reach_m: float, sigma_m: float, measured
 
 @dataclass(slots=True)
 class BlockCounts:
-    """How many blocks a gate judged, and how many of them agreed: first ones of a run, and later ones."""
+    """Numbers of blocks that a gate judged, and of those that agreed: first ones of a run, and later ones."""
 
     first: list[int] = field(default_factory=lambda: [0, 0])
     later: list[int] = field(default_factory=lambda: [0, 0])
@@ -136,7 +139,7 @@ class EvidenceGate:
 
     @property
     def blocks(self) -> int:
-        """Of the run under way, those that agree."""
+        """The number of agreeing blocks in the run under way."""
         return self._blocks if self._run.count else 0
 
     @property
@@ -206,7 +209,7 @@ T = TypeVar("T")
 
 
 def _first(answers: list[T]) -> T:
-    """That of the deciding gate, once all have been asked."""
+    """Returns the answer of the deciding gate, once all have been asked."""
     return answers[0]
 
 

@@ -53,7 +53,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """Both ways, a few times a second: what coarse rendezvous, feed-forward and the console need."""
+    """A drone's state for coarse rendezvous, feed-forward and the console, sent both ways, a few times a second."""
 
     role: Role
     stamp_ns: int

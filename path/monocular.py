@@ -1,4 +1,4 @@
-"""How far away something of known size is, from its box in one image: for cameras without depth.
+"""The distance of an object of known size from its box in one image: for cameras without depth.
 
 What is known of the target is its apparent size: the geometric mean of its box's sides times the distance over the
 focal length, as a mean over the headings in which it may stand. Trying to tell the heading from the box as well made it
@@ -21,7 +21,7 @@ _LEAST_PX = 4.0
 
 @dataclass(frozen=True, slots=True)
 class TargetSize:
-    """How large the target looks, and how well one number describes that.
+    """The apparent size of the target, and how well one number describes it.
 
     Attributes:
         apparent_m: geometric mean of the sides of its box, in m: measured box times distance over focal length.

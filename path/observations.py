@@ -1,4 +1,4 @@
-"""What a camera view yields: boxes, marker corners, depths, and the reasons when it yields nothing."""
+"""Observations of a camera view: boxes, marker corners, depths, and the reasons when there are none."""
 
 from __future__ import annotations
 
@@ -89,7 +89,10 @@ class Depth:
 
 
 class MissReason(Enum):
-    """Why a frame pair does not count. Values are stable: they are logged, counted and sent over the link."""
+    """The reason why a frame pair does not count.
+
+    Values are stable: they are logged, counted and sent over the link.
+    """
 
     NO_TARGET = "no_target"
     AMBIGUOUS_TARGET = "ambiguous_target"

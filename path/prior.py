@@ -1,5 +1,6 @@
-"""Where D2 should look: the target's point through D2's pose into its image, with covariance and search region
-(paper, eqs. target_d2 to d2_projection).
+"""The prior of the target in D2's image: its point through D2's pose, with covariance and search region.
+
+Paper, eqs. target_d2 to d2_projection.
 
 The pose covariance is (6, 6), translation first (m), then rotation (rad), of ``T_c2_v`` perturbed in the camera frame:
 ``t <- t + dt``, ``R <- exp(dw) R`` with ``t`` untouched.
@@ -28,7 +29,7 @@ Covariance2 = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Where the target is expected in D2's image.
+    """The expected place of the target in D2's image.
 
     Attributes:
         pixel: distorted pixel of the target's point.

@@ -32,7 +32,7 @@ UPRIGHT: Matrix = np.eye(3)
 
 @dataclass(frozen=True, slots=True)
 class RelativeSettings:
-    """What is known of the errors, as standard deviations per axis.
+    """The errors that the filter assumes, as standard deviations per axis.
 
     Attributes:
         velocity_sigma_mps: error of the relative velocity that the two vehicles report.
@@ -132,7 +132,7 @@ class RelativeFilter:
         self._report(self._own, self._peer, stamp_ns, velocity_n_mps)
 
     def set_peer_velocity(self, stamp_ns: int, velocity_n_mps: Vec3) -> None:
-        """Of the marker's drone."""
+        """Takes a reported velocity of the marker's drone."""
         self._report(self._peer, self._own, stamp_ns, velocity_n_mps)
 
     def unseen_s(self, stamp_ns: int) -> float:

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class Reports(NamedTuple):
-    """What one vehicle has reported: the first ``many`` rows.
+    """The motion that one vehicle has reported: the first ``many`` rows.
 
     Attributes:
         stamps: (n,) ns.
@@ -55,7 +55,7 @@ class State(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """What the filter believes of the time between two instants.
+    """The filter's assumptions about the time between two instants.
 
     Attributes:
         wander_s: how long an attitude's error takes to change; ``tilt``, ``yaw``: its variances, rad^2.
@@ -96,7 +96,7 @@ def reported(reports: Reports, stamp_ns: int) -> tuple[float, float, float, floa
 
 @kernel
 def velocity(own: Reports, peer: Reports, stamp_ns: int) -> Vec3:
-    """Of the marker's drone minus the own one; zero while one of them reports none."""
+    """Returns the velocity of the marker's drone minus the own one; zero while one of them reports none."""
     if own.many == 0 or peer.many == 0:
         return 0.0, 0.0, 0.0
     a, b, c, _, _, _ = reported(own, stamp_ns)
@@ -106,7 +106,7 @@ def velocity(own: Reports, peer: Reports, stamp_ns: int) -> Vec3:
 
 @inner
 def _way(own: Reports, peer: Reports, from_ns: int, to_ns: int) -> Vec3:
-    """What the reports say the marker's drone moved, minus the own one, m."""
+    """Returns the way of the marker's drone minus the own one's, by their reports, m."""
     if to_ns <= from_ns or own.many == 0 or peer.many == 0:
         return 0.0, 0.0, 0.0
     _, _, _, a, b, c = reported(own, from_ns)
@@ -280,7 +280,7 @@ def known_by(
 
 @inner
 def _surprise(p: Array, R: Array, seen_p: Array, seen_R: Array) -> Array:
-    """What a measured pose differs by from the state's, (6,): ``seen_p - p`` and the rotation vector to ``seen_R``."""
+    """Returns a measured pose's difference to the state's, (6,): ``seen_p - p``, the rotation vector to ``seen_R``."""
     out, D = np.empty(6), np.empty((3, 3))
     for i in range(3):
         out[i] = seen_p[i] - p[i]

@@ -26,7 +26,7 @@ UNIT_TOLERANCE = 0.05  # of a direction or a quaternion that went through float3
 
 @dataclass(frozen=True, slots=True)
 class PairVerdict:
-    """What became of one candidate.
+    """The verdict on one candidate, and what it rests on.
 
     Attributes:
         candidate: None when the verdict is that none came (LINK_SILENT).
@@ -195,7 +195,7 @@ class SenderCycle:
         return PairVerdict(candidate, capture_ns, verdict, own_box, mapped_box, tau, used)
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
-        """Why a fresh candidate cannot even be compared, whatever D1 saw at that instant."""
+        """Returns why a fresh candidate cannot even be compared, whatever D1 saw at that instant; None when it can."""
         if candidate.reason is not None:
             return candidate.reason
         if candidate.sigma_m > self._config.pose_sigma_limit_m:
@@ -231,7 +231,7 @@ class SenderCycle:
 
 
 def _is_sound(candidate: Candidate) -> bool:
-    """Whether every number is one, the rotation is one, and a box is there exactly when no reason is."""
+    """Returns whether a candidate is finite, its rotation is one, and a box is there exactly when no reason is."""
     total = sum(candidate.position_v_m) + sum(candidate.rotation_v_c2) + candidate.sigma_m
     box = candidate.box
     if box is not None:

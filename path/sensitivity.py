@@ -1,4 +1,4 @@
-"""How errors of depth and of the marker's pose move D2's prior (paper, section "Sensor Sensitivity").
+"""The effect of errors of depth and of the marker's pose on D2's prior (paper, section "Sensor Sensitivity").
 
 The printed text leaves conventions open; these reproduce its nominal projection:
 

@@ -1,4 +1,7 @@
-"""Where the target is, seen by D1: registered depth over the box, then eqs. target_backprojection, target_virtual."""
+"""The target's place as D1 sees it: registered depth over the box, then its point.
+
+Paper, eqs. target_backprojection, target_virtual.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""The gate before a commit, and the paper's: consecutive agreements (eq. temporal_verification), on distinct fresh
-frame pairs only. The other gate, ``path.evidence``, rests on the same run of pairs.
+"""The gate before a commit, and the paper's: consecutive agreements on distinct fresh frame pairs only.
+
+Paper, eq. temporal_verification. The other gate, ``path.evidence``, rests on the same run of pairs.
 
 What is safe, and why:
 
@@ -26,13 +27,13 @@ SERIAL = 1 << 16
 
 
 def serial_difference(a: int, b: int) -> int:
-    """How far u16 sequence ``a`` is ahead of ``b``, in -32768..32767 (serial number arithmetic)."""
+    """Returns how far u16 sequence ``a`` is ahead of ``b``, in -32768..32767 (serial number arithmetic)."""
     return ((a - b + SERIAL // 2) % SERIAL) - SERIAL // 2
 
 
 @dataclass(frozen=True, slots=True)
 class FramePair:
-    """Which frames a comparison used.
+    """The frames that a comparison used.
 
     Attributes:
         peer_sequence: u16 sequence of D2's frame.
@@ -48,8 +49,10 @@ class FramePair:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """How much speaks for the same object, and how much must, both as log10 of one over the probability of being
-    fooled: 4 is one in ten thousand."""
+    """The evidence reached and needed that it is the same object.
+
+    Both are log10 of one over the probability of being fooled: 4 is one in ten thousand.
+    """
 
     reached: float
     needed: float
@@ -70,7 +73,7 @@ class Gate(Protocol):
 
     @property
     def complete(self) -> bool:
-        """Whether the target may be handed over now. It does not stay so when a pair disagrees."""
+        """Returns whether the target may be handed over now. It does not stay so when a pair disagrees."""
         ...
 
     @property
@@ -130,7 +133,7 @@ class AgreementWindow:
 
     @property
     def complete(self) -> bool:
-        """Whether the run is long enough in pairs and in time (V_k of the paper)."""
+        """Returns whether the run is long enough in pairs and in time (V_k of the paper)."""
         return self._count >= self._hold_frames and self._span_ns >= self._hold_ns
 
     @property
@@ -160,7 +163,7 @@ class AgreementWindow:
         return None
 
     def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
-        """It restarts the run, by however much it disagrees."""
+        """Restarts the run, by however much the pair disagrees."""
         del by
         refusal = self.skip(peer_sequence, capture_ns)
         if refusal is None:

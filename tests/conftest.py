@@ -1,5 +1,6 @@
-"""What all tests share, which of them may run beside which, and how property tests run everywhere: the same examples
-each time, and no limit of wall time.
+"""The settings of all tests: what they share, which may run side by side, and property tests that repeat.
+
+Property tests have the same examples each time everywhere, and no limit of wall time.
 
 Machines are noisy. ``pytest --hypothesis-profile=explore`` looks for new examples.
 """
@@ -53,8 +54,10 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 class Groups(LoadScopeScheduling):
-    """Tests of one group stay in one worker, the largest group first: those in real time; those of a module, which
-    share fixtures."""
+    """Tests of one group stay in one worker, the largest group first.
+
+    A group is all tests in real time, or those of a module, which share fixtures.
+    """
 
     def _split_scope(self, nodeid: str) -> str:
         return group_of(nodeid)

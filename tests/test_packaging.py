@@ -1,4 +1,4 @@
-"""What is installed is what was meant: the right packages, pinned, one OpenCV, and a wheel with everything in it."""
+"""The installed package: the right packages, pinned, one OpenCV, and a wheel with everything in it."""
 
 from __future__ import annotations
 

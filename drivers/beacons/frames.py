@@ -84,14 +84,14 @@ class MobilePosition:
 
 @dataclass(frozen=True, slots=True)
 class StationaryPositions:
-    """Where the stationary beacons are, by address, in m."""
+    """The positions of the stationary beacons, by address, in m."""
 
     positions_m: dict[int, Vec3]
 
 
 @dataclass(frozen=True, slots=True)
 class Rating:
-    """How sure the system is of a beacon's newest position, in percent."""
+    """The system's confidence in a beacon's newest position, in percent."""
 
     address: int
     percent: int
@@ -165,7 +165,7 @@ class BeaconFramer:
         return packets
 
     def cut(self) -> None:
-        """What follows does not continue what came so far."""
+        """Drops what waits: the bytes that follow do not continue it."""
         self.counters.skipped += len(self._waiting)
         self._waiting.clear()
 

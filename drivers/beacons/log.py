@@ -40,7 +40,7 @@ class Mounted:
 
 @dataclass(frozen=True, slots=True)
 class BeaconTruth:
-    """What a harness that makes beacons up knows of them, for judging how a trial did; no trial may estimate with it.
+    """The truth of a harness that makes beacons up, for judging how a trial did; no trial may estimate with it.
 
     Attributes:
         offset_s: world clock minus the listener's at the middle of the log; that the way over the wire makes stamps

@@ -121,7 +121,7 @@ class Marvelmind:
         return self._waiting.popleft()
 
     async def examine(self) -> Sequence[Finding]:
-        """What each port sent besides positions: damage, and the battery of what is connected."""
+        """Returns what each port sent besides positions: damage, and the battery of what is connected."""
         return [_port_finding(name, state) for name, state in self.stream.ports.items()]
 
     # --- inside ---
@@ -195,7 +195,7 @@ class Marvelmind:
                 )
 
     def _silence(self, timeout_s: float) -> BeaconError:
-        """Why no position came: what is wrong with each port, by what it said."""
+        """Returns the error of no position: what is wrong with each port, by what it said."""
         said = [f"{port.name} {self._ailment(port)}" for port in self._ports]
         return BeaconError(
             f"no position from the beacons in {timeout_s:g} s: {'; '.join(said)}",
@@ -235,7 +235,7 @@ def _port_finding(name: str, state: PortState) -> Finding:
 
 
 def ailment_of(state: PortState | None) -> str:
-    """Why a port that is open gave no position, by all that came from it."""
+    """Returns why a port that is open gave no position, by all that came from it."""
     if state is None or not state.bytes_read:
         return "is silent"
     counters = state.counters

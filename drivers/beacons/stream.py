@@ -1,4 +1,4 @@
-"""What comes out of Marvelmind's serial ports, as positions on the listener's clock: the same live and from a record.
+"""Positions from the bytes of Marvelmind's serial ports, on the listener's clock: the same live and from a record.
 
 Nothing here waits or knows a port: bytes with the instant of their arrival go in, positions come out.
 """
@@ -27,7 +27,7 @@ RESTART_NS = 2_000_000_000  # stamps that go back by more: the system's clock ha
 
 
 class ClockMap:
-    """From the clock of a beacon system to the listener's.
+    """The map from the clock of a beacon system to the listener's.
 
     A frame arrives later than its ultrasound by its age, which it says itself, and by a way over the wire that is never
     negative: the least of ``arrival - age - stamp`` in a window is nearest to the truth, and late by the fastest way.
@@ -54,7 +54,7 @@ class ClockMap:
 
 @dataclass(slots=True)
 class _Hedge:
-    """What is kept of one mobile beacon on one port."""
+    """The state of one mobile beacon on one port."""
 
     clock: ClockMap = field(default_factory=ClockMap)
     wrapped: int = 0
@@ -62,7 +62,7 @@ class _Hedge:
     stamp_ns: int = -1
 
     def stamp(self, packet: MobilePosition) -> int:
-        """In ns, carried on over the wrap of the counter (after 49 days)."""
+        """Returns the packet's stamp in ns, carried on over the wrap of the counter (after 49 days)."""
         if packet.bits < 64 and packet.stamp_ms < self.newest_ms - (1 << (packet.bits - 1)):
             self.wrapped += 1 << packet.bits
         self.newest_ms = packet.stamp_ms
@@ -71,7 +71,7 @@ class _Hedge:
 
 @dataclass(slots=True)
 class PortState:
-    """What one port has said.
+    """The state of one port.
 
     Attributes:
         newest_ns: arrival of the newest bytes, and of the newest position; None before any.

@@ -24,7 +24,7 @@ RAGGED = 0.25  # solidity that an outline may lose to coarse pixels, times the p
 
 @dataclass(frozen=True, slots=True)
 class ColorDetectorConfig:
-    """What counts as a vehicle.
+    """The colour, sizes and shapes that count as a vehicle.
 
     Attributes:
         hue_deg: centre of the wanted hue (0 red, 120 green); ``hue_halfwidth_deg`` 180 takes every hue.
@@ -214,14 +214,14 @@ def _window(
 
 
 def _may_be_inside(patch: Patch, region: Region, left: int, top: int, step: int) -> bool:
-    """Whether the centre of the patch, known to about a coarse pixel, can lie in the region."""
+    """Returns whether the centre of the patch, known to about a coarse pixel, can lie in the region."""
     u, v = left + (patch.x + patch.w / 2) * step, top + (patch.y + patch.h / 2) * step
     slack = 2.0 * step
     return region.x0 - slack <= u < region.x1 + slack and region.y0 - slack <= v < region.y1 + slack
 
 
 def _edges(profile: Image) -> tuple[float, float] | None:
-    """Where a profile (0..255) first rises and last falls through half, interpolated between pixel centres."""
+    """Returns where a profile (0..255) first rises and last falls through half, interpolated between pixel centres."""
     above = np.flatnonzero(profile >= 128)
     if len(above) == 0:
         return None

@@ -60,5 +60,5 @@ def _shape(node: Any) -> Shape:
 
 
 def shown(shape: Shape) -> str:
-    """As messages have it: 1x3x416x416."""
+    """Returns a shape as messages have it: 1x3x416x416."""
     return "x".join(str(side) for side in shape)

@@ -34,7 +34,7 @@ class BoxTracker:
         self._tracker.init(image, self._whole)
 
     def update(self, image: NDArray[np.uint8]) -> Box | None:
-        """Where it is now; None when it was lost."""
+        """Returns the object's box in the next image; None when it was lost."""
         try:
             found, box = self._tracker.update(image)
         except cv2.error:  # an image that it cannot have come to from the last one

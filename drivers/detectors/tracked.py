@@ -57,7 +57,10 @@ class TrackedDetectorConfig:
 
 @dataclass(slots=True)
 class TrackCounters:
-    """What became of the frames and tracks. ``lost``: by the tracker itself; the others by the checks."""
+    """Counters of frames and tracks by what became of them.
+
+    ``lost``: by the tracker itself; the others by the checks.
+    """
 
     frames: int = 0
     detected: int = 0
@@ -89,7 +92,10 @@ class TrackedDetector:
         self.counters = TrackCounters()
 
     def detect(self, image: Image, region: Region | None) -> Sequence[Detection]:
-        """As the detector in it; what is tracked has the score of its last detection times how like that it looks."""
+        """Detects as the detector in it.
+
+        What is tracked has the score of its last detection times how like that it looks.
+        """
         self.counters.frames += 1
         self._since += 1
         tracked = self._followed(image)
@@ -136,7 +142,7 @@ def _inside(detection: Detection, region: Region) -> bool:
 
 
 def _has_area(box: Box, image: Image) -> bool:
-    """Whether at least two pixels each way are in the image."""
+    """Returns whether at least two pixels each way are in the image."""
     height, width = image.shape[:2]
     across = min(box.x + box.w, width) - max(box.x, 0.0)
     down = min(box.y + box.h, height) - max(box.y, 0.0)
@@ -144,7 +150,7 @@ def _has_area(box: Box, image: Image) -> bool:
 
 
 def _looks(image: Image, box: Box) -> NDArray[np.float64]:
-    """What is in a box as a small grey image of mean 0 and variance 1, whatever the light."""
+    """Returns the content of a box as a small grey image of mean 0 and variance 1, whatever the light."""
     height, width = image.shape[:2]
     x0, y0 = max(0, int(box.x)), max(0, int(box.y))
     x1, y1 = min(width, int(box.x + box.w) + 1), min(height, int(box.y + box.h) + 1)

@@ -128,7 +128,7 @@ def _whole_cells(side: int | str) -> bool:
 
 
 def _scored(config: YoloxDetectorConfig, count: int) -> NDArray[np.bool_]:
-    """Which of the model's classes are looked for. Raises PartError."""
+    """Returns which of the model's classes are looked for. Raises PartError."""
     names = COCO if config.names is None else _read_names(config.names)
     if not config.classes:
         return np.ones(count, np.bool_)

@@ -1,4 +1,4 @@
-"""From what a network of the YOLOX family says about its grid cells to boxes (Ge et al. 2021, arXiv:2107.08430).
+"""Boxes from what a network of the YOLOX family says about its grid cells (Ge et al. 2021, arXiv:2107.08430).
 
 Box coordinates here are of edges in the network's input: a pixel with index i covers i to i + 1.
 """

@@ -1,4 +1,4 @@
-"""What every link has on this side of its channel: codec, counters, and the messages that wait for their reader."""
+"""This side's end of any link: codec, counters, and the messages that wait for their reader."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOST_AT_ONCE = 300
 
 
 class LinkContext(Protocol):
-    """What a link needs of ``PartContext``."""
+    """The part of ``PartContext`` that a link needs."""
 
     @property
     def role(self) -> Role: ...
@@ -30,7 +30,7 @@ Item = TypeVar("Item")
 
 
 class Waiting(Generic[Item]):
-    """What waits for its turn: the newest of each stream, and every word of the rest up to a number.
+    """A queue that keeps the newest of each stream, and every word of the rest up to a number.
 
     A Target, Candidate or Status that waits is replaced by a newer one, so that no latency builds up. What the
     hand-over and the clocks say comes first, in its order.

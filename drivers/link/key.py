@@ -1,4 +1,4 @@
-"""What signs the packets of a pair: the key that only the two drones have, and the clock of the signatures."""
+"""The signing of a pair's packets: the key that only the two drones have, and the clock of the signatures."""
 
 from __future__ import annotations
 
@@ -47,7 +47,10 @@ def read_key(path: Path) -> bytes:
 
 
 def key_finding(path: Path | None) -> Finding:
-    """What is said of the key of a link that is open: a key that cannot be used was refused when it was opened."""
+    """Returns the finding on the key of a link that is open.
+
+    A key that cannot be used was refused when it was opened.
+    """
     if path is None:
         return Finding(
             "note", "key", "none: packets are unsigned", "name a `key_file` unless nobody else can send to it"

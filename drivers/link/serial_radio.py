@@ -186,7 +186,7 @@ class SerialLink:
         return self._end.pack(self._waiting.pop()) or b""
 
     def _lost(self) -> None:
-        """What waits would be old when the port is back."""
+        """Closes the port and drops what waits: it would be old when the port is back."""
         self._waiting.clear()
         self._close_port()
         self._timer = asyncio.get_running_loop().call_later(REOPEN_S, self._reopen)

@@ -150,7 +150,7 @@ class UdpLink:
 
 
 def open_error(bind: Address, error: OSError) -> LinkError:
-    """What to tell a person about a UDP port that cannot be had."""
+    """Returns the error for a person when a UDP port cannot be had."""
     host, port = bind
     if error.errno == errno.EADDRINUSE:
         return LinkError(f"UDP port {port} is in use", "end the other run, or change the port in the rig")

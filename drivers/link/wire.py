@@ -47,7 +47,7 @@ class EncodeError(ValueError):
 
 
 class Drop(Enum):
-    """Why a packet was not taken. Values are counted and logged."""
+    """The reason why a packet was not taken. Values are counted and logged."""
 
     NOT_MAVLINK = "not_mavlink"
     TRUNCATED = "truncated"
@@ -120,7 +120,10 @@ class Codec:
         return data + self._hash(data)
 
     def authentic(self, data: bytes) -> bool:
-        """Whether a datagram is signed by the peer and not heard before, or nothing is signed here; in a few us."""
+        """Returns whether a datagram is signed by the peer and not heard before, or nothing is signed here.
+
+        In a few us.
+        """
         if not self._signed:
             return True
         if len(data) < HEADER_LENGTH + _CRC + _SIGNATURE or not hmac.compare_digest(
@@ -171,14 +174,17 @@ class Codec:
         return None
 
     def _introduced(self, data: bytes, message: Message) -> Message | Drop:
-        """What is taken of a stream that is not proven; its answer proves it."""
+        """Returns what is taken of a stream that is not proven; its answer proves it."""
         if isinstance(message, Pong) and (message.nonce, message.ping_sent_ns) in self._asked:
             self._proven.add(data[-_SIGNATURE])
             return message
         return message if isinstance(message, Ping) else Drop.UNPROVEN
 
     def _origin(self, data: bytes) -> Drop | None:
-        """Whether a well-formed packet is one of ours, from the other role, and signed exactly when it should be."""
+        """Returns why a well-formed packet is none of ours, of the other role, rightly signed or unsigned.
+
+        None when it is.
+        """
         kind = dialect.mavlink_map.get(int.from_bytes(data[7:10], "little"))
         if kind not in FROM_WIRE:
             return Drop.UNKNOWN_ID
@@ -200,7 +206,7 @@ def expected_length(header: bytes) -> int | None:
 
 
 def checksum_holds(packet: bytes) -> bool:
-    """Whether a packet of its ``expected_length`` is undamaged, as far as its checksum tells."""
+    """Returns whether a packet of its ``expected_length`` is undamaged, as far as its checksum tells."""
     kind = dialect.mavlink_map[int.from_bytes(packet[7:HEADER_LENGTH], "little")]
     end = HEADER_LENGTH + packet[1]
     return _crc(packet[1:end], kind.crc_extra) == int.from_bytes(packet[end : end + _CRC], "little")
@@ -219,7 +225,7 @@ def _stamp_of(data: bytes) -> int:
 
 
 def _crc(data: bytes, extra: int) -> int:
-    """Of everything after the marker, and a byte that stands for the message's layout."""
+    """Returns the checksum of everything after the marker, and a byte that stands for the message's layout."""
     crc = dialect.x25crc(data)
     crc.accumulate(bytes((extra,)))
     return crc.crc
@@ -230,7 +236,7 @@ def _whole_length(header: bytes) -> int:
 
 
 def _shape(data: bytes) -> Drop | None:
-    """Whether a datagram is exactly one MAVLink 2 packet, as far as its header tells."""
+    """Returns why a datagram is not exactly one MAVLink 2 packet, as far as its header tells; None when it is."""
     size = len(data)
     if data[:1] != _MARKER or (size > 2 and data[2] & ~_SIGNED):
         return Drop.NOT_MAVLINK

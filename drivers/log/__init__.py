@@ -1,1 +1,1 @@
-"""What a drone writes down: its log, and the record that survives a restart."""
+"""The records of a drone: its log, and the one that survives a restart."""

@@ -1,4 +1,4 @@
-"""What is logged, as any viewer knows it: Foxglove's schemas, made from PATH's own records.
+"""The log's records in Foxglove's schemas, which any viewer knows, made from PATH's own.
 
     /calibration   CameraCalibration, of NAME/camera
     /tf            FrameTransforms: world (ENU) - n (NED) - NAME/body (FRD) - NAME/camera, NAME/marker, and on D2
@@ -97,7 +97,7 @@ def time_of(stamp_ns: int) -> Timestamp:
 
 
 class Standards:
-    """Of one log. Stamps are UTC."""
+    """Foxglove's messages of one log. Stamps are UTC."""
 
     def __init__(self, name: str) -> None:
         prefix = f"{name}/" if name else ""
@@ -122,14 +122,14 @@ class Standards:
         }
 
     def of(self, topic: str, stamp_ns: int, record: Record) -> Iterable[Standard]:
-        """What a record is to a viewer."""
+        """Returns a viewer's messages for a record."""
         if topic in _LINES:
             return (self._line(topic, stamp_ns, {**blank(topic), **record}),)
         make = self._of.get(topic)
         return () if make is None else make(stamp_ns, {**blank(topic), **record})
 
     def of_image(self, stamp_ns: int) -> Iterable[Standard]:
-        """What is drawn over an image, unless it was just told."""
+        """Returns what is drawn over an image; nothing when it was just told."""
         return () if self._said_ns.get("/annotations") == stamp_ns else (self._annotations(stamp_ns),)
 
     def _due(self, topic: str, stamp_ns: int, period_ns: int = PERIOD_NS) -> bool:
@@ -379,7 +379,7 @@ def _transform(stamp_ns: int, parent: str, child: str, rows: Sequence[float]) ->
 
 
 def _fix(stamp_ns: int, origin: Sequence[float], position_n_m: Sequence[float]) -> Message:
-    """On a sphere of the earth's size: for a map, over a field."""
+    """Returns the position on a sphere of the earth's size: for a map, over a field."""
     latitude_deg, longitude_deg, altitude_m = origin
     north, east, down = position_n_m
     return LocationFix(
@@ -392,7 +392,7 @@ def _fix(stamp_ns: int, origin: Sequence[float], position_n_m: Sequence[float]) 
 
 
 def _frustum(camera: Record, color: Color) -> LinePrimitive:
-    """Without distortion: what the eye takes for the camera."""
+    """The frustum of the camera, without distortion."""
     edges = [
         ((u - camera["cx"]) / camera["fx"] * FRUSTUM_M, (v - camera["cy"]) / camera["fy"] * FRUSTUM_M, FRUSTUM_M)
         for u, v in ((0, 0), (camera["width"], 0), (camera["width"], camera["height"]), (0, camera["height"]))

@@ -1,4 +1,4 @@
-"""What one process tells another: lines of JSON."""
+"""The words of one process to another: lines of JSON."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class JsonLines:
         self._begun = b""
 
     def read(self) -> list[dict[str, Any]] | None:
-        """What has come in since, when there is something to read; None at the end."""
+        """Returns what has come in since, when there is something to read; None at the end."""
         data = os.read(self._file, 65536)
         if not data:
             return None

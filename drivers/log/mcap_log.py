@@ -161,7 +161,7 @@ class McapLog:
         self._channels[topic] = number
 
     def _fail(self, error: OSError) -> None:
-        """From here on nothing is written: what is in the file stays readable."""
+        """Ends the log: from here on nothing is written, and what is in the file stays readable."""
         self.failed = f"log not written: {error.strerror or error}" + (f": {error.filename}" if error.filename else "")
         file, self._file = self._file, None
         if file is not None:
@@ -217,7 +217,7 @@ def _jpeg(image: NDArray[np.uint8]) -> bytes | None:
 
 
 def encode_other(value: Any) -> Any:
-    """As JSON can hold it; an ``enc_hook`` of msgspec."""
+    """Returns a value as JSON can hold it; an ``enc_hook`` of msgspec."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -305,7 +305,7 @@ class LoggedMessage:
 
 
 def messages(file: IO[bytes]) -> Iterator[LoggedMessage | Metadata]:
-    """What is in a log after its magic, in the order it was written, up to where it ends."""
+    """Yields the messages and metadata of a log after its magic, in the order it was written, up to where it ends."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, LoggedChannel] = {}
     records = StreamReader(file, skip_magic=True).records

@@ -1,4 +1,4 @@
-"""What a role must know after a restart, in a file that is always whole: the old record or the new one."""
+"""The record that a role needs after a restart, in a file that is always whole: the old record or the new one."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class StateFile:
             ) from error
 
     def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
-        """In a thread of its own, which ends with it: there are half a dozen in a mission."""
+        """Saves in a thread of its own, which ends with it: there are half a dozen in a mission."""
         saved = Future[None]()
         saved.set_running_or_notify_cancel()  # from here on nobody can take it back
         threading.Thread(target=_settle, args=(saved, lambda: self.save(record)), name="state-file").start()
@@ -137,7 +137,7 @@ def _role_of(record: SenderRecord | ReceiverRecord) -> Role:
 
 
 def boot_id() -> str:
-    """What differs from one start of this computer to the next; "" where it does not say."""
+    """Returns an id that differs from one start of this computer to the next; "" where it does not say."""
     try:
         return BOOT_ID.read_text().strip()
     except OSError:

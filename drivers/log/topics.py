@@ -93,7 +93,7 @@ _MOUNT = {
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """What one record of a topic is, and its fields as JSON Schemas."""
+    """The meaning of one topic's records, and their fields as JSON Schemas."""
 
     text: str
     fields: dict[str, Schema]

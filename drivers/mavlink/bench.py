@@ -16,7 +16,7 @@ from path.messages import Quat, Vec3
 
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """What was true at one moment, and what the driver said then.
+    """The truth at one moment, and what the driver said then.
 
     Attributes:
         height_m: of the legs over where they stood at the start.
@@ -54,7 +54,7 @@ class CommandAnswer:
 
 @dataclass(slots=True)
 class HeardOnCable:
-    """What came over the cable from the vehicle, oldest first; the lists only grow.
+    """The messages that came over the cable from the vehicle, oldest first; the lists only grow.
 
     Attributes:
         arrivals_s: of every message, by its id.
@@ -76,7 +76,7 @@ class VehicleBench(Protocol):
 
     @property
     def kind(self) -> str:
-        """Whose modes it has, a name of ``drivers.mavlink.modes.KINDS``."""
+        """The autopilot whose modes it has, a name of ``drivers.mavlink.modes.KINDS``."""
         ...
 
     @property
@@ -96,7 +96,7 @@ class VehicleBench(Protocol):
 
     @property
     def cut(self) -> bool:
-        """Whether the companion's cable is cut, both ways; the bench goes on hearing the vehicle."""
+        """Returns whether the companion's cable is cut, both ways; the bench goes on hearing the vehicle."""
         ...
 
     @cut.setter
@@ -116,7 +116,7 @@ class VehicleBench(Protocol):
         ...
 
     def watch(self, vehicle: Vehicle | None) -> None:
-        """Whose ``state`` is recorded in ``instants``."""
+        """Records the ``state`` of this vehicle in ``instants`` from now on."""
         ...
 
     def vehicle(self) -> Vehicle:

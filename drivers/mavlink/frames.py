@@ -16,7 +16,7 @@ AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """Who sent a frame, and what it is. ``payload_at``: where its payload begins."""
+    """The sender and the kind of a frame. ``payload_at``: where its payload begins."""
 
     system: int
     component: int
@@ -25,7 +25,7 @@ class Head:
 
 
 def head_of(frame: bytes) -> Head:
-    """Of a whole frame, as ``take_frames`` cuts it out."""
+    """Returns the head of a whole frame, as ``take_frames`` cuts it out."""
     if frame[0] == V2:
         return Head(frame[5], frame[6], int.from_bytes(frame[7:_V2_HEADER], "little"), _V2_HEADER)
     return Head(frame[3], frame[4], frame[5], _V1_HEADER)
@@ -54,7 +54,7 @@ def take_frames(waiting: bytearray) -> Iterator[bytes]:
 
 
 def whole(frame: bytes) -> bool:
-    """Whether the checksum of one of the two known messages holds; of others nothing is known here."""
+    """Returns whether the checksum of one of the two known messages holds; of others nothing is known here."""
     head = head_of(frame)
     extra = CRC_EXTRA.get(head.message)
     end = head.payload_at + frame[1]

@@ -1,4 +1,4 @@
-"""What passes between a role's program, its guard and the vehicle that the guard watches: values and Protocols.
+"""Values and Protocols between a role's program, its guard and the vehicle that the guard watches.
 
 The guard is a process of its own with a MAVLink link of its own; the role's program tells it many times a second that
 it lives and what it does with the vehicle, and hears in return whether it is watched and whether the vehicle was taken.
@@ -19,7 +19,7 @@ NOWHERE: Vec3 = (math.nan, math.nan, math.nan)
 
 
 class Script(Enum):
-    """What a role's program does with its vehicle just now."""
+    """The doings of a role's program with its vehicle just now."""
 
     IDLE = 0  # nothing: before the flight, or after it
     CLIMB = 1  # armed or about to be, on its way to offboard control
@@ -49,7 +49,7 @@ class Beat:
 
 
 class Hand(Enum):
-    """Whose the vehicle is, as the guard sees it."""
+    """The one who has the vehicle, as the guard sees it."""
 
     FREE = 0  # not armed, or not flown by a script
     SCRIPT = 1
@@ -99,7 +99,7 @@ class GuardLine(Part, Protocol):
 
     @property
     def name(self) -> str:
-        """Where the guard is expected, for messages."""
+        """The guard's expected place, for messages."""
         ...
 
     def beat(self, beat: Beat) -> None: ...
@@ -117,12 +117,12 @@ class BeatLine(Part, Protocol):
         ...
 
     def answer(self, answer: GuardAnswer) -> None:
-        """To whoever beat last."""
+        """Sends an answer to whoever beat last."""
         ...
 
     @property
     def ignored(self) -> Mapping[str, int]:
-        """What came and was not believed, in words, and how often."""
+        """Numbers of messages that came and were not believed, by why, in words."""
         ...
 
 
@@ -142,5 +142,5 @@ class Watched(Part, Protocol):
 
     @property
     def ignored(self) -> Mapping[str, int]:
-        """What came and was not believed, in words, and how often."""
+        """Numbers of messages that came and were not believed, by why, in words."""
         ...

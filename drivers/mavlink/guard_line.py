@@ -63,7 +63,7 @@ def decode_answer(packet: bytes) -> GuardAnswer | None:
 
 
 def is_taken(bind: str) -> bool:
-    """Whether somebody listens there: a guard, one hopes; the role asks it before it flies."""
+    """Returns whether somebody listens there: a guard, one hopes; the role asks it before it flies."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(address_of(bind, "bind"))

@@ -16,7 +16,7 @@ from drivers.link.key import signing_key
 from drivers.link.udp import address_of
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.guard_interfaces import GuardView
-from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS, PX4, SAFETY_ARMED, AutopilotKind
+from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS, PX4, SAFETY_ARMED, AutopilotKind, powered
 from drivers.mavlink.port import URL, MavlinkPort
 from drivers.rig.parts import PartContext
 from path.bounds import Bounds
@@ -127,7 +127,7 @@ class GuardMavlink:
         return GuardView(
             heartbeat_ns=heartbeat_ns,
             position_ns=position_ns,
-            armed=bool(heartbeat.base_mode & SAFETY_ARMED),
+            armed=powered(heartbeat.base_mode, heartbeat.system_status),
             in_air=self._in_air,
             mode=self._mode,
             position_n_m=position_n_m,
@@ -205,7 +205,10 @@ class GuardMavlink:
                 pass
 
     def _place(self, message: Any) -> tuple[float, float, float]:
-        """By the height that the script has, too: of a PX4 that is the local one (``Telemetry`` says why)."""
+        """Returns the place in NED, with the height that the script has.
+
+        Of a PX4 the local one (``Telemetry`` says why).
+        """
         north, east, down = self._tangent.to_ned(message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
         if self._config.height_from == "sea_level":
             return north, east, down

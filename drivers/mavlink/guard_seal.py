@@ -21,7 +21,7 @@ SEAL_BYTES = _STAMP_BYTES + _TAG_BYTES
 
 
 def key_path(bind: str) -> Path:
-    """Where the key of the guard is that listens on ``bind``."""
+    """Returns the place of the key of the guard that listens on ``bind``."""
     name = re.sub(r"[^A-Za-z0-9.]+", "-", bind)
     return Path(tempfile.gettempdir()) / f"path-handoff-{os.getuid()}-guard-{name}.key"
 
@@ -93,7 +93,10 @@ class Opener:
         self._newest = -1
 
     def open(self, key: bytes, packet: bytes) -> bytes | None:
-        """What was said; None when it is not sealed with the key, or no newer than what was opened before."""
+        """Returns the words in a packet.
+
+        None when it is not sealed with the key, or no newer than what was opened before.
+        """
         if len(packet) <= SEAL_BYTES or not hmac.compare_digest(_tag(key, packet[:-_TAG_BYTES]), packet[-_TAG_BYTES:]):
             return None
         stamp = int.from_bytes(packet[:_STAMP_BYTES], "big")

@@ -10,11 +10,18 @@ from drivers.interfaces import SURE, FlightMode
 # HEARTBEAT.base_mode (MAV_MODE_FLAG).
 CUSTOM_MODE_ENABLED = 1
 SAFETY_ARMED = 128
+# HEARTBEAT.system_status (MAV_STATE): so PX4 shows a pilot's kill switch, and calls itself armed for 5 s more.
+FLIGHT_TERMINATION = 8
+
+
+def powered(base_mode: int, system_status: int) -> bool:
+    """Returns whether a heartbeat says that the motors may turn: armed, and not stopped by a kill switch."""
+    return bool(base_mode & SAFETY_ARMED) and system_status != FLIGHT_TERMINATION
 
 
 @dataclass(frozen=True, slots=True)
 class AutopilotKind:
-    """What differs on the wire between the two autopilots.
+    """The differences on the wire between the two autopilots.
 
     Attributes:
         name: as written in rigs.
@@ -34,8 +41,11 @@ class AutopilotKind:
         return self.modes.get(custom_mode, FlightMode.OTHER)
 
     def news(self, custom_mode: int, before: FlightMode, told: int) -> bool:
-        """Whether a CURRENT_MODE is believed before a heartbeat says the same. OFFBOARD is only against a pilot's mode
-        that one message alone has told: having landed, PX4 goes back to it before it says that it is disarmed."""
+        """Returns whether a CURRENT_MODE is believed before a heartbeat says the same.
+
+        OFFBOARD is only against a pilot's mode that one message alone has told: having landed, PX4 goes back to it
+        before it says that it is disarmed.
+        """
         one_alone = before is FlightMode.OTHER and told < SURE
         return self.mode(custom_mode) is not FlightMode.OFFBOARD or one_alone
 

@@ -35,7 +35,7 @@ class Difference:
 
 
 def differences(wanted: Mapping[str, float], found: Mapping[str, float | None]) -> tuple[Difference, ...]:
-    """What is not as wanted, in the order of the rig. Both by the rig's names."""
+    """Returns the parameters that are not as wanted, in the order of the rig. Both by the rig's names."""
     pairs = ((name, value, found.get(name)) for name, value in wanted.items())
     return tuple(Difference(*pair) for pair in pairs if pair[2] is None or not same(pair[1], pair[2]))
 

@@ -32,8 +32,10 @@ class Transport(Protocol):
 
     shared: bool
 
+    def fileno(self) -> int: ...
+
     def read(self) -> tuple[bytes, Address | None]:
-        """What came in, and from where; empty when nothing waits."""
+        """Returns what came in, and from where; empty when nothing waits."""
         ...
 
     def write(self, packet: bytes, to: Address | None) -> None:
@@ -56,6 +58,9 @@ class UdpIn:
         except OSError:
             self._socket.close()
             raise
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
 
     def read(self) -> tuple[bytes, Address | None]:
         try:
@@ -81,6 +86,9 @@ class UdpOut:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.connect(address)
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
 
     def read(self) -> tuple[bytes, Address | None]:
         try:
@@ -142,7 +150,7 @@ class MavlinkPort:
         self._signer = None if key is None else Signer(key, own[1], extras())
         self._lock = PortLock(url)
         try:
-            self._transport = _open(url)
+            self._transport = open_transport(url)
         except (OSError, serial.SerialException) as error:
             self._lock.release()
             raise VehicleError(
@@ -151,7 +159,7 @@ class MavlinkPort:
 
     @property
     def ignored(self) -> dict[str, int]:
-        """What came as the vehicle's and was not believed, in words, and how often."""
+        """Numbers of messages that came as the vehicle's and were not believed, by why, in words."""
         return self._source.ignored
 
     def close(self) -> None:
@@ -217,7 +225,7 @@ def extras() -> dict[int, int]:
     return {message: kind.crc_extra for message, kind in mavlink.mavlink_map.items()}
 
 
-def _open(url: str) -> Transport:
+def open_transport(url: str) -> Transport:
     match = URL.fullmatch(url)
     assert match is not None  # PortLock and the Config have read it
     kind, host, number = match[1], match[2], int(match[3])

@@ -12,8 +12,9 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from mavsdk import logging as mavsdk_logging
@@ -22,7 +23,9 @@ from mavsdk.mavsdk import Configuration, Mavsdk
 from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.telemetry import Telemetry as TelemetryPlugin
 
-from drivers.interfaces import VehicleError
+from drivers.interfaces import LinkError, VehicleError
+from drivers.link.key import signing_key
+from drivers.mavlink.mavsdk_line import MavsdkLine, needs_line
 from drivers.mavlink.modes import KINDS, AutopilotKind
 from drivers.mavlink.parameters import ParameterAccess
 from drivers.mavlink.port_lock import PortLock
@@ -42,7 +45,7 @@ _logging: set[MavsdkSession] = set()  # the open ones; MAVSDK has one log for al
 
 @dataclass(frozen=True, slots=True)
 class SessionConfig:
-    """Who is talked to, as who, and how long anything may take."""
+    """The two ends of a session with a vehicle, and how long anything may take."""
 
     url: str
     sysid: int
@@ -52,6 +55,7 @@ class SessionConfig:
     connect_timeout_s: float
     command_timeout_s: float
     heartbeat_timeout_s: float
+    key_file: Path | None = None
 
 
 class MavsdkSession:
@@ -66,18 +70,29 @@ class MavsdkSession:
         self._plugin: Any = None  # as the others: when it is collected, its subscriptions end without a word
         self.parameters: ParameterAccess | None = None  # while open
         self._lock: PortLock | None = None
+        self._line: MavsdkLine | None = None
         self._start_s = time.monotonic()
 
     async def open(self) -> AutopilotKind:
         """Connect and wait for the vehicle's heartbeat. Says what was heard instead when it is not there."""
         url = self._config.url
+        try:
+            key = signing_key(self._config.key_file)
+        except LinkError as error:
+            raise VehicleError(str(error)) from error
         self._clock.follow()
         self._lock = PortLock(url)
         _logging.add(self)
         mavsdk_logging.log_subscribe(_to_python_log)
         self._mavsdk = Mavsdk(Configuration.create_manual(self._config.own_sysid, self._config.own_compid, True))
+        if needs_line(url, key):
+            own = self._config.own_sysid, self._config.own_compid
+            self._line = MavsdkLine(url, self._config.sysid, own, key)
         try:
-            self._mavsdk.add_any_connection_with_handle(url)
+            if self._line is None:
+                self._mavsdk.add_any_connection_with_handle(url)
+            else:
+                self._line.start(self._mavsdk)
         except MavsdkError as error:
             raise VehicleError(f"cannot open {url}: {error}", "check that the device or address exists") from error
         system = await self._find_system()
@@ -99,14 +114,23 @@ class MavsdkSession:
         mavsdk, direct, plugin, parameters = self._mavsdk, self._direct, self._plugin, self.parameters
         self._mavsdk = self._direct = self._plugin = self.parameters = None
         try:
+            if self._line is not None:
+                self._line.stop()
             if mavsdk is not None:
                 await _destroy([part for part in (parameters, plugin, direct, mavsdk) if part is not None])
         finally:
             _logging.discard(self)
             if not _logging:
                 mavsdk_logging.log_unsubscribe()
+            if self._line is not None:
+                self._line.close()
             if self._lock is not None:
                 self._lock.release()
+
+    @property
+    def ignored(self) -> Mapping[str, int]:
+        """What came as the vehicle's and was not believed, in words, and how often."""
+        return {} if self._line is None else self._line.ignored
 
     async def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for a condition; False when it did not come. Raises when the vehicle falls silent."""
@@ -239,7 +263,7 @@ class MavsdkSession:
 
 
 async def _destroy(parts: Sequence[Any]) -> None:
-    """In this order. MAVSDK joins its threads here, and has been given no bound: so it is watched from outside.
+    """Destroys MAVSDK's parts in this order. It joins its threads here without a bound, so it is watched from outside.
 
     MAVSDK would end its plugins too, but not those that the garbage collector has come to know as unreachable: they
     would be ended by it in another thread at the same time, which aborts the process.

@@ -40,7 +40,7 @@ class Signer:
 
 
 class SignatureCheck:
-    """Which frames are signed with the key, each once and in order."""
+    """Check that frames are signed with the key, each once and in order."""
 
     def __init__(self, key: bytes) -> None:
         self._key = key

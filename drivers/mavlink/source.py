@@ -1,4 +1,4 @@
-"""Where a vehicle speaks from: proven once, pinned from then on, and everybody else with its number ignored.
+"""The address that a vehicle speaks from: proven once, pinned from then on. Everybody else with its number is ignored.
 
 A heartbeat proves nothing: anybody can send one, from any address. Whoever sends one is asked (TIMESYNC with a number
 that nobody can guess), and only what listens at that address can answer. The first address that does is the vehicle's.
@@ -24,7 +24,7 @@ OTHERS = "more of the same"
 
 @dataclass(slots=True)
 class VehicleSource:
-    """Of one vehicle on one port. Instants are of any one clock.
+    """The address of one vehicle on one port. Instants are of any one clock.
 
     Attributes:
         pinned: the address that was proven; None before.
@@ -43,7 +43,7 @@ class VehicleSource:
     _asked: dict[Address, int] = field(default_factory=dict[Address, int])
 
     def believes(self, frame: bytes, source: Address, now_ns: int) -> bool:
-        """Whether a frame comes from the vehicle's own address; takes the answers that prove one."""
+        """Returns whether a frame comes from the vehicle's own address; takes the answers that prove one."""
         head = head_of(frame)
         if (head.system, head.component) != (self.sysid, AUTOPILOT):
             return source == self.pinned
@@ -56,7 +56,7 @@ class VehicleSource:
         return False
 
     def question(self, frame: bytes, source: Address, now_ns: int) -> bytes | None:
-        """What to send to where a heartbeat came from that is not believed; None when nothing is to be asked."""
+        """Returns what to ask where a heartbeat came from that is not believed; None when nothing is to be asked."""
         head = head_of(frame)
         of_ours = (head.system, head.component, head.message) == (self.sysid, AUTOPILOT, HEARTBEAT)
         if not of_ours or source == self.pinned or not whole(frame):

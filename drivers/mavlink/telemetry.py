@@ -15,7 +15,7 @@ from typing import Any
 
 from drivers.interfaces import Clock, FlightMode, VehicleError, VehicleState
 from drivers.mavlink.geodesy import LocalTangent
-from drivers.mavlink.modes import PX4, SAFETY_ARMED, AutopilotKind
+from drivers.mavlink.modes import PX4, SAFETY_ARMED, AutopilotKind, powered
 from drivers.perception.history import StateHistory
 
 Vec3 = tuple[float, float, float]
@@ -29,13 +29,14 @@ UNDISTURBED_NS = 100_000  # two readings this close had no other thread between 
 class Heartbeat:
     arrival_ns: int
     autopilot: int
-    armed: bool
+    armed: bool  # and not stopped by a kill switch
     told: int = 1  # how many in a row have said the same of arming
+    disarmed: bool = False  # which a vehicle whose motors a pilot has stopped in the air is not
 
 
 @dataclass(frozen=True, slots=True)
 class ReportedMode:
-    """As a heartbeat says it, or CURRENT_MODE: PX4 beats once a second whatever it is asked for."""
+    """The mode as a heartbeat says it, or CURRENT_MODE: PX4 beats once a second whatever it is asked for."""
 
     arrival_ns: int
     custom_mode: int
@@ -194,14 +195,14 @@ class TelemetrySlots:
 
     @property
     def mode_told(self) -> int:
-        """How many messages in a row have said this mode."""
+        """The number of messages in a row that have said this mode."""
         return self.reported_mode.told if self.reported_mode else 0
 
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
         return self._history.attitude_at(stamp_ns)
 
     def missing(self) -> list[str]:
-        """What is not ready for flight. ``is_armable`` alone comes seconds before there is a position.
+        """Returns what is not ready for flight. ``is_armable`` alone comes seconds before there is a position.
 
         ArduPilot tells a global position, and MAVSDK finds it well, 15 s before it has one that it would fly with: then
         it begins to tell the local one.
@@ -240,9 +241,10 @@ class TelemetrySlots:
             return
         fields, now_ns = json.loads(message.fields_json), self.clock.now_ns()
         self._note_mode(now_ns, int(fields["custom_mode"]))
-        armed, before = bool(int(fields["base_mode"]) & SAFETY_ARMED), self.heartbeat
+        base_mode, before = int(fields["base_mode"]), self.heartbeat
+        armed = powered(base_mode, int(fields.get("system_status", 0)))
         told = before.told + 1 if before is not None and before.armed is armed else 1
-        self.heartbeat = Heartbeat(now_ns, int(fields["autopilot"]), armed, told)
+        self.heartbeat = Heartbeat(now_ns, int(fields["autopilot"]), armed, told, not base_mode & SAFETY_ARMED)
 
     def _on_current_mode(self, message: Any) -> None:
         if self._of_autopilot(message) and self.kind is not None:
@@ -297,16 +299,19 @@ class TelemetrySlots:
         self.position = Position(self.clock.now_ns(), n_m, above_home_m)
 
     def _above_home_m(self, position: Any) -> float:
-        """PX4 flies on one of several estimators: when it goes over to another one its altitude steps, by a metre in
+        """Returns the height above home, m: of a PX4 from the local frame, else as it is told.
+
+        PX4 flies on one of several estimators. When it goes over to another one its altitude steps, by a metre in
         simulation, and its home's place in the local frame with it; its own place in that frame does not. It puts its
-        home where it is armed. What was met in the air is believed: nothing better is known."""
+        home where it is armed. What was met in the air is believed: nothing better is known.
+        """
         above_m = self._ground_down_m - self._local_down_m
         return above_m if self.kind is PX4 and math.isfinite(above_m) else float(position.relative_altitude_m)
 
     def _on_velocity(self, ned: Any) -> None:
         velocity = ned.velocity
         self._local_down_m = float(ned.position.down_m)
-        if self.heartbeat is not None and not self.heartbeat.armed:
+        if self.heartbeat is not None and self.heartbeat.disarmed:
             self._ground_down_m = self._local_down_m
         self.velocity_n_mps = (float(velocity.north_m_s), float(velocity.east_m_s), float(velocity.down_m_s))
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Literal, Self
 
@@ -14,6 +15,7 @@ from drivers.interfaces import SURE, FlightMode, TakenOver, VehicleError, Vehicl
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.modes import ARDUPILOT, CUSTOM_MODE_ENABLED, PX4, AutopilotKind
 from drivers.mavlink.parameters import Difference, differences
+from drivers.mavlink.port import URL
 from drivers.mavlink.session import ACCEPTED, ARM_DISARM, RESULTS, MavsdkSession, SessionConfig
 from drivers.mavlink.telemetry import TelemetrySlots
 from drivers.mavlink.vision import VisionConfig, VisionFeed
@@ -60,6 +62,8 @@ class MavsdkVehicleConfig:
         height_from: ``sea_level``: the altitude it says against the origin's. ``home``: what it says to be above its
             home, which must then lie at the origin's altitude. Two GPS differ by metres in altitude, two barometers
             that started on the same ground by decimetres.
+        key_file: of MAVLink 2's signatures, 32 bytes, mode 0600, the one that the autopilot was given (SETUP_SIGNING);
+            then only what is rightly signed is believed, and all that is sent is signed.
         parameters: of the autopilot, without which a companion-driven flight is not safe; checked before arming.
     """
 
@@ -79,6 +83,7 @@ class MavsdkVehicleConfig:
     offboard_lead_s: Annotated[float, Bounds(0.0, 5.0)] = 0.3
     vision: VisionConfig | None = None
     height_from: Literal["sea_level", "home"] = "sea_level"
+    key_file: Path | None = None
     parameters: AutopilotValues = field(default_factory=dict[str, float])
 
     def __post_init__(self) -> None:
@@ -87,6 +92,10 @@ class MavsdkVehicleConfig:
                 raise ValueError(f"{name} must be within 1..255")
         if self.sysid == self.own_sysid:
             raise ValueError("sysid and own_sysid must differ")
+        if self.key_file is not None and URL.fullmatch(self.url) is None:
+            raise ValueError(
+                "key_file: what is signed goes over udpin://HOST:PORT, udpout://HOST:PORT, serial://DEVICE:BAUD"
+            )
 
 
 class MavsdkVehicle:
@@ -114,6 +123,7 @@ class MavsdkVehicle:
             connect_timeout_s=config.connect_timeout_s,
             command_timeout_s=config.command_timeout_s,
             heartbeat_timeout_s=config.heartbeat_timeout_s,
+            key_file=config.key_file,
         )
         self._clock = self._telemetry.clock
         self._session = MavsdkSession(session, self._telemetry)
@@ -153,11 +163,16 @@ class MavsdkVehicle:
     def state(self) -> VehicleState:
         return self._telemetry.state()
 
+    @property
+    def ignored(self) -> Mapping[str, int]:
+        """What came as the vehicle's and was not believed, in words, and how often."""
+        return self._session.ignored
+
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
         return self._telemetry.attitude_at(stamp_ns)
 
     async def examine(self) -> Sequence[Finding]:
-        """Which autopilot it is, how often it tells what was asked of it, what it waits for before it can be armed."""
+        """Returns which autopilot it is, how often it tells what was asked of it, and what arming waits for."""
         telemetry = self._telemetry
         await self._session.command(REQUEST_MESSAGE, (AUTOPILOT_VERSION,), SAFE_TRIES)
         await self._session.until(lambda: telemetry.firmware is not None, self._config.command_timeout_s)
@@ -176,7 +191,7 @@ class MavsdkVehicle:
         return findings
 
     async def parameter_differences(self) -> tuple[Difference, ...]:
-        """What is not as the rig's ``parameters`` want it. Raises VehicleError."""
+        """Returns the parameters that are not as the rig's ``parameters`` want them. Raises VehicleError."""
         access, wanted = self._session.parameters, self._config.parameters
         if access is None:
             raise VehicleError(f"{self._config.url} is not open", "enter the vehicle with `async with` first")
@@ -336,7 +351,10 @@ class MavsdkVehicle:
     async def _until_mode(
         self, mode: FlightMode, sent_ns: int, what: str, or_else: Callable[[], bool] = lambda: False
     ) -> None:
-        """Until a report younger than the command shows the mode: an older one may still show the last but one."""
+        """Waits until a report younger than the command shows the mode.
+
+        An older one may still show the last but one.
+        """
         telemetry = self._telemetry
 
         def shown() -> bool:
@@ -351,8 +369,11 @@ class MavsdkVehicle:
             )
 
     async def _until_down(self, end_ns: int, timeout_s: float) -> None:
-        """Until it is disarmed. Having landed, PX4 goes back to the mode before it, and tells so up to a heartbeat
-        before it tells that it is disarmed: a mode of a script's is another's only when it stays armed."""
+        """Waits until it is disarmed.
+
+        Having landed, PX4 goes back to the mode before it, and tells so up to a heartbeat before it tells that it is
+        disarmed. So a mode of a script's is another's only when it stays armed.
+        """
         session, telemetry = self._session, self._telemetry
 
         def down() -> bool:
@@ -374,8 +395,10 @@ class MavsdkVehicle:
                 raise TakenOver(f"landing ended by a change to mode {telemetry.mode.value}", "the pilot has control")
 
     async def _climb(self, height_m: float, there: FlightMode, timeout_s: float) -> None:
-        """Until at the height and steady. A pilot's mode, a hold, a landing or disarming on the way ends it with an
-        error."""
+        """Waits until at the height and steady.
+
+        A pilot's mode, a hold, a landing or disarming on the way ends it with an error.
+        """
         telemetry, config = self._telemetry, self._config
         expected = {FlightMode.TAKEOFF, FlightMode.HOLD, there}
         # The heartbeat may still show the mode before the take-off.
@@ -406,6 +429,9 @@ class MavsdkVehicle:
             if self.state.armed:
                 said = f"take-off ended on the way: mode {telemetry.mode.value}"
                 raise TakenOver(said, "the pilot has control, or a failsafe acted")
+            heartbeat = telemetry.heartbeat
+            if heartbeat is not None and not heartbeat.disarmed:
+                raise TakenOver("take-off ended on the way: the motors were stopped", "the pilot's kill switch")
             raise VehicleError(
                 "take-off ended on the way: disarmed", "a failsafe acted, or it was never off the ground"
             )

@@ -135,8 +135,11 @@ class VisionFeed:
 
 
 def origin_fields(origin: Origin, kind: AutopilotKind | None) -> dict[str, object]:
-    """SET_GPS_GLOBAL_ORIGIN. At sea level for a PX4: whenever it begins with vision anew, after a second without, it
-    takes its height for an altitude, and its local frame would jump by the origin's."""
+    """Returns the fields of SET_GPS_GLOBAL_ORIGIN, at sea level for a PX4.
+
+    Whenever that begins with vision anew, after a second without, it takes its height for an altitude, and its local
+    frame would jump by the origin's.
+    """
     altitude_m = 0.0 if kind is PX4 else origin.altitude_m
     return {
         "latitude": round(origin.latitude_deg * 1e7),

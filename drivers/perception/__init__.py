@@ -1,1 +1,1 @@
-"""From frames to observations: detections, markers and depth of one image, and the instants they belong to."""
+"""Observations from frames: detections, markers and depth of one image, and the instants they belong to."""

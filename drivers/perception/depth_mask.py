@@ -1,4 +1,7 @@
-"""What of an image is at some depth: things that touch in the image are not, where they are not equally far away."""
+"""The part of an image that is at some depth.
+
+Things that touch in the image are separate where they are not equally far away.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ Image = NDArray[Any]  # OpenCV's own annotation is wider
 
 
 def step_limit_m(depth_m: Number, sigma_at_1m_m: float) -> Number:
-    """By how much (m) depth changes from one thing to another behind it, at least."""
+    """Returns by how much (m) depth changes from one thing to another behind it, at least."""
     return STEP_M + STEP_SIGMAS * sigma_at_1m_m * depth_m * depth_m
 
 

@@ -1,4 +1,4 @@
-"""What a detector finds in an image that depth has cut: which pieces are one thing, and which are only what was left.
+"""The detections in an image that depth has cut: which pieces are one thing, and which are only what was left.
 
 A colour detector judges shapes, and a cut changes them: it may see two things in what remains of one, or one in the
 rim that remains of what is elsewhere. Depth tells.
@@ -56,7 +56,7 @@ class DepthSlice:
         return found
 
     def is_thing(self, piece: Detection) -> bool:
-        """Whether a piece of odd shape is more than a rim, and itself between the limits."""
+        """Returns whether a piece of odd shape is more than a rim, and itself between the limits."""
         narrow, wide = sorted((piece.box.w, piece.box.h))
         return narrow >= THINNEST * wide and piece.score >= RAREST_SCORE and self.inside(piece.box) is not None
 

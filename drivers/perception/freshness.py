@@ -1,4 +1,4 @@
-"""Only new frames: stamps and ids that increase, whatever the camera gives."""
+"""The filter of new frames: stamps and ids increase, whatever the camera gives."""
 
 from __future__ import annotations
 

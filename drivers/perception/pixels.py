@@ -82,7 +82,7 @@ class PixelPerception:
 
     @property
     def lacks(self) -> frozenset[Capability]:
-        """What the camera lacks, but for ranges that the target's size gives."""
+        """The abilities that the camera lacks, but for ranges that the target's size gives."""
         of_camera = lacking(self._camera)
         return of_camera if self._ranging is None else of_camera - {Capability.RANGE}
 
@@ -92,7 +92,7 @@ class PixelPerception:
         return rate_of(self._camera)
 
     async def examine(self) -> Sequence[Finding]:
-        """What the camera says of itself, and whether it is the calibrated one."""
+        """Returns the camera's own findings, and whether it is the calibrated one."""
         return [*await examined(self._camera), self._serial()]
 
     def _serial(self) -> Finding:
@@ -205,7 +205,7 @@ class PixelView:
         return self._frame.color
 
     def _may_be_within(self, region: Region, box: Box) -> bool:
-        """Whether a target in this box can be as far away as the region says; yes where that is not known."""
+        """Returns whether a target in this box can be as far away as the region says; yes where that is not known."""
         depth = None if self._ranging is None else self._ranging(box)
         if depth is None:
             return True

@@ -16,7 +16,7 @@ WRAP_NS = (1 << 32) * 1000  # the counter of a D400 has 32 bits of microseconds:
 
 
 class Domain(Enum):
-    """Whose clock stamped a frame; the values are librealsense's names."""
+    """The clock that stamped a frame; the values are librealsense's names."""
 
     HARDWARE = "hardware_clock"
     SYSTEM = "system_time"
@@ -24,7 +24,7 @@ class Domain(Enum):
 
 
 class StampRefused(Enum):
-    """Why a stamp is not used."""
+    """The reason why a stamp is not used."""
 
     OLD = "repeats or goes back"
     CLOCK = "is not of this computer's time"

@@ -98,12 +98,12 @@ class RealSense:
 
     @property
     def serial(self) -> str:
-        """Of the connected camera; "" of a recording or another source."""
+        """The serial number of the connected camera; "" of a recording or another source."""
         return self.source.serial if isinstance(self.source, UsbSource) else ""
 
     @property
     def counters(self) -> StreamCounters:
-        """What was done since it was opened last."""
+        """Counters since it was opened last."""
         return self._counters
 
     @property
@@ -111,7 +111,7 @@ class RealSense:
         return self._config.fps
 
     async def examine(self) -> Sequence[Finding]:
-        """Which device it is, whose clock stamps its frames, and how many images were of no use."""
+        """Returns which device it is, whose clock stamps its frames, and how many images were of no use."""
         stream, counters = self._stream, self._counters
         if stream is None or stream.identity is None or counters.domain is None:
             raise CameraError(f"{self.source.name} has given no frame yet", "open it, and wait for one")

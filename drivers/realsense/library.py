@@ -30,7 +30,10 @@ WRAP_US = 1 << 32
 
 @dataclass(frozen=True, slots=True)
 class Streams:
-    """What a device is asked for. Sizes: (width, height) in px; ``exposure_us``: of the colour camera, 0 = its own."""
+    """The streams asked of a device.
+
+    Sizes: (width, height) in px; ``exposure_us``: of the colour camera, 0 = its own.
+    """
 
     color_size: tuple[int, int]
     depth_size: tuple[int, int]
@@ -152,7 +155,7 @@ def described(device: Any) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What a device says of itself; "" for what it does not say. ``recommended``: firmware, by this librealsense."""
+    """A device's words about itself; "" for what it does not say. ``recommended``: firmware, by this librealsense."""
 
     name: str
     serial: str

@@ -1,4 +1,4 @@
-"""Where a RealSense device comes from: this computer's USB, a recording, or what a rig names by a factory."""
+"""Sources of a RealSense device: this computer's USB, a recording, or what a rig names by a factory."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class DeviceSource(Protocol):
         ...
 
     def missing(self) -> CameraError | None:
-        """Why it gives no frames and what to do, as far as that is known; None when it is there."""
+        """Returns why it gives no frames and what to do, as far as that is known; None when it is there."""
         ...
 
     def close(self) -> None:
-        """After the streams were stopped."""
+        """Closes the source, after the streams were stopped."""
         ...
 
 
@@ -49,7 +49,7 @@ class UsbSource:
 
     @property
     def serial(self) -> str:
-        """Of the camera, once it was found; "" before."""
+        """The serial number of the camera, once it was found; "" before."""
         return self._serial
 
     @property

@@ -50,7 +50,7 @@ class StreamConfig:
 
 @dataclass(slots=True)
 class StreamCounters:
-    """What was done. ``*_ns`` are CPU time of the thread that did it: of the stream's, and of who takes frames.
+    """Counters of a stream. ``*_ns`` are CPU time of the thread that did it: of the stream's, and of who takes frames.
 
     ``domain`` is whose clock stamps the frames, ``age_ns`` how old the newest pair was when it arrived.
     """

@@ -157,7 +157,10 @@ class RecordedCamera:
         return newer or ready
 
     def _fetch(self, until_ns: int | None = None) -> _Ready | None:
-        """In the thread: the next frame; or with ``until_ns`` the last one up to then, None when there is none."""
+        """Returns the next frame; or with ``until_ns`` the last one up to then, None when there is none.
+
+        Runs in the thread.
+        """
         found: _Frame | None = None
         while True:
             frame = self._peeked or next(self._frames, None)

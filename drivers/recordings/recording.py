@@ -53,7 +53,7 @@ class RecordedFrame:
 
 
 class Recording(Protocol):
-    """What was recorded. ``count``: frames, None when that is not known before they are read."""
+    """A recording's frames. ``count``: their number, None when that is not known before they are read."""
 
     @property
     def name(self) -> str: ...
@@ -62,7 +62,7 @@ class Recording(Protocol):
     def count(self) -> int | None: ...
 
     def frames(self) -> Iterator[RecordedFrame]:
-        """From the beginning. Raises RecordingError where it is damaged."""
+        """Yields the frames from the beginning. Raises RecordingError where it is damaged."""
         ...
 
 

@@ -64,7 +64,7 @@ class CameraTable:
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How good a calibration is: rms of corners in px, of the solution and of views that were left out."""
+    """The quality of a calibration: rms of corners in px, of the solution and of views that were left out."""
 
     rms_px: float
     held_out_px: float

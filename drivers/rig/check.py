@@ -1,4 +1,4 @@
-"""What is checked of a rig before anything moves, without touching hardware."""
+"""The checks of a rig before anything moves, without touching hardware."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _check_serials(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> 
 
 
 def _resource(name: str, value: Any) -> tuple[str, str]:
-    """What an option occupies. Two listeners on one UDP port collide whatever their addresses say."""
+    """Returns what an option occupies. Two listeners on one UDP port collide whatever their addresses say."""
     text = str(value)
     if name in ("state_port", "video_port"):
         return "port", text

@@ -1,4 +1,7 @@
-"""Where camera and marker sit on a drone, as a person writes it: measured on the body, or a calibration by its file."""
+"""Mounts of camera and marker on a drone, as a person writes them.
+
+Measured on the body, or a calibration by its file.
+"""
 
 from __future__ import annotations
 

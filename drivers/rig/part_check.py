@@ -1,4 +1,4 @@
-"""What a part may tell ``doctor`` besides what its Protocol asks of it.
+"""Findings that a part may give ``doctor`` besides what its Protocol asks of it.
 
 The short test of each kind of part is the same for all of its drivers and uses the Protocol alone
 (``missions.doctor.perception``, ``doctor_link``, ``doctor_vehicle``, ``doctor_beacons``). What only a driver can know,
@@ -30,7 +30,7 @@ REPORTS = Enough(0.9, 0.5)  # of a state: the next one is as good
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found out about one thing. ``note``: a flight is possible, something else is not, or was not tested."""
+    """A finding about one thing. ``note``: a flight is possible, something else is not, or was not tested."""
 
     state: State
     name: str
@@ -50,18 +50,18 @@ class Examined(Protocol):
 
 
 async def examined(part: object) -> Sequence[Finding]:
-    """What a part says of itself; nothing when it has nothing to say."""
+    """Returns a part's findings on itself; none when it has nothing to say."""
     examine = getattr(part, "examine", None)
     return () if examine is None else await examine()
 
 
 def rate_of(part: object) -> float | None:
-    """How often a part is set to give something, Hz: its attribute ``rate_hz``; None when it has none."""
+    """Returns how often a part is set to give something, Hz: its attribute ``rate_hz``; None when it has none."""
     return getattr(part, "rate_hz", None)
 
 
 async def counted(newest: Mapping[str, Callable[[], int | None]], wanted_hz: float, fix: str) -> Sequence[Finding]:
-    """How often each of some streams brings something new, against what was asked for.
+    """Counts how often each of some streams brings something new, against what was asked for.
 
     Args:
         newest: by the stream's name, when its newest came; None before.

@@ -56,7 +56,7 @@ class PartSpec:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where the mission's local frames (NED ``n`` and ENU ``w``) have their zero."""
+    """The zero of the mission's local frames (NED ``n`` and ENU ``w``)."""
 
     latitude_deg: Annotated[float, Bounds(-90.0, 90.0)]
     longitude_deg: Annotated[float, Bounds(-180.0, 180.0)]
@@ -69,7 +69,7 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """How camera and marker sit on their drone.
+    """The mounts of camera and marker on their drone.
 
     Attributes:
         T_b_c: camera to body (FRD) of the role's own drone.
@@ -87,7 +87,7 @@ class Mount:
 
 @dataclass(frozen=True, slots=True)
 class PartContext:
-    """What a part may know of its role besides its own options.
+    """The facts that a part may know of its role besides its own options.
 
     ``harness`` is the in-process substitute world at the sim levels (parts of ``hil`` cast it), else None.
     ``camera_serial``: as in ``RoleRig``.
@@ -179,7 +179,7 @@ class Rig:
         return self.sender if role is Role.SENDER else self.receiver
 
     def where(self, table: str) -> str:
-        """How messages name a table of this rig."""
+        """Returns the name of a table of this rig, for messages."""
         return f"{self.file.name}: {table}"
 
 

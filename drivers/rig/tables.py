@@ -90,8 +90,13 @@ def read_toml(file: Path) -> dict[str, Any]:
         raise tomllib.TOMLDecodeError(str(error)) from error
 
 
+RENAMED = {"sight": "perception", "studio": "renderer", "apart": "position_offset"}  # as rigs once called it
+
+
 def suggestion(key: str, allowed: Sequence[str]) -> str:
-    """`` (did you mean 'height_m'?)`` for a near miss, also for a missing or different unit; else nothing."""
+    """`` (did you mean 'height_m'?)`` for an old name, a near miss, a missing or different unit; else nothing."""
+    if RENAMED.get(key) in allowed:
+        return f" (called '{RENAMED[key]}' now)"
     same_stem = [name for name in allowed if _stem(name) == _stem(key)]
     near = same_stem or difflib.get_close_matches(key, allowed, n=1, cutoff=0.6)
     return f" (did you mean '{near[0]}'?)" if near else ""
@@ -248,7 +253,7 @@ def _refuse(value: Any, kind: Any, where: str, problems: Problems) -> Any:
 
 
 def _expected(kind: Any) -> str:  # noqa: PLR0911
-    """What a person may write there."""
+    """Returns what a person may write for a value of this kind."""
     origin, args = get_origin(kind), get_args(kind)
     if origin is Annotated:
         return _expected(args[0])

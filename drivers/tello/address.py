@@ -1,4 +1,4 @@
-"""Where a Tello is and what it needs of this computer, checked before anything is sent to it."""
+"""The address of a Tello and its needs of this computer, checked before anything is sent to it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SIOCGIFADDR = 0x8915
 
 @dataclass(frozen=True, slots=True)
 class TelloAddress:
-    """Where a drone is, and where its packets come to. Two drones on one computer: docs/tello.md.
+    """The address of a drone, and the ports that its packets come to. Two drones on one computer: docs/tello.md.
 
     Attributes:
         host: the drone's address; 192.168.10.1 while it is its own access point.

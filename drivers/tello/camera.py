@@ -220,7 +220,7 @@ class TelloCamera:
         return f"{reader.damaged} damaged ones"
 
     def _on_frame(self, image: NDArray[np.uint8]) -> None:
-        """On the reader's thread."""
+        """Takes a frame on the reader's thread."""
         link, loop = self._link, self._loop
         if link is None or loop is None:
             return
@@ -232,7 +232,7 @@ class TelloCamera:
         wake(loop, self._wake)
 
     async def _until_caught_up(self) -> None:
-        """Until frames come at the stream's own pace: then they are as old as the latency says."""
+        """Waits until frames come at the stream's own pace: then they are as old as the latency says."""
         end_s = time.monotonic() + CATCH_UP_S
         most = CAUGHT_UP * self._config.rate_hz * PACE_S
         while True:

@@ -1,4 +1,4 @@
-"""What a Tello says of itself when it is asked."""
+"""A Tello's answers about itself."""
 
 from __future__ import annotations
 

@@ -165,7 +165,7 @@ class TelloLink:
         return self._slot.answers.take() if self._slot is not None else []
 
     def on_state(self, fields: dict[str, Any]) -> None:
-        """On the library's thread; must not raise there."""
+        """Takes a state packet on the library's thread; must not raise there."""
         report = read_report(fields, self.clock.now_ns())
         if report is None:
             self.bad_reports += 1
@@ -188,7 +188,10 @@ class TelloLink:
             self._forget()
 
     def _forget(self) -> None:
-        """Without the library's ``end``, which would land a drone that it believes to fly, seven seconds long."""
+        """Forgets the drone without the library's ``end``.
+
+        That would land a drone that it believes to fly, seven seconds long.
+        """
         host = self.address.host
         if self._slot is not None and library.drones.get(host) is self._slot:
             del library.drones[host]

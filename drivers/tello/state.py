@@ -1,4 +1,4 @@
-"""What a Tello says ten times a second, and where that puts it: whole degrees, decimetres a second, no position.
+"""A Tello's state, ten times a second, and its place from that: whole degrees, decimetres a second, no position.
 
 Axes are those of the SDK: x forward, y right, z down at the heading in which the drone was switched on (``vgx vgy
 vgz``, dm/s); pitch is positive nose up, roll right side down, yaw clockwise from that heading; ``h``, ``tof`` are cm.
@@ -78,7 +78,7 @@ def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quat:
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Where the drone stands when it is connected: north and east of the mission's origin in m, and its heading.
+    """The place of the drone when it is connected: north and east of the mission's origin in m, and its heading.
 
     ``*_sigma``: how well whoever put it there did.
     """
@@ -105,7 +105,7 @@ class DeadReckoning:
 
     @property
     def heading_rad(self) -> float:
-        """Of the nose, clockwise from north."""
+        """The heading of the nose, clockwise from north."""
         yaw = self._last.yaw_rad - self._yaw0_rad if self._last is not None else 0.0
         return self._placement.heading_rad + yaw
 

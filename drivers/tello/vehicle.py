@@ -108,19 +108,19 @@ class TelloVehicle:
 
     @property
     def link(self) -> TelloLink:
-        """To the drone; VehicleError while it is closed."""
+        """The link to the drone; VehicleError while it is closed."""
         return self._open_link()
 
     @property
     def position_sigma_m(self) -> float:
-        """How well the horizontal position is known by now, per axis."""
+        """The standard deviation of the horizontal position by now, per axis."""
         return self._reckoning.position_sigma_m
 
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
         return self._history.attitude_at(stamp_ns)
 
     def _on_report(self, report: TelloReport) -> None:
-        """On djitellopy's thread: one immutable value replaces the last."""
+        """Takes a report on djitellopy's thread: one immutable value replaces the last."""
         reckoning = self._reckoning
         reckoning.add(report)
         q_n_b = quaternion(report.roll_rad, report.pitch_rad, reckoning.heading_rad)
@@ -172,7 +172,7 @@ class TelloVehicle:
         )
 
     async def arm(self) -> None:
-        """There is nothing to tell it: its motors start with the take-off, which is refused until this was called."""
+        """Arms by a flag alone: its motors start with the take-off, which is refused until this was called."""
         self._check_alive()
         if self._flying:
             raise VehicleError("the drone is in the air already", "land it first")
@@ -222,7 +222,7 @@ class TelloVehicle:
         self._sticks((north, east, down), max(-limit, min(limit, turn_dps)))
 
     async def hold(self) -> None:
-        """It does not answer to that; that it is still there must be news."""
+        """Holds by centred sticks. It does not answer to that; that it is still there must be news."""
         sent_ns = self._now_ns()
         for _ in range(HOLD_TIMES):
             self._open_link().send(CENTRE)
@@ -256,7 +256,10 @@ class TelloVehicle:
         self._set_mode(FlightMode.HOLD)
 
     async def _say_land(self, end_s: float) -> str | None:
-        """Until it says ok, sinks, or has been told often enough; what it said. A landing is answered at its end."""
+        """Tells it to land until it says ok, sinks, or has been told often enough.
+
+        Returns what it said, at the landing's end.
+        """
         heard: str | None = None
         for _ in range(LAND_TRIES):
             patience_s = max(0.1, min(self._config.answer_s, end_s - time.monotonic()))
@@ -291,7 +294,7 @@ class TelloVehicle:
         self._open_link().send(sticks(self._config, self._reckoning.heading_rad, velocity_n_mps, turn_dps))
 
     async def _climb(self, height_m: float, end_s: float) -> None:
-        """By the sticks from where the automatic take-off ends to the height, and steady there."""
+        """Climbs by the sticks from where the automatic take-off ends to the height, until it is steady there."""
         tolerance = self._config.take_off_tolerance_m
         steady_since: float | None = None
         while True:
@@ -313,7 +316,7 @@ class TelloVehicle:
             await asyncio.sleep(RC_PERIOD_S)
 
     def _landed(self) -> bool:
-        """By news: the motors' clock stands, low above the ground."""
+        """Returns whether it landed, by news: the motors' clock stands, low above the ground."""
         self._check_alive()
         return not self._motors_run() and self._reckoning.height_m < ON_GROUND_M
 

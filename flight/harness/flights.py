@@ -21,7 +21,7 @@ from path.messages import Role
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """What a role tells the console, a few times a second.
+    """A role's report to the console, a few times a second.
 
     ``count`` of the ``needed`` agreeing pairs; ``evidence``: reached and needed, when pairs are not all that counts.
     """
@@ -45,7 +45,7 @@ Emit = Callable[[Progress], None]
 
 @dataclass(frozen=True, slots=True)
 class RoleResult:
-    """How one role's program ended."""
+    """The end of one role's program."""
 
     role: Role
     outcome: Outcome
@@ -91,7 +91,7 @@ class InProcess(Protocol):
 
     @property
     def seed(self) -> int:
-        """Whatever is drawn by chance is drawn from it, so that a run can be repeated."""
+        """The seed of all that is drawn by chance, so that a run can be repeated."""
         ...
 
     def guard_line(self, role: Role) -> GuardLine:
@@ -139,7 +139,7 @@ class FlightRequest:
 
 @dataclass(frozen=True, slots=True)
 class FlightReport:
-    """What the harness saw of a run.
+    """The harness's report of a run.
 
     Attributes:
         results: by role; None for a program that died.

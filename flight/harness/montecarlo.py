@@ -86,7 +86,7 @@ class Attempt:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """What D1's window was told, in this order: one entry for every pair that was judged and every own miss.
+    """The entries that D1's window was given, in order: one for every pair that was judged and every own miss.
 
     Attributes:
         kind: (n,) ``PAIR``, ``MISS`` or ``OWN_MISS``.
@@ -137,7 +137,7 @@ class Circumstances:
 
 @dataclass(frozen=True, slots=True)
 class MonteCarloHandover:
-    """What came of an attempt. Times are since its beginning, by D1's clock.
+    """The result of an attempt. Times are since its beginning, by D1's clock.
 
     Attributes:
         start_s: D2's first frame whose boxes overlapped as much as the threshold asks; None when none did.
@@ -162,7 +162,7 @@ class MonteCarloHandover:
 
     @property
     def reason(self) -> str:
-        """Of a timeout: what was missed most often; empty for a commit."""
+        """The most frequent miss of a timeout; empty for a commit."""
         if self.outcome == "commit":
             return ""
         return max(self.misses, key=lambda name: self.misses[name], default="no pair")
@@ -220,9 +220,9 @@ class HandoverRunner(Protocol):
         ...
 
     def conditions(self) -> tuple[tuple[str, str], ...]:
-        """What is drawn and how much of it: (what, how), for the reader."""
+        """The drawn conditions of the world as (what, how), for the reader."""
         ...
 
     def meanings(self) -> Mapping[FaultName, str]:
-        """What each fault is."""
+        """The meaning of each fault."""
         ...

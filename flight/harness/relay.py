@@ -119,7 +119,7 @@ def _role(rig: Rig, drone: RelayDrone, role: str) -> RoleRig:
 
 
 class DroneProgram(Protocol):
-    """What runs on one drone, from opening its parts to the vehicle on the ground."""
+    """The program of one drone, from opening its parts to the vehicle on the ground."""
 
     def __call__(
         self, name: str, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess, store: RecordStore
@@ -138,7 +138,7 @@ class RelayField(Protocol):
         ...
 
     def landed(self, name: str) -> bool:
-        """Whether it is seen to stand on the ground, its motors off."""
+        """Returns whether it is seen to stand on the ground, its motors off."""
         ...
 
     def swap(self, name: str) -> None:
@@ -148,7 +148,7 @@ class RelayField(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DroneProcesses:
-    """How the drones' programs are run as processes, and reach those on the ground: lines of JSON, either way.
+    """The drones' programs as processes, and their way to those on the ground: lines of JSON, either way.
 
     Attributes:
         command: of a drone's program. It prints ``flight.harness.flights.encode_event``'s lines, ``{"event": "record",
@@ -210,7 +210,7 @@ class FieldSample:
 
 @dataclass(frozen=True, slots=True)
 class RelayReport:
-    """What the harness saw.
+    """The harness's report of a relay.
 
     ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``errors``: as in ``FlightReport``.
     """

@@ -1,6 +1,6 @@
 """Pictures of known truth, for measuring perception: the stage, the camera that looks at it, and who draws it.
 
-A trial arranges a stage and shoots it; the rig names the studio (``[trials] studio``). World frame ``w`` is ENU, the
+A trial arranges a stage and shoots it; the rig names the renderer (``[trials] studio``). World frame ``w`` is ENU, the
 ground at z = 0. All values are the truth: what a trial lets the method believe (calibration, printed size, attitude) is
 the trial's own choice of errors.
 """
@@ -55,7 +55,7 @@ class PlacedBoard:
 
 @dataclass(frozen=True, slots=True)
 class RenderedInstant:
-    """What there is at one instant.
+    """The things that there are at one instant.
 
     Attributes:
         T_w_b: body FRD of each drone to the world; a drone that is not named is not there.
@@ -72,7 +72,7 @@ class RenderedInstant:
 
 @dataclass(frozen=True, slots=True)
 class Imaging:
-    """How a camera makes an image of the light it gets. The default is a sensor that is linear and uncompressed.
+    """A camera's imaging of the light it gets. The default is a sensor that is linear and uncompressed.
 
     What is done comes in this order: blur, motion, exposure, mosaic, noise, interpolation of the mosaic, gamma,
     sharpening, 8 bit, compression.
@@ -134,7 +134,7 @@ photograph of a marker board it leaves 8 %."""
 
 @dataclass(frozen=True, slots=True)
 class Printing:
-    """What is not ideal about the printed marker.
+    """The imperfections of the printed marker.
 
     Attributes:
         ink_spread_m: how far black reaches beyond its edges.
@@ -198,7 +198,7 @@ class FrameRenderer(Protocol):
     def __init__(self, setup: RendererSetup, seed: int) -> None: ...
 
     def shoot(self, stage: RenderedInstant, role: Role, shot_seed: int) -> Shot:
-        """What the role's camera delivers."""
+        """Returns the image that the role's camera delivers."""
         ...
 
     def true_depth_m(self, stage: RenderedInstant, role: Role, u: float, v: float) -> float | None:

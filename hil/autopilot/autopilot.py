@@ -11,6 +11,17 @@ import random
 
 from drivers.interfaces import FlightMode, VelocitySetpoint
 from hil.autopilot.guidance import Guidance, limited
+from hil.autopilot.radio import (
+    EXCEPT_HOLD,
+    EXCEPT_OFFBOARD,
+    IN_AUTO,
+    IN_OFFBOARD,
+    LOSS_LANDS,
+    LOSS_RETURNS,
+    SILENT,
+    Radio,
+    flown_by,
+)
 from hil.autopilot.values import (
     Ack,
     AutopilotConfig,
@@ -34,6 +45,7 @@ __all__ = [
 ]
 
 OK = Ack(True)
+STICKS_MPS = 1.0
 
 
 class Autopilot:
@@ -51,7 +63,9 @@ class Autopilot:
         self.landed = True
         self.battery = 1.0
         self.pilot_in_control = False
-        self.killed = False  # by the pilot's switch: the motors stand still until the next boot
+        self.failsafe = ""  # which of its own holds it or brings it down, until somebody changes the mode
+        self.killed = False  # by the pilot's switch: the motors stand still
+        self.radio = Radio()
         self.home_n_m: Vec3 | None = None
         self.reasons: tuple[str, ...] = ("starting",)
         self.status_texts: list[StatusText] = []
@@ -67,6 +81,10 @@ class Autopilot:
         self._setpoint_s = -math.inf
         self._offboard_lost_s: float | None = None
         self._companion_s: float | None = None  # when a ground station was last heard
+        self._pilot = SILENT  # what was last heard of the radio
+        self._killed_s = 0.0
+        self._radio_lost_s: float | None = None  # since when it holds because of that
+        self._radio_optional = False  # it was armed without one
         self._battery_landing = False  # the low battery has made it land already; the pilot may still take over
         self._guidance = Guidance(config)
 
@@ -75,12 +93,22 @@ class Autopilot:
         return not self.reasons
 
     @property
+    def powered(self) -> bool:
+        """Armed, and no kill switch keeps the motors still. PX4 goes on calling itself armed while one does."""
+        return self.armed and not self.killed
+
+    @property
+    def radio_heard(self) -> bool:
+        """A pilot's radio counts, and is there."""
+        return self._pilot.heard
+
+    @property
     def _battery_low(self) -> bool:
         return self.battery <= self.config.low_battery
 
     @property
     def newest_setpoint_s(self) -> float:
-        """When it came; minus infinity before the first."""
+        """The instant of the newest setpoint; minus infinity before the first."""
         return self._setpoint_s
 
     @property
@@ -95,7 +123,7 @@ class Autopilot:
         self.battery = min(1.0, max(0.0, fraction))
 
     def kill(self, now_s: float) -> None:
-        """The pilot's kill switch: the motors stop at once, wherever the vehicle is. The mode stays as it was."""
+        """The motors stop at once and for good, wherever the vehicle is, and it is disarmed. The mode stays."""
         self.killed, self.armed = True, False
         if self.mode is FlightMode.OFFBOARD:
             self.offboard_sessions[-1].end_s = now_s
@@ -128,7 +156,7 @@ class Autopilot:
             return self._refuse(now_s, "Takeoff denied: already in the air")
         if not 0.0 < height_m <= self.config.max_height_m:
             return self._refuse(now_s, f"Takeoff denied: height {height_m:g} m outside 0..{self.config.max_height_m:g}")
-        self._guidance.climb_to_m, self._landed_s = height_m, None
+        self._guidance.climb_to_m, self._landed_s, self.failsafe = height_m, None, ""
         self._enter(now_s, FlightMode.TAKEOFF)
         return OK
 
@@ -142,6 +170,7 @@ class Autopilot:
             return self._refuse(now_s, "Offboard denied: no recent setpoint")
         if self._battery_landing and not by_pilot and mode is not FlightMode.LAND:
             return self._refuse(now_s, "Mode denied: battery low, landing")
+        self.failsafe = "" if by_pilot or mode is not self.mode else self.failsafe
         if by_pilot:
             self.pilot_in_control = True
             self._say(now_s, Severity.INFO, f"Pilot selected {mode.value}")
@@ -170,8 +199,11 @@ class Autopilot:
         self._drain_battery(dt)
         self._check_health(now_s)
         self._detect_ground(now_s, truth_on_ground)
-        if self.armed:
+        self._obey_pilot(now_s)
+        if self.powered:
             self._failsafes(now_s)
+        elif self.armed and now_s - self._killed_s >= self.config.radio.kill_disarm_s:
+            self._disarm(now_s, "by the kill switch")
         return self._command(now_s)
 
     # --- state changes ---
@@ -186,13 +218,14 @@ class Autopilot:
     def _arm(self, now_s: float) -> None:
         self.armed, self._armed_s, self._landed_s = True, now_s, None
         self.pilot_in_control = False
+        self._radio_optional = not self._pilot.heard
         self.home_n_m = self._estimate.position_n_m
         if self.mode is not FlightMode.OFFBOARD:
             self._enter(now_s, FlightMode.HOLD)
         self._say(now_s, Severity.INFO, "Armed")
 
     def _disarm(self, now_s: float, why: str) -> None:
-        self.armed, self._landed_s = False, None
+        self.armed, self._landed_s, self.failsafe = False, None, ""
         self._enter(now_s, FlightMode.HOLD)
         self._say(now_s, Severity.INFO, f"Disarmed {why}")
 
@@ -201,7 +234,7 @@ class Autopilot:
             self._note_gap(now_s)
             self.offboard_sessions[-1].end_s = now_s
             self.offboard_sessions[-1].ended_by = mode
-        self.mode, self._offboard_lost_s = mode, None
+        self.mode, self._offboard_lost_s, self._radio_lost_s = mode, None, None
         self._guidance.enter(now_s, self._estimate)
         if mode is FlightMode.OFFBOARD:
             self.offboard_sessions.append(OffboardSession(now_s))
@@ -210,6 +243,43 @@ class Autopilot:
         if self.mode is FlightMode.OFFBOARD and self.armed:
             session = self.offboard_sessions[-1]
             session.max_gap_s = max(session.max_gap_s, now_s - self._setpoint_s)
+
+    # --- the pilot's radio ---
+
+    def _obey_pilot(self, now_s: float) -> None:
+        pilot = self._pilot = self.radio.step(now_s, self.config.radio)
+        if pilot.kill is not None:
+            self.killed, self._killed_s = pilot.kill, now_s
+            self._say(now_s, Severity.CRITICAL, f"Kill switch {'engaged' if pilot.kill else 'disengaged'}")
+        if pilot.mode is not None:
+            self.request_mode(now_s, pilot.mode, by_pilot=True)
+        elif pilot.moved and self.armed and self._yields_to_sticks():
+            self.request_mode(now_s, FlightMode.OTHER, by_pilot=True)
+        if pilot.heard:
+            self._radio_optional = False
+
+    def _yields_to_sticks(self) -> bool:
+        """Not while a failsafe waits with its action, as PX4 does not either."""
+        if self.mode is FlightMode.OTHER or self._radio_lost_s is not None:
+            return False
+        bit = IN_OFFBOARD if self.mode is FlightMode.OFFBOARD else IN_AUTO
+        return bool(self.config.radio.override & bit)
+
+    def _watch_radio(self, now_s: float) -> None:
+        """Without the radio: hold, and after a while what ``loss_act`` says."""
+        config, mode = self.config.radio, self.mode
+        if self._pilot.heard or self._radio_optional or self.landed or mode in (FlightMode.LAND, FlightMode.RETURN):
+            return
+        bit = {FlightMode.OFFBOARD: EXCEPT_OFFBOARD, FlightMode.OTHER: 0}.get(mode, EXCEPT_HOLD)
+        if self._radio_lost_s is None:
+            if config.loss_except & bit or config.in_mode == 4:
+                return
+            self._enter(now_s, FlightMode.HOLD)
+            self._radio_lost_s, self.failsafe = now_s, "radio lost"
+            self._say(now_s, Severity.CRITICAL, "Manual control lost, holding")
+        elif now_s - self._radio_lost_s >= config.act_after_s and config.loss_act in (LOSS_LANDS, LOSS_RETURNS):
+            self._enter(now_s, FlightMode.LAND if config.loss_act == LOSS_LANDS else FlightMode.RETURN)
+            self._say(now_s, Severity.CRITICAL, f"Manual control lost, {self.mode.value}")
 
     # --- what happens by itself ---
 
@@ -254,6 +324,7 @@ class Autopilot:
             self._enter(now_s, FlightMode.LAND)
         self._battery_landing = self._battery_low and not self.landed
         self._watch_setpoints(now_s)
+        self._watch_radio(now_s)
         heard_s = self._companion_s
         lost = heard_s is not None and now_s - heard_s > config.companion_loss_s
         if lost and not self.landed and self.mode is not FlightMode.LAND:
@@ -278,7 +349,7 @@ class Autopilot:
         return waiting and now_s - self._armed_s >= self.config.idle_disarm_s
 
     def _command(self, now_s: float) -> RateCommand:
-        if not self.armed:
+        if not self.powered:
             return RateCommand(None, self._guidance.yaw_rad, False)
         assert self.home_n_m is not None
         velocity, yaw = None, self._guidance.yaw_rad
@@ -290,6 +361,9 @@ class Autopilot:
             stale = now_s - self._setpoint_s > self.config.setpoint_stale_s
             wanted = (0.0, 0.0, 0.0) if stale else self._setpoint.velocity_n_mps
             velocity, yaw = limited(wanted, *limits), self._setpoint.yaw_rad
+        elif self.mode is FlightMode.OTHER and (asked := flown_by(self._pilot.sticks, yaw, STICKS_MPS)) is not None:
+            velocity = asked
+            self._guidance.enter(now_s, self._estimate)  # where the sticks are let go of it stays
         else:
             velocity = self._guidance.velocity(now_s, self.mode, self._estimate, self.home_n_m)
         climbing = velocity is not None and velocity[2] < 0.0

@@ -1,4 +1,4 @@
-"""What the autopilot's modes fly: the position loop of each mode, from the estimate to a velocity.
+"""The position loop of each of the autopilot's modes: from the estimate to a velocity.
 
 Positions are (N, E, D) in metres from the mission origin, velocities NED in m/s.
 """
@@ -42,7 +42,7 @@ class ReturnPhase(Enum):
 
 
 class Guidance:
-    """What the mode just entered holds on to, and the velocity that follows from it."""
+    """The hold of the mode just entered, and the velocity that follows from it."""
 
     def __init__(self, config: AutopilotConfig) -> None:
         self._config = config
@@ -61,11 +61,11 @@ class Guidance:
         self.yaw_rad = yaw_of(estimate.q_n_b)
 
     def height_reached(self, estimate: Estimate, home: Vec3) -> bool:
-        """Whether a take-off is where it should end."""
+        """Returns whether a take-off is where it should end."""
         return home[2] - estimate.position_n_m[2] > self.climb_to_m - AT_HEIGHT_M
 
     def hold_height(self, home: Vec3) -> None:
-        """After a take-off: hold the height asked for, not the one passed through."""
+        """Holds the height asked for after a take-off, not the one passed through."""
         north, east, _ = self._hold
         self._hold = (north, east, home[2] - self.climb_to_m)
 

@@ -45,7 +45,7 @@ class SimulatorConfig:
 
     @property
     def on_board(self) -> bool:
-        """Whether it is a flight controller on the bench."""
+        """Returns whether it is a flight controller on the bench."""
         return self.truth_url.startswith("serial://")
 
     @property

@@ -1,13 +1,14 @@
-"""What goes into and comes out of the autopilot: settings, estimate, commands, answers and texts."""
+"""Inputs and outputs of the autopilot: settings, estimate, commands, answers and texts."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Annotated
 
 from drivers.interfaces import FlightMode
+from hil.autopilot.radio import RadioConfig
 from path.bounds import Bounds
 from path.messages import Quat, Vec3
 
@@ -48,11 +49,12 @@ class AutopilotConfig:
     idle_disarm_s: Annotated[float, Bounds(0.1, 3600.0)] = 10.0
     endurance_s: Annotated[float, Bounds(10.0, 36000.0)] = 900.0  # full battery, flying
     low_battery: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.1  # lands by itself; scripts should come down earlier
+    radio: RadioConfig = field(default_factory=RadioConfig)
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What the estimator says. Position (N, E, D) from the mission origin, velocity NED, attitude wxyz body to NED."""
+    """The estimator's output. Position (N, E, D) from the mission origin, velocity NED, attitude wxyz body to NED."""
 
     time_s: float
     position_n_m: Vec3
@@ -62,7 +64,10 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class RateCommand:
-    """To the velocity loop. ``velocity_n_mps`` None: motors idle on the ground; ``thrust_on`` False: motors off."""
+    """A command to the velocity loop.
+
+    ``velocity_n_mps`` None: motors idle on the ground; ``thrust_on`` False: motors off.
+    """
 
     velocity_n_mps: Vec3 | None
     yaw_rad: float

@@ -1,4 +1,4 @@
-"""What Marvelmind's beacons send, byte by byte: written from the document, apart from the driver that reads it."""
+"""The bytes that Marvelmind's beacons send, written from the document, independent of the driver that reads them."""
 
 from __future__ import annotations
 

@@ -54,20 +54,20 @@ class SerialCable:
         self.link.symlink_to(os.ttyname(port))
 
     def send(self, data: bytes) -> None:
-        """What nobody reads in time is lost, as on a wire."""
+        """Sends bytes from the port. As on a wire, what nobody reads in time is lost."""
         if self._ends is not None:
             with suppress(BlockingIOError):
                 os.write(self._ends[0], data)
 
     def received(self) -> bytes:
-        """What was written to the port."""
+        """Returns what was written to the port."""
         with suppress(BlockingIOError):
             if self._ends is not None:
                 return os.read(self._ends[0], 65536)
         return b""
 
     def unplug(self) -> None:
-        """Who has the port open reads its end."""
+        """Closes the port; a program that has it open reads its end."""
         if self._ends is not None:
             self.link.unlink(missing_ok=True)
             for end in self._ends:
@@ -194,7 +194,7 @@ def open_hedges(
 
 
 def _vision(rig: Rig, role: Role) -> VisionConfig | None:
-    """What the drone's autopilot is fed with, when this run makes it up."""
+    """Returns how the drone's autopilot is fed, when this run makes it up; else None."""
     table = rig.role(role).vehicle.options.get("vision")
     if table is None:
         return None
@@ -216,7 +216,7 @@ def link_of(run: str, role: Role | None = None) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class PtyBeaconsConfig:
-    """Nothing to set: the port is the run's own."""
+    """The options of beacons on the run's own port: there are none."""
 
 
 class PtyBeacons(Marvelmind):

@@ -1,6 +1,6 @@
-"""When a simulated camera takes its pictures: fixed instants of the loop's time, newest first, none for nobody.
+"""The timing of a simulated camera's pictures: fixed instants of the loop's time, newest first, none for nobody.
 
-Both sights of the sim levels are built on it, so that they differ in what a view holds and in nothing else.
+Perception at both sim levels is built on it, so that the two differ in what a view holds and in nothing else.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ RECEIVER_PHASE = 0.37  # of a period
 
 
 class Freeze(Enum):
-    """How a camera fails: it gives nothing more, or its last frame again and again."""
+    """The failure of a camera: it gives nothing more, or its last frame again and again."""
 
     SILENT = "silent"
     REPEAT = "repeat"
@@ -41,7 +41,7 @@ class SnapshotSource(Protocol):
 
 
 class SensorHarness(Protocol):
-    """What ``PartContext.harness`` is to the cameras of the sim levels.
+    """The part of ``PartContext.harness`` that the cameras of the sim levels need.
 
     ``frozen_cameras``: the cameras that fail at this moment; the harness changes it while the run goes on.
     ``built``: how the cameras, mounts and markers truly are; None when they are as the rig says.
@@ -72,7 +72,7 @@ class TrueCamera:
 
 
 def true_camera(context: PartContext, built: Built | None) -> TrueCamera:
-    """What ``context`` says of a camera, or what was built of it."""
+    """Returns the camera that ``context`` describes, or what was built of it."""
     if built is None:
         mount = context.mount
         return TrueCamera(context.camera, mount.T_b_c, mount.T_b_v, context.layout, SensorErrors())

@@ -1,4 +1,4 @@
-"""Pictures of known truth: the ``flight.harness.renderer.FrameRenderer`` over the renderer of the simulated world."""
+"""The renderer of trials: implements ``flight.harness.renderer.FrameRenderer`` with that of the simulated world."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class CameraRenderer:
         self._marked: dict[int, Model] = {}
 
     def shoot(self, stage: RenderedInstant, role: Role, shot_seed: int) -> Shot:
-        """What the role's camera delivers. The drone of the role must be on the stage."""
+        """Returns the image that the role's camera delivers. The drone of the role must be on the stage."""
         key = self._renderer.key(role, shot_seed)
         light, depth = self._renderer.draw(stage.T_w_b[role], self._bodies(stage, role, key % LIGHTS), key)
         if is_plain(self._setup.imaging):

@@ -1,4 +1,4 @@
-"""How a camera makes an image of the light: what ``flight.harness.renderer.Imaging`` describes, in its order.
+"""The imaging of a camera, from light to image: what ``flight.harness.renderer.Imaging`` describes, in its order.
 
 Optics and sensor work on light, 0..255 linear; gamma and everything after it on the image.
 """
@@ -26,7 +26,7 @@ STREAM_RATE = 30
 
 
 def is_plain(imaging: Imaging) -> bool:
-    """Whether an image is no more than blurred light with noise."""
+    """Returns whether an image is no more than blurred light with noise."""
     plain = Imaging(imaging.blur_sigma_px, imaging.read_sigma, imaging.shot_gain)
     return imaging == plain
 

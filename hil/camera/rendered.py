@@ -29,7 +29,7 @@ _Image = tuple[NDArray[np.uint8], NDArray[np.uint16]]
 
 @dataclass(frozen=True, slots=True)
 class RenderedCameraConfig:
-    """When frames are taken (see ``hil.camera.capture.timing_of``), and the noise of the sensor."""
+    """The timing of frames (see ``hil.camera.capture.timing_of``), and the noise of the sensor."""
 
     rate_hz: Annotated[float, Bounds(1.0, 300.0)] = 30.0
     phase_s: Annotated[float | None, Bounds(0.0, 10.0)] = None

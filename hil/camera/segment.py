@@ -25,7 +25,7 @@ SLOT_HEADER_BYTES = 64
 
 
 def folder() -> Path:
-    """Where segments live: memory where the system has a file system for it."""
+    """Returns the folder of segments: in memory where the system has a file system for it."""
     memory = Path("/dev/shm")
     return memory if memory.is_dir() and os.access(memory, os.W_OK) else Path(tempfile.gettempdir())
 
@@ -68,7 +68,10 @@ def writer_lives(segment: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where things are in a segment of ``slots`` frames; sizes are (width, height) in px. ``fps``: what is aimed at."""
+    """The places of things in a segment of ``slots`` frames; sizes are (width, height) in px.
+
+    ``fps``: what is aimed at.
+    """
 
     color_size: tuple[int, int]
     depth_size: tuple[int, int]
@@ -96,7 +99,7 @@ class Layout:
         return HEADER_BYTES + self.slots * self.slot_bytes
 
     def words(self) -> tuple[int, ...]:
-        """As in the segment's header, after the magic number."""
+        """The numbers in the segment's header, after the magic number."""
         return *self.color_size, *self.depth_size, self.fps, self.slots
 
 

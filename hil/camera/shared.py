@@ -214,7 +214,7 @@ class SharedCameraReader:
         return SharedFrame(newest, int(segment.slot_headers[slot][1]), segment.colors[slot], segment.depths[slot])
 
     def _wait(self, timeout_s: float) -> None:
-        """Until the writer says that there is something new; what else it said before is of the same."""
+        """Waits until the writer says that there is something new; what else it said before is of the same."""
         assert self._socket is not None
         self._socket.settimeout(timeout_s)
         with suppress(TimeoutError):

@@ -58,7 +58,7 @@ class SoakReport:
 
 @dataclass(frozen=True, slots=True)
 class BenchDeviceConfig:
-    """Nothing to set."""
+    """The options of the bench's device: there are none."""
 
 
 class BenchDevice:
@@ -110,7 +110,7 @@ class BenchDevice:
 
 
 def resident_mib() -> float:
-    """What this process holds in memory now."""
+    """Returns the memory that this process holds now, MiB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 

@@ -23,7 +23,7 @@ DEPTH_UNIT_M = 0.001
 
 @dataclass(frozen=True, slots=True)
 class DeviceClock:
-    """How a device stamps its frames.
+    """The clock by which a device stamps its frames.
 
     Attributes:
         domain: whose clock; a real D415 gives ``global_time`` unless told otherwise.

@@ -1,4 +1,4 @@
-"""The arithmetic of the geometric sight: bodies made of boxes, projected and hit by rays. Compiled.
+"""The arithmetic of the geometric perception: bodies made of boxes, projected and hit by rays. Compiled.
 
 A body is a car or the other drone. Camera coordinates throughout (x right, y down, z forward, metres), pixels
 distorted.
@@ -212,13 +212,13 @@ def mix(state, value):
 
 @kernel
 def fold(key, value):
-    """As ``mix``, but in 63 bits: a key that can go through Python."""
+    """Mixes a value into a key as ``mix``, but in 63 bits: a key that can go through Python."""
     return np.int64(mix(key, value) >> np.uint64(1))
 
 
 @kernel
 def uniform(state):
-    """In (0, 1) from a mixed state."""
+    """Returns a number in (0, 1) from a mixed state."""
     return (float(state >> np.uint64(11)) + 0.5) / 9007199254740992.0
 
 

@@ -1,4 +1,4 @@
-"""Markers as the geometric sight sees them: which are found, and their noisy corners. Compiled."""
+"""Markers of the geometric perception: which are found, and their noisy corners. Compiled."""
 
 # pyright: reportMissingParameterType=false
 
@@ -14,7 +14,7 @@ from path.compiled import inner, kernel
 
 
 class MarkerNoise(NamedTuple):
-    """How found marker corners differ from the true ones, and when a marker is found."""
+    """The difference of found marker corners to the true ones, and the chance that a marker is found."""
 
     half_side_px: float
     half_side_per_scale_px: float
@@ -91,7 +91,7 @@ def _project(frame, lens, R, t, corners, at, pixels):
 
 @inner
 def _inside(pixels, region, lens, margin):
-    """Whether all corners, and ``margin`` px of white around them, are in the region and in the image."""
+    """Returns whether all corners, and ``margin`` px of white around them, are in the region and in the image."""
     low_u, low_v = max(region[0], -0.5) + margin, max(region[1], -0.5) + margin
     high_u, high_v = min(region[2], lens[9] - 0.5) - margin, min(region[3], lens[10] - 0.5) - margin
     outside = 0
@@ -117,7 +117,7 @@ def _facing(at):
 
 @inner
 def _covered(boxes, extents, per_car, lens, at):
-    """Whether a part of the sender is in front of the marker's middle or of a point near a corner."""
+    """Returns whether a part of the sender is in front of the marker's middle or of a point near a corner."""
     for k in range(5):
         x, y, z = 0.0, 0.0, 0.0
         for corner in range(4):

@@ -1,7 +1,7 @@
-"""How the numbers of ``hil.geometric.noise`` are measured: the real perception on rendered frames, against geometry.
+"""The measurement of the numbers in ``hil.geometric.noise``: the real perception on rendered frames, against geometry.
 
 ``collect`` asks a view of a scene what a mission would and compares it with the exact geometry. Done with rendered
-frames it gives what ``measure_noise`` fits; done with the geometric sight it shows whether that is as noisy.
+frames it gives what ``measure_noise`` fits; done with the geometric perception it shows whether that is as noisy.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def rendered(seed: int, method: MethodConfig | None = None) -> Perceive:
 
 
 def geometric(seed: int, noise: ObservationNoise | None = None, method: MethodConfig | None = None) -> Perceive:
-    """The geometric sight; with ``EXACT`` noise the truth."""
+    """The geometric perception; with ``EXACT`` noise the truth."""
     noise, method = noise or ObservationNoise(), method or MethodConfig()
     sensors = {role: Sensor(setup(role), noise, method, seed) for role in Role}
 
@@ -103,7 +103,7 @@ def geometric(seed: int, noise: ObservationNoise | None = None, method: MethodCo
 
 @dataclass(slots=True)
 class Residuals:
-    """What a perception gave, less what is true; one entry an observation.
+    """The errors of a perception against the truth; one entry an observation.
 
     Attributes:
         edges_px: left, top, right, bottom of boxes of cars in full view; ``cars`` of them there were.
@@ -227,7 +227,7 @@ def measure_noise(residuals: Residuals) -> ObservationNoise:
         coarse_sigma_px=float(np.sqrt(np.mean(rms[coarse] ** 2))) if coarse.any() else 0.0,
     )
     pixel = default.depth_sigma_at_1m_m
-    alone = MEDIAN_TO_MEAN * pixel / DEPTH_CELLS  # what is left of a pixel's noise over a box when none err together
+    alone = MEDIAN_TO_MEAN * pixel / DEPTH_CELLS  # residual of a pixel's noise over a box when none err together
     common = math.sqrt(max(0.0, float(_spread(np.array(residuals.depths))) ** 2 - alone**2))
     return ObservationNoise(targets, marker, pixel, common)
 
@@ -239,7 +239,7 @@ def _spread(values: Array) -> Array:
 
 
 def _logistic(x: Array, hit: Array) -> tuple[float, float]:
-    """Where the chance of a hit is 1/2, and how fast its logit grows: maximum likelihood by Newton's method."""
+    """Returns where the chance of a hit is 1/2, and how fast its logit grows: maximum likelihood by Newton's method."""
     middle = float(x.mean())
     design, weights = np.stack((np.ones_like(x), x - middle), axis=1), np.zeros(2)
     for _ in range(25):

@@ -1,4 +1,4 @@
-"""The sight of level ``sim``: observations straight from the truth's geometry, with measured noise; no pixels.
+"""The perception of level ``sim``: observations straight from the truth's geometry, with measured noise; no pixels.
 
 On each capture the truth is looked at; what a mission then asks of the view is worked out when it asks: the visible
 outlines of the cars, the corners of the markers, rays over a box for its depth (``hil.geometric.scene``), each with
@@ -121,7 +121,7 @@ def _keep(snapshot: Snapshot, frame_id: int) -> Snapshot:
 
 
 class Sensor:
-    """What a camera and the perception behind it are like; the same for all its views."""
+    """A camera and the perception behind it; the same for all its views."""
 
     def __init__(
         self,
@@ -235,7 +235,7 @@ class GeometricView:
         return detected
 
     def depth(self, box: Box) -> Depth | None:
-        """What ``path.target.registered_depth`` would make of the depth image."""
+        """Returns the depth that ``path.target.registered_depth`` would make of the depth image."""
         sensor, placed = self._sensor, self._placed_for_depth
         setup, errors = sensor.setup, sensor.errors
         key = fold(fold(self._key(DEPTH), int(16.0 * box.x)), int(16.0 * box.y))
@@ -254,7 +254,7 @@ class GeometricView:
         return Depth(errors.depth * z_m + errors.depth_bias_m, sigma_m) if z_m > 0.0 else None
 
     def image(self) -> None:
-        """There are no pixels."""
+        """Returns None: there are no pixels."""
         return None
 
 
@@ -284,7 +284,7 @@ def _row(region: Region | None) -> Array:
 
 
 def _search_scale(region: Region | None, camera: CameraModel) -> float:
-    """How much ``path.marker.detect`` enlarges what it searches."""
+    """Returns by how much ``path.marker.detect`` enlarges what it searches."""
     area = (region or EVERYWHERE).clipped(camera.width, camera.height)
     pixels = 1.0 if area is None else (area.x1 - area.x0) * (area.y1 - area.y0)
     return max(1.0, min(LARGEST_SCALE, math.floor(2.0 * math.sqrt(DETECTION_PIXELS / max(pixels, 1.0))) / 2.0))

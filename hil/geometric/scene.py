@@ -1,4 +1,4 @@
-"""The geometric sight's picture of one instant: what the truth puts where in one camera's image."""
+"""The geometric perception's picture of one instant: what the truth puts where in one camera's image."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _boxes(model: Model) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class CameraSetup:
-    """What does not change between the frames of one camera."""
+    """The constants of one camera between its frames."""
 
     role: Role
     camera: CameraModel
@@ -92,7 +92,7 @@ def place(setup: CameraSetup, snapshot: Snapshot) -> Placed:
 
 
 def outlines(setup: CameraSetup, placed: Placed) -> Array:
-    """What is visible of each car, (n, SEEN_COLUMNS), without noise."""
+    """Returns the visible outline of each car, (n, SEEN_COLUMNS), without noise."""
     seen = np.empty((len(placed.extents) - 1, targets.SEEN_COLUMNS))
     targets.outlines(placed.boxes, placed.extents, len(setup.car), setup.lens, seen)
     return seen

@@ -26,8 +26,10 @@ class Spell:
 
 
 class Spells:
-    """Those of one camera's detector. Frames must be asked for in their order; what is drawn depends on their numbers
-    and the seed alone."""
+    """The spells of one camera's detector.
+
+    Frames must be asked for in their order; what is drawn depends on their numbers and the seed alone.
+    """
 
     def __init__(self, seed: int) -> None:
         self._seed = seed

@@ -1,4 +1,4 @@
-"""Cars and depth as the geometric sight sees them: visible outlines, noisy detections, depth over a box. Compiled."""
+"""Cars and depth of the geometric perception: visible outlines, noisy detections, depth over a box. Compiled."""
 
 # pyright: reportMissingParameterType=false
 
@@ -27,7 +27,7 @@ from path.target import CORRELATED_PIXELS, MAD_TO_SIGMA, MEDIAN_TO_MEAN, OUTLIER
 
 
 class TargetNoise(NamedTuple):
-    """How the detector's boxes differ from the true visible outlines; see ``hil.geometric.noise``."""
+    """The difference of the detector's boxes to the true visible outlines; see ``hil.geometric.noise``."""
 
     bias_left_px: float
     bias_top_px: float
@@ -52,7 +52,7 @@ class TargetNoise(NamedTuple):
     max_side_px: float
 
     def shifted(self, edges_px: tuple[float, float, float, float]) -> TargetNoise:
-        """With a bias more on the left, top, right and bottom edge."""
+        """Returns the noise with a bias more on the left, top, right and bottom edge."""
         left, top, right, bottom = edges_px
         return self._replace(
             bias_left_px=self.bias_left_px + left,
@@ -84,7 +84,7 @@ NEIGHBOUR_PX = 4.0
 
 @kernel
 def outlines(boxes, extents, per_car, lens, seen):
-    """What is visible of each car, others and the other drone in front of it taken into account.
+    """Finds the visible part of each car, others and the other drone in front of it taken into account.
 
     ``seen`` (cars, SEEN_COLUMNS) is filled; share 0: nothing is visible.
     """
@@ -290,7 +290,7 @@ def _median(values, count):
 
 @kernel
 def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, noise, key):
-    """What a registered depth camera gives over the middle of a box: ``path.target.registered_depth`` on rays.
+    """Returns a registered depth camera's value over the middle of a box: ``path.target.registered_depth`` on rays.
 
     Args:
         hidden: nothing is measured on cars.

@@ -30,7 +30,7 @@ class WorldTooSlow(HarnessFailure):
 
 
 def run_name() -> str:
-    """Of this process's run: names what its children share."""
+    """Returns the name of this process's run, for what its children share."""
     return f"run-{os.getpid()}"
 
 
@@ -124,7 +124,7 @@ def send_signal(process: Child, number: signal.Signals) -> None:
 
 
 async def end(processes: Sequence[Child]) -> None:
-    """Nothing is left behind, children of children included."""
+    """Ends processes, children of children included, and leaves nothing behind."""
     for process in processes:
         if process.stdin is not None:
             process.stdin.close()
@@ -140,7 +140,7 @@ async def end(processes: Sequence[Child]) -> None:
 
 
 async def go_on(process: Child, after_s: float | None) -> None:
-    """What was stopped goes on; what was not to, is ended when its vehicle is long down: the run must go on."""
+    """Lets a stopped program go on. One that is not to is ended when its vehicle is long down: the run must go on."""
     await asyncio.sleep(STOPPED_S if after_s is None else after_s)
     send_signal(process, signal.SIGKILL if after_s is None else signal.SIGCONT)
 
@@ -162,14 +162,14 @@ async def end_gently(process: Child) -> None:
 
 
 async def drain(process: Child) -> None:
-    """What nobody reads must not fill its pipe."""
+    """Reads a program's output to its end: what nobody reads must not fill its pipe."""
     assert process.stdout is not None
     async for _ in process.stdout:
         pass
 
 
 def duty_of(state_file: Path) -> str:
-    """What a program's record says; "" when there is none."""
+    """Returns the duty in a program's record; "" when there is none."""
     try:
         return str(json.loads(state_file.read_bytes())["record"]["duty"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -177,7 +177,7 @@ def duty_of(state_file: Path) -> str:
 
 
 def last_words(errors: Path) -> str:
-    """What a program that died wrote last."""
+    """Returns the last words of a program that died."""
     if not errors.exists():
         return "It was never started."
     written = errors.read_text("utf-8", "replace").split("\n")

@@ -71,7 +71,7 @@ class DroneHarness:
 
     @property
     def world(self) -> PairWorld:
-        """At the loop's present."""
+        """The world at the loop's present."""
         now_s = present_s()
         if now_s != self._view.time_s:
             self._advance(now_s)

@@ -28,7 +28,7 @@ class GuardWorld(Protocol):
 
 
 class GuardHarness(Protocol):
-    """What the guard needs of ``PartContext.harness``; ``lost_vehicles`` have lost every link."""
+    """The part of ``PartContext.harness`` that the guard needs; ``lost_vehicles`` have lost every link."""
 
     @property
     def world(self) -> GuardWorld: ...
@@ -39,7 +39,7 @@ class GuardHarness(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SimGuardConfig:
-    """Nothing can be set: the rules are the mission's."""
+    """The options of the guard's vehicle: there are none, the rules are the mission's."""
 
 
 class SimGuard:
@@ -86,7 +86,7 @@ class SimGuard:
         self._seen = GuardView(
             heartbeat_ns=now_ns,
             position_ns=now_ns,
-            armed=autopilot.armed,
+            armed=autopilot.powered,
             in_air=not autopilot.landed,
             mode=autopilot.mode,
             position_n_m=drone.estimate.position_n_m,
@@ -172,7 +172,7 @@ class MemoryBeatLine:
             self._from.answered = self.clock.now_ns(), answer
 
     def role_end(self) -> MemoryGuardLine:
-        """For a program that begins."""
+        """Returns the role's end of the line for a program that begins."""
         self.cut()
         self._newest = MemoryGuardLine(self.clock, self._box)
         return self._newest

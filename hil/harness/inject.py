@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from drivers.interfaces import FlightMode
+from hil.autopilot.radio import STICKS_SLOT, Transmitter
 from hil.harness.drone import DroneHarness, present_s
 from hil.harness.programs import Programs
 from hil.link.faulty import LinkFaults
@@ -14,6 +15,8 @@ from hil.world.faults import Fault
 from hil.world.world import Fleet, Name
 
 SAGGED = 0.15
+RC = "rc_"
+GRABBED = (0.0, -0.6, 0.0, 0.0)  # the right stick pulled back: away from what is ahead
 
 _OF_LINK = {
     "link_loss": ("loss",),
@@ -58,6 +61,9 @@ def inject_in_world(name: str, role: Name | None, world: Fleet[Name], value: flo
             world.drone(role).autopilot.request_mode(world.time_s, FlightMode.OTHER, by_pilot=True)
         case "motor_kill" if role is not None:
             world.drone(role).autopilot.kill(world.time_s)
+        case _ if role is not None and name.startswith(RC):
+            away_until_s = world.time_s + (math.inf if value is None else value)
+            _at_transmitter(name, world.drone(role).autopilot.radio.transmitter, away_until_s)
         case "detector_recall" | "detector_miss_frames" | "detector_false" | "detector_bias":
             world.degrade_detectors(**{_OF_DETECTOR[name]: value or 0.0})
         case "no_failsafe":
@@ -68,6 +74,18 @@ def inject_in_world(name: str, role: Name | None, world: Fleet[Name], value: flo
             world.battery(role, SAGGED if value is None else value)
         case _:
             pass
+
+
+def _at_transmitter(name: str, held: Transmitter, away_until_s: float) -> None:
+    what = name.removeprefix(RC).partition("_")[0]
+    if what == "mode":
+        held.slot = STICKS_SLOT
+    elif what == "kill":
+        held.kill = True
+    elif what == "sticks":
+        held.sticks = GRABBED
+    elif what == "lost":
+        held.away_until_s = away_until_s
 
 
 def inject_on_link(name: str, value: float, link: FaultyLink) -> None:

@@ -1,4 +1,4 @@
-"""When the faults of a relay begin: each leg is a hand-over with faults of its own."""
+"""The beginnings of a relay's faults: each leg is a hand-over with faults of its own."""
 
 from __future__ import annotations
 
@@ -35,24 +35,27 @@ class LegFaults:
         return self._ends[leg][role]
 
     def on_progress(self, name: str, progress: Progress) -> None:
-        """What a drone in either role says; of a role that it does not have in its newest leg nothing begins."""
+        """Takes the progress of a drone in either role.
+
+        Of a role that it does not have in its newest leg nothing begins.
+        """
         if name in self._newest:
             number, role, trigger = self._newest[name]
             if role is progress.role:
                 self._begin(number, trigger.on_progress(progress))
 
     def on_duty(self, name: str, duty: str) -> None:
-        """What a drone has written down."""
+        """Takes the duty that a drone has written down."""
         if name in self._newest:
             number, role, trigger = self._newest[name]
             self._begin(number, trigger.on_duty(role, duty))
 
     def waits_for_duty(self, name: str) -> bool:
-        """Whether ``on_duty`` can still bring something about."""
+        """Returns whether ``on_duty`` can still bring something about."""
         return name in self._newest and self._newest[name][2].waits_for_duty(self._newest[name][1])
 
     def close(self) -> None:
-        """Nothing begins any more."""
+        """Ends the faults: nothing begins any more."""
         for task in self._coming:
             task.cancel()
 

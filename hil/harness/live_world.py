@@ -1,4 +1,4 @@
-"""What every world in real time is made of: cameras that draw it, vehicles on the wire, and the pace of its steps."""
+"""The parts of every world in real time: cameras that draw it, vehicles on the wire, and the pace of its steps."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FrameWriter = SharedCameraWriter | TelloVideo
 
 
 class CameraScene(Protocol):
-    """What one drone's camera looks at."""
+    """The scene before one drone's camera."""
 
     def now_s(self) -> float:
         """The world's clock."""
@@ -118,7 +118,7 @@ def running(camera: CameraThread) -> Generator[None, None, None]:
 
 
 def camera_config(rig: Rig, role: Role) -> RealSenseConfig:
-    """How the driver of a role is set. Raises RigError when it is another driver."""
+    """Returns the settings of a role's camera driver. Raises RigError when it is another driver."""
     perception = rig.role(role).perception
     camera = PartSpec.from_table(perception.options.get("camera"), f"{perception.where}.camera", perception.base)
     _, config = decode_part(camera)
@@ -136,7 +136,7 @@ def depth_size(rig: Rig, role: Role) -> tuple[int, int]:
 
 
 def shared_camera(run: str, rig: Rig, role: Role) -> SharedCameraWriter:
-    """Where a role's driver looks for its frames."""
+    """Returns the writer of frames to where a role's driver looks for them."""
     color = rig.role(role).camera
     size, fps = (color.width, color.height), camera_config(rig, role).fps
     return SharedCameraWriter(run, role, size, depth_size(rig, role), fps)
@@ -152,7 +152,7 @@ def embedded_vehicle(rig: Rig, own: RoleRig, drone: MavlinkDrone) -> MavlinkVehi
 
 
 def _listener(url: str) -> tuple[str, int]:
-    """Where a MAVLink URL listens."""
+    """Returns the host and port at which a MAVLink URL listens."""
     parts = urlsplit(url)
     return parts.hostname or "127.0.0.1", parts.port or 0
 

@@ -1,4 +1,4 @@
-"""Whether a computer kept up with a run in real time."""
+"""The check that a computer kept up with a run in real time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ENOUGH = 50  # frames
 
 
 def overload_of(ages_s: Mapping[Role, Sequence[float]], pictures: Mapping[str, Any]) -> str:
-    """What was late, and how late; empty when all kept up.
+    """Returns what was late, and how late; empty when all kept up.
 
     Args:
         ages_s: of each role's frames, from their capture until its program took them up.

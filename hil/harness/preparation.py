@@ -23,12 +23,12 @@ HELP_WITHIN_S = 600.0  # then what the other process has not compiled is compile
 
 
 def starting(role: Role, what: str) -> Progress:
-    """What the console shows while there is no role yet."""
+    """Returns what the console shows while there is no role yet."""
     return Progress(role, 0, "starting", 0, 0, None, None, None, 0.0, False, what)
 
 
 def prepare(rig: Rig, say: Callable[[str], None]) -> None:
-    """The physics, the marker finder, and what the sights of this rig compute."""
+    """The physics, the marker finder, and what the perception of this rig computes."""
     rendered = any("camera" in rig.role(role).perception.options for role in Role)
     own, others = RENDERED if rendered else FROM_GEOMETRY
     first = not is_compiled()

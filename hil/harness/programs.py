@@ -92,11 +92,11 @@ class Programs:
         return self._slots[name].disk
 
     def killed(self, name: str) -> bool:
-        """Whether its program is dead, and not started again yet."""
+        """Returns whether its program is dead, and not started again yet."""
         return self._slots[name].killed
 
     def began_again(self, name: str) -> bool:
-        """Whether its program is not the first one."""
+        """Returns whether its program is not the first one."""
         return self._slots[name].again
 
     def interrupt(self) -> None:
@@ -105,7 +105,7 @@ class Programs:
         self.stop.set()
 
     def close(self) -> None:
-        """Nothing is started again any more."""
+        """Ends the restarts: nothing is started again any more."""
         for slot in self._slots.values():
             if slot.restart is not None:
                 slot.restart.cancel()
@@ -118,7 +118,7 @@ class Programs:
         slot.log, slot.task = started.log, asyncio.ensure_future(started.result)
 
     async def _start_again(self, slot: _Slot, dead: asyncio.Future[RoleResult], after_s: float) -> None:
-        """With the old one's disk; its vehicle and the world have gone on."""
+        """Starts a program again with the old one's disk; its vehicle and the world have gone on."""
         await asyncio.sleep(after_s)
         await asyncio.wait([dead])
         slot.harness.hub.mend(slot.harness.role)

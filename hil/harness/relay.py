@@ -115,7 +115,10 @@ class _VirtualRelay:
         return self._findings()
 
     def _new(self, name: str, own: RoleRig, built: Built) -> _VirtualDrone:
-        """To its own parts a drone is always the receiver, with a link to nobody until it is called to a leg."""
+        """Makes a drone.
+
+        To its own parts it is always the receiver, with a link to nobody until it is called to a leg.
+        """
         view = PairView(self._world, name)
         seed = self._request.seed * 64 + self._world.names.index(name)
         harness = DroneHarness(view, self._world.advance, seed, built, OWN, MemoryHub(seed))
@@ -177,7 +180,7 @@ class _VirtualRelay:
         return emit
 
     def _inject(self, leg: int, fault: Fault) -> None:
-        """To the drone that has, or had, the fault's role in the leg."""
+        """Injects a fault at the drone that has, or had, its role in the leg."""
         role = fault.kind.role
         name = None if role is None else self._legs.end_of(leg, role)
         inject_on_link(fault.name, fault.value or 0.0, self._hubs[leg])
@@ -204,7 +207,7 @@ class _VirtualRelay:
             await asyncio.sleep(NEAR_PERIOD_S if len(world.airborne) > 1 else PERIOD_S)
 
     def _close_flight(self, drone: _VirtualDrone) -> None:
-        """What one flight's autopilot leaves, before it is started anew."""
+        """Closes one flight: its autopilot's record goes to the monitors before it is started anew."""
         self._monitors.on_offboard(drone.name, drone.harness.cut_off_s)
         self._monitors.on_swap(drone.name, present_s())
         drone.harness.cut_off_s = []
@@ -232,7 +235,7 @@ class _VirtualRelay:
 
 
 class _NoLog:
-    """For what nobody reads."""
+    """A log that nobody reads."""
 
     def write(self, topic: str, stamp_ns: int, record: Any) -> None: ...
 

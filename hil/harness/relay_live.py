@@ -19,7 +19,7 @@ REMEMBERED_S = 3.0
 
 
 def run_of(run: str, name: str) -> str:
-    """What a drone's program and the world call its camera's frames."""
+    """Returns the name of a drone's camera frames, for its program and the world."""
     return f"{run}-{name}"
 
 

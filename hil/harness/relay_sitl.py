@@ -143,7 +143,7 @@ class _ProcessRelay:
         return world
 
     async def _fly(self) -> None:
-        """Until the base says that it is over, the world fails, or it takes far too long."""
+        """Flies until the base says that it is over, the world fails, or it takes far too long."""
         request = self._request
         self._landed = dict.fromkeys(self._drones, True)
         stop_on_signals(self._interrupt)
@@ -220,7 +220,7 @@ class _ProcessRelay:
         return child
 
     async def _listen(self, drone: _DroneProcesses, program: Child) -> RoleResult | None:
-        """Until the program has ended: pass on what it says. None when it died."""
+        """Passes on what a program says until it has ended. Returns None when it died."""
         assert program.stdout is not None
         result: RoleResult | None = None
         async for line in program.stdout:
@@ -250,7 +250,7 @@ class _ProcessRelay:
             self._request.processes.heard(name, word)
 
     async def _tell_news(self) -> None:
-        """To every program, whatever it does not know yet."""
+        """Tells every program whatever it does not know yet."""
         while True:
             for drone in self._drones.values():
                 program = drone.program
@@ -263,7 +263,7 @@ class _ProcessRelay:
             await asyncio.sleep(NEWS_S)
 
     async def _watch_records(self) -> None:
-        """What a drone writes down for a restart, as soon as it is there, while a fault waits for it."""
+        """Watches what a drone writes down for a restart, as soon as it is there, while a fault waits for it."""
         seen: dict[str, str] = {}
         while True:
             waited_for = [name for name in self._drones if self._legs.waits_for_duty(name)]
@@ -301,7 +301,7 @@ class _ProcessRelay:
     # --- faults ---
 
     def _inject(self, leg: int, fault: Fault) -> None:
-        """To the drone that has, or had, the fault's role in the leg."""
+        """Injects a fault at the drone that has, or had, its role in the leg."""
         role = fault.kind.role
         name = None if role is None else self._legs.end_of(leg, role)
         at_ns = time.monotonic_ns()

@@ -1,5 +1,7 @@
-"""The world of a relay in real time, a process of its own: drones by name, each with its vehicle on the wire and its
-camera while it is switched on; the link of the leg under way; and the monitors.
+"""The world of a relay in real time, a process of its own.
+
+It has drones by name, each with its vehicle on the wire and its camera while it is switched on; the link of the leg
+under way; and the monitors.
 
     python -m hil.harness.relay_sitl_world RIG_FILE DRONES SEED ERRORS [FOLDER ...]
 
@@ -60,7 +62,7 @@ VEHICLES_STEPS = 200
 
 @dataclass(slots=True)
 class _WorldDrone:
-    """What the world has of one drone: its vehicle while it is switched on, its camera while a program may look."""
+    """One drone in the world: its vehicle while it is switched on, its camera while a program may look."""
 
     own: RoleRig
     pair: Rig
@@ -207,7 +209,7 @@ class RelaySitlWorld:
         live.others.pop(name, None)
 
     def _close_flight(self, name: str, now_s: float) -> None:
-        """What one flight's autopilot leaves, before it is started anew."""
+        """Closes one flight: its autopilot's record goes to the monitors before it is started anew."""
         drone = self._drones[name]
         self._monitors.on_offboard(name, drone.cut_off_s)
         self._monitors.on_swap(name, now_s)

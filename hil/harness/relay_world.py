@@ -1,7 +1,7 @@
 """The world of a relay: drones by name on one field, and what the parts of one of them are connected to.
 
-A drone's parts are made once and stay open while its role changes: to its own vehicle and its own eyes it is always the
-receiver, who sees the other drone's marker when there is another drone.
+A drone's parts are made once and stay open while its role changes. To its own vehicle and its own camera it is always
+the receiver, who sees the other drone's marker when there is another drone.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ class RelayWorld(Fleet[str]):
             self.battery(drone.name, drone.battery)
 
     def switch_on(self, name: str) -> None:
-        """With a position solution of its own, which has not wandered yet."""
+        """Switches a drone on, with a position solution of its own that has not wandered yet."""
         self._sensors.begin_anew(self.names.index(name), self.config.estimator)
         self._drones[name].telemetry.clear()
         self.on.add(name)
 
     def swap(self, name: str) -> None:
-        """At its home, with a full battery, off; its autopilot will start anew."""
+        """Puts a drone at its home, with a full battery, off; its autopilot will start anew."""
         row, self._boots[name] = self.names.index(name), self._boots[name] + 1
         self._states[row] = at_home(self._homes[name], self.config.airframe.leg_m)
         self._commands[row] = 0.0
@@ -96,11 +96,11 @@ class RelayWorld(Fleet[str]):
 
     @property
     def batteries(self) -> tuple[float, ...]:
-        """In the order of ``names``."""
+        """The batteries in the order of ``names``."""
         return tuple(round(drone.autopilot.battery, 4) for drone in self._drones.values())
 
     def landed(self, name: str) -> bool:
-        """Whether it stands on the ground, its motors off."""
+        """Returns whether it stands on the ground, its motors off."""
         drone = self._drones[name]
         return drone.on_ground and not drone.autopilot.armed
 

@@ -235,13 +235,13 @@ async def _with_log(program: Awaitable[RoleResult], log: McapLog) -> RoleResult:
 
 
 def down(world: World, role: Role) -> bool:
-    """Whether a vehicle stands on the ground, disarmed."""
+    """Returns whether a vehicle stands on the ground, disarmed."""
     drone = world.drone(role)
     return drone.on_ground and not drone.autopilot.armed
 
 
 def mission_config(rig: Rig) -> MissionConfig:
-    """Has the limits that the monitors hold the mission to."""
+    """Returns the mission, with the limits that the monitors hold it to."""
     return decode_table(rig.mission, MissionConfig, rig.where("[mission]"))
 
 

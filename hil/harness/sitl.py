@@ -56,7 +56,7 @@ StartAttack = Callable[[float], Awaitable[Child]]
 
 @dataclass(slots=True)
 class _Run:
-    """What is known of a run while it goes on."""
+    """The state of a run while it goes on."""
 
     request: FlightRequest
     results: dict[Role, RoleResult] = field(default_factory=dict[Role, RoleResult])
@@ -215,7 +215,7 @@ class _Crew:
             await go_on(self.roles[fault.stops], fault.value)
 
     async def started_again(self, role: Role) -> bool:
-        """Once its program has ended: whether another one was started, as the fault that killed it wants."""
+        """Returns whether another program was started once a role's has ended, as the fault that killed it wants."""
         after_s = self._restart_s.pop(role, None)
         if after_s is None:
             return False
@@ -237,7 +237,10 @@ class _Crew:
 
 
 async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
-    """Until both role programs have ended: pass on their events, switch faults, stop them when told to."""
+    """Passes on the events of both role programs until they have ended.
+
+    Switches faults, and stops them when told to.
+    """
 
     def stop() -> None:
         run.interrupted = True
@@ -260,7 +263,7 @@ async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
                 return
 
     async def watch_record(role: Role) -> None:
-        """What a role writes down for a restart, as soon as it is there."""
+        """Watches what a role writes down for a restart, as soon as it is there."""
         file, seen = run.request.out / f"{role.value}.state.json", ""
         while trigger.waits_for_duty(role):
             duty = duty_of(file)
@@ -302,7 +305,10 @@ def _died(out: Path, role: Role) -> str:
 
 
 def _records(out: Path) -> Iterator[tuple[int, Role, LogRecord | None]]:
-    """What both roles logged, of all their programs; None where the log of one ends without an outcome: it died."""
+    """Yields both roles' log records, of all their programs.
+
+    None where the log of one ends without an outcome: it died.
+    """
     for role in Role:
         for part in parts(out, role.value):
             newest_ns, ended = 0, False

@@ -22,7 +22,7 @@ SHARES = ("loss", "duplicate", "corrupt", "reorder")
 
 @dataclass(frozen=True, slots=True)
 class LinkFaults:
-    """What happens to a packet; shares are 0..1 and independent of each other.
+    """The faults that a packet may meet; shares are 0..1 and independent of each other.
 
     Attributes:
         loss: share that never arrives.
@@ -62,11 +62,11 @@ class FaultyChannel:
         self._last_s = self._out_until_s = float("-inf")
 
     def interrupt(self, until_s: float) -> None:
-        """Nothing that is sent before passes."""
+        """Interrupts the channel: nothing that is sent before passes."""
         self._out_until_s = max(self._out_until_s, until_s)
 
     def arrivals(self, data: bytes, now_s: float) -> list[tuple[float, bytes]]:
-        """When, on the clock of ``now_s``, and as what a packet arrives: never, once or twice."""
+        """Returns when, on the clock of ``now_s``, and as what a packet arrives: never, once or twice."""
         faults, chance = self.faults, self._random.random
         arrivals: list[tuple[float, bytes]] = []
         if chance() < faults.loss or now_s < self._out_until_s:
@@ -103,7 +103,7 @@ def interrupt(channels: Iterable[FaultyChannel], seconds: float) -> None:
 
 
 def faulty_channel(seed: str, faults: Mapping[str, float]) -> FaultyChannel:
-    """For whoever knows the faults by name only. Raises ValueError, and TypeError for a name that there is not."""
+    """Returns the channel for faults by name. Raises ValueError, and TypeError for a name that there is not."""
     return FaultyChannel(seed, LinkFaults(**faults))
 
 
@@ -118,7 +118,7 @@ class MemoryHub:
 
     @property
     def faults(self) -> LinkFaults:
-        """Of both directions."""
+        """The faults of both directions."""
         return self._faults
 
     @faults.setter
@@ -128,7 +128,7 @@ class MemoryHub:
             channel.faults = faults
 
     def interrupt(self, seconds: float) -> None:
-        """Nothing that is sent within these seconds passes, either way."""
+        """Interrupts the link: nothing that is sent within these seconds passes, either way."""
         interrupt(self._channels.values(), seconds)
 
     def join(self, role: Role, end: MemoryLink) -> None:
@@ -141,7 +141,7 @@ class MemoryHub:
         self._ends.pop(role, None)
 
     def cut(self, role: Role) -> None:
-        """From now on nothing comes from or gets to this role: its program is dead."""
+        """Cuts a role off: from now on nothing comes from or gets to it, its program is dead."""
         self._cut.add(role)
 
     def mend(self, role: Role) -> None:
@@ -161,14 +161,14 @@ class MemoryHub:
 
 
 class HubHarness(Protocol):
-    """What the link needs of ``PartContext.harness``."""
+    """The part of ``PartContext.harness`` that the link needs."""
 
     @property
     def hub(self) -> MemoryHub: ...
 
 
 class HubContext(LinkContext, Protocol):
-    """What the link needs of ``PartContext``."""
+    """The part of ``PartContext`` that the link needs."""
 
     @property
     def harness(self) -> object | None: ...
@@ -263,7 +263,7 @@ class UdpFaultProxy:
 
     @property
     def faults(self) -> LinkFaults:
-        """Of both directions; may be changed while it runs."""
+        """The faults of both directions; may be changed while it runs."""
         return self._faults
 
     @faults.setter
@@ -273,7 +273,7 @@ class UdpFaultProxy:
             channel.faults = faults
 
     def interrupt(self, seconds: float) -> None:
-        """Nothing that is sent within these seconds passes, either way."""
+        """Interrupts the link: nothing that is sent within these seconds passes, either way."""
         interrupt(self._channels, seconds)
 
     async def __aenter__(self) -> Self:

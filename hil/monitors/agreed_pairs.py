@@ -1,4 +1,4 @@
-"""What the safety monitors make of a sender's agreeing pairs: the run under way, recounted from the records alone."""
+"""A sender's run of agreeing pairs as the safety monitors recount it, from the records alone."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class AgreedPairs:
 
     @property
     def full(self) -> bool:
-        """Whether the run is enough for a commit, by the gate of the rig."""
+        """Returns whether the run is enough for a commit, by the gate of the rig."""
         if self.method.gate == "evidence":
             own = self.method.evidence
             needed = math.log10(self.runs * (self.runs + 1) / own.alpha) if self.runs else math.inf

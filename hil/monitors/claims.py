@@ -1,4 +1,4 @@
-"""Who is responsible and until when, as the drones' records tell it.
+"""The claims of responsibility, and until when, as the drones' records tell them.
 
 A claim that has run out is none, whether or not its program was awake to say so (``path.protocol.values``).
 """
@@ -37,5 +37,5 @@ class Claims(Generic[Who]):
         self._until_s.pop(who, None)
 
     def holders(self, now_s: float) -> tuple[Who, ...]:
-        """Those whose claim holds at an instant."""
+        """Returns those whose claim holds at an instant."""
         return tuple(who for who, until_s in self._until_s.items() if now_s < until_s)

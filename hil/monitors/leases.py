@@ -53,7 +53,7 @@ class LeaseMonitor:
 
     @property
     def figures(self) -> dict[str, float]:
-        """What was timed, in s."""
+        """Returns what was timed, in s by name."""
         timed = {"commit_s": self.decision_s, "gap_s": self.gap_s}
         return {name: value for name, value in timed.items() if value is not None}
 
@@ -129,7 +129,7 @@ class LeaseMonitor:
             self.violated("L1", now_s, f"decided {waited_s:.2f} s after the COMMIT, the bound is {DECISION_S:.2f} s")
 
     def _on_gap(self, role: Role, before: bool, now_s: float) -> None:
-        """From the sender's release until somebody is responsible again."""
+        """Checks the gap from the sender's release until somebody is responsible again."""
         if self._claims.holders(now_s):
             if self._alone_s is not None:
                 alone_s, self._alone_s = now_s - self._alone_s, None

@@ -1,4 +1,4 @@
-"""What must never happen in a relay: the monitors of a handoff for each leg, and those of all drones together.
+"""The monitors of a relay: those of a handoff for each leg, and those of all drones together.
 
 Of all drones: at most one is responsible (S1), nobody is for no longer than lease, uncertainty and guard allow (L2),
 all that are in the air keep their separation (S9), none is below the reserve before it has landed, and who is
@@ -100,7 +100,7 @@ class RelayMonitors:
         self._flights[name] = _WatchedFlight(now_s)
 
     def on_swap(self, name: str, now_s: float) -> None:
-        """Before its autopilot is started anew."""
+        """Ends a drone's flight, before its autopilot is started anew."""
         flight, autopilot = self._flights.pop(name, None), self.world.drone(name).autopilot
         if flight is not None:
             self.flown.append(FlightTruth(name, flight.began_s, now_s, min(flight.battery, autopilot.battery)))
@@ -177,7 +177,7 @@ class RelayMonitors:
         )
 
     def findings(self) -> dict[str, Any]:
-        """After ``close``: those fields of a ``flight.harness.relay.RelayReport`` that say what was seen."""
+        """Returns what was seen, after ``close``, as fields of a ``flight.harness.relay.RelayReport``."""
         return {
             "violations": dict(self.violations),
             "notes": tuple(self.details),

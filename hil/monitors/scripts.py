@@ -1,12 +1,12 @@
-"""What no script may do, from true states and the roles' phases: S7 and S10.
+"""The monitors of what no script may do, from true states and the roles' phases: S7 and S10.
 
 S7 is held as far as it can be measured: while the camera of a drone whose mission goes on truly has the target's middle
 in its image, one such drone looks at its frames (a record of one, at most ``LOOKS_S`` old). A mission goes on from the
 moment a role follows the target, or searches for the other drone, until it departs, lands or its program dies.
 
 S10: once a pilot has the vehicle, no setpoint comes any more and no script changes the mode; once a pilot has stopped
-its motors, it is sent nothing and not armed again; below the battery's limit, or outside the fence, the mission ends.
-What was under way when it happened may still arrive.
+its motors, it is sent nothing and not armed again; once the autopilot itself holds it, no script flies it on; below the
+battery's limit, or outside the fence, the mission ends. What was under way when it happened may still arrive.
 """
 
 from __future__ import annotations
@@ -39,10 +39,12 @@ ENDING = frozenset(phase.title for phase in (Phase.DEPART, Phase.LAND, Phase.DON
 
 @dataclass(frozen=True, slots=True)
 class VehicleTruth:
-    """Of one vehicle, at an instant.
+    """The truth of one vehicle at an instant.
 
     Attributes:
+        armed: and no kill switch keeps the motors still.
         killed: the pilot has stopped the motors.
+        failsafe: the autopilot's own that has the vehicle; empty for none.
         setpoint_s: when the newest setpoint arrived, world's clock.
         position_n_m: true, north, east, down.
         sees_target: the target's middle is in its camera's image.
@@ -57,6 +59,7 @@ class VehicleTruth:
     setpoint_s: float
     position_n_m: Vec3
     sees_target: bool
+    failsafe: str = ""
 
 
 @dataclass(slots=True)
@@ -109,6 +112,7 @@ class ScriptMonitor:
         ruled = {
             "pilot": vehicle.armed and vehicle.pilot,
             "kill": vehicle.killed,
+            "failsafe": vehicle.armed and bool(vehicle.failsafe),
             "battery": vehicle.armed and vehicle.battery < limit.min_battery,
             "fence": vehicle.armed and outside,
         }
@@ -133,6 +137,9 @@ class ScriptMonitor:
         elif reason == "kill":
             if vehicle.armed or vehicle.setpoint_s > since_s + NOTICED_S:
                 self._once("S10", now_s, f"the {who}'s script flies a vehicle whose motors the pilot stopped")
+        elif reason == "failsafe":
+            if vehicle.mode is FlightMode.OFFBOARD or vehicle.setpoint_s > since_s + NOTICED_S:
+                self._once("S10", now_s, f"the {who}'s script flies on against its autopilot: {vehicle.failsafe}")
         elif vehicle.mode is FlightMode.OFFBOARD and self._phase[role] not in ENDING and self._phase[role]:
             self._once("S10", now_s, f"the {who}'s mission goes on against its limit: {reason}")
 
@@ -157,9 +164,10 @@ def vehicle_truth(autopilot: Autopilot, drone: DroneTruth, own: RoleRig, target:
     east, north, up = drone.T_w_b.t.tolist()
     return VehicleTruth(
         mode=autopilot.mode,
-        armed=autopilot.armed,
+        armed=autopilot.powered,
         pilot=autopilot.pilot_in_control,
         killed=autopilot.killed,
+        failsafe=autopilot.failsafe,
         battery=autopilot.battery,
         low_battery=autopilot.config.low_battery,
         setpoint_s=autopilot.newest_setpoint_s,
@@ -169,7 +177,7 @@ def vehicle_truth(autopilot: Autopilot, drone: DroneTruth, own: RoleRig, target:
 
 
 def pixel_of(drone: DroneTruth, own: RoleRig, thing: ObjectTruth) -> tuple[float, float]:
-    """Where an object's origin is in a drone's image; NaN behind the camera."""
+    """Returns the pixel of an object's origin in a drone's image; NaN behind the camera."""
     thing_b_m = drone.T_w_b.R.T @ (np.array(thing.position_w_m) - drone.T_w_b.t)
     thing_c_m = own.mount.T_b_c.R.T @ (thing_b_m - own.mount.T_b_c.t)
     return own.camera.project_point(tuple(thing_c_m.tolist()))

@@ -25,7 +25,7 @@ class TruthLog:
         self._shown: dict[Role, tuple[str, bool]] = {}
 
     def scene(self, rig: Rig, min_separation_m: float, clock_offset_ns: Mapping[Role, int]) -> None:
-        """What does not change: once, first."""
+        """Writes what does not change: once, first."""
         record = {
             "target_id": 0,
             "min_separation_m": min_separation_m,
@@ -37,7 +37,7 @@ class TruthLog:
         self._log.write("/scene", self._epoch_ns, record)
 
     def truth(self, world: World) -> None:
-        """Both bodies and every object, now."""
+        """Writes the poses of both bodies and of every object, now."""
         snapshot = world.snapshot()
         record: dict[str, Any] = {
             role.value: {**_pose(drone.T_w_b), "in_air": not world.drone(role).on_ground}
@@ -47,7 +47,7 @@ class TruthLog:
         self._log.write("/truth", self._epoch_ns + round(world.time_s * 1e9), record)
 
     def modes(self, world: World) -> None:
-        """What both autopilots do, whenever it changes."""
+        """Writes the modes of both autopilots, whenever they change."""
         for role in Role:
             autopilot = world.drone(role).autopilot
             shown = autopilot.mode.value, autopilot.armed

@@ -1,5 +1,8 @@
-"""Both drones' cycles of one Monte-Carlo hand-over: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle`` themselves,
-given frames and messages in the order of time, and a record of what D1's window was ran."""
+"""Both drones' cycles of one Monte-Carlo hand-over, and a record of what D1's window was given.
+
+``MarkerView``, ``ReceiverCycle`` and ``SenderCycle`` are the flight's own. They are given frames and messages in the
+order of time.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +64,7 @@ class _View:
 
 @dataclass(frozen=True, slots=True)
 class CyclesRun:
-    """What D1's window was told, and for how long.
+    """The entries that D1's window was given, and the time that was run.
 
     ``done``: the entry with which it was complete for the first time; None when it never was.
     """
@@ -72,7 +75,7 @@ class CyclesRun:
 
 
 def run_cycles(attempt: Attempt, setup: HandoverSetup, believed: Believed, method: MethodConfig) -> CyclesRun:
-    """Both cycles from the attempt's beginning until it is decided, or over."""
+    """Runs both cycles from the attempt's beginning until it is decided, or over."""
     cycles = _Cycles(setup, believed, method)
     kinds, which, now = setup.events
     events = list(zip(kinds.tolist(), which.tolist(), now.tolist(), strict=True))
@@ -119,7 +122,7 @@ class _Cycles:
         self.done: int | None = None
 
     def run(self, events: Sequence[tuple[int, int, int]], whole: bool) -> bool:
-        """What happens, in this order; True when the window is complete and nothing after it is asked for."""
+        """Runs these events in order. Returns True when the window is complete and nothing after it is asked for."""
         setup = self._setup
         for kind, which, now_ns in events:
             if kind == SENDER_FRAME:
@@ -138,7 +141,7 @@ class _Cycles:
         return False
 
     def hopeless(self, now_ns: int, limit_ns: int) -> bool:
-        """Whether no run can be long enough before the limit: not even one that goes on, or begins now."""
+        """Returns whether no run can be long enough before the limit: not even one that goes on, or begins now."""
         begin_ns = self._begin_ns if self._window.count else now_ns
         return begin_ns - SLACK_NS + self._hold_ns > limit_ns
 
@@ -186,7 +189,7 @@ class _Cycles:
             self.record.whose[candidate.sequence] = whose[candidate.box]
 
     def _motion(self, k: int, stamp_ns: int) -> VehicleMotions:
-        """What D2 has by its frame of how both vehicles move."""
+        """Returns D2's knowledge of both vehicles' motion by its frame."""
         seen = self._setup.seen
         last = int(seen.heard[k]) - 1
         peer = int(seen.peer_stamp[last]), _vector(seen.peer_velocity[last]), float(seen.peer_yaw[last])
@@ -194,7 +197,7 @@ class _Cycles:
 
 
 class _Record:
-    """What the gate is told, as a series: scores are those of both mappings, whatever the verdict.
+    """The gate's input as a series: scores are those of both mappings, whatever the verdict.
 
     ``whose``: object of D2's box by sequence; ``own_whose``: of D1's by frame.
     """

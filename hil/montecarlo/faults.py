@@ -22,7 +22,7 @@ MIXABLE: tuple[FaultName, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class HandoverFaults:
-    """When something goes wrong: rows (from, to) in s, and how much."""
+    """The faults of one hand-over: rows (from, to) in s, and how much."""
 
     hidden: Array
     flipped: Array
@@ -101,5 +101,5 @@ def _with_fault(faults: HandoverFaults, name: FaultName, rng: Generator) -> Hand
 
 
 def _of_one(spells: Array, rng: Generator) -> tuple[Array, Array]:
-    """Of one drone or the other."""
+    """Returns spells of one drone or the other."""
     return (spells, NEVER) if rng.random() < 0.5 else (NEVER, spells)

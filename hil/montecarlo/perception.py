@@ -140,7 +140,7 @@ def _boxes_of(camera, number, count, ids, boxes, extents, region, seen, rows, fo
 
 @inner
 def predicted(follower, at_s, point):
-    """Where the followed object is at an instant, into ``point``; its standard deviation per axis."""
+    """Fills ``point`` with the followed object's place at an instant; returns its standard deviation per axis."""
     dt = max(0.0, at_s - follower[AT])
     for i in range(3):
         point[i] = follower[POSITION + i] + dt * follower[VELOCITY + i]
@@ -220,7 +220,7 @@ def _chosen(found, many, u, v, gate, alone):
 
 @kernel
 def sees(lens, x, y, z):
-    """Whether the camera sees a point, and its pixel."""
+    """Returns whether the camera sees a point, and its pixel."""
     if not z > 0.1 or x * x + y * y > (lens[11] * z) ** 2:
         return False, 0.0, 0.0
     u, v = distorted(lens, x / z, y / z)
@@ -309,7 +309,7 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
 
 @inner
 def _shows(depth, depth_sigma, ray_x, ray_y, R_n_c, t_n_c, point, sigma):
-    """Whether a depth on a ray puts the object where it can be."""
+    """Returns whether a depth on a ray puts the object where it can be."""
     off2 = 0.0
     for i in range(3):
         along = R_n_c[i, 0] * ray_x + R_n_c[i, 1] * ray_y + R_n_c[i, 2]

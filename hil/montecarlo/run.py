@@ -58,7 +58,7 @@ class MonteCarloHandovers:
 
 
 def _result(attempt: Attempt, setup: HandoverSetup, ran: CyclesRun, method: MethodConfig) -> MonteCarloHandover:
-    """What came of an attempt by the paper's gate."""
+    """Returns the result of an attempt by the paper's gate."""
     series, done = ran.series, ran.done
     agrees = agreeing(series, method)
     misses = Counter(REASONS[code].value for code in series.reason[series.kind != PAIR].tolist())

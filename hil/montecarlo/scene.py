@@ -1,4 +1,4 @@
-"""What is drawn for one Monte-Carlo hand-over: who stands where, errors that last, what goes wrong and when.
+"""The draws for one Monte-Carlo hand-over: who stands where, errors that last, what goes wrong and when.
 
 Every group has its own stream of random numbers, so that one fault or another changes nothing else.
 """
@@ -43,7 +43,7 @@ CROSSING_PAST_M, CROSSING_MPS, CROSSING_HALF_S = (0.36, 0.40), 1.0, 3.5
 
 @dataclass(frozen=True, slots=True)
 class HandoverCalibration:
-    """What both drones believe of themselves."""
+    """The calibration that both drones believe of themselves."""
 
     camera_1: CameraModel
     camera_2: CameraModel
@@ -77,7 +77,7 @@ class Believed:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the drones hold: D1 from the target, D2's body from D1's, local NED; D1 heads north."""
+    """The places where the drones hold: D1 from the target, D2's body from D1's, local NED; D1 heads north."""
 
     sender_n_m: Array
     receiver_n_m: Array
@@ -122,7 +122,7 @@ class Things:
 
 @dataclass(frozen=True, slots=True)
 class LastingErrors:
-    """What differs from what is believed, for the whole attempt: the truth where it can be given."""
+    """The differences to what is believed, for the whole attempt: the truth where it can be given."""
 
     true: HandoverCalibration
     tilt_bias: Array  # (2, 3) of each drone's attitude estimate, rotation vector in the body
@@ -276,7 +276,7 @@ def _other_mount(T: Pose, rng: Generator) -> Pose:
 def _bias(
     attempt: Attempt, calibrated: HandoverCalibration, place: Place, things: Things, rng: Generator
 ) -> tuple[Array, Array]:
-    """What must be wrong with D2's pose, m and rad in its camera, for the prior to fall on the look-alike."""
+    """Returns the errors of D2's pose, m and rad in its camera, that put the prior on the look-alike."""
     wrong = attempt.wrong
     assert wrong is not None
     residual = wrong.residual_m * rng.standard_normal(3)

@@ -57,7 +57,7 @@ SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD = 0, 1, 2, 3  # what
 
 
 class HandoverViews(NamedTuple):
-    """What both cameras gave: see ``hil.montecarlo.perception``; numbers and stamps of the frames.
+    """The observations of both cameras: see ``hil.montecarlo.perception``; numbers and stamps of the frames.
 
     ``gravity_v``, ``gravity_c``: (n, 3) as each drone believes; ``R_n_c``: of D2's camera, (n, 3, 3).
     ``shift_c``, ``turn``: what D2's pose is off by, (3,) and (3, 3).
@@ -101,7 +101,7 @@ class Timed:
     heard_s: Array
 
     def until(self, time_s: float) -> Timed:
-        """Those taken before."""
+        """Returns the frames taken before an instant."""
         count = int(np.searchsorted(self.taken_s, time_s))
         return Timed(self.number[:count], self.taken_s[:count], self.done_s[:count], self.heard_s[:count])
 
@@ -194,7 +194,7 @@ class HandoverSetup:
         )  # fmt: skip
 
     def _room(self, frames_1: int, frames_2: int, most: int) -> tuple[Array, Array, Array, Whole]:
-        """For what will be seen, with what was seen already."""
+        """Returns arrays for what will be seen, with what was seen already."""
         own, markers = np.zeros((frames_1, OWN_COLUMNS)), np.zeros((frames_2, MARKER_COLUMNS))
         found, many = np.zeros((frames_2, most, FOUND_COLUMNS)), np.zeros(frames_2, np.int64)
         first, second = self._filled
@@ -205,7 +205,7 @@ class HandoverSetup:
         return own, markers, found, many
 
     def _reports(self, receiver: Timed) -> tuple[Array, Whole, Array, Array, Whole]:
-        """What both vehicles say of their motion, D1's yaw in it, and how much of it D2 has by each of its frames."""
+        """Returns both vehicles' reports of their motion, D1's yaw in it, and how many D2 has by each of its frames."""
         faults, motion = self.drawn.faults, self._motion
         said_s = np.arange(-2.0, self._horizon_s * STATUS_HZ) / STATUS_HZ
         heard = np.searchsorted(said_s + faults.delay_s + faults.jitter_s, receiver.done_s)
@@ -235,7 +235,7 @@ class HandoverSetup:
         return row
 
     def fill(self, until_s: float) -> None:
-        """What the cameras see of frames taken before ``until_s``."""
+        """Fills in the observations of frames taken before ``until_s``."""
         if until_s > self._horizon_s:
             self._prepare(self._limit_s)
         seen, (sender, receiver) = self.seen, self.frames
@@ -254,7 +254,7 @@ class HandoverSetup:
 
     @property
     def events(self) -> tuple[Whole, Whole, Whole]:
-        """What happens, to which frame, and when (ns), in the order of time."""
+        """Returns the kinds of events, their frames, and their instants (ns), in the order of time."""
         sender, receiver = self.frames
         when = (sender.done_s, sender.heard_s, receiver.done_s, receiver.heard_s)
         kinds = (SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD)
@@ -267,7 +267,7 @@ class HandoverSetup:
 
     @property
     def circumstances(self) -> Circumstances:
-        """In truth, at the beginning."""
+        """The true circumstances at the beginning."""
         things = self.flown_2.things[0]
         middle = np.array([things[0, 0], things[0, 1], TARGET_HEIGHT_M])
         true = self.drawn.errors.true
@@ -325,6 +325,6 @@ def _things(frames: Timed, drawn: Drawn) -> tuple[Array, Array]:
 
 
 def _flown(frames: Timed, poses: HandoverPoses, own: int, things: Array) -> CameraPath:
-    """Both bodies in the world, ENU."""
+    """Returns both bodies in the world, ENU."""
     R, t = ([P_W_N @ each for each in poses.R_n_b], [each @ P_W_N.T for each in poses.t_n])
     return CameraPath(frames.number, R[own], t[own], R[1 - own], t[1 - own], things)

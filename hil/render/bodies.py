@@ -1,4 +1,4 @@
-"""What stands and flies in the world: models at poses."""
+"""The bodies that stand and fly in the world: models at poses."""
 
 from __future__ import annotations
 

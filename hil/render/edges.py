@@ -101,7 +101,7 @@ def _nearest(local, number, ground_w, ray, du, dv, best, nearest):
 
 @inner
 def _over(primitives, p, x, y):
-    """Where on a face a ray meets it: (u, v)."""
+    """Returns the place on a face where a ray meets it: (u, v)."""
     z = 1.0 / (primitives[p, INVERSE_Z] * x + primitives[p, INVERSE_Z + 1] * y + primitives[p, INVERSE_Z + 2])
     u = (primitives[p, OVER_U] * x + primitives[p, OVER_U + 1] * y + primitives[p, OVER_U + 2]) * z
     v = (primitives[p, OVER_V] * x + primitives[p, OVER_V + 1] * y + primitives[p, OVER_V + 2]) * z

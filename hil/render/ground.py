@@ -49,7 +49,7 @@ def ground_plane(T_w_c: Pose) -> NDArray[np.float64]:
 
 @inner
 def _meet(plane, rx, ry, z_row, u_row, v_row, inverse_z):
-    """Where the rays of a row meet the ground, in tiles; 1/z is 0 above the horizon."""
+    """Computes where the rays of a row meet the ground, in tiles; 1/z is 0 above the horizon."""
     u0, u1, u2 = F(plane[0, 0]), F(plane[0, 1]), F(plane[0, 2])
     v0, v1, v2 = F(plane[1, 0]), F(plane[1, 1]), F(plane[1, 2])
     w0, w1, w2 = F(plane[2, 0]), F(plane[2, 1]), F(plane[2, 2])

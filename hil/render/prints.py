@@ -1,4 +1,4 @@
-"""What a marker's plate looks like when the print and the light on it are not ideal.
+"""The look of a marker's plate when the print and the light on it are not ideal.
 
 A plate is drawn as a table of shades of its paper, fine enough that its texels are far below a pixel. Truth does not
 change: the corners of a marker are where its edges were meant to be, whatever ink and shadow do to them.

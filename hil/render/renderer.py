@@ -108,7 +108,7 @@ class Renderer:
         return self.expose(self._image, key)
 
     def T_w_c(self, snapshot: Snapshot, role: Role) -> Pose:
-        """Where the camera of ``role`` is."""
+        """Returns the pose of the camera of ``role``."""
         return snapshot.drones[role].T_w_b @ self._T_b_c
 
     def stages(self, snapshot: Snapshot, role: Role, frame_seed: int) -> Iterator[str]:
@@ -120,7 +120,7 @@ class Renderer:
         self.expose(self._image, key)
 
     def key(self, role: Role, frame_seed: int) -> int:
-        """What selects the noise of one image."""
+        """Returns the key that selects the noise of one image."""
         return sensor.mixed(self.seed, list(Role).index(role), frame_seed)
 
     def draw(
@@ -212,7 +212,7 @@ def sense_depth(
 
 
 def pool_offset(key: int, number: int) -> int:
-    """Where the noise of an image begins in its pool."""
+    """Returns the place in its pool at which the noise of an image begins."""
     return (key >> (8 * number)) % sensor.POOL_MARGIN
 
 

@@ -1,4 +1,4 @@
-"""What the synthetic cameras see, as flat rectangles in the frames of the bodies they belong to.
+"""The bodies that synthetic cameras see, as flat rectangles in the frames of the bodies they belong to.
 
 Geometry is in metres. Faces that lie on each other keep at least 1 mm apart. Only what can be a target is saturated
 orange.

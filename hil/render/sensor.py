@@ -1,4 +1,4 @@
-"""What the sensor adds: optical blur, shot and read noise, noise and holes of the depth, quantisation."""
+"""The sensor's share of an image: optical blur, shot and read noise, noise and holes of the depth, quantisation."""
 
 # pyright: reportMissingParameterType=false
 # Kernels are typed by what they are first called with; their docstrings say what that is.

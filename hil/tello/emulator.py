@@ -50,7 +50,7 @@ class TelloEmulatorConfig:
 
 @dataclass(slots=True)
 class Faults:
-    """While set. ``deaf``: commands are lost; ``mute``: they are carried out, but not answered."""
+    """The faults while they are set. ``deaf``: commands are lost; ``mute``: they are carried out, but not answered."""
 
     no_state: bool = False
     garbled_state: bool = False
@@ -113,7 +113,7 @@ class TelloEmulator:
 
     @property
     def silent(self) -> bool:
-        """Nothing is sent, and whatever comes in is lost."""
+        """True while nothing is sent, and whatever comes in is lost."""
         return self._silent
 
     @silent.setter

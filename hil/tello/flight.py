@@ -1,4 +1,4 @@
-"""How an emulated Tello flies what it is told: automatic take-off and landing, sticks, relative moves."""
+"""The flight of an emulated Tello: automatic take-off and landing, sticks, relative moves."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ THERE_M, THERE_RAD = 0.08, math.radians(3.0)
 
 @dataclass(frozen=True, slots=True)
 class TelloMove:
-    """To a place (NED, m) and a heading."""
+    """A move to a place (NED, m) and a heading."""
 
     goal_n_m: Vec3
     yaw_rad: float
@@ -37,7 +37,10 @@ class TelloMove:
 
 
 def move_of(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float) -> TelloMove | str | None:
-    """What a command asks for, from where the drone is; the drone's refusal; None for a word that is no move."""
+    """Returns the move that a command asks for, from where the drone is; the drone's refusal.
+
+    None when it is no move.
+    """
     if word not in AXES and word not in TURNS:
         return None
     low, high = (1, 360) if word in TURNS else (20, 500)

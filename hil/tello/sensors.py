@@ -1,4 +1,4 @@
-"""What an emulated Tello says of itself: its state packets and the answers to queries, rounded as the real one's."""
+"""The words of an emulated Tello: its state packets and the answers to queries, rounded as the real one's."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class TelloSensors:
         )
 
     def answer(self, query: str) -> str | None:
-        """To a query about the drone itself; None for one that is none of these."""
+        """Returns the answer to a query about the drone itself; None for one that is none of these."""
         roll, pitch, yaw = self.attitude_deg()
         answers = {
             "battery?": f"{self._battery()}",

@@ -76,7 +76,7 @@ class TelloVideo:
 
     @property
     def rate_hz(self) -> float:
-        """At which ``write`` is to be called."""
+        """The rate at which ``write`` is to be called."""
         return self._config.rate_hz
 
     def start(self, host: str, to: Address) -> None:

@@ -1,4 +1,4 @@
-"""What a ``sitl`` world puts behind a rig whose drones are Tellos."""
+"""The emulated drones of a ``sitl`` world behind a rig whose drones are Tellos."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from path.messages import Role
 
 
 def is_tello(spec: PartSpec) -> bool:
-    """Whether a vehicle's spec names the Tello's driver."""
+    """Returns whether a vehicle's spec names the Tello's driver."""
     return spec.factory == "drivers.tello.vehicle:TelloVehicle"
 
 

@@ -95,7 +95,10 @@ class BoardPty:
             self._ends[1].cable.send(self._truth(now_s))
 
     def _truth(self, now_s: float) -> bytes:
-        """As PX4's SIH tells it: whole numbers, cut off towards zero; the body's origin where it touches the ground."""
+        """Returns the truth as PX4's SIH tells it.
+
+        Whole numbers, cut off towards zero; the body's origin where it touches the ground.
+        """
         north, east, down = self._drone.true_position_n_m
         down += self._leg_m
         latitude, longitude, altitude = self._tangent.to_global(north, east, down)
@@ -111,7 +114,10 @@ class BoardPty:
 
 
 def boards_of(rig: Rig, world: World, stack: ExitStack) -> list[BoardPty]:
-    """Both of a rig, behind the devices it names. Raises ValueError when it names none, OSError for a real one."""
+    """Returns both boards of a rig, behind the devices it names.
+
+    Raises ValueError when it names none, OSError for a real one.
+    """
     origin = rig.origin
     tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
     boards: list[BoardPty] = []

@@ -66,7 +66,10 @@ class UdpChannel:
             yield message
 
     def set_interval(self, message: int, interval_us: int, at_s: float) -> bool:
-        """As MAV_CMD_SET_MESSAGE_INTERVAL asks: 0 is the default rate, -1 ends the stream. False when refused."""
+        """Sets a stream's interval as MAV_CMD_SET_MESSAGE_INTERVAL asks: 0 is the default rate, -1 ends it.
+
+        False when refused.
+        """
         if message not in STREAMS or interval_us < -1:
             return False
         default_hz = STREAMS[message][1]

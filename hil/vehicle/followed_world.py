@@ -47,6 +47,7 @@ class RemoteAutopilot:
     """
 
     killed = False  # nobody has its kill switch
+    failsafe = ""  # its modes say no more than that they changed
     config = AutopilotConfig()  # of which the monitors ask at what battery it may land by itself
 
     def __init__(self, relay: MavlinkRelay | None, link: SimulatorLink) -> None:
@@ -59,13 +60,19 @@ class RemoteAutopilot:
         return self._cable.watch.armed
 
     @property
+    def powered(self) -> bool:
+        return self.armed
+
+    @property
     def mode(self) -> FlightMode:
         return self._cable.watch.mode
 
     @property
     def pilot_in_control(self) -> bool:
-        """Whether somebody else selects its mode: the harness has, as a second ground station, or it flies in one that
-        no script selects."""
+        """Returns whether somebody else selects its mode.
+
+        The harness does, as a second ground station, or it flies in a mode that no script selects.
+        """
         return self.armed and (self._taken or self.mode is FlightMode.OTHER)
 
     @property
@@ -85,7 +92,7 @@ class RemoteAutopilot:
         return self._cable.watch.setpoint_gap_s
 
     def request_mode(self, now_s: float, mode: FlightMode, by_pilot: bool = False) -> None:
-        """Only a pilot's change can be asked for."""
+        """Changes the mode as a pilot; nobody else's change can be asked for."""
         del now_s, mode
         assert by_pilot
         self._taken = True
@@ -102,8 +109,10 @@ class SimulatedVehicle:
     def __init__(
         self, rig: Rig, role: Role, config: SimulatorConfig, world: WorldConfig, folder: Path, seed: int = 0
     ) -> None:
-        """``seed``: of what the receiver's position is wrong by. Raises PartError when a port is taken or the
-        simulator was not named."""
+        """Raises PartError when a port is taken or the simulator was not named.
+
+        ``seed``: of what the receiver's position is wrong by.
+        """
         options = rig.role(role).vehicle.options
         self.sysid = int(options["sysid"])
         self.config = config
@@ -146,7 +155,7 @@ class SimulatedVehicle:
 
     @silent.setter
     def silent(self, silent: bool) -> None:
-        """Only where the harness has the cable in its hands."""
+        """Silences the cable, where the harness has it in its hands."""
         if self.relay is not None:
             self.relay.silent = silent
 
@@ -185,7 +194,7 @@ class SimulatedVehicle:
             raise SimulatorBroken(f"{self.config.kind} of vehicle {self.sysid} told no truth for {silent_s:.1f} s")
 
     def waits_for(self) -> list[str]:
-        """What it lacks until a mission may start."""
+        """Returns what it lacks until a mission may start."""
         self.pump(0.0)
         missing = self.link.missing
         if not missing and self.config.on_board:
@@ -217,7 +226,7 @@ class SimulatedVehicle:
         )
 
     def not_ready(self, missing: list[str], after_s: float) -> SimulatorBroken:
-        """What is said of one that does not become ready."""
+        """Returns the error of a simulator that does not become ready."""
         said = " | ".join(self.link.texts[-3:]) or (self._process.last_words() if self._process else "nothing")
         return SimulatorBroken(
             f"{self.config.kind} of vehicle {self.sysid} not ready after {after_s:.0f} s: waiting for "
@@ -237,7 +246,7 @@ class FollowedWorld(World):
         }
 
     def advance(self, to_s: float) -> None:
-        """To where the simulators say the drones are at ``to_s``."""
+        """Advances to where the simulators say the drones are at ``to_s``."""
         if to_s < self.time_s:
             raise ValueError(f"the world is at {self.time_s} s and cannot go back to {to_s} s")
         for i, vehicle in enumerate(self._vehicles.values()):
@@ -252,7 +261,7 @@ class FollowedWorld(World):
 
 @dataclass(frozen=True, slots=True)
 class Readiness:
-    """How long each simulator took until it could fly."""
+    """The time that each simulator took until it could fly."""
 
     seconds: Mapping[Role, float]
 

@@ -17,6 +17,7 @@ from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.link.key import signing_time
 from drivers.mavlink.geodesy import LocalTangent
 from hil.autopilot.autopilot import Ack
+from hil.autopilot.radio import CHANNELS
 from hil.vehicle.channel import Address, UdpChannel
 from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, FlightInstant, MavlinkDrone
 from hil.vehicle.parameters import Parameters
@@ -34,7 +35,7 @@ IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW = 0b111, 0b111000, 1 << 10
 
 @dataclass(frozen=True, slots=True)
 class MavlinkVehicleConfig:
-    """Where a vehicle is on the wire.
+    """The place of a vehicle on the wire.
 
     Attributes:
         sysid: its MAVLink system id.
@@ -93,7 +94,7 @@ class MavlinkVehicle:
 
     @property
     def address(self) -> Address:
-        """Where it listens itself, for a second ground station."""
+        """The address at which it listens itself, for a second ground station."""
         return self._channels[0].address
 
     def close(self) -> None:
@@ -114,6 +115,10 @@ class MavlinkVehicle:
             self._send_due(flight)
 
     # --- out ---
+
+    def send_raw(self, packet: bytes) -> None:
+        """A packet from the vehicle's own address that is not its own, as a forger would send it."""
+        self._channels[0].send(packet)
 
     def _send(self, channel: UdpChannel, message: Any, to: Address | None = None) -> None:
         packet = message.pack(self._mav)
@@ -182,6 +187,9 @@ class MavlinkVehicle:
             flight.autopilot.companion_heard(flight.now_s)
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self._send(channel, mavlink.MAVLink_timesync_message(round(flight.now_s * 1e9) + 1, message.ts1), sender)
+        elif kind == "RC_CHANNELS_OVERRIDE":
+            channels = [getattr(message, f"chan{number}_raw") for number in range(1, CHANNELS + 1)]
+            flight.autopilot.radio.override(flight.now_s, channels)
         elif kind.startswith("PARAM_"):
             for answer in self._parameters.answer(message):
                 self._send(channel, answer, sender)
@@ -236,7 +244,7 @@ class MavlinkVehicle:
         return _not_now(flight.autopilot.request_arm(flight.now_s, arm == 1, message.param2 == FORCE_MAGIC))
 
     def _take_off(self, flight: FlightInstant, message: Any) -> int:
-        """Without an altitude, and MAVSDK gives none, the height is MIS_TAKEOFF_ALT over home."""
+        """Takes off. Without an altitude, and MAVSDK gives none, the height is MIS_TAKEOFF_ALT over home."""
         home, altitude_m = flight.autopilot.home_n_m, float(getattr(message, "param7", math.nan))
         height_m = self._parameters.take_off_m
         if home is not None and math.isfinite(altitude_m):
@@ -280,5 +288,5 @@ def _result(ack: Ack) -> int:
 
 
 def _not_now(ack: Ack) -> int:
-    """As PX4 answers what it would do another time: arming, disarming, a mode."""
+    """Returns PX4's answer to what it would do another time: arming, disarming, a mode."""
     return ACCEPTED if ack.accepted else NOT_NOW

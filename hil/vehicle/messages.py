@@ -46,7 +46,7 @@ FULL_MV, EMPTY_MV = 16_800, 13_200  # four lithium cells
 
 
 class MavlinkDrone(Protocol):
-    """What of a simulated drone is seen on the wire: ``hil.world.world.SimDrone``."""
+    """The part of a simulated drone that is seen on the wire: ``hil.world.world.SimDrone``."""
 
     @property
     def autopilot(self) -> Autopilot: ...
@@ -67,7 +67,7 @@ class FlightInstant:
 
     @property
     def boot_ms(self) -> int:
-        """Of the estimate, which may be older than the message."""
+        """The time of the estimate since the start, ms; it may be older than the message."""
         return int(self.estimate.time_s * 1e3) & 0xFFFFFFFF
 
     @property
@@ -86,6 +86,8 @@ def heartbeat(flight: FlightInstant) -> Any:
     if autopilot.armed:
         base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
     status = mavlink.MAV_STATE_STANDBY if autopilot.landed else mavlink.MAV_STATE_ACTIVE
+    if autopilot.killed:
+        status = mavlink.MAV_STATE_FLIGHT_TERMINATION
     kind, make = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4
     return mavlink.MAVLink_heartbeat_message(kind, make, base, CUSTOM_MODES[autopilot.mode], status, 3)
 
@@ -102,10 +104,21 @@ def sys_status(flight: FlightInstant) -> Any:
         healthy |= mavlink.MAV_SYS_STATUS_SENSOR_GPS
     if autopilot.armable or autopilot.armed:
         healthy |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    there = _WATCHED
+    if autopilot.radio_heard:
+        there |= mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+    healthy |= there & mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
     millivolts, percent = _voltage_mv(autopilot), round(autopilot.battery * 100.0)
-    return mavlink.MAVLink_sys_status_message(
-        _WATCHED, _WATCHED, healthy, 200, millivolts, -1, percent, 0, 0, 0, 0, 0, 0
-    )
+    return mavlink.MAVLink_sys_status_message(there, there, healthy, 200, millivolts, -1, percent, 0, 0, 0, 0, 0, 0)
+
+
+def rc_channels(flight: FlightInstant) -> Any:
+    """The newest that the receiver heard, however long ago; without signal strength once it is gone."""
+    radio = flight.autopilot.radio
+    values = [*radio.channels, *([0xFFFF] * (18 - len(radio.channels)))]
+    strength = 254 if flight.autopilot.radio_heard else 0
+    message: Any = mavlink.MAVLink_rc_channels_message
+    return message(flight.boot_ms, len(radio.channels), *values, strength)
 
 
 def gps_raw_int(flight: FlightInstant) -> Any:
@@ -133,7 +146,7 @@ def local_position_ned(flight: FlightInstant) -> Any:
 
 
 def global_position_int(flight: FlightInstant) -> Any | None:
-    """Only once there is a global position, like the real one."""
+    """Returns the global position, only once there is one, like the real vehicle."""
     home = flight.autopilot.home_n_m
     if home is None:
         return None
@@ -187,6 +200,7 @@ STREAMS: dict[int, tuple[Callable[[FlightInstant], Any | None], float]] = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (attitude_quaternion, 30.0),
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (local_position_ned, 30.0),
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (global_position_int, 10.0),
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: (rc_channels, 5.0),
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: (battery_status, 0.5),
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: (home_position, 0.5),
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (extended_sys_state, 5.0),

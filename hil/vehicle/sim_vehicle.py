@@ -27,7 +27,7 @@ SETPOINT_PERIOD_S = 0.05  # while the vehicle has not shown OFFBOARD yet
 
 
 class WorldHarness(Protocol):
-    """What the vehicle needs of ``PartContext.harness``.
+    """The part of ``PartContext.harness`` that the vehicle needs.
 
     ``world`` is at the loop's present whenever it is read; the vehicles of the roles in ``silent_vehicles`` have lost
     the link to their flight controller.
@@ -107,7 +107,7 @@ class SimVehicle:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
-        """Without setpoints the autopilot holds, then lands."""
+        """Closes the vehicle. Without setpoints the autopilot holds, then lands."""
         self._open = False
 
     # --- telemetry ---
@@ -218,6 +218,8 @@ class SimVehicle:
             if self.state.armed:
                 said = f"take-off ended on the way: mode {self.state.mode.value}"
                 raise TakenOver(said, "the pilot has control, or a failsafe acted")
+            if self._beat is not None and self._beat.killed:
+                raise TakenOver("take-off ended on the way: the motors were stopped", "the pilot's kill switch")
             raise VehicleError("take-off ended on the way: disarmed", "see why it disarmed")
 
     async def start_offboard(self, first: VelocitySetpoint) -> None:
@@ -307,7 +309,7 @@ class SimVehicle:
             await asyncio.sleep(SETPOINT_PERIOD_S)
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Whether the condition came true in time. Raises VehicleError when the vehicle falls silent."""
+        """Returns whether the condition came true in time. Raises VehicleError when the vehicle falls silent."""
 
         def alive_and_true() -> bool:
             self._check_alive()

@@ -54,8 +54,11 @@ class SimulatorLink:
         follower: TruthFollower,
         placed_later: bool = False,
     ) -> None:
-        """``port``: where it listens, or the URL of a serial port. ``placed_later``: only the mission's own parts tell
-        it where it is, so that it cannot be ready before. Raises OSError, PartError when the port is taken."""
+        """Raises OSError, PartError when the port is taken.
+
+        ``port``: where it listens, or the URL of a serial port. ``placed_later``: only the mission's own parts tell it
+        where it is, so that it cannot be ready before.
+        """
         self._placed_later = placed_later
         self._readiness = (mavlink.MAVLINK_MSG_ID_ATTITUDE, *READINESS) if placed_later else READINESS
         self._kind: Kind = kind
@@ -81,7 +84,7 @@ class SimulatorLink:
 
     @property
     def missing(self) -> list[str]:
-        """What it still lacks before a mission may start; empty when it is ready."""
+        """Returns what it still lacks before a mission may start; empty when it is ready."""
         wanted = {
             "heartbeat": mavlink.MAVLINK_MSG_ID_HEARTBEAT,
             "local position": mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
@@ -127,7 +130,7 @@ class SimulatorLink:
             self._command(mavlink.MAV_CMD_BATTERY_RESET, 1.0, 100.0 * fraction)
 
     def pilot_takes_over(self) -> None:
-        """As a second ground station."""
+        """Changes the mode as a second ground station."""
         self._command(DO_SET_MODE, float(CUSTOM_MODE_ENABLED), *PILOT_MODE[self._kind])
 
     def set_parameter(self, name: str, value: float) -> None:

@@ -60,7 +60,7 @@ class NoBinary(PartError):
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """Where a simulated vehicle stands when it starts; altitude above mean sea level, heading from north."""
+    """The place where a simulated vehicle starts; altitude above mean sea level, heading from north."""
 
     latitude_deg: float
     longitude_deg: float

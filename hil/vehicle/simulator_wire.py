@@ -1,4 +1,4 @@
-"""What the harness's connection to a simulation runs over: UDP to a program, a serial port to a flight controller."""
+"""The wires of the harness's connection to a simulation: UDP to a program, a serial port to a flight controller."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Wire(Protocol):
 
     @property
     def met(self) -> bool:
-        """Whether there is somebody to write to."""
+        """Returns whether there is somebody to write to."""
         ...
 
 

@@ -24,7 +24,7 @@ ROTOR_RADPS = 380.0
 
 @dataclass(frozen=True, slots=True)
 class TrueMotion:
-    """What is true but for the position, at ``time_s``: velocity NED, attitude body to NED, body rates."""
+    """The true motion but for the position, at ``time_s``: velocity NED, attitude body to NED, body rates."""
 
     time_s: float
     velocity_n_mps: Vec3
@@ -91,8 +91,10 @@ class TruthFollower:
             self._ground_m = self._position[2]
 
     def row(self, time_s: float) -> Array:
-        """A state row of ``hil.world.dynamics`` at ``time_s``, carried on from the newest motion. Only when
-        ``ready``."""
+        """Returns a state row of ``hil.world.dynamics`` at ``time_s``, carried on from the newest motion.
+
+        Only when ``ready``.
+        """
         motion = self._motion
         assert motion is not None and self._ground_m is not None
         late_s = max(0.0, time_s - motion.time_s)

@@ -1,4 +1,4 @@
-"""What is checked of a rig's ``[world]`` before anything moves."""
+"""The checks of a rig's ``[world]`` before anything moves."""
 
 from __future__ import annotations
 

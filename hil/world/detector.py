@@ -1,4 +1,4 @@
-"""What detectors get wrong at level ``sim``, beside the noise of their boxes: misses in spells, and inventions."""
+"""The errors of detectors at level ``sim``, beside the noise of their boxes: misses in spells, and inventions."""
 
 from __future__ import annotations
 

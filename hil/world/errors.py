@@ -100,7 +100,7 @@ def sizes_of(level: ErrorLevel) -> ErrorSizes:
 
 
 def level_of(rig: Rig) -> ErrorLevel:
-    """What the world of a rig is drawn with."""
+    """Returns the level of errors that the world of a rig is drawn with."""
     return rig.world.get("errors", {}).get("level", ErrorsConfig().level)
 
 
@@ -112,7 +112,7 @@ def reported(rig: Rig) -> dict[str, str | float]:
 
 @dataclass(frozen=True, slots=True)
 class SensorErrors:
-    """Of one drone's camera, for one flight; nothing by default.
+    """The errors of one drone's camera for one flight; none by default.
 
     Attributes:
         depth: factor on every depth; ``depth_bias_m`` comes on top.
@@ -147,21 +147,21 @@ class Built:
 
 
 class StampErrors:
-    """What one camera's stamps are off by, frame after frame. Never so much that they would run backwards."""
+    """The errors of one camera's stamps, frame after frame. Never so much that they would run backwards."""
 
     def __init__(self, sensor: SensorErrors, rate_hz: float) -> None:
         self._sensor, self._most_s = sensor, 0.45 / rate_hz
         self._random = np.random.default_rng(sensor.seed)
 
     def next_ns(self) -> int:
-        """Of the next frame: its stamp less the instant at which it was taken."""
+        """Returns the next frame's stamp less the instant at which it was taken."""
         sensor = self._sensor
         jitter_s = sensor.stamp_jitter_s * self._random.standard_normal() if sensor.stamp_jitter_s else 0.0
         return round(1e9 * (sensor.stamp_late_s + min(max(jitter_s, -self._most_s), self._most_s)))
 
 
 def as_built(rig: Rig, seed: int, drones: Mapping[Role, int] | None = None) -> Built:
-    """What a flight's errors make of a rig, by its level and seed.
+    """Returns a rig as a flight's errors make it, by its level and seed.
 
     Args:
         drones: number of the drone in each role, where there are more than two: each has errors of its own.
@@ -197,7 +197,7 @@ def other_lens(camera: CameraModel, sizes: ErrorSizes, rng: Generator) -> Camera
 
 
 def other_mount(T: Pose, sizes: ErrorSizes, rng: Generator) -> Pose:
-    """Where a part truly is on its drone."""
+    """Returns the true pose of a part on its drone."""
     turn = exp(math.radians(sizes.mount_deg) * rng.standard_normal(3))
     return Pose(T.R @ turn, T.t + sizes.mount_m * rng.standard_normal(3))
 
@@ -213,7 +213,7 @@ def other_print(layout: MarkerLayout, sizes: ErrorSizes, rng: Generator) -> Mark
 
 
 def draw_sensor(sizes: ErrorSizes, rng: Generator) -> SensorErrors:
-    """What one camera, its depth and its detector do wrong for a whole flight."""
+    """Returns the errors of one camera, its depth and its detector for a whole flight."""
     depth, bias, depth_late, stamp_late, *edges = rng.standard_normal(8).tolist()
     left, top, right, bottom = (sizes.edge_px * edge for edge in edges)
     return SensorErrors(

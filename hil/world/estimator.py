@@ -71,7 +71,7 @@ class EstimatorConfig:
             raise ValueError("standard deviations and times must not be negative")
 
     def times(self, sizes: ErrorSizes) -> EstimatorConfig:
-        """With its attitude as much worse or better as the table of errors says."""
+        """Returns the estimator with its attitude as much worse or better as the table of errors says."""
         return replace(
             self,
             tilt_bias_deg=sizes.tilt_bias * self.tilt_bias_deg,

@@ -50,7 +50,7 @@ class FaultKind:
 
     @property
     def moments(self) -> tuple[str, ...]:
-        """What may stand behind the ``@``: phases of a course, and what the hand-over's records say."""
+        """The moments that may stand behind the ``@``: phases of a course, and what the hand-over's records say."""
         phases = (*COURSE[self.followed], Phase.MISSION)
         return tuple(phase.title for phase in phases) + DUTIES[self.followed]
 
@@ -114,6 +114,16 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("fc_link_loss", Role.RECEIVER, "no", "the receiver's flight controller falls silent"),
         FaultKind("pilot_takeover", Role.RECEIVER, "no", "the receiver's pilot changes the mode"),
         FaultKind("motor_kill", Role.RECEIVER, "no", "the receiver's pilot stops the motors in the air"),
+        *(
+            FaultKind(f"{name}_{role.value}", role, value, meaning.format(role.value), most=LONGEST_S)
+            for name, value, meaning in (
+                ("rc_mode", "no", "the {}'s pilot turns the transmitter's mode switch"),
+                ("rc_kill", "no", "the {}'s pilot throws the transmitter's kill switch"),
+                ("rc_sticks", "no", "the {}'s pilot grabs the sticks"),
+                ("rc_lost", "may", "the {}'s transmitter falls silent, for so many seconds"),
+            )
+            for role in Role
+        ),
         FaultKind("battery_sag", Role.SENDER, "may", "the sender's battery drops to this share, or to 15 %"),
     )
 }  # fmt: skip
@@ -189,7 +199,7 @@ class FaultTrigger:
         return self._take(lambda fault: fault.kind.followed is role and fault.moment == duty)
 
     def waits_for_duty(self, role: Role) -> bool:
-        """Whether ``on_duty`` can still bring something about."""
+        """Returns whether ``on_duty`` can still bring something about."""
         return any(fault.kind.followed is role and fault.moment in DUTIES[role] for fault in self._waiting)
 
     def _take(self, due: Callable[[Fault], bool]) -> list[Fault]:

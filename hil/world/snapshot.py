@@ -42,7 +42,7 @@ class Snapshot:
     detector: DetectorConfig = PERFECT
 
     def carried_on(self, by_s: float) -> Snapshot:
-        """As it will be, or was, some milliseconds from then: everything moves on with its velocity."""
+        """Returns the snapshot some milliseconds later or earlier: everything moves on with its velocity."""
         drones = {
             role: replace(drone, T_w_b=Pose(drone.T_w_b.R, drone.T_w_b.t + by_s * np.array(drone.velocity_w_mps)))
             for role, drone in self.drones.items()

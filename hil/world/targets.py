@@ -149,7 +149,10 @@ class GroundVehicles:
         )
 
     def _driven(self, time_s: float) -> tuple[float, float]:
-        """How far along the loop everything has driven, and how fast: a smooth start, then steadily, or to and fro."""
+        """Returns how far along the loop everything has driven, and how fast.
+
+        A smooth start, then steadily, or to and fro.
+        """
         since = (time_s - self._config.start_time_s) / RAMP_S
         speed = self._config.speed_mps
         if since <= 0.0:
@@ -211,7 +214,10 @@ class GroundVehicles:
 
 
 def _driving(loop: Loop, config: LookAlikeConfig) -> list[float]:
-    """How far along the loop from the target each driving look-alike keeps: behind, ahead, further behind, ..."""
+    """Returns how far along the loop from the target each driving look-alike keeps.
+
+    Behind, ahead, further behind, ...
+    """
     apart: list[float] = []
     for k in range(config.driving):
         side, gap = (-1.0 if k % 2 == 0 else 1.0), config.min_distance_m * (1.2 + k // 2)

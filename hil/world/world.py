@@ -51,7 +51,7 @@ Name = TypeVar("Name", bound=Hashable)
 
 @dataclass(frozen=True, slots=True)
 class HomeConfig:
-    """Where a drone stands at the start: (E, N) in m, nose direction clockwise from north."""
+    """The place of a drone at the start: (E, N) in m, nose direction clockwise from north."""
 
     position_m: Annotated[Point, Bounds(-1000, 1000)] = (0.0, 0.0)
     heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
@@ -59,7 +59,7 @@ class HomeConfig:
 
 @dataclass(frozen=True, slots=True)
 class PositionOffsetConfig:
-    """How far apart the drones' positions are from the start, besides the errors of their estimators.
+    """The offset of the drones' positions from the start, besides the errors of their estimators.
 
     The receiver's is the one that is off, in a direction drawn by seed; upward or downward likewise.
     """
@@ -104,7 +104,7 @@ class WorldConfig:
 
 
 class VehicleTelemetry(NamedTuple):
-    """What a drone could say of itself at one tick."""
+    """A drone's words about itself at one tick."""
 
     time_s: float
     estimate: Estimate
@@ -113,6 +113,7 @@ class VehicleTelemetry(NamedTuple):
     landed: bool
     armable: bool
     battery: float
+    killed: bool = False
 
 
 class SimDrone:
@@ -155,7 +156,9 @@ class SimDrone:
         n, e, d, vn, ve, vd, w, x, y, z = row
         self.estimate = Estimate(time_s, (n, e, d), (vn, ve, vd), (w, x, y, z))
         own = self.autopilot
-        said = VehicleTelemetry(time_s, self.estimate, own.mode, own.armed, own.landed, own.armable, own.battery)
+        said = VehicleTelemetry(
+            time_s, self.estimate, own.mode, own.powered, own.landed, own.armable, own.battery, own.killed
+        )
         self.telemetry.append(said)
 
     def command(self, time_s: float) -> tuple[float, ...]:
@@ -167,8 +170,9 @@ class SimDrone:
 
 
 class Fleet(Generic[Name]):
-    """Drones by name with their autopilots, and the traffic on the ground, as a function of the seed and of what the
-    autopilots are told.
+    """Drones by name with their autopilots, and the traffic on the ground.
+
+    All is a function of the seed and of what the autopilots are told.
     """
 
     def __init__(
@@ -237,10 +241,13 @@ class Fleet(Generic[Name]):
             self._commands[i] = drone.command(self._step / STEP_HZ)
 
     def _changed(self) -> None:
-        """What was worked out of the truth as it was is of no use any more."""
+        """Drops what was worked out of the truth before it changed."""
 
     def truths(self) -> dict[Name, DroneTruth]:
-        """Of every drone at ``time_s``; between two physics steps they are carried on by their velocities."""
+        """Returns the truth of every drone at ``time_s``.
+
+        Between two physics steps it is carried on by its velocity.
+        """
         poses = np.empty((len(self._drones), 12))
         poses_w(self._states, self._late_s(), poses)
         return {
@@ -252,7 +259,7 @@ class Fleet(Generic[Name]):
         }  # fmt: skip
 
     def _late_s(self) -> float:
-        """From the time of the state rows to ``time_s``."""
+        """Returns the time from the state rows to ``time_s``, s."""
         return self.time_s - self._step / STEP_HZ
 
     # --- faults ---
@@ -273,7 +280,7 @@ class Fleet(Generic[Name]):
         self._changed()
 
     def begin_traffic(self) -> None:
-        """From now on the time of what is on the ground runs, if it was held."""
+        """Lets the time of what is on the ground run from now on, if it was held."""
         self._traffic_began_s = min(self._traffic_began_s, self.time_s)
         self._changed()
 

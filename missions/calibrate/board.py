@@ -36,7 +36,10 @@ def board_of(options: BoardOptions) -> Board:
 
 
 def otherwise(board: Board) -> Board:
-    """What a board often is that is not found as named: of the other ChArUco pattern; counted by its inner corners."""
+    """Returns the board that one not found as named often is.
+
+    Of the other ChArUco pattern, or counted by its inner corners.
+    """
     if board.pattern == "charuco":
         return replace(board, legacy=not board.legacy)
     return replace(board, columns=board.columns + 1, rows=board.rows + 1)

@@ -35,7 +35,7 @@ class CollectedImage:
 
 @dataclass(slots=True)
 class Collected:
-    """What a source gave. ``sample``: an image for pictures and for telling what else is in it."""
+    """The views that a source gave. ``sample``: an image for pictures and for telling what else is in it."""
 
     looks: list[CollectedImage] = field(default_factory=list[CollectedImage])
     sample: Image | None = None

@@ -23,7 +23,7 @@ LIGHT = "is the whole board in the image, lit evenly, sharp, with a white border
 
 
 def what_else(grey: NDArray[np.uint8] | None, board: Board) -> tuple[str, str]:
-    """What was found in place of the board, and what to do."""
+    """Returns what was found in place of the board, and what to do."""
     nothing = f"no image shows the board ({board.text})"
     if grey is None:
         return nothing, "name images of the board"

@@ -50,7 +50,7 @@ SIDE_SIGMAS = 4.0
 
 @dataclass(frozen=True, slots=True)
 class MeasuredSigma:
-    """How well a tape measure and a protractor were read, one standard deviation per axis."""
+    """The accuracy of a tape measure and a protractor, one standard deviation per axis."""
 
     position_m: Annotated[float, Bounds(0.0, 1.0, above=True)]
     angle_deg: Annotated[float, Bounds(0.0, 90.0, above=True)]

@@ -1,4 +1,4 @@
-"""Picture of a calibration: where the corners were, what the camera leaves of them, and how the board was held."""
+"""Picture of a calibration: where the corners were, their residuals, and how the board was held."""
 
 from __future__ import annotations
 

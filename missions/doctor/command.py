@@ -135,7 +135,7 @@ def check_opencv() -> Finding:
 
 
 def uses(rig: str, factory: str) -> bool:
-    """Whether a camera of the rig is of this kind; not when the rig cannot be read, which is said elsewhere."""
+    """Returns whether a camera of the rig is of this kind; not when the rig cannot be read, which is said elsewhere."""
     try:
         loaded = rig_library.load(rig)
     except RigError:
@@ -153,7 +153,7 @@ def check_realsense(*, needed: bool) -> Finding:
 
 
 def check_kernel_cache() -> Finding:
-    """Where numba keeps what it compiled: without such a place no command starts."""
+    """Finds where numba keeps what it compiled: without such a place no command starts."""
     wanted = os.environ.get(VARIABLE)
     folders = (Path(wanted),) if wanted else usual_folders()
     for folder in folders:

@@ -14,7 +14,7 @@ WAIT_S, POLL_S = 5.0, 0.01
 
 
 class Watching(Part, Protocol):
-    """What the test needs of a ``drivers.mavlink.guard_interfaces.Watched``."""
+    """The part of a ``drivers.mavlink.guard_interfaces.Watched`` that the test needs."""
 
     @property
     def name(self) -> str: ...

@@ -35,7 +35,7 @@ class PartTest:
 
 
 def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
-    """In the order in which a flight opens the parts. Raises RigError."""
+    """Yields the tests in the order in which a flight opens the parts. Raises RigError."""
     own, context = rig.role(role), part_context(rig, role)
     min_battery = mission_of(rig).guard.min_battery
     layout = rig.layout if role is Role.RECEIVER else None
@@ -80,7 +80,7 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
 
 
 def detector_of(perception: PartSpec) -> tuple[PartSpec, float | None] | None:
-    """The detector within an eye, and the rate of its camera as far as the rig sets it."""
+    """The detector within a perception, and the rate of its camera as far as the rig sets it."""
     _, config = decode_part(perception)
     detector: Any = getattr(config, "detector", None)
     if not isinstance(detector, PartSpec):

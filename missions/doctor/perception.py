@@ -1,4 +1,4 @@
-"""The short test of a role's eye: frames for two seconds, and what is found in the last of them."""
+"""The short test of a role's perception: frames for two seconds, and what is found in the last of them."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def missed(sample: FrameSample) -> Finding:
 
 
 def age(sample: FrameSample) -> Finding:
-    """How old frames are when they come: what is below zero or very old is stamped by another clock."""
+    """Finds how old frames are when they come: below zero or very old means that another clock stamped them."""
     median_ms, most_ms = float(np.median(sample.ages_ns)) * 1e-6, max(sample.ages_ns) * 1e-6
     detail = f"frames are {median_ms:.0f} ms old when they come, {most_ms:.0f} ms at most"
     if median_ms < 0.0 or median_ms > OLD_MS:
@@ -127,7 +127,7 @@ def _pictures(perception: Perception, sample: FrameSample) -> Iterator[Finding]:
 
 
 def brightness(image: NDArray[np.uint8]) -> Finding:
-    """Whether there is a picture at all, and light enough to see by. ``image``: (h, w, 3) BGR."""
+    """Finds whether there is a picture at all, and light enough to see by. ``image``: (h, w, 3) BGR."""
     grey, glaring = float(image.mean()), float((image.max(axis=2) >= WHITE).mean())
     detail = f"mean {grey:.0f} of 255, {100.0 * glaring:.0f} % overexposed"
     if grey < BLACK:
@@ -175,7 +175,9 @@ def side_px(marker: MarkerDetection) -> float:
 
 
 def check_detector(detector: Detector, model: CameraModel, rate_hz: float | None, clock: Clock) -> Finding:
-    """How long it takes at least, for a grey image of the camera's size. The first one loads things and is left out.
+    """Times the detector on a grey image of the camera's size: it takes that at least.
+
+    The first one loads things and is left out.
 
     How long it takes for what the camera sees is told with its frames.
     """
@@ -190,7 +192,7 @@ def check_detector(detector: Detector, model: CameraModel, rate_hz: float | None
 
 
 def _targets(sample: FrameSample, rate_hz: float | None, clock: Clock) -> Finding:
-    """What the detector finds in the last frames, whole, and how long that takes."""
+    """Counts what the detector finds in the last frames, whole, and times it."""
     took_ms: list[float] = []
     counts: list[int] = []
     for view in sample.last:

@@ -1,4 +1,4 @@
-"""How a person sees what ``doctor`` finds: one table, and what is measured now below it."""
+"""The display of ``doctor``'s findings: one table, and what is measured now below it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class FindingsTable:
         self.found.append(finding)
 
     def doing(self, what: str) -> None:
-        """What is measured from now on."""
+        """Names what is measured from now on."""
         self._doing = what
 
     def render(self) -> Group:
@@ -42,7 +42,7 @@ class FindingsTable:
 
 
 class Lines(FindingsTable):
-    """For a file or a pipe: what is measured as a line at once, the table at the end."""
+    """The display in a file or a pipe: what is measured as a line at once, the table at the end."""
 
     def __init__(self, stream: TextIO) -> None:
         super().__init__()

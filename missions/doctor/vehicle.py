@@ -37,7 +37,7 @@ class ParameterFinding(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class VehicleReport:
-    """What a vehicle told while it was listened to.
+    """The messages of a vehicle while it was listened to.
 
     Attributes:
         oldest_s: age of its newest telemetry at its worst; None when it never said where it is.
@@ -94,7 +94,7 @@ async def _ready(vehicle: Vehicle) -> VehicleState:
 
 
 def streams(heard: VehicleReport) -> Iterator[Finding]:
-    """Whether it tells where it is, and that it lives."""
+    """Finds whether it tells where it is, and that it lives."""
     fix = "check cable or radio"
     if heard.oldest_s is None:
         yield Finding("fault", "telemetry", "attitude, but no position", "see what its ground station says of its GPS")
@@ -110,7 +110,7 @@ def streams(heard: VehicleReport) -> Iterator[Finding]:
 
 
 def condition(state: VehicleState, min_battery: float) -> Iterator[Finding]:
-    """Whether a mission could begin with it as it is."""
+    """Finds whether a mission could begin with it as it is."""
     if state.armed or state.in_air:
         yield Finding("fault", "armed", "it is armed", "land it, disarm it, and look again")
     else:
@@ -164,7 +164,7 @@ async def _check(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> li
 
 
 def _record(folder: Path, rig: Rig, role: Role, changed: Sequence[ParameterFinding]) -> Path | None:
-    """What each parameter was and is now, so that it can be undone."""
+    """Records what each parameter was and is now, so that it can be undone."""
     if not changed:
         return None
     folder.mkdir(parents=True, exist_ok=True)

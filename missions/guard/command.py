@@ -36,7 +36,7 @@ _POLL_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Teller:
-    """What a guard decides, on the screen."""
+    """The guard's decisions on the screen."""
 
     role: Role
 
@@ -87,7 +87,7 @@ def guard_of(rig: Rig, role: Role) -> PartSpec:
 
 
 def _as_flown(rig: Rig, role: Role, spec: PartSpec) -> PartSpec:
-    """With the source of its heights that the script's vehicle has: two of them would be two fences."""
+    """Returns the guard with the source of heights that the script's vehicle has: two of them would be two fences."""
     height_from = rig.role(role).vehicle.options.get("height_from")
     return spec if height_from is None else replace(spec, options={**spec.options, "height_from": height_from})
 
@@ -124,7 +124,10 @@ async def watch_vehicles(
 
 
 async def _stop_when_alone(stop: asyncio.Event, guards: list[GuardWatch]) -> None:
-    """Once the role's program is gone and the vehicle is down, whoever flew it; or when it never came."""
+    """Stops once the role's program is gone and the vehicle is down, whoever flew it.
+
+    Or when the program never came.
+    """
     loop = asyncio.get_running_loop()
     end_s = loop.time() + NEVER_HEARD_S
     while not stop.is_set():

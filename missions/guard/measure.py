@@ -1,13 +1,17 @@
-"""``path-handoff guard --measure``: how soon a vehicle is held, and down, after its program was killed or hung, and how
-soon a script lets go of one whose mode a second ground station changed.
+"""The measurement of ``path-handoff guard --measure``: how soon a vehicle is held, down, or let go of.
+
+It is held and down after its program was killed or hung. A script lets go of one that a pilot takes: by a second ground
+station, or by the radio's switches and sticks.
 
 Real programs, real signals, real sockets: one flight for each fault, role and phase. The autopilots' own failsafe for
-setpoints is switched off, or waits, so that what is measured is the guard.
+setpoints is switched off, or waits, so that what is measured is the guard. In virtual time (rig ``sim``) there are the
+pilot's cases alone.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -19,6 +23,7 @@ from rich.table import Table
 from drivers.log.mcap_log import read_log
 from drivers.rig.parts import Rig
 from drivers.rig.toml_text import toml_text
+from flight.outcome import Outcome
 from flight.phases import Phase
 from missions import rig_library
 from missions.handoff.command import fly_once
@@ -29,13 +34,17 @@ from missions.run_folder import new_folder
 from path.messages import Role
 
 TAKEOVER = "pilot_takeover"  # the receiver's vehicle only
-KINDS = {"kill": "", "stop": "", "stall": "=5", TAKEOVER: ""}
+RADIO = ("rc_mode", "rc_sticks", "rc_kill", "rc_lost")
+OF_PROGRAM = ("kill", "stop", "stall")
+KINDS = {**dict.fromkeys(OF_PROGRAM, ""), "stall": "=5", TAKEOVER: "", **dict.fromkeys(RADIO, "")}
+LET_GO_S = {TAKEOVER: 0.5, "rc_mode": 0.5, "rc_sticks": 0.5, "rc_kill": 1.5, "rc_lost": 1.0}
+"""After this time no setpoint may come. PX4 tells of a kill switch once a second; a radio is lost after 0.5 s."""
 MOMENTS = {
     Role.SENDER: ("take-off+2", "acquire+1.5", "follow+3", "verify+1", "depart+1", "land+1"),
     Role.RECEIVER: ("take-off+2", "stand-off+3", "search", "approach+1", "verify+1", "follow+1", "depart+1", "land+1"),
 }
 ORDER = {phase.title: int(phase) for phase in Phase}
-HOLD_LIMIT_S, LET_GO_LIMIT_S = 1.0, 0.5
+HOLD_LIMIT_S = 1.0
 PX4_FAILSAFE, WAITS_S = "COM_OF_LOSS_T", 5.0
 
 
@@ -49,6 +58,8 @@ class Reaction:
         landed_s: until it was disarmed on the ground.
         let_go_s: until its last setpoint, which may have come before.
         after: modes the vehicle went through afterwards.
+        apart_m: least true distance between the two, both in the air, from then on; None: they were not.
+        other_down: the other drone was on the ground, disarmed, in the end.
         reason: why the guard took it; empty when it did not.
     """
 
@@ -63,20 +74,24 @@ class Reaction:
     reason: str
     outcome: str
     violations: dict[str, int]
+    apart_m: float | None = None
+    other_down: bool = True
 
     @property
     def reached(self) -> bool:
-        """Whether the vehicle was in the air under a script when it happened."""
+        """Returns whether the vehicle was in the air under a script when it happened."""
         return self.mode in ("offboard", "takeoff", "hold")
 
 
 def measure(options: GuardOptions) -> int:
-    """Fly every case, print the table; 1 when a vehicle was not held within a second or did not land, or a script did
-    not let go at once."""
+    """Flies every case and prints the table; returns 1 when a guard or a script failed.
+
+    A vehicle was not held within a second or did not land, or a script did not let go at once.
+    """
     folder = new_folder(options.out)
     rig = with_patient_failsafe(rig_library.load(options.rig), folder)
     reactions: list[Reaction] = []
-    every = list(cases(options.role, options.case))
+    every = list(cases(options.role, options.case, kinds_of(rig)))
     for number, (fault, role, moment) in enumerate(every, 1):
         name = f"{_named(fault, role)}{KINDS[fault]}@{moment}"
         out = new_folder(folder / name.replace("@", "-").replace("=", "-").replace("+", "-"))
@@ -106,15 +121,22 @@ def with_patient_failsafe(rig: Rig, folder: Path) -> Rig:
     return rig_library.load(str(file))
 
 
+def kinds_of(rig: Rig) -> tuple[str, ...]:
+    """Returns what can be tried on a rig: programs of their own can hang, an embedded vehicle has a transmitter."""
+    own = OF_PROGRAM if rig.level not in ("sim", "sim-rendered") else ()
+    radio = RADIO if "sender_simulator" not in rig.world else ()
+    return (*own, TAKEOVER, *radio)
+
+
 def _named(fault: str, role: Role) -> str:
     return fault if fault == TAKEOVER else f"{fault}_{role.value}"
 
 
-def cases(role: str, only: Sequence[str]) -> Iterator[tuple[str, Role, str]]:
+def cases(role: str, only: Sequence[str], kinds: Sequence[str] = tuple(KINDS)) -> Iterator[tuple[str, Role, str]]:
     """(fault, role, moment) of every flight; ``only``: those whose name has one of these in it."""
     every = [(own, moment) for own, moments in MOMENTS.items() for moment in moments if role in ("both", own.value)]
     for own, moment in sorted(every, key=lambda entry: ORDER[entry[1].partition("+")[0]]):  # short flights first
-        for fault in KINDS:
+        for fault in kinds:
             if fault == TAKEOVER and own is Role.SENDER:
                 continue
             if not only or any(word in f"{_named(fault, own)}@{moment}" for word in only):
@@ -122,15 +144,23 @@ def cases(role: str, only: Sequence[str]) -> Iterator[tuple[str, Role, str]]:
 
 
 def read_reaction(out: Path, fault: str, role: Role, moment: str, outcome: str, violations: dict[str, int]) -> Reaction:
-    """What became of the vehicle, by the world's own log; why, by the guard's."""
+    """Reads what became of the vehicle, by the world's own log; why, by the guard's."""
     at_ns: int | None = None
     last_ns: int | None = None
+    apart_m: list[tuple[int, float]] = []
+    other_armed = False
     modes: list[tuple[int, str, bool]] = []
     for record in read_log(out / "world.mcap"):
         if record.topic == "/fault" and record.record["fault"].startswith(_named(fault, role)):
             at_ns = record.stamp_ns
         elif record.topic == "/autopilot" and record.record["role"] == role.value:
             modes.append((record.stamp_ns, record.record["mode"], record.record["armed"]))
+        elif record.topic == "/autopilot":
+            other_armed = record.record["armed"]
+        elif record.topic == "/truth":
+            one, two = record.record["sender"], record.record["receiver"]
+            if one["in_air"] and two["in_air"]:
+                apart_m.append((record.stamp_ns, math.dist(one["t"], two["t"])))
         elif record.topic == "/setpoint_gap" and record.record["role"] == role.value:
             last_ns = record.record["last_ns"]
     if at_ns is None:
@@ -150,6 +180,8 @@ def read_reaction(out: Path, fault: str, role: Role, moment: str, outcome: str, 
         reason=_reason(out / f"{role.value}.guard.mcap"),
         outcome=outcome,
         violations=violations,
+        apart_m=min((distance_m for stamp_ns, distance_m in apart_m if stamp_ns >= at_ns), default=None),
+        other_down=not other_armed,
     )
 
 
@@ -166,16 +198,28 @@ def is_met(reaction: Reaction) -> bool:
     """Held in time and down; or, when its mode was changed, let go of at once. On the ground there is nothing to do."""
     if not reaction.reached:
         return reaction.mode != "not reached"
-    if reaction.fault == TAKEOVER:
-        late = reaction.let_go_s is not None and reaction.let_go_s > LET_GO_LIMIT_S
-        return not late and not reaction.violations and len(reaction.after) == 1  # the pilot's own mode
+    if reaction.fault in LET_GO_S:
+        late = reaction.let_go_s is not None and reaction.let_go_s > LET_GO_S[reaction.fault]
+        known = reaction.outcome == Outcome.PILOT_OVERRIDE.label
+        return not late and known and reaction.other_down and not reaction.violations and _left_alone(reaction)
     return reaction.held_s is not None and reaction.held_s <= HOLD_LIMIT_S and reaction.landed_s is not None
+
+
+def _left_alone(reaction: Reaction) -> bool:
+    """Returns whether only the pilot, or the autopilot without its radio, changed the mode afterwards."""
+    match reaction.fault:
+        case "rc_kill":
+            return reaction.after == ()
+        case "rc_lost":
+            return reaction.after in (("hold", "land"), ("land",))
+        case _:
+            return len(reaction.after) == 1
 
 
 def _words(reaction: Reaction) -> str:
     if not reaction.reached:
         return f"nothing to take: {reaction.mode}"
-    if reaction.fault == TAKEOVER:
+    if reaction.fault in LET_GO_S:
         return f"last setpoint {_let_go(reaction)}; {reaction.outcome} ({' → '.join((reaction.mode, *reaction.after))})"
     seconds = ["never" if value is None else f"after {value:.2f} s" for value in (reaction.held_s, reaction.landed_s)]
     return f"held {seconds[0]}, down {seconds[1]} ({' → '.join((reaction.mode, *reaction.after))})"
@@ -183,21 +227,22 @@ def _words(reaction: Reaction) -> str:
 
 def table(reactions: Sequence[Reaction]) -> Table:
     """One row for each phase, kinds of fault beside each other."""
+    tried = [kind for kind in KINDS if any(r.fault == kind for r in reactions)]
     made = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-    for title in ("program", "phase", "mode", *(f"{kind}{KINDS[kind]}" for kind in KINDS)):
+    for title in ("program", "phase", "mode", *(f"{kind}{KINDS[kind]}" for kind in tried)):
         made.add_column(title, no_wrap=True)
     rows = sorted({(r.role, r.moment) for r in reactions}, key=lambda row: (row[0], ORDER[row[1].partition("+")[0]]))
     for role, moment in rows:
         found: dict[str, Any] = {r.fault: r for r in reactions if (r.role, r.moment) == (role, moment)}
         mode = " / ".join(dict.fromkeys(r.mode for r in found.values()))
-        made.add_row(role, moment, mode, *(_figures(found.get(kind)) for kind in KINDS))
+        made.add_row(role, moment, mode, *(_figures(found.get(kind)) for kind in tried))
     return made
 
 
 def _figures(reaction: Reaction | None) -> str:
     if reaction is None or not reaction.reached:
         return "-"
-    if reaction.fault == TAKEOVER:
+    if reaction.fault in LET_GO_S:
         return _let_go(reaction)
     held, landed = (("never" if value is None else f"{value:.2f}") for value in (reaction.held_s, reaction.landed_s))
     return f"{held} / {landed}"

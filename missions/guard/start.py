@@ -1,4 +1,4 @@
-"""How a role comes by its guard: begun beside it, begun elsewhere, or done without."""
+"""The guard of a role: begun beside it, begun elsewhere, or done without."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def run(options: HandoffOptions) -> int:
 
 
 def name_simulators(options: HandoffOptions | FlyOptions | ConformanceOptions) -> None:
-    """For the harness and its processes: what runs the autopilots of the rigs that fly real ones. Raises PartError."""
+    """Names the programs of real autopilots for the harness and its processes. Raises PartError."""
     for variable, binary in (("PATH_PX4", options.px4), ("PATH_ARDUPILOT", options.ardupilot)):
         if binary is not None:
             if not binary.is_file():
@@ -146,7 +146,7 @@ def harness_of(rig: Rig) -> Harness:
 
 @dataclass(frozen=True, slots=True)
 class FlightPrograms:
-    """What both drones fly.
+    """The programs that both drones fly.
 
     Attributes:
         main: one role's program, in the harness's process.

@@ -1,4 +1,4 @@
-"""How a role's course is flown: what runs beside it, what may end it, and the way down whatever happens."""
+"""The flight of a role's course: what runs beside it, what may end it, and the way down whatever happens."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from missions.leg.session import RoleSession, as_end
 
 Course = Callable[[], Awaitable[None]]
 Recovery = Callable[[MissionEnd | None], Awaitable[bool]]
+_STAYS = frozenset({Outcome.PILOT_OVERRIDE, Outcome.CRASHED})  # a bug is named, whoever flew after it
 
 
 async def fly_course(
@@ -67,7 +68,7 @@ async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
 
 
 async def run_recovery(session: RoleSession, recover: Recovery, end: MissionEnd | None) -> bool:
-    """Whether the script landed the vehicle."""
+    """Brings the vehicle down, and returns whether the script landed it."""
     try:
         return await recover(end)
     except Exception as error:
@@ -77,7 +78,7 @@ async def run_recovery(session: RoleSession, recover: Recovery, end: MissionEnd 
 
 
 async def close_session(session: RoleSession) -> None:
-    """Nothing of it runs any more."""
+    """Ends all that a session runs."""
     await session.cancel_spawned()
     if session.guard is not None:
         session.guard.beat(session.beat())  # the last word on whose the vehicle is
@@ -86,9 +87,11 @@ async def close_session(session: RoleSession) -> None:
 def conclude(
     session: RoleSession, end: MissionEnd | None, landed: bool, good: Outcome = Outcome.COMMITTED
 ) -> RoleResult:
-    """The program's last records. A course that came to its own end may still lose the vehicle on its way home."""
-    if end is None and session.pilot.override:
-        end = MissionEnd(Outcome.PILOT_OVERRIDE, session.pilot.override)
+    """The program's last records. However a course ended, its vehicle may still be taken on its way home."""
+    override = session.pilot.override
+    if override and (end is None or end.outcome not in _STAYS):
+        before = "" if end is None else f"; the mission had ended: {end}"
+        end = MissionEnd(Outcome.PILOT_OVERRIDE, f"{override}{before}")
     outcome, detail = (end.outcome, end.detail) if end else (good, "")
     session.log.write(
         "/outcome",

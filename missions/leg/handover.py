@@ -74,7 +74,7 @@ class SenderHandover(MachineRun[SenderMachine]):
 
     @property
     def epoch(self) -> int:
-        """Of the attempt under way; 0 before the first."""
+        """The epoch of the attempt under way; 0 before the first."""
         return 0 if isinstance(self._done, Idle | Keeping) else self._done.live.epoch
 
     @property
@@ -111,7 +111,10 @@ class SenderHandover(MachineRun[SenderMachine]):
         return tuple(instance for instance, (heard_ns, _) in self._words.items() if instance and heard_ns > since_ns)
 
     async def until_free(self) -> None:
-        """Until the other drone is heard not to hold a target. Raises MissionEnd(PEER_ABORTED) when it goes on to."""
+        """Waits until the other drone is heard not to hold a target.
+
+        Raises MissionEnd(PEER_ABORTED) when it goes on to.
+        """
         session = self._session
         await session.until(
             lambda: self.peer_is_free,
@@ -151,12 +154,12 @@ class SenderHandover(MachineRun[SenderMachine]):
         self._hear(lambda: Heard(received.message))
 
     def verify_again(self) -> None:
-        """After taking back: once more, in the new epoch."""
+        """Verifies once more after taking back, in the new epoch."""
         self._carrier.ended = None
         self._step(VerifyAgain())
 
     async def until_decided(self, timeout_s: float, verify_again: Callable[[], None]) -> None:
-        """Until the receiver has accepted the target.
+        """Waits until the receiver has accepted the target.
 
         An attempt that was committed and not accepted is taken back and verified again, as long as there is time.
         Raises MissionEnd otherwise.
@@ -178,7 +181,7 @@ class SenderHandover(MachineRun[SenderMachine]):
             verify_again()
 
     async def until_settled(self) -> None:
-        """After ``until_decided``: until it is known that the receiver holds the target, or that nobody can say."""
+        """Waits after ``until_decided`` until the receiver is known to hold the target, or nobody can say."""
         carrier = self._carrier
         await until(lambda: carrier.settled is not None, math.inf)
         if carrier.settled is None or carrier.settled.outcome is not Decision.HANDED_OVER:
@@ -222,7 +225,7 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
 
     @property
     def within_lease(self) -> bool:
-        """It took provisionally, and what comes of that is not decided yet: the lease decides, be it over."""
+        """Returns whether it took provisionally, and nothing is decided yet: the lease decides, be it over."""
         return isinstance(self._machine.state, Provisional)
 
     @property
@@ -244,7 +247,7 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
         return CommitHeard(message, lease_end_ns, uncertainty, self.instance, self._able())
 
     async def until_held(self, timeout_s: float) -> None:
-        """Until this drone holds the target for good. Raises MissionEnd otherwise.
+        """Waits until this drone holds the target for good. Raises MissionEnd otherwise.
 
         An attempt that the sender took back may be followed by another one, as long as there is time.
         """

@@ -129,7 +129,7 @@ class MachineRun(Generic[Machine]):
             self._carrier.carry_out(Persist(made))
 
     async def resume(self) -> None:
-        """Before anything else is begun, what a restart left undecided is decided, and the other drone answered.
+        """Decides what a restart left undecided, and answers the other drone, before anything else is begun.
 
         On the ground a new mission begins then: what an earlier one gave away or held is over. In the air it raises
         MissionEnd(RESTARTED): a course is not taken up in its middle.
@@ -146,7 +146,7 @@ class MachineRun(Generic[Machine]):
         await self._written()
 
     def begin_anew(self) -> None:
-        """On the ground, with nothing undecided: what an earlier mission gave away or held is over."""
+        """Begins anew on the ground, with nothing undecided: what an earlier mission gave away or held is over."""
         self._carrier.ended = self._carrier.settled = None
         self._step(NewMission())
 
@@ -170,11 +170,11 @@ class MachineRun(Generic[Machine]):
 
     @property
     def wake_ns(self) -> int | None:
-        """When time next brings something about, own clock."""
+        """The instant at which time next brings something about, own clock; None when it does not."""
         return self._machine.wake_ns
 
     def on_status(self, status: Status) -> None:
-        """It counts only by its stamp, and that only while the clocks are aligned."""
+        """Takes a Status. It counts only by its stamp, and that only while the clocks are aligned."""
         alignment = self._session.alignment
         if alignment.ready:
             stamp_ns = alignment.to_own_ns(status.stamp_ns)
@@ -185,7 +185,7 @@ class MachineRun(Generic[Machine]):
         self._hear(lambda: status)
 
     async def finish(self) -> None:
-        """Before the link is closed: what was said to a machine is carried out, if the disk lets it in time."""
+        """Carries out what was said to a machine before the link is closed, if the disk lets it in time."""
         try:
             async with asyncio.timeout(_WRITTEN_S):
                 await self._written()
@@ -193,7 +193,7 @@ class MachineRun(Generic[Machine]):
             self._session.say(str(error) or "the disk still writes what must survive a restart")
 
     async def _written(self) -> None:
-        """Until nothing waits for the disk any more. Raises StateError."""
+        """Waits until nothing waits for the disk any more. Raises StateError."""
         while self._writing is not None:
             await asyncio.shield(self._writing)
 

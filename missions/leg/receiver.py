@@ -135,7 +135,7 @@ class Receiver:
         await asyncio.sleep(config.follow_after_s)
 
     async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
-        """To the stand-off, or until it is near enough; then look for the marker."""
+        """Flies to the stand-off, or until it is near enough; then looks for the marker."""
         session, rendezvous, deadlines = self._session, self._rendezvous, self._config.deadlines
         session.enter(Phase.STAND_OFF)
         session.pilot.guidance = rendezvous.to_stand_off
@@ -156,7 +156,7 @@ class Receiver:
         )
 
     async def _approach(self) -> MissionEnd | None:
-        """To the planned viewpoint; what the mission would end with when something is out of its bounds.
+        """Flies to the planned viewpoint; returns what the mission would end with when something is out of its bounds.
 
         It has arrived once the camera is there, slow, for a while.
         """
@@ -190,7 +190,7 @@ class Receiver:
         return landed
 
     async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
-        """Whether the script landed the vehicle."""
+        """Brings the vehicle down, and returns whether the script landed it."""
         return await bring_down(self._session, end, way_out)
 
     def _peer(self) -> Status:
@@ -199,7 +199,7 @@ class Receiver:
         return peer
 
     def _near(self) -> bool:
-        """By the marker already as near as the stand-off, which reported positions put farther on."""
+        """Returns whether the marker is already nearer than the stand-off, which reported positions put farther on."""
         session = self._session
         now_ns = session.now_ns()
         relative = self._marker.predict(now_ns) if self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH else None
@@ -296,7 +296,7 @@ class Receiver:
                 self._note_found(view, T_n_c, candidate, prior)
 
     def _motion(self) -> VehicleMotions:
-        """Both vehicles' newest reports."""
+        """Returns both vehicles' newest reports."""
         session, peer, own = self._session, self._peer(), self._session.vehicle.state
         peer_ns = session.alignment.to_own_ns(peer.stamp_ns) if session.alignment.ready else session.peer_heard_ns
         return VehicleMotions(own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad)
@@ -326,7 +326,7 @@ class Receiver:
             self._track.update(position, view.stamp_ns)
 
     def _follow_once(self, view: View, R_n_b: Matrix) -> None:
-        """After the hand-over: this drone's own track of the target."""
+        """Follows the target by this drone's own track, after the hand-over."""
         session, track = self._session, self._track
         if track is None:
             raise MissionEnd(Outcome.TARGET_LOST, "the target was handed over but never located")
@@ -351,7 +351,7 @@ class Receiver:
             self._on_target(received.message)
 
     def _on_target(self, target: Target) -> None:
-        """Where the target is. The protocol has seen the message first and says which attempt is live."""
+        """Takes the target's place. The protocol has seen the message first and says which attempt is live."""
         session, live = self._session, self._handover.live
         if live is None or not session.alignment.ready:
             return
@@ -375,7 +375,7 @@ class Receiver:
             self._newest = target
 
     def _able(self) -> bool:
-        """Whether the target was seen lately, by this drone itself."""
+        """Returns whether the target was seen lately, by this drone itself."""
         track = self._track
         return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 < _ABLE_S
 

@@ -97,7 +97,7 @@ class Sender:
         await self.hand_over()
 
     async def acquire(self) -> None:
-        """From the air above the take-off place until the target is tracked."""
+        """Finds the target from the air above the take-off place, until it is tracked."""
         session, deadlines = self._session, self._config.deadlines
         session.enter(Phase.ACQUIRE)
         session.pilot.guidance = self._to_first_place
@@ -155,11 +155,11 @@ class Sender:
         return landed
 
     async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
-        """Whether the script landed the vehicle."""
+        """Brings the vehicle down, and returns whether the script landed it."""
         return await bring_down(self._session, end, way_out)
 
     def _leave(self) -> Anchor:
-        """Where to go before landing: away from the receiver, sideways, and the same place however often asked."""
+        """Returns the place to go to before landing: away from the receiver, sideways, the same however often asked."""
         if self._way_out is None:
             state = self._session.vehicle.state
             aside_m = 0.0 if self._track is None else -self._side_of_receiver(state) * self._config.depart_m
@@ -178,7 +178,7 @@ class Sender:
         return 1.0 if right_m > 0.0 else -1.0
 
     def _may_regain(self) -> bool:
-        """Whether there is room to back off: the receiver is not on its way to this drone yet."""
+        """Returns whether there is room to back off: the receiver is not on its way to this drone yet."""
         peer = self._session.peer
         return peer is None or peer.phase < Phase.STAND_OFF
 
@@ -190,13 +190,13 @@ class Sender:
         return (self._session.now_ns() - track.seen_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
-        """To where the designated place is in view."""
+        """Leads to where the designated place is in view."""
         target = self._config.target
         place = self._view_of((target.north_m, target.east_m, -target.height_m))
         return Anchor(place, self._heading_rad).hold(state)
 
     def _view_of(self, target_n_m: Vec3) -> Vec3:
-        """Behind and above the target, in the heading it was approached with; a drone that leans stands aside."""
+        """Behind and above the target, in the heading it was approached with; a drone that is tilted stands aside."""
         keep, wider = self._config.follow, _WIDER if self._regaining() else 1.0
         below_m = wider * (keep.height_m - self._config.target.height_m)
         place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
@@ -216,7 +216,7 @@ class Sender:
         return VelocitySetpoint(velocity, self._heading_rad)
 
     def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
-        """Make room, the eyes still on the target: nobody has it for sure until the hand-over is settled."""
+        """Make room, the camera still on the target: nobody has it for sure until the hand-over is settled."""
         assert self._track is not None
         target, _ = self._track.predict(self._session.now_ns())
         return replace(self._leave().hold(state), yaw_rad=bearing(subtract(target, state.position_n_m)))
@@ -261,7 +261,7 @@ class Sender:
             self._track = TargetTrack(position, view.stamp_ns, self._config.follow.target_accel_mps2)
 
     def _well_inside(self, box: Box) -> bool:
-        """Whether a gust would not take it out of the image at once."""
+        """Returns whether the box is so far inside the image that a gust would not take it out at once."""
         u, v = box.center
         room_u, room_v = _ROOM * self._camera.width, _ROOM * self._camera.height
         return room_u <= u <= self._camera.width - room_u and room_v <= v <= self._camera.height - room_v

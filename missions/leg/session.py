@@ -1,4 +1,4 @@
-"""What both roles have in common: their parts, the link pump, status, clocks, waits, and how a mission ends."""
+"""The session that both roles share: parts, the link pump, status, clocks, waits, and the end of a mission."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ from drivers.interfaces import (
     Vehicle,
     VehicleError,
     View,
+    Wary,
 )
 from drivers.mavlink.guard_interfaces import NOWHERE, Beat, GuardLine, Script
 from drivers.mavlink.guard_line import UdpGuardLine
@@ -71,7 +72,7 @@ def _no_instance() -> int:
 
 @dataclass(slots=True)
 class ConsoleLine:
-    """What the console shows of the handshake; the role keeps it current."""
+    """The console's view of the handshake; the role keeps it current."""
 
     count: int = 0
     evidence: Evidence | None = None
@@ -108,6 +109,7 @@ class RoleSession:
         self.log = log
         self.stop = stop
         self.entropy = entropy
+        self._ignored: set[str] = set()  # kinds of what the crew was told not to be believed
         self.clock, self.vehicle, self.perception, self.link = parts
         self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
         self.alignment = ClockAlignment()
@@ -163,13 +165,13 @@ class RoleSession:
         self.shown.separation_m = self._measured_m = distance_m
 
     def set_script(self, script: Script) -> None:
-        """What the script is about to do with the vehicle; the guard knows it before the vehicle does."""
+        """Sets what the script is about to do with the vehicle; the guard knows it before the vehicle does."""
         self.script = script
         if self.guard is not None:
             self.guard.beat(self.beat())
 
     def beat(self) -> Beat:
-        """What the guard is told; a measured distance once."""
+        """Returns what the guard is told; a measured distance once."""
         script = self.script
         if self.pilot.override:
             script = Script.LET_GO
@@ -181,7 +183,10 @@ class RoleSession:
         return Beat(script, self.pilot.setpoints, measured_m, place)
 
     async def confirm_guard(self) -> None:
-        """Before a command that moves the vehicle. Raises MissionEnd when the guard has it, or there is none."""
+        """Asks the guard before a command that moves the vehicle.
+
+        Raises MissionEnd when the guard has it, or there is none.
+        """
         if self.guard is not None:
             await self.guard.confirm(self.beat())
 
@@ -206,7 +211,7 @@ class RoleSession:
     # --- processor time ------------------------------------------------------------------------------------------
 
     def stage(self, name: str) -> AbstractContextManager[None]:
-        """What is done within is a stage of a frame's cycle; stages do not contain one another."""
+        """Returns a context whose body is a stage of a frame's cycle; stages do not contain one another."""
         return nullcontext() if self._stages is None else self._stages(name)
 
     async def log_cpu(self) -> None:
@@ -231,14 +236,17 @@ class RoleSession:
 
     @property
     def responsible(self) -> bool:
-        """Whether this drone is at this very instant: a lease that is over is over, whatever was slept through."""
+        """Returns whether this drone is responsible at this very instant.
+
+        A lease that is over is over, whatever was slept through.
+        """
         return self.responsible_at(self.now_ns())
 
     def responsible_at(self, now_ns: int) -> bool:
         return self.claim is not None and self.claim.at(now_ns)
 
     def set_claim(self, claim: TakeResponsibility | None) -> None:
-        """What this drone is responsible by from now on; None: it is not."""
+        """Sets what this drone is responsible by from now on; None: it is not."""
         self.claim = claim
         record = {"responsible": claim is not None, "until_ns": None if claim is None else claim.until_ns}
         self.log.write("/responsibility", self.now_ns(), record)
@@ -319,6 +327,13 @@ class RoleSession:
             tick += 1
             await asyncio.sleep(period_s)
 
+    def _newly_ignored(self) -> list[str]:
+        """What the vehicle's driver does not believe, each kind once."""
+        vehicle = self.vehicle
+        new = [what for what in vehicle.ignored if what not in self._ignored] if isinstance(vehicle, Wary) else []
+        self._ignored.update(new)
+        return new
+
     async def log_state(self) -> None:
         """Log where the vehicle believes to be, for ever."""
         logged_ns = 0  # what no position was known at
@@ -327,6 +342,8 @@ class RoleSession:
             if self.pilot.taken_back > taken_back:
                 taken_back = self.pilot.taken_back
                 self.say("ALARM: one message said that a pilot has the vehicle, the next took it back: who sends them?")
+            for what in self._newly_ignored():
+                self.say(f"ALARM: ignored {what}")
             state = self.vehicle.state
             if state.stamp_ns > logged_ns:
                 logged_ns = state.stamp_ns
@@ -421,7 +438,7 @@ async def open_session(
 
 
 def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Random:
-    """What a program draws by chance; in virtual time from the seed, and after a restart not the same again."""
+    """Returns a program's source of chance; in virtual time from the seed, and after a restart not the same again."""
     return random.SystemRandom() if harness is None else random.Random(f"{name} {clock.now_ns()} {harness.seed}")
 
 

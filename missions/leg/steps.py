@@ -19,6 +19,7 @@ _FIRST_FRAME_S = 10.0
 _SETTLED_M = 0.35
 _SCRIPT_LET_GO = frozenset({Outcome.PILOT_OVERRIDE})
 _DISARM_POLL_S = 0.1
+_DISARM_S = 4.0  # PX4 and ArduCopter are disarmed 2 s after they call themselves on the ground
 _POLL_S = 0.02
 _NO_MANOEUVRE = frozenset({Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcome.GUARD, Outcome.CRASHED})
 
@@ -84,7 +85,7 @@ async def bring_down(session: RoleSession, end: MissionEnd | None, way_out: Anch
     """
     pilot, guard = session.pilot, session.guard
     if end is not None and end.outcome in _SCRIPT_LET_GO and not (guard and guard.taken):
-        return _leave_to_pilot(session)
+        return await _leave_to_pilot(session)
     if not (await _sure_state(session)).armed:
         pilot.let_go()
         return True
@@ -99,7 +100,7 @@ async def bring_down(session: RoleSession, end: MissionEnd | None, way_out: Anch
         pilot.override = pilot.override or f"mode is {mode.value}"
     if pilot.override:
         session.say("the pilot flies: the script does not land")
-        return _leave_to_pilot(session)
+        return await _leave_to_pilot(session)
     return await _land(session)
 
 
@@ -119,7 +120,7 @@ def _may_be_a_pilots(state: VehicleState) -> bool:
 
 
 def may_manoeuvre(session: RoleSession, end: MissionEnd | None) -> bool:
-    """Whether the vehicle is still the script's to fly somewhere, after the course ended this way."""
+    """Returns whether the vehicle is still the script's to fly somewhere, after the course ended this way."""
     barred = _NO_MANOEUVRE | _SCRIPT_LET_GO
     return session.pilot.in_control and (end is None or end.outcome not in barred)
 
@@ -133,17 +134,24 @@ async def _land(session: RoleSession) -> bool:
         session.say(f"landing not confirmed: {error}")
         if isinstance(error, TakenOver):
             session.pilot.override = str(error)
-            return _leave_to_pilot(session)
+            return await _leave_to_pilot(session)
         return False
     session.set_script(Script.IDLE)
     return True
 
 
-def _leave_to_pilot(session: RoleSession) -> bool:
-    """Send nothing more; whether it is down already: a pilot may have landed it, or stopped the motors there."""
+async def _leave_to_pilot(session: RoleSession) -> bool:
+    """Send nothing more; whether it is down already: a pilot may have landed it, or stopped the motors there.
+
+    What stands on the ground is given the time that an autopilot takes to disarm: it may have gone over to another mode
+    a moment before it says so.
+    """
     session.pilot.let_go()
     session.set_script(Script.LET_GO)
-    state = session.vehicle.state
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + _DISARM_S
+    while (state := session.vehicle.state).armed and not state.in_air and loop.time() < end_s:  # noqa: ASYNC110 (as above)
+        await asyncio.sleep(_DISARM_POLL_S)
     return not (state.armed or state.in_air)
 
 

@@ -1,1 +1,1 @@
-"""What is made of logs for other programs: one log on one clock, trajectories, tables."""
+"""Conversions of logs for other programs: one log on one clock, trajectories, tables."""

@@ -97,7 +97,10 @@ def _aligned(
     records: Mapping[str, Sequence[LogRecord]],
     logs: Mapping[str, Sequence[Path]],
 ) -> Aligned:
-    """By what this drone measured of the first one's clock; two drones only have each other to measure."""
+    """Returns a log's alignment, by what this drone measured of the first one's clock.
+
+    Two drones only have each other to measure.
+    """
     measured = [r for r in records[name] if r.record["clock_uncertainty_ns"] is not None]
     if first is None or name == first or not measured or len([n for n, found in records.items() if found]) != 2:
         same = name == first or first is None
@@ -115,7 +118,7 @@ def _link_records(files: Sequence[Path]) -> Iterator[LogRecord]:
 
 
 def utc_minus_stamp(files: Sequence[Path]) -> int:
-    """Of the first part: those after a restart are of the same computer."""
+    """Returns UTC minus a log's stamps, ns, by its first part: those after a restart are of the same computer."""
     with files[0].open("rb") as file:
         file.seek(len(MAGIC))
         for found in messages(file):

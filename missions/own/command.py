@@ -60,7 +60,7 @@ def fly_mission(mission: Path, rig: Rig, seed: int, faults: tuple[str, ...], out
 
 
 def programs_of(mission: Path) -> FlightPrograms:
-    """How both drones fly a mission, in a harness's process or in processes of their own. Raises PartError."""
+    """Returns how both drones fly a mission, in a harness's process or in processes of their own. Raises PartError."""
     own, file = OwnMission(load_mission(mission)), str(mission.resolve())
     return FlightPrograms(own, lambda role: ("fly", file, "--drone", role.value), Outcome.FLOWN)
 

@@ -56,7 +56,7 @@ class Drone:
 
     @property
     def position_n_m(self) -> Vec3:
-        """Where it is: north, east, down."""
+        """The drone's place: north, east, down."""
         return self.state.position_n_m
 
     @property
@@ -100,7 +100,7 @@ class Drone:
         )
 
     def guide(self, guidance: Guidance) -> None:
-        """From now on fly what this gives for the vehicle's state, control_hz times a second; it must not block."""
+        """Flies from now on what this gives for the vehicle's state, control_hz times a second; it must not block."""
         if not self._session.pilot.in_control:
             self.fail("to be flown it has to take off first: await drone.take_off(height_m)")
         self._session.pilot.guidance = guidance
@@ -124,12 +124,15 @@ class Drone:
         return self._camera_pose.T_n_c(view.stamp_ns, self._camera_pose.R_n_b(view.stamp_ns))
 
     def where(self, view: View, box: Box) -> Vec3 | None:
-        """Where the object in a box of the frame is; None when the camera does not tell how far away it is."""
+        """Returns the place of the object in a box of the frame.
+
+        None when the camera does not tell how far away it is.
+        """
         depth = view.depth(box)
         return None if depth is None else place(box, depth, self.camera, self.camera_pose(view), 0.0)
 
     def objects(self, view: View) -> list[Vec3]:
-        """Where all the objects are that the detector finds in the frame, and whose distance is known."""
+        """Returns the places of all objects that the detector finds in the frame, and whose distance is known."""
         found = (self.where(view, one.box) for one in view.targets(None) if one.score >= MIN_SCORE)
         return [position for position in found if position is not None]
 
@@ -142,7 +145,7 @@ class Drone:
 
     @property
     def other_silence_s(self) -> float:
-        """For how long nothing was heard of the other drone."""
+        """The time for which nothing was heard of the other drone."""
         return self._session.peer_silence_s()
 
     @property

@@ -21,7 +21,7 @@ _REMEDY = "write `async def mission(drone)`, or `async def sender(drone)` and `a
 
 
 def load_mission(file: Path) -> Mapping[Role, Mission]:
-    """Who flies which drone: ``mission`` both, or ``sender`` and ``receiver`` one each. Raises PartError."""
+    """Returns each drone's mission: ``mission`` for both, or ``sender`` and ``receiver`` one each. Raises PartError."""
     module = _module(file)
     both = getattr(module, BOTH, None)
     return {role: _coroutine(file, role, getattr(module, role.value, both)) for role in Role}

@@ -39,7 +39,10 @@ class OwnMission:
         harness: InProcess | None,
         store: RecordStore,
     ) -> RoleResult:
-        """Nothing is kept in the store: a program that is started again in the air lands. Raises PartError."""
+        """Flies the mission.
+
+        Nothing is kept in the store: a program that is started again in the air lands. Raises PartError.
+        """
         async with AsyncExitStack() as stack:
             session = await open_session(stack, rig, role, mission_of(rig), log, emit, stop, harness)
             return await fly_course(

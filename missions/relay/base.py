@@ -25,7 +25,7 @@ Where = Literal["ready", "flying", "swap"]
 
 
 class TakeOffOrder(Enum):
-    """What a drone takes off for."""
+    """The task that a drone takes off for."""
 
     FIND = "find"  # the target, where it was pointed at
     RELIEVE = "relieve"
@@ -47,7 +47,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """For the crew: one line."""
+    """A line for the crew."""
 
     time_s: float
     drone: str
@@ -59,11 +59,11 @@ Tell = Callable[[Event], None]
 
 
 class Ground(Protocol):
-    """What a drone's program asks those on the ground, and tells them: ``Base``, or the way to it."""
+    """The ground as a drone's program asks and tells it: ``Base``, or the way to it."""
 
     @property
     def over(self) -> bool:
-        """Whether the time is: nobody is called any more."""
+        """Returns whether the time is over: nobody is called any more."""
         ...
 
     def order_of(self, name: str) -> TakeOffOrder: ...
@@ -73,7 +73,7 @@ class Ground(Protocol):
         ...
 
     def ask(self, name: str, battery: float, wait_s: float) -> None:
-        """To be relieved. ``wait_s``: how long it can still wait before it has to go home."""
+        """Asks to be relieved. ``wait_s``: how long it can still wait before it has to go home."""
         ...
 
     def holds(self, name: str) -> None:
@@ -81,7 +81,7 @@ class Ground(Protocol):
         ...
 
     def leg_failed(self, name: str, end: MissionEnd) -> None:
-        """For the drone that goes on with the target."""
+        """Tells the end of a leg for the drone that goes on with the target."""
         ...
 
 
@@ -149,7 +149,7 @@ class Base:
     # --- the loop ---
 
     async def run(self, ground: RelayField, stop: asyncio.Event, program: DroneProgram) -> None:
-        """From the first take-off until the relay is over and everybody is down. ``program``: of every drone."""
+        """Runs from the first take-off until the relay is over and everybody is down. ``program``: of every drone."""
         self._ground, self._program, self._begun_s = ground, program, asyncio.get_running_loop().time()
         self._call(self.config.drones[0].name, TakeOffOrder.FIND)
         end_s = self._now_s() + 3600.0 * self.hours
@@ -167,7 +167,7 @@ class Base:
         self._say("", "end", f"{self.outcome.label}{': ' if self.detail else ''}{self.detail}")
 
     def _finished(self) -> bool:
-        """Nobody has the target, and nobody is about to take it."""
+        """Returns whether nobody has the target, and nobody is about to take it."""
         last = [self.holder or self.config.drones[0].name]
         if self._leg is not None:
             last.append(self._leg.receiver)

@@ -1,4 +1,4 @@
-"""How long a battery still carries a drone, from what it was seen to lose. Pure."""
+"""The time that a battery still carries a drone, from what it was seen to lose. Pure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a rig says about relays, checked."""
+"""The relay in a rig, checked."""
 
 from __future__ import annotations
 

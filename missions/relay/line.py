@@ -16,7 +16,7 @@ Say = Callable[[Mapping[str, Any]], None]
 
 
 def news_of(base: Base, name: str) -> dict[str, Any]:
-    """What a drone's program has to know at present."""
+    """Returns what a drone's program has to know at present."""
     leg = base.leg_of(name)
     return {"order": base.order_of(name).value, "leg": leg and asdict(leg), "over": base.over}
 
@@ -49,7 +49,7 @@ class FarBase:
 
     @property
     def told(self) -> bool:
-        """Whether there was any news yet."""
+        """Returns whether there was any news yet."""
         return self._order is not None
 
     def on_news(self, news: Mapping[str, Any]) -> None:

@@ -39,7 +39,7 @@ from path.messages import Role
 
 
 def processes_of(rig: Rig, config: RelayConfig, out: Path, base: Base, whole_log: bool) -> DroneProcesses:
-    """How the harness starts the processes of this relay's drones."""
+    """Returns how the harness starts the processes of this relay's drones."""
 
     def command(what: str, name: str, *more: str) -> Sequence[str]:
         drones = str(len(config.drones))

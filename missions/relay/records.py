@@ -1,4 +1,4 @@
-"""What a drone's disk says when it changes its role.
+"""The record on a drone's disk when it changes its role.
 
 One record is on it at any time, of the role it is in; epochs only grow, whichever role wrote them. So a program that
 dies between two roles finds either the one or the other, and both say the same: who is responsible.
@@ -15,7 +15,9 @@ Record = SenderRecord | ReceiverRecord
 
 
 def as_holder(kept: Kept | None) -> SenderRecord:
-    """Of a drone that is responsible from now on, and will hand over: what it held, or was first to find, is its own.
+    """Returns the record of a drone that is responsible from now on, and will hand over.
+
+    What it held, or was first to find, is its own.
 
     Raises ValueError for a record of another drone's target.
     """
@@ -26,7 +28,10 @@ def as_holder(kept: Kept | None) -> SenderRecord:
 
 
 def as_relief(kept: Kept | None) -> ReceiverRecord:
-    """Of a drone on the ground that is called: nothing is its own, and of what it handed over nothing is taken back."""
+    """Returns the record of a drone on the ground that is called.
+
+    Nothing is its own, and of what it handed over nothing is taken back.
+    """
     record = None if kept is None else kept.record
     if isinstance(record, ReceiverRecord):
         return record
@@ -34,7 +39,7 @@ def as_relief(kept: Kept | None) -> ReceiverRecord:
 
 
 def as_first(kept: Kept | None) -> SenderRecord:
-    """Of a drone on the ground that is to find the target."""
+    """Returns the record of a drone on the ground that is to find the target."""
     record = None if kept is None else kept.record
     if isinstance(record, SenderRecord):
         return record
@@ -42,5 +47,5 @@ def as_first(kept: Kept | None) -> SenderRecord:
 
 
 async def write(store: RecordStore, record: Record) -> None:
-    """Until the disk has it. Raises StateError."""
+    """Writes a record, and returns when the disk has it. Raises StateError."""
     await asyncio.wrap_future(store.begin_save(record))

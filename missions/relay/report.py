@@ -68,7 +68,7 @@ def spread(values: Sequence[float]) -> dict[str, float] | None:
 
 
 def relay_table(summary: Mapping[str, Any]) -> RenderableType:
-    """What a person wants to know of one relay."""
+    """Returns the table of one relay for a person."""
     good = summary["outcome"] == Outcome.COMMITTED.label
     head = Text.assemble((f" {summary['outcome']} ", "bold black on green" if good else "bold white on red"))
     head.append(f"  rig {summary['rig']}, seed {summary['seed']}, {summary['drones']} drones")

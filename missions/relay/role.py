@@ -1,8 +1,8 @@
 """One drone's flight in a relay: it takes the target over, has it, hands it over and comes home, all in one program.
 
-A relief is the receiver of a handoff; once it holds, it changes its role in the air. Vehicle, eyes and pilot stay, the
-session and the protocol's machine begin anew on the other side: what it holds is written down as its own before the
-receiver's machine is let go of, so that at any instant one record says that this drone is responsible.
+A relief is the receiver of a handoff; once it holds, it changes its role in the air. Vehicle, perception and pilot
+stay. The session and the protocol's machine begin anew on the other side. What it holds is written down as its own
+before the receiver's machine is let go of, so that at any instant one record says that this drone is responsible.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _THE_RELIEFS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What stays open while the role changes."""
+    """The parts that stay open while the role changes."""
 
     clock: Clock
     vehicle: Vehicle
@@ -124,7 +124,7 @@ class DroneFlight:
     async def _change_role(
         self, session: RoleSession, flown: Holder | Relief, link: AsyncExitStack | None = None
     ) -> RoleResult:
-        """From here on this drone is responsible by its own record, and follows and hands over as a sender."""
+        """Flies on as a sender: from here on this drone is responsible by its own record, follows and hands over."""
         try:
             await write(self._store, as_holder(self._store.load()))
             self._base.holds(self._name)
@@ -171,7 +171,7 @@ class DroneFlight:
     # --- sessions ---
 
     async def _open(self, stack: AsyncExitStack) -> Parts:
-        """Once for the whole flight. To its own parts a drone is always the one that sees the other's marker."""
+        """Opens the parts once for the whole flight. To them a drone is always the one that sees the other's marker."""
         warm_up()
         context = self._context(Role.RECEIVER)
         own = self._alone.receiver

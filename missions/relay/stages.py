@@ -1,4 +1,4 @@
-"""What a drone is in a relay, one after the other: the relief that takes the target over, and the holder that has it.
+"""The roles of a drone in a relay, one after the other: the relief that takes the target over, the holder that has it.
 
 Both are a handoff's roles. They differ from them in what comes before and after: a relief does not land, a holder has
 its track of the target from the start, and both fly home instead of landing where they are.
@@ -24,10 +24,10 @@ from path.messages import Message
 
 
 class Conduct(Protocol):
-    """What holds for a drone of a relay in either role."""
+    """The rules for a drone of a relay in either role."""
 
     async def watch_battery(self, holder: Holder, *, ask: bool) -> None:
-        """For ever. Raises MissionEnd(NO_RELIEF) when it is time to go home."""
+        """Watches the battery for ever. Raises MissionEnd(NO_RELIEF) when it is time to go home."""
         ...
 
     def clear_of_the_failed(self, state: VehicleState, wanted: VelocitySetpoint) -> VelocitySetpoint:
@@ -35,7 +35,7 @@ class Conduct(Protocol):
         ...
 
     def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> Awaitable[bool]:
-        """Whether the script landed the vehicle."""
+        """Brings the vehicle home, and returns whether the script landed it."""
         ...
 
 
@@ -51,7 +51,7 @@ class Nobody:
     async def __aexit__(self, *_: object) -> None: ...
 
     def send(self, message: Message) -> None:
-        """There is nobody to hear it."""
+        """Drops the message: there is nobody to hear it."""
 
     async def receive(self) -> Received:
         return await asyncio.get_running_loop().create_future()
@@ -75,7 +75,7 @@ class Holder(Sender):
         return self._handover.released
 
     async def find(self) -> None:
-        """From the ground until the target is tracked."""
+        """Flies from the ground until the target is tracked."""
         session = self._session
         await self._handover.resume()
         await check_own(session)

@@ -1,1 +1,1 @@
-"""What was decided, decided again from the log (``path-handoff replay``)."""
+"""Decisions made again from the log (``path-handoff replay``)."""

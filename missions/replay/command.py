@@ -41,7 +41,7 @@ class Replayed:
 
     @property
     def verdicts(self) -> list[Mapping[str, Any]]:
-        """What came out for D2's answers, in order."""
+        """Returns the verdicts on D2's answers, in order."""
         return [each.again for each in self.decided if each.topic == _VERDICT and each.again is not None]
 
 
@@ -70,7 +70,7 @@ def run(options: ReplayOptions) -> int:
 
 
 def change_of(settings: Sequence[str], gate: str | None) -> Callable[[MethodConfig], MethodConfig] | None:
-    """What ``--set`` and ``--gate`` ask for; None: nothing. Raises PartError."""
+    """Returns the change that ``--set`` and ``--gate`` ask for; None: nothing. Raises PartError."""
     named = [_setting(text) for text in settings] + ([(["gate"], gate)] if gate else [])
     if not named:
         return None
@@ -94,7 +94,7 @@ def change_of(settings: Sequence[str], gate: str | None) -> Callable[[MethodConf
 def replay_changed(
     logs: Mapping[str, Sequence[LogRecord]], change: Callable[[MethodConfig], MethodConfig]
 ) -> list[Replayed]:
-    """With other settings on both drones: D1 judges what D2 would have answered to what D1 sent."""
+    """Replays with other settings on both drones: D1 judges what D2 would have answered to what D1 sent."""
     receivers = {name: _replay(name, records, change) for name, records in logs.items() if _is(Role.RECEIVER, records)}
     answers = {key: answer for each in receivers.values() for key, answer in other_answers(each.decided).items()}
     return [
@@ -128,7 +128,7 @@ def _of_a_leg(name: str, records: Sequence[LogRecord]) -> Sequence[LogRecord]:
 
 
 def _is(role: Role, records: Sequence[LogRecord]) -> bool:
-    """Whether a drone was nothing else."""
+    """Returns whether a drone was nothing else than this role."""
     return {record.record["role"] for record in records if record.topic == "/setup"} == {role.value}
 
 

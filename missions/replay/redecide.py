@@ -79,7 +79,7 @@ def redecide(
 
 
 def other_answers(decided: Iterable[DecisionPair | Complete]) -> dict[tuple[int, int], Record]:
-    """What D2 answers otherwise than it did, for ``redecide`` of D1's log."""
+    """Returns what D2 answers otherwise than it did, for ``redecide`` of D1's log."""
     changed: dict[tuple[int, int], Record] = {}
     for each in decided:
         if isinstance(each, DecisionPair) and each.topic == "/candidate" and not each.same and each.again is not None:
@@ -180,7 +180,7 @@ class _ReceiverReplay:
             yield DecisionPair(each.topic, each.stamp_ns, record, self._answer(cycle, each.stamp_ns, record))
 
     def rest(self) -> Iterator[DecisionPair]:
-        """Nothing is decided here before it is logged."""
+        """Returns nothing: nothing is decided here before it is logged."""
         return iter(())
 
     def _begin(self, attempt: Record) -> None:
@@ -211,7 +211,7 @@ class _ReceiverReplay:
 
 
 def _as_logged(record: Record) -> dict[str, Any]:
-    """As it comes back from a log."""
+    """Returns a record as it comes back from a log."""
     return msgspec.json.decode(msgspec.json.encode(record, enc_hook=encode_other))
 
 
@@ -230,7 +230,7 @@ def _box(box: Any) -> Box | None:
 
 
 def _numbers(values: Any) -> Any:
-    """What was not finite is null in a log."""
+    """Returns numbers as they were before the log: what was not finite is null in it."""
     return tuple(math.nan if value is None else value for value in values)
 
 

@@ -1,1 +1,1 @@
-"""What came of a run: records, figures, pictures, and what a person sees while it goes on."""
+"""The report of a run: records, figures, pictures, and what a person sees while it goes on."""

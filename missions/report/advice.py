@@ -1,4 +1,4 @@
-"""What to do next, by how a run ended. One sentence each, for whoever stands in the field."""
+"""Advice on what to do next, by how a run ended. One sentence each, for whoever stands in the field."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _ADVICE: dict[Outcome, str] = {
 
 
 def advice(label: str) -> str:
-    """Of the outcome that a log or a summary names."""
+    """Returns the advice for the outcome that a log or a summary names."""
     try:
         return _ADVICE[Outcome.from_label(label)]
     except KeyError:

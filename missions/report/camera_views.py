@@ -1,4 +1,4 @@
-"""What a camera saw when the views agreed: its image, or the scene drawn as lines, with the boxes on it."""
+"""A camera's view when the views agreed: its image, or the scene drawn as lines, with the boxes on it."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def draw_view(axes: Axes, run: RunRecords, role: Role, truth: Truth | None) -> N
 
 
 def _instant(run: RunRecords, role: Role) -> int | None:
-    """On the role's clock: the commit for the sender, its last agreed candidate for the receiver."""
+    """Returns an instant of the role's clock: the commit for the sender, its last agreed candidate for the receiver."""
     agreed = [r for r in judged_pairs(run) if r.record["agreed"]]
     if role is Role.SENDER:
         commit = last(run.sender, "/commit")

@@ -67,7 +67,7 @@ def _page_of(recorded: RunRecords, summary: Mapping[str, Any], folder: Path) -> 
 
 
 def _ending(recorded: RunRecords, summary: Mapping[str, Any]) -> str:
-    """How a run ended, in a sentence; of one drone's flight in the field as well, which has no facts."""
+    """Returns how a run ended, in a sentence; of one drone's flight in the field as well, which has no facts."""
     if summary["outcome"] == Outcome.COMMITTED.label:
         return f"{Outcome.COMMITTED.meaning}, {figure(summary['t_commit_s'], 's', 1)} after the start"
     ends = [f"{role.value}: {end.record['detail'] or end.record['outcome']}"
@@ -89,14 +89,14 @@ def show(content: RenderableType, stream: TextIO) -> None:
 
 
 def summary_table(summary: Mapping[str, Any]) -> RenderableType:
-    """What a person wants to know of one run."""
+    """Returns the table of one run for a person."""
     parts: list[RenderableType] = [Text(), *outcome_line(summary)]
     parts += [Text(), phase_table(summary["phases"]), Text(), _figures(summary)]
     return Group(*parts)
 
 
 def outcome_line(summary: Mapping[str, Any]) -> list[Text]:
-    """How the run ended and what was flown; below it why, and what the harness noticed."""
+    """Returns how the run ended and what was flown; below it why, and what the harness noticed."""
     good = summary["exit_code"] == 0
     head = Text.assemble((f" {summary['outcome']} ", "bold black on green" if good else "bold white on red"))
     head.append(f"  rig {summary['rig']}, seed {summary['seed']}")
@@ -178,7 +178,7 @@ def _separation(summary: Mapping[str, Any]) -> str:
 
 
 def violations(monitors: Mapping[str, int]) -> str:
-    """What the monitors saw, in words."""
+    """Returns the monitors' violations in words."""
     return _counts(monitors) if monitors else "no violation"
 
 
@@ -219,7 +219,7 @@ def summarize_many(summaries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def series_table(series: Mapping[str, Any]) -> RenderableType:
-    """What a person wants to know of several runs."""
+    """Returns the table of several runs for a person."""
     counts = Table.grid(padding=(0, 3))
     counts.add_row(Text("runs", "dim"), f"{series['runs']}: {_counts(series['outcomes'])}")
     counts.add_row(Text("committed", "dim"), f"{series['commit_rate'] * 100:.1f} %")

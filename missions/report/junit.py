@@ -56,5 +56,5 @@ def _add(suite: ET.Element, classname: str, case: JUnitCase) -> None:
 
 
 def _clean(text: str) -> str:
-    """Without the characters that XML cannot hold."""
+    """Returns a text without the characters that XML cannot hold."""
     return _NOT_XML.sub("?", text)

@@ -33,7 +33,7 @@ figure { margin: 0; width: 15rem } figure img { width: 100%; border-radius: .2re
 
 @dataclass(frozen=True, slots=True)
 class PageOf:
-    """What is known of a run beside its drones' logs."""
+    """The facts of a run beside its drones' logs."""
 
     outcome: str
     why: str
@@ -84,7 +84,7 @@ def _drone(name: str, records: Sequence[LogRecord]) -> Iterator[str]:
 
 
 def _phases(records: Sequence[LogRecord]) -> Iterator[LogRecord]:
-    """Where one begins."""
+    """Yields the records with which a phase begins."""
     before = ""
     for record in records:
         if record.topic == "/phase" and record.record["phase"] != before:

@@ -1,4 +1,4 @@
-"""What a person sees while the drones fly: a live table in a terminal, plain lines elsewhere."""
+"""The display of a flight under way: a live table in a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def _figures(progress: Progress) -> list[str]:
 
 
 def _advance(progress: Progress) -> str:
-    """How far the agreement is: pairs, or evidence where it counts."""
+    """Returns how far the agreement is: pairs, or evidence where it counts."""
     if progress.evidence is None:
         return f"{min(progress.count, progress.needed)}/{progress.needed}"
     reached, needed = progress.evidence

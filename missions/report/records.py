@@ -1,4 +1,4 @@
-"""What a run folder holds, and what the records in its logs mean: the contract between those who log and who report.
+"""The contents of a run folder and its logs' records: the contract between those who log and those who report.
 
     sender.mcap, receiver.mcap   one log per role, stamps of the role's own clock; sender.2.mcap and so on of a role
                                  whose program was started again
@@ -41,7 +41,7 @@ class RunFolderError(PartError):
 
 @dataclass(frozen=True, slots=True)
 class RunFacts:
-    """What the logs of the roles cannot tell: what was asked for, and what the harness saw.
+    """The facts of a run that its logs cannot tell: what was asked for, and what the harness saw.
 
     Attributes:
         outcome: label of the whole run's ``flight.outcome.Outcome``.
@@ -121,7 +121,7 @@ def read_parts(*paths: Path) -> list[LogRecord]:
 
 
 def load_facts(folder: Path) -> RunFacts | None:
-    """How a run ended; None when it was cut off before its end."""
+    """Returns the facts of a run; None when it was cut off before its end."""
     try:
         return msgspec.json.decode((folder / FACTS).read_bytes(), type=RunFacts)
     except (OSError, msgspec.DecodeError):  # the marker of an unfinished run is not all of it
@@ -129,8 +129,10 @@ def load_facts(folder: Path) -> RunFacts | None:
 
 
 def by_topic(*paths: Path) -> dict[str, list[LogRecord]]:
-    """All records of a log's parts by topic; empty when there is no such file. Raises RunFolderError for what is no
-    log."""
+    """Returns all records of a log's parts by topic; empty when there is no such file.
+
+    Raises RunFolderError for what is no log.
+    """
     topics: dict[str, list[LogRecord]] = {}
     try:
         for path in paths:

@@ -43,7 +43,10 @@ def summarize(run: RunRecords) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """From the sender's entry into the verify phase to its commit, or to where its log ends. Sender's clock."""
+    """The time from the sender's entry into the verify phase to its commit, or to where its log ends.
+
+    Sender's clock.
+    """
 
     start_ns: int
     end_ns: int
@@ -184,12 +187,14 @@ def _errors(run: RunRecords, span: Verification | None, truth: Truth | None) -> 
 
 
 def d2_error_m(truth: Truth, answer: Mapping[str, Any]) -> float:
-    """How far off a candidate's position of D2's camera was, in the marker's frame."""
+    """Returns the error of a candidate's position of D2's camera, m, in the marker's frame."""
     return float(np.linalg.norm(np.array(answer["position_v_m"]) - truth.T_v_c2(answer["capture_ns"]).t))
 
 
 def target_error_m(truth: Truth, answer: Mapping[str, Any], sent: Mapping[str, Any]) -> float | None:
-    """How far off the target's point was in D2's camera frame; None when D1's box was not centred on the target.
+    """Returns the error of the target's point in D2's camera frame, m.
+
+    None when D1's box was not centred on the target.
 
     The true point is where D1's line of sight met the body of the target, carried along with that body to the instant
     of D2's frame.
@@ -226,7 +231,7 @@ def _link(run: RunRecords, span: Verification | None) -> dict[str, Any]:
 
 
 def _dropped(records: Sequence[LogRecord]) -> dict[str, int]:
-    """By reason, of all programs of a role: each counts from nothing."""
+    """Returns packets dropped by reason, of all programs of a role: each counts from nothing."""
     ends = [*records[-1:], *(r for r, after in pairwise(records) if _anew(r, after))]
     return dict(sum((Counter(r.record["dropped"]) for r in ends), Counter[str]()))
 

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class TrueScene:
-    """What does not change in a world: see ``/scene`` in ``missions.report.records``."""
+    """The constants of a world: see ``/scene`` in ``missions.report.records``."""
 
     target_id: int
     min_separation_m: float
@@ -79,7 +79,7 @@ class Truth:
         return Pose(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array([x, y, z]))
 
     def hit_o(self, role: Role, stamp_ns: int, pixel: Sequence[float], object_id: int) -> Vector | None:
-        """Where the ray of a pixel meets an object, in the object's frame; None when it misses."""
+        """Returns where the ray of a pixel meets an object, in the object's frame; None when it misses."""
         x, y = self.scene.cameras[role].ray(pixel[0], pixel[1])
         T_o_c = self.T_w_o(object_id, role, stamp_ns).inverse() @ self.T_w_c(role, stamp_ns)
         return first_hit(T_o_c.t, T_o_c.R @ np.array([x, y, 1.0]), self.scene.boxes)
@@ -150,7 +150,7 @@ def box_center(box: Sequence[float]) -> tuple[float, float]:
 
 
 def first_hit(origin: Vector, direction: Vector, boxes: Array) -> Vector | None:
-    """Where a ray first enters one of the boxes (n, 6: centre, size; axes-aligned); None when it misses all."""
+    """Returns where a ray first enters one of the boxes (n, 6: centre, size; axes-aligned); None when it misses all."""
     direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
     near = (boxes[:, :3] - boxes[:, 3:] / 2 - origin) / direction
     far = (boxes[:, :3] + boxes[:, 3:] / 2 - origin) / direction

@@ -1,4 +1,4 @@
-"""What a test flies, and what it is told of it."""
+"""Flights of a test, and their results."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ class FlownDrone:
 
     @property
     def outcome(self) -> str:
-        """How its own program ended; ``died`` when it did not come to say so."""
+        """The end of its own program; ``died`` when it did not come to say so."""
         end = last(self.records, "/outcome")
         return "died" if end is None else str(end.record["outcome"])
 
     @property
     def landed(self) -> bool:
-        """Whether its own program brought it down."""
+        """Returns whether its own program brought it down."""
         end = last(self.records, "/outcome")
         return end is not None and bool(end.record["landed"])
 
@@ -64,7 +64,7 @@ class FlownRun:
 
     @property
     def outcome(self) -> str:
-        """How the whole run ended (docs/faults.md)."""
+        """The end of the whole run (docs/faults.md)."""
         return self.facts.outcome
 
     @property
@@ -74,7 +74,7 @@ class FlownRun:
 
     @cached_property
     def drones(self) -> Mapping[str, FlownDrone]:
-        """Both, by name."""
+        """Both drones by name."""
         return {role.value: FlownDrone(role.value, self._run.role(role)) for role in Role}
 
     @property

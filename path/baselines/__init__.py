@@ -1,1 +1,4 @@
-"""What the method is held against: the target found again in D2's image by how it looks, without any geometry."""
+"""The baselines that the method is compared with.
+
+They find the target in D2's image by its appearance, without geometry.
+"""

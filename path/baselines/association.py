@@ -17,7 +17,7 @@ Scope = Literal["each", "all"]
 
 @dataclass(frozen=True, slots=True)
 class BaselineConfig:
-    """How a baseline works.
+    """Configuration of a baseline.
 
     Attributes:
         scope: match D1's features against "each" of D2's boxes by itself, or against the features of "all" together:
@@ -35,7 +35,7 @@ class BaselineConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Votes:
-    """What speaks for each of D2's boxes.
+    """The evidence for each of D2's boxes.
 
     Attributes:
         inliers: verified matches, one number a box.

@@ -39,7 +39,7 @@ class Keypoints:
         return len(self.points_px)
 
     def pick(self, which: NDArray[Any]) -> Keypoints:
-        """Those of a mask or of indices."""
+        """Returns the keypoints of a mask or of indices."""
         return Keypoints(self.points_px[which], self.descriptors[which], self.scores[which])
 
 
@@ -65,7 +65,7 @@ class Features(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FeatureSearch:
-    """How features around a box are looked for.
+    """The surroundings of a box in which features are searched for, and their scale.
 
     Attributes:
         zoom: enlargement of the image before.
@@ -108,7 +108,7 @@ def _of_area(area: Region | None, windows: Sequence[Region], seen: Sequence[Keyp
 
 
 def inside(keypoints: Keypoints, area: Region) -> Keypoints:
-    """Those within an area."""
+    """Returns the keypoints within an area."""
     u, v = keypoints.points_px[:, 0], keypoints.points_px[:, 1]
     return keypoints.pick((u >= area.x0) & (u < area.x1) & (v >= area.y0) & (v < area.y1))
 

@@ -38,7 +38,7 @@ class MatchConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nearest:
-    """What of ``b`` each of ``a``'s n features is most like; empty when either has none.
+    """The nearest neighbours in ``b`` of ``a``'s n features; empty when either has none.
 
     Attributes:
         rows: (n,) indices into ``a``.
@@ -99,7 +99,7 @@ def hamming(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.uint16]:
 
 
 def verify(a: Keypoints, b: Keypoints, pairs: Pairs, config: MatchConfig, seed: int = 0) -> NDArray[np.bool_]:
-    """Which pairs (m,) agree with the one model that most of them agree with; none when there are too few."""
+    """Returns which pairs (m,) are inliers of the model that most of them agree with; none when there are too few."""
     nothing = np.zeros(len(pairs), np.bool_)
     if len(pairs) < MIN_PAIRS[config.model]:
         return nothing

@@ -83,7 +83,7 @@ class Board:
 
     @property
     def text(self) -> str:
-        """How messages name it."""
+        """Returns the board's name in messages."""
         size = f"{self.columns}x{self.rows} squares of {1000.0 * self.square_m:g} mm"
         if self.pattern == "chessboard":
             return f"chessboard, {size}"
@@ -96,7 +96,7 @@ class BoardView:
 
     Attributes:
         ids: (n,) indices into ``Board.corners_o``.
-        corners_px: (n, 2). ``sigma_px``: (n,) standard deviation per axis that the image's noise leaves.
+        corners_px: (n, 2). ``sigma_px``: (n,) standard deviation per axis by the image's noise.
         blur_px: standard deviation of the blur across the edges, the larger one of the two directions, median.
     """
 
@@ -108,7 +108,10 @@ class BoardView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundCorners:
-    """What OpenCV finds, before refinement. ``clear_px``: (n,) how far around a corner only its four squares are."""
+    """Corners as OpenCV finds them, before refinement.
+
+    ``clear_px``: (n,) how far around a corner only its four squares are.
+    """
 
     ids: NDArray[np.int64]
     corners_px: Array
@@ -160,7 +163,7 @@ def find_corners(grey: Image, board: Board) -> FoundCorners | None:
 
 
 def other_size(grey: Image) -> tuple[int, int] | None:
-    """About how many columns and rows of squares a chessboard in an image has; None when there is none."""
+    """Returns about how many columns and rows of squares a chessboard in an image has; None when there is none."""
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
     return (int(meta.shape[1]) + 1, int(meta.shape[0]) + 1) if found else None

@@ -136,18 +136,21 @@ def doubting(solution: Intrinsics) -> Intrinsics:
 
 
 def left_by(camera: CameraModel, views: Sequence[BoardView], board: Board) -> float:
-    """What a given camera leaves of views when only their poses are fitted, rms in px: with the true one, the noise."""
+    """Returns the residual of a given camera when only the views' poses are fitted, rms in px.
+
+    With the true one: the noise.
+    """
     matrix, lens = matrices_of(camera)
     return rms(np.concatenate([_refit(matrix, lens, board.corners_o[v.ids], v.corners_px)[1] for v in views]))
 
 
 def board_pose(camera: CameraModel, board: Board, view: BoardView) -> tuple[Pose, Array]:
-    """``T_c_o`` of one view, and what it leaves, (n, 2) px. Raises NotSolvable."""
+    """``T_c_o`` of one view, and its residuals, (n, 2) px. Raises NotSolvable."""
     return pose_of_points(camera, board.corners_o[view.ids], view.corners_px)
 
 
 def pose_of_points(camera: CameraModel, points_o: Array, corners_px: Array) -> tuple[Pose, Array]:
-    """``T_c_o`` of points in a plane, (n, 3) seen at (n, 2), and what it leaves, (n, 2) px. Raises NotSolvable."""
+    """``T_c_o`` of points in a plane, (n, 3) seen at (n, 2), and its residuals, (n, 2) px. Raises NotSolvable."""
     return _refit(*matrices_of(camera), points_o, corners_px)
 
 
@@ -215,7 +218,7 @@ def _fixed(radial: int) -> int:
 
 
 def _near(matrix: Array, lens: Array, points_o: Array, corners_px: Array, limit_px: float) -> NDArray[np.bool_]:
-    """Which corners of a view fit it: the worst is left out, one at a time, as it pulls the others off."""
+    """Returns which corners of a view fit it. The worst is left out, one at a time, as it pulls the others off."""
     kept = np.ones(len(corners_px), np.bool_)
     for _ in range(int(MOST_OUTLIERS * len(corners_px))):
         lengths = np.linalg.norm(_refit(matrix, lens, points_o[kept], corners_px[kept])[1], axis=1)
@@ -227,7 +230,7 @@ def _near(matrix: Array, lens: Array, points_o: Array, corners_px: Array, limit_
 
 
 def _refit(matrix: Array, lens: Array, points_o: Array, corners_px: Array) -> tuple[Pose, Array]:
-    """Pose of a view under a given camera, and what is left. Raises NotSolvable."""
+    """Pose of a view under a given camera, and its residuals. Raises NotSolvable."""
     try:
         done, rotation, translation = cv2.solvePnP(points_o, corners_px, matrix, lens, flags=cv2.SOLVEPNP_IPPE)
         if done:

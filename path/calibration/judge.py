@@ -1,4 +1,4 @@
-"""Is a set of views good enough to calibrate with? What is wrong with it is named, each with what to do.
+"""The judgement of a set of views: what is wrong with it for calibration is named, each with what to do.
 
 Some sets determine a camera badly and still leave small residuals: the residuals alone say nothing.
 """
@@ -24,7 +24,7 @@ PLACES = (("top left", "top", "top right"), ("left", "middle", "right"), ("botto
 
 
 class BadSet(Enum):
-    """What is wrong with a set. Values are stable: they are written and tested."""
+    """A fault of a set of views. Values are stable: they are written and tested."""
 
     NO_BOARD = "no_board"
     MIXED_SIZES = "mixed_sizes"
@@ -50,7 +50,7 @@ class SetFault:
 
 @dataclass(frozen=True, slots=True)
 class SetLimits:
-    """What a good set has. A set that has less gives a calibration of a lower grade, as long as it says anything.
+    """Limits of a good set. A set that has less gives a calibration of a lower grade, as long as it says anything.
 
     Attributes:
         min_views: usable ones. ``fewest_views``: with less there is no calibration.
@@ -80,7 +80,7 @@ class SetLimits:
 
 
 def sharp_enough(views: Sequence[BoardView], limits: SetLimits) -> list[bool]:
-    """Which views are not blurred."""
+    """Returns, for each view, whether it is sharp enough."""
     if not views:
         return []
     blurs = sorted(view.blur_px for view in views)
@@ -95,7 +95,7 @@ def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.in
 
 
 def judge_views(views: Sequence[BoardView], size: tuple[int, int], limits: SetLimits) -> list[SetFault]:
-    """What can be said before a camera is solved: their number, and where in the image they are."""
+    """Returns the faults known before a camera is solved: the number of views, and their places in the image."""
     faults: list[SetFault] = []
     if len(views) < limits.min_views:
         faults.append(
@@ -121,7 +121,7 @@ def judge_views(views: Sequence[BoardView], size: tuple[int, int], limits: SetLi
 
 
 def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
-    """What the solution says of its views."""
+    """Returns the faults that the solution shows in its views."""
     faults: list[SetFault] = []
     if solution.rms_px > limits.max_rms_px:
         faults.append(
@@ -169,13 +169,13 @@ def focal_sigma(solution: Intrinsics) -> float:
 
 
 def useless(solution: Intrinsics, limits: SetLimits) -> bool:
-    """Whether nothing should be made of a solution: no camera, another board than named, or nothing known of it."""
+    """Returns whether a solution is useless: no camera, another board than named, or nothing known of it."""
     known = focal_sigma(solution) <= limits.most_focal_sigma
     return solution.camera is None or not known or solution.rms_px > limits.max_rms_px
 
 
 def grade_of(solution: Intrinsics, faults: Sequence[SetFault], limits: SetLimits) -> Grade:
-    """How far a calibration can be trusted: good without any fault, fair or weak by what is known of fx and fy."""
+    """Returns the grade of a calibration: good without any fault, fair or weak by what is known of fx and fy."""
     if not faults:
         return "good"
     return "fair" if focal_sigma(solution) <= limits.fair_focal_sigma else "weak"
@@ -226,6 +226,6 @@ def _histogram(views: Sequence[BoardView], size: tuple[int, int], grid: tuple[in
 
 
 def empty_places(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
-    """Which ninths of the image no view has a corner in."""
+    """Returns the names of those ninths of the image in which no view has a corner."""
     cells = _histogram(views, size, (3, 3))
     return [PLACES[row][column] for row in range(3) for column in range(3) if cells[row, column] == 0]

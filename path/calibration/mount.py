@@ -1,4 +1,4 @@
-"""Where D1's camera is, seen from the marker: ``T_v_c1`` from pairs of images of one board.
+"""The pose of D1's camera in the marker's frame: ``T_v_c1`` from pairs of images of one board.
 
 D1's camera sees the board; at the same time another camera sees the board and the marker. Board, drone and the other
 camera may move from pair to pair, not within one. Everything is fitted at once: ``T_v_c1``, the size of the print, and
@@ -45,7 +45,7 @@ class MountPair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairFit:
-    """What the solution leaves of one pair: rms of the marker's corners in px, and their chi-square per number."""
+    """The residuals of one pair in the solution: rms of the marker's corners in px, and their chi-square per number."""
 
     name: str
     rms_px: float
@@ -156,7 +156,7 @@ def _first(
     camera: CameraModel,
     layout: MarkerLayout,
 ) -> Pose:
-    """Of both planar poses of every marker, the one that fits all pairs best."""
+    """Returns, of both planar poses of every marker, the one that fits all pairs best."""
     matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
     lens = np.array(camera.distortion)
     best, least = Pose(np.eye(3), np.zeros(3)), math.inf

@@ -21,7 +21,7 @@ FIRST_BLUR_PX = 0.8
 BLUR_PX = (0.25, 6.0)
 MOST_STEP_PX = 0.5
 MOST_MOVED_PX = 2.5
-MOST_LEFT = 0.25  # rms that a fit may leave, as a share of its contrast
+MOST_LEFT = 0.25  # largest rms residual of a fit, as a share of its contrast
 LEAST_CONTRAST = 8.0  # grey levels
 UNKNOWNS = 8  # u, v, two angles, two blurs, mean, contrast
 

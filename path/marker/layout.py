@@ -1,4 +1,4 @@
-"""Which markers are printed where in frame ``v``. Nothing heavy is imported here: rigs are decoded with it."""
+"""The layout of printed markers in frame ``v``. Nothing heavy is imported here: rigs are decoded with it."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ REGION_SIDES = 1.0  # a region around a previous pose reaches this many sides of
 
 @dataclass(frozen=True, slots=True)
 class Gravity:
-    """Which way is down in some frame.
+    """The direction of gravity in some frame.
 
     Attributes:
         direction: along gravity (down), of any length: an accelerometer at rest gives the opposite.
@@ -123,7 +123,7 @@ def locate_marker(
 def _areas(
     region: Region | None, previous: Pose | None, layout: MarkerLayout, camera: CameraModel
 ) -> tuple[Region | None, ...]:
-    """Where to look, in this order."""
+    """Returns the regions to search for markers, in this order."""
     if region is not None or previous is None:
         return (region,)
     near = _around(previous, layout, camera)
@@ -131,7 +131,7 @@ def _areas(
 
 
 def _around(T_c_v: Pose, layout: MarkerLayout, camera: CameraModel) -> Region | None:
-    """Where the markers would be in the image, with room for motion; None when they would not be in it."""
+    """Returns the region of the markers in the image, with room for motion; None when they would not be in it."""
     points_c = T_c_v.apply(np.concatenate([marker.corners_v for marker in layout.markers]))
     pixels = camera.project(points_c)
     if not np.all(np.isfinite(pixels)):

@@ -1,4 +1,4 @@
-"""What may be wrong with the camera, the light and the print, and a pass of the fit that knows of it.
+"""A pass of the fit that knows of errors of the camera, the light and the print.
 
     I = F * (l M),    F = 1 + sum_k f_k D_k,    l = 1 - d S((p cos a + q sin a - c) / w)
 

@@ -110,7 +110,7 @@ class _FitState:
     passes: int = 0
 
     def copy(self) -> _FitState:
-        """With unknowns of its own."""
+        """Returns a copy with unknowns of its own."""
         return replace(
             self,
             theta=self.theta.copy(),
@@ -229,13 +229,13 @@ def _fit_ideal(state: _FitState, ideal: bool) -> bool:
 
 
 def _misfits(state: _FitState) -> bool:
-    """Whether an ideal print and camera do not explain the image: to be asked near the end of their fit."""
+    """Returns whether an ideal print and camera fail to explain the image: to be asked near the end of their fit."""
     sure = state.misfit < MISFIT and state.correlated_misfit < CORRELATED_MISFIT
     return not sure or state.share_used < SHARE_USED
 
 
 def _filter_pays(state: _FitState) -> bool:
-    """Whether a filter betters a pose: of a large marker only where much is wrong."""
+    """Returns whether a filter betters a pose: of a large marker only where much is wrong."""
     much = state.misfit > STRONG_MISFIT or state.correlated_misfit > STRONG_CORRELATED_MISFIT
     return much or state.area_px2 < LARGE_PX**2
 

@@ -1,4 +1,4 @@
-"""From marker corners to the pose of ``v`` in a camera: both planar solutions, chosen and refined with gravity.
+"""The pose of ``v`` in a camera from marker corners: both planar solutions, chosen and refined with gravity.
 
 A square marker seen from afar has two poses that explain its corners about equally well, and reprojection error cannot
 tell which is right. Both drones know which way is down: with that as a prior (Gauss-Newton on reprojection and gravity
@@ -39,7 +39,7 @@ WORST_PX, WORST_SHARE = 1.0, 0.06  # rms misfit of corners, px or share of the s
 
 @dataclass(frozen=True, slots=True)
 class PoseSettings:
-    """What is known of the errors, and what is too uncertain to be a pose.
+    """The expected errors of a pose's inputs, and the limits beyond which a pose is refused.
 
     Attributes:
         attitude_v_sigma_rad, attitude_c_sigma_rad: of gravity in ``v`` and in the camera, per axis: the error of roll
@@ -205,7 +205,7 @@ def _side_px(found: MarkerDetection) -> float:
 
 
 def _ippe(found: MarkerDetection, marker: Marker, lens: Array) -> tuple[Array, Array]:
-    """Both planar solutions as poses of ``v`` in the camera, (n, 3, 3) and (n, 3)."""
+    """Returns both planar solutions as poses of ``v`` in the camera, (n, 3, 3) and (n, 3)."""
     seen = rays(np.ascontiguousarray(found.corners_px), lens)
     square = _square(marker.side_m)
     try:

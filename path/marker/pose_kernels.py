@@ -56,7 +56,7 @@ def facing(R: Array, t: Array, R_v_m: Array, t_v_m: Array) -> tuple[float, Array
 
 @inner
 def angle(R_a: Array, R_b: Array) -> float:
-    """Of the rotation from one to the other."""
+    """Returns the angle of the rotation from one to the other, rad."""
     total = 0.0
     for i in range(3):
         for j in range(3):
@@ -184,7 +184,7 @@ def scales(
     R: Array, t: Array, points: Array, middles: Array, sizes: Array, whitening: Array, lens: Array, jacobian: Array,
     by_size: Array, by_focal: Array,
 ) -> None:  # fmt: skip
-    """How corners pull the pose, ``J^T W du`` (6,), when a print or the focal length is not what it is believed to be.
+    """Computes how corners pull the pose, ``J^T W du`` (6,), when the print's size or the focal length is wrong.
 
     Args:
         middles, sizes: (m, 3) centre of each marker in ``v``, (m,) standard deviation of its side, relative. All
@@ -249,7 +249,7 @@ def covariance(
 
 
 class PoseProblem(NamedTuple):
-    """What a pose is estimated from.
+    """The inputs of a pose's estimate.
 
     Attributes:
         points, pixels: (n, 3) corners in ``v``, (n, 2) in the image.

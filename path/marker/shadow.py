@@ -1,4 +1,4 @@
-"""Where a shadow could lie on a marker, before the fit knows of it."""
+"""The likely place of a shadow on a marker, before the fit knows of it."""
 
 from __future__ import annotations
 

@@ -34,7 +34,10 @@ from path.protocol.values import (
 
 @dataclass(frozen=True, slots=True)
 class Observing:
-    """Not responsible. ``floor`` is the lowest epoch still taken, ``live`` the attempt it is in, until ``end_ns``."""
+    """The receiver is not responsible.
+
+    ``floor`` is the lowest epoch still taken, ``live`` its attempt, until ``end_ns``.
+    """
 
     floor: int = 0
     live: Handoff | None = None
@@ -76,7 +79,7 @@ Step = tuple[ReceiverState, Actions]
 
 
 def claim(state: ReceiverState) -> TakeResponsibility | None:
-    """What a state is responsible by; None when it is not."""
+    """Returns the claim by which a state is responsible; None when it is not."""
     match state:
         case Provisional():
             return TakeResponsibility(state.lease_end_ns)
@@ -87,7 +90,7 @@ def claim(state: ReceiverState) -> TakeResponsibility | None:
 
 
 def is_responsible(state: ReceiverState, now_ns: int) -> bool:
-    """Whether it is at this instant, be it that nobody has told the machine of it yet."""
+    """Returns whether it is responsible at this instant, even if nobody has told the machine of the instant yet."""
     held = claim(state)
     return held is not None and held.at(now_ns)
 
@@ -104,7 +107,7 @@ def floor(state: ReceiverState) -> int:
 
 
 def record(state: ReceiverState) -> ReceiverRecord:
-    """What is to be written down of a state."""
+    """Returns what is to be written down of a state."""
     match state:
         case Observing():
             return ReceiverRecord(state.floor)
@@ -138,7 +141,7 @@ def restored(config: ProtocolConfig, kept: ReceiverRecord, now_ns: int, *, same_
 
 
 def wake_ns(state: ReceiverState) -> int | None:
-    """When the next Tick is due, own clock; None when time changes nothing."""
+    """Returns when the next Tick is due, own clock; None when time changes nothing."""
     match state:
         case Observing():
             return None if state.live is None else state.end_ns
@@ -334,7 +337,7 @@ def _begin_anew(state: ReceiverState) -> Step:
 
 
 def _spend(live: Handoff) -> tuple[Observing, Actions]:
-    """Nothing more is taken in this epoch, not even after a restart."""
+    """Ends an epoch: nothing more is taken in it, not even after a restart."""
     after = Observing(live.epoch + 1)
     return after, (Persist(record(after)),)
 
@@ -375,7 +378,7 @@ class ReceiverMachine:
 
     @property
     def live(self) -> Handoff | None:
-        """What Candidates are to carry; None before the first Target of a handoff, and after its end."""
+        """The attempt that Candidates are to carry; None before the first Target of a handoff, and after its end."""
         return self.state.live
 
     def responsible(self, now_ns: int) -> bool:

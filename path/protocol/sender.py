@@ -109,7 +109,7 @@ def epoch(state: SenderState) -> int:
 
 
 def record(state: SenderState) -> SenderRecord:
-    """What is to be written down of a state."""
+    """Returns what is to be written down of a state."""
     match state:
         case Idle():
             return SenderRecord(state.epoch)
@@ -150,7 +150,7 @@ def restored(config: ProtocolConfig, kept: SenderRecord, now_ns: int, *, same_cl
 
 
 def wake_ns(state: SenderState) -> int | None:
-    """When the next Tick is due, own clock; None when time changes nothing."""
+    """Returns when the next Tick is due, own clock; None when time changes nothing."""
     match state:
         case Offering() | Verifying():
             return _deadline_ns(state)
@@ -266,7 +266,7 @@ def _commit(config: ProtocolConfig, state: Verifying, agreed: AgreementComplete,
 
 
 def _give_up(state: Offering | Verifying, reason: AbortReason, now_ns: int) -> Step:
-    """Before the commit: over at once, and still responsible."""
+    """Ends an attempt before its commit: over at once, and still responsible."""
     return Keeping(state.live.epoch), (Send(_abort(state.live, reason, now_ns)), Ended(HandoffOutcome.ABORTED, reason))
 
 
@@ -315,7 +315,10 @@ def _hear_abort(state: Offering | Verifying | AwaitingAccept | HandedOver, abort
 
 
 def _tells(state: HandedOver, status: PeerStatus) -> bool:
-    """Only the receiver that accepted tells what became of it, and only once its lease is over."""
+    """Returns whether a Status tells what became of the hand-over.
+
+    Of the receiver that accepted, once its lease is over.
+    """
     return status.stamp_ns > state.sure_ns and status.instance == state.live.instance
 
 
@@ -360,7 +363,7 @@ class SenderMachine:
 
     @property
     def live(self) -> Handoff | None:
-        """What Targets are to carry; None when there is no handoff."""
+        """The attempt that Targets are to carry; None when there is no handoff."""
         return None if isinstance(self.state, Idle | Keeping) else self.state.live
 
     @property

@@ -1,4 +1,4 @@
-"""What the two protocol machines are told (events), what they want done (actions), and how a handoff ends."""
+"""The values of the two protocol machines: events they are told, actions they want done, and ends of a handoff."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def to_ns(seconds: float) -> int:
 
 
 class HandoffOutcome(Enum):
-    """How a handoff ended for one side."""
+    """The end of a handoff for one side."""
 
     HANDED_OVER = "handed_over"
     TIMEOUT = "timeout"
@@ -70,7 +70,7 @@ class HandoffOutcome(Enum):
 
 
 class Refusal(Enum):
-    """Why an event changed nothing."""
+    """The reason why an event changed nothing."""
 
     WRONG_STATE = "wrong_state"
     WRONG_HANDOFF = "wrong_handoff"
@@ -89,7 +89,10 @@ class Refusal(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Handoff:
-    """What every message of one attempt is bound to. ``instance``: the receiver it is committed to, 0 before."""
+    """The identity of one attempt, to which its messages are bound.
+
+    ``instance``: the receiver it is committed to, 0 before.
+    """
 
     handoff_id: int
     epoch: int
@@ -97,7 +100,7 @@ class Handoff:
     instance: int = 0
 
     def follows(self, other: Handoff | None) -> bool:
-        """Whether it is another attempt."""
+        """Returns whether it is another attempt than ``other``."""
         return other is None or replace(self, instance=0) != replace(other, instance=0)
 
 
@@ -105,7 +108,7 @@ Bound = Target | Candidate | Commit | Accept | Confirm
 
 
 def mismatch(live: Handoff, message: Bound) -> Refusal | None:
-    """Why a message does not belong to the live attempt; None when it does."""
+    """Returns why a message does not belong to the live attempt; None when it does."""
     if message.epoch != live.epoch:
         return Refusal.LOWER_EPOCH if message.epoch < live.epoch else Refusal.UNKNOWN_EPOCH
     if message.handoff_id != live.handoff_id:
@@ -189,7 +192,7 @@ class VerifyAgain:
 
 @dataclass(frozen=True, slots=True)
 class NewMission:
-    """On the ground a person begins anew: what an earlier mission gave away or held is over. Epochs go on."""
+    """A person begins anew on the ground: what an earlier mission gave away or held is over. Epochs go on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +227,7 @@ class Send:
 
 @dataclass(frozen=True, slots=True)
 class SenderRecord:
-    """What a restarted sender has to know. Instants are of its own clock.
+    """The facts that a restarted sender has to know. Instants are of its own clock.
 
     Attributes:
         epoch: the last one used.
@@ -246,7 +249,7 @@ class SenderRecord:
 
 @dataclass(frozen=True, slots=True)
 class ReceiverRecord:
-    """What a restarted receiver has to know. Instants are of its own clock.
+    """The facts that a restarted receiver has to know. Instants are of its own clock.
 
     Attributes:
         epoch: the lowest one it still takes.
@@ -285,7 +288,7 @@ class TakeResponsibility:
         return self.until_ns is not None
 
     def at(self, now_ns: int) -> bool:
-        """Whether it is still so."""
+        """Returns whether the claim still holds at an instant of the own clock."""
         return self.until_ns is None or now_ns < self.until_ns
 
 
@@ -304,7 +307,7 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Settled:
-    """After ``Ended``: what became of the other side's half. Until then a sender that handed over keeps observing."""
+    """The other side's half is decided, after ``Ended``. Until then a sender that handed over keeps observing."""
 
     outcome: HandoffOutcome
 

@@ -1,4 +1,4 @@
-"""What every Beacons does: a Marvelmind system on a serial port, and its records of both kinds."""
+"""The contract of every Beacons: a Marvelmind system on a serial port, and its records of both kinds."""
 
 from __future__ import annotations
 

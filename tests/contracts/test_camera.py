@@ -1,5 +1,8 @@
-"""What every Camera does, whatever is behind it: the rendered one, a D415 in software (by itself, and fed by the world
-through shared memory), a recording of it, images, a Tello's video."""
+"""The contract of every Camera, whatever is behind it.
+
+The rendered one, a D415 in software (by itself, and fed by the world through shared memory), a recording of it, images,
+a Tello's video.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +84,7 @@ async def realsense(folder: Path) -> AsyncGenerator[Stage]:
 
 @asynccontextmanager
 async def shared(folder: Path) -> AsyncGenerator[Stage]:
-    """What a role at level ``sitl`` has: the world writes into shared memory."""
+    """The camera of a role at level ``sitl``: the world writes into shared memory."""
     del folder
     run, plugged, numbers = f"test-{uuid.uuid4().hex[:12]}", [True], itertools.count(1)
     source = PartSpec("hil.camera.software_d415:SoftwareD415", {"run": run}, "test: source")
@@ -208,8 +211,10 @@ async def _error_of(camera: Camera, timeout_s: float) -> CameraError | None:
 @CAMERAS
 @pytest.mark.parametrize("check", [check_frames, check_owner, check_silence], ids=lambda check: check.__name__[6:])
 def test_an_open_camera(stage_of: StageOf, check: Check, tmp_path: Path) -> None:
-    """Stamps and ids grow and sizes are the calibration's; a frame is the reader's own; no more frames are an error in
-    time with what to do."""
+    """Stamps and ids grow and sizes are the calibration's; a frame is the reader's own.
+
+    No more frames are an error in time with what to do.
+    """
 
     async def test(stage: Stage) -> None:
         async with stage.camera:

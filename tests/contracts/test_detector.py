@@ -1,4 +1,4 @@
-"""What every Detector does: by colour, by a network through onnxruntime, and by trackers between its detections.
+"""The contract of every Detector: by colour, by a network through onnxruntime, and by trackers between its detections.
 
 The small graph in place of a network finds bright cells; the real one is run where its weights are.
 """

@@ -1,4 +1,4 @@
-"""What both ends of every line between a role and its guard do: over UDP, and inside a process."""
+"""The contract of both ends of every line between a role and its guard: over UDP, and inside a process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every Link does: UDP sockets, serial radios, and the in-memory one of the sim levels, signed and not."""
+"""The contract of every Link: UDP sockets, serial radios, and the in-memory one of the sim levels, signed and not."""
 
 from __future__ import annotations
 

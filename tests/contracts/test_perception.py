@@ -1,4 +1,7 @@
-"""What every Sight and its views do: on pixels with a depth stream and without, and on the world's geometry."""
+"""The contract of every Perception and its views.
+
+On pixels with a depth stream and without, and on the world's geometry.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every RecordStore, Log and Clock does."""
+"""The contract of every RecordStore, Log and Clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every Vehicle does: PX4's MAVLink, a Tello's SDK, and both as the sim levels have them.
+"""The contract of every Vehicle: PX4's MAVLink, a Tello's SDK, and both as the sim levels have them.
 
 The real drivers talk to their emulated far sides over sockets; the others fly in virtual time.
 """

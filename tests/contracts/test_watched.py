@@ -1,4 +1,4 @@
-"""What every vehicle that a guard watches does: on a MAVLink of its own, and in the simulated world."""
+"""The contract of every vehicle that a guard watches: on a MAVLink of its own, and in the simulated world."""
 
 from __future__ import annotations
 

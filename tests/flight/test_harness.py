@@ -1,4 +1,4 @@
-"""What a role's program writes on its standard output its parent understands; a library's own lines it skips."""
+"""The lines on a role program's standard output: its parent understands them, and skips a library's own."""
 
 from __future__ import annotations
 

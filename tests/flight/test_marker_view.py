@@ -1,4 +1,7 @@
-"""Where the receiver looks for the marker, what it takes for a pose, and what it remembers while it sees none."""
+"""The receiver's view of the marker.
+
+Where it looks, what it takes for a pose, and what it remembers while it sees none.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far D2 keeps away while all it has are positions, and what sends it round again."""
+"""The distance that D2 keeps while all it has are positions, and what sends it round again."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WRONG = RendezvousConfig(positions_within_m=2.0, heights_within_m=1.0)
 
 @dataclass
 class Seen:
-    """What the marker view says."""
+    """The marker view's answers."""
 
     marker_n_m: Vec3 = (1.0, 0.0, 0.5)
     velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)

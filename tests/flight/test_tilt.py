@@ -1,4 +1,4 @@
-"""A drone that leans stands aside, so that its camera looks where it would if it were level."""
+"""A drone that is tilted stands aside, so that its camera looks where it would if it were level."""
 
 from __future__ import annotations
 

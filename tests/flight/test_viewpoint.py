@@ -73,7 +73,7 @@ def leaning(axis: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a drone's camera sees from a viewpoint, computed anew."""
+    """The view of a drone's camera from a viewpoint, computed anew."""
 
     view: ViewpointScene
     viewpoint: Viewpoint
@@ -244,7 +244,7 @@ def test_every_candidate_is_accounted_for_once() -> None:
 
 
 def test_a_leaning_drone_is_planned_for_as_it_leans() -> None:
-    """The planner's margin is the one that a drone that leans so will have, and a level plan's is not."""
+    """The planner's margin is the one that a drone with that tilt will have, and a level plan's is not."""
     lean = np.array([math.sin(0.1), 0.0, math.cos(0.1)])  # z axis towards the front: nose up, the camera looks higher
     level, leant = found(scene()), found(scene(), tilt_h=lean)
     assert min(Seen(scene(), leant, tilt_h=lean).margins()) == pytest.approx(leant.margin_px, abs=1e-6)

@@ -41,7 +41,7 @@ def _pose(pose: Pose) -> dict[str, Any]:
 
 @cache
 def _hit_o(eye_o: tuple[float, ...]) -> np.ndarray[Any, Any]:
-    """Where the line from ``eye_o`` to the middle of an object enters it, found by walking along it."""
+    """Returns where the line from ``eye_o`` to the middle of an object enters it, found by walking along it."""
     steps = np.linspace(0.8, 1.0, 10_001)[:, None]
     points = np.array(eye_o) + steps * (np.array([0.0, 0.0, 0.08]) - eye_o)
     inside = [np.all(np.abs(points - box[:3]) <= box[3:] / 2, axis=1) for box in BOXES]
@@ -50,7 +50,7 @@ def _hit_o(eye_o: tuple[float, ...]) -> np.ndarray[Any, Any]:
 
 @dataclass(frozen=True)
 class Synthetic:
-    """What is wrong in the run, and whether it has a commit and a world.
+    """A run with chosen errors, with or without a commit and a world.
 
     ``clock_offset_s`` sets the roles' clocks apart from the world's, by a different amount each.
     """
@@ -100,7 +100,7 @@ class Synthetic:
         return [u - size_px / 2, v - size_px / 3, size_px, size_px / 1.5]
 
     def _hit_w(self, time_s: float) -> np.ndarray[Any, Any]:
-        """Where D1's line of sight through its box centre meets the target: always the same place."""
+        """Returns where D1's line of sight through its box centre meets the target: always the same place."""
         eye_o = self.T_w_o(0.0).inverse().apply(self.T_w_c(Role.SENDER, 0.0).t)
         return self.T_w_o(time_s).apply(_hit_o(tuple(eye_o.tolist())))
 

@@ -29,7 +29,7 @@ RIGS = sorted(FOLDER.glob("*.toml"))
 
 
 def parsed(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> object:
-    """What a command line asks for, without doing it."""
+    """Returns the command that a command line asks for, without doing it."""
     commands: list[object] = []
 
     def keep(command: object) -> int:

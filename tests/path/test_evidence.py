@@ -379,8 +379,10 @@ def overlaps(rng: np.random.Generator, offset: float) -> NDArray[np.float64]:
 
 
 def independent_test(iou: NDArray[np.float64], rng: np.random.Generator) -> float:
-    """Share of attempts that Wald's test accepts with the same alpha, from the very densities of one frame's overlap,
-    as if the frames were independent; begun again whenever it rejects, as a handshake is."""
+    """Returns the share of attempts that Wald's test accepts with the same alpha, as if the frames were independent.
+
+    It has the very densities of one frame's overlap, and is begun again whenever it rejects, as a handshake is.
+    """
     edges = np.linspace(0.0, 1.0, 41)
     true = np.histogram(overlaps(rng, TRUE_OFFSET), edges)[0] + 1.0
     wrong = np.histogram(overlaps(rng, APART), edges)[0] + 1.0

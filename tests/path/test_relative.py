@@ -98,7 +98,7 @@ def test_both_attitudes_turn_what_is_predicted():
 
 
 def test_a_constant_error_of_either_attitude_does_no_harm():
-    """What is predicted in the camera rests on how attitudes change."""
+    """The prediction in the camera rests on how attitudes change."""
     own_error, peer_error = exp(np.array([0.01, -0.01, 0.06])), exp(np.array([-0.01, 0.02, -0.08]))
     filtered = RelativeFilter()
     for k in range(30):

@@ -23,7 +23,7 @@ IMPATIENT = ("[mission.target]", "[mission.deadlines]\nverify_s = 15.0\n\n[missi
 
 
 class Flown:
-    """How a flight ended, and its logs, read once."""
+    """A flight's end, and its logs, read once."""
 
     def __init__(self, facts: RunFacts, out: Path) -> None:
         self.facts, self.run = facts, load_run(out)
@@ -125,6 +125,10 @@ def test_rendered_frames_through_the_whole_perception_commit(tmp_path: Path) -> 
         ("pilot_takeover", "pilot_override"),
         ("pilot_takeover@take-off+2", "pilot_override"),
         ("motor_kill", "pilot_override"),
+        ("rc_mode_receiver", "pilot_override"),
+        ("rc_sticks_sender", "pilot_override"),
+        ("rc_kill_sender", "pilot_override"),
+        ("rc_lost_receiver", "pilot_override"),
         ("battery_sag", "guard"),
     ],
 )
@@ -143,7 +147,7 @@ def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(tmp_path: P
         told = {"outcome": "peer_lost", "detail": "", "responsible": True, "landed": True}
         assert flown.last_outcome(Role.SENDER) | {"detail": ""} == told
     last = flown.run.world["/truth"][-1].record
-    if not fault.startswith("pilot_takeover"):  # a pilot who took over keeps the vehicle
+    if not fault.startswith(("pilot_takeover", "rc_mode", "rc_sticks")):  # a pilot who took over keeps the vehicle
         assert not last["sender"]["in_air"]
         assert not last["receiver"]["in_air"]
 

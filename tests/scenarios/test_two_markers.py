@@ -36,7 +36,7 @@ def rig_with(rig: str, T_v_m: Pose, side_m: float) -> Rig:
 
 
 def look(rig: Rig, T_v_c: Pose, cover: int | None = None) -> tuple[LocatedMarker | object, float]:
-    """What D2's camera sees of the markers from a place in ``v``, rendered; and how far off its position is, m.
+    """Returns what D2's camera sees of the markers from a place in ``v``, rendered; and the error of its position, m.
 
     ``cover``: something grey hangs in front of this marker.
     """

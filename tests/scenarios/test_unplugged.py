@@ -51,7 +51,7 @@ LIMIT_S = 60.0  # for a whole flight, on a machine that is busy with others
 
 @dataclass
 class Stage:
-    """What flies; ``silence`` and ``blind`` unplug the vehicle's far side and the camera's."""
+    """The parts that fly; ``silence`` and ``blind`` unplug the vehicle's far side and the camera's."""
 
     vehicle: Vehicle
     perception: Perception
@@ -154,7 +154,7 @@ async def say_status(link: Link) -> None:
 
 
 async def fly(stage: Stage, folder: Path, unplug: Callable[[Stage, Cable], object]) -> tuple[RoleResult, float]:
-    """How it ended, and how long after the unplugging."""
+    """Returns how it ended, and how long after the unplugging."""
     cable = Cable(folder)
     cable.plug()
     sender, receiver = serial_links(cable, None)

@@ -18,7 +18,7 @@ LOST_AFTER = 3  # times that a piece may be begun again because its worker was l
 
 
 class ClusterWork:
-    """Does pieces on a cluster whose workers have this version of PATH installed. Made by ``open_cluster``."""
+    """A cluster's workers, which have this version of PATH installed. Made by ``open_cluster``."""
 
     def __init__(self, client: Any, as_completed: Any, bars: Bars) -> None:
         self._client, self._as_completed, self._bars = client, as_completed, bars

@@ -84,7 +84,7 @@ class Judge:
         self._begun_s = self._world.now_s
 
     def anew(self, program: Program) -> None:
-        """On the ground a new mission begins: what was held or given away is over."""
+        """Notes that a new mission begins on the ground: what was held or given away is over."""
         self._anew = True
         self._since[program.role] = None
 
@@ -229,8 +229,10 @@ class Judge:
             self._violated("L1", f"{type(state).__name__} is {late_s:.2f} s overdue")
 
     def _gap(self) -> None:
-        """L2, as ``missions.assurance.verify.moves`` has it: nobody is responsible, though whoever would have to be
-        runs."""
+        """Checks L2: nobody is responsible, though whoever would have to be runs.
+
+        As ``missions.assurance.verify.moves`` has it.
+        """
         gives, takes = self._world.state(Role.SENDER), self._world.state(Role.RECEIVER)
         if not self._nobody(gives, takes):
             self._close_gap()
@@ -273,7 +275,7 @@ class Judge:
     # --- outcome -----------------------------------------------------------------------------------------------
 
     def outcome(self) -> str:
-        """How the run ended, by what both sides decided."""
+        """Returns the end of the run, by what both sides decided."""
         gave = [end for end in self._ends[Role.SENDER] if end[0] is HandoffOutcome.HANDED_OVER]
         held = any(outcome is HandoffOutcome.HANDED_OVER for outcome, _ in self._ends[Role.RECEIVER])
         takes = self._world.state(Role.RECEIVER)
@@ -306,7 +308,10 @@ def _orphan(gives: Any, takes: Any) -> bool:
 
 
 def _is_what_it_says(program: Program, state: Any) -> bool:
-    """Whether a program's responsibility is its machine's. A sender that starts again on the ground tracks nothing."""
+    """Returns whether a program's responsibility is its machine's.
+
+    A sender that starts again on the ground tracks nothing.
+    """
     if program.role is Role.SENDER:
         if program.responsible == sender.is_responsible(state):
             return True

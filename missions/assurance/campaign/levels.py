@@ -11,7 +11,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class MachineLevel:
-    """What a run of the machines is drawn from. Shares and chances are 0..1; ranges are uniform.
+    """The ranges that a run of the machines is drawn from. Shares and chances are 0..1; ranges are uniform.
 
     Attributes:
         loss, delay_s, jitter_s, duplicate, corrupt, reorder: of the link, as ``hil.link.faulty.LinkFaults``.

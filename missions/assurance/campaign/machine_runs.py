@@ -47,5 +47,5 @@ def _line(level: str, number: int, run: ProgramRun) -> RunLine:
 
 
 def _story_of(plan: RunPlan) -> str:
-    """What was drawn, a line each."""
+    """Returns the drawn plan, a line for each field."""
     return "".join(f"{field.name}: {getattr(plan, field.name)}\n" for field in dataclasses.fields(plan))

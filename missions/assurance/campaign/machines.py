@@ -40,7 +40,7 @@ Tell = Callable[[float, str, str], None]
 
 @dataclass(frozen=True, slots=True)
 class ProgramRun:
-    """What became of a run.
+    """The result of a run.
 
     Attributes:
         outcome: "commit", "timeout", "aborted: REASON" and so on, see ``docs/campaign.md``.
@@ -69,7 +69,7 @@ class TrueClock:
 
 @dataclass(slots=True)
 class _Computer:
-    """What outlives a program: its clock, its disk."""
+    """The parts of a drone that outlive its program: its clock, its disk."""
 
     clock: TrueClock
     store: MemoryStore = field(default_factory=MemoryStore)
@@ -140,7 +140,7 @@ class Machines:
         return self._drones[role].program
 
     def state(self, role: Role) -> Any:
-        """Of the machine; None while its program does not run."""
+        """Returns the machine's state; None while its program does not run."""
         program = self._drones[role].program
         return program.handover.carried_out if program is not None and program.booted else None
 
@@ -155,7 +155,7 @@ class Machines:
     # --- the link ----------------------------------------------------------------------------------------------
 
     def transmit(self, role: Role, message: Message, data: bytes) -> None:
-        """What a program sends; each packet that arrives knows whether it is the genuine one (S6)."""
+        """Sends a program's packet on; each that arrives knows whether it is the genuine one (S6)."""
         now_s, peer = self.now_s, PEER[role]
         if self._tell is not None and type(message).__name__ not in NOISY:
             self.tell(role, f"sends {_named(message)}")
@@ -253,7 +253,10 @@ class Machines:
     # --- the end -----------------------------------------------------------------------------------------------
 
     def _over(self) -> bool:
-        """Nothing more is to come: both missions have ended, or the receiver holds, and nobody waits for anything."""
+        """Returns whether nothing more is to come.
+
+        Both missions have ended, or the receiver holds, and nobody waits for anything.
+        """
         if self.now_s < self._last_s:
             return False
         for drone in self._drones.values():
@@ -277,7 +280,7 @@ class Machines:
 
 
 def _last_s(plan: RunPlan) -> float:
-    """When the last of what was planned has happened."""
+    """Returns the instant by which the last of what was planned has happened."""
     at = [plan.start_s[Role.SENDER] + plan.offer_s, *(step.at_s for step in plan.steps)]
     return max((*at, *(out.end_s for out in plan.outages), *(at_s for _, at_s in plan.pilots)))
 

@@ -1,4 +1,4 @@
-"""What happens to one run of the machines: drawn from its seed, its level and its number, and from nothing else."""
+"""The plan of one run of the machines: drawn from its seed, its level and its number, and from nothing else."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEP_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Outage:
-    """Nothing that is sent arrives; ``of``: whose packets, None for both roles'."""
+    """A time in which nothing that is sent arrives; ``of``: whose packets, None for both roles'."""
 
     begin_s: float
     end_s: float

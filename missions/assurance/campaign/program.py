@@ -1,5 +1,6 @@
-"""One life of a role's program around its protocol machine: link, clocks, disk and hand-over are the roles' own, and
-what the mission does to them is scripted.
+"""One life of a role's program around its protocol machine.
+
+Link, clocks, disk and hand-over are the roles' own; what the mission does to them is scripted.
 
 A life begins with a start of the program and ends with the end of the run, or when it is killed between two effects.
 """
@@ -49,7 +50,7 @@ class Sent:
 
 
 class Program:
-    """What both roles have in common; stands in for the ``Session`` of its hand-over."""
+    """The program of either role; stands in for the ``Session`` of its hand-over."""
 
     role: Role
 
@@ -124,7 +125,7 @@ class Program:
         self._effect(write)
 
     def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
-        """On the disk after a while; when the program is killed meanwhile, perhaps."""
+        """Begins to save: on the disk after a while; when the program is killed meanwhile, perhaps."""
         self.writing = record
         return Future()
 
@@ -302,7 +303,7 @@ class Program:
         raise NotImplementedError
 
     def _settle(self) -> bool:
-        """After a start with a record: whether the course may go on. In the air it ends once all is decided."""
+        """Returns whether the course may go on after a start with a record. In the air it ends once all is decided."""
         if self._settling and not self.handover.undecided(self.world.flying):
             self._settling = False
             if self.world.flying:

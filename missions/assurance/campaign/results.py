@@ -1,4 +1,4 @@
-"""What is kept of a campaign."""
+"""The file that keeps a campaign's runs."""
 
 from __future__ import annotations
 

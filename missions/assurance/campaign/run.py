@@ -1,4 +1,4 @@
-"""``path-handoff campaign``: many seeded runs under faults, kept line by line, and their table."""
+"""``path-handoff campaign``: many seeded runs under faults, as resumable JSON lines, and their table."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class RunOrder:
 
 
 class Workers(Protocol):
-    """Who does the work: this computer's cores, or a cluster's."""
+    """The workers: this computer's cores, or a cluster's."""
 
     def stream(
         self, what: str, piece: Callable[[RunOrder], list[RunLine]], items: Sequence[RunOrder]
@@ -146,7 +146,7 @@ def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
 
 
 def exit_code(monitors: Collection[str]) -> int:
-    """Of runs in which these monitors were violated, none for 0."""
+    """Returns the exit code of runs in which these monitors were violated, none for 0."""
     return violated_outcome(monitors).exit_code if monitors else CommandEnd.DONE.exit_code
 
 

@@ -76,7 +76,7 @@ _MEANING = {
 
 
 def table(summary: dict[str, Any]) -> str:
-    """What a person reads."""
+    """Returns a campaign's table for a person."""
     levels: dict[str, Any] = summary["levels"]
     outcomes = Counter[str]()
     for level in levels.values():

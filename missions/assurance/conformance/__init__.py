@@ -1,1 +1,1 @@
-"""How an autopilot behaves, measured the same way on each: the embedded one, PX4 and ArduPilot."""
+"""The behaviour of an autopilot, measured the same way on each: the embedded one, PX4 and ArduPilot."""

@@ -217,7 +217,7 @@ async def setpoints_stop(stage: FlightStage) -> Values:
 
 
 async def cable_cut(stage: FlightStage) -> Values:
-    """Nothing of the companion comes any more, while it flew by setpoints."""
+    """Cuts the cable while it flies by setpoints: nothing of the companion comes any more."""
     await stage.up(HEIGHT_M)
     await _offboard(stage, stage.yaw_rad)
     await stage.fly((0.5, 0.0, 0.0), stage.yaw_rad, 3.0)
@@ -233,7 +233,7 @@ async def cable_cut_in_hold(stage: FlightStage) -> Values:
 
 
 async def _left_alone(stage: FlightStage, name: str) -> Values:
-    """What it does by itself within 20 s, by its heartbeats and by the truth."""
+    """Returns what it does by itself within 20 s, by its heartbeats and by the truth."""
     from_s = stage.now_s
     await stage.until(lambda: not stage.armed, 20.0)
     changes = modes_since(stage.heard.shown, from_s)
@@ -276,7 +276,7 @@ async def pilot(stage: FlightStage) -> Values:
 
 
 async def battery_and_kill(stage: FlightStage) -> Values:
-    """Nothing left in the air; and the motors stopped by force before the ground."""
+    """Flies until nothing is left in the battery; and stops the motors by force before the ground."""
     await stage.up(HEIGHT_M)
     from_s = stage.now_s
     stage.bench.sag_battery(0.0)

@@ -20,7 +20,7 @@ FAILURES = (PartError, AssertionError, IndexError, ValueError)  # of a flight wh
 
 @dataclass(slots=True)
 class VehicleMeasures:
-    """What came out of one vehicle.
+    """The figures measured on one vehicle.
 
     Attributes:
         what: the vehicle in words.
@@ -118,7 +118,7 @@ async def _start(stage: FlightStage, stack: AsyncExitStack) -> Values:
 
 
 async def _arm_early(stage: FlightStage) -> Values:
-    """By the second ground station: the driver waits until it has an attitude."""
+    """Arms by the second ground station: the driver waits until it has an attitude."""
     sent_s = stage.now_s
     answer = await stage.order(ARM, 1.0)
     await stage.wait(TEXT_S)

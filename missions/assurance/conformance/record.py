@@ -1,4 +1,4 @@
-"""What one vehicle's flights came to, as a file: ``px4.json`` beside those of the others."""
+"""The figures of one vehicle's flights as a file: ``px4.json`` beside those of the others."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def write(folder: Path, record: Record) -> None:
 
 
 def joined(before: Record | None, now: Record) -> Record:
-    """Some flights flown again: what they gave replaces what there was, the rest is kept."""
+    """Returns a record with some flights flown again: what they gave replaces what there was, the rest is kept."""
     if before is None:
         return now
     failed = {name: why for name, why in before.failed.items() if name not in now.flown}

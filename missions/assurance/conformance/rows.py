@@ -1,4 +1,4 @@
-"""What the suite tells of a vehicle: every figure by its name, in the order of the table."""
+"""The figures that the suite tells of a vehicle, each by its name, in the order of the table."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def said(row: Row, values: Mapping[str, Value]) -> str:
 
 
 def alike(row: Row, a: Value, b: Value) -> bool:
-    """Whether two vehicles do the same here, as far as a mission would notice."""
+    """Returns whether two vehicles do the same here, as far as a mission would notice."""
     if row.alike is None or isinstance(a, str) or isinstance(b, str) or a is None or b is None:
         return a == b
     absolute, share = row.alike

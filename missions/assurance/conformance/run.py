@@ -55,7 +55,7 @@ def run(options: ConformanceOptions) -> int:
 
 
 def _wanted(options: ConformanceOptions) -> list[str]:
-    """What to fly: those asked for whose simulator is named."""
+    """Returns the vehicles to fly: those asked for whose simulator is named."""
     wanted: list[str] = []
     for vehicle in options.vehicle or VEHICLES if options.fly else ():
         variable = BINARY.get(vehicle)

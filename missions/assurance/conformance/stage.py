@@ -25,7 +25,7 @@ FORCE = 21196.0  # with which disarming stops the motors in the air; only ever s
 
 
 class FlightStage:
-    """What a flight of the suite works with."""
+    """The tools that a flight of the suite works with."""
 
     def __init__(self, bench: VehicleBench) -> None:
         self.bench = bench
@@ -49,7 +49,7 @@ class FlightStage:
 
     @property
     def armed(self) -> bool:
-        """By the newest heartbeat, whether or not the driver hears it."""
+        """Returns whether it is armed, by the newest heartbeat, whether or not the driver hears it."""
         return bool(self.heard.shown) and self.heard.shown[-1].armed
 
     @property
@@ -100,22 +100,22 @@ class FlightStage:
         return next((each for each in own if to is None or each.to in to), None)
 
     def texts(self, since_s: float) -> str:
-        """What it said of importance since then, each once."""
+        """Returns the vehicle's important texts since then, each once."""
         said = [text for time_s, severity, text in self.heard.texts if time_s >= since_s and severity <= 4]
         return " | ".join(dict.fromkeys(said)) or "nothing"
 
     async def ready(self) -> None:
-        """On the ground, disarmed, and ready to be armed. Raises VehicleError."""
+        """Waits until it is on the ground, disarmed, and ready to be armed. Raises VehicleError."""
         await self.vehicle.wait_armable(READY_S)
 
     async def up(self, height_m: float) -> None:
-        """To a height, holding."""
+        """Flies to a height and holds."""
         await self.ready()
         await self.vehicle.arm()
         await self.vehicle.take_off(height_m, TAKE_OFF_S)
 
     async def down(self) -> None:
-        """On the ground and disarmed, whatever came before. Raises PartError when it cannot be."""
+        """Brings it to the ground, disarmed, whatever came before. Raises PartError when it cannot be."""
         self.bench.cut = False
         since_s = self.now_s
         if await self.until(lambda: self._heard_since(since_s), ANSWER_S) is None:

@@ -1,4 +1,4 @@
-"""What a recorded stretch of flight says: pure functions of its instants. Heights and speeds are true ones."""
+"""The figures of a recorded stretch of flight: pure functions of its instants. Heights and speeds are true ones."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def fastest_mps(t: Array, values: Array, window_s: float = 0.5) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """To a step of a speed: seconds to 63 % of it, largest excess in percent, error once settled."""
+    """The response to a step of a speed: seconds to 63 % of it, largest excess in percent, error once settled."""
 
     rise_s: float | None
     overshoot_percent: float
@@ -138,7 +138,7 @@ def in_words(changes: Sequence[tuple[float, str]]) -> str:
 
 
 def when(changes: Sequence[tuple[float, str]], name: str) -> float | None:
-    """When it first showed ``name``."""
+    """Returns when it first showed ``name``; None when it never did."""
     return next((time_s for time_s, shown in changes if shown == name), None)
 
 

@@ -52,7 +52,7 @@ class Attacker(asyncio.DatagramProtocol):
         """A drone does not listen now: it may later."""
 
     async def flood(self, rate_hz: float) -> None:
-        """For ever; what cannot be sent in time is left out."""
+        """Sends for ever; what cannot be sent in time is left out."""
         loop = asyncio.get_running_loop()
         begun_s, due = loop.time(), 0
         while True:
@@ -80,7 +80,7 @@ class Attacker(asyncio.DatagramProtocol):
 
 
 def earlier_flights(out: Path) -> list[tuple[int, bytes]]:
-    """What was recorded beside a run's folder before; a line is the side and the packet."""
+    """Returns the packets recorded beside a run's folder before; a line is the side and the packet."""
     recorded: list[tuple[int, bytes]] = []
     for file in sorted(out.parent.glob(f"*{RECORDING}")):
         for line in file.read_text("ascii").splitlines():
@@ -90,7 +90,7 @@ def earlier_flights(out: Path) -> list[tuple[int, bytes]]:
 
 
 async def attack(rate_hz: float, air: int, ends: tuple[Address, Address], seed: int, out: Path) -> None:
-    """Until stdin is closed."""
+    """Attacks until stdin is closed."""
     loop = asyncio.get_running_loop()
     ended = asyncio.Event()
     loop.add_reader(sys.stdin.fileno(), ended.set)

@@ -1,4 +1,4 @@
-"""What either machine makes of an event, worked out once for each state: worlds of numbers, tables of effects."""
+"""The effects of an event on either machine, worked out once for each state: worlds of numbers, tables of effects."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Interned(Generic[T]):
 
 
 class Effect(NamedTuple):
-    """What a machine does on an event.
+    """The effect of an event on a machine.
 
     Attributes:
         what: the event, in words.
@@ -102,8 +102,11 @@ def bits(mask: int) -> list[int]:
 
 
 class Effects:
-    """Tables of one scope. Machines are told every instant relative to the present of the sender's clock, which is 0;
-    the receiver's clock then shows the skew."""
+    """Tables of one scope.
+
+    Machines are told every instant relative to the present of the sender's clock, which is 0. The receiver's clock then
+    shows the skew.
+    """
 
     def __init__(self, scope: Scope) -> None:
         self.scope = scope
@@ -164,7 +167,7 @@ class Effects:
     # --- packets ----------------------------------------------------------------------------------------------
 
     def heard_by_sender(self, state: int, packets: int) -> list[Effect]:
-        """What may come of the packets on the link; those of which nothing comes are left out."""
+        """Returns what may come of the packets on the link; those of which nothing comes are left out."""
         return self._heard_of("sender", state, 0, packets)
 
     def heard_by_receiver(self, state: int, skew: int, packets: int, instance: int = RECEIVER_ID) -> list[Effect]:
@@ -185,7 +188,10 @@ class Effects:
         return effects
 
     def _hear(self, side: Side, state: int, skew: int, packet: ModelPacket, instance: int) -> tuple[Effect, ...]:
-        """Of the packet itself, and of the same word about something else, of which nothing may come (S6)."""
+        """Returns the effects of the packet and, of the same word about something else, any at all.
+
+        There may be none (S6).
+        """
         if packet.to != side:
             return ()
         name = type(packet.message).__name__
@@ -219,7 +225,7 @@ class Effects:
         return self.receiver_told(state, skew, Tick(), "the receiver notices the time")
 
     def said(self, state: int, held: int, skew: int, second: int = NOBODY) -> int:
-        """What the drones say in these states, as they say it all the time."""
+        """Returns the packets that the drones send in these states all the time."""
         found = self._words.get((state, held, skew, second))
         if found is None:
             packets: list[ModelPacket] = []

@@ -26,7 +26,7 @@ _COMPLEMENT = (1 << _RECORD) - 1
 
 @dataclass(frozen=True, slots=True)
 class Exploration:
-    """What was found.
+    """The result of an exploration.
 
     Attributes:
         states, steps: worlds that were entered, and steps that were taken from them.
@@ -53,11 +53,11 @@ class SeenWorlds(Protocol):
     """The worlds that were seen."""
 
     def add(self, world: ModelWorld) -> bool:
-        """Whether it is to be entered: it is new."""
+        """Returns whether the world is to be entered: it is new."""
         ...
 
     def still(self, world: ModelWorld) -> bool:
-        """Whether it is worth going on from: nothing better was seen since."""
+        """Returns whether the world is worth going on from: nothing better was seen since."""
         ...
 
 
@@ -78,7 +78,9 @@ class Exact:
 
 
 def weight(world: ModelWorld) -> int:
-    """As bits, all that may still happen in a world: a world covers another when it has all of the other's bits.
+    """Returns as bits all that may still happen in a world.
+
+    A world covers another when it has all of the other's bits.
 
     Numbers are as many ones; records, which have to be equal unless nobody reads them, are their bits and the
     complement of their bits, of which none contains another.
@@ -92,17 +94,20 @@ def weight(world: ModelWorld) -> int:
 
 
 def covers(large: ModelWorld, small: ModelWorld) -> bool:
-    """Whether what can happen in ``small`` can happen in ``large``. All machines' states, skew and agreement agree."""
+    """Returns whether what can happen in ``small`` can happen in ``large``.
+
+    All machines' states, skew and agreement agree.
+    """
     return not weight(small) & ~weight(large)
 
 
 def _place(world: ModelWorld) -> tuple[int, ...]:
-    """What worlds that cover one another have in common."""
+    """Returns the key that worlds share which may cover one another."""
     return world.sender, world.receiver, world.second, world.skew, world.agreed
 
 
 class Covering:
-    """Only worlds that no other covers."""
+    """The set of only those worlds that no other covers."""
 
     def __init__(self) -> None:
         self._weights: dict[tuple[int, ...], list[int]] = {}
@@ -131,7 +136,7 @@ class Covering:
 
 
 class _Trail:
-    """What was found so far, and how it was reached."""
+    """The worlds found so far, and how they were reached."""
 
     def __init__(self, moves: Moves) -> None:
         self.moves = moves

@@ -1,4 +1,7 @@
-"""What somebody without the key can send: packets of the pair altered, cut, mixed, signed anew, or sent once more."""
+"""The packets that somebody without the key can send.
+
+Those of the pair altered, cut, mixed, signed anew, or sent once more.
+"""
 
 from __future__ import annotations
 
@@ -149,7 +152,7 @@ def sign(key: bytes, data: bytes) -> bytes:
 
 
 def framed(header: bytes, payload: bytes) -> bytes:
-    """With a CRC that holds, as far as the id is known."""
+    """Returns a packet with a CRC that holds, as far as the id is known."""
     body = header[:1] + bytes((len(payload),)) + header[2:] + payload
     crc = dialect.x25crc(body[1:])
     crc.accumulate(bytes((EXTRAS.get(int.from_bytes(header[7:10], "little"), 0),)))

@@ -39,7 +39,7 @@ Side = Literal["sender", "receiver"]
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """How large a world is explored; times in ticks.
+    """The size of the world that is explored; times in ticks.
 
     Attributes:
         crashes, aborts: how often each may happen; ``attempts``: how often the sender begins.
@@ -149,13 +149,14 @@ def status(role: Role, responsible: bool, stamp: int, instance: int = RECEIVER_I
 
 
 def unstamped(message: Message) -> Message:
-    """Without the stamps that no machine looks at: packets that say the same are the same."""
+    """Returns a message without the stamps that no machine looks at: packets that say the same are the same."""
     return message if isinstance(message, Status | Target | Candidate) else replace(message, stamp_ns=0)
 
 
 def misdirected(message: Message, scope: Scope) -> tuple[Message, ...]:
-    """The same word about another handoff, object, commit or receiver, and a lease that nobody gives: nothing may
-    follow (S6).
+    """Returns the same word about another handoff, object, commit or receiver, and a lease that nobody gives.
+
+    Nothing may follow from these (S6).
 
     A Target begins an attempt and a first Commit brings its nonce: another is as good.
     """

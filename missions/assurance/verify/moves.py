@@ -1,4 +1,4 @@
-"""What can happen next in a world, and whether it may: every step is held against the invariants of the hand-over."""
+"""The steps from a world, each held against the invariants of the hand-over."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Moves:
         self._receivers = self.effects.receivers.values
 
     def start(self, skew: int) -> ModelWorld:
-        """Nothing has begun; the receiver observes."""
+        """Returns the world in which nothing has begun; the receiver observes."""
         effects, scope = self.effects, self.scope
         state, held = effects.senders(sender.Idle()), effects.receivers(receiver.Observing())
         kept, noted = effects.sender_records(SenderRecord()), effects.receiver_records(ReceiverRecord())
@@ -85,7 +85,7 @@ class Moves:
         return self._receivers[world.receiver]
 
     def names(self, state: int, held: int) -> tuple[str, str]:
-        """Of a pair of the machines' states, by their numbers."""
+        """Returns the names of a pair of the machines' states, by their numbers."""
         return type(self._senders[state]).__name__, type(self._receivers[held]).__name__
 
     def __call__(self, world: ModelWorld) -> Iterator[ModelStep]:
@@ -171,7 +171,7 @@ class Moves:
         return second
 
     def _nobody(self, world: ModelWorld) -> bool:
-        """Nobody is responsible, though whoever would have to be runs."""
+        """Returns whether nobody is responsible, though whoever would have to be runs."""
         gives, takes = self.sender_of(world), self.receiver_of(world)
         if isinstance(gives, Dead | sender.Idle) or sender.is_responsible(gives):
             return False  # of a sender that is idle nothing is asked
@@ -278,7 +278,7 @@ class Moves:
                     yield self._checked(world, up, f"the receiver is started again{how}{lost}", "")
 
     def _read(self, kept: int, interned: Interned[Any]) -> tuple[tuple[int, str], ...]:
-        """What a program may find on its disk: its record, an earlier one, or none."""
+        """Returns what a program may find on its disk: its record, an earlier one, or none."""
         if not self.scope.forgetful:
             return ((kept, ""),)
         record = interned.values[kept]

@@ -23,6 +23,7 @@ SAMPLE = 168  # of all there are, by seed
 LEAST = 6  # of a file
 GOAL = 0.95
 _SLOWER, _MORE_S = 5.0, 30.0  # than the right code: then a wrong version has hung
+_COLDER = 3.0  # how much longer a trial may take that imports everything anew
 _LONGEST_S = 900.0
 
 
@@ -40,7 +41,7 @@ class FileTests:
 
 @dataclass(frozen=True, slots=True)
 class TriedMutant:
-    """What became of a wrong version. ``by``: the test that noticed; ``why``: it is the same in all that counts."""
+    """The result of a wrong version. ``by``: the test that noticed; ``why``: it is the same in all that counts."""
 
     mutation: Mutation
     caught: bool
@@ -64,7 +65,7 @@ def load_table(path: Path = TABLE) -> MutationTable:
 
 
 def choose(table: MutationTable, seed: int, number: int, root: Path) -> list[tuple[FileTests, Mutation]]:
-    """So many of all mutations, by seed: each file its share, the first ``LEAST`` of each in any case."""
+    """Returns so many of all mutations, by seed: each file its share, the first ``LEAST`` of each in any case."""
     rng = random.Random(f"mutants {seed}")
     every: list[list[tuple[FileTests, Mutation]]] = []
     for suite in table.suites:
@@ -79,10 +80,12 @@ def choose(table: MutationTable, seed: int, number: int, root: Path) -> list[tup
 
 
 class Server:
-    """A ``mutation_server`` and what is said to it."""
+    """A ``mutation_warm``, which has collected these tests, or with none a ``mutation_server``; what is said to it."""
 
-    def __init__(self, root: Path) -> None:
-        command = [sys.executable, "-m", "missions.assurance.verify.mutation_server"]
+    def __init__(self, root: Path, tests: Sequence[str] = ()) -> None:
+        name = "mutation_warm" if tests else "mutation_server"
+        command = [sys.executable, "-m", f"missions.assurance.verify.{name}", *tests]
+        self._told = " ".join(["python", *command[1:]])
         self._process = subprocess.Popen(command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def trial(self, suite: FileTests, source: str | None, bound_s: float) -> dict[str, Any]:
@@ -93,7 +96,7 @@ class Server:
         answer = self._process.stdout.readline()
         if not answer:
             raise PartError(
-                "the program that runs the tests has ended", "run `python -m missions.assurance.verify.mutation_server`"
+                "the program that runs the tests has ended", f"run `{self._told} < /dev/null` and see what it says"
             )
         return json.loads(answer)
 
@@ -105,17 +108,23 @@ class Server:
 
 
 class Trials:
-    """Servers, one a job, and the trials they run."""
+    """Servers, one a job, and the trials they run.
 
-    def __init__(self, root: Path, jobs: int) -> None:
-        self._root, self._jobs = root, jobs
-        self._free: SimpleQueue[Server] = SimpleQueue()
+    A wrong version is put into what is imported already, which takes a moment. Only one that is not noticed there, or
+    cannot be put there, is tried again from the first import on, by a server that is started then.
+    """
+
+    def __init__(self, root: Path, jobs: int, tests: Sequence[str]) -> None:
+        self._root, self._jobs, self._tests = root, jobs, tests
+        self._warm: SimpleQueue[Server] = SimpleQueue()
+        self._cold: SimpleQueue[Server | None] = SimpleQueue()
         self._servers: list[Server] = []
 
     def __enter__(self) -> Trials:
-        self._servers = [Server(self._root) for _ in range(self._jobs)]
-        for server in self._servers:
-            self._free.put(server)
+        for _ in range(self._jobs):
+            self._servers.append(Server(self._root, self._tests))
+            self._warm.put(self._servers[-1])
+            self._cold.put(None)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -123,15 +132,30 @@ class Trials:
             server.close()
 
     def trial(self, suite: FileTests, source: str | None, bound_s: float) -> dict[str, Any]:
-        """On the next server that is free."""
-        server = self._free.get()
+        """Runs a trial on the next server that is free."""
+        server = self._warm.get()
         try:
+            came = server.trial(suite, source, bound_s)
+        finally:
+            self._warm.put(server)
+        return (
+            came
+            if source is None or not (came["passed"] or came["broken"])
+            else self._from_the_first(suite, source, _COLDER * bound_s)
+        )
+
+    def _from_the_first(self, suite: FileTests, source: str, bound_s: float) -> dict[str, Any]:
+        server = self._cold.get()
+        try:
+            if server is None:
+                server = Server(self._root)
+                self._servers.append(server)
             return server.trial(suite, source, bound_s)
         finally:
-            self._free.put(server)
+            self._cold.put(server)
 
     def bounds_s(self, suites: Sequence[FileTests]) -> dict[str, float]:
-        """How long each suite may take, from how long it takes on the right code. Raises PartError."""
+        """Returns how long each suite may take, from how long it takes on the right code. Raises PartError."""
 
         def right(suite: FileTests) -> float:
             came = self.trial(suite, None, _LONGEST_S)
@@ -169,7 +193,8 @@ def score(table: MutationTable, seed: int, number: int, jobs: int, root: Path, s
     ]
     rest = [(suite, one) for suite, one in chosen if one.name not in table.equivalent]
     suites = [suite for suite in table.suites if any(suite == of for of, _ in rest)]
-    with Trials(root, jobs) as trials:
+    tests = sorted({place for suite in suites for place in suite.tests})
+    with Trials(root, jobs, tests) as trials:
         bounds_s = trials.bounds_s(suites)
         for came in trials.wrong(rest, bounds_s):
             known.append(came)

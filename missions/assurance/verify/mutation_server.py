@@ -70,7 +70,7 @@ def trial(order: dict[str, Any]) -> dict[str, Any]:
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(code)
-        code = _wait(child, begun_s + float(order["bound_s"]))
+        code = wait_for(child, begun_s + float(order["bound_s"]))
         said.seek(0)
         text = said.read().decode(errors="replace")[-_SHOWN:]
     took_s = time.monotonic() - begun_s
@@ -87,7 +87,7 @@ def _become(said: IO[bytes]) -> None:
     os.dup2(said.fileno(), 2)
 
 
-def _wait(child: int, end_s: float) -> int | None:
+def wait_for(child: int, end_s: float) -> int | None:
     """Its exit code; None when it took too long, and is gone with all that it started."""
     while True:
         done, status = os.waitpid(child, os.WNOHANG)

@@ -166,7 +166,7 @@ def _called(node: ast.Call) -> Iterator[Variant]:
 
 
 def _elements(node: ast.Tuple) -> Iterator[Variant]:
-    """Of ``state, (Persist(...), Send(...))`` the actions."""
+    """Yields, of ``state, (Persist(...), Send(...))``, the actions."""
     for inner in node.elts:
         if isinstance(inner, ast.Tuple):
             for element in inner.elts:

@@ -1,4 +1,4 @@
-"""What a machine's actions may be, in their order: S2 to S5 of the hand-over, on one step."""
+"""The rules of a machine's actions in their order: S2 to S5 of the hand-over, on one step."""
 
 from __future__ import annotations
 
@@ -43,8 +43,11 @@ def lowest_epoch(state: receiver.ReceiverState | Dead) -> int:
 def sender_rules(
     before: sender.SenderState, after: sender.SenderState, event: SenderEvent, actions: Actions, uncertainty: int
 ) -> str:
-    """S2: each attempt has an epoch of its own. S4: it releases before it says so, and takes back only after lease and
-    uncertainty. L2: only a new mission makes nothing its own."""
+    """Returns the first rule that a sender's step breaks; "" when it breaks none.
+
+    S2: each attempt has an epoch of its own. S4: it releases before it says so, and takes back only after lease and
+    uncertainty. L2: only a new mission makes nothing its own.
+    """
     begins = isinstance(after, sender.Offering) and not isinstance(before, sender.Offering)
     if used_epoch(after) < used_epoch(before) + begins:
         return "S2"
@@ -95,8 +98,11 @@ def receiver_rules(
     before: receiver.ReceiverState, after: receiver.ReceiverState, event: ReceiverEvent, actions: Actions, now: int,
     guard: int,
 ) -> str:  # fmt: skip
-    """S2, S3: it takes over only on a COMMIT of an epoch it still takes, within its lease and until the guard before
-    its end on any clock. ``now``: its own clock."""
+    """Returns the first rule that a receiver's step breaks; "" when it breaks none.
+
+    S2, S3: it takes over only on a COMMIT of an epoch it still takes, within its lease and until the guard before its
+    end on any clock. ``now``: its own clock.
+    """
     responsible = receiver.is_responsible(before, now)
     for action in actions:
         match action:

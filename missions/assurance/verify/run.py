@@ -71,7 +71,7 @@ class Explored:
 
 @dataclass(frozen=True, slots=True)
 class ModelMutant:
-    """What became of a mutant: the invariant it broke, "" when it was not caught, and the worlds that took."""
+    """The result of a mutant: the invariant it broke, "" when it was not caught, and the worlds that took."""
 
     rule: str
     broke: str
@@ -80,8 +80,9 @@ class ModelMutant:
 
 
 def run(options: VerifyOptions) -> int:
-    """Returns 0 when nothing is wrong: every invariant holds in every world and every mutant was caught, or no forged
-    packet was taken. Raises PartError.
+    """Returns 0 when nothing is wrong. Raises PartError.
+
+    Then every invariant holds in every world and every mutant was caught, or no forged packet was taken.
     """
     folder = options.out or Path("verify") / datetime.now().strftime("%Y%m%d-%H%M%S")
     new_folder(folder)

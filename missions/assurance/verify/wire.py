@@ -63,7 +63,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Fuzzed:
-    """What came of it.
+    """The result of fuzzing.
 
     Attributes:
         forged: packets by way of forging; ``dropped``: by the link's reason.
@@ -96,7 +96,7 @@ def hardened(role: Role, key: bytes, stamp: Callable[[], int]) -> Codec:
 
 
 def fuzz(packets: int, seed: int, work: Work, make: MakeCodec = hardened) -> list[Fuzzed]:
-    """At least ``packets`` forged packets, towards each role in turn, on all cores."""
+    """Tries at least ``packets`` forged packets, towards each role in turn, on all cores."""
     pieces = [Piece(seed, k, min(CHUNK, packets), make) for k in range(-(-packets // CHUNK))]
     return work.map("packets forged, in pieces", play, pieces)
 
@@ -155,7 +155,7 @@ class _Exchange:
         self.lost = self.believed = self.believed_early = 0
 
     def begin(self) -> None:
-        """So many packets each way that the forger has something to work on."""
+        """Sends so many packets each way that the forger has something to work on."""
         for _ in range(4 * len(FROM_WIRE)):
             self.go_on()
 
@@ -301,13 +301,13 @@ def _grown(fuzzed: Sequence[Fuzzed]) -> dict[int, list[float]]:
 
 
 def sound(figures: dict[str, Any]) -> bool:
-    """Nothing taken that should not be, nothing raised, and no packet of the true peer lost."""
+    """Returns whether nothing was taken that should not be, nothing raised, and no packet of the true peer lost."""
     bad = ("accepted_or_raised", "genuine_lost", "nearly_valid_taken", "early_taken")
     return all(figures[name] == 0 for name in bad)
 
 
 def show(figures: dict[str, Any], stream: TextIO) -> None:
-    """For a person: what was sent, and what stopped it."""
+    """Shows a person what was sent, and what stopped it."""
     rows = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     rows.add_column("forged")
     rows.add_column("packets", justify="right")

@@ -40,7 +40,7 @@ class FrameTask:
     """A frame to make, picklable.
 
     Attributes:
-        studio: the class.
+        studio: the class of the renderer.
         xfeat: weights, None without XFeat.
         orb_variants, xfeat_variants: what of the baselines is tried.
     """
@@ -63,7 +63,7 @@ class Owned:
 
 @dataclass(frozen=True, slots=True)
 class FrameResult:
-    """What came out for one frame.
+    """The results of one frame.
 
     Attributes:
         path: PATH's answer, and the person its candidate really shows; ``path_depth`` the same when D2's detector looks
@@ -151,7 +151,7 @@ def _shoot(task: FrameTask, rng: np.random.Generator, redraws: int) -> StagePair
 
 
 def _tracked(scene: DrawnStage, shot: Shot) -> Box | None:
-    """What D1's detector finds nearest to the target's true projection; None when it is not the target's box.
+    """Returns the detection of D1 nearest to the target's true projection; None when it is not the target's box.
 
     D1's tracker is not under test: it has the target, and knows from the frames before how far away it is.
     """

@@ -47,7 +47,7 @@ class BeliefErrors:
 
 @dataclass(frozen=True, slots=True)
 class Beliefs:
-    """What the drones think is so."""
+    """The drones' beliefs."""
 
     camera1: CameraModel
     camera2: CameraModel
@@ -60,7 +60,7 @@ class Beliefs:
 
 @dataclass(frozen=True, slots=True)
 class PathAnswer:
-    """What PATH made of a pair of frames.
+    """PATH's answer to a pair of frames.
 
     Attributes:
         box: D2's candidate; None when it found none.
@@ -171,7 +171,7 @@ def _down(R_n_x: Matrix) -> Vec3:
 
 
 def _marker_region(scene: DrawnStage, T_b_v: Pose, rng: np.random.Generator) -> Region:
-    """Where a D2 that has seen the marker in the frames before looks for it: off by some pixels, with room around."""
+    """Returns where a D2 that has seen the marker before looks for it: off by some pixels, with room around."""
     T_c_v = scene.T_w_c(Role.RECEIVER).inverse() @ scene.stage.T_w_b[Role.SENDER] @ T_b_v
     x, y, z = T_c_v.t.tolist()
     camera = CAMERAS[Role.RECEIVER]

@@ -1,4 +1,4 @@
-"""What came out of the ambiguity trial, in findings, tables and notes."""
+"""The results of the ambiguity trial in findings, tables and notes."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def outcome_table(tallies: Mapping[str, FrameTally], rules: Mapping[str, str]) -
 
 
 def cause_table(judged: Sequence[FrameResult], rules: Mapping[str, Rule]) -> TrialTable:
-    """Why every wrong answer was wrong."""
+    """Returns a table of why every wrong answer was wrong."""
     rows: list[tuple[str, str, str, str]] = []
     for method in ("path", "path_color", *rules):
         causes: Counter[tuple[Outcome, str]] = Counter()

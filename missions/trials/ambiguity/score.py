@@ -18,7 +18,7 @@ MAX_LEAD = 12
 
 
 def outcome(present: bool, chosen: bool, right: bool) -> Outcome:
-    """By the paper: an incorrect candidate is a false positive, whether the target is present or not.
+    """Returns the outcome by the paper: an incorrect candidate is a false positive, with the target present or not.
 
     Args:
         chosen: D2 selected something.
@@ -72,7 +72,7 @@ class FrameTally:
 
 @dataclass(frozen=True, slots=True)
 class Ballot:
-    """What a baseline had to choose from in one frame, in each of its variants.
+    """The choice that a baseline had in one frame, in each of its variants.
 
     Attributes:
         owners: the person each of D2's boxes really shows; None: no person.
@@ -94,7 +94,7 @@ class Ballot:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """How a baseline decides: which variant of it, and its thresholds."""
+    """The decision rule of a baseline: which variant of it, and its thresholds."""
 
     variant: int
     min_inliers: int

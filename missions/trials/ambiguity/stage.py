@@ -56,7 +56,7 @@ class NoRoomError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What a stage is drawn for.
+    """The conditions that a stage is drawn for.
 
     Attributes:
         nearest_m: the nearest look-alike is this far from the target, horizontally (a range to draw from).
@@ -171,7 +171,7 @@ CameraPose = tuple[float, float]  # horizontal distance from the target, height
 
 
 def _eyes(wanted: Wanted, turn: float, rng: np.random.Generator) -> tuple[CameraPose, CameraPose] | None:
-    """Where both cameras are, D2's turned by ``turn`` from D1's line of sight; None: too far aside to be near."""
+    """Returns both cameras' places, D2's turned by ``turn`` from D1's line of sight; None: too far aside to be near."""
     if wanted.viewpoint_rad is not None:
         near, far = rng.uniform(2.3, 2.8), rng.uniform(3.8, 4.4)
         return (near, _height(near, wanted, rng)), (far, _height(far, wanted, rng))
@@ -191,13 +191,13 @@ def _toward(azimuth: float) -> Array:
 
 
 def _height(reach: float, wanted: Wanted, rng: np.random.Generator) -> float:
-    """So that the target's shirt at that horizontal distance is seen from above by some angle."""
+    """Returns the height from which the target's shirt at that horizontal distance is seen from above by some angle."""
     down = rng.uniform(0.03, 0.11) if wanted.case == "hidden" else rng.normal(math.radians(24.0), math.radians(4.0))
     return MIDDLE_M + reach * math.tan(down)
 
 
 def _facing(wanted: Wanted, nearest: float, bearing: float, rng: np.random.Generator) -> list[float]:
-    """Where everybody looks.
+    """Draws where everybody looks.
 
     Two that stand closer than they are wide stand one behind the other; who hides the target turns its front or back.
     """
@@ -242,7 +242,10 @@ def _people(
 
 
 def _aside(wanted: Wanted, target: Array, eye1: Array, eye2: Array, rng: np.random.Generator) -> float:
-    """By how much D2 does not look straight at the target, so that D1 is in its view too; or the target is not."""
+    """Returns by how much D2 does not look straight at the target, so that D1 is in its view too.
+
+    Or the target is not.
+    """
     to_target, to_peer = target - eye2[:2], eye1[:2] - eye2[:2]
     between = math.remainder(math.atan2(to_peer[1], to_peer[0]) - math.atan2(to_target[1], to_target[0]), 2.0 * math.pi)
     share = rng.uniform(0.3, 0.7) if wanted.case != "outside" else rng.uniform(1.0, 1.6)
@@ -264,7 +267,7 @@ def _best_side(T_w_b1: Pose, T_w_b2: Pose) -> int:
 
 
 def _target_fits(scene: DrawnStage) -> bool:
-    """Whether D1 sees the target, D2 the marker, and D2 the target or, as wanted, not."""
+    """Returns whether D1 sees the target, D2 the marker, and D2 the target or, as wanted, not."""
     target, receiver = scene.stage.things[0], _view(scene, Role.RECEIVER)
     sender = _view(scene, Role.SENDER)
     if not sender.holds(target) or math.dist(sender.T_w_c.t, scene.middle_w) > FARTHEST_M:
@@ -275,7 +278,7 @@ def _target_fits(scene: DrawnStage) -> bool:
 
 
 def _crowd_fits(scene: DrawnStage) -> bool:
-    """Whether nobody stands where a drone is, and D2 sees look-alikes."""
+    """Returns whether nobody stands where a drone is, and D2 sees look-alikes."""
     others = scene.stage.things[1:]
     eyes = [scene.T_w_c(role).t for role in Role]
     if any(math.dist(other.position_w_m[:2], eye[:2]) < CLEAR_M for other in others for eye in eyes):
@@ -285,7 +288,10 @@ def _crowd_fits(scene: DrawnStage) -> bool:
 
 
 def _hidden_share(eye: Array, target: Array, other: Array, shoulder_m: float) -> float:
-    """About the share of the target's shirt that another person hides from an eye: a column, and a narrow head."""
+    """Returns about the share of the target's shirt that another person hides from a camera.
+
+    A column, and a narrow head.
+    """
     (x, y, z), (ox, oy) = eye.tolist(), other.tolist()
     tx, ty = target.tolist()
     reach = math.hypot(tx - x, ty - y)
@@ -316,12 +322,12 @@ class StageCamera:
         return self.camera.project_point((x, y, z))
 
     def holds(self, thing: Thing) -> bool:
-        """Whether all of a person's shirt is in the image."""
+        """Returns whether all of a person's shirt is in the image."""
         corners = self.T_w_c.inverse().apply(_room(thing))
         return all(self.camera.sees((x, y, z), MARGIN_PX) for x, y, z in corners.tolist())
 
     def touches(self, thing: Thing) -> bool:
-        """Whether any of the person is."""
+        """Returns whether any of the person is in the image."""
         low, high = np.array(thing.position_w_m), np.array(thing.position_w_m)
         high[2] += PERSON_HEIGHT_M
         across = self.T_w_c.R[:, 0] * PERSON_RADIUS_M

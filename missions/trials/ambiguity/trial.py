@@ -1,4 +1,4 @@
-"""Which of six similar people is the target? PATH against ORB and XFeat on the same rendered frames."""
+"""The ambiguity trial: finding the target among six similar people, PATH against ORB and XFeat on the same frames."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 def _wanted(request: TrialRequest) -> list[Wanted]:
-    """What the frames show, in an order by chance: the first of them shall be like all of them."""
+    """Returns the conditions of the frames, in an order by chance: the first of them shall be like all of them."""
     frames = QUICK_FRAMES if request.quick else FRAMES
     wanted = [Wanted(case) for case, count in frames.items() for _ in range(count)]
     return [wanted[i] for i in np.random.default_rng([request.seed, 2]).permutation(len(wanted)).tolist()]

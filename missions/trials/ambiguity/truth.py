@@ -1,4 +1,4 @@
-"""Who is really where in an image: judged by the exact depth of what each pixel sees, people in front included."""
+"""The true owner of each pixel in an image, by the exact depth of what it sees, people in front included."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SHIRT_HALF_M, SHIRT_ENDS_M = (0.17, 0.33), (0.91, 1.45)  # forward and to the si
 
 @dataclass(frozen=True, slots=True)
 class TrueView:
-    """Asks the studio what one camera really sees."""
+    """Asks the renderer what one camera really sees."""
 
     renderer: FrameRenderer
     scene: DrawnStage
@@ -41,7 +41,7 @@ class TrueView:
         return (nearest if away[nearest] < BODY_M else None), depth
 
     def in_box(self, box: Box) -> Counter[int | None]:
-        """How many of the pixels of a grid over a box show which person (None: none)."""
+        """Returns how many of the pixels of a grid over a box show which person (None: none)."""
         seen: Counter[int | None] = Counter()
         for v in np.linspace(box.y + 0.06 * box.h, box.y + 0.94 * box.h, BOX_ROWS).tolist():
             for u in np.linspace(box.x + 0.08 * box.w, box.x + 0.92 * box.w, BOX_COLUMNS).tolist():
@@ -85,7 +85,7 @@ class TrueView:
 
 
 def shirt_box(scene: DrawnStage, role: Role, person: int) -> Box:
-    """About the box of a person's shirt, which is what the detector finds, when nothing hides it."""
+    """Returns about the box of a person's shirt, which is what the detector finds, when nothing hides it."""
     thing: Thing = scene.stage.things[person]
     T_w_c = scene.T_w_c(role)
     c, s = math.cos(thing.yaw_rad), math.sin(thing.yaw_rad)

@@ -1,6 +1,6 @@
 """The offset between two clocks by generalised least squares: what errs together in time or place counts as such.
 
-The model of what is left between a beacon's positions and a vehicle's own ones, by axis, independent of each other
+The model of the residuals between a beacon's positions and a vehicle's own ones, by axis, independent of each other
 (``T`` is the time over which the vehicle's own positions were steadied, weights ``exp(-|t|/T)/2T``; ``u = |dt|/T``):
 
 - a constant shift of each vehicle's estimate (any; free);
@@ -159,7 +159,7 @@ class _Solution:
         likelihood: logarithm of the restricted one, up to a constant.
         unknowns, covariance: (u,), (u, u).
         inverse: (n, n), of the residuals' covariance, the same for all axes.
-        gains: (3, n, u), inverse times Jacobian. left: (3, n), inverse times what is left of the residuals.
+        gains: (3, n, u), inverse times Jacobian. left: (3, n), inverse times the residuals after the fit.
     """
 
     likelihood: float

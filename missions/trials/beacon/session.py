@@ -76,7 +76,7 @@ def fly_session(rig: Rig, seed: int, folder: Path) -> BeaconSession:
 
 
 def _hear_afterwards(rig: Rig, seed: int, folder: Path) -> list[BeaconFix]:
-    """In virtual time the bytes are made from the flight's truth; what takes them is what takes a port's."""
+    """Makes the bytes from the flight's truth in virtual time; what takes them is what takes a port's."""
     if "beacons" not in rig.trials:
         raise PartError(
             f"{rig.where('[reference]')}: nobody listens to the beacons",

@@ -68,7 +68,7 @@ def _fly(order: tuple[TrialRequest, Path]) -> BeaconSession:
 
 
 def _draw(session: BeaconSession, flown: RunRecords, measured: SessionErrors, out: Path) -> float | None:
-    """Both pictures; the error of the clock's offset where it is known."""
+    """Draws both pictures; returns the error of the clock's offset where it is known."""
     truth, beacons = truth_of(flown.world), session.truth
     if truth is None or beacons is None:
         draw_map(measured, out / "map.png")
@@ -80,7 +80,7 @@ def _draw(session: BeaconSession, flown: RunRecords, measured: SessionErrors, ou
 
 
 def _recorded(request: TrialRequest) -> TrialResult:
-    """In the field the drones are flown from their own computers; here the beacons are recorded meanwhile."""
+    """Records the beacons while the drones are flown from their own computers, in the field."""
 
     def show(line: str) -> None:
         sys.stdout.write(f"{line}\n")

@@ -1,7 +1,7 @@
-"""How good corners on a photograph are, without its pose: what one board cannot explain of them.
+"""The accuracy of corners on a photograph, without its pose: what one board cannot explain of them.
 
-One homography of the board (the markers' side free) and a smooth residual, polynomials of fourth order in the board's
-coordinates for lens and paper, are fitted to all corners; what is left is the error of the corners, and whatever of
+One homography of the board (the markers' side free) and a smooth term, polynomials of fourth order in the board's
+coordinates for lens and paper, are fitted to all corners. The residual is the error of the corners, and whatever of
 the paper is not so smooth.
 """
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Left:
-    """What is left of corners.
+    """The residuals of corners.
 
     Attributes:
         errors_px: (n, 4, 2), found minus explained, in distorted pixels.

@@ -1,1 +1,1 @@
-"""How good calibrations of rendered boards are."""
+"""The trial of calibrations from rendered boards."""

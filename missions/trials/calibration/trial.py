@@ -1,4 +1,4 @@
-"""How well a camera is calibrated from views of a board, on rendered boards whose camera is known."""
+"""The trial of camera calibration from views of a board, on rendered boards whose camera is known."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ class Set:
 
 @dataclass(frozen=True, slots=True)
 class SetResult:
-    """What came of a set: errors of the corners (n, 2) px by method, relative ones of fx and fy, and the residuals.
+    """The result of a set: errors of the corners (n, 2) px by method, relative ones of fx and fy, and the residuals.
 
     Attributes:
         normalised: errors of all nine parameters in units of their stated standard errors.
-        floor_px: what the true camera leaves of the same views.
+        floor_px: residual of the true camera on the same views.
     """
 
     board: str

@@ -1,4 +1,4 @@
-"""Boards before a camera, with known truth: how they are held, and what a studio makes of them."""
+"""Boards before a camera, with known truth: how they are held, and what a renderer makes of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ T_W_C = Pose(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]), np.
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """How a board is held: distance, tilt, and how far from the image's middle its own may be (share of each side)."""
+    """The pose of a board: distance, tilt, and how far from the image's middle its own may be (share of each side)."""
 
     distance_m: tuple[float, float] = (0.40, 0.75)
     tilt_deg: tuple[float, float] = (0.0, 40.0)

@@ -116,7 +116,7 @@ def camera_of(rig: Rig, role: Role, size: str) -> CameraModel:
 
 
 def _stage(phase: float) -> RenderedInstant:
-    """At a share of the period of the swaying."""
+    """Returns the stage at a share of the period of the swaying."""
     turn = 2.0 * math.pi * phase
     poses: dict[Role, Pose] = {}
     for number, role in enumerate(Role):
@@ -130,7 +130,7 @@ def _stage(phase: float) -> RenderedInstant:
 
 
 def _velocity(role: Role, instant: float, count: int) -> Vec3:
-    """In ``n``, m/s, at an instant in frames, of a film that repeats after ``count`` of them."""
+    """Returns a velocity in ``n``, m/s, at an instant in frames, of a film that repeats after ``count`` of them."""
     before, after = (_stage((instant + step) / count).T_w_b[role].t for step in (-0.05, 0.05))
     north, east, down = (R_W_N.T @ (after - before) / (0.1 * PERIOD_NS * 1e-9)).tolist()
     return north, east, down

@@ -51,7 +51,7 @@ class Stopwatch:
         self._overhead_ns = overhead_ns
 
     def __call__(self, stage: str, call: Callable[P, R], *arguments: P.args, **options: P.kwargs) -> R:
-        """What the call gives, timed as a stage."""
+        """Returns the call's value, timed as a stage."""
         begin_ns = busy_ns()
         result = call(*arguments, **options)
         self.us[stage] = max(0, busy_ns() - begin_ns - self._overhead_ns) / 1e3
@@ -59,7 +59,7 @@ class Stopwatch:
 
 
 def overhead_ns() -> int:
-    """What asking for the time twice takes."""
+    """Returns the time that asking for the time twice takes."""
     return sorted(-busy_ns() + busy_ns() for _ in range(1001))[500]
 
 
@@ -94,7 +94,7 @@ class _TimedView:
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """What a cycle took from the pixels of a moment."""
+    """The observations that a cycle took from the pixels of a moment."""
 
     depth: Depth | None
     fix: MarkerFix
@@ -241,7 +241,7 @@ class PathPair:
 
 
 def _with_sums(us: dict[str, float]) -> dict[str, float]:
-    """With what the stages add up to, and the parts of the marker's time that are what is left of it."""
+    """Returns the times with the sums of the stages, and the rest of the marker's time by its parts."""
     for name, stages in SUMS.items():
         us[name] = sum(us[stage] for stage in stages)
     us["d2_marker_fit"] = us["d2_marker_corners"] - us["d2_marker_detect"]
@@ -250,7 +250,7 @@ def _with_sums(us: dict[str, float]) -> dict[str, float]:
 
 
 def _around(box: Box) -> Region:
-    """Where a drone that tracks a box looks for it in the next frame."""
+    """Returns the region in which a drone that tracks a box looks for it in the next frame."""
     u, v = box.center
     return Region(u - box.w, v - box.w, u + box.w, v + box.w)
 

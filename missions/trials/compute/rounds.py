@@ -30,7 +30,7 @@ LEAD_IN = 3  # cycles after the geometry alone, which leaves the marker unseen f
 
 @dataclass(frozen=True, slots=True)
 class ComputePlan:
-    """How often: blocks, and cycles of each method in a block; ``path`` is at least the number of frames."""
+    """The number of blocks, and of each method's cycles in a block; ``path`` is at least the number of frames."""
 
     frames: int = 16
     blocks: int = 12
@@ -44,7 +44,7 @@ QUICK = ComputePlan(frames=4, blocks=3, path=4, orb=1)
 
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """Of one size: time of every cycle of a stage or method, us, by block: (blocks, cycles)."""
+    """The times of one image size: every cycle of a stage or method, us, by block: (blocks, cycles)."""
 
     us: dict[str, Array]
 

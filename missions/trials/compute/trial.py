@@ -1,4 +1,4 @@
-"""What every stage of PATH costs, held against ORB and XFeat on the same frames."""
+"""The cost of every stage of PATH, held against ORB and XFeat on the same frames."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 def _ratios(timing: Timings, rng: np.random.Generator) -> dict[str, dict[str, float]]:
-    """How many times a baseline's cycle costs what PATH does: medians, interval by resampling blocks."""
+    """Returns how many times a baseline's cycle costs what PATH does: medians, interval by resampling blocks."""
     found: dict[str, dict[str, float]] = {}
     for method in (name for name in timing.us if name.startswith(("orb_", "xfeat_"))):
         for counted in COUNTED:

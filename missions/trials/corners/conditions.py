@@ -1,4 +1,4 @@
-"""What the corner methods are tried on: cameras, conditions of image and print, and poses of the marker."""
+"""The inputs of the corner methods: cameras, conditions of image and print, and poses of the marker."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def _by_opencv(method: str, image: NDArray[np.uint8], region: Region, layout: Ma
 
 @cache
 def _detector(dictionary: str, refinement: int) -> cv2.aruco.ArucoDetector:
-    """With the parameters that the project's own detection uses."""
+    """Returns a detector with the parameters that the project's own detection uses."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = WINDOW_PX
     parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25

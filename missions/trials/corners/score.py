@@ -1,4 +1,4 @@
-"""How good corners are: error per axis, bias towards or away from the centre, honesty of the covariance."""
+"""The accuracy of corners: error per axis, bias towards or away from the centre, honesty of the covariance."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SCORE_STREAM = 3
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Of one method, over views with one camera in one condition.
+    """The score of one method, over views with one camera in one condition.
 
     Attributes:
         rms_px, interval_px: per axis; 95 %, views resampled.

@@ -70,7 +70,7 @@ def shoot(shooting: CornerSeries) -> list[CornerShot]:
 
 
 def _predicted(true_px: Matrix, rng: np.random.Generator) -> Region:
-    """Where flight would look for the marker."""
+    """Returns the region in which flight would look for the marker."""
     low, high = true_px.min(axis=0), true_px.max(axis=0)
     extent = float((high - low).max())
     low, high = (end + rng.uniform(-OFF, OFF, 2) * extent for end in (low - AROUND * extent, high + AROUND * extent))

@@ -1,4 +1,4 @@
-"""How well marker corners are found: OpenCV's methods and the project's, in conditions that depart from the ideal."""
+"""The accuracy of marker corners: OpenCV's methods and the project's, in conditions that depart from the ideal."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def _findings(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:
 
 @dataclass(frozen=True, slots=True)
 class _Photo:
-    """What a photograph of a board gave; empty, with the reason, when there is none."""
+    """The results from a photograph of a board; empty, with the reason, when there is none."""
 
     summary: dict[str, Any] | None
     reason: str
@@ -162,7 +162,7 @@ def _photo(request: TrialRequest) -> _Photo:
 
 
 def _worst(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:
-    """Where the project's default is worst, and how honest its covariance is there."""
+    """Returns the default method's worst condition, and the honesty of its covariance where that is boldest."""
     own = {name: s for name in CONDITIONS if (s := scores[camera, name, "photometric"]) is not None}
     if not own:
         return ()
@@ -251,7 +251,7 @@ HOW: Mapping[str, str] = {
 
 
 def _departures(condition: Condition) -> tuple[str, str]:
-    """What a condition changes, and how that is applied."""
+    """Returns what a condition changes, and how that is applied."""
     plain = CONDITIONS["ideal"]
     changed: list[str] = []
     for value, ideal in ((condition.imaging, plain.imaging), (condition.printing, plain.printing)):

@@ -1,4 +1,4 @@
-"""What the relative-pose filter says of a marker that it does not see: a recorded flight replayed with gaps in it."""
+"""The relative-pose filter on a marker that it does not see: a recorded flight replayed with gaps in it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TRUTH_SIGMAS = np.array([3e-4] * 3 + [5e-4] * 3)  # of the true pose, m and rad:
 
 @dataclass(frozen=True, slots=True)
 class FilterInput:
-    """What the filter was given with one frame; ``T_c_v`` and ``covariance`` are None when no marker was seen."""
+    """The filter's input of one frame; ``T_c_v`` and ``covariance`` are None when no marker was seen."""
 
     stamp_ns: int
     own: tuple[int, Vec3]

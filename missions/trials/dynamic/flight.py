@@ -51,7 +51,7 @@ class FlightOrder:
 
 @dataclass(frozen=True, slots=True)
 class FlownSession:
-    """How a flight ended, and what is true of its beacons."""
+    """The end of a flight, and the truth of its beacons."""
 
     folder: Path
     seed: int
@@ -96,7 +96,7 @@ def reference_of(rig: Rig) -> Reference:
 
 @dataclass(frozen=True, slots=True)
 class Motions:
-    """What PATH and the vehicles say, by the receiver's clock, s, in ``u``.
+    """The motions that PATH and the vehicles tell, by the receiver's clock, s, in ``u``.
 
     Attributes:
         own, own_1: D2's and D1's beacon by their own estimates; ``still_until_s`` is when D2 was armed.
@@ -195,8 +195,10 @@ def _rms_speed(records: Mapping[str, Sequence[LogRecord]]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class BeaconTrace:
-    """The beacons' log by body, without what is plainly wrong: by the clock of who listened (the beacons' own in a log
-    without it), s, in their frame."""
+    """The beacons' log by body, without what is plainly wrong.
+
+    Instants are by the clock of who listened (the beacons' own in a log without it), s; places in their frame.
+    """
 
     paths: Mapping[str, Trajectory]
     fixes: int
@@ -227,7 +229,10 @@ def _instant_ns(fix: BeaconFix) -> int:
 
 
 def between(of: Trajectory, base: Trajectory) -> tuple[Trajectory, Array]:
-    """From one beacon to another at the other's instants; and how much noisier than one position, in variance (n,)."""
+    """Returns the way from one beacon to another at the other's instants, and its noise.
+
+    The noise is in variances of one position, (n,).
+    """
     at_base = base.at(of.t, 0.4)
     known = np.isfinite(at_base[:, 0])
     after = np.clip(np.searchsorted(base.t, of.t[known]), 1, len(base.t) - 1)

@@ -142,7 +142,7 @@ def judge(order: tuple[FlownSession, Rig]) -> HarnessVerdict:
 
 
 def offset_error_s(measured: SessionErrors, beacons: BeaconTruth, truth: Truth) -> float:
-    """Of the offset between the receiver's clock and the listener's, as the harness set them."""
+    """Returns the error of the offset between the receiver's clock and the listener's, as the harness set them."""
     return measured.clock.offset_s - beacons.offset_s - truth.scene.clock_offset_ns[Role.RECEIVER] * 1e-9
 
 
@@ -220,7 +220,7 @@ def _yaw_error(frame: Alignment, beacons: BeaconTruth) -> float:
 
 
 def true_places(judged: HarnessVerdict) -> Callable[[str, Array], Array]:
-    """Where a body truly was in the beacons' frame, (n, 3), at instants of the receiver's clock."""
+    """Returns a body's true places in the beacons' frame, (n, 3), by instants of the receiver's clock."""
     truth = truth_of(load_run(judged.flown.folder).world)
     assert truth is not None
     return lambda name, t: true_path(truth, name, judged.flown.beacons, t)

@@ -39,7 +39,7 @@ QUICK_VERIFY_S = 8.0
 def run(request: TrialRequest) -> TrialResult:
     reference_of(request.rig)
     rig = request.rig
-    if request.quick:  # the geometric sight instead of rendered frames: the same mission, seconds instead of minutes
+    if request.quick:  # geometric perception instead of rendered frames: the same mission, seconds instead of minutes
         quick = rig_library.load(QUICK_LEVEL)
         errors = {key: value for key, value in rig.world.items() if key == "errors"}
         rig = replace(quick, trials=rig.trials, reference=rig.reference, world={**quick.world, **errors})
@@ -121,7 +121,10 @@ def _summary(judged: Sequence[HarnessVerdict], rng: np.random.Generator) -> dict
 
 
 def _errors_of(compared: Sequence[Compared], rng: np.random.Generator) -> dict[str, Any]:
-    """Of all flights together; intervals from a bootstrap over blocks of time, as neighbouring errors are alike."""
+    """Returns errors of all flights together.
+
+    Intervals from a bootstrap over blocks of time, as neighbours are alike.
+    """
     errors = np.concatenate([each.error_m for each in compared])
     ends = np.cumsum([0, *(int(each.blocks.max(initial=-1)) + 1 for each in compared)])
     groups = np.concatenate([each.blocks + end for each, end in zip(compared, ends[:-1], strict=True)])

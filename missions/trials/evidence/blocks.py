@@ -31,7 +31,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class GateTime:
-    """What a gate made of an attempt: how long after the first agreeing pair it was complete; with the right box?"""
+    """The decision of a gate: when it was complete, after the first agreeing pair, and whether with the right box."""
 
     after_s: float | None
     right: bool
@@ -92,7 +92,7 @@ def _decided(series: Series, done: int | None, begin_ns: int) -> GateTime:
 
 
 def mean_strength(series: Series, method: MethodConfig) -> float:
-    """Of all pairs whose boxes were compared."""
+    """Returns the mean strength of all pairs whose boxes were compared."""
     pairs = series.kind == PAIR
     if np.sum(pairs) < ENOUGH_PAIRS:
         return float("nan")

@@ -35,7 +35,7 @@ class MissionOrder:
 
 @dataclass(frozen=True, slots=True)
 class FlightResult:
-    """What came of a mission.
+    """The result of a mission.
 
     Attributes:
         seconds: from the first pair whose overlap exceeds the threshold to the commit; None without a commit.

@@ -25,7 +25,7 @@ LIMIT_S = 12.0
 
 @dataclass(frozen=True, slots=True)
 class GateVerdict:
-    """What one gate made of an attempt.
+    """The result of one gate on an attempt.
 
     Attributes:
         seconds: from the first agreeing pair to the commit.

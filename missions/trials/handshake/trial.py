@@ -146,7 +146,7 @@ def _wrong(judged: Sequence[GateVerdict]) -> int:
 
 
 def _fooled(judged: Sequence[GateVerdict]) -> int:
-    """Both boxes agreed although they were of different objects."""
+    """Counts the attempts in which both boxes agreed although they were of different objects."""
     return sum(each.committed and not each.same for each in judged)
 
 

@@ -1,4 +1,4 @@
-"""What it costs to make a signed packet of a message, and to check one and read it."""
+"""The cost of making a signed packet of a message, and of checking one and reading it."""
 
 from __future__ import annotations
 

@@ -57,13 +57,13 @@ class TappedPacket:
 
     @property
     def wire_b(self) -> int:
-        """With its UDP and IPv4 headers, which the kernel adds."""
+        """The size with its UDP and IPv4 headers, which the kernel adds."""
         return self.mavlink_b + UDP_IP_OVERHEAD
 
 
 @dataclass(slots=True)
 class LinkTraffic:
-    """What was on one link.
+    """The traffic on one link.
 
     Attributes:
         hz: frames a second on both sides.
@@ -182,7 +182,7 @@ def _taken(taps: dict[Role, _Tap]) -> list[TappedPacket]:
 
 
 async def _pump(link: UdpLink) -> None:
-    """As a role does: answer pings, take the rest."""
+    """Pumps as a role does: answers pings, takes the rest."""
     while True:
         received = await link.receive()
         if isinstance(received.message, Ping):
@@ -190,7 +190,7 @@ async def _pump(link: UdpLink) -> None:
 
 
 class _Side:
-    """What one role sends while it verifies, and the hand-over at the end of it."""
+    """The messages of one role while it verifies, and the hand-over at the end of it."""
 
     def __init__(self, role: Role, link: UdpLink, mission: MissionConfig, hz: int, rng: np.random.Generator) -> None:
         self._role = role
@@ -240,7 +240,7 @@ class _Side:
 
 
 def a_target(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Target:
-    """With everything it can carry, as in a verification two metres from the target."""
+    """Returns a Target with everything it can carry, as in a verification two metres from the target."""
     x, y, z = rng.normal((0.0, 0.0, 1.0), 0.3).tolist()
     norm = float(np.linalg.norm((x, y, z)))
     gravity = (x / norm, y / norm, z / norm)
@@ -249,7 +249,7 @@ def a_target(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Target:
 
 
 def a_candidate(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Candidate:
-    """With box and pose."""
+    """Returns a Candidate with box and pose."""
     w, x, y, z = rng.standard_normal(4).tolist()
     norm = float(np.linalg.norm((w, x, y, z)))
     rotation: Quat = (w / norm, x / norm, y / norm, z / norm)

@@ -1,4 +1,4 @@
-"""Who was responsible when, from the logs of both roles' programs: nobody's own count is believed.
+"""The responsibility over time, from the logs of both roles' programs: nobody's own count is believed.
 
 A program that died is responsible for nothing until it is started again and says what it is; one that ended in good
 order keeps its last word. Instants are of the world's clock.
@@ -65,12 +65,15 @@ class _Now:
 
     @property
     def excused(self) -> bool:
-        """Nobody can be responsible: the program is dead whose turn it is, the sender's until it has handed over."""
+        """True if nobody can be responsible.
+
+        The program is dead whose turn it is, the sender's until it has handed over.
+        """
         return not self.alive[Role.RECEIVER if self.handed_over else Role.SENDER]
 
 
 def read(folder: Path) -> Responsibility:
-    """Of the run in a folder."""
+    """Reads the responsibility of the run in a folder."""
     offsets = _offsets(folder)
     told, commits, alarm = list[RoleEvent](), list[int](), False
     for role in Role:

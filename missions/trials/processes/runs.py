@@ -58,7 +58,7 @@ class ProcessRun:
 
 @dataclass(frozen=True, slots=True)
 class Came:
-    """What came of it.
+    """The result of a run.
 
     Attributes:
         outcomes: by role; "died" for a program that was not started again, with the run's own ending for the rest.
@@ -112,8 +112,10 @@ def attacks(rig: str, seeds: Sequence[int], out: Path) -> list[ProcessRun]:
 def kills(
     rig: str, seeds: Sequence[int], phases_s: Sequence[float], restarts_s: Sequence[float | None], out: Path
 ) -> list[ProcessRun]:
-    """A kill of either side in every phase of its course, ``phases_s`` after it began, and at every record it writes
-    down; each without and with being started again."""
+    """Returns a kill of either side in every phase of its course, and at every record it writes down.
+
+    The phases' kills come ``phases_s`` after each began. All are without and with being started again.
+    """
     asked: list[ProcessRun] = []
     for role in Role:
         moments = [(phase.title, after_s) for phase in COURSE[role] for after_s in phases_s]

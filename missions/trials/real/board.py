@@ -1,4 +1,4 @@
-"""Where a board's corners really are in a photograph: its pose, and what lens and paper do beyond it."""
+"""The true places of a board's corners in a photograph: its pose, and what lens and paper do beyond it."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class BoardSeen:
     left_px: float
 
     def pixels(self, points_o: Array) -> Array:
-        """Where points (n, 3) of the board are, (n, 2)."""
+        """Returns the pixels of points (n, 3) of the board, (n, 2)."""
         smooth = _powers((points_o[:, :2] - self.middle) / self.reach, self.order) @ self.bend
         return self.camera.project(self.T_c_o.apply(points_o)) + smooth
 
@@ -166,7 +166,7 @@ def _grown(corners_o: Array, side_m: float) -> Array:
 
 
 def growth(seen: Sequence[tuple[Array, BoardSeen, Array]]) -> float:
-    """How much larger markers are than their corners (4 n, 3) say, relative; seen at (4 n, 2) px."""
+    """Returns how much larger markers are than their corners (4 n, 3) say, relative; seen at (4 n, 2) px."""
     errors, pulls = [], []
     for corners_px, board, points_o in seen:
         quads = points_o.reshape(-1, 4, 3)

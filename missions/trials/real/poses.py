@@ -140,7 +140,7 @@ def _task(
 
 
 def _print_frame(own: RealSet, measured: MethodPoses, marker_id: int) -> tuple[Pose, float]:
-    """Where a marker sits on the board as printed, and its mean side: what a ruler would tell."""
+    """Returns the pose of a marker on the board as printed, and its mean side: what a ruler would tell."""
     corners = printed(own, measured.growth, marker_id)
     off = measured.print_m.get(marker_id)
     if off is not None:

@@ -103,7 +103,7 @@ class SetScore:
 
     Attributes:
         images, views: photographs, and those that show the board. ``markers``: seen in all of them.
-        board_px: what the board's own corners leave of pose and bend, median over views of the rms per axis.
+        board_px: residual of the board's own corners to pose and bend, median over views of the rms per axis.
         print_m: rms by which the printed corners are off, as all views show it; None when that cannot be told.
         poses: by what they rest on; empty on a chessboard. ``named``: what the fits called wrong, and how often.
         example: the photograph in the middle, for the page.

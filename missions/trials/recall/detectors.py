@@ -1,4 +1,4 @@
-"""What a detector's misses and false positives make of the pairs of a Monte-Carlo hand-over that was run without them.
+"""The effect of a detector's misses and false positives on the pairs of a Monte-Carlo hand-over run without them.
 
 Both drones' detectors have spells of misses and spells of inventions, each a chain of two states. A frame of D2 that is
 missed is no candidate; one of D1 leaves nothing to compare with, and D2 without a target once D1's newest sample is too
@@ -27,7 +27,7 @@ SEQUENCES = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class DetectorFaults:
-    """What both drones' detectors get wrong.
+    """The errors of both drones' detectors.
 
     Attributes:
         recall: share of the frames with the target in which it is found.
@@ -68,8 +68,10 @@ def unwrapped(sequence: Whole) -> Whole:
 
 
 def with_detector(series: Series, detector: DetectorFaults, method: MethodConfig, rng: Generator) -> Series:
-    """The series as it would have been with these detectors on both drones. D1's own misses add no entries: a pair that
-    would have needed the frame is a miss."""
+    """Returns the series as it would have been with these detectors on both drones.
+
+    D1's own misses add no entries: a pair that would have needed the frame is a miss.
+    """
     pairs = series.kind == PAIR
     if not pairs.any():
         return series
@@ -95,7 +97,7 @@ def with_detector(series: Series, detector: DetectorFaults, method: MethodConfig
 
 
 def _silent(series: Series, missed_1: Flags, before: Whole, method: MethodConfig) -> Flags:
-    """Where D2 has no target that is new enough to carry on."""
+    """Returns where D2 has no target that is new enough to carry on."""
     seen = np.where(missed_1, -1, np.arange(len(missed_1)))
     newest = np.maximum.accumulate(seen)[before]
     period_s = float(np.median((series.own[:, 3] - series.own[:, 1])[series.kind == PAIR])) * 1e-9

@@ -42,8 +42,11 @@ class Pieces:
 
 @dataclass(frozen=True, slots=True)
 class GateCommit:
-    """When a gate was complete, since the attempt began; whether D2's box was of the designated object, and of the same
-    one as D1's."""
+    """The commit of a gate: its time since the attempt began, and whether the objects were right.
+
+    Attributes:
+        right: whether D2's box was of the designated object. ``same``: of the same one as D1's.
+    """
 
     after_s: float
     right: bool
@@ -52,15 +55,18 @@ class GateCommit:
 
 @dataclass(frozen=True, slots=True)
 class AttemptCommits:
-    """What became of one attempt by each gate, in the order of ``GATES``; None without a commit."""
+    """The result of one attempt by each gate, in the order of ``GATES``; None without a commit."""
 
     order: AttemptOrder
     commits: tuple[GateCommit | None, ...]
 
 
 def orders(seed: int, detectors: int, of_each: int) -> list[AttemptOrder]:
-    """Every attempt has a hand-over of its own. Half have nothing but the errors that last, a quarter a look-alike
-    beside the target or driving past it, a quarter a D2 that sees only another object."""
+    """Returns the attempts, each with a hand-over of its own.
+
+    Half have nothing but the errors that last, a quarter a look-alike beside the target or driving past it, a quarter a
+    D2 that sees only another object.
+    """
     made: list[AttemptOrder] = []
     for index in range(detectors * of_each):
         cell, turn = index % detectors, index // detectors

@@ -1,1 +1,1 @@
-"""From bad positions, in wind."""
+"""The trial of the rendezvous from bad positions, in wind."""

@@ -33,7 +33,7 @@ class RendezvousOrder:
 
 @dataclass(frozen=True, slots=True)
 class RendezvousResult:
-    """What came of a mission.
+    """The result of a mission.
 
     Attributes:
         seed: of the mission.
@@ -66,7 +66,7 @@ class RendezvousResult:
 
     @property
     def rendezvous_s(self) -> float | None:
-        """From the take-off's end to the viewpoint."""
+        """The time from the take-off's end to the viewpoint."""
         return None if self.began_s is None or self.arrived_s is None else self.arrived_s - self.began_s
 
 
@@ -103,7 +103,7 @@ def fly(asked: RendezvousOrder) -> RendezvousResult:
 
 
 def _entered(run: RunRecords, phase: Phase) -> float | None:
-    """When the receiver first entered a phase, on its own clock."""
+    """Returns when the receiver first entered a phase, on its own clock, s; None when it did not."""
     of = (one.stamp_ns for one in run.receiver.get("/phase", ()) if one.record["phase"] == phase.title)
     first = next(of, None)
     return None if first is None else first * 1e-9
@@ -133,7 +133,7 @@ def _in_ellipsoids(place: _Place, separation: SeparationConfig) -> float:
 
 
 def _in_cone_s(places: Sequence[_Place], separation: SeparationConfig) -> float:
-    """How long one was in the downwash of the other."""
+    """Returns how long one was in the downwash of the other, s."""
     slope = math.tan(math.radians(separation.downwash_half_angle_deg))
     cone_s, before_s = 0.0, math.inf
     for place in places:
@@ -145,7 +145,7 @@ def _in_cone_s(places: Sequence[_Place], separation: SeparationConfig) -> float:
 
 
 def _way(run: RunRecords, places: Sequence[_Place], began_s: float | None, arrived_s: float | None) -> tuple[Vec3, ...]:
-    """From the stand-off's beginning until it verifies, or for as long as both fly."""
+    """Returns the way from the stand-off's beginning until it verifies, or for as long as both fly."""
     if began_s is None or not run.world.get("/scene"):
         return ()
     offset_s = run.world["/scene"][0].record["clock_offset_ns"][Role.RECEIVER.value] * 1e-9
@@ -161,12 +161,12 @@ def _from_heading(place: _Place) -> Vec3:
 
 
 def separations_m(flown: Sequence[RendezvousResult]) -> list[float]:
-    """Of the missions in which both flew."""
+    """Returns the separations of the missions in which both flew."""
     return [one.separation_m for one in flown if one.separation_m is not None]
 
 
 def reasons(flown: Sequence[RendezvousResult]) -> dict[str, int]:
-    """How those ended that did not hand over, the most frequent first."""
+    """Counts how those ended that did not hand over, the most frequent first."""
     counts: dict[str, int] = {}
     for one in flown:
         if not one.committed:

@@ -121,9 +121,9 @@ def _times(flown: Sequence[RendezvousResult]) -> TrialTable:
 
 
 def _conditions(rig: Rig) -> tuple[tuple[str, ...], ...]:
-    """Of the rig's own tables."""
+    """Returns the conditions in the rig's own tables."""
     world, mission = rig.world, mission_of(rig)
-    apart, wind = world.get("apart", {}), world.get("wind", {})
+    apart, wind = world.get("position_offset", {}), world.get("wind", {})
     across_m, height_m = float(apart.get("across_m", 0.0)), float(apart.get("height_m", 0.0))
     known = mission.rendezvous
     return (

@@ -1,4 +1,4 @@
-"""How far wrong depth and a wrong marker pose move D2's prior, in the paper's nominal geometry."""
+"""The effect of a wrong depth and a wrong marker pose on D2's prior, in the paper's nominal geometry."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class AtDepth:
     pose_error: float
 
     def terms(self, law: str) -> Terms:
-        """With the depth term of a law of the depth's error."""
+        """Returns the terms with the depth term of a law of the depth's error."""
         camera, T_c2_v = nominal_camera(), nominal_pose()
         squares = depth_error2(camera, T_c2_v, on_axis(self.depth_m), depth_error_m(law, self.depth_m))
         return Terms(math.sqrt(float(np.mean(squares))), self.translation, self.rotation)

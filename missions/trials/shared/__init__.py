@@ -1,1 +1,1 @@
-"""What trials share: how one is run and judged, statistics, and the page."""
+"""The parts that trials share: how one is run and judged, statistics, and the page."""

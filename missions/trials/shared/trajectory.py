@@ -68,7 +68,7 @@ class MotionPair:
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """How samples lie to curves; standard deviations are from a bootstrap over blocks of time.
+    """The alignment of samples with curves; standard deviations are from a bootstrap over blocks of time.
 
     Attributes:
         offset_s: add it to a sample's stamp to get the curve's.
@@ -259,7 +259,10 @@ class _Problem:
     def resampled(
         self, state: _TrajectoryFit, residuals: Array, jacobian: Array, weights: Array, rng: np.random.Generator
     ) -> list[_TrajectoryFit]:
-        """Where one step leads when each block of time counts as often as it is drawn: how sure the solution is."""
+        """Returns where one step leads when each block of time counts as often as it is drawn.
+
+        How sure the solution is.
+        """
         blocks = [np.flatnonzero(self.blocks == block) for block in np.unique(self.blocks)]
         normals, gradients = list[Array](), list[Array]()
         for block in blocks:
@@ -290,7 +293,7 @@ def _solved(normal: Array, gradient: Array) -> Array:
 
 
 def _hats(t: Array, wander_s: float | None) -> Array:
-    """How much of each knot's shift an instant has, (n, knots)."""
+    """Returns each knot's share in the shift at an instant, (n, knots)."""
     if wander_s is None:
         return np.ones((len(t), 1))
     knots = max(2, 1 + round((t.max() - t.min()) / wander_s))
@@ -321,7 +324,7 @@ def _scale(residuals: Array) -> float:
 
 
 def huber(residuals: Array, scale: float) -> Array:
-    """How much each of the residuals (n, 3) counts, (n,), by its length over a deviation per axis."""
+    """Returns the weight of each of the residuals (n, 3), (n,), by its length over a deviation per axis."""
     length = np.linalg.norm(residuals, axis=1) / (math.sqrt(3.0) * scale)
     return np.where(length < HUBER, 1.0, np.where(length < REJECT, HUBER / np.maximum(length, HUBER), 0.0))
 

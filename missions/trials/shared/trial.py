@@ -1,4 +1,4 @@
-"""What a trial is asked for, and what it gives back: a summary, findings, tables and figures.
+"""The request to a trial, and what it gives back: a summary, findings, tables and figures.
 
 A trial is a module of this package with
 
@@ -26,7 +26,7 @@ class TrialRequest:
     """One trial to run.
 
     Attributes:
-        rig: names the studio and the other parts that know the truth (``[trials]``).
+        rig: names the renderer and the other parts that know the truth (``[trials]``).
         out: folder of this trial; it exists.
         seed: of every random number.
         quick: a short form: the same code on few samples, for tests.
@@ -98,7 +98,7 @@ class TrialPicture:
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """What a trial found.
+    """The result of a trial.
 
     Attributes:
         summary: for ``summary.json``: plain numbers in SI units, names with unit suffixes.

@@ -120,7 +120,7 @@ def _fly(rig: Rig, request: TrialRequest, seconds: float) -> tuple[Samples, RunR
 
 
 def growth_mib(taken: Sequence[ProgramSample]) -> float:
-    """How much more memory a program holds at the end than once it had settled."""
+    """Returns how much more memory a program holds at the end than once it had settled."""
     held = np.array([sample.private_mib for sample in taken])[int(SETTLED * len(taken)) :]
     quarter = max(1, len(held) // 4)
     return round(float(np.median(held[-quarter:]) - np.median(held[:quarter])), 2)
@@ -150,7 +150,7 @@ def stages_ms(records: Records) -> dict[str, float]:
 
 
 def ages_ms(records: Records) -> dict[str, float]:
-    """How old frames were when their cycle began: over all, and in the first and the last quarter of the time."""
+    """Returns the age of frames when their cycle began: over all, and in the first and the last quarter of the time."""
     ages = np.array([frame.record["age_ns"] * 1e-6 for frame in _verifying(records, "/frame")])
     if len(ages) < 4:
         return {}

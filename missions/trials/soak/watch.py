@@ -1,4 +1,4 @@
-"""What the programs of a flight hold in memory and spend of the processor, from /proc while it goes on."""
+"""The memory and the processor time of a flight's programs, from /proc while it goes on."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _private_mib(process: int) -> float:
 
 
 def _cpu(process: int) -> Iterator[tuple[str, float]]:
-    """By thread name; threads of one name together."""
+    """Yields the processor time by thread name; threads of one name together."""
     spent: dict[str, float] = {}
     for task in (PROC / str(process) / "task").iterdir():
         fields = _stat(task)

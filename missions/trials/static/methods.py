@@ -1,4 +1,4 @@
-"""From one sighting to D2's and the target's error, by method, under errors of calibration, print and attitude.
+"""The errors of D2's and the target's place from one sighting, by method, under errors of calibration, print, attitude.
 
 What a method is told (print, cameras, mounting, attitudes) is the truth with the errors of its session; it is never
 told the truth.
@@ -55,7 +55,7 @@ comparison: "depth", wrong over the whole target, and "wide", depth from a large
 
 @dataclass(frozen=True, slots=True)
 class MethodErrors:
-    """What is wrong in one measurement.
+    """The errors of one measurement.
 
     Attributes:
         side: of the marker's printed side, relative.
@@ -197,7 +197,7 @@ def estimated(
 
 
 def believed_layout(errors: MethodErrors) -> MarkerLayout:
-    """What is believed of the print; ``side`` is by how much that is too large."""
+    """Returns the layout as the print is believed to be; ``side`` is by how much that is too large."""
     return single_marker(SIDE_M * (1.0 + errors.side), SIDE_M * SIDE_SIGMA)
 
 

@@ -1,4 +1,4 @@
-"""What the static experiment found, as summary, findings and tables."""
+"""The results of the static experiment as summary, findings and tables."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def _intervals(errors: Array, statistics: Mapping[str, Statistic], rng: np.rando
 
 
 def plain_number(value: float | Array) -> float | None:
-    """For JSON, which knows no NaN."""
+    """Returns a number for JSON, which knows no NaN."""
     return None if math.isnan(value) else float(value)
 
 

@@ -33,7 +33,7 @@ class StaticSeries:
     """Some sessions of one configuration, with one kind of cameras.
 
     Attributes:
-        studio: the class that renders.
+        studio: the class of the renderer.
         imaging: of each drone's camera.
         configuration: its number in ``STANDS``.
         sessions: their numbers.
@@ -49,7 +49,7 @@ class StaticSeries:
 
 @dataclass(frozen=True, slots=True)
 class SenderObservation:
-    """What D1 saw of the target.
+    """D1's observation of the target.
 
     Attributes:
         depth: over the middle of its box; ``wide_depth`` over a larger part, the method's default.

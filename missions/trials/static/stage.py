@@ -62,7 +62,7 @@ STANDS = (*CONFIGURATIONS, SQUARE)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mounts:
-    """How both drones are built, as they truly are: cameras and marker frame to body (FRD). Equal by their numbers."""
+    """The true mounts of both drones: cameras and marker frame to body (FRD). Equal by their numbers."""
 
     T_b_c1: Pose
     T_b_v: Pose

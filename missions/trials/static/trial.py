@@ -1,4 +1,4 @@
-"""How exactly D2's place and the target's are known from one frame: seven configurations, sixty measurements each.
+"""The accuracy of D2's place and the target's from one frame: seven configurations, sixty measurements each.
 
 Sixty sessions: in each a drone pair is printed, calibrated, mounted and flown anew, with errors of its own, and
 measures once in all seven configurations. So 420 measurements rest on sixty draws of every systematic error, not on
@@ -138,7 +138,7 @@ def _judge(
 
 
 def _geometry(mounts: Mounts, sightings: Sequence[StaticMeasurement]) -> tuple[list[float], list[float], list[float]]:
-    """Of each configuration: D2's heading relative to D1's, mean incidence in rad, mean side of the marker in px."""
+    """Returns each configuration's geometry: D2's heading relative to D1's, mean incidence in rad, mean side in px."""
     headings = [nominal(c, mounts)[2] for c in CONFIGURATIONS]
     angles: list[list[float]] = [[] for _ in STANDS]
     sides: list[list[float]] = [[] for _ in STANDS]

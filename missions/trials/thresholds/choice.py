@@ -22,7 +22,7 @@ SHORTEST = 0
 
 @dataclass(frozen=True, slots=True)
 class Shares:
-    """Of attempts, by setting and window length, (settings, FRAMES).
+    """The shares of attempts, by setting and window length, (settings, FRAMES).
 
     Attributes:
         right: hand-overs of the target in time, of the true attempts.
@@ -64,7 +64,7 @@ def choose(shares: Shares) -> int:
 
 
 def halves(tried: Sequence[GridAttempt]) -> tuple[list[GridAttempt], list[GridAttempt]]:
-    """To choose on, and to report on: neighbours by turns, so that both have all of every kind."""
+    """Returns attempts to choose on, and to report on: neighbours by turns, so that both have all of every kind."""
     parts: tuple[list[GridAttempt], list[GridAttempt]] = ([], [])
     turn: dict[tuple[str, object], int] = {}
     for each in tried:
@@ -110,8 +110,10 @@ class RocCurve:
 
 
 def curve(tried: Sequence[GridAttempt], mapping: BoxMapping, rng: np.random.Generator) -> RocCurve | None:
-    """Pairs of the target in true attempts against pairs of something else where the prior is not on it; None when
-    there are none of either."""
+    """Returns the curve of the target's pairs in true attempts against pairs of something else; None without either.
+
+    The other pairs are of attempts whose prior is not on that other thing.
+    """
     k = MAPPINGS.index(mapping)
     right = np.array([each.outcomes.pairs[1, k] for each in tried if not each.way], float)
     wrong = np.array([each.outcomes.pairs[0, k] for each in tried if each.way in (NEAR, BESIDE)], float)
@@ -136,7 +138,7 @@ def _weighted(rows: Array, rng: np.random.Generator) -> Array:
 
 
 def _auc(right: Array, wrong: Array) -> float:
-    """From histograms of the overlap; equal bins count half."""
+    """Returns the area under the curve from histograms of the overlap; equal bins count half."""
     total = right.sum() * wrong.sum()
     below = np.concatenate(([0.0], wrong.cumsum()[:-1]))
     return float((right * (below + 0.5 * wrong)).sum() / total) if total else float("nan")

@@ -66,7 +66,7 @@ def grid() -> tuple[Setting, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Outcomes:
-    """What an attempt would have come to.
+    """The outcomes of an attempt by setting.
 
     Attributes:
         commit: (settings, FRAMES) NO_COMMIT, RIGHT or WRONG.

@@ -77,7 +77,10 @@ def _turned(axes: Axes, rolled: Sequence[Rolled]) -> None:
 
 
 def draw_map(shares: Shares, default: int, chosen: int, path: Path) -> None:
-    """Both shares over tau_min and tau_max, z0 and mapping as by default. Raises OSError when it cannot be written."""
+    """Draws both shares over tau_min and tau_max, z0 and mapping as by default.
+
+    Raises OSError when it cannot be written.
+    """
     own = grid()[default]
     figure = Figure(figsize=(11.0, 4.6), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)

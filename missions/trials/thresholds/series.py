@@ -59,7 +59,7 @@ class Rolled:
 
 
 def true_attempts(rig: str, seed: int, count: int) -> list[RigAttempt]:
-    """With every kind of fault, from every distance."""
+    """Returns attempts with every kind of fault, from every distance."""
     names, reaches = FAULT_NAMES, REACHES
     return [
         RigAttempt(

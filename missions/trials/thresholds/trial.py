@@ -1,4 +1,4 @@
-"""Why the thresholds are what they are: a sweep over recorded series of true and of wrong pairs, and a stated rule."""
+"""The reasons for the thresholds: a sweep over recorded series of true and of wrong pairs, and a stated rule."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _as_dict(setting: Setting) -> dict[str, Any]:
 
 
 def _held_out(tried: Sequence[GridAttempt], shares: Shares, k: int) -> dict[str, Any]:
-    """Of one setting with the paper's window, on attempts that were not chosen on."""
+    """Returns the shares of one setting with the paper's window, on attempts that were not chosen on."""
     beside = [each for each in tried if each.way in (series.ABSENT, series.NEAR) and _distance(each) >= 0.3]
     wrong = sum(each.outcomes.commit[k, PAPER_N] == WRONG for each in beside)
     return {

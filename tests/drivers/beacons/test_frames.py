@@ -91,7 +91,7 @@ def test_a_wrong_bit_never_passes(bit: int) -> None:
 @settings(max_examples=60)
 @given(st.lists(st.binary(max_size=60), max_size=4), st.integers(1, 40))
 def test_frames_are_found_in_any_noise_however_the_bytes_come(noise: list[bytes], size: int) -> None:
-    """What noise can cost is the wait for the end of a frame that it seemed to begin: under 262 bytes."""
+    """Noise can cost no more than the wait for the end of a frame that it seemed to begin: under 262 bytes."""
     stream = b"".join(each + FRAME for each in noise) + FRAME * 10
     framer = BeaconFramer()
     found = [packet for k in range(0, len(stream), size) for packet in framer.feed(stream[k : k + size])]

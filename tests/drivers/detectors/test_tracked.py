@@ -173,7 +173,7 @@ def test_a_detection_elsewhere_counts_and_the_drift_is_noted() -> None:
 
 
 def test_look_alikes_are_followed_too() -> None:
-    """Who asks must see that there are two."""
+    """Both are given: whoever asks must see that there are two."""
     detector, oracle = made(every=10)
     image, first = scene(40, 60)
     image[150:186, 200:248] = THING

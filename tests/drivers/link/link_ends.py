@@ -1,4 +1,7 @@
-"""What the tests of all links share: a role's context, bounded waits, and two ends that prove themselves."""
+"""The helpers that the tests of all links share.
+
+A role's context, bounded waits, and two ends that prove themselves.
+"""
 
 from __future__ import annotations
 
@@ -96,7 +99,7 @@ class Cable:
         self._carry = _noise
 
     def inject(self, data: bytes) -> None:
-        """What the other one's radio hears besides."""
+        """Adds bytes to what the other one's radio hears."""
         os.write(self._ends[1][0], data)
 
     def unplug(self) -> None:

@@ -19,7 +19,7 @@ BUILT_WITH = next(need for need in PROJECT["build-system"]["requires"] if need.s
 
 
 def layout(module: Any) -> dict[int, tuple[Any, ...]]:
-    """What another program must agree on to understand a packet."""
+    """Returns all that another program must agree on to understand a packet."""
     return {
         number: (kind.msgname, kind.crc_extra, kind.ordered_fieldnames, bytes(kind.native_format))
         for number, kind in module.mavlink_map.items()

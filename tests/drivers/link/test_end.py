@@ -51,7 +51,10 @@ def signed_ends() -> tuple[Codec, LinkEnd]:
 
 
 def taken_in_a_flood(peer: Codec, end: LinkEnd, false: list[bytes]) -> int:
-    """How many of a second's genuine packets are taken between ``FLOOD_HZ`` others: each takes the former's place."""
+    """Returns how many of a second's genuine packets are taken between ``FLOOD_HZ`` others.
+
+    Each takes the former's place.
+    """
     before, gap = end.counters.dropped.get("superseded", 0), FLOOD_HZ // GENUINE_HZ
     for k in range(FLOOD_HZ):
         end.arrived(peer.encode(STATUS) if k % gap == gap // 2 else false[k % len(false)], k * SECOND_NS // FLOOD_HZ)

@@ -1,4 +1,4 @@
-"""What one process tells another."""
+"""The lines of JSON from one process to another."""
 
 from __future__ import annotations
 

@@ -123,12 +123,12 @@ def vehicle_at(port: int, **options: Any) -> MavsdkVehicle:
 
 
 @contextmanager
-def px4(config: AutopilotConfig = QUICK, speed: float = 1.0) -> Generator[Bench]:
-    """The vehicle's time runs ``speed`` times as fast as ours."""
+def px4(config: AutopilotConfig = QUICK, speed: float = 1.0, port: int | None = None) -> Generator[Bench]:
+    """The vehicle's time runs ``speed`` times as fast as ours. It speaks to ``port``, or one that is free."""
     exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
     calm = WindConfig(0.0, gust_mps=0.0)
     world = World(WorldConfig(wind=calm, estimator=exact, autopilot=config, sender_home=HOME), seed=1)
-    wire, port, drone = Wire(), free_port(), world.drone(Role.SENDER)
+    wire, port, drone = Wire(), port or free_port(), world.drone(Role.SENDER)
     endpoint = MavlinkVehicle(MavlinkVehicleConfig(SYSID, ("127.0.0.1", port)), drone, TANGENT)
     endpoint.tap = wire.tap
     with stepped(endpoint, world, wire, speed):

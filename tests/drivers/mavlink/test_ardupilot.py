@@ -53,6 +53,8 @@ class ArduCopter:
                 self._wire.tap(now_s, message)
                 if message.get_type() == "COMMAND_LONG" and message.command not in self.deaf:
                     self._send(mavlink.MAVLink_command_ack_message(message.command, self._command(message, now_s)))
+                elif message.get_type() == "TIMESYNC" and message.tc1 == 0:
+                    self._send(mavlink.MAVLink_timesync_message(round(now_s * 1e9) + 1, message.ts1))
         for message_id, due_s in self._due_s.items():
             if now_s >= due_s:
                 self._due_s[message_id] = now_s + self._interval_s[message_id]

@@ -41,7 +41,7 @@ def test_differences_are_named_in_the_order_of_the_rig() -> None:
 
 @pytest.fixture
 def url() -> Generator[str]:
-    """Where an embedded vehicle, system 5, sends to; it lives in a thread."""
+    """The URL that an embedded vehicle, system 5, sends to; it lives in a thread."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]

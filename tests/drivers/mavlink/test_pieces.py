@@ -1,4 +1,4 @@
-"""What the MAVSDK driver is made of, without MAVSDK: modes, the local frame, telemetry, the callback thread's clock."""
+"""The parts of the MAVSDK driver, without MAVSDK: modes, the local frame, telemetry, the callback thread's clock."""
 
 import asyncio
 import json

@@ -1,4 +1,4 @@
-"""What proves where a vehicle speaks from, and what becomes of everybody else who has its number."""
+"""The proof of a vehicle's address, and what becomes of everybody else who has its number."""
 
 from __future__ import annotations
 

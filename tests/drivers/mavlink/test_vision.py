@@ -87,7 +87,7 @@ def test_a_px4_without_gps_cannot_fly_by_altitude() -> None:
 def test_beacons_that_are_unplugged_in_the_air_are_named_and_the_vehicle_flies_on(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """What the autopilot does without them is its own: the script keeps its telemetry and its commands."""
+    """The script keeps its telemetry and its commands; what the autopilot does without beacons is its own."""
     cable = SerialCable(tmp_path / "hedge")
     cable.plug()
     options = {"ports": [str(cable.link)], "reopen_s": 0.3}

@@ -1,4 +1,4 @@
-"""What is known to be elsewhere is not shown; what is not known stays."""
+"""The mask hides what is known to be elsewhere; what is not known stays."""
 
 from __future__ import annotations
 

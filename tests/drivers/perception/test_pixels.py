@@ -1,4 +1,4 @@
-"""The sight over a camera and a detector: which frames become views, and what a view answers."""
+"""The perception over a camera and a detector: which frames become views, and what a view answers."""
 
 from __future__ import annotations
 

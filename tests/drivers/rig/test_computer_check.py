@@ -1,4 +1,4 @@
-"""What is found out about the computer itself."""
+"""The findings about the computer itself."""
 
 from __future__ import annotations
 

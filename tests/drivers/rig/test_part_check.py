@@ -1,4 +1,4 @@
-"""How often a stream brings something new."""
+"""The rate at which a stream brings something new."""
 
 from __future__ import annotations
 

@@ -97,6 +97,11 @@ def test_the_same_word_in_another_unit_beats_the_spelling() -> None:
     assert suggestion("w", ["width_m", "w_radps"]) == " (did you mean 'w_radps'?)"
 
 
+def test_an_old_name_of_a_key_leads_to_the_new_one() -> None:
+    assert suggestion("sight", ["vehicle", "perception"]) == " (called 'perception' now)"
+    assert suggestion("sight", ["vehicle"]) == ""
+
+
 def test_an_unlikely_key_gets_no_suggestion() -> None:
     (problem,) = refused({"zzz": 1.0})
     assert "did you mean" not in problem
@@ -188,9 +193,9 @@ def role(name: str, own: int, other: int) -> str:
 factory = "fake_parts:Fake"
 url = "udpin://127.0.0.1:{14540 + own}"
 sysid = {own}
-[{name}.sight]
+[{name}.perception]
 factory = "fake_parts:Fake"
-[{name}.sight.inner]
+[{name}.perception.inner]
 factory = "fake_parts:Fake"
 interface = "eth{own}"
 [{name}.link]

@@ -33,8 +33,10 @@ _ports = count(20_000 + os.getpid() % 10_000)
 
 
 def free_port() -> int:
-    """Free, handed out once, and below those that the system gives to whoever asks for any: it stays free until it is
-    used, be it by a later test."""
+    """Returns a free port, handed out once, and below those that the system gives to whoever asks for any.
+
+    It stays free until it is used, be it by a later test.
+    """
     for port in _ports:
         if port >= 32_768:
             break
@@ -133,7 +135,7 @@ def time_code(stamp_ns: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
 
 
 def age_of(image: np.ndarray[Any, np.dtype[np.uint8]], at_ns: int) -> float:
-    """How long before ``at_ns`` the image was taken, s, by the code in it."""
+    """Returns how long before ``at_ns`` the image was taken, s, by the code in it."""
     value = 0
     for bit in range(CODE_BITS):
         row, column = divmod(bit, 12)
@@ -144,7 +146,7 @@ def age_of(image: np.ndarray[Any, np.dtype[np.uint8]], at_ns: int) -> float:
 
 
 def code_is_whole(image: np.ndarray[Any, np.dtype[np.uint8]]) -> bool:
-    """Whether every square is clearly black or white."""
+    """Returns whether every square is clearly black or white."""
     for bit in range(CODE_BITS):
         row, column = divmod(bit, 12)
         inner = image[44 + row * 60 : 36 + row * 60 + CELL, 24 + column * 23 : 16 + column * 23 + CELL].astype(int)

@@ -71,7 +71,7 @@ def test_frames_are_new_stamped_and_whole_and_their_end_is_told() -> None:
         assert age_of(frame.color, time.monotonic_ns()) < LATENCY_S + 0.15
 
     async def damaged(stand: Stand, seen: TelloCamera) -> None:
-        """What cannot be decoded is not given; what is given may still be damaged, and most of it is not."""
+        """Frames that cannot be decoded are not given; one that is given may still be damaged, and most are not."""
         stand.video.corrupt = True
         end_s = time.monotonic() + 5.0
         while seen.damaged < 3:

@@ -1,4 +1,4 @@
-"""The studio draws what the renderer of the world draws, knows the exact depth, and gives the same bytes again."""
+"""The renderer of trials draws what that of the world draws, knows the exact depth, and gives the same bytes again."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def write_all(world: SharedCameraWriter, values: Iterable[int]) -> None:
 
 
 def value_of(frame: SharedFrame | None) -> int:
-    """What was written, when all of it is there."""
+    """Returns the number that was written, when all of it is there."""
     assert frame is not None
     values = set(frame.color.ravel().tolist()) | set(frame.depth_mm.ravel().tolist())
     assert len(values) == 1

@@ -1,4 +1,4 @@
-"""What the world draws reaches the driver through pyrealsense2: frames, stamps, and a world that is gone."""
+"""The way of the world's pictures to the driver through pyrealsense2: frames, stamps, and a world that is gone."""
 
 from __future__ import annotations
 

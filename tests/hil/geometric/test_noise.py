@@ -16,7 +16,7 @@ SCENES = 90
 
 @dataclass(frozen=True)
 class Figures:
-    """What a perception amounts to."""
+    """The figures of a perception."""
 
     edge_bias_px: np.ndarray
     edge_spread_px: float

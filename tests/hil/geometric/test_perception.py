@@ -1,4 +1,4 @@
-"""The geometric sight against the camera model and the renderer, and beside the pixel sight as one contract."""
+"""The geometric perception against the camera model and the renderer, and beside that on pixels as one contract."""
 
 from __future__ import annotations
 
@@ -326,7 +326,7 @@ def test_what_goes_wrong_for_a_while_lasts_some_frames_at_its_rate() -> None:
     assert not np.array_equal(missed, odd)
 
 
-# --- a sight in a world; what it shares with others: tests/contracts/test_sight.py ---
+# --- a perception in a world; what it shares with others: tests/contracts/test_sight.py ---
 
 
 @dataclass

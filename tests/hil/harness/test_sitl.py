@@ -103,7 +103,7 @@ class Stage:
         return run
 
     def told(self) -> list[Any]:
-        """What the world was told, apart from when."""
+        """Returns the commands that the world was told, without their instants."""
         told = [json.loads(line) for line in (self.out / "told").read_text().splitlines()]
         return [{name: value for name, value in command.items() if name != "at_ns"} for command in told]
 

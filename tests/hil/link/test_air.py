@@ -1,4 +1,4 @@
-"""Who is on the air hears both drones, and is taken for either."""
+"""The air between the drones: whoever is on it hears both, and is taken for either."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def rig() -> Rig:
 
 @pytest.fixture(scope="module")
 def records(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[LogRecord]]:
-    """What is logged of a world on the ground, two seconds after its start."""
+    """The records logged of a world on the ground, two seconds after its start."""
     file: Path = tmp_path_factory.mktemp("truth") / "world.mcap"
     world = World(decode_table(rig.world, WorldConfig, "world"), seed=3)
     with McapLog(file) as log:

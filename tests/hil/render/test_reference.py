@@ -71,7 +71,7 @@ def is_black(model: Model, u: Array, v: Array) -> NDArray[np.bool_]:
 
 
 def rotor_pixels(snapshot: Snapshot, role: Role, T_w_c: Pose, rays: Array) -> NDArray[np.bool_]:
-    """Which rays (n, 3) come near a rotor's disc."""
+    """Returns which rays (n, 3) come near a rotor's disc."""
     near = np.zeros(len(rays), bool)
     for model, T_w_body in instances(snapshot, role):
         T_c_body = T_w_c.inverse() @ T_w_body

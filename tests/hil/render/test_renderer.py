@@ -1,4 +1,4 @@
-"""What is drawn and what hides what; the same inputs give the same bytes."""
+"""The renderer draws each thing where it is, and hides what is behind it; the same inputs give the same bytes."""
 
 from __future__ import annotations
 

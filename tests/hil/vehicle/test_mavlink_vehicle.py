@@ -21,7 +21,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode
 from drivers.mavlink.geodesy import LocalTangent
+from drivers.mavlink.modes import powered
 from hil.autopilot.autopilot import AutopilotConfig
+from hil.autopilot.radio import STICKS_SLOT
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.world import HomeConfig, World, WorldConfig
@@ -413,3 +415,33 @@ def test_mavsdks_own_plugins_fly_it(bench: Bench) -> None:
         assert bench.drone.autopilot.setpoint_gap_s < QUICK.offboard_loss_s
     kinds = {message.get_type() for message in world.wire}
     assert {"COMMAND_LONG", "SET_POSITION_TARGET_LOCAL_NED"} <= kinds
+
+
+def test_the_transmitter_is_told_of_and_takes_the_vehicle(bench: Bench) -> None:
+    bench.fly_at(0.8)
+    receiver = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+    assert bench.of("SYS_STATUS")[-1].onboard_control_sensors_health & receiver
+    assert bench.of("RC_CHANNELS")[-1].chan7_raw == 1000
+    bench.drone.autopilot.radio.transmitter.slot = STICKS_SLOT
+    bench.run(0.7)
+    assert bench.of("HEARTBEAT")[-1].custom_mode == 3 << 16
+    bench.drone.autopilot.radio.transmitter.on = False
+    bench.run(1.2)
+    assert not bench.of("SYS_STATUS")[-1].onboard_control_sensors_present & receiver
+    assert bench.of("RC_CHANNELS")[-1].rssi == 0
+
+
+def test_a_kill_switch_shows_as_flight_termination_while_the_vehicle_calls_itself_armed(bench: Bench) -> None:
+    """By channels of a ground station: seven is the kill switch."""
+    bench.fly_at(0.8)
+
+    def thrown(kill_us: int) -> None:
+        channels = [1500, 1500, 1500, 1500, 65535, 65535, kill_us, 65535]
+        bench.send(mavlink.MAVLink_rc_channels_override_message(SYSID, 1, *channels))
+
+    bench.run(0.1, lambda: thrown(1000))
+    bench.run(0.7, lambda: thrown(2000))
+    told = bench.of("HEARTBEAT")[-1]
+    assert told.system_status == mavlink.MAV_STATE_FLIGHT_TERMINATION
+    assert told.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    assert not powered(told.base_mode, told.system_status)

@@ -92,7 +92,7 @@ class Ends:
         self.mav = mavlink.MAVLink(None, srcSystem=SYSID, srcComponent=1)
 
     def pass_on(self, to: socket.socket) -> bytes:
-        """What arrives there next; b'' when nothing does."""
+        """Returns what arrives there next; b'' when nothing does."""
         self.relay.receive(0.0)
         try:
             return to.recv(4096)

@@ -55,7 +55,7 @@ class Simulator:
         self.link.receive()
 
     def heard(self) -> list[Any]:
-        """What the harness sent it."""
+        """Returns the messages that the harness sent it."""
         messages: list[Any] = []
         while True:
             try:

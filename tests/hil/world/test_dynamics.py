@@ -108,7 +108,7 @@ def test_the_wrong_level_of_the_estimator_is_flown_but_does_not_drift() -> None:
     drone.attitude_error[0] = (math.radians(1.0), 0.0, 0.0)
     drone.go(10.0)
     assert np.abs(drone.states[0, VELOCITY]).max() < 0.02
-    assert drone.rpy_deg[0] == pytest.approx(0.0, abs=0.05)  # truly level: the loop leans against the error
+    assert drone.rpy_deg[0] == pytest.approx(0.0, abs=0.05)  # truly level: the loop tilts against the error
 
 
 def test_velocity_errors_of_the_estimator_become_drift() -> None:

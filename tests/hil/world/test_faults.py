@@ -90,7 +90,7 @@ def test_a_fault_written_wrongly_names_the_fix(text: str, complaint: str, remedy
 
 @given(st.sampled_from(["link_loss", "link_delay"]), st.floats() | st.text(max_size=5))
 def test_what_is_taken_the_link_can_do(name: str, value: float | str) -> None:
-    """What gets through here must not fail in the middle of a run."""
+    """A value that gets through here must not fail in the middle of a run."""
     try:
         fault = parse_fault(f"{name}={value}")
     except FaultError:
@@ -109,6 +109,7 @@ def test_what_is_taken_the_link_can_do(name: str, value: float | str) -> None:
         ("fc_link_loss", None, Role.RECEIVER),
         ("camera_freeze", None, None),
         ("pilot_takeover", None, None),
+        ("rc_kill_sender", None, None),
     ],
 )
 def test_who_is_killed_and_who_is_cut_off(name: str, kills: Role | None, cuts_off: Role | None) -> None:

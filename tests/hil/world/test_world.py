@@ -252,7 +252,7 @@ def test_the_configuration_is_a_table_and_wrong_keys_are_named() -> None:
 def test_positions_that_are_apart_differ_by_as_much_as_is_told_and_change_nothing_else() -> None:
     names = EstimatorConfig.__slots__
     exact = WorldConfig(estimator=EstimatorConfig(**dict.fromkeys(names, 0.0)))
-    apart = replace(exact, apart=PositionOffsetConfig(across_m=2.0, height_m=1.0))
+    apart = replace(exact, position_offset=PositionOffsetConfig(across_m=2.0, height_m=1.0))
     angles: set[float] = set()
     for seed in range(5):
         right, wrong = World(exact, seed), World(apart, seed)

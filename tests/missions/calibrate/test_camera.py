@@ -99,7 +99,7 @@ def collected(held: Held, count: int, **change: float) -> Collected:
 
 
 def graded(views: Collected, board: Board = CHARUCO) -> tuple[set[BadSet], str]:
-    """What is said of a set that is not good, and its grade."""
+    """Returns what is said of a set that is not good, and its grade."""
     done = calibrate(views, board)
     assert all(fault.fix for fault in done.faults)
     return {fault.reason for fault in done.faults}, done.grade

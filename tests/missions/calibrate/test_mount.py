@@ -1,4 +1,4 @@
-"""Where D1's camera sits relative to its marker: from pairs of rendered images, and from a tape measure."""
+"""The place of D1's camera relative to its marker: from pairs of rendered images, and from a tape measure."""
 
 from __future__ import annotations
 

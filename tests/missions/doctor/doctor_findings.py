@@ -1,4 +1,4 @@
-"""What the tests of the doctor's parts share."""
+"""The helpers that the tests of the doctor's parts share."""
 
 from __future__ import annotations
 

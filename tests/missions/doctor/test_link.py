@@ -86,7 +86,7 @@ def test_another_key_at_the_other_end_is_a_fault(key_file: Path, tmp_path: Path)
 
 
 def radios(folder: Path, look: Callable[[Cable], list[AsyncIterator[Finding]]]) -> list[dict[str, Finding]]:
-    """What is found at the ends of a pair of pseudo terminals."""
+    """Returns the findings at the ends of a pair of pseudo terminals."""
 
     async def looked() -> list[list[Finding]]:
         cable = Cable(folder)

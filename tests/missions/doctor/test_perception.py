@@ -1,4 +1,4 @@
-"""The test of an eye, with the D415 driver on librealsense's software device: what is well, and what is not."""
+"""The test of a perception, with the D415 driver on librealsense's software device: what is well, and what is not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a whole run is called: the cause, not what followed from it; and what is written down of it."""
+"""The name of a whole run: the cause, not what followed from it; and what is written down of it."""
 
 from __future__ import annotations
 

@@ -188,7 +188,7 @@ class Pair:
         self.verified_again.append(self.sender.epoch)
 
     def lose(self, role: Role, *kinds: type[Message], when: Callable[[], bool] = lambda: True) -> None:
-        """What this role sends of these kinds does not arrive, as long as ``when``."""
+        """Loses what this role sends of these kinds, as long as ``when``."""
         self.link[role].lost = lambda message: isinstance(message, kinds) and when()
 
     def cut(self) -> None:

@@ -43,7 +43,7 @@ class Guarded(Bench):
 
     @property
     def scripts(self) -> list[Script]:
-        """What the guard was told, each change once."""
+        """The scripts that the guard was told, each change once."""
         told = [beat.script for beat in self.line.beats]
         return [script for before, script in zip([None, *told], told, strict=False) if script is not before]
 

@@ -497,3 +497,45 @@ class SlowStore:
 
         asyncio.get_running_loop().call_later(self._seconds, written)
         return saved
+
+
+# --- a new mission -----------------------------------------------------------------------------------------------
+
+
+def test_a_new_mission_is_not_decided_by_the_one_before(rig: Any) -> None:
+    """Nor is what became of it known already."""
+
+    async def course(pair: Pair) -> None:
+        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        pair.receiver.begin_anew()
+        pair.sender.begin_anew()
+        await pair.sender.until_free()
+        await pair.sender.offer()
+        await asyncio.sleep(0.5)
+        assert await pair.decide(timeout_s=1.0, agree=False) == {
+            Role.SENDER: Outcome.NO_AGREEMENT,
+            Role.RECEIVER: Outcome.NO_AGREEMENT,
+        }
+        assert pair.sender.epoch == 2 and not pair.receiver.holds
+
+    fly(rig, course)
+
+
+def test_time_is_told_to_a_machine_by_one_task_however_often_it_is_started(rig: Any) -> None:
+    """And at least every tenth of a second."""
+
+    async def course(pair: Pair) -> None:
+        asked: list[float] = []
+        right = pair.receiver.tick
+
+        def tick() -> float:
+            asked.append(asyncio.get_running_loop().time())
+            return right()
+
+        pair.receiver.tick = tick  # type: ignore[method-assign]
+        for _ in range(3):
+            pair.receiver.start()
+        await asyncio.sleep(2.0)
+        assert 18 <= len(asked) <= 24
+
+    fly(rig, course)

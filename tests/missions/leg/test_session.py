@@ -1,4 +1,7 @@
-"""What ends a mission decides its outcome, the recovery always runs, and whatever fails in it is told, not raised."""
+"""The end of a session: what ends a mission decides its outcome, and the recovery always runs.
+
+Whatever fails in the recovery is told, not raised.
+"""
 
 from __future__ import annotations
 

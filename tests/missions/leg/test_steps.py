@@ -335,6 +335,45 @@ def test_a_pilot_who_ends_the_landing_is_named_too(rig: Any) -> None:
     virtual(main())
 
 
+def test_a_pilot_who_takes_the_vehicle_after_the_mission_failed_is_named_with_what_it_failed_of(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+
+        async def course() -> None:
+            await take_off(bench.session, 1.5)
+            raise MissionEnd(Outcome.NO_AGREEMENT, "the views did not agree")
+
+        async def recover(end: MissionEnd | None) -> bool:
+            return await bring_down(bench.session, end, WAY_OUT)
+
+        def take() -> None:
+            assert bench.log.phases[-1] == "depart"
+            bench.vehicle.now = replace(bench.vehicle.now, mode=FlightMode.OTHER)
+
+        asyncio.get_running_loop().call_later(2.0, take)
+        result = await fly_course(bench.session, course, recover)
+        assert (result.outcome, result.landed) == (Outcome.PILOT_OVERRIDE, False)
+        assert "mode is other" in result.detail
+        assert "the views did not agree" in result.detail
+
+    virtual(main())
+
+
+def test_what_is_disarmed_a_moment_after_it_changed_its_mode_on_the_ground_is_down(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+        await bench.in_the_air()
+        bench.vehicle.now = replace(bench.vehicle.now, in_air=False)
+
+        def disarm() -> None:
+            bench.vehicle.now = replace(bench.vehicle.now, armed=False)
+
+        asyncio.get_running_loop().call_later(1.5, disarm)
+        assert await bench.down(Outcome.PILOT_OVERRIDE)
+
+    virtual(main())
+
+
 def test_what_a_pilot_has_disarmed_on_the_ground_is_down(rig: Any) -> None:
     async def main() -> None:
         bench = Bench(rig)

@@ -27,7 +27,7 @@ def rig() -> Any:
 
 
 class Ether:
-    """What the sender says reaches both receivers."""
+    """The ether in which the sender's words reach both receivers."""
 
     def __init__(self, *ends: FakeLink) -> None:
         self.ends = ends

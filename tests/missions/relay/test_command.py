@@ -28,7 +28,7 @@ LIVE = Handoff(7, 7, 1)
 
 @pytest.fixture(scope="module")
 def rig() -> Rig:
-    """Whose drones agree quickly."""
+    """A rig whose drones agree quickly."""
     loaded = rig_library.load("relay-sim")
     return replace(loaded, method=replace(loaded.method, hold_frames=50, hold_s=1.0))
 

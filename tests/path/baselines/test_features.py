@@ -1,4 +1,4 @@
-"""Where features are looked for, and that they come back in pixels of the whole image."""
+"""The areas in which features are looked for; they come back in pixels of the whole image."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def region_around(corners_px: NDArray[np.float64], half_px: float) -> Region:
 
 @dataclass(frozen=True)
 class Optics:
-    """What lies between the light and the pixel."""
+    """The optics between the light and the pixel."""
 
     blur_px: float = 0.7
     noise: float = 2.0

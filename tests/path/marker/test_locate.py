@@ -127,7 +127,7 @@ def test_gravity_may_have_any_length_but_must_have_a_direction():
 
 @pytest.fixture
 def areas(monkeypatch: pytest.MonkeyPatch) -> list[Region | None]:
-    """Where was looked."""
+    """The areas that were looked at."""
     looked: list[Region | None] = []
 
     def spy(image: NDArray[np.uint8], region: Region | None, *rest: object, **named: object):

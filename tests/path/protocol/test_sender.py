@@ -382,3 +382,52 @@ def test_a_new_mission_within_a_lease_is_none() -> None:
 
 def test_an_attempt_is_the_same_before_and_after_its_commit() -> None:
     assert LIVE.follows(None) and LIVE.follows(replace(LIVE, epoch=2)) and not LIVE.follows(OPEN)
+
+
+def test_nothing_is_promised_at_the_very_end_of_a_lease() -> None:
+    """A program that wakes at the last instant: a COMMIT sent then could only be taken too late."""
+    machine = awaiting()
+    assert machine.step(Tick(), T0 + S) == () and isinstance(machine.state, AwaitingAccept)
+    assert machine.wake_ns == TAKE_BACK
+    in_time = awaiting()
+    assert [type(action) for action in in_time.step(Tick(), T0 + S - 1)] == [Send]
+
+
+@pytest.mark.parametrize("make", [offering, verifying])
+def test_an_accept_before_any_commit_is_refused(make: Callable[[], SenderMachine]) -> None:
+    machine = make()
+    before = machine.state
+    assert machine.step(Heard(replace(ACCEPT, instance=0)), T0) == (Refused(Refusal.WRONG_STATE),)
+    assert machine.state == before and machine.responsible
+
+
+def test_the_instants_of_a_word_that_counts() -> None:
+    """One from the lease's own last instant says nothing of what came after it."""
+    for stamp_ns, settles in ((TAKE_BACK, False), (TAKE_BACK + 1, True)):
+        machine = handed_over()
+        assert bool(machine.step(PeerStatus(True, stamp_ns, ME), T0 + 1500 * MS)) is settles
+
+
+def test_clocks_may_be_as_uncertain_as_is_allowed_and_no_more() -> None:
+    most = round(CONFIG.max_uncertainty_s * 1e9)
+    for uncertainty_ns, commits in ((most, True), (most + 1, False)):
+        machine = verifying()
+        machine.step(replace(AGREED, uncertainty_ns=uncertainty_ns), T0)
+        assert isinstance(machine.state, AwaitingAccept) is commits
+
+
+@pytest.mark.parametrize("field", ["offer_s", "handoff_s", "lease_s", "retry_s", "settle_s", "max_uncertainty_s"])
+def test_no_deadline_is_nothing_and_only_the_guard_may_be(field: str) -> None:
+    for value in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match=field):
+            ProtocolConfig(**{field: value})
+    assert ProtocolConfig(guard_s=0.0).guard_s == 0.0
+    for value in (-0.01, float("nan")):
+        with pytest.raises(ValueError, match="guard_s"):
+            ProtocolConfig(guard_s=value)
+
+
+def test_something_must_be_left_of_a_lease() -> None:
+    ProtocolConfig(lease_s=1.0, max_uncertainty_s=0.5, guard_s=0.499)
+    with pytest.raises(ValueError, match="nothing would be left"):
+        ProtocolConfig(lease_s=1.0, max_uncertainty_s=0.5, guard_s=0.5)

@@ -1,4 +1,4 @@
-"""The command: kept line by line, gone on with, refused for another campaign, replayed by the line it prints."""
+"""The command: resumable JSON lines, gone on with, refused for another campaign, replayed by the line it prints."""
 
 from __future__ import annotations
 

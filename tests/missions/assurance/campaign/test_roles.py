@@ -1,4 +1,4 @@
-"""What goes wrong in a run of the roles: drawn from its arguments alone, and orders that the harness understands."""
+"""The faults in a run of the roles: drawn from its arguments alone, as orders that the harness understands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the suite makes of its figures: whom a vehicle is like, records, the page, and the figures themselves."""
+"""The suite's use of its figures: whom a vehicle is like, records, the page, and the figures themselves."""
 
 from __future__ import annotations
 

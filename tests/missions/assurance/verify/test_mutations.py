@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import io
 import json
 from collections import Counter
@@ -21,6 +22,7 @@ from missions.assurance.verify.mutation_run import (
     score,
     summarize,
 )
+from missions.assurance.verify.mutation_warm import NotHereError, put_into
 from missions.assurance.verify.mutations import mutated, mutations
 from missions.options import VerifyOptions
 
@@ -114,9 +116,81 @@ def test_the_score_counts_what_the_tests_notice_and_names_what_they_do_not(proje
 
 
 def test_a_wrong_version_that_hangs_is_ended_and_noticed(project: Path) -> None:
-    with Trials(project, 1) as trials:
-        came = trials.trial(FileTests("sums.py", ("test_sums.py",)), "while True:\n    pass\n", 1.0)
+    suite = FileTests("sums.py", ("test_sums.py",))
+    endless = "def seen(a, b):\n    while True:\n        pass\n"
+    with Trials(project, 1, suite.tests) as trials:
+        assert trials.trial(suite, None, 60.0)["passed"]
+        came = trials.trial(suite, endless, 1.0)
     assert not came["passed"] and came["what"] == "too slow"
+
+
+def test_what_is_noticed_only_at_import_is_tried_from_the_first_import_on(project: Path) -> None:
+    """A version that a living module cannot take, and one whose tests were made of it when they were collected."""
+    suite = FileTests("sums.py", ("test_sums.py",))
+    (project / "test_sums.py").write_text(
+        "import sums\n\nMADE = sums.seen(1, 1)\n\n\ndef test_made():\n    assert not MADE\n"
+    )
+    right = (project / "sums.py").read_text()
+    with Trials(project, 1, suite.tests) as trials:
+        came = trials.trial(suite, right.replace("a > b", "a >= b"), 60.0)
+        assert not came["passed"] and "test_made" in came["what"]
+        came = trials.trial(suite, f"{right}\n\ndef more():\n    return 1\n", 60.0)
+        assert came["passed"]
+        came = trials.trial(suite, f"{right}\n\nraise ValueError\n", 60.0)
+        assert not came["passed"] and not came["broken"]
+
+
+def test_a_module_gets_the_code_of_another_source_in_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = """
+from dataclasses import dataclass
+from functools import cache
+
+TABLE = {"a": lambda: 1, "b": lambda: 2}
+
+def plain(a, b=3):
+    return a + b
+
+@cache
+def cached():
+    return 1
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    size: int
+
+    @property
+    def twice(self):
+        return self.size + self.size
+
+    @classmethod
+    def make(cls):
+        return cls(1)
+
+    @staticmethod
+    def one():
+        return 1
+"""
+    (tmp_path / "living.py").write_text(source)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    living = importlib.import_module("living")
+    plain, thing = living.plain, living.Thing(4)  # bound before, as other modules have them
+    changes = (
+        ("return a + b", "return a - b", lambda: plain(5), 8, 2),
+        ("b=3", "b=4", lambda: plain(5), 8, 9),
+        ("lambda: 2", "lambda: 3", lambda: living.TABLE["b"]() + 0, 2, 3),
+        ("self.size + self.size", "self.size - self.size", lambda: thing.twice, 8, 0),
+        ("cls(1)", "cls(2)", lambda: living.Thing.make().size, 1, 2),
+        ("def one():\n        return 1", "def one():\n        return 2", living.Thing.one, 1, 2),
+    )
+    for old, new, made, before, after in changes:
+        assert made() == before and old in source
+        put_into(living, source.replace(old, new))
+        assert made() == after, new
+        put_into(living, source)
+    put_into(living, source.replace("def cached():\n    return 1", "def cached():\n    return 2"))
+    assert living.cached() == 2
+    with pytest.raises(NotHereError, match="more"):
+        put_into(living, f"{source}\ndef more():\n    return 1\n")
 
 
 def test_tests_that_fail_as_it_is_are_told(project: Path) -> None:

@@ -48,7 +48,7 @@ def test_without_weights_xfeat_is_left_out_and_that_is_told(result: TrialResult)
 
 
 def test_the_timed_cycles_are_cycles_that_agree(request_: TrialRequest, film: Film) -> None:
-    """What is timed is the method at work: nearly every pair that is judged agrees."""
+    """The cycles that are timed are the method at work: nearly every pair that is judged agrees."""
     path = PathPair(request_.rig, rig_library.mission_of(request_.rig), film, 1)
     us = [path.cycle() for _ in range(8)][-1]
     before = path.agreed

@@ -1,4 +1,4 @@
-"""What a reader of the page gets."""
+"""The page as its reader gets it."""
 
 from html.parser import HTMLParser
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a soak reads from the programs and their logs, and that it notices what grows."""
+"""The figures that a soak reads from the programs and their logs; it notices what grows."""
 
 from __future__ import annotations
 
