@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from drivers.rig.parts import Rig, import_factory
@@ -27,8 +28,9 @@ def run(options: PrepareOptions) -> int:
 def prepare(rig: Rig) -> None:
     """What the rig's harness prepares before its clock starts; without one, what a role compiles on its drone."""
     harness = None if rig.harness is None else import_factory(rig.harness, rig.where("harness"))
-    if hasattr(harness, "prepare"):
-        harness.prepare(rig, lambda what: sys.stdout.write(f"{what}\n"))
+    by_harness: Callable[[Rig, Callable[[str], None]], None] | None = getattr(harness, "prepare", None)
+    if by_harness is not None:
+        by_harness(rig, _say)
         return
     from drivers.realsense.registration import warm_up as warm_up_registration  # noqa: PLC0415 (a harness does without)
     from path.marker.warm_up import warm_up  # noqa: PLC0415
@@ -37,8 +39,13 @@ def prepare(rig: Rig) -> None:
     warm_up_registration()
 
 
+def _say(what: str) -> None:
+    sys.stdout.write(f"{what}\n")
+    sys.stdout.flush()
+
+
 def kept_in() -> str:
-    """The folder that numba keeps compiled kernels in."""
+    """Returns the folder that numba keeps compiled kernels in."""
     named = os.environ.get(VARIABLE)
     if named:
         return named
