@@ -7,6 +7,7 @@ from typing import Annotated
 
 from drivers.interfaces import Capability
 from flight.guard_rules import GuardRules
+from flight.guidance import Answer
 from path.bounds import Bounds
 
 
@@ -29,7 +30,13 @@ class FollowConfig:
     height_m: Annotated[float, Bounds(0.3, 100.0)] = 1.50  # above the ground
     gain_per_s: Annotated[float, Bounds(0.05, 10.0, "1/s")] = 1.0
     max_speed_mps: Annotated[float, Bounds(0.1, 15.0)] = 1.2
+    # until the vehicle has answered to 63 % of a new velocity (docs/conformance.md)
+    response_s: Annotated[float, Bounds(0.1, 5.0)] = 1.0
     target_accel_mps2: Annotated[float, Bounds(0.0, 10.0)] = 0.6  # how hard the target speeds up, brakes and turns
+
+    def answer(self, accel_mps2: float) -> Answer:
+        """How to fly there with setpoints of that acceleration."""
+        return Answer(self.gain_per_s, self.max_speed_mps, self.response_s, accel_mps2)
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,6 +50,34 @@ def close_in(error_n_m: Vec3, feed_forward_n_mps: Vec3, gain_per_s: float, max_s
 
 
 @dataclass(frozen=True, slots=True)
+class Answer:
+    """How a vehicle may be flown towards a moving point.
+
+    ``response_s``: until it has answered to 63 % of a new velocity. ``accel_mps2``: of setpoints, at most.
+    """
+
+    gain_per_s: float
+    max_speed_mps: float
+    response_s: float
+    accel_mps2: float
+
+
+def approach(error_n_m: Vec3, velocity_n_mps: Vec3, feed_forward_n_mps: Vec3, answer: Answer) -> Vec3:
+    """The velocity towards a (moving) point at which a vehicle that answers late comes to rest, and not behind it.
+
+    It is made from what will be left of the way once the vehicle has answered, and is no faster than it can stop with
+    half of the acceleration: wind, and a point that turns, want the rest.
+
+    Args:
+        velocity_n_mps: of the vehicle.
+    """
+    closing = subtract(velocity_n_mps, feed_forward_n_mps)
+    left = subtract(error_n_m, scale(closing, answer.response_s))
+    fastest = min(answer.max_speed_mps, math.sqrt(answer.accel_mps2 * norm(left)))
+    return add(feed_forward_n_mps, limit(scale(left, answer.gain_per_s), fastest))
+
+
+@dataclass(frozen=True, slots=True)
 class Anchor:
     """A place and heading to stay at."""
 

@@ -1,4 +1,4 @@
-"""Following one object from frame to frame: a constant-velocity filter in NED, associated in the image."""
+"""Finding one object again from frame to frame: its track (``flight.target_track``) is associated in the image."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.interfaces import View
-from flight.guidance import Vec3, add, norm, scale, subtract
+from flight.guidance import Vec3, norm, subtract
+from flight.target_track import TargetTrack
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.observations import Box, Depth, Detection, MissReason, Region
@@ -17,16 +18,11 @@ from path.observations import Box, Depth, Detection, MissReason, Region
 Pixel = tuple[float, float]
 
 MIN_SCORE = 0.3
-_MEASUREMENT_SIGMA_M = 0.05
-_ACCELERATION_SIGMA_MPS2 = 0.6
-_GATE_FLOOR_M = 0.10  # a box's noise, and an attitude a degree off
-_GATE_MOST_M = 0.45  # a track that knows no better does not know which object it would find
-_GATE_LEAST_M = 0.05
-_RIVAL_SHARE = 0.4  # of the way to the nearest other object: where that is known to be, the gate ends before it
 _RIVAL_REACH_M = 0.6
-_RIVAL_S = 3.0  # for so long an object that was seen beside the target is taken to be there still
-_UNSEEN_S = 0.5  # after so long anything else in reach might as well be the object
-_UNSEEN_REACH_M = 2.0
+_UNSEEN_S = 0.5  # after so long anything else that the object may have come to might as well be the object
+_CUT_SCORE = 0.1  # of a box that the image's border cuts, which detectors score low: it is an object, not its box
+_BORDER_PX = 1.5
+_OUTSIDE_PX = 60.0  # so far outside the image an object's middle may be, and a part of it inside
 _AMBIGUITY = 0.6
 _CLEARLY_NEARER = 1.5
 _MIN_DESCENT = 0.2  # per metre along the optical axis
@@ -40,62 +36,6 @@ class Sighting:
 
     box: Box
     depth: Depth | None
-
-
-class TargetTrack:
-    """Position and velocity of one object in ``n``; the same filter on each axis (Kalman, constant velocity).
-
-    ``accel_mps2``: how hard it may be expected to speed up, brake and turn.
-    """
-
-    def __init__(self, position_n_m: Vec3, stamp_ns: int, accel_mps2: float = _ACCELERATION_SIGMA_MPS2) -> None:
-        self.position_n_m = position_n_m
-        self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
-        self.stamp_ns = stamp_ns
-        self.seen_ns = stamp_ns
-        self.rival_m = math.inf  # from the target to the nearest other object
-        self.rival_ns = stamp_ns
-        self._accel_mps2 = accel_mps2
-        self._pp = 0.3**2
-        self._pv = 0.0
-        self._vv = 0.5**2
-
-    def predict(self, stamp_ns: int) -> tuple[Vec3, float]:
-        """Position (m) and its standard deviation per axis at a stamp, the filter left as it is."""
-        dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
-        variance = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + (self._accel_mps2 * dt * dt / 2) ** 2
-        return add(self.position_n_m, scale(self.velocity_n_mps, dt)), math.sqrt(variance)
-
-    def gate_m(self, sigma_m: float, stamp_ns: int) -> float:
-        """Returns how far from its prediction, with this standard deviation, the object may be found at a stamp."""
-        most_m = min(_GATE_MOST_M, _RIVAL_SHARE * self.rival_m) if self._rival_known(stamp_ns) else _GATE_MOST_M
-        return max(_GATE_LEAST_M, min(3.0 * sigma_m + _GATE_FLOOR_M, most_m))
-
-    def note_rival(self, distance_m: float, stamp_ns: int) -> None:
-        """Another object was seen that far from this one; a nearer one is remembered for a while."""
-        if distance_m <= self.rival_m or not self._rival_known(stamp_ns):
-            self.rival_m, self.rival_ns = distance_m, stamp_ns
-
-    def _rival_known(self, stamp_ns: int) -> bool:
-        return stamp_ns - self.rival_ns <= _RIVAL_S * 1e9
-
-    def update(self, measured_n_m: Vec3, stamp_ns: int) -> None:
-        """Fuse one measured position; older stamps than the newest are ignored."""
-        dt = (stamp_ns - self.stamp_ns) * 1e-9
-        if dt < 0.0:
-            return
-        q = self._accel_mps2**2
-        position = add(self.position_n_m, scale(self.velocity_n_mps, dt))
-        pp = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + q * dt**4 / 4.0
-        pv = self._pv + dt * self._vv + q * dt**3 / 2.0
-        vv = self._vv + q * dt * dt
-        gain_p = pp / (pp + _MEASUREMENT_SIGMA_M**2)
-        gain_v = pv / (pp + _MEASUREMENT_SIGMA_M**2)
-        innovation = subtract(measured_n_m, position)
-        self.position_n_m = add(position, scale(innovation, gain_p))
-        self.velocity_n_mps = add(self.velocity_n_mps, scale(innovation, gain_v))
-        self._pp, self._pv, self._vv = (1.0 - gain_p) * pp, (1.0 - gain_p) * pv, vv - gain_v * pv
-        self.stamp_ns = self.seen_ns = stamp_ns
 
 
 def point_in_camera(box: Box, z_m: float, camera: CameraModel) -> Vec3:
@@ -140,41 +80,49 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
 
     The object must be where the track predicts it, and clearly nearer to there than anything that looks alike. Where
     such a thing was seen beside it, the gate does not reach it, however long the object is missed; and an object that
-    was out of sight for a while is taken again only when nothing else is about.
+    was out of sight for a while is taken again only when nothing else is as far as it can have come.
     Without depth, or with a range that is only estimated, it is taken to be as high as it was: so the drone keeps
     following while the frame is a miss, and does not follow a range that changes with the target's heading. A depth
     that puts it elsewhere on its ray is of something else, such as the other drone in front of it: that is no depth.
+    A box that the image's border cuts is not the object's: it keeps the track, and the frame is a miss.
     """
     predicted_n, sigma_m = track.predict(view.stamp_ns)
     x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
-    if z <= 0.1 or not camera.sees((x, y, z)):
+    if z <= 0.1 or not camera.sees((x, y, z), -_OUTSIDE_PX):
         return MissReason.NO_TARGET
     u, v = camera.project_point((x, y, z))
     gate_m = track.gate_m(sigma_m, view.stamp_ns)
     px_per_m = camera.fx / z
     unseen = view.stamp_ns - track.stamp_ns > _UNSEEN_S * 1e9
-    reach_px = px_per_m * (_UNSEEN_REACH_M if unseen else max(gate_m / _AMBIGUITY, _RIVAL_REACH_M))
+    reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / _AMBIGUITY, _RIVAL_REACH_M)
     found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
-    ranked = _by_distance(found, (u, v))
-    if not ranked or math.dist(ranked[0].box.center, (u, v)) > px_per_m * gate_m:
+    ranked = _by_distance(found, (u, v), camera, track.size_m, z)
+    if not ranked or ranked[0].off_px > px_per_m * gate_m:
         return MissReason.NO_TARGET
     chosen = ranked[0]
     if len(ranked) > 1:
         track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
-        if unseen or _nearly_as_near(ranked, (u, v)):
+        if unseen or _nearly_as_near(ranked):
             return MissReason.AMBIGUOUS_TARGET
-    depth = view.depth(chosen.box)
+    down_m = track.position_n_m[2]
+    if chosen.cut:
+        bounded = _at_height(chosen.pixel, camera, T_n_c, down_m)
+        if bounded is not None:
+            track.update(bounded, view.stamp_ns, cut=True)
+        return MissReason.NO_TARGET
+    box = chosen.box
+    track.size_m = box.w * z / camera.fx, box.h * z / camera.fy
+    depth = view.depth(box)
     if depth is not None:
-        shown = to_local(point_in_camera(chosen.box, depth.z_m, camera), T_n_c)
+        shown = to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
         reach_m = _DEPTH_FLOOR_M + _DEPTH_SIGMAS * math.hypot(sigma_m, depth.sigma_m)
         depth = depth if math.dist(shown, predicted_n) <= reach_m else None
-    if depth is None:
-        measured = _at_height(chosen.box, camera, T_n_c, track.position_n_m[2])
-    else:
-        measured = place(chosen.box, depth, camera, T_n_c, track.position_n_m[2])
+    measured = (
+        _at_height(box.center, camera, T_n_c, down_m) if depth is None else place(box, depth, camera, T_n_c, down_m)
+    )
     if measured is not None:
         track.update(measured, view.stamp_ns)
-    return Sighting(chosen.box, depth)
+    return Sighting(box, depth)
 
 
 def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3:
@@ -184,15 +132,15 @@ def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: floa
         down_m: of the object, when it stands on the ground that the drone measures its own height from.
     """
     if depth.sigma_m > _COARSE_M:
-        on_ground = _at_height(box, camera, T_n_c, down_m)
+        on_ground = _at_height(box.center, camera, T_n_c, down_m)
         if on_ground is not None:
             return on_ground
     return to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
 
 
-def _at_height(box: Box, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3 | None:
-    """Returns where the ray of a box's centre comes down to a height; None for a ray that hardly does."""
-    x, y = camera.ray(*box.center)
+def _at_height(pixel: Pixel, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3 | None:
+    """Where a pixel's ray comes down to a height; None for a ray that hardly does."""
+    x, y = camera.ray(*pixel)
     ray = T_n_c.R @ (x, y, 1.0)
     if ray[2] < _MIN_DESCENT:
         return None
@@ -200,17 +148,63 @@ def _at_height(box: Box, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec
     return north, east, down
 
 
-def _by_distance(found: Sequence[Detection], pixel: Pixel) -> list[Detection]:
-    return sorted((d for d in found if d.score >= MIN_SCORE), key=lambda d: math.dist(d.box.center, pixel))
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """An object in an image. ``cut``: by the border; ``pixel`` is where its middle must be, and may be outside."""
+
+    box: Box
+    pixel: Pixel
+    off_px: float  # from where the tracked one is expected
+    cut: bool
 
 
-def _nearest_m(ranked: Sequence[Detection], px_per_m: float) -> float:
-    """Returns the distance from the first detection to the nearest other one, m."""
-    first, *others = (d.box.center for d in ranked)
+def _by_distance(
+    found: Sequence[Detection], expected: Pixel, camera: CameraModel, size_m: tuple[float, float] | None, z_m: float
+) -> list[_Found]:
+    objects: list[_Found] = []
+    for detection in found:
+        box = detection.box
+        cut = is_cut(box, camera)
+        if detection.score < (_CUT_SCORE if cut else MIN_SCORE):
+            continue
+        pixel = _middle(box, camera, size_m, z_m) if cut and size_m is not None else box.center
+        objects.append(_Found(box, pixel, math.dist(pixel, expected), cut))
+    objects.sort(key=lambda each: each.off_px)
+    return objects
+
+
+def is_cut(box: Box, camera: CameraModel) -> bool:
+    """Whether the image's border cuts a box, or may: then it is not the whole object's."""
+    return (
+        min(box.x, box.y) < _BORDER_PX - 0.5
+        or box.x + box.w > camera.width - 0.5 - _BORDER_PX
+        or box.y + box.h > camera.height - 0.5 - _BORDER_PX
+    )
+
+
+def _middle(box: Box, camera: CameraModel, size_m: tuple[float, float], z_m: float) -> Pixel:
+    """Where the middle of an object is that the border cuts, from its size when it was whole."""
+    half_u, half_v = 0.5 * size_m[0] * camera.fx / z_m, 0.5 * size_m[1] * camera.fy / z_m
+    return (
+        _whole_middle(box.x, box.x + box.w, half_u, camera.width),
+        _whole_middle(box.y, box.y + box.h, half_v, camera.height),
+    )
+
+
+def _whole_middle(low: float, high: float, half: float, size: int) -> float:
+    if low < _BORDER_PX - 0.5:
+        return min(high - half, 0.5 * (low + high))
+    if high > size - 0.5 - _BORDER_PX:
+        return max(low + half, 0.5 * (low + high))
+    return 0.5 * (low + high)
+
+
+def _nearest_m(ranked: Sequence[_Found], px_per_m: float) -> float:
+    """From the first object to the nearest other one."""
+    first, *others = (each.pixel for each in ranked)
     return min(math.dist(first, other) for other in others) / px_per_m
 
 
-def _nearly_as_near(ranked: Sequence[Detection], pixel: Pixel) -> bool:
-    """Returns whether the second detection might be the one expected at a pixel as well as the first."""
-    first, second = (math.dist(d.box.center, pixel) for d in ranked[:2])
-    return first > _AMBIGUITY * second
+def _nearly_as_near(ranked: Sequence[_Found]) -> bool:
+    """Whether the second object might be the one expected as well as the first."""
+    return ranked[0].off_px > _AMBIGUITY * ranked[1].off_px

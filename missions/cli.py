@@ -35,6 +35,7 @@ from missions.options import (
     SenderOptions,
     TrialOptions,
     VerifyOptions,
+    ViewOptions,
 )
 from missions.shown import drop, flush_or_drop, say_unwritten
 from path.bounds import out_of_bounds
@@ -51,6 +52,7 @@ MODULES: dict[type[object], str] = {
     RigsOptions: "rig_list",
     ReportOptions: "report.command",
     ReplayOptions: "replay.command",
+    ViewOptions: "view.command",
     MergeOptions: "logs.merge",
     ExportOptions: "logs.export",
     TrialOptions: "trials.run",
@@ -65,6 +67,7 @@ MODULES: dict[type[object], str] = {
 EXIT_REFUSED = CommandEnd.REFUSED.exit_code
 EXIT_CTRL_C = CommandEnd.STOPPED.exit_code
 EXIT_BROKEN_PIPE = CommandEnd.READER_GONE.exit_code
+LIVE_AT = "127.0.0.1:8765"
 UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM)
 """Errors of the place that is written to, and not of PATH."""
 
@@ -76,6 +79,7 @@ examples:
   path-handoff handoff --fault link_loss=0.3  what happens when things go wrong
   path-handoff relay --drones 3 --hours 8     one target, handed round as batteries run down
   path-handoff replay runs/20261104-101500    what was decided, decided again from the logs
+  path-handoff view runs/20261104-101500      the scene, both images, plots, words, in Rerun
   path-handoff fly mission.py --rig sim       a mission of your own (docs/own-missions.md)
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff prepare --rig my-rig.toml      compile its kernels now, so that no later start does
@@ -101,6 +105,7 @@ Command = (
     | Annotated[RigsOptions, tyro.conf.subcommand("rigs")]
     | Annotated[ReportOptions, tyro.conf.subcommand("report")]
     | Annotated[ReplayOptions, tyro.conf.subcommand("replay")]
+    | Annotated[ViewOptions, tyro.conf.subcommand("view")]
     | Annotated[MergeOptions, tyro.conf.subcommand("merge")]
     | Annotated[ExportOptions, tyro.conf.subcommand("export")]
     | Annotated[TrialOptions, tyro.conf.subcommand("trial")]
@@ -137,7 +142,7 @@ def _carry_out(arguments: Sequence[str] | None) -> int:
     try:
         command = tyro.cli(
             Command,  # type: ignore[arg-type]  # a union of options, one for each command
-            args=arguments,
+            args=_spelled_out(sys.argv[1:] if arguments is None else arguments),
             prog="path-handoff",
             description=DESCRIPTION,
             config=(tyro.conf.OmitSubcommandPrefixes,),
@@ -163,6 +168,14 @@ def _carry_out(arguments: Sequence[str] | None) -> int:
         with suppress(OSError):
             sys.stderr.write(error_text(str(error), error.remedy))
         return EXIT_REFUSED
+
+
+def _spelled_out(arguments: Sequence[str]) -> list[str]:
+    """``--live`` without an address has the usual one."""
+    spelled: list[str] = []
+    for word, following in zip(arguments, [*arguments[1:], "--"], strict=True):
+        spelled += [word, LIVE_AT] if word == "--live" and following.startswith("--") else [word]
+    return spelled
 
 
 def error_text(what: str, remedy: str) -> str:

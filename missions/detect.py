@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 
 from drivers.clock import busy_ns, stopwatch_ns
-from drivers.detectors.tracked import TrackedDetector
 from drivers.interfaces import Detector, PartError
 from drivers.recordings.recording import RecordedFrame, RecordingOptions, open_recording
 from drivers.rig.file import load_rig
@@ -71,12 +70,6 @@ def run(options: DetectOptions, out: TextIO | None = None) -> int:
     with_some = sum(bool(boxes) for _, boxes in found)
     stream.write(f"{len(found)} frames, {with_some} with something, {sum(len(b) for _, b in found)} boxes\n")
     stream.write(f"{Timing(tuple(wall_ms), tuple(busy)).line(name)}\n")
-    if isinstance(detector, TrackedDetector):
-        c = detector.counters
-        stream.write(
-            f"tracking: {c.detected} of {c.frames} frames detected; {c.lost} lost, {c.changed_looks} changed looks, "
-            f"{c.changed_size} changed size, {c.drifted} drifted\n"
-        )
     if folder is not None:
         _write(folder / BOXES, found)
         stream.write(f"{folder}: {BOXES}, and every frame with its boxes\n")
@@ -100,13 +93,7 @@ def _detector(options: DetectOptions) -> tuple[str, Detector]:
         spec = getattr(perception, "detector", None)
         if not isinstance(spec, PartSpec):
             raise PartError(f"{rig.role(role).perception.where}: it has no detector", "name another rig, or --model")
-    name = spec.factory.rpartition(":")[2]
-    if options.tracker != "none":
-        inner = {"factory": spec.factory, **spec.options}
-        tracked = {"detector": inner, "tracker": options.tracker, "every": options.every}
-        spec = PartSpec("drivers.detectors.tracked:TrackedDetector", tracked, "--tracker", spec.base)
-        name = f"{name} every {options.every}, {options.tracker} between"
-    return name, create(spec, context)
+    return spec.factory.rpartition(":")[2], create(spec, context)
 
 
 def _draw(file: Path, color: Any, boxes: Sequence[Detection]) -> None:

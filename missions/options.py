@@ -36,6 +36,7 @@ TrialName = Literal[
     "soak",
     "real",
 ]
+Live = Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")]
 Errors = Literal["exact", "careful", "careless"] | None
 Faults = Annotated[
     tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@MOMENT[+SECONDS]]"), tyro.conf.UseAppendAction
@@ -73,6 +74,10 @@ class HandoffOptions:
 
     picture: bool = True
     """Draw run.png at the end."""
+
+    live: Live = None
+    """Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 when no
+    address is given. Other hosts than this one need a token (docs/view.md)."""
 
     px4: FileName = None
     """PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too."""
@@ -116,6 +121,10 @@ class RelayOptions:
     logs: bool = False
     """Log everything, frame by frame, and not only what is decided: some 40 MB an hour."""
 
+    live: Live = None
+    """Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 when no
+    address is given. Other hosts than this one need a token (docs/view.md)."""
+
     picture: bool = True
     """Draw relay.png at the end."""
 
@@ -139,6 +148,10 @@ class RoleOptions:
     guard: Literal["start", "expect", "none"] = "start"
     """start: begin the guard that the rig describes beside the role, unless one answers already; expect: it is begun
     elsewhere, and nothing takes off without it; none: fly without a guard."""
+
+    live: Live = None
+    """Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 when no
+    address is given. Other hosts than this one need a token (docs/view.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +188,10 @@ class FlyOptions:
     guard: Literal["start", "expect", "none"] = "start"
     """With --drone: as of `path-handoff sender`."""
 
+    live: Live = None
+    """Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 when no
+    address is given. Other hosts than this one need a token (docs/view.md)."""
+
     px4: FileName = None
     """PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too."""
 
@@ -210,6 +227,10 @@ class GuardOptions:
 
     console: Literal["auto", "events"] = "auto"
     """events: started by another program; ends, as soon as nothing flies, when that closes this one's input."""
+
+    live: Live = None
+    """Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 when no
+    address is given. Other hosts than this one need a token (docs/view.md)."""
 
     measure: bool = False
     """Fly a mission for each way a program can fail in each phase, and for another ground station's change of the mode;
@@ -307,6 +328,30 @@ class ExportOptions:
 
     out: OutFolder = None
     """Where to; `export` in the run's folder by default."""
+
+
+@dataclass(frozen=True, slots=True)
+class ViewOptions:
+    """Look at a run in Rerun: the scene, both images, plots, words. Needs the extra `view` (docs/view.md)."""
+
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE ...")] = ()
+    """Folders of runs, or logs (.mcap); a drone's own log and a merged one will do."""
+
+    live: Annotated[tuple[str, ...], tyro.conf.arg(metavar="HOST:PORT ...")] = ()
+    """Flights to look at as they go, instead of logs: what their --live was told. A token goes behind the port:
+    10.0.0.5:8765/?token=..."""
+
+    web: bool = False
+    """As a page that this computer serves to itself, instead of a window. It needs no internet."""
+
+    port: Annotated[int, Bounds(1, 65535, "(a port)")] = 9090
+    """With --web: the page's."""
+
+    save: FileName = None
+    """Write Rerun's own file (.rrd) instead of showing anything."""
+
+    layout: FileName = None
+    """Write the layout for Foxglove and Lichtblick into this file (.json) instead; no run is needed for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -573,12 +618,6 @@ class DetectOptions:
 
     min_score: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.3
     """With --model: what scores less is not found."""
-
-    tracker: Literal["none", "csrt", "kcf", "mosse"] = "none"
-    """Follow with this tracker between detections."""
-
-    every: Annotated[int, Bounds(1, 1000, "frames")] = 5
-    """With --tracker: detect in every n-th frame."""
 
     out: OutFolder = None
     """Folder for boxes.csv and for the frames with their boxes drawn; nothing is written by default."""

@@ -4,8 +4,8 @@
     /tf            FrameTransforms: world (ENU) - n (NED) - NAME/body (FRD) - NAME/camera, NAME/marker, and on D2
                    NAME/camera - NAME/marker_seen, D1's marker as D2 measures it
     /annotations   ImageAnnotations: boxes, marker, prior and search region of a frame, and the verdict on it
-    /3d            SceneUpdate: frustum, body, marker, target with its standard deviation, distance to the marker; of
-                   the world's log: the true bodies and objects
+    /3d            SceneUpdate: frustum, body, marker, target with its standard deviation, distance to the marker,
+                   fence; of the world's log: the true bodies and objects
     /position      LocationFix, where the vehicle believes to be
     /log           Log: phases, notes, decisions
 
@@ -70,6 +70,7 @@ AGAIN_NS = 1_000_000_000  # what does not change, for viewers that come late
 EARTH_M = 6_378_137.0
 SIGMAS = 3.0  # radius of the target's sphere
 FRUSTUM_M = 0.4
+FENCE_POINTS = 72
 FONT_PX = 14.0
 BODY_M = (0.35, 0.35, 0.1)
 
@@ -160,7 +161,10 @@ class Standards:
             rotation=ENU_OF_NED,
         )  # fmt: skip
         yield "/tf", FrameTransforms(transforms=[north, *mounts])
-        yield "/3d", SceneUpdate(entities=self._bodies(stamp_ns, self._setup))
+        entities = self._bodies(stamp_ns, self._setup)
+        if self._setup["fence_m"] is not None:
+            entities.append(self._entity(stamp_ns, "n", "fence", lines=_fence(*self._setup["fence_m"])))
+        yield "/3d", SceneUpdate(entities=entities)
 
     def _calibration(self, stamp_ns: int, camera: Record) -> Message:
         fx, fy, cx, cy = (camera[name] for name in ("fx", "fy", "cx", "cy"))
@@ -401,6 +405,20 @@ def _frustum(camera: Record, color: Color) -> LinePrimitive:
     for k, edge in enumerate(edges):
         points += [Point3(), _point(edge), _point(edge), _point(edges[(k + 1) % 4])]
     return LinePrimitive(type=LinePrimitiveLineType.LineList, points=points, color=color, thickness=0.01)
+
+
+def _fence(radius_m: float, height_m: float) -> list[LinePrimitive]:
+    """A circle on the ground and one at its height, around the origin."""
+    turns = np.linspace(0.0, 2.0 * math.pi, FENCE_POINTS, endpoint=False).tolist()
+    return [
+        LinePrimitive(
+            type=LinePrimitiveLineType.LineLoop,
+            points=[Point3(x=radius_m * math.cos(a), y=radius_m * math.sin(a), z=-up_m) for a in turns],
+            color=RED,
+            thickness=0.02,
+        )
+        for up_m in (0.0, height_m)
+    ]
 
 
 def _sphere(point: Sequence[float], sigma_m: float, color: Color) -> SpherePrimitive:

@@ -135,6 +135,7 @@ class ChunkedFile:
             self._counts[channel] = self._counts.get(channel, 0) + len(index) // 2
         indices = self._file.tell() - at - length
         self._chunks.append(ChunkIndex(length, at, "zstd", len(data), end_ns, indices, places, begin_ns, len(records)))
+        self._file.flush()  # for whoever follows the flight
         self._in_chunk.clear()
         self._chunk.clear()
 

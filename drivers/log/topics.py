@@ -117,6 +117,7 @@ TOPICS: dict[str, Topic] = {
             "T_v_c1": _numbers("the sender's camera to the marker's frame, m"),
             "markers_v_m": _numbers("x, y, z of the four corners of every marker, marker's frame, m"),
             "origin": _numbers("latitude and longitude in degrees, altitude in m, of the local frame's zero"),
+            "fence_m": _numbers("radius about the origin and height, beyond which nothing is flown, m"),
         },
     ),
     "/frame": Topic(

@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import math
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from mavsdk.plugins.param import Param, ParamError, ParamResult
 
@@ -15,6 +16,8 @@ from drivers.interfaces import VehicleError
 
 RENAMED: Mapping[str, tuple[str, ...]] = {"MAV_GCS_SYSID": ("SYSID_MYGCS",)}  # ArduPilot before 4.7
 """What a parameter was called in older versions of its autopilot."""
+
+T = TypeVar("T")
 
 CLOSE = 1e-4  # of a single-precision number
 OTHER_TYPE = (ParamResult.WRONG_TYPE, ParamResult.TYPE_MISMATCH)
@@ -51,19 +54,24 @@ class ParameterAccess:
     def __init__(self, system: Any) -> None:
         self._plugin: Any = Param(system)
         self._in_use = threading.Lock()
+        self._thread = ThreadPoolExecutor(1, "mavsdk-parameters")  # ends with this, not with the program
 
     def destroy(self) -> None:
         """End the plugin, once the call that it is in has returned: cancelling the reader does not end that."""
         with self._in_use:
             self._plugin.destroy()
+        self._thread.shutdown()
 
     async def read(self, names: Iterable[str]) -> dict[str, float | None]:
         """Values by the names asked for, None for one that the vehicle does not have. Raises VehicleError."""
-        return {name: await asyncio.to_thread(self._read_known, name) for name in names}
+        return {name: await self._apart(self._read_known, name) for name in names}
 
     async def write(self, difference: Difference) -> None:
         """Set one parameter that ``read`` has found, and confirm it. Raises VehicleError."""
-        await asyncio.to_thread(self._write, difference.name, difference.wanted)
+        await self._apart(self._write, difference.name, difference.wanted)
+
+    def _apart(self, call: Callable[..., T], *args: Any) -> Awaitable[T]:
+        return asyncio.get_running_loop().run_in_executor(self._thread, call, *args)
 
     def _read_known(self, name: str) -> float | None:
         with self._in_use:

@@ -20,6 +20,7 @@ from drivers.perception.history import StateHistory
 
 Vec3 = tuple[float, float, float]
 NAN3: Vec3 = (math.nan, math.nan, math.nan)
+RC_RECEIVER = 65536  # MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 AUTOPILOT_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 KEPT_TEXTS = 50
 UNDISTURBED_NS = 100_000  # two readings this close had no other thread between them
@@ -137,11 +138,13 @@ class TelemetrySlots:
         self.acks: dict[int, CommandAck] = {}
         self.parameter: Parameter | None = None
         self.firmware: str | None = None
+        self.radio_heard = False  # a pilot's
 
     def subscribe(self, telemetry: Any, direct: Any) -> None:
         """Take everything needed from MAVSDK's Telemetry and MavlinkDirect plugins."""
         direct.subscribe_message("COMMAND_ACK", self._guarded(self._on_ack))
         direct.subscribe_message("PARAM_VALUE", self._guarded(self._on_parameter))
+        direct.subscribe_message("SYS_STATUS", self._guarded(self._on_sys_status))
         direct.subscribe_message("AUTOPILOT_VERSION", self._guarded(self._on_version))
         telemetry.subscribe_status_text(self._guarded(self._on_text))
         telemetry.subscribe_health(self._guarded(self._on_health))
@@ -276,6 +279,12 @@ class TelemetrySlots:
         if message.system_id == self._sysid:
             version = int(json.loads(message.fields_json)["flight_sw_version"])
             self.firmware = ".".join(str(version >> shift & 0xFF) for shift in (24, 16, 8))
+
+    def _on_sys_status(self, message: Any) -> None:
+        if self._of_autopilot(message):
+            fields = json.loads(message.fields_json)
+            parts = ("present", "enabled", "health")
+            self.radio_heard = all(int(fields[f"onboard_control_sensors_{part}"]) & RC_RECEIVER for part in parts)
 
     def _on_text(self, text: Any) -> None:
         self.texts = (*self.texts[1 - KEPT_TEXTS :], Text(self.clock.now_ns(), int(text.type), str(text.text)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -13,8 +13,12 @@ from typing import Annotated, Literal, Self
 
 from drivers.interfaces import SURE, FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
 from drivers.mavlink.geodesy import LocalTangent
+from drivers.mavlink.geofence import FencePlan, Geofence, plan_fence
+from drivers.mavlink.geofence import names_of as fence_names
 from drivers.mavlink.modes import ARDUPILOT, CUSTOM_MODE_ENABLED, PX4, AutopilotKind
-from drivers.mavlink.parameters import Difference, differences
+from drivers.mavlink.parameters import Difference, ParameterAccess, differences
+from drivers.mavlink.pilot_rules import kept_out, silenced
+from drivers.mavlink.pilot_rules import names_of as pilot_names
 from drivers.mavlink.port import URL
 from drivers.mavlink.session import ACCEPTED, ARM_DISARM, RESULTS, MavsdkSession, SessionConfig
 from drivers.mavlink.telemetry import TelemetrySlots
@@ -64,7 +68,11 @@ class MavsdkVehicleConfig:
             that started on the same ground by decimetres.
         key_file: of MAVLink 2's signatures, 32 bytes, mode 0600, the one that the autopilot was given (SETUP_SIGNING);
             then only what is rightly signed is believed, and all that is sent is signed.
-        parameters: of the autopilot, without which a companion-driven flight is not safe; checked before arming.
+        parameters: of the autopilot, without which a companion-driven flight is not safe; checked before arming. None
+            of them may keep a pilot's radio out.
+        rc: ``required``: nothing is armed unless a pilot's radio is heard and can take the vehicle. ``none``: there is
+            none, and nobody can take it but by a ground station.
+        ground_within_m: of the origin's altitude, as far as the vehicle says with ``sea_level`` while it stands there.
     """
 
     url: str
@@ -85,8 +93,12 @@ class MavsdkVehicleConfig:
     height_from: Literal["sea_level", "home"] = "sea_level"
     key_file: Path | None = None
     parameters: AutopilotValues = field(default_factory=dict[str, float])
+    rc: Literal["required", "none"] = "required"
+    ground_within_m: Annotated[float, Bounds(0.1, 100.0)] = 3.0
 
     def __post_init__(self) -> None:
+        if keeps_out := silenced(self.parameters):
+            raise ValueError(f"parameters: {'; '.join(keeps_out)}")
         for name in ("sysid", "own_sysid"):
             if not 1 <= getattr(self, name) <= 255:
                 raise ValueError(f"{name} must be within 1..255")
@@ -192,17 +204,68 @@ class MavsdkVehicle:
 
     async def parameter_differences(self) -> tuple[Difference, ...]:
         """Returns the parameters that are not as the rig's ``parameters`` want them. Raises VehicleError."""
-        access, wanted = self._session.parameters, self._config.parameters
-        if access is None:
-            raise VehicleError(f"{self._config.url} is not open", "enter the vehicle with `async with` first")
-        return differences(wanted, await access.read(wanted))
+        wanted = self._config.parameters
+        return differences(wanted, await self._access.read(wanted))
+
+    async def read_parameters(self, names: Iterable[str]) -> Mapping[str, float | None]:
+        """By name, None for one that it does not have. Raises VehicleError."""
+        return await self._access.read(names)
 
     async def set_parameter(self, difference: Difference) -> None:
         """Make one parameter what the rig wants, and confirm it. Raises VehicleError."""
+        await self._access.write(difference)
+
+    async def pilot_findings(self) -> Sequence[Finding]:
+        """Whether a pilot's radio can take the vehicle; nothing is set. Raises VehicleError."""
+        if self._config.rc == "none":
+            said = 'NO REMOTE CONTROL (rc = "none"): no pilot can take this vehicle, nor stop its motors'
+            return [Finding("note", "pilot", said, "give it a radio, and leave rc out, before people are near it")]
+        wrong = await self._without_pilot()
+        fix = "switch the transmitter on; what each parameter means for the pilot: docs/field.md"
+        if wrong:
+            return [Finding("fault", "pilot", each, fix) for each in wrong]
+        return [Finding("ok", "pilot", "a radio is heard, and can take the vehicle")]
+
+    async def _without_pilot(self) -> list[str]:
+        telemetry = self._telemetry
+        heard = await self._session.until(lambda: telemetry.radio_heard, self._config.mode_timeout_s)
+        missing = [] if heard else ["no radio is heard, and the rig says that a pilot has one"]
+        return missing + kept_out(self._kind, await self._access.read(pilot_names(self._kind)))
+
+    async def plan_geofence(self, fence: Geofence) -> FencePlan:
+        """What has to be done about the autopilot's own fence; nothing is set. Raises VehicleError."""
+        telemetry = self._telemetry
+        if not await self._session.until(lambda: telemetry.position is not None, self._config.connect_timeout_s):
+            raise VehicleError("its fence is around its home, and it does not say where it is", "give it a clear sky")
+        position = telemetry.position
+        assert position is not None
+        found = await self._access.read(fence_names(self._kind))
+        return plan_fence(self._kind, found, fence, position.n_m)
+
+    async def keep_geofence(self, fence: Geofence) -> Mapping[str, float]:
+        """Gives the autopilot a fence of its own, one step wider than the script's, and reads it back.
+
+        What was set, by name. Raises VehicleError where that is not possible: then nothing is to be armed.
+        """
+        remedy = "look at `path-handoff doctor --rig RIG --role ROLE`; docs/field.md says what the fence is for"
+        plan = await self.plan_geofence(fence)
+        if plan.problems:
+            raise VehicleError(f"vehicle {self._config.sysid}: {'; '.join(plan.problems)}", remedy)
+        if plan.set_to and self.state.armed:
+            raise VehicleError(f"vehicle {self._config.sysid} is armed, and its fence is not set", "disarm it first")
+        for name, value in plan.set_to.items():
+            await self._access.write(Difference(name, value, None))
+        again = await self.plan_geofence(fence)
+        if again.set_to or again.problems:
+            raise VehicleError(f"vehicle {self._config.sysid} did not keep the fence it was given", remedy)
+        return plan.set_to
+
+    @property
+    def _access(self) -> ParameterAccess:
         access = self._session.parameters
         if access is None:
             raise VehicleError(f"{self._config.url} is not open", "enter the vehicle with `async with` first")
-        await access.write(difference)
+        return access
 
     async def wait_armable(self, timeout_s: float) -> None:
         self._session.check_alive()  # what it said before it fell silent counts no more
@@ -219,6 +282,8 @@ class MavsdkVehicle:
             return not telemetry.missing() and telemetry.battery is not None
 
         if await self._session.until(ready, timeout_s):
+            await self._check_pilot()
+            self._check_ground()
             return
         missing = telemetry.missing() + (["battery level"] if telemetry.battery is None else [])
         texts = telemetry.texts_since(start_ns)[-3:]
@@ -228,6 +293,24 @@ class MavsdkVehicle:
             f"{', '.join(missing)}{said}",
             "give it a clear sky and do what its ground station shows, then start again",
         )
+
+    async def _check_pilot(self) -> None:
+        wrong = [] if self._config.rc == "none" else await self._without_pilot()
+        if wrong:
+            raise VehicleError(
+                f"vehicle {self._config.sysid} cannot be taken by its pilot: {'; '.join(wrong)}",
+                'switch the transmitter on and set what is named, or write rc = "none" in its table: then nobody can',
+            )
+
+    def _check_ground(self) -> None:
+        """A ceiling that is counted from an altitude of GPS holds only as far as that altitude is right."""
+        config, state = self._config, self.state
+        height_m = -state.position_n_m[2]
+        if config.height_from == "sea_level" and not state.in_air and not abs(height_m) <= config.ground_within_m:
+            raise VehicleError(
+                f"vehicle {config.sysid} stands on the ground and says that it is {height_m:.1f} m above [origin]",
+                'write height_from = "home" in its table, or correct altitude_m in [origin]',
+            )
 
     async def arm(self) -> None:
         if self._kind is ARDUPILOT:

@@ -24,6 +24,11 @@ from path.marker.layout import MarkerLayout
 from path.messages import Role
 
 _FACTORY = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+GONE = {  # parts that rigs may still name: what to do instead
+    "drivers.detectors.tracked:TrackedDetector": (
+        "it cost more than the detector in it; put the table 'detector' in its place"
+    ),
+}
 _SUCH_AS = 'such as "drivers.mavlink.vehicle:MavsdkVehicle"'
 
 Level = Literal["sim", "sim-rendered", "sitl", "hitl", "field"]
@@ -199,6 +204,8 @@ def import_factory(factory: str, where: str) -> Any:
     """The class named ``module:Class``. Raises RigError naming ``where``."""
     if not _FACTORY.fullmatch(factory):
         raise RigError([f"{where}: {factory!r} is not module:Class, {_SUCH_AS}"])
+    if factory in GONE:
+        raise RigError([f"{where}: {factory} is no longer offered: {GONE[factory]}"])
     module_name, _, class_name = factory.partition(":")
     try:
         module = importlib.import_module(module_name)

@@ -23,6 +23,9 @@ from hil.autopilot.radio import (
     flown_by,
 )
 from hil.autopilot.values import (
+    HOLD_AT_FENCE,
+    LAND_AT_FENCE,
+    RETURN_AT_FENCE,
     Ack,
     AutopilotConfig,
     Estimate,
@@ -46,6 +49,7 @@ __all__ = [
 
 OK = Ack(True)
 STICKS_MPS = 1.0
+AT_FENCE = {HOLD_AT_FENCE: FlightMode.HOLD, RETURN_AT_FENCE: FlightMode.RETURN, LAND_AT_FENCE: FlightMode.LAND}
 
 
 class Autopilot:
@@ -63,6 +67,7 @@ class Autopilot:
         self.landed = True
         self.battery = 1.0
         self.pilot_in_control = False
+        self.altitude_drift_m = 0.0  # of what it takes for its altitude, since it was armed; its fence is kept by that
         self.failsafe = ""  # which of its own holds it or brings it down, until somebody changes the mode
         self.killed = False  # by the pilot's switch: the motors stand still
         self.radio = Radio()
@@ -83,6 +88,7 @@ class Autopilot:
         self._companion_s: float | None = None  # when a ground station was last heard
         self._pilot = SILENT  # what was last heard of the radio
         self._killed_s = 0.0
+        self._outside = False  # its own fence
         self._radio_lost_s: float | None = None  # since when it holds because of that
         self._radio_optional = False  # it was armed without one
         self._battery_landing = False  # the low battery has made it land already; the pilot may still take over
@@ -281,6 +287,21 @@ class Autopilot:
             self._enter(now_s, FlightMode.LAND if config.loss_act == LOSS_LANDS else FlightMode.RETURN)
             self._say(now_s, Severity.CRITICAL, f"Manual control lost, {self.mode.value}")
 
+    def _watch_fence(self, now_s: float) -> None:
+        """On the way out, and once: a pilot may fly on, or come back."""
+        fence, home = self.config.fence, self.home_n_m
+        if home is None:
+            return
+        north, east, down = (here - there for here, there in zip(self._estimate.position_n_m, home, strict=True))
+        wide = fence.radius_m > 0.0 and math.hypot(north, east) > fence.radius_m
+        high = fence.height_m > 0.0 and -down + self.altitude_drift_m > fence.height_m
+        before, self._outside = self._outside, wide or high
+        if before or not self._outside or self.landed or self.mode is FlightMode.LAND or fence.action not in AT_FENCE:
+            return
+        self._enter(now_s, AT_FENCE[fence.action])
+        self.failsafe = "outside the autopilot's fence"
+        self._say(now_s, Severity.CRITICAL, f"Geofence breached, {self.mode.value}")
+
     # --- what happens by itself ---
 
     def _drain_battery(self, dt: float) -> None:
@@ -325,6 +346,7 @@ class Autopilot:
         self._battery_landing = self._battery_low and not self.landed
         self._watch_setpoints(now_s)
         self._watch_radio(now_s)
+        self._watch_fence(now_s)
         heard_s = self._companion_s
         lost = heard_s is not None and now_s - heard_s > config.companion_loss_s
         if lost and not self.landed and self.mode is not FlightMode.LAND:

@@ -12,6 +12,20 @@ from hil.autopilot.radio import RadioConfig
 from path.bounds import Bounds
 from path.messages import Quat, Vec3
 
+HOLD_AT_FENCE, RETURN_AT_FENCE, LAND_AT_FENCE = 2, 3, 5
+
+
+@dataclass(frozen=True, slots=True)
+class FenceConfig:
+    """The autopilot's own fence, around and above its home: GF_ACTION, GF_MAX_HOR_DIST and GF_MAX_VER_DIST of PX4.
+
+    ``action``: 2 hold, 3 return, 5 land; anything else does nothing. A distance of 0 is none.
+    """
+
+    action: Annotated[int, Bounds(0, 5, "(an action)")] = HOLD_AT_FENCE
+    radius_m: Annotated[float, Bounds(0.0, 10_000.0)] = 0.0
+    height_m: Annotated[float, Bounds(0.0, 10_000.0)] = 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class AutopilotConfig:
@@ -50,6 +64,7 @@ class AutopilotConfig:
     endurance_s: Annotated[float, Bounds(10.0, 36000.0)] = 900.0  # full battery, flying
     low_battery: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.1  # lands by itself; scripts should come down earlier
     radio: RadioConfig = field(default_factory=RadioConfig)
+    fence: FenceConfig = field(default_factory=FenceConfig)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,20 +12,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flight.tracking import (
+from flight.target_track import (
     _ACCELERATION_SIGMA_MPS2,
-    _AMBIGUITY,
-    _DEPTH_FLOOR_M,
-    _DEPTH_SIGMAS,
     _GATE_FLOOR_M,
     _GATE_LEAST_M,
     _GATE_MOST_M,
     _MEASUREMENT_SIGMA_M,
-    _MIN_DESCENT,
-    _RIVAL_REACH_M,
     _RIVAL_S,
     _RIVAL_SHARE,
     _UNSEEN_REACH_M,
+)
+from flight.tracking import (
+    _AMBIGUITY,
+    _DEPTH_FLOOR_M,
+    _DEPTH_SIGMAS,
+    _MIN_DESCENT,
+    _RIVAL_REACH_M,
     _UNSEEN_S,
     MIN_SCORE,
 )
@@ -176,6 +178,13 @@ def _gate(follower, sigma, at_s):
 
 
 @inner
+def _reach(follower, at_s):
+    dt = max(0.0, at_s - follower[AT])
+    sigma = math.sqrt(follower[PP] + 2.0 * dt * follower[PV] + dt * dt * follower[VV])
+    return min(_GATE_FLOOR_M + 3.0 * sigma + 0.5 * _ACCELERATION_SIGMA_MPS2 * dt * dt, _UNSEEN_REACH_M)
+
+
+@inner
 def _rival(found, many, row):
     """Distance of the nearest other detection from the chosen one."""
     nearest = np.inf
@@ -258,7 +267,7 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
         gate_m, scale = _gate(follower, sigma, times[k]), lens[0] / z
         unseen = times[k] - follower[AT] > _UNSEEN_S
         gate = scale * gate_m
-        reach = scale * (_UNSEEN_REACH_M if unseen else max(gate_m / _AMBIGUITY, _RIVAL_REACH_M))
+        reach = scale * max(_reach(follower, times[k]) if unseen else 0.0, gate_m / _AMBIGUITY, _RIVAL_REACH_M)
         region[0], region[1], region[2], region[3] = u - reach, v - reach, u + reach, v + reach
         count = _before(camera, flown, k, things, ids, boxes, extents, frame)
         many = _boxes_of(camera, flown.frame[k], count, ids, boxes, extents, region, seen, rows, found)

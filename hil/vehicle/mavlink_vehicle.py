@@ -73,7 +73,7 @@ class MavlinkVehicle:
         if config.key is not None:
             self._mav.signing.secret_key, self._mav.signing.sign_outgoing = config.key, True
             self._mav.signing.timestamp = signing_time()
-        self._parameters = Parameters(drone.autopilot.config)
+        self._parameters = Parameters(drone.autopilot)
         self._shown: tuple[FlightMode, bool] | None = None
         self._texts_sent = 0
         beat_hz = drone.autopilot.config.heartbeat_hz

@@ -15,7 +15,7 @@ from missions.doctor.beacons import check_beacons
 from missions.doctor.guard import check_guard
 from missions.doctor.link import check_link
 from missions.doctor.perception import check_detector, check_perception
-from missions.doctor.vehicle import check_flyer
+from missions.doctor.vehicle import check_flyer, fence_of
 from missions.rig_library import mission_of
 from path.messages import Role
 
@@ -37,7 +37,8 @@ class PartTest:
 def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
     """Yields the tests in the order in which a flight opens the parts. Raises RigError."""
     own, context = rig.role(role), part_context(rig, role)
-    min_battery = mission_of(rig).guard.min_battery
+    mission = mission_of(rig)
+    min_battery, fence = mission.guard.min_battery, fence_of(mission)
     layout = rig.layout if role is Role.RECEIVER else None
 
     async def detector(spec: PartSpec, rate_hz: float | None) -> AsyncIterator[Finding]:
@@ -46,7 +47,7 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
         yield check_detector(made, context.camera, rate_hz, context.clock)
 
     def vehicle() -> AsyncIterator[Finding]:
-        return check_flyer(create(own.vehicle, context), context.clock, min_battery)
+        return check_flyer(create(own.vehicle, context), context.clock, min_battery, fence)
 
     def perception() -> AsyncIterator[Finding]:
         return check_perception(create(own.perception, context), context.clock, layout)

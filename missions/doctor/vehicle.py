@@ -5,15 +5,19 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-from collections.abc import AsyncIterator, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Protocol
 
 from drivers.interfaces import Clock, PartError, Vehicle, VehicleError, VehicleState
+from drivers.mavlink.geofence import FencePlan, Geofence
+from drivers.mavlink.parameters import Difference
 from drivers.rig.part_check import Finding, examined
 from drivers.rig.parts import Rig, create, part_context
+from flight.config import MissionConfig
+from missions.rig_library import mission_of
 from path.messages import Role
 
 SET = "run doctor again with --vehicle ROLE --set-parameters, or set it from its ground station"
@@ -49,11 +53,14 @@ class VehicleReport:
     seconds: float
 
 
-async def check_flyer(vehicle: Vehicle, clock: Clock, min_battery: float) -> AsyncIterator[Finding]:
+async def check_flyer(
+    vehicle: Vehicle, clock: Clock, min_battery: float, fence: Geofence | None = None
+) -> AsyncIterator[Finding]:
     """Open, listen, compare parameters, close. Nothing is armed, set or moved. Raises VehicleError.
 
     Args:
         min_battery: at which the mission ends, as a share.
+        fence: the script's, one step outside of which the autopilot's own has to be.
     """
     async with vehicle:
         yield Finding("ok", "connects", "heartbeat and attitude came")
@@ -67,6 +74,9 @@ async def check_flyer(vehicle: Vehicle, clock: Clock, min_battery: float) -> Asy
             yield finding
         if hasattr(vehicle, "parameter_differences"):
             for finding in await _parameters(vehicle):
+                yield finding
+        if hasattr(vehicle, "pilot_findings"):
+            for finding in await _pilot_and_fence(vehicle, fence):
                 yield finding
 
 
@@ -132,6 +142,21 @@ async def _parameters(vehicle: Any) -> list[Finding]:
     return [Finding("fault", "parameters", str(each), SET) for each in wrong]
 
 
+async def _pilot_and_fence(vehicle: Any, fence: Geofence | None) -> list[Finding]:
+    found: list[Finding] = list(await vehicle.pilot_findings())
+    if fence is None:
+        return found
+    plan: FencePlan = await vehicle.plan_geofence(fence)
+    fix = "correct what is named: the autopilot's fence is what is left when script and guard are gone"
+    found += [Finding("fault", "fence", problem, fix) for problem in plan.problems]
+    if plan.set_to:
+        told = ", ".join(f"{name} {value:g}" for name, value in plan.set_to.items())
+        found.append(Finding("note", "fence", f"a flight will set {told}", "or set it now: --set-parameters"))
+    elif not plan.problems:
+        found.append(Finding("ok", "fence", "its own is there, wider than the script's"))
+    return found
+
+
 def check_vehicle(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> Iterator[Finding]:
     """Connect, compare, set, record in ``folder``. Nothing moves."""
     try:
@@ -145,11 +170,14 @@ async def _check(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> li
     if not hasattr(vehicle, "parameter_differences"):
         return [Finding("ok", role.value, "this vehicle has no parameters to compare")]
     async with vehicle:
-        wrong: Sequence[ParameterFinding] = await vehicle.parameter_differences()
+        wrong: list[ParameterFinding] = list(await vehicle.parameter_differences())
+        besides = [replace(each, name=f"{role.value} {each.name}") for each in await _pilot_and_fence(vehicle, None)]
+        if set_parameters:
+            wrong += await _missing_fence(vehicle, fence_of(mission_of(rig)))
         if not wrong:
-            return [Finding("ok", role.value, "parameters are as the rig wants them")]
+            return [Finding("ok", role.value, "parameters are as the rig wants them"), *besides]
         if not set_parameters:
-            return [Finding("fault", role.value, str(each), SET) for each in wrong]
+            return [*(Finding("fault", role.value, str(each), SET) for each in wrong), *besides]
         if vehicle.state.armed:
             raise VehicleError("the vehicle is armed: no parameter was set", "disarm it first")
         changed: list[ParameterFinding] = []
@@ -159,8 +187,22 @@ async def _check(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> li
                 changed.append(each)
         finally:
             record = _record(folder, rig, role, changed)
+        besides = [replace(each, name=f"{role.value} {each.name}") for each in await _pilot_and_fence(vehicle, None)]
     done = [Finding("note", role.value, f"set: {each}") for each in wrong]
-    return [*done, Finding("ok", role.value, f"what was set is recorded in {record}")]
+    return [*done, *besides, Finding("ok", role.value, f"what was set is recorded in {record}")]
+
+
+def fence_of(config: MissionConfig) -> Geofence:
+    """The script's fence."""
+    return Geofence(config.guard.fence_radius_m, config.guard.fence_height_m)
+
+
+async def _missing_fence(vehicle: Any, fence: Geofence) -> list[ParameterFinding]:
+    plan: FencePlan = await vehicle.plan_geofence(fence)
+    if plan.problems:
+        raise VehicleError("; ".join(plan.problems), "correct what is named")
+    before: Mapping[str, float | None] = await vehicle.read_parameters(plan.set_to)
+    return [Difference(name, value, before.get(name)) for name, value in plan.set_to.items()]
 
 
 def _record(folder: Path, rig: Rig, role: Role, changed: Sequence[ParameterFinding]) -> Path | None:

@@ -24,6 +24,7 @@ from flight.config import MissionConfig
 from flight.guard_rules import Act, GuardStage, GuardState
 from flight.guard_watch import GuardWatch, watch
 from missions import rig_library
+from missions.live.start import live
 from missions.options import GuardOptions
 from missions.run_folder import new_folder
 from path.messages import Role
@@ -70,11 +71,12 @@ def run(options: GuardOptions) -> int:
     folder = new_folder(options.out)
     logs = {role: folder / f"{role.value}.guard.mcap" for role in roles}
     until_input_ends = options.console == "events"
-    return asyncio.run(
-        watch_vehicles(
-            rig, config, specs, logs, until_input_ends=until_input_ends, while_flown=options.while_flown
-        )
-    )  # fmt: skip
+    with live(options.live, folder):
+        return asyncio.run(
+            watch_vehicles(
+                rig, config, specs, logs, until_input_ends=until_input_ends, while_flown=options.while_flown
+            )
+        )  # fmt: skip
 
 
 def guard_of(rig: Rig, role: Role) -> PartSpec:

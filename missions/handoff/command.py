@@ -20,6 +20,7 @@ from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, R
 from flight.outcome import OBJECT_MONITOR, Outcome, violated_outcome
 from missions import rig_library
 from missions.leg.process import fly_role
+from missions.live.start import live
 from missions.options import ConformanceOptions, FlyOptions, HandoffOptions
 from missions.report.command import make_report, series_table, show, summarize_many
 from missions.report.junit import JUnitCase, write_junit
@@ -48,8 +49,10 @@ def run(options: HandoffOptions) -> int:
     harness_of(rig)
     with unless_refused(options.out) as folder:
         if options.seeds > 1:
+            if options.live is not None:
+                raise PartError("--live shows one flight, and --seeds flies many", "leave one of them out")
             return fly_many(rig, options, folder)
-        with open_console(sys.stdout) as console:
+        with live(options.live, folder), open_console(sys.stdout) as console:
             facts = fly_once(rig, options.seed, options.fault, folder, console.show)
     try:
         make_report(folder, options.picture, sys.stdout)

@@ -9,6 +9,7 @@ from flight.harness.flights import RoleMain
 from missions import rig_library
 from missions.guard.start import with_guard
 from missions.leg.process import fly_role, run_role
+from missions.live.start import live
 from missions.options import ReceiverOptions, RoleOptions
 from missions.report.progress import open_console
 from missions.run_folder import new_folder
@@ -28,7 +29,7 @@ def fly_from_drone(options: RoleOptions, role: Role, main: RoleMain) -> int:
     state = options.state or (options.out or folder.parent) / f"{role.value}.state.json"
     if options.console == "events":
         return run_role(rig, role, folder, state, lambda _: None, parent=True, main=main).outcome.exit_code
-    with open_console(sys.stdout) as console:
+    with live(options.live, folder), open_console(sys.stdout) as console:
         result = run_role(rig, role, folder, state, console.show, parent=False, main=main)
     sys.stdout.write(f"{role.value}: {result.outcome.label}: {result.detail or result.outcome.meaning}\n")
     sys.stdout.write(f"log: {parts(folder, role.value)[-1]}\n")

@@ -44,6 +44,7 @@ def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
         "T_v_c1": _rows(rig.sender.mount.T_v_c),
         "markers_v_m": np.concatenate([marker.corners_v.ravel() for marker in rig.layout.markers]),
         "origin": [origin.latitude_deg, origin.longitude_deg, origin.altitude_m],
+        "fence_m": [config.guard.fence_radius_m, config.guard.fence_height_m],
     }
 
 

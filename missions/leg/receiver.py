@@ -15,13 +15,14 @@ from drivers.rig.parts import Rig
 from flight.camera_pose import CameraPose
 from flight.config import MissionConfig
 from flight.guard import check_separation
-from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, norm, subtract
+from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, norm, subtract
 from flight.harness.flights import Emit, InProcess, RoleResult
 from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.rendezvous import Rendezvous
-from flight.tracking import TargetTrack, follow, place
+from flight.target_track import TargetTrack
+from flight.tracking import follow, place
 from flight.viewpoint import NoViewpoint
 from missions.leg.course import fly_course
 from missions.leg.handover import ReceiverHandover
@@ -223,12 +224,10 @@ class Receiver:
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the place relative to the target that the hand-over found this drone in."""
         assert self._track is not None
-        target, _ = self._track.predict(self._session.now_ns())
-        north, east, _ = self._track.velocity_n_mps
+        target, (north, east, _) = self._track.believed(self._session.now_ns())
         error = subtract(add(target, self._keep_n_m), state.position_n_m)
-        velocity = close_in(
-            error, (north, east, 0.0), self._config.follow.gain_per_s, self._config.follow.max_speed_mps
-        )
+        keep, accel_mps2 = self._config.follow, self._config.max_accel_mps2
+        velocity = approach(error, state.velocity_n_mps, (north, east, 0.0), keep.answer(accel_mps2))
         return VelocitySetpoint(velocity, bearing(subtract(target, state.position_n_m)))
 
     # --- what runs beside the course -----------------------------------------------------------------------------

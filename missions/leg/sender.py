@@ -11,12 +11,13 @@ from drivers.interfaces import Log, Received, RecordStore, VehicleState, Velocit
 from drivers.rig.parts import Rig
 from flight.camera_pose import CameraPose
 from flight.config import MissionConfig
-from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, subtract
+from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, subtract
 from flight.harness.flights import Emit, InProcess, RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
+from flight.target_track import TargetTrack
 from flight.tilt import Tilt
-from flight.tracking import Sighting, TargetTrack, acquire, follow
+from flight.tracking import Sighting, acquire, follow
 from missions.leg.course import fly_course
 from missions.leg.handover import SenderHandover
 from missions.leg.journal import (
@@ -193,7 +194,12 @@ class Sender:
         """Leads to where the designated place is in view."""
         target = self._config.target
         place = self._view_of((target.north_m, target.east_m, -target.height_m))
-        return Anchor(place, self._heading_rad).hold(state)
+        return self._approach(place, (0.0, 0.0, 0.0), state)
+
+    def _approach(self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState) -> VelocitySetpoint:
+        """To a moving place, and to rest there: past it the target would be below the image."""
+        error, answer = subtract(place_n_m, state.position_n_m), self._config.follow.answer(self._config.max_accel_mps2)
+        return VelocitySetpoint(approach(error, state.velocity_n_mps, velocity_n_mps, answer), self._heading_rad)
 
     def _view_of(self, target_n_m: Vec3) -> Vec3:
         """Behind and above the target, in the heading it was approached with; a drone that is tilted stands aside."""
@@ -205,15 +211,12 @@ class Sender:
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the target in view from behind."""
         assert self._track is not None
-        session, keep = self._session, self._config.follow
+        session = self._session
         if session.phase is Phase.VERIFY and session.peer_silence_s() > self._config.guard.near_silence_s:
             # the receiver may hang or sink where it was last, and the target may lead there
             return VelocitySetpoint((0.0, 0.0, 0.0), self._heading_rad)
-        target, _ = self._track.predict(session.now_ns())
-        north, east, _ = self._track.velocity_n_mps
-        error = subtract(self._view_of(target), state.position_n_m)
-        velocity = close_in(error, (north, east, 0.0), keep.gain_per_s, keep.max_speed_mps)
-        return VelocitySetpoint(velocity, self._heading_rad)
+        target, (north, east, _) = self._track.believed(session.now_ns())
+        return self._approach(self._view_of(target), (north, east, 0.0), state)
 
     def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
         """Make room, the camera still on the target: nobody has it for sure until the hand-over is settled."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from drivers.interfaces import SURE, Capability, FlightMode, TakenOver, VehicleError, VehicleState, lacking
+from drivers.mavlink.geofence import Geofence
 from drivers.mavlink.guard_interfaces import Script
 from flight.guard import in_doubt
 from flight.guidance import Anchor, norm, subtract
@@ -37,10 +38,25 @@ async def check_own(session: RoleSession) -> None:
     deadlines = session.config.deadlines
     await session.perception.view(_FIRST_FRAME_S)
     await session.vehicle.wait_armable(deadlines.armable_s)
+    await keep_geofence(session)
     guard = session.guard
     if guard is not None:
         what = "the guard's process did not answer and see the vehicle"
         await session.until(lambda: guard.watching, deadlines.guard_s, Outcome.GUARD_LOST, what)
+
+
+async def keep_geofence(session: RoleSession) -> None:
+    """Gives the autopilot a fence of its own, one step wider than the script's, where it can have one. Raises
+    VehicleError when it cannot be read back."""
+    keep = getattr(session.vehicle, "keep_geofence", None)
+    if keep is None or Capability.GEOFENCE in lacking(session.vehicle):
+        return
+    guard = session.config.guard
+    written = await keep(Geofence(guard.fence_radius_m, guard.fence_height_m))
+    if written:
+        told = ", ".join(f"{name} {value:g}" for name, value in written.items())
+        session.log.write("/geofence", session.now_ns(), {"set": dict(written)})
+        session.say(f"the autopilot was given its fence: {told}")
 
 
 async def hear_peer(session: RoleSession) -> None:

@@ -51,7 +51,7 @@ class Aligned:
 
 def run(options: MergeOptions) -> int:
     """``path-handoff merge``. Raises PartError."""
-    logs = _named(options.logs)
+    logs = named_logs(options.logs)
     out = options.out or (options.logs[0] if options.logs[0].is_dir() else options.logs[0].parent) / MERGED
     for each in merge(logs, out):
         sys.stdout.write(f"{each.name}: {_told(each)}\n")
@@ -157,7 +157,7 @@ def _told(each: Aligned) -> str:
     return f"moved by {each.clock[-1][1] * 1e-9:+.6f} s, known within {each.uncertainty_ns * 1e-6:.3f} ms"
 
 
-def _named(paths: Sequence[Path]) -> dict[str, list[Path]]:
+def named_logs(paths: Sequence[Path]) -> dict[str, list[Path]]:
     """The parts of every log that was named, or is in a folder that was. Raises PartError."""
     found: dict[str, list[Path]] = {}
     for path in paths:

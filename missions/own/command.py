@@ -17,6 +17,7 @@ from flight.outcome import Outcome
 from missions import rig_library
 from missions.handoff.command import FlightPrograms, fly_once, name_simulators, unwritten
 from missions.leg.command import fly_from_drone
+from missions.live.start import live
 from missions.options import FlyOptions, RoleOptions
 from missions.own.load import load_mission
 from missions.own.program import OwnMission
@@ -39,12 +40,12 @@ KEPT = (
 def run(options: FlyOptions) -> int:
     """``path-handoff fly``; returns the run's exit code. Raises PartError for what was asked wrongly."""
     if options.drone != "both":
-        asked = RoleOptions(options.rig, options.out, options.console, options.state, options.guard)
+        asked = RoleOptions(options.rig, options.out, options.console, options.state, options.guard, options.live)
         return fly_from_drone(asked, Role(options.drone), OwnMission(load_mission(options.mission)))
     name_simulators(options)
     rig = with_errors(rig_library.load(options.rig), options.errors)
     programs = programs_of(options.mission)
-    with unless_refused(options.out) as folder, open_console(sys.stdout) as console:
+    with unless_refused(options.out) as folder, live(options.live, folder), open_console(sys.stdout) as console:
         facts = fly_once(rig, options.seed, options.fault, folder, console.show, programs)
     try:
         report(folder, sys.stdout)

@@ -15,6 +15,7 @@ from flight.harness.flights import Emit, Progress
 from flight.harness.relay import RelayConfig, RelayField, RelayHarness, RelayReport, RelayRequest
 from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
+from missions.live.start import live
 from missions.options import RelayOptions
 from missions.relay.base import Base, Event, Tell
 from missions.relay.config import relay_of
@@ -39,7 +40,8 @@ def run(options: RelayOptions) -> int:
         raise PartError(f"--hours {hours:g} is not above 0", "give the hours that it is to last, such as 8")
     with unless_refused(options.out) as folder:
         tell_line(f"{options.drones} drones, {hours:g} h: {folder}")
-        summary, record = fly_relay(rig, config, options, folder, _Teller().tell)
+        with live(options.live, folder):
+            summary, record = fly_relay(rig, config, options, folder, _Teller().tell)
     try:
         _leave(summary, record, folder, options.picture)
     except OSError as error:

@@ -31,7 +31,7 @@ from flight.harness.relay import DroneProgram, RelayConfig, RelayDrone, pair_of
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
-from flight.tracking import TargetTrack
+from flight.target_track import TargetTrack
 from flight.under_guard import UnderGuard
 from missions.leg.course import close_session, conclude, run_course, run_recovery
 from missions.leg.session import RoleSession, as_end, entropy_of, guard_line_of

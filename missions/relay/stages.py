@@ -14,7 +14,7 @@ from drivers.interfaces import LinkCounters, Received, RecordStore, VehicleState
 from flight.guidance import Anchor
 from flight.outcome import MissionEnd
 from flight.phases import Phase
-from flight.tracking import TargetTrack
+from flight.target_track import TargetTrack
 from missions.leg.receiver import Receiver
 from missions.leg.sender import Sender
 from missions.leg.session import RoleSession

@@ -1,4 +1,4 @@
-"""The contract of every Detector: by colour, by a network through onnxruntime, and by trackers between its detections.
+"""The contract of every Detector: by colour, and by a network through onnxruntime.
 
 The small graph in place of a network finds bright cells; the real one is run where its weights are.
 """
@@ -15,15 +15,12 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
-from drivers.detectors.tracked import TrackedDetector, TrackedDetectorConfig
 from drivers.detectors.yolox import YoloxDetector, YoloxDetectorConfig
 from drivers.interfaces import Detector
-from drivers.rig.tables import decode_table
 from path.agreement import iou
 from path.observations import Box, Region
 from tests.drivers.detectors.onnx_graphs import bright_cells_network
 from tests.drivers.detectors.test_color import drawn
-from tests.drivers.detectors.test_tracked import CONTEXT
 from tests.drivers.detectors.test_yolox import WEIGHTS, clock_face
 
 Image = NDArray[np.uint8]
@@ -59,13 +56,6 @@ def color(folder: Path) -> Stage:
     return colored(ColorDetector(ColorDetectorConfig()))
 
 
-def tracked(folder: Path) -> Stage:
-    del folder
-    table = {"detector": {"factory": "drivers.detectors.color:ColorDetector"}}
-    config = decode_table(table, TrackedDetectorConfig, "rig.toml: sender.perception.detector")
-    return colored(TrackedDetector(config, CONTEXT))
-
-
 def network(folder: Path) -> Stage:
     detector = YoloxDetector(YoloxDetectorConfig(bright_cells_network(folder / "bright.onnx", 64, 3)))
     image = np.zeros((96, 128, 3), np.uint8)
@@ -81,7 +71,7 @@ def yolox(folder: Path) -> Stage:
     return Stage(detector, clock_face(), Box(286.0, 126.0, 228, 228), np.full((480, 640, 3), 180, np.uint8))
 
 
-DETECTORS = pytest.mark.parametrize("stage_of", [color, tracked, network, yolox])
+DETECTORS = pytest.mark.parametrize("stage_of", [color, network, yolox])
 StageOf = Callable[[Path], Stage]
 
 

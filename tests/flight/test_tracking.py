@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from flight.guidance import Vec3, norm, subtract
-from flight.tracking import MIN_SCORE, Sighting, TargetTrack, acquire, follow, place, point_in_camera, to_local
+from flight.target_track import TargetTrack
+from flight.tracking import MIN_SCORE, Sighting, acquire, follow, is_cut, place, point_in_camera, to_local
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.observations import Box, Depth, Detection, MarkerDetection, MissReason, Region
@@ -185,6 +186,59 @@ def test_the_target_is_found_again_where_it_must_be_after_a_gap(gap_s: float, be
         assert seen is MissReason.AMBIGUOUS_TARGET
 
 
+@pytest.mark.parametrize(("gap_s", "away_m", "found"), [(0.7, 1.3, True), (0.9, 1.3, True), (1.8, 1.3, False)])
+def test_a_target_that_was_missed_is_taken_again_while_the_other_cannot_be_it(
+    gap_s: float, away_m: float, found: bool
+) -> None:
+    """The other is farther off than the target can have driven meanwhile; after 1.8 s it no longer is."""
+    track = settled(PLACE)
+    view = FakeView([PLACE, beside(PLACE, away_m)], track.stamp_ns + round(gap_s * SECOND))
+    seen = follow(view, T_N_C, CAMERA, track)
+    assert isinstance(seen, Sighting) if found else seen is MissReason.AMBIGUOUS_TARGET
+
+
+def test_the_other_alone_is_not_taken_for_a_target_that_is_missed() -> None:
+    """However long, wherever the target may have gone, as long as it is farther off than a gate is ever wide."""
+    for tenths in range(6, 60):
+        track = settled(PLACE)
+        view = FakeView([beside(PLACE, 0.5)], track.stamp_ns + tenths * SECOND // 10)
+        assert isinstance(follow(view, T_N_C, CAMERA, track), MissReason)
+
+
+class Framed(FakeView):
+    """Its boxes end at the border, as a detector's do, which scores them low for that."""
+
+    def boxes(self) -> list[Box]:
+        boxes: list[Box] = []
+        for box in super().boxes():
+            x0, y0 = max(box.x, -0.5), max(box.y, -0.5)
+            x1, y1 = min(box.x + box.w, CAMERA.width - 0.5), min(box.y + box.h, CAMERA.height - 0.5)
+            boxes.append(Box(x0, y0, x1 - x0, y1 - y0))
+        return boxes
+
+    def targets(self, region: Region | None) -> Sequence[Detection]:
+        found = [Detection(box, 0.18 if is_cut(box, CAMERA) else 0.9) for box in self.boxes()]
+        return [d for d in found if region is None or region.contains(*d.box.center)]
+
+
+def test_a_box_that_the_border_cuts_keeps_the_track_and_says_nothing_of_the_velocity() -> None:
+    """It stands at the edge of the image and is half in it; half a box's middle is 0.05 m from the object's."""
+    edge: Vec3 = (2.0, 1.2, -0.1)
+    track = settled(edge)
+    view = Framed([edge])
+    assert not is_cut(view.boxes()[0], CAMERA)
+    begun_ns = track.stamp_ns
+    at_border: Vec3 = (2.0, 1.3, -0.1)
+    for k in range(1, 101):
+        view = Framed([at_border], begun_ns + k * SECOND // 50)
+        assert is_cut(view.boxes()[0], CAMERA)
+        assert follow(view, T_N_C, CAMERA, track) is MissReason.NO_TARGET  # no evidence for the other drone
+        assert track.seen_ns == view.stamp_ns
+    assert norm(track.velocity_n_mps) < 0.02
+    assert math.dist(track.position_n_m, at_border) < 0.04
+    assert isinstance(follow(Framed([edge], track.stamp_ns + SECOND // 50), T_N_C, CAMERA, track), Sighting)
+
+
 def test_what_was_seen_beside_the_target_is_never_taken_for_it() -> None:
     """The target is not detected for a while; the look-alike 0.3 m beside it is, alone, all the time."""
     track, other = settled(PLACE), beside(PLACE, 0.3)
@@ -273,6 +327,29 @@ def test_the_past_is_not_predicted_by_going_back() -> None:
     track = settled(PLACE)
     track.velocity_n_mps = (1.0, 0.0, 0.0)
     assert track.predict(track.stamp_ns - SECOND)[0] == track.position_n_m
+
+
+def test_a_velocity_is_flown_by_as_far_as_it_is_known() -> None:
+    track = TargetTrack(PLACE, 0)
+    assert track.believed(SECOND) == (PLACE, (0.0, 0.0, 0.0))
+    for k in range(1, 101):
+        track.update(beside(PLACE, 0.4 * k / 50), k * SECOND // 50)
+    at_once, velocity = track.believed(track.stamp_ns)
+    assert at_once == track.position_n_m
+    assert velocity == pytest.approx(track.velocity_n_mps, abs=0.01)
+    later = [track.believed(track.stamp_ns + k * SECOND // 4) for k in range(25)]
+    east = [place[1] for place, _ in later]
+    assert east == sorted(east)  # never back
+    assert east[-1] - east[0] < 0.4**2 / 0.6 * math.pi / 2  # it may have braked
+    speeds = [norm(velocity) for _, velocity in later]
+    assert speeds == sorted(speeds, reverse=True) and speeds[8] < 0.15 * speeds[0]
+
+
+def test_a_velocity_that_is_not_known_yet_is_not_flown_by() -> None:
+    track = TargetTrack(PLACE, 0)
+    track.update(beside(PLACE, 0.1), SECOND // 25)
+    assert norm(track.velocity_n_mps) > 0.01
+    assert norm(track.believed(track.stamp_ns)[1]) < 0.1 * norm(track.velocity_n_mps)
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -52,12 +52,6 @@ def test_the_rigs_detector_finds_what_there_is_and_says_how_long_it_took(film: P
     assert len(list((tmp_path / "out").glob("*.jpg"))) == 8
 
 
-def test_a_tracker_between_detections_tells_what_became_of_its_tracks(film: Path) -> None:
-    text = said(DetectOptions(film, tracker="kcf", every=4))
-    assert "ColorDetector every 4, kcf between" in text
-    assert "of 8 frames detected" in text
-
-
 def test_a_model_is_tried_without_a_rig_of_its_own(film: Path, tmp_path: Path) -> None:
     model = bright_cells_network(tmp_path / "bright.onnx", 160, 3)
     assert "YoloxDetector: " in said(DetectOptions(film, model=model, min_score=0.6))
@@ -70,8 +64,6 @@ def test_what_is_asked_wrongly_is_said(film: Path, tmp_path: Path) -> None:
         run(DetectOptions(tmp_path / "gone.mp4"), io.StringIO())
     with pytest.raises(PartError, match="it has no detector"):
         run(DetectOptions(film, rig="sim"), io.StringIO())
-    with pytest.raises(PartError, match=r"every: 0 frames is not within 1\.\.1000"):
-        run(DetectOptions(film, tracker="kcf", every=0), io.StringIO())
 
 
 def test_the_first_frame_does_not_count_in_the_timings() -> None:

@@ -113,7 +113,7 @@ class ArduCopter:
 
 def test_arducopter_is_guided_before_it_arms_and_brakes_to_hold() -> None:
     async def fly(copter: ArduCopter, port: int, wire: Wire) -> None:
-        async with vehicle_at(port, command_timeout_s=0.3) as vehicle:
+        async with vehicle_at(port, command_timeout_s=0.3, rc="none") as vehicle:
             await vehicle.wait_armable(LIMIT_S)
             assert vehicle.state.mode is FlightMode.OTHER
             assert vehicle.state.battery == pytest.approx(0.8)

@@ -329,6 +329,7 @@ def test_a_bad_rig_is_refused_by_name(write: Write, old: str, new: str, expected
         ("fake_parts", "sender.vehicle.factory: 'fake_parts' is not module:Class"),
         ("fake:parts:Fake", "sender.vehicle.factory: 'fake:parts:Fake' is not module:Class"),
         ("fake_parts:Fakee", "sender.vehicle.factory: fake_parts has no Fakee (did you mean 'Fake'?)"),
+        ("drivers.detectors.tracked:TrackedDetector", "TrackedDetector is no longer offered: it cost more than the"),
         ("no_such_module:Fake", "sender.vehicle.factory: cannot import no_such_module"),
         ("fake_parts:NoPart", "sender.vehicle.factory: fake_parts:NoPart is no part"),
     ],

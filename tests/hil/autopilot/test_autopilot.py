@@ -8,6 +8,7 @@ import pytest
 
 from drivers.interfaces import FlightMode, VelocitySetpoint
 from hil.autopilot.autopilot import Ack, Autopilot, AutopilotConfig, Estimate
+from hil.autopilot.values import FenceConfig
 from path.rotation import quat_from_rpy, yaw_of
 
 TICK_S = 0.02
@@ -387,3 +388,21 @@ def test_a_kill_switch_stops_the_motors_in_the_air_and_nothing_starts_them_again
     assert not bench.autopilot.armed
     assert not bench.autopilot.request_arm(bench.now_s, True).accepted
     assert bench.autopilot.status_texts[-1].text == "Arming denied: kill switch engaged"
+
+
+@pytest.mark.parametrize(
+    ("action", "mode"),
+    [(2, FlightMode.HOLD), (3, FlightMode.RETURN), (5, FlightMode.LAND), (1, FlightMode.OFFBOARD)],
+)
+def test_outside_its_own_fence_the_autopilot_acts_by_itself_and_once(action: int, mode: FlightMode) -> None:
+    bench = Bench(AutopilotConfig(settle_s=0.0, fence=FenceConfig(action, radius_m=2.0, height_m=4.0)))
+    bench.fly(1.5)
+    bench.run(0.1, NORTH)
+    assert bench.request(FlightMode.OFFBOARD).accepted
+    bench.run(4.0, NORTH)
+    assert bench.autopilot.mode is mode
+    assert bool(bench.autopilot.failsafe) is (action != 1)
+    if mode is FlightMode.HOLD:
+        assert bench.request(FlightMode.OTHER, by_pilot=True).accepted
+        bench.run(1.0)
+        assert (bench.autopilot.mode, bench.autopilot.failsafe) == (FlightMode.OTHER, "")

@@ -177,13 +177,13 @@ def test_the_prearm_bit_follows_the_autopilot(bench: Bench) -> None:
     assert bench.of("SYS_STATUS")[-1].onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_PREARM_CHECK
 
 
-def test_parameters_are_listed_and_only_the_take_off_height_can_be_set(bench: Bench) -> None:
+def test_parameters_are_listed_and_what_is_set_takes_effect(bench: Bench) -> None:
     bench.send(mavlink.MAVLink_param_request_list_message(SYSID, 1))
     bench.run(STEP_S)
     listed = bench.of("PARAM_VALUE")
     assert [value.param_index for value in listed] == list(range(listed[0].param_count))
     whole = next(value for value in listed if value.param_id == "COM_RC_IN_MODE")
-    assert struct.unpack("<i", struct.pack("<f", whole.param_value)) == (4,)
+    assert struct.unpack("<i", struct.pack("<f", whole.param_value)) == (0,)
 
     def set_to(name: bytes, value: float, kind: int = 9) -> float:
         bench.heard.clear()
@@ -194,7 +194,15 @@ def test_parameters_are_listed_and_only_the_take_off_height_can_be_set(bench: Be
     assert set_to(b"MIS_TAKEOFF_ALT", 2.25) == 2.25
     assert set_to(b"MIS_TAKEOFF_ALT", math.nan) == 2.25
     assert set_to(b"MIS_TAKEOFF_ALT", 1e6) == 2.25
-    assert set_to(b"COM_OF_LOSS_T", 60.0) == pytest.approx(QUICK.offboard_loss_s)
+    assert set_to(b"COM_OF_LOSS_T", 60.5) == pytest.approx(QUICK.offboard_loss_s)  # out of its bounds
+    assert set_to(b"COM_OF_LOSS_T", 2.0) == 2.0
+    assert bench.drone.autopilot.config.offboard_loss_s == 2.0
+    assert set_to(b"COM_RC_IN_MODE", 4.0) == 0.0  # of another type
+    ignored = struct.unpack("<f", struct.pack("<i", 4))[0]
+    assert set_to(b"COM_RC_IN_MODE", ignored, 6) == ignored
+    assert not bench.drone.autopilot.config.radio.hears
+    set_to(b"COM_OBL_RC_ACT", struct.unpack("<f", struct.pack("<i", 0))[0], 6)
+    assert struct.unpack("<i", struct.pack("<f", bench.of("PARAM_VALUE")[-1].param_value)) == (4,)  # it lands
 
 
 def test_velocity_and_position_setpoints_fly(bench: Bench) -> None:

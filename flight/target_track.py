@@ -1,0 +1,100 @@
+"""The track of one object: a constant-velocity filter in NED, how far it can have come, and what to fly by."""
+
+from __future__ import annotations
+
+import math
+
+from flight.guidance import Vec3, add, scale, subtract
+
+_MEASUREMENT_SIGMA_M = 0.05
+_ACCELERATION_SIGMA_MPS2 = 0.6
+_GATE_FLOOR_M = 0.10  # a box's noise, and an attitude a degree off
+_GATE_MOST_M = 0.45  # a track that knows no better does not know which object it would find
+_GATE_LEAST_M = 0.05
+_RIVAL_SHARE = 0.4  # of the way to the nearest other object: where that is known to be, the gate ends before it
+_RIVAL_S = 3.0  # for so long an object that was seen beside the target is taken to be there still
+_UNSEEN_REACH_M = 2.0  # no object is looked for farther off
+_CUT_SIGMA_M = 0.15  # of the place that such a box gives
+
+
+class TargetTrack:
+    """Position and velocity of one object in ``n``; the same filter on each axis (Kalman, constant velocity).
+
+    ``accel_mps2``: how hard it may be expected to speed up, brake and turn.
+    """
+
+    def __init__(self, position_n_m: Vec3, stamp_ns: int, accel_mps2: float = _ACCELERATION_SIGMA_MPS2) -> None:
+        self.position_n_m = position_n_m
+        self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
+        self.stamp_ns = stamp_ns
+        self.seen_ns = stamp_ns
+        self.rival_m = math.inf  # from the target to the nearest other object
+        self.rival_ns = stamp_ns
+        self._accel_mps2 = accel_mps2
+        self._pp = 0.3**2
+        self._pv = 0.0
+        self._vv = 0.5**2
+        self.size_m: tuple[float, float] | None = None  # of its box, where it was last seen whole
+
+    def predict(self, stamp_ns: int) -> tuple[Vec3, float]:
+        """Position (m) and its standard deviation per axis at a stamp, the filter left as it is."""
+        dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
+        variance = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + (self._accel_mps2 * dt * dt / 2) ** 2
+        return add(self.position_n_m, scale(self.velocity_n_mps, dt)), math.sqrt(variance)
+
+    def reach_m(self, stamp_ns: int) -> float:
+        """How far from its prediction the object can have come by a stamp: by what is not known of it, and by driving.
+
+        ``accel_mps2`` is a bound here: what is farther off is another object.
+        """
+        dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
+        sigma_m = math.sqrt(self._pp + 2.0 * dt * self._pv + dt * dt * self._vv)
+        return min(_GATE_FLOOR_M + 3.0 * sigma_m + 0.5 * self._accel_mps2 * dt * dt, _UNSEEN_REACH_M)
+
+    def believed(self, stamp_ns: int) -> tuple[Vec3, Vec3]:
+        """Position (m) and velocity to fly by: the velocity counts as far as it is known, and less the longer ago.
+
+        It counts v^4 / (v^4 + s^4), where s is its standard deviation, and after t seconds v^2 / (v^2 + (a t)^2) of
+        that, where a is ``accel_mps2``: an object that is out of sight may brake.
+        """
+        dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
+        speed2 = sum(v * v for v in self.velocity_n_mps)
+        known = speed2 * speed2 / (speed2 * speed2 + self._vv * self._vv)
+        braked = self._accel_mps2 * dt / math.sqrt(speed2) if speed2 > 1e-9 else 0.0
+        driven_s = dt * known * (math.atan(braked) / braked if braked > 1e-6 else 1.0)
+        share = known / (1.0 + braked * braked)
+        return add(self.position_n_m, scale(self.velocity_n_mps, driven_s)), scale(self.velocity_n_mps, share)
+
+    def gate_m(self, sigma_m: float, stamp_ns: int) -> float:
+        """How far from its prediction, with this standard deviation, the object may be found at a stamp."""
+        most_m = min(_GATE_MOST_M, _RIVAL_SHARE * self.rival_m) if self._rival_known(stamp_ns) else _GATE_MOST_M
+        return max(_GATE_LEAST_M, min(3.0 * sigma_m + _GATE_FLOOR_M, most_m))
+
+    def note_rival(self, distance_m: float, stamp_ns: int) -> None:
+        """Another object was seen that far from this one; a nearer one is remembered for a while."""
+        if distance_m <= self.rival_m or not self._rival_known(stamp_ns):
+            self.rival_m, self.rival_ns = distance_m, stamp_ns
+
+    def _rival_known(self, stamp_ns: int) -> bool:
+        return stamp_ns - self.rival_ns <= _RIVAL_S * 1e9
+
+    def update(self, measured_n_m: Vec3, stamp_ns: int, *, cut: bool = False) -> None:
+        """Fuse one measured position; older stamps than the newest are ignored.
+
+        ``cut``: from a box that the image's border cuts; it bounds the position, and says nothing of the velocity.
+        """
+        dt = (stamp_ns - self.stamp_ns) * 1e-9
+        if dt < 0.0:
+            return
+        q = self._accel_mps2**2
+        position = add(self.position_n_m, scale(self.velocity_n_mps, dt))
+        pp = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + q * dt**4 / 4.0
+        pv = self._pv + dt * self._vv + q * dt**3 / 2.0
+        vv = self._vv + q * dt * dt
+        noise = (_CUT_SIGMA_M if cut else _MEASUREMENT_SIGMA_M) ** 2
+        gain_p, gain_v = pp / (pp + noise), 0.0 if cut else pv / (pp + noise)
+        innovation = subtract(measured_n_m, position)
+        self.position_n_m = add(position, scale(innovation, gain_p))
+        self.velocity_n_mps = add(self.velocity_n_mps, scale(innovation, gain_v))
+        self._pp, self._pv, self._vv = (1.0 - gain_p) * pp, (1.0 - gain_p) * pv, vv - gain_v * pv
+        self.stamp_ns = self.seen_ns = stamp_ns

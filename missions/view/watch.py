@@ -1,0 +1,90 @@
+"""Flights as they go, from the streams that ``--live`` serves: what Foxglove's WebSocket says, message by message."""
+
+from __future__ import annotations
+
+import base64
+import json
+import queue
+import struct
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+
+from mcap.records import Schema
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+PROTOCOL = Subprotocol("foxglove.sdk.v1")
+WAITING = 4096
+MESSAGE_BYTES = 1 << 24
+AGAIN_S = 1.0
+_HEAD = struct.Struct("<BIQ")
+_IS_MESSAGE = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    topic: str
+    schema: Schema
+    utc_ns: int
+    data: bytes
+
+
+class Watcher:
+    """Several streams at once, each in a thread that ends with the program.
+
+    A stream that is not there yet, or is lost, is asked for again every second. When messages come faster than they
+    are drawn the oldest are dropped.
+    """
+
+    def __init__(self, *addresses: str) -> None:
+        self._heard: queue.Queue[Heard] = queue.Queue(WAITING)
+        for address in addresses:
+            threading.Thread(target=self._watch, args=(address,), daemon=True).start()
+
+    def next(self, timeout_s: float) -> Heard | None:
+        with suppress(queue.Empty):
+            return self._heard.get(timeout=timeout_s)
+        return None
+
+    def _watch(self, address: str) -> None:
+        while True:
+            with suppress(OSError, WebSocketException, ValueError, KeyError), _dialled(address) as stream:
+                self._listen(stream)
+            time.sleep(AGAIN_S)
+
+    def _listen(self, stream: ClientConnection) -> None:
+        topics: dict[int, tuple[str, Schema]] = {}
+        for word in stream:
+            if isinstance(word, str):
+                told = json.loads(word)
+                if told.get("op") == "advertise":
+                    new = {each["id"]: (each["topic"], _schema(each)) for each in told["channels"]}
+                    topics |= new
+                    wanted = [{"id": number, "channelId": number} for number in new]
+                    stream.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+            elif len(word) >= _HEAD.size and word[0] == _IS_MESSAGE:
+                _, number, utc_ns = _HEAD.unpack_from(word)
+                self._put(Heard(*topics[number], utc_ns, word[_HEAD.size :]))
+
+    def _put(self, heard: Heard) -> None:
+        while True:
+            try:
+                self._heard.put_nowait(heard)
+                return
+            except queue.Full:
+                with suppress(queue.Empty):
+                    self._heard.get_nowait()
+
+
+def _dialled(address: str) -> ClientConnection:
+    return connect(f"ws://{address}", subprotocols=[PROTOCOL], max_size=MESSAGE_BYTES, proxy=None)
+
+
+def _schema(channel: dict[str, str]) -> Schema:
+    """Binary ones are in base64."""
+    encoding, text = channel.get("schemaEncoding", ""), channel["schema"]
+    data = base64.b64decode(text) if encoding == "protobuf" else text.encode()
+    return Schema(0, data, encoding, channel["schemaName"])

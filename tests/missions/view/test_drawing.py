@@ -1,0 +1,96 @@
+"""A run as Rerun has it: read back by Rerun's own program."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from importlib import util
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+
+import pytest
+
+from drivers.interfaces import PartError
+from missions.options import ViewOptions
+from missions.view import command
+from missions.view.command import run as run_view
+from missions.view.figures import Figures
+
+DRAWN = {
+    "/sender/3d/body/boxes",
+    "/sender/3d/frustum/lines",
+    "/sender/3d/marker/lines",
+    "/sender/3d/target/ellipsoids",
+    "/sender/3d/fence/lines",
+    "/receiver/3d/separation/lines",
+    "/receiver/3d/target/ellipsoids",
+    "/world/3d/truth/boxes",
+    "/tf/sender/camera",
+    "/tf/receiver/marker_seen",
+    "/sender/image",
+    "/sender/boxes",
+    "/receiver/boxes",
+    "/receiver/verdict",
+    "/receiver/pinhole",
+    "/sender/log",
+    "/plots/overlap/sender/iou",
+    "/plots/overlap/sender/tau",
+    "/plots/separation/receiver/marker_m",
+    "/plots/separation/world/true_m",
+    "/plots/link/sender/bytes_sent_per_s",
+    "/plots/age/receiver/frame_ms",
+    "/plots/processor/sender/thread",
+}
+
+
+def test_everything_that_is_drawn_is_in_reruns_file(
+    run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rrd = tmp_path / "run.rrd"
+    assert run_view(ViewOptions((run_folder,), save=rrd)) == 0
+    assert capsys.readouterr().out == f"{rrd}\n"
+    stats = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "stats", str(rrd)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    entities = set(re.findall(r"^(/\S+):", stats.stdout, re.MULTILINE))
+    assert DRAWN - entities == set()
+    assert any(entity.startswith("/view/") for entity in entities)  # the blueprint
+
+
+def test_a_single_log_can_be_looked_at(run_folder: Path, tmp_path: Path) -> None:
+    assert run_view(ViewOptions((run_folder / "receiver.mcap",), save=tmp_path / "one.rrd")) == 0
+    assert (tmp_path / "one.rrd").stat().st_size > 10_000
+
+
+def test_without_rerun_the_fix_is_said(run_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def find_spec(name: str) -> ModuleSpec | None:
+        return None if name == "rerun" else util.find_spec(name)
+
+    monkeypatch.setattr(command, "find_spec", find_spec)
+    with pytest.raises(PartError, match="looking at runs needs rerun") as refused:
+        run_view(ViewOptions((run_folder,)))
+    assert "-e '.[view]'" in refused.value.remedy
+
+
+def test_nothing_named_is_refused() -> None:
+    with pytest.raises(PartError, match="nothing is named"):
+        run_view(ViewOptions())
+
+
+def test_rates_are_of_the_seconds_between() -> None:
+    figures = Figures()
+    first = {"bytes_sent": 1000, "bytes_received": 0}
+    assert list(figures.of("/link", 0, first)) == []
+    second = {"bytes_sent": 2000, "bytes_received": 500}
+    assert dict(figures.of("/link", 500_000_000, second)) == {
+        "link/bytes_sent_per_s": 2000.0,
+        "link/bytes_received_per_s": 1000.0,
+    }
+    assert list(figures.of("/cpu", 0, {"spent_ns": {"thread": 0}})) == []
+    shares = figures.of("/cpu", 1_000_000_000, {"spent_ns": {"thread": 250_000_000}})
+    assert dict(shares) == {"processor/thread": 25.0}
