@@ -13,7 +13,6 @@ from contextlib import contextmanager
 
 from drivers.rig.parts import Rig
 from flight.harness.flights import Progress
-from path.marker.warm_up import is_compiled, warm_up_image, warm_up_pose
 from path.messages import Role
 
 RENDERED = ("renderer", "physics", "depth", "pose"), ("marker",)
@@ -29,6 +28,8 @@ def starting(role: Role, what: str) -> Progress:
 
 def prepare(rig: Rig, say: Callable[[str], None]) -> None:
     """The physics, the marker finder, and what the perception of this rig computes."""
+    from path.marker.warm_up import is_compiled  # noqa: PLC0415 (numba: not for who only starts programs)
+
     rendered = any("camera" in rig.role(role).perception.options for role in Role)
     own, others = RENDERED if rendered else FROM_GEOMETRY
     first = not is_compiled()
@@ -62,6 +63,18 @@ def helped(names: Sequence[str]) -> Generator[None]:
             process.wait()
 
 
+def _pose() -> None:
+    from path.marker.warm_up import warm_up_pose  # noqa: PLC0415
+
+    warm_up_pose()
+
+
+def _marker() -> None:
+    from path.marker.warm_up import warm_up_image  # noqa: PLC0415
+
+    warm_up_image()
+
+
 def _physics() -> None:
     from hil.world.world import World, WorldConfig  # noqa: PLC0415 (each process imports what it compiles)
 
@@ -91,8 +104,8 @@ def _depth() -> None:
 
 
 PARTS: Mapping[str, Callable[[], None]] = {
-    "pose": warm_up_pose,
-    "marker": warm_up_image,
+    "pose": _pose,
+    "marker": _marker,
     "physics": _physics,
     "geometry": _geometry,
     "renderer": _renderer,

@@ -19,7 +19,7 @@ from drivers.rig.parts import Rig, import_factory, with_errors
 from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleMain, RoleResult
 from flight.outcome import OBJECT_MONITOR, Outcome, violated_outcome
 from missions import rig_library
-from missions.leg.process import fly_role
+from missions.leg.process import fly_role, load_programs
 from missions.live.start import live
 from missions.options import ConformanceOptions, FlyOptions, HandoffOptions
 from missions.report.command import make_report, series_table, show, summarize_many
@@ -39,6 +39,8 @@ OF_TIME = frozenset(Outcome) - {
 MONITORS_OF_TIME = frozenset({"S7", "S8", OBJECT_MONITOR, "L1", "L2"})
 """What a computer that does not keep up can be the cause of: then it says nothing of the mission."""
 
+IN_PROCESS = ("sim", "sim-rendered")
+"""Levels at which both roles fly in this process."""
 _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
 
 
@@ -76,7 +78,7 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
 
     A run that ended in a named failure is counted, not an error; a wrong hand-over or a violated monitor is one.
     """
-    jobs = 1 if rig.level not in ("sim", "sim-rendered") else options.jobs or os.cpu_count() or 1
+    jobs = 1 if rig.level not in IN_PROCESS else options.jobs or os.cpu_count() or 1
     seeds = range(options.seed, options.seed + options.seeds)
     claim_result(folder / SUMMARY, '"failed_seeds"')
     for seed in seeds:
@@ -170,6 +172,8 @@ def fly_once(
 ) -> RunFacts:
     """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was asked wrongly."""
     harness = harness_of(rig)
+    if rig.level in IN_PROCESS:
+        load_programs()  # not while the run's time is measured
 
     def command(role: Role) -> Sequence[str]:
         return [
