@@ -33,6 +33,7 @@ from missions.options import (
     ReportOptions,
     RigsOptions,
     SenderOptions,
+    TeamOptions,
     TrialOptions,
     VerifyOptions,
     ViewOptions,
@@ -43,6 +44,7 @@ from path.bounds import out_of_bounds
 MODULES: dict[type[object], str] = {
     HandoffOptions: "handoff.command",
     RelayOptions: "relay.command",
+    TeamOptions: "team.command",
     FlyOptions: "own.command",
     SenderOptions: "leg.command",
     ReceiverOptions: "leg.command",
@@ -67,7 +69,7 @@ MODULES: dict[type[object], str] = {
 EXIT_REFUSED = CommandEnd.REFUSED.exit_code
 EXIT_CTRL_C = CommandEnd.STOPPED.exit_code
 EXIT_BROKEN_PIPE = CommandEnd.READER_GONE.exit_code
-LIVE_AT = "127.0.0.1:8765"
+USUAL = {"--live": "127.0.0.1:8765", "--gcs": "127.0.0.1:14550"}
 UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM)
 """Errors of the place that is written to, and not of PATH."""
 
@@ -78,6 +80,7 @@ examples:
   path-handoff handoff --rig sim --seed 7     the same course, as fast as it computes
   path-handoff handoff --fault link_loss=0.3  what happens when things go wrong
   path-handoff relay --drones 3 --hours 8     one target, handed round as batteries run down
+  path-handoff team                           three targets kept observed by six drones
   path-handoff replay runs/20261104-101500    what was decided, decided again from the logs
   path-handoff view runs/20261104-101500      the scene, both images, plots, words, in Rerun
   path-handoff fly mission.py --rig sim       a mission of your own (docs/own-missions.md)
@@ -96,6 +99,7 @@ examples:
 Command = (
     Annotated[HandoffOptions, tyro.conf.subcommand("handoff")]
     | Annotated[RelayOptions, tyro.conf.subcommand("relay")]
+    | Annotated[TeamOptions, tyro.conf.subcommand("team")]
     | Annotated[FlyOptions, tyro.conf.subcommand("fly")]
     | Annotated[SenderOptions, tyro.conf.subcommand("sender")]
     | Annotated[ReceiverOptions, tyro.conf.subcommand("receiver")]
@@ -171,10 +175,10 @@ def _carry_out(arguments: Sequence[str] | None) -> int:
 
 
 def _spelled_out(arguments: Sequence[str]) -> list[str]:
-    """``--live`` without an address has the usual one."""
+    """``--live`` and ``--gcs`` without an address have the usual one."""
     spelled: list[str] = []
     for word, following in zip(arguments, [*arguments[1:], "--"], strict=True):
-        spelled += [word, LIVE_AT] if word == "--live" and following.startswith("--") else [word]
+        spelled += [word, USUAL[word]] if word in USUAL and following.startswith("--") else [word]
     return spelled
 
 

@@ -79,6 +79,10 @@ class HandoffOptions:
     """Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 when no
     address is given. Other hosts than this one need a token (docs/view.md)."""
 
+    gcs: Live = None
+    """At `sitl`: let a ground station watch both vehicles, QGroundControl or MAVProxy, at this address; 127.0.0.1:14550
+    when none is given. A mode that it selects is a pilot's word (docs/ground-station.md)."""
+
     px4: FileName = None
     """PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too."""
 
@@ -127,6 +131,46 @@ class RelayOptions:
 
     picture: bool = True
     """Draw relay.png at the end."""
+
+
+@dataclass(frozen=True, slots=True)
+class TeamOptions:
+    """Keep many targets observed by many drones for hours, which relieve each other as batteries run down."""
+
+    rig: RigName = "team-sim"
+    """A rig with [team], [[drones]] and [[targets]] (docs/team.md)."""
+
+    drones: Annotated[int | None, Bounds(2, 1000, "drones")] = None
+    """How many drones; those of the rig by default, and a field laid out like it for more than it names."""
+
+    targets: Annotated[int | None, Bounds(1, 1000, "targets")] = None
+    """How many targets; those of the rig by default, and a field laid out like it for more than it names."""
+
+    hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
+    """For how long; then everybody comes home. By default as the rig says: 2 h in team-sim."""
+
+    seed: Seed = 0
+    """Seed of the world and of every noise: in simulated time the same seed is the same flight of the team."""
+
+    fault: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(name="fault", metavar="[LEG:]NAME[=VALUE][@MOMENT[+SECONDS]]"),
+        tyro.conf.UseAppendAction,
+    ] = ()
+    """What is to go wrong: in every leg, such as link_loss=0.3, or in one, such as 3:kill_receiver@approach; may be
+    given several times."""
+
+    out: OutFolder = None
+    """Folder for logs, summary and picture; runs/<time> by default."""
+
+    errors: Errors = None
+    """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
+
+    logs: bool = False
+    """Log everything, frame by frame, and not only what is decided: some 40 MB an hour and drone."""
+
+    picture: bool = True
+    """Draw team.png at the end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +235,10 @@ class FlyOptions:
     live: Live = None
     """Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 when no
     address is given. Other hosts than this one need a token (docs/view.md)."""
+
+    gcs: Live = None
+    """At `sitl`: let a ground station watch both vehicles, QGroundControl or MAVProxy, at this address; 127.0.0.1:14550
+    when none is given. A mode that it selects is a pilot's word (docs/ground-station.md)."""
 
     px4: FileName = None
     """PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too."""
@@ -267,10 +315,19 @@ class PrepareOptions:
 
 @dataclass(frozen=True, slots=True)
 class RigsOptions:
-    """List the rigs that come with PATH, or check one of your own."""
+    """List the rigs that come with PATH; write one of your own, or check it."""
 
     check: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
     """Check everything in this rig that can be checked without touching hardware, as before a flight."""
+
+    new: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
+    """Write a commented rig for the field into this file, and the key of its link beside it."""
+
+    autopilot: Literal["px4", "ardupilot"] = "px4"
+    """With --new: what flies both drones."""
+
+    camera: Literal["realsense"] = "realsense"
+    """With --new: what both drones see with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -435,8 +492,8 @@ class CampaignOptions:
     set, forged and repeated packets, pilots, a receiver that does not see the target). See docs/campaign.md.
     """
 
-    program: Literal["machines", "roles"] = "machines"
-    """machines: both protocol machines, real messages; roles: both whole role programs."""
+    program: Literal["machines", "roles", "team"] = "machines"
+    """machines: both protocol machines, real messages; roles: both whole role programs; team: whole teams."""
 
     runs: Annotated[int, Bounds(1, 100_000_000, "runs")] = 1000
     """How many runs, shared out among the levels."""
@@ -460,7 +517,10 @@ class CampaignOptions:
     """A Dask scheduler that does the work instead, such as tcp://192.168.1.5:8786."""
 
     rig: RigName = "sim"
-    """The rig that is flown, of level sim."""
+    """The rig that is flown, of level sim; with --program team it is team-sim by default."""
+
+    hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
+    """With --program team: how long each team flies; as its rig says by default."""
 
     junit: FileName = None
     """Write a JUnit file too: a test case a run, failed by what it violated, with the line that replays it."""

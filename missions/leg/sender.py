@@ -192,9 +192,12 @@ class Sender:
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
         """Leads to where the designated place is in view."""
+        return self._approach(self._view_of(self._designated()), (0.0, 0.0, 0.0), state)
+
+    def _designated(self) -> Vec3:
+        """Returns where the target was pointed at."""
         target = self._config.target
-        place = self._view_of((target.north_m, target.east_m, -target.height_m))
-        return self._approach(place, (0.0, 0.0, 0.0), state)
+        return target.north_m, target.east_m, -target.height_m
 
     def _approach(self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState) -> VelocitySetpoint:
         """To a moving place, and to rest there: past it the target would be below the image."""
@@ -249,10 +252,8 @@ class Sender:
 
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
         """Take the object at the designated place for the target once it was seen there in several frames."""
-        target = self._config.target
-        place = (target.north_m, target.east_m, -target.height_m)
         T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
-        found = acquire(view, T_n_c, self._camera, place, target.radius_m)
+        found = acquire(view, T_n_c, self._camera, self._designated(), self._config.target.radius_m)
         if isinstance(found, MissReason) or not self._well_inside(found[0].box):
             self._steady.clear()
             return

@@ -53,7 +53,7 @@ def warm_up_image() -> None:
     image = np.asarray(cv2.GaussianBlur(drawn, (0, 0), 0.8), dtype=np.uint8)
     shadow = np.where(np.arange(160)[None, :] > 80, 0.7, 1.0)  # what is asked only where the light is uneven
     for light in (shadow, 1.0):
-        found = detect_markers(np.asarray(image * light, dtype=np.uint8), None, layout, camera)
+        found = detect_markers(np.asarray(image * light, dtype=np.uint8), None, layout, camera, thorough=False)
         if not found:
             raise RuntimeError("a drawn marker was not found: reinstall numba and OpenCV")
 
