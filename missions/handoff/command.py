@@ -35,6 +35,7 @@ from missions.run_folder import claim_result, claimed, new_folder, refuse_foreig
 from missions.shown import say_unwritten
 from path.messages import Role
 
+_A_HARNESS = "write one as the rigs of `path-handoff rigs` do, or leave it out"
 _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
 
 
@@ -165,7 +166,13 @@ def harness_of(rig: Rig) -> Harness:
             f"rig {rig.name} is flown from its drones: it has no harness",
             f"start `path-handoff sender --rig {named}` on D1 and `path-handoff receiver --rig {named}` on D2",
         )
-    return import_factory(rig.harness, rig.where("harness"))()
+    try:
+        harness = import_factory(rig.harness, rig.where("harness"))()
+    except TypeError as error:
+        raise PartError(f"{rig.where('harness')}: {rig.harness} is no harness: {error}", _A_HARNESS) from error
+    if not callable(getattr(harness, "fly", None)):
+        raise PartError(f"{rig.where('harness')}: {rig.harness} is no harness: it has no `fly`", _A_HARNESS)
+    return harness
 
 
 @dataclass(frozen=True, slots=True)
