@@ -23,7 +23,7 @@ from path.evidence import (
     strength,
 )
 from path.observations import MissReason
-from path.window import AgreementWindow, FramePair
+from path.window import AgreementWindow, FramePair, Offsets
 
 MS = 1_000_000
 PERIOD = 20 * MS
@@ -31,12 +31,13 @@ METHOD = MethodConfig(gate="evidence")
 OWN = METHOD.evidence
 TAU = 0.4
 CLEAR = 0.8
+ON_TARGET = Offsets((0.0, 0.0))
 
 
 def pair_of(index: int, period_ns: int = PERIOD) -> FramePair:
     """The index-th pair of a steady stream; the sequence wraps on the way."""
     own = (index, index * period_ns), (index + 1, (index + 1) * period_ns)
-    return FramePair((65_500 + index) % 65_536, index * period_ns + 3 * MS, own)
+    return FramePair((65_500 + index) % 65_536, index * period_ns + 3 * MS, own, ON_TARGET)
 
 
 def feed(gate: EvidenceGate, indices: range, iou: float = CLEAR) -> int | None:
