@@ -37,6 +37,7 @@ from path.messages import Role
 
 IN_PROCESS = ("sim", "sim-rendered")
 """Levels at which both roles fly in this process."""
+_A_HARNESS = "write one as the rigs of `path-handoff rigs` do, or leave it out"
 _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
 
 
@@ -167,7 +168,13 @@ def harness_of(rig: Rig) -> Harness:
             f"rig {rig.name} is flown from its drones: it has no harness",
             f"start `path-handoff sender --rig {named}` on D1 and `path-handoff receiver --rig {named}` on D2",
         )
-    return import_factory(rig.harness, rig.where("harness"))()
+    try:
+        harness = import_factory(rig.harness, rig.where("harness"))()
+    except TypeError as error:
+        raise PartError(f"{rig.where('harness')}: {rig.harness} is no harness: {error}", _A_HARNESS) from error
+    if not callable(getattr(harness, "fly", None)):
+        raise PartError(f"{rig.where('harness')}: {rig.harness} is no harness: it has no `fly`", _A_HARNESS)
+    return harness
 
 
 @dataclass(frozen=True, slots=True)
