@@ -279,8 +279,11 @@ class RoleSession:
         return (total - first) / (now_s - first_s) if now_s > first_s else 0.0
 
     def log_image(self, view: View, wanted: bool = False) -> None:
-        """Log the camera's image, ``image_hz`` times a second at the most, unless this one is ``wanted``."""
-        period_ns = round(1e9 / self.config.image_hz)
+        """Log the camera's image, ``image_hz`` times a second at the most, unless this one is ``wanted``.
+
+        At 0 those alone are logged.
+        """
+        period_ns = round(1e9 / self.config.image_hz) if self.config.image_hz > 0.0 else 1 << 63
         if view.stamp_ns - self._image_ns < (1 if wanted else period_ns):
             return
         image = view.image()
@@ -420,7 +423,7 @@ async def open_session(
 ) -> RoleSession:
     """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after. Raises PartError."""
     cv2.setNumThreads(1)  # frames are small: more threads cost more than they gain, and take the other processes' cores
-    warm_up()
+    warm_up(images=harness is None or "camera" in rig.role(role).perception.options)
     if harness is None:
         gc.freeze()  # what is loaded by now stays: collections in flight need not walk it, for 0.1 s each
     context = part_context(rig, role, harness)

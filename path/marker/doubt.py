@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from path.compiled import kernel
 from path.marker.kernels import Array, distort, inverse
 from path.marker.pose_kernels import linearize, normal
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def widen(
     R: Array, t: Array, points: Array, pixels: Array, whitening: Array, lens: Array, down: Array, weight: float,
     doubts: Array, out: Array,
