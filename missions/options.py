@@ -344,7 +344,7 @@ class ReplayOptions:
     """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4; may be given several
     times. Without any (and without --gate) every decision must come out as it was logged."""
 
-    gate: Literal["consecutive", "evidence"] | None = None
+    gate: Literal["count", "evidence"] | None = None
     """The gate to decide with instead."""
 
     picture: bool = True
@@ -426,6 +426,10 @@ class TrialOptions:
     rig: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
     """The rig; by default sim-rendered, whose harness knows the truth; `dynamic` for `beacon`, `sim-field` for
     `rendezvous`, `sitl` for `soak`."""
+
+    errors: Errors = None
+    """How far the world of flights and Monte-Carlo hand-overs is from what the rig says (docs/errors.md); careful
+    unless the rig says otherwise. `static` and `ambiguity` have errors of their own."""
 
     xfeat: FileName = None
     """Weights of XFeat (ONNX), for the trials that compare with it; without them XFeat is left out."""
