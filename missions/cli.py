@@ -26,6 +26,7 @@ from missions.options import (
     GuardOptions,
     HandoffOptions,
     MergeOptions,
+    PrepareOptions,
     ReceiverOptions,
     RelayOptions,
     ReplayOptions,
@@ -49,6 +50,7 @@ MODULES: dict[type[object], str] = {
     ReceiverOptions: "leg.command",
     GuardOptions: "guard.command",
     DoctorOptions: "doctor.command",
+    PrepareOptions: "prepare",
     RigsOptions: "rig_list",
     ReportOptions: "report.command",
     ReplayOptions: "replay.command",
@@ -83,6 +85,7 @@ examples:
   path-handoff view runs/20261104-101500      the scene, both images, plots, words, in Rerun
   path-handoff fly mission.py --rig sim       a mission of your own (docs/own-missions.md)
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
+  path-handoff prepare --rig my-rig.toml      compile its kernels now, so that no later start does
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field
   path-handoff calibrate camera --images views --out d1.camera.toml
   path-handoff detect film.mp4 --model yolox.onnx --classes car
@@ -102,6 +105,7 @@ Command = (
     | Annotated[ReceiverOptions, tyro.conf.subcommand("receiver")]
     | Annotated[GuardOptions, tyro.conf.subcommand("guard")]
     | Annotated[DoctorOptions, tyro.conf.subcommand("doctor")]
+    | Annotated[PrepareOptions, tyro.conf.subcommand("prepare")]
     | Annotated[RigsOptions, tyro.conf.subcommand("rigs")]
     | Annotated[ReportOptions, tyro.conf.subcommand("report")]
     | Annotated[ReplayOptions, tyro.conf.subcommand("replay")]

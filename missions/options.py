@@ -306,6 +306,14 @@ class DoctorOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class PrepareOptions:
+    """Compile the kernels of a rig now: for images, for services, and before the first flight of a day."""
+
+    rig: RigName = "sitl"
+    """A rig by name (see `path-handoff rigs`), or a rig's TOML file."""
+
+
+@dataclass(frozen=True, slots=True)
 class RigsOptions:
     """List the rigs that come with PATH; write one of your own, or check it."""
 

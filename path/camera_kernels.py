@@ -9,10 +9,10 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from path.camera import UNDISTORT_ITERATIONS, UNDISTORT_STEP, CameraModel
+from path.compiled import inner, kernel
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ def lens_of(camera: CameraModel) -> Array:
     return np.array([*focal_and_centre, *camera.distortion, *limits], dtype=np.float64)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def ray(lens: Array, u: float, v: float) -> tuple[float, float]:
     """Undistorted normalised coordinates of a pixel, by Newton's method to 1e-12; NaN where there are none."""
     k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
@@ -54,7 +54,7 @@ def ray(lens: Array, u: float, v: float) -> tuple[float, float]:
     return math.nan, math.nan
 
 
-@njit(cache=True, nogil=True)
+@inner
 def project(lens: Array, x: float, y: float, z: float) -> tuple[float, float]:
     """Pixel of a point in the camera frame with z > 0."""
     x, y = x / z, y / z
@@ -66,7 +66,7 @@ def project(lens: Array, x: float, y: float, z: float) -> tuple[float, float]:
     return lens[0] * xd + lens[2], lens[1] * yd + lens[3]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def extent(lens: Array, points_c: Array, nearest_m: float) -> tuple[float, float, float, float, float]:
     """Returns the extent in the image of points (n, 3) beyond a distance: ``u0, v0, u1, v1`` and the least depth.
 

@@ -10,9 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from path.compiled import inner, kernel
 from path.marker.kernels import cholesky, exp_times
 from path.messages import Vec3
 
@@ -74,7 +74,7 @@ class Drift(NamedTuple):
     lever_v: Array
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def reported(reports: Reports, stamp_ns: int) -> tuple[float, float, float, float, float, float]:
     """Velocity, and way since the first report, at an instant: linear between reports, steady outside of them."""
     after = reports.many
@@ -94,7 +94,7 @@ def reported(reports: Reports, stamp_ns: int) -> tuple[float, float, float, floa
     return u, v, w, x + half * (a + u), y + half * (b + v), z + half * (c + w)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def velocity(own: Reports, peer: Reports, stamp_ns: int) -> Vec3:
     """Returns the velocity of the marker's drone minus the own one; zero while one of them reports none."""
     if own.many == 0 or peer.many == 0:
@@ -104,7 +104,7 @@ def velocity(own: Reports, peer: Reports, stamp_ns: int) -> Vec3:
     return u - a, v - b, w - c
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _way(own: Reports, peer: Reports, from_ns: int, to_ns: int) -> Vec3:
     """Returns the way of the marker's drone minus the own one's, by their reports, m."""
     if to_ns <= from_ns or own.many == 0 or peer.many == 0:
@@ -116,7 +116,7 @@ def _way(own: Reports, peer: Reports, from_ns: int, to_ns: int) -> Vec3:
     return x - u - d + a, y - v - e + b, z - w - f + c
 
 
-@njit(cache=True, nogil=True)
+@inner
 def carried(
     state: State, stamp_ns: int, to_R_n_c: Array, to_R_n_v: Array, levelled: bool, own: Reports, peer: Reports,
     drift: Drift,
@@ -135,15 +135,18 @@ def carried(
     tilt, yaw, free = spread * drift.tilt, spread * drift.yaw, spread * drift.free
     # the own one turns position and attitude together
     own_turn, peer_turn = (tilt, tilt, yaw), (tilt, tilt, yaw)
-    R_n_v = state.R_n_v
-    if not (levelled and state.levelled):
-        R_n_v, to_R_n_v, peer_turn = np.eye(3), np.eye(3), (free, free, free)
+    both_levelled = levelled and state.levelled
+    if not both_levelled:
+        peer_turn = (free, free, free)
     way = _way(own, peer, state.stamp_ns, stamp_ns)
-    p, R, e, R_n_c, lever_c, lever_v = state.p, state.R, state.e, state.R_n_c, drift.lever_c, drift.lever_v
+    p, R, e, R_n_c, R_n_v = state.p, state.R, state.e, state.R_n_c, state.R_n_v
+    lever_c, lever_v = drift.lever_c, drift.lever_v
     turn, turned_R, lever, moved = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     for i in range(3):
         for j in range(3):
-            turn[i, j] = to_R_n_v[i, 0] * R_n_v[j, 0] + to_R_n_v[i, 1] * R_n_v[j, 1] + to_R_n_v[i, 2] * R_n_v[j, 2]
+            turn[i, j] = 1.0 if i == j else 0.0
+            if both_levelled:
+                turn[i, j] = to_R_n_v[i, 0] * R_n_v[j, 0] + to_R_n_v[i, 1] * R_n_v[j, 1] + to_R_n_v[i, 2] * R_n_v[j, 2]
     for i in range(3):
         moved[i], lever[i] = p[i] + way[i] + e[i] * dt, 0.0
         for j in range(3):
@@ -153,21 +156,24 @@ def carried(
     return moved, turned_R, _covariance(state.P, turn, dt, walk, moved, own_turn, lever, peer_turn)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def predicted(
     state: State, stamp_ns: int, R_n_c: Array, R_n_v: Array, levelled: bool, own: Reports, peer: Reports, drift: Drift
 ) -> tuple[Array, Array, Array, Array]:
     """A state at a later instant: position in ``n``, and in the camera translation, rotation and covariance (6, 6)."""
     p, R, P = carried(state, stamp_ns, R_n_c, R_n_v, levelled, own, peer, drift)
-    R_c_n = np.empty((3, 3))
+    R_c_n, spread = np.empty((3, 3)), np.empty((6, 6))
     for i in range(3):
         for j in range(3):
             R_c_n[i, j] = R_n_c[j, i]
-    t_c, R_c_v, covariance = placed(R_c_n, p, R, P[:6, :6] + state.persistent)
+    for i in range(6):
+        for j in range(6):
+            spread[i, j] = P[i, j] + state.persistent[i, j]
+    t_c, R_c_v, covariance = placed(R_c_n, p, R, spread)
     return p, t_c, R_c_v, covariance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fused(
     before: State, seen: State, own: Reports, peer: Reports, drift: Drift, persistent_s: float, gate: float
 ) -> tuple[float, float, State]:
@@ -186,14 +192,15 @@ def fused(
     return distance2, angle, state
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _covariance(P: Array, turn: Array, dt: float, walk: float, p: Array, own: Vec3, lever: Array, peer: Vec3) -> Array:
     """``P`` after ``dt`` seconds; ``turn`` (3, 3) of the marker's drone, ``p`` and ``lever`` (3,) afterwards."""
-    half, out = P.copy(), np.empty((9, 9))
+    half, out = np.empty((9, 9)), np.empty((9, 9))
     for j in range(9):
         for i in range(3):
             half[i, j] = P[i, j] + dt * P[6 + i, j]
             half[3 + i, j] = turn[i, 0] * P[3, j] + turn[i, 1] * P[4, j] + turn[i, 2] * P[5, j]
+            half[6 + i, j] = P[6 + i, j]
     for i in range(9):
         for j in range(3):
             out[i, j] = half[i, j] + dt * half[i, 6 + j]
@@ -209,7 +216,7 @@ def _covariance(P: Array, turn: Array, dt: float, walk: float, p: Array, own: Ve
     return out
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _add_turned(P: Array, arm: Array, variances: Vec3) -> None:
     """Add a random turn ``d`` about the axes of ``n``: ``dp += d x arm``, ``dw += d``."""
     G = np.zeros((6, 3))
@@ -222,7 +229,7 @@ def _add_turned(P: Array, arm: Array, variances: Vec3) -> None:
                 P[i, j] += G[i, k] * variances[k] * G[j, k]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def turned(covariance: Array, R: Array) -> Array:
     """A pose's covariance (6, 6) in another frame: both halves turned by ``R`` (3, 3)."""
     half, out = np.empty((6, 6)), np.empty((6, 6))
@@ -239,7 +246,7 @@ def turned(covariance: Array, R: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True)
+@inner
 def placed(R_a_b: Array, p_b: Array, R_b_v: Array, covariance: Array) -> tuple[Array, Array, Array]:
     """A pose and its covariance (6, 6) in another frame, which is only turned: ``R_a_b p``, ``R_a_b R`` and so on."""
     p, R = np.empty(3), np.empty((3, 3))
@@ -250,7 +257,7 @@ def placed(R_a_b: Array, p_b: Array, R_b_v: Array, covariance: Array) -> tuple[A
     return p, R, turned(covariance, R_a_b)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def known_by(
     R_n_c: Array, t: Array, R_c_v: Array, covariance: Array, persistent: float, spread: float
 ) -> tuple[Array, Array, Array, Array]:
@@ -271,7 +278,7 @@ def known_by(
     return p, R, P, measured
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _surprise(p: Array, R: Array, seen_p: Array, seen_R: Array) -> Array:
     """Returns a measured pose's difference to the state's, (6,): ``seen_p - p``, the rotation vector to ``seen_R``."""
     out, D = np.empty(6), np.empty((3, 3))
@@ -292,7 +299,39 @@ def _surprise(p: Array, R: Array, seen_p: Array, seen_R: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True)
+@inner
+def _expected(P: Array, persistent: Array, seen_P: Array, seen_persistent: Array, kept: float) -> Array:
+    """Covariance (6, 6) of the difference between a state and a measured pose; arguments as in ``fuse``."""
+    S, size, seen_size = np.empty((6, 6)), 0.0, 0.0
+    for i in range(6):
+        size += persistent[i, i]
+        seen_size += seen_persistent[i, i]
+    change = 1.0 - kept * min(size, seen_size) / max(size, seen_size, 1e-30)
+    for i in range(6):
+        for j in range(6):
+            S[i, j] = P[i, j] + seen_P[i, j] + change * (persistent[i, j] + seen_persistent[i, j])
+    return S
+
+
+@inner
+def _white(S: Array, difference: Array, P: Array) -> tuple[Array, Array]:
+    """``S^-1/2`` of the difference (6,), and of the first six rows of P (6, 9); ``S`` is a Cholesky factor."""
+    white, W = np.empty(6), np.empty((6, 9))
+    for i in range(6):
+        white[i] = difference[i]
+        for j in range(9):
+            W[i, j] = P[i, j]
+        for k in range(i):
+            white[i] -= S[i, k] * white[k]
+            for j in range(9):
+                W[i, j] -= S[i, k] * W[k, j]
+        white[i] /= S[i, i]
+        for j in range(9):
+            W[i, j] /= S[i, i]
+    return white, W
+
+
+@inner
 def fuse(
     p: Array, R: Array, e: Array, P: Array, persistent: Array, seen_p: Array, seen_R: Array, seen_P: Array,
     seen_persistent: Array, kept: float, gate: float,
@@ -311,21 +350,13 @@ def fuse(
     """
     difference = _surprise(p, R, seen_p, seen_R)
     angle = math.sqrt(difference[3] ** 2 + difference[4] ** 2 + difference[5] ** 2)
-    error = e.copy()
-    size, seen_size = np.trace(persistent), np.trace(seen_persistent)
-    change = 1.0 - kept * min(size, seen_size) / max(size, seen_size, 1e-30)
-    S = P[:6, :6] + seen_P[:6, :6] + change * (persistent + seen_persistent)
+    error = np.empty(3)
+    for i in range(3):
+        error[i] = e[i]
+    S = _expected(P, persistent, seen_P, seen_persistent, kept)
     if not cholesky(S):
         return math.nan, angle, error
-    white, W = np.empty(6), np.empty((6, 9))  # S^-1/2 of the difference, and of the rows of P
-    for i in range(6):
-        white[i] = difference[i]
-        W[i] = P[i]
-        for k in range(i):
-            white[i] -= S[i, k] * white[k]
-            W[i] -= S[i, k] * W[k]
-        white[i] /= S[i, i]
-        W[i] /= S[i, i]
+    white, W = _white(S, difference, P)
     distance2 = 0.0
     for i in range(6):
         distance2 += white[i] * white[i]
@@ -339,5 +370,8 @@ def fuse(
         for i in range(3):
             p[i] += correction[i]
             error[i] += correction[6 + i]
-        R[:] = exp_times(correction[3:6], R)
+        turned_R = exp_times(correction[3:6], R)
+        for i in range(3):
+            for j in range(3):
+                R[i, j] = turned_R[i, j]
     return distance2, angle, error

@@ -244,7 +244,7 @@ class Standards:
         if position is not None and self._due("/3d", stamp_ns):
             w, x, y, z = record["rotation_v_c2"]
             back = (w, -x, -y, -z)
-            marker_c = -_turned(back, position)
+            marker_c = [-along for along in _turned(back, position)]
             yield "/tf", FrameTransforms(transforms=[_moved(stamp_ns, self.camera, self._seen, marker_c, back)])
             yield "/3d", SceneUpdate(entities=[self._distance(stamp_ns, marker_c)])
         candidate = self._newest.get("/candidate")
@@ -318,7 +318,7 @@ class Standards:
             half = each["yaw"] / 2.0
             turn = (math.cos(half), 0.0, 0.0, math.sin(half))
             for part in self._scene["boxes"]:
-                center = np.array(each["t"]) + _turned(turn, part["c"])
+                center = [at + off for at, off in zip(each["t"], _turned(turn, part["c"]), strict=True)]
                 cubes.append(CubePrimitive(pose=_pose(center, turn), size=_vector(part["s"]), color=color))
         yield "/3d", SceneUpdate(entities=[self._entity(stamp_ns, "world", "truth", cubes=cubes)])
 
@@ -346,11 +346,11 @@ def _verdict(pair: Record) -> str:
     return f"IoU {pair['iou']:.2f}{tau}  {count}"
 
 
-def _turned(q: Sequence[float], point: Sequence[float]) -> Any:
-    w, *vector = q
-    axis, p = np.array(vector), np.array(point, float)
-    t = 2.0 * np.cross(axis, p)
-    return p + w * t + np.cross(axis, t)
+def _turned(q: Sequence[float], point: Sequence[float]) -> tuple[float, float, float]:
+    w, a, b, c = q
+    x, y, z = point
+    u, v, s = 2.0 * (b * z - c * y), 2.0 * (c * x - a * z), 2.0 * (a * y - b * x)
+    return x + w * u + (b * s - c * v), y + w * v + (c * u - a * s), z + w * s + (a * v - b * u)
 
 
 def _pose(t: Sequence[float], q: Sequence[float]) -> Pose:

@@ -11,10 +11,10 @@ are apart, and the nearest one wins.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from path.camera import CameraModel
+from path.compiled import inner, kernel
 from path.geometry import Pose
 
 NOTHING = 65535  # while the nearest is sought; 0 when done
@@ -95,7 +95,7 @@ def _half_px(depth: CameraModel, color: CameraModel, rays: NDArray[np.float64]) 
     return np.array(halves, np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _place(measured, linear, columns, r, t_mm, unit_mm, near, far, lens, max_r2, half, size, cells):
     """Computes where a row of depth pixels lies in the colour image.
 
@@ -130,7 +130,7 @@ def _place(measured, linear, columns, r, t_mm, unit_mm, near, far, lens, max_r2,
         depth[c] = INT(z + HALF) if believed else INT(NOTHING)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _register(depth, linear, columns, t_mm, unit_mm, near, far, lens, max_r2, half, cells, out):
     """Fill ``out``: the nearest of what falls on a pixel, 0 where nothing does."""
     out[:] = NOTHING

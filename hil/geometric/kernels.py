@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-kernel = njit(cache=True, nogil=True, error_model="numpy")
+from path.compiled import inner, kernel
 
 # Columns of a placed box: rotation camera -> box (3 x 3), the camera's centre in box coordinates, half sides; x0 y0 x1
 # y1 in the image, with a margin for edges that the lens bends.
@@ -32,7 +31,7 @@ NEAREST_M = 0.05
 UNDISTORT_STEPS = 8
 
 
-@kernel
+@inner
 def distorted(lens, x, y):
     """Pixel of normalised coordinates."""
     r2 = x * x + y * y
@@ -42,7 +41,7 @@ def distorted(lens, x, y):
     return lens[0] * u + lens[2], lens[1] * v + lens[3]
 
 
-@kernel
+@inner
 def ray(lens, u, v):
     """Normalised coordinates of a pixel, by Newton's method with the derivative of the radial part only."""
     xd, yd = (u - lens[2]) / lens[0], (v - lens[3]) / lens[1]
@@ -56,7 +55,7 @@ def ray(lens, u, v):
     return x, y
 
 
-@kernel
+@inner
 def _place_box(R, t, centre, half, axes, lens, box, extent):
     """One box of a body with pose R, t (body to camera): fills its row and widens the body's extent."""
     for i in range(3):  # box coordinates = axes^T R^T (p_c - t) - axes^T centre
@@ -90,7 +89,7 @@ def _place_box(R, t, centre, half, axes, lens, box, extent):
     box[RECT + 2], box[RECT + 3] = x1 + MARGIN_PX, y1 + MARGIN_PX
 
 
-@kernel
+@inner
 def _place_body(R_c_w, eye, R_w, at, parts, lens, boxes, extent):
     """The boxes of one body with orientation R_w and position ``at`` in the world."""
     extent[X0] = extent[Y0] = extent[NEAR] = np.inf
@@ -137,7 +136,7 @@ def place(R_w_b, t_w_b, R_b_c, t_b_c, lens, things, car, other_R, other_t, drone
     _place_body(R_c_w, eye, other_R, other_t, drone, lens, boxes[cars * per_car :], extents[cars])
 
 
-@kernel
+@inner
 def _hit(boxes, k, x, y):
     """Depth at which the ray (x, y, 1) enters a box; inf when it misses."""
     enter, leave = 0.0, np.inf
@@ -155,7 +154,7 @@ def _hit(boxes, k, x, y):
     return enter if enter > 0.0 else np.inf
 
 
-@kernel
+@inner
 def nearest(boxes, extents, per_car, x, y, u, v, only):
     """Depth and body of the first box that the ray of pixel (u, v) meets; inf and -1 for none.
 
@@ -178,7 +177,7 @@ def nearest(boxes, extents, per_car, x, y, u, v, only):
     return best, who
 
 
-@kernel
+@inner
 def sample_rays(lens, x0, y0, x1, y1, n, pixels, rays):
     """Centres of n x n cells of a rectangle: pixels and rays (n * n, 2), rays interpolated between its corners."""
     corners = np.empty((4, 2))
@@ -202,7 +201,7 @@ def sample_rays(lens, x0, y0, x1, y1, n, pixels, rays):
 # answer however often it is asked.
 
 
-@kernel
+@inner
 def mix(state, value):
     """Fold an integer into a 64-bit state (the finaliser of splitmix64)."""
     z = (np.uint64(state) ^ np.uint64(value)) + np.uint64(0x9E3779B97F4A7C15)
@@ -223,7 +222,7 @@ def uniform(state):
     return (float(state >> np.uint64(11)) + 0.5) / 9007199254740992.0
 
 
-@kernel
+@inner
 def gauss(key, out):
     """Fill with standard normal numbers (Box-Muller)."""
     for i in range(0, out.size, 2):

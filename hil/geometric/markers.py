@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.geometric.kernels import EYE, NEAREST_M, distorted, gauss, kernel, mix, nearest, uniform
+from hil.geometric.kernels import EYE, NEAREST_M, distorted, gauss, mix, nearest, uniform
+from path.compiled import inner, kernel
 
 
 class MarkerNoise(NamedTuple):
@@ -72,7 +73,7 @@ def marker(boxes, extents, per_car, frame, lens, R, t, corners, region, scale, n
     return True
 
 
-@kernel
+@inner
 def _project(frame, lens, R, t, corners, at, pixels):
     """Corners in the camera frame, ``at`` (4, 3), and their pixels (4, 2); False when one is behind the camera."""
     for k in range(4):
@@ -88,16 +89,19 @@ def _project(frame, lens, R, t, corners, at, pixels):
     return True
 
 
-@kernel
+@inner
 def _inside(pixels, region, lens, margin):
     """Returns whether all corners, and ``margin`` px of white around them, are in the region and in the image."""
     low_u, low_v = max(region[0], -0.5) + margin, max(region[1], -0.5) + margin
     high_u, high_v = min(region[2], lens[9] - 0.5) - margin, min(region[3], lens[10] - 0.5) - margin
-    u, v = pixels[:, 0], pixels[:, 1]
-    return low_u <= u.min() and u.max() <= high_u and low_v <= v.min() and v.max() <= high_v
+    outside = 0
+    for k in range(pixels.shape[0]):
+        if not (low_u <= pixels[k, 0] <= high_u and low_v <= pixels[k, 1] <= high_v):
+            outside += 1
+    return outside == 0
 
 
-@kernel
+@inner
 def _facing(at):
     """Cosine between the print's normal and the line of sight; ``at`` (4, 3): corners in the camera frame."""
     across, up, middle = np.empty(3), np.empty(3), np.empty(3)
@@ -111,7 +115,7 @@ def _facing(at):
     return -(nx * middle[0] + ny * middle[1] + nz * middle[2]) / size
 
 
-@kernel
+@inner
 def _covered(boxes, extents, per_car, lens, at):
     """Returns whether a part of the sender is in front of the marker's middle or of a point near a corner."""
     for k in range(5):

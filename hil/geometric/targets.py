@@ -17,12 +17,12 @@ from hil.geometric.kernels import (
     Y0,
     Y1,
     gauss,
-    kernel,
     mix,
     nearest,
     sample_rays,
     uniform,
 )
+from path.compiled import inner, kernel
 from path.target import CORRELATED_PIXELS, MAD_TO_SIGMA, MEDIAN_TO_MEAN, OUTLIER_SIGMAS
 
 
@@ -126,12 +126,14 @@ def outlines(boxes, extents, per_car, lens, seen):
         _visible_part(own, who, car, seen.shape[0], left, top, wide / n, high / n, out)
 
 
-@kernel
+@inner
 def _visible_part(own, who, car, cars, left, top, cell_w, cell_h, out):
     """Shrink a car's box to the cells where it is visible (``who``) of those it covers (``own``), and note contacts."""
     n = CELLS
     bounds = np.empty((2, 4))  # of all, of the visible: first and last column, first and last row
-    bounds[:, 0::2], bounds[:, 1::2] = n, -1.0
+    for k in range(2):
+        bounds[k, 0] = bounds[k, 2] = n
+        bounds[k, 1] = bounds[k, 3] = -1.0
     total, visible = 0, 0
     for k in range(n * n):
         i, j = k // n, k % n
@@ -155,7 +157,7 @@ def _visible_part(own, who, car, cars, left, top, cell_w, cell_h, out):
     _contacts(who, car, cars, out)
 
 
-@kernel
+@inner
 def _contacts(who, car, cars, out):
     """The car with the longest common border in the image."""
     n = CELLS
@@ -170,17 +172,21 @@ def _contacts(who, car, cars, out):
                 _touch(border, who[k - n], car)
             if k < n * n - n:
                 _touch(border, who[k + n], car)
-    out[TOUCHED] = np.argmax(border) if border.max() > 0.0 else -1
-    out[CONTACT] = border.max() / n
+    longest = 0
+    for other in range(cars):
+        if border[other] > border[longest]:
+            longest = other
+    out[TOUCHED] = longest if border[longest] > 0.0 else -1
+    out[CONTACT] = border[longest] / n
 
 
-@kernel
+@inner
 def _widen(bounds, row, column):
     bounds[0], bounds[1] = min(bounds[0], column), max(bounds[1], column)
     bounds[2], bounds[3] = min(bounds[2], row), max(bounds[3], row)
 
 
-@kernel
+@inner
 def _touch(border, other, car):
     if other != car and 0 <= other < border.size:
         border[other] += 1.0
@@ -207,7 +213,8 @@ def detections(seen, lens, region, noise, key, slow_key, found):
     for car in range(cars):
         if taken[car] or seen[car, SHARE] <= noise.hidden_share:
             continue
-        edges[:] = seen[car, :4]
+        for k in range(4):
+            edges[k] = seen[car, k]
         own, slow = mix(mix(key, TARGETS), car), mix(mix(slow_key, TARGETS), car)
         gauss(own, draws)
         odd = _join(seen, car, taken, noise, slow_key, edges) or uniform(mix(slow, 100)) < noise.odd_rate
@@ -234,7 +241,7 @@ def detections(seen, lens, region, noise, key, slow_key, found):
     return count
 
 
-@kernel
+@inner
 def _join(seen, car, taken, noise, key, edges):
     """Widen ``edges`` to both cars when two that touch in the image are taken for one; whether that one looks odd."""
     other, cars = int(seen[car, TOUCHED]), seen.shape[0]
@@ -251,7 +258,7 @@ def _join(seen, car, taken, noise, key, edges):
     return chance >= unnoticed
 
 
-@kernel
+@inner
 def _shift(edges, lens, noise, spread, draws):
     """Add bias and noise to the edges that the image's border does not cut; whether there are only such."""
     cut_0, cut_1 = edges[0] <= -0.5, edges[1] <= -0.5
@@ -265,6 +272,20 @@ def _shift(edges, lens, noise, spread, draws):
 
 # --- depth ---
 DEPTH_CELLS = 10  # rays across the asked part of a box
+
+
+@inner
+def _median(values, count):
+    """Of the first ``count`` values, at least one. Few enough to be sorted by insertion."""
+    ordered = np.empty(count)
+    for k in range(count):
+        at = k
+        while at > 0 and ordered[at - 1] > values[k]:
+            ordered[at] = ordered[at - 1]
+            at -= 1
+        ordered[at] = values[k]
+    half = count // 2
+    return ordered[half] if count % 2 else 0.5 * (ordered[half - 1] + ordered[half])
 
 
 @kernel
@@ -289,6 +310,7 @@ def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, nois
     if x1 <= x0 or y1 <= y0:
         return -1.0, -1.0
     pixels, rays, draws, found = np.empty((n * n, 2)), np.empty((n * n, 2)), np.empty(n * n + 1), np.empty(n * n)
+    off = np.empty(n * n)
     sample_rays(lens, x0, y0, x1, y1, n, pixels, rays)
     gauss(key, draws)
     count = 0
@@ -306,8 +328,10 @@ def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, nois
     valid = asked * count / (n * n)
     if count == 0 or valid < max(settings.min_pixels, settings.min_valid * asked):
         return -1.0, -1.0
-    middle = np.median(found[:count])
-    spread = max(MAD_TO_SIGMA * np.median(np.abs(found[:count] - middle)), sigma_1m * middle * middle)
+    middle = _median(found, count)
+    for k in range(count):
+        off[k] = abs(found[k] - middle)
+    spread = max(MAD_TO_SIGMA * _median(off, count), sigma_1m * middle * middle)
     if spread > settings.max_spread_m:
         return -1.0, -1.0
     kept = 0
@@ -315,7 +339,7 @@ def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, nois
         if abs(found[k] - middle) <= OUTLIER_SIGMAS * spread:
             found[kept] = found[k]
             kept += 1
-    z = np.median(found[:kept])
+    z = _median(found, kept)
     independent = max(1.0, valid / CORRELATED_PIXELS)
     sigma = math.hypot(sigma_1m * z * z, MEDIAN_TO_MEAN * spread / math.sqrt(independent))
     return z + noise[1] * z * z * draws[n * n], sigma

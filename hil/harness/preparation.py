@@ -1,19 +1,24 @@
-"""Compile every kernel that a run will use, or load it compiled, before the run's clock starts."""
+"""Compile every kernel that a run will use, or load it compiled, before the run's clock starts.
+
+At the first start two processes compile different parts: compiling keeps one core busy, whatever the number of threads.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 
 from drivers.rig.parts import Rig
-from drivers.rig.tables import decode_table
 from flight.harness.flights import Progress
-from hil.world.snapshot import Snapshot
-from hil.world.world import World, WorldConfig
-from path.marker.warm_up import warm_up as warm_up_marker
 from path.messages import Role
-from path.observations import Box
 
-FIRST_START = "preparing: kernels are compiled at the first start, for about half a minute"
+RENDERED = ("renderer", "physics", "depth", "pose"), ("marker",)
+FROM_GEOMETRY = ("geometry", "physics"), ("pose",)
+"""Parts that this process compiles, and that another one does meanwhile: about as much."""
+HELP_WITHIN_S = 600.0  # then what the other process has not compiled is compiled here
 
 
 def starting(role: Role, what: str) -> Progress:
@@ -23,33 +28,91 @@ def starting(role: Role, what: str) -> Progress:
 
 def prepare(rig: Rig, say: Callable[[str], None]) -> None:
     """The physics, the marker finder, and what the perception of this rig computes."""
-    say(FIRST_START)
-    world = World(decode_table(rig.world, WorldConfig, rig.where("world")), seed=0)
+    from path.marker.warm_up import is_compiled  # noqa: PLC0415 (numba: not for who only starts programs)
+
+    rendered = any("camera" in rig.role(role).perception.options for role in Role)
+    own, others = RENDERED if rendered else FROM_GEOMETRY
+    first = not is_compiled()
+    with helped(others if first and (os.cpu_count() or 1) > 1 else ()):
+        _carry_out(own, first, len(own) + len(others), 0, say)
+    _carry_out(others, first, len(own) + len(others), len(own), say)
+
+
+def _carry_out(names: Sequence[str], first: bool, of: int, done: int, say: Callable[[str], None]) -> None:
+    for number, name in enumerate(names, done):
+        say(f"preparing: {'compiling' if first else 'loading'} kernels, {of - number} of {of} parts left ({name})")
+        PARTS[name]()
+
+
+@contextmanager
+def helped(names: Sequence[str]) -> Generator[None]:
+    """While another process compiles some parts, which are then found compiled. It is waited for, not for ever."""
+    if not names:
+        yield
+        return
+    command = [sys.executable, "-m", "hil.harness.preparation", *names]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield
+        process.wait(HELP_WITHIN_S)
+    except subprocess.TimeoutExpired:
+        pass  # compiled here then
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+
+
+def _pose() -> None:
+    from path.marker.warm_up import warm_up_pose  # noqa: PLC0415
+
+    warm_up_pose()
+
+
+def _marker() -> None:
+    from path.marker.warm_up import warm_up_image  # noqa: PLC0415
+
+    warm_up_image()
+
+
+def _physics() -> None:
+    from hil.world.world import World, WorldConfig  # noqa: PLC0415 (each process imports what it compiles)
+
+    world = World(WorldConfig(), seed=0)
     world.advance(0.1)
-    warm_up_marker()
-    if any("camera" in rig.role(role).perception.options for role in Role):
-        from drivers.realsense.registration import warm_up as warm_up_registration  # noqa: PLC0415 (sim needs none of these)
-        from hil.render.depth import warm_up as warm_up_depth  # noqa: PLC0415
-        from hil.render.renderer import warm_up as warm_up_renderer  # noqa: PLC0415
-
-        warm_up_renderer(lambda stage, number, of: say(f"preparing the renderer: {stage}, {number} of {of}"))
-        warm_up_depth()
-        warm_up_registration()
-    else:
-        _look_once(rig, world.snapshot())
+    world.snapshot()
 
 
-def _look_once(rig: Rig, snapshot: Snapshot) -> None:
-    """Ask a geometric view of each role everything that can be asked."""
-    from hil.camera.capture import Capture  # noqa: PLC0415 (rendered levels need none of these)
-    from hil.geometric.noise import ObservationNoise  # noqa: PLC0415
-    from hil.geometric.perception import GeometricView, Sensor  # noqa: PLC0415
-    from hil.geometric.scene import CameraSetup  # noqa: PLC0415
+def _geometry() -> None:
+    from hil.geometric.perception import warm_up  # noqa: PLC0415 (rendered levels do without)
 
-    for role in Role:
-        own = rig.role(role)
-        setup = CameraSetup(role, own.camera, own.mount.T_b_c, own.mount.T_b_v, rig.layout)
-        view = GeometricView(Capture(0, 0, snapshot), Sensor(setup, ObservationNoise(), rig.method, 0))
-        view.targets(None)
-        view.markers(None)
-        view.depth(Box(300.0, 220.0, 60.0, 40.0))
+    warm_up()
+
+
+def _renderer() -> None:
+    from hil.render.renderer import warm_up  # noqa: PLC0415 (sim does without)
+
+    warm_up()
+
+
+def _depth() -> None:
+    from drivers.realsense.registration import warm_up as warm_up_registration  # noqa: PLC0415 (sim does without)
+    from hil.render.depth import warm_up as warm_up_depth  # noqa: PLC0415
+
+    warm_up_depth()
+    warm_up_registration()
+
+
+PARTS: Mapping[str, Callable[[], None]] = {
+    "pose": _pose,
+    "marker": _marker,
+    "physics": _physics,
+    "geometry": _geometry,
+    "renderer": _renderer,
+    "depth": _depth,
+}
+
+
+if __name__ == "__main__":
+    for part in sys.argv[1:]:
+        PARTS[part]()

@@ -47,6 +47,7 @@ class SimHarness:
     """Flies a rig of level ``sim`` or ``sim-rendered``."""
 
     check_rig = staticmethod(check_world)
+    prepare = staticmethod(prepare)
 
     def fly(self, request: FlightRequest) -> FlightReport:
         faults = parse_faults(request.faults, request.rig.level)

@@ -35,7 +35,7 @@ from hil.harness.children import (
     until_ready,
 )
 from hil.harness.pace import overload_of
-from hil.harness.preparation import starting
+from hil.harness.preparation import prepare, starting
 from hil.harness.sim import mission_config
 from hil.monitors.monitors import Monitors
 from hil.vehicle.simulator_process import binary_of
@@ -74,6 +74,7 @@ class SitlHarness:
     """Real MAVSDK, real sockets, rendered frames through pyrealsense2; vehicles embedded, or real autopilots."""
 
     check_rig = staticmethod(check_world)
+    prepare = staticmethod(prepare)
 
     def fly(self, request: FlightRequest) -> FlightReport:
         """Raises PartError when the rig needs an autopilot that was not named."""

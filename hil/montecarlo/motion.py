@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.geometric.kernels import kernel
 from hil.montecarlo.scene import Drawn
+from path.compiled import kernel
 
 Array = NDArray[np.float64]
 

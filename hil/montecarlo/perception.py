@@ -31,7 +31,7 @@ from flight.tracking import (
     _UNSEEN_S,
     MIN_SCORE,
 )
-from hil.geometric.kernels import BOX_COLUMNS, EXTENT_COLUMNS, FRAME_COLUMNS, distorted, fold, kernel, place
+from hil.geometric.kernels import BOX_COLUMNS, EXTENT_COLUMNS, FRAME_COLUMNS, distorted, fold, place
 from hil.geometric.markers import LARGEST_SCALE, MarkerNoise, marker
 from hil.geometric.perception import DEPTH, MARKERS, SLOW_FRAMES, SLOW_MARKERS, SLOW_TARGETS, TARGETS
 from hil.geometric.targets import (
@@ -44,6 +44,7 @@ from hil.geometric.targets import (
     detections,
     outlines,
 )
+from path.compiled import inner, kernel
 from path.marker.kernels import undistort
 
 # Columns of what D1 has of a frame: status, box, depth and its standard deviation, whose box it is.
@@ -106,7 +107,7 @@ class CameraPath(NamedTuple):
     things: np.ndarray
 
 
-@kernel
+@inner
 def _before(camera, flown, k, things, ids, boxes, extents, frame):
     """Put everything before the camera; how many things there are."""
     count = 0
@@ -123,7 +124,7 @@ def _before(camera, flown, k, things, ids, boxes, extents, frame):
     return count
 
 
-@kernel
+@inner
 def _boxes_of(camera, number, count, ids, boxes, extents, region, seen, rows, found):
     """The detector's boxes of a frame and whose they are: that object's whose outline is the nearest."""
     bodies = boxes[: count * camera.car.shape[0] + camera.drone.shape[0]]
@@ -143,7 +144,7 @@ def _boxes_of(camera, number, count, ids, boxes, extents, region, seen, rows, fo
     return many
 
 
-@kernel
+@inner
 def predicted(follower, at_s, point):
     """Fills ``point`` with the followed object's place at an instant; returns its standard deviation per axis."""
     dt = max(0.0, at_s - follower[AT])
@@ -153,7 +154,7 @@ def predicted(follower, at_s, point):
     return math.sqrt(follower[PP] + 2.0 * dt * follower[PV] + dt * dt * follower[VV] + spread)
 
 
-@kernel
+@inner
 def _updated(follower, measured, at_s):
     dt = at_s - follower[AT]
     if dt < 0.0:
@@ -172,7 +173,7 @@ def _updated(follower, measured, at_s):
     follower[AT] = at_s
 
 
-@kernel
+@inner
 def _gate(follower, sigma, at_s):
     most = _GATE_MOST_M
     if at_s - follower[RIVAL_AT] <= _RIVAL_S:
@@ -180,14 +181,14 @@ def _gate(follower, sigma, at_s):
     return max(_GATE_LEAST_M, min(3.0 * sigma + _GATE_FLOOR_M, most))
 
 
-@kernel
+@inner
 def _reach(follower, at_s):
     dt = max(0.0, at_s - follower[AT])
     sigma = math.sqrt(follower[PP] + 2.0 * dt * follower[PV] + dt * dt * follower[VV])
     return min(_GATE_FLOOR_M + 3.0 * sigma + 0.5 * _ACCELERATION_SIGMA_MPS2 * dt * dt, _UNSEEN_REACH_M)
 
 
-@kernel
+@inner
 def _rival(found, many, row):
     """Distance of the nearest other detection from the chosen one."""
     nearest = np.inf
@@ -201,7 +202,7 @@ def _rival(found, many, row):
     return nearest
 
 
-@kernel
+@inner
 def _others(found, many, row, reach, picked):
     """Rows of the detections nearest to the chosen one, ``NOTHING`` where there is none, into ``picked``."""
     picked[:] = NOTHING
@@ -221,7 +222,7 @@ def _others(found, many, row, reach, picked):
         before = best
 
 
-@kernel
+@inner
 def _tell_others(camera, depths, number, bodies, extents, frame, hidden, found, row, reach, out):
     """Boxes and depths of the detections nearest to the chosen one, into D1's row of a frame."""
     picked = np.empty(OTHERS_MOST, np.int64)
@@ -240,7 +241,7 @@ def _tell_others(camera, depths, number, bodies, extents, frame, hidden, found, 
         out[at + 4] = depth * depths.scale + depths.bias_m if depth > 0.0 else depth
 
 
-@kernel
+@inner
 def _designated(found, many):
     """Row of the target's own detection, and no doubt about it."""
     for i in range(many):
@@ -249,7 +250,7 @@ def _designated(found, many):
     return NOTHING, False
 
 
-@kernel
+@inner
 def _chosen(found, many, u, v, gate, alone):
     """Row of the detection nearest to a pixel, ``NOTHING`` when none is in the gate; whether another may be meant too.
 
@@ -361,7 +362,7 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
         _updated(follower, measured, times[k])
 
 
-@kernel
+@inner
 def _shows(depth, depth_sigma, ray_x, ray_y, R_n_c, t_n_c, point, sigma):
     """Returns whether a depth on a ray puts the object where it can be."""
     off2 = 0.0
@@ -371,7 +372,7 @@ def _shows(depth, depth_sigma, ray_x, ray_y, R_n_c, t_n_c, point, sigma):
     return math.sqrt(off2) <= _DEPTH_FLOOR_M + _DEPTH_SIGMAS * math.hypot(sigma, depth_sigma)
 
 
-@kernel
+@inner
 def _in_camera(R_n_c, t_n_c, point):
     dx, dy, dz = point[0] - t_n_c[0], point[1] - t_n_c[1], point[2] - t_n_c[2]
     return (
@@ -381,7 +382,7 @@ def _in_camera(R_n_c, t_n_c, point):
     )
 
 
-@kernel
+@inner
 def _ray(lens, u, v):
     return undistort(u, v, lens, (u - lens[2]) / lens[0], (v - lens[3]) / lens[1])
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.render.jit import kernel
 from hil.render.kernels import INTERIOR, active_in_row, marker_is_white, rotor_opacity, rotor_terms, shade_at
 from hil.render.primitives import (
     CELLS,
@@ -29,6 +28,7 @@ from hil.render.primitives import (
     SHADES,
 )
 from hil.render.scene import INK, MARKER, PAPER, PATTERN, PRINT
+from path.compiled import inner, kernel
 
 MOST = 48  # primitives that are looked at in one pixel; more than any view of the scene has
 
@@ -42,13 +42,13 @@ def hammersley(count: int) -> NDArray[np.float64]:
     return np.stack(((index + 0.5) / count, reversed_bits + 0.5 / count)) - 0.5
 
 
-@kernel
+@inner
 def _at(primitives, p, k, ray):
     """The linear function at column ``k`` of a primitive, at a pixel's centre."""
     return primitives[p, k] * ray[0] + primitives[p, k + 1] * ray[1] + primitives[p, k + 2]
 
 
-@kernel
+@inner
 def _gather(primitives, tags, active, actives, c, ray, found, local):
     """Faces that may cover some of a pixel, into ``found``; returns how many.
 
@@ -75,7 +75,7 @@ def _gather(primitives, tags, active, actives, c, ray, found, local):
     return number
 
 
-@kernel
+@inner
 def _nearest(local, number, ground_w, ray, du, dv, best, nearest):
     """Index of the nearest face and its 1/z at every sample; ``number`` and the ground's where there is none."""
     local[number, 4, 0] = max(0.0, ground_w[0] * ray[0] + ground_w[1] * ray[1] + ground_w[2])
@@ -99,7 +99,7 @@ def _nearest(local, number, ground_w, ray, du, dv, best, nearest):
             best[s] = i if better else best[s]
 
 
-@kernel
+@inner
 def _over(primitives, p, x, y):
     """Returns the place on a face where a ray meets it: (u, v)."""
     z = 1.0 / (primitives[p, INVERSE_Z] * x + primitives[p, INVERSE_Z + 1] * y + primitives[p, INVERSE_Z + 2])
@@ -108,7 +108,7 @@ def _over(primitives, p, x, y):
     return u, v
 
 
-@kernel
+@inner
 def _shares(primitives, tags, found, number, looks, ray, du, dv, best, shares, light):
     """Share of the pixel that every face shows (last: the ground), and the share times what its colour is taken at."""
     cells, cells_per_side, shade_texels, tables = looks
@@ -141,7 +141,7 @@ def _shares(primitives, tags, found, number, looks, ray, du, dv, best, shares, l
         light[i] -= inked / best.size * (1.0 - INK[0] / PAPER[0])
 
 
-@kernel
+@inner
 def _rotors_at(primitives, tags, order, rotors, r, c, ray, opacity, rotor_w):
     """Opacity and 1/z of every rotor at a pixel's centre; whether any is there."""
     there = False
@@ -154,7 +154,7 @@ def _rotors_at(primitives, tags, order, rotors, r, c, ray, opacity, rotor_w):
     return there
 
 
-@kernel
+@inner
 def _under_rotors(primitives, k, level, share, w, order, rotors, opacity, rotor_w):
     """``level`` (channel k, already times ``share``) of something at 1/z = w, seen through the rotors before it."""
     for i in range(rotors):

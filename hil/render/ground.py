@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.render.jit import kernel
 from hil.render.textures import GROUND_BITS, GROUND_LEVELS, GROUND_PERIOD_M, GROUND_SIZE
+from path.compiled import inner, kernel
 from path.geometry import Pose
 
 F, INT = np.float32, np.int32
@@ -47,7 +47,7 @@ def ground_plane(T_w_c: Pose) -> NDArray[np.float64]:
     return np.asarray(np.linalg.inv(M), float)
 
 
-@kernel
+@inner
 def _meet(plane, rx, ry, z_row, u_row, v_row, inverse_z):
     """Computes where the rays of a row meet the ground, in tiles; 1/z is 0 above the horizon."""
     u0, u1, u2 = F(plane[0, 0]), F(plane[0, 1]), F(plane[0, 2])
@@ -64,7 +64,7 @@ def _meet(plane, rx, ry, z_row, u_row, v_row, inverse_z):
         v_row[c] = (v0 * x + v1 * y + v2) * z
 
 
-@kernel
+@inner
 def _detail(plane, x, y, u, v, z, pixel):
     """Level of detail (log2 texels per pixel) at one pixel, within the levels there are."""
     a, b = plane[0, 0] - u * plane[2, 0], plane[0, 1] - u * plane[2, 1]
@@ -74,7 +74,7 @@ def _detail(plane, x, y, u, v, z, pixel):
     return min(max(detail, 0.0), GROUND_LEVELS - 1.001)
 
 
-@kernel
+@inner
 def _lookup(texture, level, scale, u, v, words, fraction_u, fraction_v, out):
     """Bilinear texture of one mip level at u, v (tiles) times ``scale``, into ``out``; all of one length."""
     size = INT(GROUND_SIZE >> level)
@@ -96,7 +96,7 @@ def _lookup(texture, level, scale, u, v, words, fraction_u, fraction_v, out):
         out[c] = top + b * (bottom - top)
 
 
-@kernel
+@inner
 def _stretch(texture, level, rows, words, c0, c1):
     """Grey levels of the columns c0..c1, which share a mip level."""
     u, v, share, fu, fv = rows[1, c0:c1], rows[2, c0:c1], rows[3, c0:c1], rows[4, c0:c1], rows[5, c0:c1]
@@ -135,7 +135,7 @@ def draw_ground(plane, light, pixel, ray_x, ray_y, texture, rows, words, image, 
             _tint(BASE[k], FINE[k], ROUGH[k], SKY[k], lit, inverse_z[r], rows[6], rows[8], image[k, r])
 
 
-@kernel
+@inner
 def _tint(base, fine_gain, rough_gain, sky, lit, inverse_z, fine, rough, out):
     for c in range(out.size):
         haze = min(inverse_z[c] * HAZE_M, ONE)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.render.jit import kernel
 from hil.render.primitives import (
     BLADE_COS,
     BLADE_SIN,
@@ -33,6 +32,7 @@ from hil.render.primitives import (
     SPIN,
 )
 from hil.render.scene import INK, MARKER, PAPER, PATTERN, PLATE_SCALE, PRINT, ROTOR
+from path.compiled import inner, kernel
 
 F = np.float32
 ZERO, HALF, ONE, TWO, TINY = F(0.0), F(0.5), F(1.0), F(2.0), F(1e-6)
@@ -82,7 +82,7 @@ def draw_faces(primitives, tags, count, ray_x, ray_y, inverse_z, owner, edges):
                     owner[r, c] = p
 
 
-@kernel
+@inner
 def marker_is_white(table, side, u, v):
     """Returns whether the plate is white at (u, v), both 0..1 over the plate."""
     column = int(np.floor((u - 0.5) * (PLATE_SCALE * side) + 0.5 * side))
@@ -92,7 +92,7 @@ def marker_is_white(table, side, u, v):
     return table[row, column] != 0
 
 
-@kernel
+@inner
 def _marker_pixel(primitive, table, side, x, y, pixel):
     """Colour of the plate at a ray when it is one over the whole pixel: 1 white, 0 black; -1 when it is not."""
     z = 1.0 / (primitive[INVERSE_Z] * x + primitive[INVERSE_Z + 1] * y + primitive[INVERSE_Z + 2])
@@ -118,7 +118,7 @@ def _marker_pixel(primitive, table, side, x, y, pixel):
     return 1 if white else 0
 
 
-@kernel
+@inner
 def shade_at(shades, table, u, v):
     """Shade (0..255) of a pattern or print at (u, v), both 0..1 over it. ``table``: its row of the tables of shades."""
     rows, columns = table[ROWS], table[TABLE_COLUMNS]
@@ -127,7 +127,7 @@ def shade_at(shades, table, u, v):
     return int(shades[table[FIRST] + row * columns + column])
 
 
-@kernel
+@inner
 def _shaded_pixel(primitive, shades, table, x, y, pixel):
     """Shade of a pattern at a ray when it is one over the whole pixel; -1 when it is not."""
     z = 1.0 / (primitive[INVERSE_Z] * x + primitive[INVERSE_Z + 1] * y + primitive[INVERSE_Z + 2])
@@ -151,7 +151,7 @@ def _shaded_pixel(primitive, shades, table, x, y, pixel):
     return shade
 
 
-@kernel
+@inner
 def active_in_row(tags, count, r, active):
     """Faces whose bounds the row meets, into ``active``; how many, and the columns they span."""
     actives, low, high = 0, 1 << 30, 0
@@ -203,7 +203,7 @@ def shade_faces(primitives, tags, count, looks, ray_x, ray_y, pixel, owner, edge
                 image[k, r, c] = palette[white, p, k]
 
 
-@kernel
+@inner
 def rotor_terms(primitives, p):
     """Returns a rotor's terms for ``rotor_opacity``: u/z, v/z, 1/z (3 x 3), blades' direction, turning, sharpness."""
     return (
@@ -216,7 +216,7 @@ def rotor_terms(primitives, p):
     )
 
 
-@kernel
+@inner
 def rotor_opacity(terms, x, y):
     """(opacity, 1/z) of a rotor at a ray; antialiased by itself. Turning: a faint disc with two blurred lobes."""
     u, v, w, blades, spin, sharpness = terms
@@ -234,7 +234,7 @@ def rotor_opacity(terms, x, y):
     return rim * (turning if spin > ZERO else still), inverse_z
 
 
-@kernel
+@inner
 def _blend(color, opacity, out):
     for c in range(out.size):
         below = F(out[c])

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.render.jit import kernel
 from hil.render.scene import MARKER, PATTERN, PRINT, ROTOR
+from path.compiled import inner, kernel
 
 # Columns of a primitive. Edges are scaled so that a pixel whose centre has every edge >= 1 lies inside as a whole, and
 # one with an edge < -1 lies outside as a whole.
@@ -44,7 +44,7 @@ NEAR_M = 1e-3
 AMBIENT, DIFFUSE = 0.58, 0.42
 
 
-@kernel
+@inner
 def first_at_least(values, threshold):
     """First index of a rising array whose value is >= threshold; its length when there is none."""
     low, high = 0, values.size
@@ -57,7 +57,7 @@ def first_at_least(values, threshold):
     return low
 
 
-@kernel
+@inner
 def _turned(R, vectors, i, first):
     """R times the three columns from ``first`` of row i, as a tuple (compiles faster than an array)."""
     x, y, z = vectors[i, first], vectors[i, first + 1], vectors[i, first + 2]
@@ -68,7 +68,7 @@ def _turned(R, vectors, i, first):
     )
 
 
-@kernel
+@inner
 def _cross(a, b, divisor):
     return (
         (a[1] * b[2] - a[2] * b[1]) / divisor,
@@ -77,7 +77,7 @@ def _cross(a, b, divisor):
     )
 
 
-@kernel
+@inner
 def _bounds(p0, e1, e2, column_x, row_y, pixel, tag):
     """Rows and columns the rectangle can touch; False when it is out of sight.
 
@@ -107,7 +107,7 @@ def _bounds(p0, e1, e2, column_x, row_y, pixel, tag):
     return tag[ROW_0] < tag[ROW_1] and tag[COLUMN_0] < tag[COLUMN_1]
 
 
-@kernel
+@inner
 def _fill(p0, e1, e2, determinant, pixel, primitive):
     """Write the linear functions of one rectangle. ``determinant`` = P0 . (E1 x E2)."""
     over_u = _cross(e2, p0, determinant)

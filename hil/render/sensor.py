@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.render.jit import kernel
 from hil.render.kernels import INTERIOR
 from hil.render.primitives import VEHICLE
 from path.bounds import Bounds
+from path.compiled import inner, kernel
 
 F = np.float32
 POOL_MARGIN = 256  # the noise of a frame is a window of a fixed pool; this many positions each way
@@ -97,7 +97,7 @@ def mixed(*values: int) -> int:
     return state
 
 
-@kernel
+@inner
 def _blur_row(plane, r, taps, padded, out):
     """One row of a plane, blurred both ways; the image's edge is repeated. ``padded``: float32 (w + 2 reach,)."""
     height, width = plane.shape
@@ -166,7 +166,7 @@ def measure_depth(inverse_z, owner, tags, hide_vehicles, sigma, near, far, pool,
                     out[c] = 0
 
 
-@kernel
+@inner
 def _random(seed, index):
     """Uniform 0..1 from a seed and a position (splitmix64)."""
     state = np.uint64(seed) + np.uint64(index) * np.uint64(0x9E3779B97F4A7C15)

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from path.bounds import Bounds
+from path.compiled import inner, kernel
 from path.messages import Quat
 
 Array = NDArray[np.float64]
@@ -82,12 +82,12 @@ def standing(north_m: float, east_m: float, yaw_rad: float, leg_m: float) -> Arr
     return row
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _clamp(value: float, low: float, high: float) -> float:
     return min(high, max(low, value))
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _wanted_force(s: Array, c: Array, velocity_error: Array, p: Parameters, dt: float) -> tuple[float, float, float]:
     """Specific force (thrust direction and size, NED) that the velocity loop asks for; advances its integral."""
     ex = c[1] - s[3] - velocity_error[0]
@@ -107,7 +107,7 @@ def _wanted_force(s: Array, c: Array, velocity_error: Array, p: Parameters, dt: 
     return ax, ay, az - GRAVITY_MPS2
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _wanted_attitude(fx: float, fy: float, fz: float, yaw: float) -> Quat:
     """Quaternion whose body z points against the force and whose nose is at ``yaw``: tilt after yaw."""
     size = math.sqrt(fx * fx + fy * fy + fz * fz)
@@ -119,7 +119,7 @@ def _wanted_attitude(fx: float, fy: float, fz: float, yaw: float) -> Quat:
     return w * cy, tx * cy + ty * sy, ty * cy - tx * sy, w * sy
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _turn(s: Array, goal: Quat, attitude_error: Array, p: Parameters, dt: float) -> None:
     """Second-order response of the attitude to the goal; integrates rates and quaternion."""
     w, x, y, z = s[6], s[7], s[8], s[9]
@@ -142,7 +142,7 @@ def _turn(s: Array, goal: Quat, attitude_error: Array, p: Parameters, dt: float)
     s[6], s[7], s[8], s[9] = nw * scale, nx * scale, ny * scale, nz * scale
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _move(s: Array, wind: Array, p: Parameters, dt: float) -> None:
     """Thrust, gravity and drag move the drone; the ground stops it."""
     w, x, y, z = s[6], s[7], s[8], s[9]
@@ -165,7 +165,7 @@ def _move(s: Array, wind: Array, p: Parameters, dt: float) -> None:
         s[17] = yaw
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _substep(
     s: Array, c: Array, wind: Array, velocity_error: Array, attitude_error: Array, p: Parameters, dt: float
 ) -> None:
@@ -187,7 +187,7 @@ def _substep(
     _move(s, wind, p, dt)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fly(
     states: Array,
     commands: Array,
@@ -213,7 +213,7 @@ def fly(
             _substep(states[i], commands[i], winds[i], velocity_errors[i], attitude_errors[i], parameters, dt)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def poses_w(states: Array, late_s: float, out: Array) -> None:
     """Poses of all drones in ENU (rows of ``R_w_b``, then ``t_w``), ``late_s`` after their state (less than a step).
 

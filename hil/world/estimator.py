@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hil.world.errors import ErrorSizes
 from path.bounds import Bounds
+from path.compiled import kernel
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ class EstimatorConfig:
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sense(
     states: Array, position_bias: Array, attitude_bias: Array, drift: Array, decay: Array, drive: Array, normals: Array,
     velocity_errors: Array, attitude_errors: Array, estimates: Array,

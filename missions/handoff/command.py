@@ -22,7 +22,7 @@ from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, R
 from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
 from missions.lateness import for_lateness
-from missions.leg.process import fly_role
+from missions.leg.process import fly_role, load_programs
 from missions.live.start import live
 from missions.options import ConformanceOptions, FlyOptions, HandoffOptions
 from missions.report.command import make_report, series_table, show, summarize_many
@@ -35,6 +35,8 @@ from missions.run_folder import claim_result, claimed, new_folder, refuse_foreig
 from missions.shown import say_unwritten
 from path.messages import Role
 
+IN_PROCESS = ("sim", "sim-rendered")
+"""Levels at which both roles fly in this process."""
 _A_HARNESS = "write one as the rigs of `path-handoff rigs` do, or leave it out"
 _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
 
@@ -96,7 +98,7 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
 
     A run that ended in a named failure is counted, not an error; a wrong hand-over or a violated monitor is one.
     """
-    jobs = 1 if rig.level not in ("sim", "sim-rendered") else options.jobs or os.cpu_count() or 1
+    jobs = 1 if rig.level not in IN_PROCESS else options.jobs or os.cpu_count() or 1
     seeds = range(options.seed, options.seed + options.seeds)
     claim_result(folder / SUMMARY, '"failed_seeds"')
     if options.junit is not None:
@@ -198,6 +200,8 @@ def fly_once(
 ) -> RunFacts:
     """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was asked wrongly."""
     harness = harness_of(rig)
+    if rig.level in IN_PROCESS:
+        load_programs()  # not while the run's time is measured
 
     def command(role: Role) -> Sequence[str]:
         return [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 from pathlib import Path
 
 from drivers.interfaces import Log, RecordStore
@@ -11,11 +12,7 @@ from drivers.log.state_file import StateFile
 from drivers.rig.parts import Rig
 from drivers.stop_signals import stop_at_end_of_input, stop_on_signals
 from flight.harness.flights import Emit, InProcess, Progress, RoleMain, RoleResult, encode_event, with_log
-from missions.leg.receiver import run_receiver
-from missions.leg.sender import run_sender
 from path.messages import Role
-
-_MAINS = {Role.SENDER: run_sender, Role.RECEIVER: run_receiver}
 
 
 async def fly_role(
@@ -28,7 +25,15 @@ async def fly_role(
     store: RecordStore,
 ) -> RoleResult:
     """The program of either role in the world's own process (``flight.harness.flights.RoleMain``)."""
-    return await _MAINS[role](rig, role, log, emit, stop, harness, store)
+    return await load_programs()[role](rig, role, log, emit, stop, harness, store)
+
+
+def load_programs() -> Mapping[Role, RoleMain]:
+    """Import both roles' programs, which takes a while: who only starts processes does without."""
+    from missions.leg.receiver import run_receiver  # noqa: PLC0415
+    from missions.leg.sender import run_sender  # noqa: PLC0415
+
+    return {Role.SENDER: run_sender, Role.RECEIVER: run_receiver}
 
 
 def run_role(
@@ -42,6 +47,7 @@ def run_role(
         parent: events go to stdout as lines of JSON, and a closed stdin means that the parent is gone: stop.
         main: the role's program.
     """
+    load_programs()
     with McapLog(new_part(out, role.value), role.value) as log:
         store, told = StateFile(state, role), _to_parent if parent else emit
         result = asyncio.run(_run(rig, role, log, store, told, parent, main))

@@ -423,7 +423,7 @@ async def open_session(
 ) -> RoleSession:
     """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after. Raises PartError."""
     cv2.setNumThreads(1)  # frames are small: more threads cost more than they gain, and take the other processes' cores
-    warm_up()
+    warm_up(images=harness is None or "camera" in rig.role(role).perception.options)
     if harness is None:
         gc.freeze()  # what is loaded by now stays: collections in flight need not walk it, for 0.1 s each
     context = part_context(rig, role, harness)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from path.compiled import inner, kernel
 from path.marker.kernels import Array, cholesky, cholesky_solve, distort
 from path.marker.misfit import SHADOW, Places
 from path.marker.pattern import BLUR, TONE, UNKNOWNS
@@ -27,7 +27,7 @@ SURE_CORRELATION = 0.18  # of neighbouring residuals, from which on they are no 
 CONSISTENCY = 1.6  # weights take 1.28 off the residual's variance; the rest is measured on exact images of markers
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def robust_scale(residuals: Array) -> float:
     """Robust standard deviation of the residuals (from their median size), at least half a grey level."""
     bins = np.zeros(512, np.int64)
@@ -44,7 +44,7 @@ def robust_scale(residuals: Array) -> float:
     return 190.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def tones(pixels: Array) -> tuple[float, float]:
     """Black and contrast to start from: what 10 % of the pixels stay below, and how far above it 10 % are."""
     bins, total = np.zeros(256, np.int64), 0
@@ -60,7 +60,7 @@ def tones(pixels: Array) -> tuple[float, float]:
     return float(low), float(high - low)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _change(
     normal: Array, noise: float, theta: Array, extra: Array, used: Places, sigmas: Array, factor: Array
 ) -> Array:
@@ -90,7 +90,7 @@ def _change(
     return change
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def step(
     normal: Array,
     noise: float,
@@ -136,7 +136,7 @@ def step(
     return moved
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def statistics(pixels: Array, residuals: Array, spread: float, used: int) -> Statistics:
     """Sum of weights, variance of the residual, share of the image explained, correlation of neighbours in a row."""
     total = squares = grey = grey2 = beside = near = 0.0
@@ -160,7 +160,7 @@ def statistics(pixels: Array, residuals: Array, spread: float, used: int) -> Sta
     return total, variance, explained, correlation
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def finish(
     factor: Array,
     measured: Statistics,

@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from path.compiled import inner, kernel
 
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def distort(x: float, y: float, lens: Array) -> tuple[float, float, float, float, float, float]:
     """Pixel of an undistorted ray and its derivatives: ``u, v, du/dx, du/dy, dv/dx, dv/dy``."""
     k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
@@ -30,7 +31,7 @@ def distort(x: float, y: float, lens: Array) -> tuple[float, float, float, float
     return lens[0] * xd + lens[2], lens[1] * yd + lens[3], lens[0] * xx, lens[0] * xy, lens[1] * xy, lens[1] * yy
 
 
-@njit(cache=True, nogil=True)
+@inner
 def undistort(u: float, v: float, lens: Array, x: float, y: float) -> tuple[float, float]:
     """Undistorted ray of a pixel by Newton's method from a first guess ``(x, y)``."""
     for _ in range(20):
@@ -45,7 +46,7 @@ def undistort(u: float, v: float, lens: Array, x: float, y: float) -> tuple[floa
     return x, y
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rays(pixels: Array, lens: Array) -> Array:
     """Undistorted rays, shape (n, 2), of pixels (n, 2)."""
     out = np.empty(pixels.shape)
@@ -55,7 +56,7 @@ def rays(pixels: Array, lens: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True)
+@inner
 def cholesky(a: Array) -> bool:
     """Replace the lower triangle of a symmetric matrix by its Cholesky factor; False when not positive definite."""
     n = a.shape[0]
@@ -73,7 +74,7 @@ def cholesky(a: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner
 def cholesky_solve(factor: Array, b: Array) -> None:
     """Solve ``L L^T x = b`` in place, ``L`` from ``cholesky``, ``b`` of shape (n,)."""
     n = factor.shape[0]
@@ -89,7 +90,7 @@ def cholesky_solve(factor: Array, b: Array) -> None:
         b[i] = s / factor[i, i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def finite(a: Array) -> bool:
     """Returns whether every number of a matrix is finite."""
     for i in range(a.shape[0]):
@@ -99,7 +100,7 @@ def finite(a: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def whitening(covariance: Array, floor: float, out: Array) -> bool:
     """Inverse Cholesky factor of a covariance plus ``floor`` on its diagonal: residuals times it have unit variance.
 
@@ -121,7 +122,7 @@ def whitening(covariance: Array, floor: float, out: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner
 def inverse(a: Array, out: Array) -> bool:
     """Inverse of a symmetric matrix into ``out``; False when it is not positive definite."""
     n = a.shape[0]
@@ -130,13 +131,23 @@ def inverse(a: Array, out: Array) -> bool:
         return False
     for i in range(n):
         column = out[i]  # by symmetry
-        column[:] = 0.0
-        column[i] = 1.0
+        for j in range(n):
+            column[j] = 1.0 if i == j else 0.0
         cholesky_solve(factor, column)
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner
+def identity(n: int) -> Array:
+    """The unit matrix, shape (n, n)."""
+    out = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = 1.0 if i == j else 0.0
+    return out
+
+
+@inner
 def exp_times(w: Array, R: Array) -> Array:
     """``exp(w) R`` by Rodrigues' formula."""
     angle = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])

@@ -15,11 +15,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from path.compiled import inner, kernel
 from path.marker.kernels import Array, undistort
-from path.marker.pattern import BLOCK, SATURATED, UNKNOWNS, add_last, add_row, evaluate
+from path.marker.pattern import BLOCK, SATURATED, UNKNOWNS, add_last, add_row, clear, evaluate
 
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.int32]
@@ -34,16 +34,29 @@ _DU = np.array([1, 2, 0, 0, 1, 1])
 _DV = np.array([0, 0, 1, 2, 1, -1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
+def _raster(pixels: Array) -> tuple[int, int, Indices]:
+    """-1 for each pixel of the box around some pixels and 2 px more, and where that box begins."""
+    u0, v0, u1, v1 = int(pixels[0, 4]), int(pixels[0, 5]), int(pixels[0, 4]), int(pixels[0, 5])
+    for k in range(pixels.shape[0]):
+        u, v = int(pixels[k, 4]), int(pixels[k, 5])
+        u0, v0, u1, v1 = min(u0, u), min(v0, v), max(u1, u), max(v1, v)
+    places = np.empty((v1 - v0 + 5, u1 - u0 + 5), np.int32)
+    for v in range(places.shape[0]):
+        for u in range(places.shape[1]):
+            places[v, u] = -1
+    return u0 - 2, v0 - 2, places
+
+
+@kernel
 def stencil(pixels: Array, frame: Array, lens: Array) -> tuple[Array, Indices]:
     """Places at which the filter needs the model: their rays (m, 2), and for each pixel (n, 13) which ones.
 
     A pixel's own place comes first, then both ends of each difference.
     """
     count = pixels.shape[0]
-    u0, v0 = int(pixels[:, 4].min()) - 2, int(pixels[:, 5].min()) - 2
-    width, height = int(pixels[:, 4].max()) + 3 - u0, int(pixels[:, 5].max()) + 3 - v0
-    places = np.full((height, width), -1, np.int32)
+    u0, v0, places = _raster(pixels)
+    height, width = places.shape
     for k in range(count):
         u, v = int(pixels[k, 4]) - u0, int(pixels[k, 5]) - v0
         for i in range(TAPS):
@@ -73,19 +86,19 @@ def stencil(pixels: Array, frame: Array, lens: Array) -> tuple[Array, Indices]:
         for i in range(TAPS):
             at[k, 1 + 2 * i] = places[v - _DV[i], u - _DU[i]]
             at[k, 2 + 2 * i] = places[v + _DV[i], u + _DU[i]]
-    return rays[:total].copy(), at
+    return rays[:total], at
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def own_places(pixels: Array) -> tuple[Array, Indices]:
     """The places of a model without a filter, as ``stencil`` gives them: the pixels' own."""
-    at = np.empty((pixels.shape[0], 1), np.int32)
+    rays, at = np.empty((pixels.shape[0], 2)), np.empty((pixels.shape[0], 1), np.int32)
     for k in range(pixels.shape[0]):
-        at[k, 0] = k
-    return pixels[:, :2].copy(), at
+        rays[k, 0], rays[k, 1], at[k, 0] = pixels[k, 0], pixels[k, 1], k
+    return rays, at
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def model(rays: Array, theta: Array, extra: Array, groups: Flags, frame: Array, cells: Array, edges: Array) -> Array:
     """The image without the filter at all places: derivatives to the 16, the offsets, the shadow; grey value last."""
     n = cells.shape[0] - 2
@@ -94,25 +107,29 @@ def model(rays: Array, theta: Array, extra: Array, groups: Flags, frame: Array, 
     rows = np.empty((rays.shape[0], lit + shadow + 1))
     work, row, edge_row = np.empty((6, n + 3)), np.empty(UNKNOWNS), np.empty(2 * (n - 1))
     moved = edges.copy()
-    moved[0, 1:n] += extra[TAPS : TAPS + n - 1]
-    moved[1, 1:n] += extra[TAPS + n - 1 : TAPS + 2 * (n - 1)]
+    for i in range(1, n):
+        moved[0, i] += extra[TAPS + i - 1]
+        moved[1, i] += extra[TAPS + n + i - 2]
     for k in range(rays.shape[0]):
         p, q, out = rays[k, 0], rays[k, 1], rows[k]
         if offsets:
             value = evaluate(p, q, theta, frame, cells, moved, work, row, edge_row)
-            out[UNKNOWNS:lit] = edge_row
+            for j in range(offsets):
+                out[UNKNOWNS + j] = edge_row[j]
         else:
             value = evaluate(p, q, theta, frame, cells, moved, work, row, None)
-        out[:UNKNOWNS] = row
+        for j in range(UNKNOWNS):
+            out[j] = row[j]
         if shadow:
             light = _light(p, q, extra[-SHADOW:], value, out[lit:-1])
-            out[:lit] *= light
+            for j in range(lit):
+                out[j] *= light
             value *= light
         out[-1] = value
     return rows
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _light(p: float, q: float, shadow: Array, value: float, row: Array) -> float:
     """Light that a shadow leaves; fills ``row`` with the derivatives of ``value`` in that light to the shadow's 4."""
     d, a, c, w = shadow[0], shadow[1], shadow[2], math.exp(shadow[3])
@@ -123,7 +140,7 @@ def _light(p: float, q: float, shadow: Array, value: float, row: Array) -> float
     return 1.0 - d * s
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def accumulate_filtered(
     pixels: Array, at: Indices, rows: Array, taps: Array, filtered: bool, spread: float, normal: Array, residuals: Array
 ) -> None:
@@ -131,11 +148,14 @@ def accumulate_filtered(
 
     ``normal`` has shape (k, k + 1), its upper triangle is written; unknowns are 16, taps, then the rest of ``rows``.
     """
-    normal[:] = 0.0
+    clear(normal)
     size, columns, own = normal.shape[0], rows.shape[1] - 1, TAPS if filtered else 0
     row, mixed, filled = np.empty(size), np.empty(columns + 1), 0
     block = np.zeros((2 * BLOCK, size + 1))
-    centre = 1.0 - 2.0 * taps.sum()
+    total = 0.0
+    for i in range(TAPS):
+        total += taps[i]
+    centre = 1.0 - 2.0 * total
     for k in range(pixels.shape[0]):
         middle = rows[at[k, 0]]
         for j in range(columns + 1):
@@ -151,8 +171,10 @@ def accumulate_filtered(
             residuals[k] = 0.0
             continue
         residuals[k] = r
-        row[:UNKNOWNS] = mixed[:UNKNOWNS]
-        row[UNKNOWNS + own :] = mixed[UNKNOWNS:columns]
+        for j in range(UNKNOWNS):
+            row[j] = mixed[j]
+        for j in range(UNKNOWNS, columns):
+            row[own + j] = mixed[j]
         filled = add_row(row, r, spread, block, filled, normal)
     add_last(block, filled, normal)
 

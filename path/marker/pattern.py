@@ -17,8 +17,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from path.compiled import inner, kernel
 from path.marker.kernels import Array
 
 UNKNOWNS = 16
@@ -32,7 +32,7 @@ _PDF = np.exp(-0.5 * _GRID**2) / math.sqrt(2.0 * math.pi)
 _CDF = np.array([0.5 * math.erfc(-z / math.sqrt(2.0)) for z in _GRID])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _edges(x: float, s: float, edges: Array, z: Array, pdf: Array, weight: Array) -> tuple[int, int]:
     """Blurred cell edges along one axis at position ``x``.
 
@@ -62,7 +62,7 @@ def _edges(x: float, s: float, edges: Array, z: Array, pdf: Array, weight: Array
     return first, last
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def evaluate(  # noqa: PLR0915 - one formula, written out
     p: float,
     q: float,
@@ -98,7 +98,8 @@ def evaluate(  # noqa: PLR0915 - one formula, written out
     t = t_x = t_y = curve_x = curve_y = s00 = s10 = s01 = s11 = 0.0
     left = left_1 = left_z = 0.0
     if edge_row is not None:
-        edge_row[:] = 0.0
+        for k in range(edge_row.shape[0]):
+            edge_row[k] = 0.0
     for column in range(x0, x1 + 2):  # cells[:, column] lies left of edge ``column``
         value = d1 = dz = 0.0
         for i in range(y0, y1 + 2):
@@ -150,7 +151,7 @@ def evaluate(  # noqa: PLR0915 - one formula, written out
     return black + contrast * tone
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def accumulate(
     pixels: Array,
     theta: Array,
@@ -165,7 +166,7 @@ def accumulate(
 
     ``normal`` has shape (16, 17), its upper triangle is written. Weights fall off with the residual over ``spread``.
     """
-    normal[:] = 0.0
+    clear(normal)
     work, row = np.empty((6, cells.shape[0] + 1)), np.empty(UNKNOWNS)
     block, filled = np.zeros((2 * BLOCK, UNKNOWNS + 1)), 0
     for k in range(pixels.shape[0]):
@@ -178,7 +179,15 @@ def accumulate(
     add_last(block, filled, normal)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
+def clear(matrix: Array) -> None:
+    """Zeros everywhere."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
+
+
+@inner
 def add_row(row: Array, r: float, spread: float, block: Array, filled: int, normal: Array) -> int:
     """Put a pixel's derivatives, weighted by its residual, into ``block`` (2 BLOCK, k + 1); a full one into ``normal``.
 
@@ -196,14 +205,16 @@ def add_row(row: Array, r: float, spread: float, block: Array, filled: int, norm
     return 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def add_last(block: Array, filled: int, normal: Array) -> None:
     """The rows that did not fill a block."""
-    block[BLOCK + filled :] = 0.0
+    for i in range(BLOCK + filled, 2 * BLOCK):
+        for j in range(block.shape[1]):
+            block[i, j] = 0.0
     _add_block(block, normal)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _add_block(block: Array, normal: Array) -> None:
     """Add products of four rows to the upper triangle."""
     r0, r1, r2, r3 = block[0], block[1], block[2], block[3]

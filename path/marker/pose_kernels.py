@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from path.marker.kernels import Array, cholesky, cholesky_solve, distort, exp_times, finite, inverse
+from path.compiled import inner, kernel
+from path.marker.kernels import Array, cholesky, cholesky_solve, distort, exp_times, finite, identity, inverse
 
 ITERATIONS = 12
 CONVERGED = 1e-9
@@ -16,7 +16,7 @@ SAME_RAD = 0.05  # two solutions nearer than this are one
 MISFIT = 3.0  # chi-square per degree of freedom above which it enlarges the covariance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def of_layout(turns: Array, shifts: Array, R_v_m: Array, t_v_m: Array) -> tuple[Array, Array]:
     """Poses of ``v`` in the camera, (n, 3, 3) and (n, 3), from those of a marker in it.
 
@@ -26,9 +26,12 @@ def of_layout(turns: Array, shifts: Array, R_v_m: Array, t_v_m: Array) -> tuple[
     """
     many = 0
     all_R, all_t = np.empty((turns.shape[0], 3, 3)), np.empty((turns.shape[0], 3))
+    turn, level = np.empty(3), identity(3)
     for k in range(turns.shape[0]):
         R, t = all_R[many], all_t[many]
-        R_c_m = exp_times(turns[k, :, 0], np.eye(3))
+        for i in range(3):
+            turn[i] = turns[k, i, 0]
+        R_c_m = exp_times(turn, level)
         for i in range(3):
             for j in range(3):
                 R[i, j] = R_c_m[i, 0] * R_v_m[j, 0] + R_c_m[i, 1] * R_v_m[j, 1] + R_c_m[i, 2] * R_v_m[j, 2]
@@ -39,7 +42,7 @@ def of_layout(turns: Array, shifts: Array, R_v_m: Array, t_v_m: Array) -> tuple[
     return all_R[:many], all_t[:many]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def facing(R: Array, t: Array, R_v_m: Array, t_v_m: Array) -> tuple[float, Array]:
     """Angle between a marker's normal and the line of sight, and the marker's centre (3,) in the camera."""
     centre = np.empty(3)
@@ -51,7 +54,7 @@ def facing(R: Array, t: Array, R_v_m: Array, t_v_m: Array) -> tuple[float, Array
     return math.acos(min(1.0, max(-1.0, cosine))), centre
 
 
-@njit(cache=True, nogil=True)
+@inner
 def angle(R_a: Array, R_b: Array) -> float:
     """Returns the angle of the rotation from one to the other, rad."""
     total = 0.0
@@ -61,7 +64,7 @@ def angle(R_a: Array, R_b: Array) -> float:
     return math.acos(min(1.0, max(-1.0, 0.5 * (total - 1.0))))
 
 
-@njit(cache=True, nogil=True)
+@inner
 def linearize(
     R: Array, t: Array, points: Array, pixels: Array, whitening: Array, lens: Array, down: Array, weight: float,
     residuals: Array, jacobian: Array,
@@ -114,7 +117,7 @@ def linearize(
     return cost
 
 
-@njit(cache=True, nogil=True)
+@inner
 def normal(jacobian: Array, residuals: Array, information: Array, gradient: Array) -> float:
     """Information ``J^T J`` (6, 6) and ``-J^T r`` (6,) into their places; returns the cost ``r^T r``."""
     cost = 0.0
@@ -131,7 +134,7 @@ def normal(jacobian: Array, residuals: Array, information: Array, gradient: Arra
     return cost
 
 
-@njit(cache=True, nogil=True)
+@inner
 def refine(
     start_R: Array, start_t: Array, points: Array, pixels: Array, whitening: Array, lens: Array, down: Array,
     weight: float,
@@ -176,7 +179,7 @@ def refine(
     return cost, turn, shift, information, corners
 
 
-@njit(cache=True, nogil=True)
+@inner
 def scales(
     R: Array, t: Array, points: Array, middles: Array, sizes: Array, whitening: Array, lens: Array, jacobian: Array,
     by_size: Array, by_focal: Array,
@@ -189,7 +192,8 @@ def scales(
         jacobian: of ``linearize``, at this pose.
     """
     size, focal = np.empty(8), np.empty(8)
-    by_size[:], by_focal[:] = 0.0, 0.0
+    for k in range(6):
+        by_size[k] = by_focal[k] = 0.0
     for m in range(whitening.shape[0]):
         for c in range(4):
             p = points[4 * m + c]
@@ -214,7 +218,7 @@ def scales(
                 by_focal[k] += jacobian[8 * m + r, k] * white_focal
 
 
-@njit(cache=True, nogil=True)
+@inner
 def covariance(
     R: Array, t: Array, points: Array, pixels: Array, middles: Array, sizes: Array, focal: float, whitening: Array,
     lens: Array, down: Array, weight: float, information: Array, misfit: float, out: Array,
@@ -290,15 +294,15 @@ class PoseFit(NamedTuple):
     other_t: Array
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fit(start_R: Array, start_t: Array, seen: PoseProblem) -> PoseFit:
     """Descend from every start, (k, 3, 3) and (k, 3): the lowest end, and the other one when it is another.
 
     Where gravity leads all of them to one end, the other solution is the one that the corners alone keep.
     """
     best_cost, best_corners, other_cost, rival = np.inf, np.inf, np.inf, False
-    best_R, best_t, best_information = np.eye(3), np.zeros(3), np.eye(6)
-    other_R, other_t = np.eye(3), np.zeros(3)
+    best_R, best_t, best_information = identity(3), np.zeros(3), identity(6)
+    other_R, other_t = identity(3), np.zeros(3)
     for k in range(start_R.shape[0]):
         cost, R, t, information, corners = refine(
             start_R[k], start_t[k], seen.points, seen.pixels, seen.whitening, seen.lens, seen.down, seen.weight
@@ -326,7 +330,7 @@ def fit(start_R: Array, start_t: Array, seen: PoseProblem) -> PoseFit:
     )
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _mirrored(start_R: Array, start_t: Array, best_R: Array, seen: PoseProblem) -> tuple[float, Array, Array]:
     """The planar solution that gravity excluded, where the corners alone keep it; else with an infinite cost."""
     farthest, far = 0, -1.0

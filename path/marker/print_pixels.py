@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from path.compiled import inner, kernel
 from path.marker.kernels import Array, distort, undistort
 
 Gray = NDArray[np.uint8]
@@ -15,7 +15,7 @@ Gray = NDArray[np.uint8]
 MAX_PIXELS = 1600  # a larger marker is fitted on a selection of its pixels
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def frame_of(corners_px: Array, lens: Array, frame: Array, rays: Array) -> bool:
     """Coordinates in which a fit works: rays about the marker's centre, scaled to be of size one.
 
@@ -40,7 +40,7 @@ def frame_of(corners_px: Array, lens: Array, frame: Array, rays: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def homography(corners: Array, n: int, theta: Array) -> bool:
     """Homography from ``corners`` (4, 2) to the print's corners (0,0) (n,0) (n,n) (0,n), into ``theta[:8]``."""
     x0, y0, x1, y1 = corners[0, 0], corners[0, 1], corners[1, 0], corners[1, 1]
@@ -63,7 +63,7 @@ def homography(corners: Array, n: int, theta: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def corner_rays(theta: Array, n: int, corners: Array, jacobian: Array) -> None:
     """The print's corners back in the fit's ray coordinates (4, 2), and d(corners)/d(theta[:8]), shape (8, 8)."""
     for k in range(4):
@@ -83,14 +83,14 @@ def corner_rays(theta: Array, n: int, corners: Array, jacobian: Array) -> None:
             jacobian[2 * k + 1, 6 + j] = (a * gy - d * gx) / det
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _on_print(p: float, q: float, theta: Array) -> tuple[float, float]:
     """Print coordinates of a ray."""
     w = 1.0 + theta[6] * p + theta[7] * q
     return (theta[0] * p + theta[1] * q + theta[2]) / w, (theta[3] * p + theta[4] * q + theta[5]) / w
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _mixed(a: int, b: int) -> int:
     """A whole number that looks random: a regular selection could run along the edges of a print."""
     h = (a * 73856093) ^ (b * 19349663)
@@ -98,7 +98,7 @@ def _mixed(a: int, b: int) -> int:
     return h >> 7
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def gather(
     image: Gray,
     u_off: int,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from path.compiled import kernel
 from path.marker.kernels import Array, cholesky, cholesky_solve
 from path.marker.pattern import TONE, UNKNOWNS, evaluate
 
@@ -17,7 +17,7 @@ MIN_DEPTH, MAX_DEPTH = 0.12, 0.9  # of the light
 MIN_GAIN = 0.35  # share of the unevenness that a shadow has to explain, beyond a slope of the light
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def cell_light(pixels: Array, theta: Array, frame: Array, cells: Array, edges: Array) -> Array:
     """Light on each cell relative to an even one, shape (k, 4): its place (p, q), light, weight."""
     n = cells.shape[0] - 2
@@ -46,7 +46,7 @@ def cell_light(pixels: Array, theta: Array, frame: Array, cells: Array, edges: A
     return out[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def find_shadow(light: Array, shadow: Array) -> float:
     """The straight edge of a shadow that explains uneven light of cells best, by trial, beside a slope of the light.
 

@@ -15,6 +15,7 @@ from missions import cli
 from missions.options import (
     DoctorOptions,
     HandoffOptions,
+    PrepareOptions,
     ReceiverOptions,
     ReportOptions,
     RigsOptions,
@@ -76,6 +77,7 @@ def test_all_options_of_a_handoff(monkeypatch: pytest.MonkeyPatch) -> None:
         ),
         (("doctor",), DoctorOptions("sitl")),
         (("rigs",), RigsOptions()),
+        (("prepare", "--rig", "sim"), PrepareOptions("sim")),
         (("report", "runs/x", "--no-picture"), ReportOptions(Path("runs/x"), False)),
         (("trial", "all", "--quick", "--xfeat", "x.onnx"), TrialOptions("all", quick=True, xfeat=Path("x.onnx"))),
     ],

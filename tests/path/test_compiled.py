@@ -1,0 +1,74 @@
+"""Kernels for kernels only are called by kernels only: called from Python they would end the process."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = ("path", "drivers", "flight", "missions", "hil", "tests")
+COMPILED = ("kernel", "inner")
+
+
+def decorated(node: ast.AST, names: tuple[str, ...]) -> bool:
+    return isinstance(node, ast.FunctionDef) and any(getattr(each, "id", "") in names for each in node.decorator_list)
+
+
+def inner_of(source: str) -> set[str]:
+    """Names of a module's kernels that only kernels call."""
+    return {
+        node.name
+        for node in ast.parse(source).body
+        if isinstance(node, ast.FunctionDef) and decorated(node, ("inner",))
+    }
+
+
+def asked_by_python(tree: ast.Module) -> Iterator[str]:
+    """Names that a module uses outside of its kernels."""
+    for node in tree.body:
+        if decorated(node, COMPILED) or isinstance(node, ast.Import | ast.ImportFrom):
+            continue
+        for each in ast.walk(node):
+            if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Load):
+                yield each.id
+
+
+def calls_of_inner(sources: dict[str, str]) -> list[str]:
+    """``module: name`` of each use from Python of a kernel for kernels only; ``sources`` by module name."""
+    inner = {module: inner_of(source) for module, source in sources.items()}
+    wrong: list[str] = []
+    for module, source in sources.items():
+        tree = ast.parse(source)
+        known = {name: name for name in inner[module]}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and node.module in inner:
+                known |= {each.asname or each.name: each.name for each in node.names if each.name in inner[node.module]}
+        wrong += [f"{module}: {name}" for name in asked_by_python(tree) if name in known]
+    return wrong
+
+
+@pytest.fixture(scope="module")
+def sources() -> dict[str, str]:
+    files = [file for folder in FOLDERS for file in (ROOT / folder).rglob("*.py")]
+    return {".".join(file.relative_to(ROOT).with_suffix("").parts): file.read_text("utf-8") for file in files}
+
+
+def test_no_python_calls_a_kernel_for_kernels_only(sources: dict[str, str]) -> None:
+    assert calls_of_inner(sources) == []
+
+
+@pytest.mark.parametrize(
+    "call", ["def f(): return turned(1)", "answer = turned", "class A:\n    f = staticmethod(turned)"]
+)
+def test_a_call_from_python_is_found(call: str) -> None:
+    kernels = "from path.compiled import inner\n@inner\ndef turned(x):\n    return x\n"
+    assert calls_of_inner({"a": kernels + call}) == ["a: turned"]
+    assert calls_of_inner({"a": kernels, "b": "from a import turned\n" + call}) == ["b: turned"]
+
+
+def test_a_kernel_may_call_it() -> None:
+    kernels = "from path.compiled import inner, kernel\n@inner\ndef turned(x):\n    return x\n"
+    assert calls_of_inner({"a": kernels + "@kernel\ndef asked(x):\n    return turned(x)\n"}) == []
