@@ -23,6 +23,8 @@ IN_IMAGE_DEG = 35.0  # to either side of where a camera looks
 HEADINGS = 8
 MOST = 12  # drones that are looked at for one target
 NEVER = 1e9
+LOST_S = 500.0  # what a target that nobody has is worth, where there are fewer drones than needs
+SOON_S = 700.0  # less the time that is left: a target about to be given up is worth more than one that is lost
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +98,8 @@ def assign(needs: Sequence[Need], drones: Sequence[ReadyDrone], ways: Ways, air:
     for i, need in enumerate(needs):
         for j in _nearest(need, homes, [need.may is None or drone.name in need.may for drone in drones]):
             if not in_the_way(ways(need, drones[j]), air.flown, air.clear_m):
-                costs[i, j], headings[i, j] = cost_of(need, drones[j], air)
+                cost_s, headings[i, j] = cost_of(need, drones[j], air)
+                costs[i, j] = cost_s - worth_s(need)
     rows, columns = linear_sum_assignment(costs)
     return [
         Assignment(needs[i].target, drones[j].name, float(headings[i, j]), float(costs[i, j]))
@@ -111,6 +114,11 @@ def _nearest(need: Need, homes: NDArray[np.float64], may: Sequence[bool]) -> lis
     away_m[~np.array(may)] = np.inf
     order = np.argsort(away_m, kind="stable")[:MOST]
     return [j for j in order.tolist() if math.isfinite(away_m[j])]
+
+
+def worth_s(need: Need) -> float:
+    """Returns what it is worth to serve a need now, in seconds; the same for every drone."""
+    return max(0.0, SOON_S - need.urgent_s) if need.urgent_s > 0.0 else LOST_S
 
 
 def cost_of(need: Need, drone: ReadyDrone, air: Airspace) -> tuple[float, float]:

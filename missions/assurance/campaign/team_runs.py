@@ -33,8 +33,7 @@ MOVED_M = 1.5  # of each target's place, on each axis
 LEG_S = 420.0  # about, of one target
 KILLS = ("kill_receiver", "kill_sender")
 HOSTILE = (
-    "kill_receiver", "kill_sender", "camera_freeze", "fc_link_loss", "pilot_takeover", "battery_sag", "lookalike",
-    "depth_holes",
+    "kill_receiver", "kill_sender", "camera_freeze", "fc_link_loss", "battery_sag", "lookalike", "depth_holes",
 )  # fmt: skip
 MOMENTS = {
     "receiver": ("stand-off", "search", "approach", "verify", "provisional", "holding"),

@@ -34,6 +34,15 @@ def test_a_fuller_battery_is_worth_a_longer_way() -> None:
     assert choice.drone == "full"
 
 
+@pytest.mark.parametrize(("left_s", "served"), [(400.0, 0), (60.0, 1)])
+def test_one_drone_for_two_goes_to_the_lost_target_unless_the_other_is_about_to_be_lost(
+    left_s: float, served: int
+) -> None:
+    lost, asking = need(0, 0.0, 60.0), need(1, 0.0, 20.0, urgent_s=left_s)
+    (choice,) = assign([lost, asking], [ReadyDrone("D1", (0.0, 0.0), 1.0)], ways, FREE)
+    assert choice.target == served
+
+
 def test_only_those_take_it_that_may() -> None:
     drones = [ReadyDrone("D1", (0.0, 0.0), 1.0), ReadyDrone("D2", (50.0, 0.0), 1.0)]
     (choice,) = assign([need(0, 0.0, 30.0, may=frozenset(("D2",)))], drones, ways, FREE)
