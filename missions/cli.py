@@ -32,6 +32,7 @@ from missions.options import (
     ReportOptions,
     RigsOptions,
     SenderOptions,
+    TeamOptions,
     TrialOptions,
     VerifyOptions,
     ViewOptions,
@@ -42,6 +43,7 @@ from path.bounds import out_of_bounds
 MODULES: dict[type[object], str] = {
     HandoffOptions: "handoff.command",
     RelayOptions: "relay.command",
+    TeamOptions: "team.command",
     FlyOptions: "own.command",
     SenderOptions: "leg.command",
     ReceiverOptions: "leg.command",
@@ -76,6 +78,7 @@ examples:
   path-handoff handoff --rig sim --seed 7     the same course, as fast as it computes
   path-handoff handoff --fault link_loss=0.3  what happens when things go wrong
   path-handoff relay --drones 3 --hours 8     one target, handed round as batteries run down
+  path-handoff team                           three targets kept observed by six drones
   path-handoff replay runs/20261104-101500    what was decided, decided again from the logs
   path-handoff view runs/20261104-101500      the scene, both images, plots, words, in Rerun
   path-handoff fly mission.py --rig sim       a mission of your own (docs/own-missions.md)
@@ -93,6 +96,7 @@ examples:
 Command = (
     Annotated[HandoffOptions, tyro.conf.subcommand("handoff")]
     | Annotated[RelayOptions, tyro.conf.subcommand("relay")]
+    | Annotated[TeamOptions, tyro.conf.subcommand("team")]
     | Annotated[FlyOptions, tyro.conf.subcommand("fly")]
     | Annotated[SenderOptions, tyro.conf.subcommand("sender")]
     | Annotated[ReceiverOptions, tyro.conf.subcommand("receiver")]

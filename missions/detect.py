@@ -17,9 +17,9 @@ from drivers.interfaces import Detector, PartError
 from drivers.recordings.recording import RecordedFrame, RecordingOptions, open_recording
 from drivers.rig.file import load_rig
 from drivers.rig.parts import PartContext, PartSpec, create, decode_part, part_context
-from missions.handoff.command import new_folder
 from missions.options import DetectOptions
 from missions.rig_list import FOLDER
+from missions.run_folder import claim_folder, new_folder
 from missions.work import Bars
 from path.messages import Role
 from path.observations import Detection
@@ -52,6 +52,9 @@ def run(options: DetectOptions, out: TextIO | None = None) -> int:
     name, detector = _detector(options)
     recording = open_recording(options.frames, RecordingOptions(rate_hz=UNSTAMPED_HZ))
     folder = None if options.out is None else new_folder(options.out)
+    if folder is not None:
+        claim_folder(folder, BOXES, "frame,stamp_s")
+        _write(folder / BOXES, ())  # whose folder it is, from now on
     found: list[tuple[RecordedFrame, Sequence[Detection]]] = []
     wall_ms: list[float] = []
     busy: list[float] = []

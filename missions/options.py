@@ -130,6 +130,46 @@ class RelayOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class TeamOptions:
+    """Keep many targets observed by many drones for hours, which relieve each other as batteries run down."""
+
+    rig: RigName = "team-sim"
+    """A rig with [team], [[drones]] and [[targets]] (docs/team.md)."""
+
+    drones: Annotated[int | None, Bounds(2, 1000, "drones")] = None
+    """How many drones; those of the rig by default, and a field laid out like it for more than it names."""
+
+    targets: Annotated[int | None, Bounds(1, 1000, "targets")] = None
+    """How many targets; those of the rig by default, and a field laid out like it for more than it names."""
+
+    hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
+    """For how long; then everybody comes home. By default as the rig says: 2 h in team-sim."""
+
+    seed: Seed = 0
+    """Seed of the world and of every noise: in simulated time the same seed is the same flight of the team."""
+
+    fault: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(name="fault", metavar="[LEG:]NAME[=VALUE][@MOMENT[+SECONDS]]"),
+        tyro.conf.UseAppendAction,
+    ] = ()
+    """What is to go wrong: in every leg, such as link_loss=0.3, or in one, such as 3:kill_receiver@approach; may be
+    given several times."""
+
+    out: OutFolder = None
+    """Folder for logs, summary and picture; runs/<time> by default."""
+
+    errors: Errors = None
+    """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
+
+    logs: bool = False
+    """Log everything, frame by frame, and not only what is decided: some 40 MB an hour and drone."""
+
+    picture: bool = True
+    """Draw team.png at the end."""
+
+
+@dataclass(frozen=True, slots=True)
 class RoleOptions:
     """One drone's side of a handoff, as in the field."""
 

@@ -13,6 +13,7 @@ from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
 from flight.plausible import check_plausible
 from missions.rig_list import FOLDER
+from missions.team.config import checked_team
 
 
 def load(name_or_path: str) -> Rig:
@@ -26,6 +27,8 @@ def load(name_or_path: str) -> Rig:
             problems.absorb(error)
     problems.raise_any()
     check_plausible(rig)
+    if rig.team or rig.drones or rig.targets:
+        checked_team(rig)
     return rig
 
 

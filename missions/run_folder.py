@@ -12,7 +12,7 @@ from pathlib import Path
 
 from drivers.interfaces import PartError
 
-REMEDY = "name another folder with --out"
+REMEDY = "name another place with --out"
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +101,24 @@ def claim_result(file: Path, *signs: str) -> None:
     """Refuse to write a result over a file that none of the ``signs`` of an earlier one is in. Raises PartError."""
     if file.exists() and not any(_has(file, sign) for sign in signs):
         raise PartError(f"{file} is there, and is no earlier result: it is not written over", REMEDY)
+
+
+def claim_folder(folder: Path, marker: str, *signs: str) -> None:
+    """Refuse a folder that holds anything, unless its ``marker`` has one of the ``signs`` of an earlier result.
+
+    For what writes many files, with names that others use too. Raises PartError.
+    """
+    there = sorted(folder.iterdir())
+    if there and not any(_has(folder / marker, sign) for sign in signs):
+        raise PartError(f"{folder} holds {_some(there)}, and is no earlier result: nothing is written over", REMEDY)
+
+
+def discard(folder: Path, kind: RunKind) -> None:
+    """Take away a run's files, and its folder if nothing else is in it."""
+    with suppress(OSError):
+        for file in kind.files(folder):
+            file.unlink()
+        folder.rmdir()
 
 
 def _has(file: Path, sign: str) -> bool:

@@ -17,7 +17,7 @@ from drivers.rig.parts import Origin
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
-from hil.world.world import World, WorldConfig
+from hil.world.world import AltitudeConfig, World, WorldConfig
 from path.messages import Role
 
 SYSID = 1
@@ -29,16 +29,25 @@ QUICK = AutopilotConfig(
 LIMIT_S = 30.0
 STEP_S = 0.005
 SETPOINT_STEPS = 10  # 20 Hz
+RIGHT = AltitudeConfig()
 FORWARD = VelocitySetpoint((0.05, 0.0, 0.0), 0.0)
 
 
 class Bench:
     """Stepped by a thread; everything that touches the world takes ``lock``."""
 
-    def __init__(self, speed: float = 1.0, key: bytes | None = None, altitude_off_m: float = 0.0) -> None:
+    def __init__(
+        self,
+        speed: float = 1.0,
+        key: bytes | None = None,
+        altitude_off_m: float = 0.0,
+        altitude: AltitudeConfig = RIGHT,
+    ) -> None:
         self._speed = speed
         exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
-        self.world = World(WorldConfig(wind=WindConfig(0.0, gust_mps=0.0), estimator=exact, autopilot=QUICK), seed=1)
+        calm = WindConfig(0.0, gust_mps=0.0)
+        self.world = World(WorldConfig(wind=calm, estimator=exact, autopilot=QUICK, altitude=altitude), seed=1)
+        self.flown = FORWARD
         self.drone = self.world.drone(Role.SENDER)
         self.lock = threading.Lock()
         self.ground = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -69,7 +78,7 @@ class Bench:
             self._drain()
 
     def _setpoint(self) -> None:
-        north, east, down = FORWARD.velocity_n_mps
+        north, east, down = self.flown.velocity_n_mps
         message = mavlink.MAVLink_set_position_target_local_ned_message(
             0, SYSID, 1, 1, 2503, 0, 0, 0, north, east, down, 0, 0, 0, FORWARD.yaw_rad, 0
         )
@@ -103,12 +112,17 @@ class Bench:
 
 
 @contextmanager
-def bench(speed: float = 1.0, key: bytes | None = None, altitude_off_m: float = 0.0) -> Generator[Bench]:
+def bench(
+    speed: float = 1.0,
+    key: bytes | None = None,
+    altitude_off_m: float = 0.0,
+    altitude: AltitudeConfig = RIGHT,
+) -> Generator[Bench]:
     """The vehicle's time runs ``speed`` times as fast as ours; with a ``key`` it signs, and takes what is signed.
 
-    ``altitude_off_m``: of what it takes for its altitude above sea level.
+    ``altitude_off_m``: of what it takes for its altitude above sea level; ``altitude``: the same, and how it moves.
     """
-    own, stop = Bench(speed, key, altitude_off_m), threading.Event()
+    own, stop = Bench(speed, key, altitude_off_m, altitude), threading.Event()
     thread = threading.Thread(target=own.run, args=(stop,))
     thread.start()
     try:

@@ -162,10 +162,13 @@ def read_mount(file: Path) -> MountCalibration:
     return _read(file, MountCalibration, MOUNT_REMEDY)
 
 
+MADE_BY = "Made by `path-handoff calibrate"  # the sign of every file and picture of these commands
+
+
 def write_calibration(file: Path, calibration: CameraCalibration | MountCalibration) -> None:
     """Raises CalibrationError when it cannot be written."""
     key = "[sender.camera]" if isinstance(calibration, CameraCalibration) else "[sender.mount.marker]"
-    comment = f'Made by `path-handoff calibrate {calibration.kind}`. In a rig: {key} calibration = "{file.name}"'
+    comment = f'{MADE_BY} {calibration.kind}`. In a rig: {key} calibration = "{file.name}"'
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(toml_text(_plain(asdict(calibration)), comment), "utf-8")

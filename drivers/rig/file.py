@@ -9,6 +9,9 @@ harness = "hil.harness.sitl:Sitl"            # left out in the field
 [world]                              # decoded by the harness
 [trials]                             # what trials measure against: studio = "hil.camera.pictures:CameraRenderer", ...
 [relay]                              # decoded by a relay: its drones, their batteries and homes
+[team]                               # decoded by a team, with ...
+[[drones]]                           # ... its drones by name: homes, parts, batteries
+[[targets]]                          # ... and the targets that it keeps observed
 [reference.sender], .receiver, .target   # beacons that trials measure against; [reference.beacons] is who listens
 [[markers]]                          # the marker layout on the sender, in frame v
 [sender.vehicle]                     # a part: its factory, and the options of its Config
@@ -138,6 +141,9 @@ class _RigTable:
     trials: dict[str, str] = field(default_factory=dict[str, str])
     reference: Reference | None = None
     relay: dict[str, Any] = field(default_factory=dict[str, Any])
+    team: dict[str, Any] = field(default_factory=dict[str, Any])
+    drones: tuple[dict[str, Any], ...] = ()
+    targets: tuple[dict[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
         self.layout()
@@ -247,6 +253,9 @@ def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
         file=path,
         reference=written.reference,
         relay=written.relay,
+        team=written.team,
+        drones=written.drones,
+        targets=written.targets,
         folders=tuple(search),
     )
 

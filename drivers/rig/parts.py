@@ -157,7 +157,10 @@ class RoleRig:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A whole rig. ``mission``, ``world`` and ``relay`` stay tables: who uses them decodes them with ``decode_table``.
+    """A whole rig.
+
+    ``mission``, ``world``, ``relay``, ``team``, ``drones`` and ``targets`` stay tables: who uses them decodes them with
+    ``decode_table``.
 
     ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None without beacons;
     ``folders`` are where a rig that this one is like was looked up by name.
@@ -178,6 +181,9 @@ class Rig:
     file: Path
     reference: Reference | None = None
     relay: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    team: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    drones: tuple[Mapping[str, Any], ...] = ()
+    targets: tuple[Mapping[str, Any], ...] = ()
     folders: tuple[Path, ...] = ()
 
     def role(self, role: Role) -> RoleRig:

@@ -33,8 +33,8 @@ WATCHED: Mapping[str, float] = {
 
 
 @dataclass(frozen=True, slots=True)
-class RelayDrone:
-    """One drone of a relay. What is not said here is as in the rig's ``[sender]``.
+class NamedDrone:
+    """One drone of a relay or a team. What is not said here is as in the rig's ``[sender]``.
 
     Attributes:
         home_m: (E, N) in m, where it stands and comes back to.
@@ -74,7 +74,7 @@ class RelayConfig:
     """
 
     harness: str
-    drones: tuple[RelayDrone, ...]
+    drones: tuple[NamedDrone, ...]
     hours: Annotated[float, Bounds(0.0, 1000.0, above=True)] = 8.0
     reserve: Annotated[float, Bounds(0.05, 0.95, "of 1")] = 0.25
     endurance_s: Annotated[float, Bounds(10.0, 36000.0)] = 1080.0
@@ -97,12 +97,12 @@ class RelayConfig:
             raise ValueError("endurance_s, swap_s and home_s must be above 0, attempts at least 1")
 
 
-def pair_of(rig: Rig, sender: RelayDrone, receiver: RelayDrone) -> Rig:
+def pair_of(rig: Rig, sender: NamedDrone, receiver: NamedDrone) -> Rig:
     """The rig of one leg: these two drones in these two roles."""
     return replace(rig, sender=_role(rig, sender, "sender"), receiver=_role(rig, receiver, "receiver"))
 
 
-def _role(rig: Rig, drone: RelayDrone, role: str) -> RoleRig:
+def _role(rig: Rig, drone: NamedDrone, role: str) -> RoleRig:
     built = rig.sender
     camera = built.camera if drone.camera is None else drone.camera.model()
     mount = Mount(built.mount.T_b_c, built.mount.T_b_v)
@@ -146,6 +146,22 @@ class RelayField(Protocol):
         ...
 
 
+class TeamField(RelayField, Protocol):
+    """The place where a team flies. Targets are told apart by their number in the rig's order."""
+
+    def assign(self, name: str, target: int) -> None:
+        """Before it is begun: a drone is sent to find a target."""
+        ...
+
+    def given_up(self, target: int) -> None:
+        """Nobody has the target any more, and everybody knows."""
+        ...
+
+    def point_at(self, target: int) -> Pointed:
+        """Where a person on the ground sees a target now."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class DroneProcesses:
     """The drones' programs as processes, and their way to those on the ground: lines of JSON, either way.
@@ -165,15 +181,47 @@ class DroneProcesses:
 
 
 @dataclass(frozen=True, slots=True)
+class NamedTarget:
+    """One object that a team keeps observed.
+
+    Attributes:
+        place_m: (E, N) in m, where it is pointed at, and where it waits until somebody has come.
+        named_at_s: when the team is told of it.
+        drones: the names of those that may take it; all when there are none.
+    """
+
+    name: str
+    place_m: Annotated[Point, Bounds(-1000, 1000)]
+    named_at_s: Annotated[float, Bounds(0.0, 360000.0)] = 0.0
+    drones: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Pointed:
+    """Where a person says that a target is: NED in m and m/s, at an instant of the ground's clock."""
+
+    place_n_m: tuple[float, float, float]
+    velocity_n_mps: tuple[float, float, float]
+    time_s: float
+
+    def at(self, time_s: float) -> tuple[float, float, float]:
+        """Where it is by then."""
+        since_s = time_s - self.time_s
+        n, e, d = (p + since_s * v for p, v in zip(self.place_n_m, self.velocity_n_mps, strict=True))
+        return n, e, d
+
+
+@dataclass(frozen=True, slots=True)
 class RelayRequest:
-    """One relay.
+    """One relay, or the flights of a team.
 
     Attributes:
         processes: for a harness whose drones' programs are processes of their own.
         hours: how long it is to last, about.
-        main: flies it to its end; told to stop by the event.
+        main: flies it to its end, for a team on a ``TeamField``; told to stop by the event.
         faults: by the number of their leg; of 0 those of all legs.
         whole_log: everything into the logs, not only what is rare.
+        targets: of a team; a relay has the one of ``[world.target]``.
     """
 
     rig: Rig
@@ -186,6 +234,7 @@ class RelayRequest:
     processes: DroneProcesses
     hours: float = 8.0
     whole_log: bool = False
+    targets: Sequence[NamedTarget] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,10 +258,29 @@ class FieldSample:
 
 
 @dataclass(frozen=True, slots=True)
+class TargetWatch:
+    """How one target was kept in view, in truth.
+
+    Attributes:
+        first_s: when a drone was responsible for it for the first time; None: never.
+        observed_s: for how long since then somebody responsible for it looked at it, and at nothing else.
+        of_s: out of how many seconds.
+        spells: (from, to) of the times in which nobody did.
+    """
+
+    first_s: float | None
+    observed_s: float
+    of_s: float
+    spells: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class RelayReport:
     """The harness's report of a relay.
 
-    ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``errors``: as in ``FlightReport``.
+    ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``errors``: as in ``FlightReport``;
+    ``watched``: by target, in their order; ``bytes_sent``, ``aloft_s``: by drone, on its links and in the air;
+    ``cpu_s``: of this process.
     """
 
     violations: Mapping[str, int]
@@ -228,6 +296,10 @@ class RelayReport:
     log_failure: str = ""
     closest_pair: Sequence[str] = field(default_factory=tuple)
     errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])
+    watched: Sequence[TargetWatch] = ()
+    bytes_sent: Mapping[str, int] = field(default_factory=dict[str, int])
+    aloft_s: Mapping[str, float] = field(default_factory=dict[str, float])
+    cpu_s: float = 0.0
 
 
 class RelayHarness(Protocol):

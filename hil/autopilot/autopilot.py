@@ -67,7 +67,8 @@ class Autopilot:
         self.landed = True
         self.battery = 1.0
         self.pilot_in_control = False
-        self.altitude_drift_m = 0.0  # of what it takes for its altitude, since it was armed; its fence is kept by that
+        self.altitude_error_m = 0.0  # of what it takes for its altitude above the sea; its local frame has none of it
+        self._home_error_m = 0.0  # as it was when home was set
         self.failsafe = ""  # which of its own holds it or brings it down, until somebody changes the mode
         self.killed = False  # by the pilot's switch: the motors stand still
         self.radio = Radio()
@@ -97,6 +98,15 @@ class Autopilot:
     @property
     def armable(self) -> bool:
         return not self.reasons
+
+    @property
+    def home_altitude_error_m(self) -> float:
+        return self._home_error_m
+
+    @property
+    def altitude_drift_m(self) -> float:
+        """Of what it takes for its height above home: its own fence is kept by that, as PX4's is."""
+        return self.altitude_error_m - self._home_error_m
 
     @property
     def powered(self) -> bool:
@@ -225,7 +235,7 @@ class Autopilot:
         self.armed, self._armed_s, self._landed_s = True, now_s, None
         self.pilot_in_control = False
         self._radio_optional = not self._pilot.heard
-        self.home_n_m = self._estimate.position_n_m
+        self.home_n_m, self._home_error_m = self._estimate.position_n_m, self.altitude_error_m
         if self.mode is not FlightMode.OFFBOARD:
             self._enter(now_s, FlightMode.HOLD)
         self._say(now_s, Severity.INFO, "Armed")
@@ -318,7 +328,7 @@ class Autopilot:
         )
         self.reasons = tuple(reason for failed, reason in checks if failed)
         if self.home_n_m is None and not self.reasons:
-            self.home_n_m = self._estimate.position_n_m
+            self.home_n_m, self._home_error_m = self._estimate.position_n_m, self.altitude_error_m
 
     def _detect_ground(self, now_s: float, contact: bool) -> None:
         if not contact:

@@ -1,20 +1,26 @@
-"""The harness of a relay: one field with many drones and their programs in one process, in virtual time."""
+"""The harness of a relay and of a team: one field of many drones and targets, their programs in one process.
+
+It runs in virtual time, and knows nothing of missions: in a relay all drones are around one target.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import gc
+import math
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from drivers.log.mcap_log import McapLog, virtual_log
 from drivers.rig.parts import Rig, RoleRig, part_context
 from drivers.rig.tables import decode_table
 from drivers.stop_signals import stop_on_signals
 from flight.harness.flights import Progress, RoleResult
-from flight.harness.relay import DroneProgram, RelayConfig, RelayReport, RelayRequest, pair_of
+from flight.harness.relay import DroneProgram, Pointed, RelayConfig, RelayReport, RelayRequest, pair_of
 from hil.harness.drone import Disk, DroneHarness, present_s
 from hil.harness.guard import MemoryBeatLine, keep_watch
 from hil.harness.inject import inject_at_drone, inject_in_world, inject_on_link
@@ -36,21 +42,23 @@ PERIOD_S = 0.2
 VEHICLES_S = 1.0
 SAMPLE_S = 10.0
 LANDING_LIMIT_S = 90.0
+POINTING_M = 0.1  # standard deviation, on each axis, of where a person points
 
 
 class RelaySim:
-    """Flies a relay of level ``sim``."""
+    """Flies a relay or a team of level ``sim``."""
 
     def fly(self, request: RelayRequest) -> RelayReport:
         faults = {leg: [_parse(text, request.rig.level) for text in texts] for leg, texts in request.faults.items()}
         prepare(request.rig, lambda what: request.emit(starting(Role.SENDER, what)))
-        start_s = time.perf_counter()
+        start_s, cpu_s = time.perf_counter(), time.process_time()
         gc.disable()  # nothing here lives in cycles, and collecting takes a tenth of the time
         try:
             findings = run_virtual(_VirtualRelay(request, faults).run())
         finally:
             gc.enable()
-        return RelayReport(**findings, wall_s=time.perf_counter() - start_s)
+        cpu_s = time.process_time() - cpu_s
+        return RelayReport(**findings, wall_s=time.perf_counter() - start_s, cpu_s=cpu_s)
 
 
 def _parse(text: str, level: str) -> Fault:
@@ -76,7 +84,7 @@ class _VirtualDrone:
 
 
 class _VirtualRelay:
-    """One relay in virtual time: the ``flight.harness.relay.RelayField``, and what watches it."""
+    """One relay or team in virtual time: the ``flight.harness.relay.TeamField``, and what watches it."""
 
     def __init__(self, request: RelayRequest, faults: dict[int, list[Fault]]) -> None:
         self._request = request
@@ -91,13 +99,17 @@ class _VirtualRelay:
         """The fields of the RelayReport, without the wall's."""
         rig, request, config = self._rig, self._request, self._config
         world_config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
-        self._world = RelayWorld(world_config, request.seed, config.drones)
+        self._world = RelayWorld(world_config, request.seed, config.drones, request.targets)
+        self._pointing = np.random.default_rng([request.seed, 0x706F696E74])
         self._pairs = {drone.name: pair_of(rig, drone, drone) for drone in config.drones}
         built = {
             name: as_built(pair, request.seed, {OTHER: 0, OWN: k}) for k, (name, pair) in enumerate(self._pairs.items())
         }
         owns = {name: each.rig.receiver for name, each in built.items()}
-        self._monitors = RelayMonitors(rig, config, self._mission, self._world, owns)
+        targets = max(1, len(request.targets))
+        self._monitors = RelayMonitors(rig, config, self._mission, self._world, owns, targets=targets)
+        if request.targets:
+            self._monitors.watched_until_s = 3600.0 * request.hours
         self._drones = {name: self._new(name, pair.receiver, built[name]) for name, pair in self._pairs.items()}
         stop_on_signals(self._programs.interrupt)
         watching = asyncio.create_task(self._watch())
@@ -132,7 +144,30 @@ class _VirtualRelay:
     def begin(self, name: str, program: DroneProgram) -> Awaitable[RoleResult | None]:
         drone = self._drones[name]
         self._switch_on(drone)
-        return self._programs.begin(name, lambda: self._start(drone, program))
+        return self._until_over(name, self._programs.begin(name, lambda: self._start(drone, program)))
+
+    async def _until_over(self, name: str, program: Awaitable[RoleResult | None]) -> RoleResult | None:
+        try:
+            return await program
+        finally:
+            self._monitors.on_over(name)
+
+    def assign(self, name: str, target: int) -> None:
+        self._monitors.on_assigned(name, target)
+
+    def given_up(self, target: int) -> None:
+        self._monitors.on_given_up(target)
+
+    def point_at(self, target: int) -> Pointed:
+        """A person points: off by some centimetres, and knows how it drives."""
+        now_s, world = present_s(), self._world
+        if now_s != world.time_s:
+            world.advance(now_s)
+        thing = world.target(target)
+        east, north, _ = thing.position_w_m
+        off_n_m, off_e_m = (POINTING_M * self._pointing.standard_normal(2)).tolist()
+        velocity = thing.speed_mps * math.sin(thing.yaw_rad), thing.speed_mps * math.cos(thing.yaw_rad), 0.0
+        return Pointed((north + off_n_m, east + off_e_m, 0.0), velocity, now_s)
 
     def open_leg(self, number: int, sender: str, receiver: str) -> None:
         hub = self._hubs[number] = MemoryHub(self._request.seed * 4096 + number)

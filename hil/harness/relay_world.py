@@ -1,4 +1,4 @@
-"""The world of a relay: drones by name on one field, and what the parts of one of them are connected to.
+"""The world of a relay or a team: drones and targets on one field, and what the parts of one drone are connected to.
 
 A drone's parts are made once and stay open while its role changes. To its own vehicle and its own camera it is always
 the receiver, who sees the other drone's marker when there is another drone.
@@ -6,13 +6,17 @@ the receiver, who sees the other drone's marker when there is another drone.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from flight.harness.relay import RelayDrone
+from flight.harness.relay import NamedDrone, NamedTarget
 from hil.autopilot.autopilot import Autopilot
+from hil.world.dynamics import CONTACT
+from hil.world.fields import TargetField
+from hil.world.nearness import Nearness, nearness
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
+from hil.world.targets import Point
 from hil.world.world import STEP_HZ, Fleet, HomeConfig, SimDrone, WorldConfig, at_home
 from path.messages import Role
 
@@ -22,17 +26,30 @@ OWN, OTHER = Role.RECEIVER, Role.SENDER
 class RelayWorld(Fleet[str]):
     """Drones that are switched on one by one. What is off stands at its home and costs nothing."""
 
-    def __init__(self, config: WorldConfig, seed: int, drones: tuple[RelayDrone, ...]) -> None:
-        """Raises ValueError when the objects do not fit."""
+    def __init__(
+        self, config: WorldConfig, seed: int, drones: tuple[NamedDrone, ...], targets: Sequence[NamedTarget] = ()
+    ) -> None:
+        """``targets``: none for the one of ``config``. Raises ValueError when the objects do not fit."""
+        self._targets = targets
         self._homes = {drone.name: HomeConfig(drone.home_m, drone.heading_deg) for drone in drones}
         self._seeds = np.random.SeedSequence([seed, 0x52454C]).spawn(len(drones))
         self._boots = dict.fromkeys(self._homes, 0)
         self.on: set[str] = set()
-        self._truths: dict[str, DroneTruth] | None = None
-        self._objects: tuple[ObjectTruth, ...] | None = None
+        self._rows = {name: k for k, name in enumerate(self._homes)}
+        self._truths: dict[str, DroneTruth] = {}
         super().__init__(config, seed, self._homes, {})
         for drone in drones:
             self.battery(drone.name, drone.battery)
+
+    def _place_traffic(self, keep_clear: Sequence[Point], seed: np.random.SeedSequence) -> None:
+        starts = [(each.place_m, each.named_at_s) for each in self._targets] or [(self.config.target.start_m, 0.0)]
+        seeds = seed.spawn(len(starts)) if self._targets else [seed]
+        self._field = TargetField(self.config.target, self.config.look_alikes, starts, keep_clear, seeds)
+
+    def send_lookalike(self, target: int = 0) -> None:
+        """Past one of the targets; see ``Fleet.send_lookalike``."""
+        self._field.send_lookalike(target, self.traffic_s)
+        self._changed()
 
     def switch_on(self, name: str) -> None:
         """Switches a drone on, with a position solution of its own that has not wandered yet."""
@@ -65,34 +82,44 @@ class RelayWorld(Fleet[str]):
                 self._commands[i] = drone.command(self._step / STEP_HZ)
 
     def _changed(self) -> None:
-        self._truths = self._objects = None
+        self._truths.clear()
 
     # --- truth ---
 
     def truth(self) -> dict[str, DroneTruth]:
-        if self._truths is None:
-            self._truths = self.truths()
-        return self._truths
+        """Of every drone; most want one or two."""
+        return self.truths()
+
+    def truth_of(self, name: str) -> DroneTruth:
+        truth = self._truths.get(name)
+        if truth is None:
+            row = self._rows[name]
+            (truth,) = self._truths_of(slice(row, row + 1), (self._drones[name],))
+            self._truths[name] = truth
+        return truth
 
     @property
     def objects(self) -> tuple[ObjectTruth, ...]:
-        if self._objects is None:
-            self._objects = self._traffic.at(self.traffic_s)
-        return self._objects
+        """All around the first target."""
+        return self._field.near(self._field.starts[0], self.traffic_s)
+
+    def objects_near(self, name: str) -> tuple[ObjectTruth, ...]:
+        """What a drone may see."""
+        north, east, _ = self._drones[name].true_position_n_m
+        return self._field.near((east, north), self.traffic_s)
+
+    def target(self, number: int) -> ObjectTruth:
+        return self._field.target(number, self.traffic_s)
 
     @property
     def airborne(self) -> tuple[str, ...]:
-        return tuple(name for name, drone in self._drones.items() if not drone.on_ground)
+        names = self.names
+        return tuple(names[row] for row in np.flatnonzero(self._states[:, CONTACT] == 0.0).tolist())
 
-    def closest(self) -> tuple[float, tuple[str, ...]]:
-        """Smallest true distance between two drones in the air, and which."""
-        airborne = self.airborne
-        least: tuple[float, tuple[str, ...]] = (math.inf, ())
-        for i, one in enumerate(airborne):
-            for other in airborne[:i]:
-                apart = math.dist(self._drones[one].true_position_n_m, self._drones[other].true_position_n_m)
-                least = min(least, (apart, (other, one)))
-        return least
+    def closest(self, within_m: float) -> Nearness:
+        """How near drones in the air are to each other in truth."""
+        aloft = np.flatnonzero(self._states[:, CONTACT] == 0.0)
+        return nearness(tuple(self.names[row] for row in aloft.tolist()), self._states[aloft, :3], within_m)
 
     @property
     def batteries(self) -> tuple[float, ...]:
@@ -106,9 +133,11 @@ class RelayWorld(Fleet[str]):
 
     def view(self, own: str, other: str | None) -> Snapshot:
         """The truth at ``time_s`` as far as a pair is concerned."""
-        truth = self.truth()
-        drones = {OWN: truth[own]} if other is None else {OTHER: truth[other], OWN: truth[own]}
-        return Snapshot(self.time_s, drones, self.objects, self._marker_hidden, self._depth_holes, self.detector)
+        truth = self.truth_of
+        drones = {OWN: truth(own)} if other is None else {OTHER: truth(other), OWN: truth(own)}
+        return Snapshot(
+            self.time_s, drones, self.objects_near(own), self._marker_hidden, self._depth_holes, self.detector
+        )
 
 
 class PairView:

@@ -36,6 +36,10 @@ class Claims(Generic[Who]):
     def drop(self, who: Who) -> None:
         self._until_s.pop(who, None)
 
+    def holds(self, who: Who, now_s: float) -> bool:
+        """Whether one's claim holds at an instant."""
+        return now_s < self._until_s.get(who, -math.inf)
+
     def holders(self, now_s: float) -> tuple[Who, ...]:
         """Returns those whose claim holds at an instant."""
         return tuple(who for who, until_s in self._until_s.items() if now_s < until_s)

@@ -1,8 +1,9 @@
-"""The monitors of a relay: those of a handoff for each leg, and those of all drones together.
+"""What must never happen in a relay or a team: the monitors of a handoff for each leg, and those of all drones at once.
 
-Of all drones: at most one is responsible (S1), nobody is for no longer than lease, uncertainty and guard allow (L2),
-all that are in the air keep their separation (S9), none is below the reserve before it has landed, and who is
-responsible has the right object. Gaps that a dead program or an orphan leaves are outcomes, not gaps of the protocol.
+Of all drones: for each target at most one is responsible (S1), nobody is for no longer than lease, uncertainty and
+guard allow (L2), every two that are in the air keep their separation (S9), none is below the reserve before it has
+landed, and who is responsible has the right object (S12). Gaps that a dead program, an orphan or a target that was
+given up leaves are outcomes, not gaps of the protocol. A relay is a team with one target.
 """
 
 from __future__ import annotations
@@ -23,12 +24,14 @@ from hil.harness.relay_world import RelayWorld
 from hil.monitors.claims import Claims, in_world_time
 from hil.monitors.leases import GAP_S
 from hil.monitors.monitors import LEASES, Monitors
+from hil.monitors.observed import ObservedTime
 from hil.monitors.scripts import ScriptMonitor, VehicleTruth, pixel_of, vehicle_truth
+from hil.world.fields import NUMBERS
 from hil.world.snapshot import DroneTruth, ObjectTruth
 from path.messages import Role
 
 Seen = tuple[Mapping[str, DroneTruth], Sequence[ObjectTruth]]
-LOOK_S = 1.0  # at the object that the responsible drone has
+LOOK_S = 0.5  # at the object that the responsible drone has
 
 
 @dataclass(slots=True)
@@ -71,10 +74,19 @@ class RelayMonitors:
     scripts: ScriptMonitor = field(init=False)
     members: Mapping[str, Enum] = field(init=False)
     seen: Callable[[float], Seen] | None = None
+    targets: int = 1
+    watched_until_s: float = math.inf  # the team is called home then
+    observed: list[ObservedTime] = field(init=False)
+    bytes_sent: Counter[str] = field(default_factory=Counter[str])
+    aloft_s: dict[str, float] = field(default_factory=dict[str, float])
+    _on: dict[str, int] = field(default_factory=dict[str, int])  # which target a drone is on; the first if not said
+    _before: dict[int, str] = field(default_factory=dict[int, str])  # who had it until the hand-over under way
+    _sent: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])  # leg, and bytes in it
+    _truth_s: float | None = None
     _legs: dict[str, WatchedLeg] = field(default_factory=dict[str, WatchedLeg])
     _all_legs: list[WatchedLeg] = field(default_factory=list[WatchedLeg])
     _flights: dict[str, _WatchedFlight] = field(default_factory=dict[str, _WatchedFlight])
-    _alone_s: float | None = None
+    _alone_s: dict[int, float] = field(default_factory=dict[int, float])  # by target, since when nobody is
     _near: set[tuple[str, ...]] = field(default_factory=set[tuple[str, ...]])
     _looked_s: dict[str, float] = field(default_factory=dict[str, float])
     _wrong: set[str] = field(default_factory=set[str])
@@ -83,6 +95,7 @@ class RelayMonitors:
         drones: Any = Enum("Drone", {name: name for name in self.world.names})  # made of the rig's names
         self.members = drones.__members__
         self.scripts = ScriptMonitor(self.violated, self.mission.guard, tuple(self.members.values()))
+        self.observed = [ObservedTime() for _ in range(self.targets)]
 
     def violated(self, name: str, time_s: float, what: str) -> None:
         self.violations[name] += 1
@@ -95,6 +108,23 @@ class RelayMonitors:
         leg = WatchedLeg(number, {sender: Role.SENDER, receiver: Role.RECEIVER}, monitors)
         self._legs[sender] = self._legs[receiver] = leg
         self._all_legs.append(leg)
+        self._on[receiver] = self.on_target(sender)
+
+    def on_target(self, name: str) -> int:
+        """Which target a drone is on."""
+        return self._on.get(name, 0)
+
+    def on_assigned(self, name: str, target: int) -> None:
+        """It is sent to find a target."""
+        self._on[name] = target
+
+    def on_given_up(self, target: int) -> None:
+        """Nobody has it, and everybody knows: no gap of the protocol, until somebody finds it again."""
+        self._alone_s.pop(target, None)
+
+    def on_over(self, name: str) -> None:
+        """Its program has ended on the ground: it holds nothing."""
+        self.claims.drop(name)
 
     def on_switched_on(self, name: str, now_s: float) -> None:
         self._flights[name] = _WatchedFlight(now_s)
@@ -119,7 +149,7 @@ class RelayMonitors:
             leg.monitors.on_death(leg.roles[name])
         self.scripts.on_death(self.members[name])
         self.claims.drop(name)
-        self._alone_s = None
+        self._alone_s.pop(self.on_target(name), None)
 
     def on_record(self, name: str, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
         now_s, member = stamp_w_ns * 1e-9, self.members[name]
@@ -134,20 +164,26 @@ class RelayMonitors:
             self._on_responsibility(name, now_s, record)
         elif topic in ("/target", "/track"):
             self._on_box(name, now_s, record["box"])
+        elif topic == "/link" and leg is not None:
+            self._on_traffic(name, leg.number, int(record["bytes_sent"]))
 
     # --- truth ---
 
     def on_truth(self, now_s: float) -> None:
         world = self.world
-        apart_m, pair = world.closest()
-        if apart_m < self.closest_m:
-            self.closest_m, self.closest_pair = apart_m, pair
-        too_near = apart_m < self.mission.separation.minimum_m
-        if too_near and pair not in self._near:
-            self._near.add(pair)
-            self.violated("S9", now_s, f"{' and '.join(pair)} are {apart_m:.2f} m apart")
-        if not too_near:
-            self._near.clear()
+        near = world.closest(self.mission.separation.minimum_m)
+        if near.closest_m < self.closest_m:
+            self.closest_m, self.closest_pair = near.closest_m, near.pair
+        for one, other, apart_m in near.too_near:
+            if (one, other) not in self._near:
+                self.violated("S9", now_s, f"{one} and {other} are {apart_m:.2f} m apart")
+        self._near = {(one, other) for one, other, _ in near.too_near}
+        since_s, self._truth_s = now_s - (now_s if self._truth_s is None else self._truth_s), now_s
+        for name in world.airborne:
+            self.aloft_s[name] = self.aloft_s.get(name, 0.0) + since_s
+        if now_s <= self.watched_until_s:
+            for observed in self.observed:
+                observed.tick(now_s)
         for name, flight in self._flights.items():
             autopilot = world.drone(name).autopilot
             if not autopilot.armed:
@@ -159,14 +195,18 @@ class RelayMonitors:
 
     def on_vehicles(self, now_s: float, vehicles: Mapping[Enum, VehicleTruth]) -> None:
         """S7 and S10, when the records up to then are known; seldom is enough."""
-        self.scripts.on_truth(now_s, vehicles)
+        groups: dict[int, list[Enum]] = {}
+        for name, member in self.members.items():
+            if member in vehicles:
+                groups.setdefault(self.on_target(name), []).append(member)
+        self.scripts.on_truth(now_s, vehicles, groups.values())
 
     def vehicles(self) -> dict[Enum, VehicleTruth]:
         """The truth about those that are switched on, now."""
-        world, truth = self.world, self.world.truth()
+        world = self.world
         return {
             self.members[name]: vehicle_truth(
-                world.drone(name).autopilot, truth[name], self.own[name], world.objects[0]
+                world.drone(name).autopilot, world.truth_of(name), self.own[name], world.target(self.on_target(name))
             )
             for name in world.names if name in world.on
         }  # fmt: skip
@@ -186,6 +226,9 @@ class RelayMonitors:
             "samples": tuple(self.samples),
             "closest_m": self.closest_m if math.isfinite(self.closest_m) else math.nan,
             "closest_pair": self.closest_pair,
+            "watched": tuple(observed.watched() for observed in self.observed),
+            "bytes_sent": dict(self.bytes_sent),
+            "aloft_s": dict(self.aloft_s),
         }
 
     def close(self) -> None:
@@ -201,36 +244,60 @@ class RelayMonitors:
             if gap_s is not None:
                 self.gaps_s[leg.number] = gap_s
 
+    def _on_traffic(self, name: str, leg: int, sent: int) -> None:
+        """A link counts from its opening; each leg has one of its own."""
+        of, before = self._sent.get(name, (leg, 0))
+        before = before if of == leg and sent >= before else 0
+        self.bytes_sent[name] += sent - before
+        self._sent[name] = leg, sent
+
+    def _holders(self, target: int, now_s: float) -> tuple[str, ...]:
+        """Who is responsible for a target."""
+        return tuple(name for name in self.claims.holders(now_s) if self.on_target(name) == target)
+
     def _on_responsibility(self, name: str, now_s: float, record: Mapping[str, Any]) -> None:
-        before = name in self.claims.holders(now_s)
+        before, target = self.claims.holds(name, now_s), self.on_target(name)
         self.claims.note(name, record)
-        holders = self.claims.holders(now_s)
+        holders = self._holders(target, now_s)
         if not record["responsible"]:
             if before:
-                self._alone_s = None if holders else now_s
+                self._before[target] = name
+                self._alone_s.pop(target, None)
+                if not holders:
+                    self._alone_s[target] = now_s
             return
+        self.observed[target].acquired(now_s)
         if len(holders) > 1:
             self.violated("S1", now_s, f"responsible at once: {', '.join(sorted(holders))}")
-        if self._alone_s is not None:
-            alone_s, self._alone_s = now_s - self._alone_s, None
+        if target in self._alone_s:
+            alone_s = now_s - self._alone_s.pop(target)
             if alone_s > GAP_S:
                 self.violated("L2", now_s, f"nobody was responsible for {alone_s:.2f} s, the bound is {GAP_S:.2f} s")
 
     def _on_box(self, name: str, now_s: float, box: list[float] | None) -> None:
         """The object in the middle of what the responsible drone takes for the target must be the target."""
-        if box is None or name not in self.claims.holders(now_s) or now_s - self._looked_s.get(name, -LOOK_S) < LOOK_S:
+        if box is None or now_s - self._looked_s.get(name, -LOOK_S) < LOOK_S:
+            return
+        target = self.on_target(name)
+        responsible = self.claims.holds(name, now_s)
+        if not responsible and not (target in self._alone_s and self._before.get(target) == name):
             return
         self._looked_s[name] = now_s
         u, v = box[0] + 0.5 * box[2], box[1] + 0.5 * box[3]
-        drones, objects = (self.world.truth(), self.world.objects) if self.seen is None else self.seen(now_s)
-        drone, own = drones[name], self.own[name]
+        if self.seen is None:
+            drone, objects = self.world.truth_of(name), self.world.objects_near(name)
+        else:
+            drones, objects = self.seen(now_s)
+            drone = drones[name]
+        own = self.own[name]
         off = {thing.object_id: math.dist((u, v), pixel_of(drone, own, thing)) for thing in objects}
         found = min(off, key=lambda number: math.inf if math.isnan(off[number]) else off[number])
-        if found != 0 and name not in self._wrong:
+        if found == target * NUMBERS:
+            self._wrong.discard(name)
+            self.observed[target].look(now_s)
+        elif responsible and name not in self._wrong:
             self._wrong.add(name)
             self.violated(OBJECT_MONITOR, now_s, f"{name} is responsible and looks at object {found}")
-        elif found == 0:
-            self._wrong.discard(name)
 
 
 class RelayLog:

@@ -90,8 +90,12 @@ class ScriptMonitor:
     def on_death(self, role: Enum) -> None:
         self._phase[role] = ""
 
-    def on_truth(self, now_s: float, vehicles: Mapping[Any, VehicleTruth]) -> None:
-        self._observed(now_s, vehicles)
+    def on_truth(
+        self, now_s: float, vehicles: Mapping[Any, VehicleTruth], together: Iterable[Iterable[Any]] | None = None
+    ) -> None:
+        """``together``: those that are on one target; all when it is not said."""
+        for group in (vehicles,) if together is None else together:
+            self._observed(now_s, {role: vehicles[role] for role in group})
         for role, vehicle in vehicles.items():
             self._obeyed(role, now_s, vehicle)
 

@@ -151,7 +151,7 @@ def global_position_int(flight: FlightInstant) -> Any | None:
     if home is None:
         return None
     latitude, longitude, altitude_m = _global(flight)
-    relative_m = home[2] - flight.estimate.position_n_m[2]
+    relative_m = home[2] - flight.estimate.position_n_m[2] + flight.autopilot.altitude_drift_m
     vx, vy, vz = (_int16(v * 1e2) for v in flight.estimate.velocity_n_mps)
     heading_cdeg = round(math.degrees(yaw_of(flight.estimate.q_n_b)) * 1e2) % 36_000
     return mavlink.MAVLink_global_position_int_message(
@@ -174,6 +174,7 @@ def home_position(flight: FlightInstant) -> Any | None:
     latitude_deg, longitude_deg, altitude_m = flight.tangent.to_global(*home)
     (n, e, d), (n0, e0, d0) = home, flight.local_origin_n_m
     local = n - n0, e - e0, d - d0
+    altitude_m += flight.autopilot.home_altitude_error_m
     place = round(latitude_deg * 1e7), round(longitude_deg * 1e7), round(altitude_m * 1e3)
     return mavlink.MAVLink_home_position_message(*place, *local, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
 
@@ -217,7 +218,7 @@ def _voltage_mv(autopilot: Autopilot) -> int:
 def _global(flight: FlightInstant) -> tuple[int, int, float]:
     """Latitude and longitude in 1e-7 degrees, altitude above mean sea level in metres."""
     latitude_deg, longitude_deg, altitude_m = flight.tangent.to_global(*flight.estimate.position_n_m)
-    return round(latitude_deg * 1e7), round(longitude_deg * 1e7), altitude_m
+    return round(latitude_deg * 1e7), round(longitude_deg * 1e7), altitude_m + flight.autopilot.altitude_error_m
 
 
 def _int16(value: float) -> int:

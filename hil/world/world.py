@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Generic, NamedTuple, TypeVar
 
@@ -73,6 +73,31 @@ class PositionOffsetConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class AltitudeConfig:
+    """What the vehicles' altitude above the sea is wrong by. Their local frames and barometers have none of it.
+
+    Attributes:
+        offset_m: of the first drone upward, of the second downward, and so on.
+        drift_mps: by which that grows, with the same sign, until it has grown by ``drift_most_m``.
+        jump_m: by which every altitude jumps ``jump_after_s`` after it was switched on: a PX4 without GPS that begins
+            with vision anew takes the height it has for its altitude.
+    """
+
+    offset_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 0.0
+    drift_mps: Annotated[float, Bounds(-1.0, 1.0)] = 0.0
+    drift_most_m: Annotated[float, Bounds(0.0, 100.0)] = 10.0
+    jump_m: Annotated[float, Bounds(-5000.0, 5000.0)] = 0.0
+    jump_after_s: Annotated[float, Bounds(0.0, 3600.0)] = 5.0
+
+    def error_m(self, number: int, time_s: float) -> float:
+        """The error of the drone with this number, from 0."""
+        sign = -1.0 if number % 2 else 1.0
+        drift_m = math.copysign(min(self.drift_most_m, abs(self.drift_mps) * time_s), self.drift_mps)
+        jumped_m = self.jump_m if time_s >= self.jump_after_s else 0.0
+        return sign * (self.offset_m + drift_m) + jumped_m
+
+
+@dataclass(frozen=True, slots=True)
 class WorldConfig:
     """The ``[world]`` table of a rig."""
 
@@ -80,6 +105,7 @@ class WorldConfig:
     wind: WindConfig = field(default_factory=WindConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     position_offset: PositionOffsetConfig = field(default_factory=PositionOffsetConfig)
+    altitude: AltitudeConfig = field(default_factory=AltitudeConfig)
     airframe: AirframeConfig = field(default_factory=AirframeConfig)
     autopilot: AutopilotConfig = field(default_factory=AutopilotConfig)
     detector: DetectorConfig = field(default_factory=DetectorConfig)
@@ -182,7 +208,7 @@ class Fleet(Generic[Name]):
         self.config = config
         traffic, sensors, autopilots = np.random.SeedSequence(seed).spawn(3)
         keep_clear = [home.position_m for home in homes.values()]
-        self._traffic = GroundVehicles(config.target, config.look_alikes, keep_clear, traffic)
+        self._place_traffic(keep_clear, traffic)
         self._traffic_began_s = 0.0
         estimator = config.estimator.times(config.errors.sizes)
         self._sensors = Sensors(config.wind, estimator, TICK_S, sensors.spawn(len(homes)))
@@ -202,6 +228,10 @@ class Fleet(Generic[Name]):
         self.detector = config.detector
         self.time_s = 0.0
         self._sense()
+
+    def _place_traffic(self, keep_clear: Sequence[Point], seed: np.random.SeedSequence) -> None:
+        """Raises ValueError when the objects do not fit."""
+        self._traffic = GroundVehicles(self.config.target, self.config.look_alikes, keep_clear, seed)
 
     @property
     def names(self) -> tuple[Name, ...]:
@@ -232,7 +262,9 @@ class Fleet(Generic[Name]):
 
     def _sense(self) -> None:
         rows, time_s = self._sensors.tick(self._states).tolist(), self._step / STEP_HZ
-        for drone, row in zip(self._drones.values(), rows, strict=True):
+        altitude = self.config.altitude
+        for number, (drone, row) in enumerate(zip(self._drones.values(), rows, strict=True)):
+            drone.autopilot.altitude_error_m = altitude.error_m(number, time_s)
             drone.sense(time_s, row)
 
     def _command(self) -> None:
@@ -244,19 +276,21 @@ class Fleet(Generic[Name]):
         """Drops what was worked out of the truth before it changed."""
 
     def truths(self) -> dict[Name, DroneTruth]:
-        """Returns the truth of every drone at ``time_s``.
+        """Of every drone at ``time_s``; between two physics steps they are carried on by their velocities."""
+        return dict(zip(self._drones, self._truths_of(slice(None), self._drones.values()), strict=True))
 
-        Between two physics steps it is carried on by its velocity.
-        """
-        poses = np.empty((len(self._drones), 12))
-        poses_w(self._states, self._late_s(), poses)
-        return {
-            name: DroneTruth(
+    def _truths_of(self, rows: slice, drones: Iterable[SimDrone]) -> list[DroneTruth]:
+        """Of the drones of some rows."""
+        states = self._states[rows]
+        poses = np.empty((len(states), 12))
+        poses_w(states, self._late_s(), poses)
+        return [
+            DroneTruth(
                 Pose(pose[:9].reshape(3, 3), pose[9:]), (row[4], row[3], -row[5]), row[ROTOR_PHASE],
                 drone.autopilot.armed,
             )
-            for (name, drone), row, pose in zip(self._drones.items(), self._states.tolist(), poses, strict=True)
-        }  # fmt: skip
+            for drone, row, pose in zip(drones, states.tolist(), poses, strict=True)
+        ]  # fmt: skip
 
     def _late_s(self) -> float:
         """Returns the time from the state rows to ``time_s``, s."""

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import TextIO
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
 from missions.options import BoardOptions, CalibrateBoardOptions
+from missions.run_folder import REMEDY
 from path.calibration.board import Board, print_cells
 
 INCH_M = 0.0254
@@ -45,6 +48,13 @@ def otherwise(board: Board) -> Board:
     return replace(board, columns=board.columns + 1, rows=board.rows + 1)
 
 
+def claim_same(file: Path, picture: NDArray[np.uint8]) -> None:
+    """Refuse to write a picture over a file that shows anything else. Raises PartError."""
+    there = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) if file.exists() else picture
+    if there is None or not np.array_equal(there, picture):
+        raise PartError(f"{file} is there, and is another picture: it is not written over", REMEDY)
+
+
 def draw_print(options: CalibrateBoardOptions, out: TextIO) -> int:
     """``path-handoff calibrate board``."""
     board = board_of(options)
@@ -57,6 +67,7 @@ def draw_print(options: CalibrateBoardOptions, out: TextIO) -> int:
         raise PartError(f"--dpi {options.dpi}: a cell would be {dots} dots", "300 to 1200 dpi suit a printer")
     picture = np.kron(shades, np.ones((dots, dots), np.uint8))
     options.out.parent.mkdir(parents=True, exist_ok=True)
+    claim_same(options.out, picture)
     if not cv2.imwrite(str(options.out), picture):
         raise PartError(f"cannot write {options.out}", "name a .png file in a folder that can be written")
     printed_m = dots * INCH_M / options.dpi

@@ -14,7 +14,14 @@ from typing import TextIO
 import numpy as np
 
 from drivers.interfaces import PartError
-from drivers.rig.calibration_file import CalibrationError, CameraCalibration, CameraTable, Quality, write_calibration
+from drivers.rig.calibration_file import (
+    MADE_BY,
+    CalibrationError,
+    CameraCalibration,
+    CameraTable,
+    Quality,
+    write_calibration,
+)
 from drivers.rig.file import load_rig
 from drivers.rig.parts import PartSpec, create, decode_part, part_context
 from missions.calibrate.board import board_of, otherwise
@@ -23,6 +30,7 @@ from missions.calibrate.diagnose import what_else
 from missions.calibrate.picture import draw_calibration
 from missions.options import CalibrateCameraOptions
 from missions.rig_list import FOLDER
+from missions.run_folder import REMEDY, claim_result
 from missions.work import Bars
 from path.calibration.board import Board, BoardView
 from path.calibration.intrinsics import PARAMETERS, RADIAL, Intrinsics, NotSolvable, doubting, solve_intrinsics
@@ -66,6 +74,9 @@ class Calibrated:
 def calibrate_camera(options: CalibrateCameraOptions, out: TextIO) -> int:
     """The command. Raises PartError: what was asked wrongly, or BadViews."""
     board = board_of(options)
+    picture = options.out.with_suffix(".png")
+    claim_result(options.out, MADE_BY)
+    claim_result(picture, MADE_BY)
     collected, source = _collect(options, board, out)
     if not _found(collected) and not options.rig:
         other = otherwise(board)
@@ -74,7 +85,6 @@ def calibrate_camera(options: CalibrateCameraOptions, out: TextIO) -> int:
         if _found(again):
             board, collected = other, again
     out.write(f"{_found(collected)} of {len(collected.looks)} images show the board ({board.text})\n")
-    picture = options.out.with_suffix(".png")
     try:
         done = calibrate(collected, board)
     except BadViews:
@@ -171,6 +181,8 @@ def _from_rig(options: CalibrateCameraOptions, board: Board, out: TextIO) -> Col
         )
     camera = create(spec, part_context(rig, role))
     folder = options.out.with_suffix("")
+    if there := sorted(folder.glob("view-*.png")):
+        raise PartError(f"{folder} holds {len(there)} views already: none is written over", REMEDY)
     out.write(f"show the board to the {role.value}'s camera; views are kept in {folder}\n")
 
     def say(line: str) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from drivers.interfaces import PartError
 from drivers.recordings.recording import read_image
 from drivers.rig.calibration_file import (
+    MADE_BY,
     CalibrationError,
     MarkerPrint,
     MountCalibration,
@@ -32,6 +33,7 @@ from missions.calibrate.board import board_of
 from missions.calibrate.collect import image_files
 from missions.options import CalibrateMountOptions
 from missions.rig_list import FOLDER
+from missions.run_folder import claim_result
 from missions.work import Bars
 from path.bounds import Bounds
 from path.calibration.board import Board, find_board
@@ -73,6 +75,7 @@ def calibrate_mount(options: CalibrateMountOptions, out: TextIO) -> int:
     """The command. Raises PartError with what is wrong and what to do."""
     if not options.rig:
         raise PartError("--rig is missing", "name the rig that has the markers and D1's camera")
+    claim_result(options.out, MADE_BY)
     rig = load_rig(options.rig, [FOLDER])
     calibration = _from_tape(options.measured, rig) if options.measured else _from_views(options, rig, out)
     write_calibration(options.out, calibration)

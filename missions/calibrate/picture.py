@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from drivers.rig.calibration_file import MADE_BY
 from missions.calibrate.collect import Collected
 from missions.report.palette import COUNT, DIM, FAULT
 from path.calibration.intrinsics import Intrinsics
@@ -31,7 +32,7 @@ def draw_calibration(collected: Collected, solution: Intrinsics | None, file: Pa
         errors.set_axis_off()
         tilts.set_axis_off()
     file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file, format="png", metadata={"Software": None})
+    figure.savefig(file, format="png", metadata={"Software": MADE_BY})
 
 
 def _draw_coverage(axes: Axes, collected: Collected) -> None:

@@ -211,12 +211,13 @@ def _record(folder: Path, rig: Rig, role: Role, changed: Sequence[ParameterFindi
         return None
     folder.mkdir(parents=True, exist_ok=True)
     now = datetime.now()
-    file = folder / f"{now:%Y%m%d-%H%M%S}-{role.value}.json"
+    file = folder / f"{now:%Y%m%d-%H%M%S-%f}-{role.value}.json"
     record = {
         "rig": rig.name,
         "role": role.value,
         "time": now.isoformat(timespec="seconds"),
         "parameters": [{"name": each.name, "before": each.found, "after": each.wanted} for each in changed],
     }
-    file.write_text(json.dumps(record, indent=2) + "\n", "utf-8")
+    with file.open("x", encoding="utf-8") as new:  # never over another
+        new.write(json.dumps(record, indent=2) + "\n")
     return file

@@ -30,7 +30,7 @@ from missions.handoff.command import fly_once
 from missions.options import GuardOptions
 from missions.report.command import show
 from missions.report.records import SUMMARY
-from missions.run_folder import new_folder
+from missions.run_folder import claim_folder, new_folder
 from path.messages import Role
 
 TAKEOVER = "pilot_takeover"  # the receiver's vehicle only
@@ -60,6 +60,7 @@ class Reaction:
         after: modes the vehicle went through afterwards.
         apart_m: least true distance between the two, both in the air, from then on; None: they were not.
         other_down: the other drone was on the ground, disarmed, in the end.
+        own: how the program itself ended; the run may be called by what the other one came to.
         reason: why the guard took it; empty when it did not.
     """
 
@@ -76,6 +77,7 @@ class Reaction:
     violations: dict[str, int]
     apart_m: float | None = None
     other_down: bool = True
+    own: str = ""
 
     @property
     def reached(self) -> bool:
@@ -89,6 +91,8 @@ def measure(options: GuardOptions) -> int:
     A vehicle was not held within a second or did not land, or a script did not let go at once.
     """
     folder = new_folder(options.out)
+    claim_folder(folder, SUMMARY, '"reactions"')
+    (folder / SUMMARY).write_text(json.dumps({"reactions": []}) + "\n", "utf-8")  # whose folder it is, from now on
     rig = with_patient_failsafe(rig_library.load(options.rig), folder)
     reactions: list[Reaction] = []
     every = list(cases(options.role, options.case, kinds_of(rig)))
@@ -182,11 +186,18 @@ def read_reaction(out: Path, fault: str, role: Role, moment: str, outcome: str, 
         violations=violations,
         apart_m=min((distance_m for stamp_ns, distance_m in apart_m if stamp_ns >= at_ns), default=None),
         other_down=not other_armed,
+        own=_own_outcome(out / f"{role.value}.mcap"),
     )
 
 
 def _first(at_ns: int, stamps_ns: Sequence[int]) -> float | None:
     return (min(stamps_ns) - at_ns) * 1e-9 if stamps_ns else None
+
+
+def _own_outcome(log: Path) -> str:
+    """How a role's program said that it ended; empty when it did not say so."""
+    ends = [r.record["outcome"] for r in read_log(log) if r.topic == "/outcome"] if log.exists() else []
+    return str(ends[-1]) if ends else ""
 
 
 def _reason(log: Path) -> str:
@@ -200,7 +211,7 @@ def is_met(reaction: Reaction) -> bool:
         return reaction.mode != "not reached"
     if reaction.fault in LET_GO_S:
         late = reaction.let_go_s is not None and reaction.let_go_s > LET_GO_S[reaction.fault]
-        known = reaction.outcome == Outcome.PILOT_OVERRIDE.label
+        known = Outcome.PILOT_OVERRIDE.label in (reaction.own, reaction.outcome)
         return not late and known and reaction.other_down and not reaction.violations and _left_alone(reaction)
     return reaction.held_s is not None and reaction.held_s <= HOLD_LIMIT_S and reaction.landed_s is not None
 

@@ -116,7 +116,7 @@ class Receiver:
             lambda: self._newest is not None, deadlines.receiver_ready_s, Outcome.PEER_ABORTED, "no target was sent"
         )
         await self._until_planned(deadlines.viewpoint_s)  # the wind's part is known only in the air
-        await take_off(session, config.receiver_take_off_height_m)
+        await self._rise()
 
         session.spawn(self._watch())
         await self._find_marker(self._near)
@@ -134,6 +134,10 @@ class Receiver:
 
         session.enter(Phase.FOLLOW, "responsible for the target")
         await asyncio.sleep(config.follow_after_s)
+
+    async def _rise(self) -> None:
+        """From the ground to where the rendezvous begins."""
+        await take_off(self._session, self._config.receiver_take_off_height_m)
 
     async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
         """Flies to the stand-off, or until it is near enough; then looks for the marker."""

@@ -20,7 +20,7 @@ from path.messages import Role
 
 POLL_S = 0.5
 
-What = Literal["call", "holds", "leg failed", "alarm", "down", "ready", "end"]
+What = Literal["named", "find", "call", "holds", "leg failed", "lost", "alarm", "down", "ready", "end"]
 Where = Literal["ready", "flying", "swap"]
 
 

@@ -28,7 +28,7 @@ from drivers.log.state_file import StateFile
 from drivers.rig.parts import Rig
 from drivers.stop_signals import stop_on_signals
 from flight.harness.flights import Progress, RoleResult, encode_event, with_log
-from flight.harness.relay import OFTEN, WATCHED, DroneProcesses, RelayConfig, RelayDrone, pair_of
+from flight.harness.relay import OFTEN, WATCHED, DroneProcesses, NamedDrone, RelayConfig, pair_of
 from missions import rig_library
 from missions.guard.command import watch_vehicles
 from missions.relay.base import Base
@@ -108,7 +108,7 @@ async def _fly(rig: Rig, config: RelayConfig, name: str, log: Log, store: StateF
     return await DroneFlight(rig, config, base, name, log, _show, stop, None, store).run()
 
 
-def _drone(config: RelayConfig, name: str) -> RelayDrone:
+def _drone(config: RelayConfig, name: str) -> NamedDrone:
     return next(drone for drone in config.drones if drone.name == name)
 
 

@@ -8,6 +8,7 @@ before the receiver's machine is let go of, so that at any instant one record sa
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,7 +28,7 @@ from drivers.rig.parts import PartContext, Rig, create, part_context
 from flight.config import MissionConfig
 from flight.guidance import Anchor, Vec3
 from flight.harness.flights import Emit, InProcess, RoleResult
-from flight.harness.relay import DroneProgram, RelayConfig, RelayDrone, pair_of
+from flight.harness.relay import DroneProgram, NamedDrone, RelayConfig, pair_of
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
@@ -77,7 +78,7 @@ class DroneFlight:
     ) -> None:  # fmt: skip
         self._rig, self._relay, self._base, self._name = rig, relay, base, name
         self._log, self._emit, self._stop, self._harness, self._store = log, emit, stop, harness, store
-        self._me: RelayDrone = next(drone for drone in relay.drones if drone.name == name)
+        self._me: NamedDrone = next(drone for drone in relay.drones if drone.name == name)
         self._mission = mission_of(rig)
         deadlines = self._mission.deadlines
         self._leg_s = deadlines.peer_s + deadlines.receiver_ready_s + deadlines.verify_s
@@ -224,6 +225,8 @@ class DroneFlight:
     async def _end(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd | None) -> RoleResult:
         landed = False
         try:
+            if end is not None:
+                await self._give_up(session, flown, end)
             landed = await run_recovery(session, flown.recover, end)
         finally:
             await close_session(session)
@@ -238,6 +241,7 @@ class DroneFlight:
         while True:
             battery = vehicle.state.battery
             self._gauge.note(loop.time(), battery)
+            self._tell_place(holder)
             wait_s = self._gauge.left_s - relay.home_s
             if wait_s <= 0.0 and not holder.decided:
                 what = f"battery at {100 * battery:.0f} %: {relay.home_s:.0f} s to come home above the reserve"
@@ -248,6 +252,24 @@ class DroneFlight:
                 if base.over or base.leg_of(self._name) is not None:
                     self._called.set()
             await asyncio.sleep(_POLL_S)
+
+    # --- what a team's drones do otherwise ---
+
+    entry_m = 0.0
+
+    async def go_out(self, session: RoleSession, place: Callable[[], Vec3]) -> None:
+        """The targets of a relay are near: the rendezvous, or the way to the designated place, begins at home."""
+
+    def designated(self) -> Vec3 | None:
+        return None
+
+    def _tell_place(self, holder: Holder) -> None:
+        """The base of a relay need not know where the target is."""
+
+    async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
+        """Where the target is when a relay ends is for a person to say: its last drone stays responsible until then."""
+
+    # --- what holds in every session ---
 
     def clear_of_the_failed(self, state: VehicleState, wanted: VelocitySetpoint) -> VelocitySetpoint:
         """A relief that failed hangs or sinks where it was: the target may lead there."""
@@ -272,8 +294,8 @@ class DroneFlight:
             await self._fly_to(session, anchor)
         return await bring_down(session, end, above)
 
-    async def _fly_to(self, session: RoleSession, anchor: Anchor) -> None:
-        session.pilot.guidance = lambda state: anchor.hold(state, max_speed_mps=1.2)
+    async def _fly_to(self, session: RoleSession, anchor: Anchor, speed_mps: float = 1.2) -> None:
+        session.pilot.guidance = lambda state: anchor.hold(state, max_speed_mps=speed_mps)
         loop = asyncio.get_running_loop()
         end_s = loop.time() + session.config.deadlines.depart_s
         while session.pilot.in_control and loop.time() < end_s:

@@ -7,11 +7,12 @@ its track of the target from the start, and both fly home instead of landing whe
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Callable
 from typing import Protocol
 
 from drivers.interfaces import LinkCounters, Received, RecordStore, VehicleState, VelocitySetpoint
-from flight.guidance import Anchor
+from flight.config import Designated
+from flight.guidance import Anchor, Vec3, add, from_heading
 from flight.outcome import MissionEnd
 from flight.phases import Phase
 from flight.target_track import TargetTrack
@@ -24,7 +25,10 @@ from path.messages import Message
 
 
 class Conduct(Protocol):
-    """The rules for a drone of a relay in either role."""
+    """What holds for a drone of a relay in either role. ``entry_m``: how far behind the other one it goes down."""
+
+    @property
+    def entry_m(self) -> float: ...
 
     async def watch_battery(self, holder: Holder, *, ask: bool) -> None:
         """Watches the battery for ever. Raises MissionEnd(NO_RELIEF) when it is time to go home."""
@@ -34,8 +38,16 @@ class Conduct(Protocol):
         """The setpoint, led away from a relief that failed nearby."""
         ...
 
+    async def go_out(self, session: RoleSession, place: Callable[[], Vec3]) -> None:
+        """From above its home to a place that may move, and down to it."""
+        ...
+
+    def designated(self) -> Vec3 | None:
+        """Where the target is pointed at; None: where the mission says."""
+        ...
+
     def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> Awaitable[bool]:
-        """Brings the vehicle home, and returns whether the script landed it."""
+        """Whether the script landed the vehicle."""
         ...
 
 
@@ -74,12 +86,17 @@ class Holder(Sender):
         """Committed, or given away already: what the battery says comes too late."""
         return self._handover.released
 
+    @property
+    def has_given_away(self) -> bool:
+        return self.decided
+
     async def find(self) -> None:
         """Flies from the ground until the target is tracked."""
         session = self._session
         await self._handover.resume()
         await check_own(session)
         await take_off(session, self._config.take_off_height_m)
+        await self._conduct.go_out(session, lambda: self._view_of(self._designated(session.now_ns()).place_n_m))
         await self.acquire()
 
     async def resume(self) -> None:
@@ -103,6 +120,12 @@ class Holder(Sender):
         """The relief will not take it: say so, and keep the target."""
         self._handover.end(end)
         await self._handover.finish()
+
+    def _designated(self, stamp_ns: int) -> Designated:
+        place = self._conduct.designated()  # by somebody who goes on pointing at it
+        if place is None:
+            return super()._designated(stamp_ns)
+        return Designated(place, self._config.target.radius_m, 0.0)
 
     def _go_on(self, note: str) -> None:
         session = self._session
@@ -130,8 +153,23 @@ class Relief(Receiver):
     def track(self) -> TargetTrack | None:
         return self._track
 
+    @property
+    def has_given_away(self) -> bool:
+        """Within a lease it is the lease that decides."""
+        return not self._handover.holds_for_good
+
     async def resume(self) -> None:
         await self._handover.resume()
+
+    async def _rise(self) -> None:
+        await super()._rise()
+        await self._conduct.go_out(self._session, self._entry)
+
+    def _entry(self) -> Vec3:
+        """Behind the other drone, at the height from which the rendezvous begins."""
+        peer = self._peer()
+        north, east, _ = add(peer.position_n_m, from_heading((-self._conduct.entry_m, 0.0, 0.0), peer.yaw_rad))
+        return north, east, -self._config.receiver_take_off_height_m
 
     async def leave_role(self) -> None:
         """Hear nothing more as a receiver, and have everything written down. Raises StateError."""

@@ -24,8 +24,8 @@ from missions import rig_library
 from missions.options import TrialName, TrialOptions
 from missions.report.command import show
 from missions.report.records import SUMMARY
-from missions.run_folder import claim_result, new_folder
-from missions.trials.shared.page import MADE_BY, PAGE, Chapter, render_page
+from missions.run_folder import claim_folder, new_folder
+from missions.trials.shared.page import PAGE, Chapter, render_page
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, Verdict, trial_part
 from missions.work import open_work
 
@@ -60,8 +60,8 @@ def run(options: TrialOptions) -> int:
         if file is not None and not file.is_file():
             raise PartError(f"{option} {file}: no such file", f"name a file that exists, or leave {option} out")
     folder = new_folder(options.out or Path("trials") / f"{datetime.now():%Y%m%d-%H%M%S}-{options.name}")
-    claim_result(folder / SUMMARY, '"findings"', '"trials"')
-    claim_result(folder / PAGE, MADE_BY)
+    claim_folder(folder, SUMMARY, '"findings"', '"trials"')
+    _write_json(folder / SUMMARY, {"trials": [], "unfinished": True})  # whose folder it is, from now on
     chapters: list[Chapter] = []
     with open_work(options.jobs, sys.stdout) as work:
         for number, name in enumerate(names, 1):

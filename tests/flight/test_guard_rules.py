@@ -384,3 +384,118 @@ def test_a_limit_that_is_broken_again_after_a_landing_was_begun_has_its_patience
     landing = ProgramBeat(NOW + 1, Script.LANDING, NOW + 1)
     state, _ = step(state, replace(low, mode=FlightMode.LAND, heartbeat_ns=NOW + 1), landing, NOW + 1)
     assert (state.stage, state.broken_ns) == (GuardStage.WATCHING, None)
+
+
+# --- every bound to the nanosecond -----------------------------------------------------------------------------------
+
+EXACT = GuardRules(
+    beat_age_s=0.5, setpoint_gap_s=0.25, patience_s=0.5, hold_s=2.0, ack_s=0.5, confirm_s=1.5, blind_s=2.5,
+    mode_grace_s=1.0, position_error_m=0.5,
+)  # fmt: skip
+WHOLE = Limits(fence_radius_m=5.0, fence_height_m=6.0, min_battery=0.25, separation_m=1.0)
+
+
+def at(
+    state: GuardState = GuardState(),  # noqa: B008 (frozen)
+    view: GuardView = VIEW,
+    heard: ProgramBeat = HEARD,
+) -> tuple[GuardState, Act]:
+    return decide(state, view, heard, NOW, EXACT, WHOLE)
+
+
+def ago(seconds: float, more_ns: int = 0) -> int:
+    return NOW - ns(seconds) - more_ns
+
+
+@pytest.mark.parametrize("more_ns", [0, 1])
+def test_each_duration_is_over_when_it_is_longer_than_the_rule_says(more_ns: int) -> None:
+    over = bool(more_ns)
+    beat = replace(HEARD, beat_ns=ago(0.5, more_ns))
+    assert (at(heard=beat)[1] is Act.HOLD) is over
+    assert (at(heard=replace(HEARD, setpoint_ns=ago(0.25, more_ns)))[1] is Act.HOLD) is over
+    blind = replace(VIEW, heartbeat_ns=ago(2.5, more_ns))
+    assert (at(view=blind, heard=dead(for_s=9.0))[1] is Act.NOTHING) is over
+    odd = GuardState(odd_ns=ago(1.0, more_ns))
+    assert (at(odd, replace(VIEW, mode=FlightMode.TAKEOFF))[0].stage is GuardStage.LET_GO) is over
+    gone = GuardState(GuardStage.LET_GO, "somebody", odd_ns=ago(1.0, more_ns))
+    assert (at(gone, heard=dead(for_s=9.0))[1] is Act.HOLD) is over
+    for acked, waits_s in ((None, 0.5), (True, 1.5)):
+        sent = GuardState(GuardStage.HOLDING, "x", sent_ns=ago(waits_s, more_ns))
+        assert (at(sent, replace(VIEW, acked=acked))[1] is Act.LAND) is over
+        sent = GuardState(GuardStage.LANDING, "x", sent_ns=ago(waits_s, more_ns), tries=1)
+        assert (at(sent, replace(VIEW, acked=acked))[1] is Act.LAND) is over
+    refused = GuardState(GuardStage.LANDING, "x", sent_ns=ago(0.5, more_ns), tries=1)
+    assert (at(refused, replace(VIEW, acked=False))[1] is Act.LAND) is over
+    unseen = GuardState(GuardStage.HOLDING, "x", sent_ns=ago(1.5, more_ns))
+    assert (at(unseen, replace(VIEW, mode=FlightMode.LAND))[0].stage is GuardStage.LET_GO) is over
+
+
+@pytest.mark.parametrize("less_ns", [0, 1])
+def test_patience_and_the_hold_are_over_when_they_are_reached(less_ns: int) -> None:
+    reached = not less_ns
+    broken = GuardState(broken_ns=ago(0.5, -less_ns))
+    assert (at(broken, replace(VIEW, battery=0.1))[1] is Act.HOLD) is reached
+    held = GuardState(GuardStage.HOLDING, "x", sent_ns=ago(9.0), shown_ns=ago(2.0, -less_ns))
+    assert (at(held, replace(VIEW, mode=FlightMode.HOLD))[1] is Act.LAND) is reached
+
+
+@pytest.mark.parametrize(
+    ("view", "heard"),
+    [
+        (replace(VIEW, position_n_m=(3.0, 4.0, -1.5)), HEARD),
+        (replace(VIEW, position_n_m=(0.0, 0.0, -6.0)), HEARD),
+        (replace(VIEW, battery=0.25), HEARD),
+        (VIEW, replace(HEARD, separation_m=1.0, separation_ns=NOW)),
+        (VIEW, replace(HEARD, separation_m=0.1, separation_ns=ago(0.5, 1))),  # measured too long ago
+        (replace(VIEW, position_n_m=(1.0, 2.0, -1.5)), replace(HEARD, peer_n_m=(1.5, 2.0, -1.5))),
+    ],
+)
+def test_at_a_limit_is_within_it(view: GuardView, heard: ProgramBeat) -> None:
+    assert at(GuardState(broken_ns=ago(9.0)), view, heard) == (GuardState(), Act.NOTHING)
+
+
+@pytest.mark.parametrize(
+    ("view", "heard"),
+    [
+        (replace(VIEW, position_n_m=(3.0, 4.001, -1.5)), HEARD),
+        (replace(VIEW, position_n_m=(0.0, 0.0, -6.001)), HEARD),
+        (replace(VIEW, battery=0.2499), HEARD),
+        (VIEW, replace(HEARD, separation_m=0.999, separation_ns=NOW)),
+        (VIEW, replace(HEARD, separation_m=0.1, separation_ns=ago(0.5))),
+        (replace(VIEW, position_n_m=(1.0, 2.0, -1.5)), replace(HEARD, peer_n_m=(1.499, 2.0, -1.5))),
+    ],
+)
+def test_beyond_a_limit_is_not(view: GuardView, heard: ProgramBeat) -> None:
+    state, act = at(GuardState(broken_ns=ago(9.0)), view, heard)
+    assert (state.stage, act) == (GuardStage.HOLDING, Act.HOLD)
+
+
+def test_a_landing_that_was_seen_leaves_the_vehicle_to_whoever_ends_it() -> None:
+    """By a hold, too; one that was never seen to land may be holding by the guard's own word."""
+    state, act = at(GuardState(GuardStage.LANDING, "x", sent_ns=ago(0.3), tries=1), replace(VIEW, mode=FlightMode.LAND))
+    assert act is Act.NOTHING and state.shown_ns == NOW
+    assert at(state, replace(VIEW, mode=FlightMode.HOLD))[0].stage is GuardStage.LET_GO
+    unseen = GuardState(GuardStage.LANDING, "x", sent_ns=ago(0.3), tries=1)
+    assert at(unseen, replace(VIEW, mode=FlightMode.HOLD)) == (unseen, Act.NOTHING)
+    old = replace(VIEW, mode=FlightMode.LAND, heartbeat_ns=ago(0.3))  # said as the command was sent: not its doing
+    assert at(unseen, old)[0].shown_ns is None
+
+
+def test_a_vehicle_taken_on_the_ground_is_told_to_land_as_often_as_the_rule_says() -> None:
+    rules = replace(EXACT, land_tries=3)
+    view, now, acts = replace(VIEW, in_air=False), NOW, list[Act]()
+    state, act = decide(GuardState(), view, dead(for_s=9.0), now, rules, WHOLE)
+    while state.stage is not GuardStage.GAVE_UP and now < NOW + 60 * S:
+        acts.append(act)
+        now += ns(0.6)
+        state, act = decide(state, replace(view, heartbeat_ns=now), dead(for_s=9.0), now, rules, WHOLE)
+    assert acts == 3 * [Act.LAND]
+
+
+def test_the_reason_of_a_let_go_names_what_it_was_taken_for_only_if_it_was() -> None:
+    pilot = replace(VIEW, mode=FlightMode.OTHER)
+    assert at(view=pilot)[0].reason == "a pilot changed the mode"
+    taken = GuardState(GuardStage.HOLDING, "battery at 10 %", sent_ns=ago(1.0))
+    assert at(taken, pilot)[0].reason == "a pilot changed the mode (taken before: battery at 10 %)"
+    home = replace(VIEW, mode=FlightMode.RETURN)
+    assert at(view=home, heard=dead(for_s=9.0))[0].reason == "somebody else selected return"

@@ -19,6 +19,7 @@ from drivers.rig.file import _Camera, _RigTable  # pyright: ignore[reportPrivate
 from drivers.rig.mounts import CameraMount, MarkerMount
 from flight.config import MissionConfig
 from flight.harness.relay import RelayConfig
+from flight.harness.team import TeamConfig
 from hil.world.world import WorldConfig
 from missions import rig_library
 from missions.calibrate.mount import MeasuredMount
@@ -43,8 +44,8 @@ def parts() -> Iterator[type[Any]]:
 
 
 ROOTS = {
-    *parts(), _RigTable, MissionConfig, RelayConfig, WorldConfig, CameraTable, CameraMount, MarkerMount,
-    CameraCalibration, MountCalibration, MeasuredMount, BoardFile,
+    *parts(), _RigTable, MissionConfig, RelayConfig, TeamConfig, WorldConfig, CameraTable, CameraMount,
+    MarkerMount, CameraCalibration, MountCalibration, MeasuredMount, BoardFile,
 }  # fmt: skip
 
 

@@ -2,15 +2,39 @@
 
 from __future__ import annotations
 
+import io
 import json
+from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from drivers.interfaces import PartError
+from missions import detect
+from missions.assurance.campaign import run as campaign
+from missions.assurance.conformance import run as conformance
+from missions.assurance.verify import run as verify
+from missions.calibrate import board, camera, mount
+from missions.guard.measure import measure
+from missions.handoff import command as handoff
+from missions.options import (
+    CalibrateBoardOptions,
+    CalibrateCameraOptions,
+    CalibrateMountOptions,
+    CampaignOptions,
+    ConformanceOptions,
+    DetectOptions,
+    GuardOptions,
+    HandoffOptions,
+    TrialOptions,
+    VerifyOptions,
+)
 from missions.relay.command import RELAY
 from missions.report.records import FACTS, RUN
-from missions.run_folder import RunKind, claim_result, claimed, unless_refused
+from missions.run_folder import RunKind, claim_folder, claim_result, claimed, discard, unless_refused
+from missions.trials import run as trial_run
 
 RELAY_RUN = RunKind(RELAY, ("summary.json", "relay.png"), ("world", "D1", "D2"))
 OURS = ("sender.mcap", "sender.2.mcap", "receiver.guard.mcap", "world.stderr.txt", "sender.state.json", "run.png")
@@ -116,3 +140,96 @@ def test_what_a_refused_run_has_written_stays(tmp_path: Path) -> None:
         (folder / "sender.mcap").write_text("records")
         raise PartError("no")
     assert (tmp_path / "a" / "sender.mcap").exists()
+
+
+def test_a_folder_of_many_results_is_taken_when_it_is_empty_or_an_earlier_one(tmp_path: Path) -> None:
+    claim_folder(tmp_path, "summary.json", '"findings"')
+    before = fill(tmp_path, "errors.png")
+    with pytest.raises(PartError, match=r"holds errors\.png, and is no earlier result"):
+        claim_folder(tmp_path, "summary.json", '"findings"')
+    assert kept(tmp_path, before)
+    (tmp_path / "summary.json").write_text('{"findings": []}')
+    claim_folder(tmp_path, "summary.json", '"findings"')
+
+
+def test_of_a_run_that_is_thrown_away_what_is_not_its_own_stays(tmp_path: Path) -> None:
+    own, mine = tmp_path / "own", tmp_path / "mine"
+    for folder in (own, mine):
+        folder.mkdir()
+        fill(folder, "sender.mcap", "run.json", "world.mcap")
+    before = fill(mine, "notes.txt", "lens.png")
+    for folder in (own, mine):
+        discard(folder, RUN)
+    assert not own.exists()
+    assert kept(mine, before)
+    assert sorted(file.name for file in mine.iterdir()) == ["lens.png", "notes.txt"]
+
+
+def user_file(file: Path) -> bytes:
+    content = b"somebody's own work\n"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(content)
+    return content
+
+
+COMMANDS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "trial, its summary": ("summary.json", lambda out: trial_run.run(TrialOptions("static", out=out, jobs=1))),
+    "trial, a picture": ("errors.png", lambda out: trial_run.run(TrialOptions("static", out=out, jobs=1))),
+    "all trials, a trial's folder": (
+        "static/errors.png", lambda out: trial_run.run(TrialOptions("all", out=out, jobs=1, quick=True))
+    ),
+    "guard --measure, its summary": (
+        "summary.json", lambda out: measure(GuardOptions(rig="sim", out=out, measure=True))
+    ),
+    "guard --measure, a rig": ("rig.toml", lambda out: measure(GuardOptions(rig="sitl", out=out, measure=True))),
+    "conformance, a vehicle": (
+        "embedded.json", lambda out: conformance.run(ConformanceOptions(out=out, fly=False))
+    ),
+    "conformance, the page": (
+        "page.md", lambda out: conformance.run(ConformanceOptions(out=out / "new", fly=False, page=out / "page.md"))
+    ),
+    "verify": ("summary.json", lambda out: verify.run(VerifyOptions(out=out, quick=True))),
+    "detect, a picture": (
+        "000000.jpg", lambda out: detect.run(DetectOptions(frames=pictures(out.parent / "frames"), out=out))
+    ),
+    "calibrate board": (
+        "a.png", lambda out: board.draw_print(CalibrateBoardOptions(out=out / "a.png"), io.StringIO())
+    ),
+    "calibrate camera": (
+        "a.toml", lambda out: camera.calibrate_camera(camera_options(out / "a.toml"), io.StringIO())
+    ),
+    "calibrate camera, its picture": (
+        "a.png", lambda out: camera.calibrate_camera(camera_options(out / "a.toml"), io.StringIO())
+    ),
+    "calibrate mount": (
+        "m.toml", lambda out: mount.calibrate_mount(CalibrateMountOptions(rig="sim", out=out / "m.toml"), io.StringIO())
+    ),
+    "handoff --junit": (
+        "j.xml", lambda out: handoff.run(HandoffOptions(rig="sim", seeds=2, out=out / "new", junit=out / "j.xml"))
+    ),
+    "campaign --junit": (
+        "j.xml", lambda out: campaign.run(CampaignOptions(runs=1, out=out / "new", junit=out / "j.xml"))
+    ),
+}  # fmt: skip
+
+
+def pictures(folder: Path) -> Path:
+    folder.mkdir()
+    assert cv2.imwrite(str(folder / "a.png"), np.zeros((48, 64, 3), np.uint8))
+    return folder
+
+
+def camera_options(out: Path) -> CalibrateCameraOptions:
+    return CalibrateCameraOptions(out=out, images=pictures(out.parent.parent / "frames"))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_no_command_writes_over_what_it_did_not_make(name: str, tmp_path: Path) -> None:
+    file, command = COMMANDS[name]
+    folder = tmp_path / "mine"
+    content = user_file(folder / file)
+    with pytest.raises(PartError) as refused:
+        command(folder)
+    assert refused.value.remedy and str(folder) in str(refused.value)
+    assert (folder / file).read_bytes() == content
+    assert [path for path in sorted(folder.rglob("*")) if path.is_file()] == [folder / file]

@@ -23,6 +23,7 @@ from missions.assurance.campaign.results import RunLine, resumable_results
 from missions.assurance.campaign.summary import draw_outcomes, summarize, table
 from missions.options import CampaignOptions, LevelName
 from missions.report.junit import JUnitCase, write_junit
+from missions.run_folder import claim_result
 from missions.work import open_work
 
 SUMMARY, PICTURE = "summary.json", "outcomes.png"
@@ -80,6 +81,8 @@ def run(options: CampaignOptions) -> int:
     asked = {"program": options.program, "rig": options.rig, "seed": options.seed, "levels": list(levels)}
     if options.errors is not None:
         asked["errors"] = options.errors
+    if options.junit is not None:
+        claim_result(options.junit, "<testsuites>")
     kind = KINDS[options.program]
     with resumable_results(folder, asked) as results:
         done = {line.number for line in results.lines}

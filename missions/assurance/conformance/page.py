@@ -12,6 +12,7 @@ from missions.assurance.conformance.rows import SECTIONS, Row, likeness, said
 
 NAMES = {EMBEDDED: "embedded", "px4": "PX4", "ardupilot": "ArduCopter"}
 LAST = "embedded is"
+WRITTEN_BY = "Written by `path-handoff conformance`"
 
 HEAD = """# How the vehicles behave
 

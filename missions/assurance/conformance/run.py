@@ -15,13 +15,13 @@ from flight.command_end import CommandEnd
 from missions import rig_library
 from missions.assurance.conformance.flights import FLIGHTS, SuiteFlight
 from missions.assurance.conformance.measure import FlightSuite, chosen
-from missions.assurance.conformance.page import page, terminal_table
+from missions.assurance.conformance.page import WRITTEN_BY, page, terminal_table
 from missions.assurance.conformance.record import VEHICLES, Record, joined, read_all, write
 from missions.handoff.command import name_simulators
 from missions.options import ConformanceOptions
 from missions.report.command import show
 from missions.rig_library import trial_part
-from missions.run_folder import new_folder
+from missions.run_folder import claim_result, new_folder
 
 RIGS = {"embedded": "sitl", "px4": "sitl-px4", "ardupilot": "sitl-ardupilot"}
 BINARY = {"px4": "PATH_PX4", "ardupilot": "PATH_ARDUPILOT"}
@@ -33,6 +33,10 @@ def run(options: ConformanceOptions) -> int:
     name_simulators(options)
     flights = chosen(options.only)
     folder = new_folder(options.out or Path("conformance") / f"{datetime.now():%Y%m%d-%H%M%S}")
+    for vehicle in VEHICLES:
+        claim_result(folder / f"{vehicle}.json", '"vehicle"')
+    if options.page is not None:
+        claim_result(options.page, WRITTEN_BY)
     failed = False
     for vehicle in _wanted(options):
         try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,9 +9,9 @@ from typing import Any
 from drivers.rig.parts import Rig
 from missions import rig_library
 from missions.handoff.command import fly_once
-from missions.report.records import RunRecords, judged_pairs, last, load_run
+from missions.report.records import RUN, RunRecords, judged_pairs, last, load_run
 from missions.report.summary import summarize
-from missions.run_folder import new_folder
+from missions.run_folder import discard, new_folder
 from path.config import GateKind
 
 RIG = "sim"
@@ -67,7 +66,7 @@ def fly(asked: MissionOrder) -> FlightResult:
         facts = fly_once(rig, asked.seed, asked.faults, folder, lambda _: None)
         run = load_run(folder)
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        discard(folder, RUN)
     summary: dict[str, Any] = summarize(run)
     seconds = agreement_s(run)
     return FlightResult(

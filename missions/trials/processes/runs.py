@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +13,9 @@ from drivers.rig.toml_text import toml_text
 from flight.phases import COURSE
 from missions import rig_library
 from missions.handoff.command import fly_once, new_folder
-from missions.report.records import last, load_run
+from missions.report.records import RUN, last, load_run
 from missions.report.summary import summarize
+from missions.run_folder import discard
 from missions.trials.processes import duty as processes_duty
 from missions.trials.processes.duty import Responsibility
 from path.messages import Role
@@ -158,7 +158,7 @@ def fly(asked: ProcessRun) -> Came:
         wall_s=facts.wall_s,
     )
     if not suspicious(came):
-        shutil.rmtree(folder, ignore_errors=True)
+        discard(folder, RUN)
     return came
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +12,9 @@ from flight.config import SeparationConfig
 from flight.phases import Phase
 from missions import rig_library
 from missions.handoff.command import fly_once
-from missions.report.records import Records, RunRecords, load_run
+from missions.report.records import RUN, Records, RunRecords, load_run
 from missions.rig_library import mission_of
-from missions.run_folder import new_folder
+from missions.run_folder import discard, new_folder
 from path.messages import Role, Vec3
 from path.rotation import yaw_of
 
@@ -98,7 +97,7 @@ def fly(asked: RendezvousOrder) -> RendezvousResult:
         way_h_m=_way(run, places, began_s, arrived_s),
     )
     if not flown.violations:
-        shutil.rmtree(folder, ignore_errors=True)
+        discard(folder, RUN)
     return flown
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.link.dialect import path_dialect as dialect
-from drivers.link.wire import LAST_STAMP, UDP_IP_OVERHEAD, Codec, Drop, EncodeError, introduce
+from drivers.link.wire import LAST_STAMP, UDP_IP_OVERHEAD, Codec, Drop, EncodeError, expected_length, introduce
 from flight.config import MissionConfig
 from path.messages import (
     Abort,
@@ -463,3 +463,53 @@ def test_before_its_stream_has_proven_itself_nothing_but_a_ping_of_the_peer_is_t
 def test_packets_are_numbered_as_they_go() -> None:
     codec = Codec(Role.SENDER, None)
     assert [codec.encode(Ping(1, 1))[4] for _ in range(258)] == [*range(256), 0, 1]
+
+
+# --- bounds to the last one ------------------------------------------------------------------------------------------
+
+
+def test_an_answer_counts_for_the_last_sixteen_pings_and_no_more() -> None:
+    for later, taken in ((15, True), (16, False)):
+        one, other = Codec(Role.SENDER, KEY), Codec(Role.RECEIVER, KEY)
+        for number in range(later + 1):
+            one.encode(Ping(number, 100 + number))
+        pong = Pong(0, 100, 0, 0)
+        assert one.decode(other.encode(pong)) == (pong if taken else Drop.UNPROVEN)
+
+
+def stamp_of(packet: bytes) -> int:
+    return int.from_bytes(packet[-12:-6], "little")
+
+
+def test_the_clock_is_used_up_to_the_last_stamp_that_is_taken() -> None:
+    """Beyond it a clock counts as standing still, and a packet is refused."""
+    last, beyond = (Codec(Role.SENDER, KEY, stamp=lambda to=to: to) for to in (LAST_STAMP, LAST_STAMP + 1))
+    assert stamp_of(last.encode(Ping(1, 1))) == LAST_STAMP
+    assert stamp_of(beyond.encode(Ping(1, 1))) < 10
+    assert last.encode(Ping(1, 2)) and Codec(Role.RECEIVER, KEY).decode(last.encode(Ping(1, 3))) is Drop.CLOCK_AT_END
+
+
+def test_a_datagram_is_authentic_from_the_shortest_there_is() -> None:
+    """Ten bytes of header, two of checksum, thirteen of signature; of a whole stranger one less is none."""
+    codec = Codec(Role.SENDER, KEY)
+    for length, authentic in ((25, True), (24, False)):
+        body = bytes(length - 12) + (5).to_bytes(6, "little")
+        assert codec.authentic(body + hashlib.sha256(KEY + body).digest()[:6]) is authentic
+
+
+def test_a_header_that_says_more_than_its_message_holds_is_none_of_ours() -> None:
+    packet = Codec(Role.SENDER, None).encode(STATUS)
+    whole = packet[:10]
+    assert expected_length(whole) == len(packet)
+    size = dialect.mavlink_map[int.from_bytes(whole[7:10], "little")].unpacker.size
+    assert expected_length(whole[:1] + bytes((size,)) + whole[2:]) == size + 12
+    assert expected_length(whole[:1] + bytes((size + 1,)) + whole[2:]) is None
+
+
+@pytest.mark.parametrize("battery", [0.0, 1.0])
+def test_a_battery_may_be_empty_or_full_and_nothing_beyond(battery: float) -> None:
+    sender, receiver = pair()
+    heard = receiver.decode(sender.encode(replace(STATUS, battery=battery)))
+    assert isinstance(heard, Status) and heard.battery == battery
+    with pytest.raises(EncodeError, match="battery"):
+        sender.encode(replace(STATUS, battery=battery + (0.01 if battery else -0.01)))

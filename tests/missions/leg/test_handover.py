@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import random
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any, cast
@@ -15,6 +17,7 @@ from drivers.log.state_file import MemoryStore
 from flight.clocks import ClockAlignment, PingResult
 from flight.outcome import MissionEnd, Outcome
 from missions import rig_library
+from missions.leg import machine_run
 from missions.leg.handover import protocol_config
 from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Pong, Role, Status
 from path.protocol.receiver import LetGo, Provisional
@@ -474,6 +477,68 @@ def test_a_slow_disk_is_told_of(rig: Any) -> None:
 
     notes = [note["note"] for note in fly(rig, course).log[Role.SENDER].of("/note")]
     assert any("took 0.7 s to write a record" in note for note in notes)
+
+
+def test_a_disk_as_slow_as_it_may_be_is_not_told_of(rig: Any) -> None:
+    async def course(pair: Pair) -> None:
+        pair.sender._store = SlowStore(pair.store[Role.SENDER], 0.5)
+        pair.session[Role.SENDER].now_ns = round_ms(pair.session[Role.SENDER].now_ns)  # type: ignore[method-assign]
+        await pair.decide()
+
+    notes = [note["note"] for note in fly(rig, course).log[Role.SENDER].of("/note")]
+    assert not any("to write a record" in note for note in notes)
+
+
+def round_ms(now_ns: Callable[[], int]) -> Callable[[], int]:
+    return lambda: round(now_ns(), -6)
+
+
+def test_what_waits_for_a_slow_disk_is_bounded(rig: Any) -> None:
+    """What counts is said again."""
+
+    async def course(pair: Pair) -> None:
+        pair.sender._store = SlowStore(pair.store[Role.SENDER], 0.7)
+        pair.cut()
+        await asyncio.sleep(0.1)
+        pair.sender.agreed(1)
+        stray = Received(Confirm(1, 1, 1, 5, 1, 2), 0)
+        refused = len(pair.log[Role.SENDER].of("/refused"))
+        for _ in range(200):
+            pair.sender.on_message(stray)
+        assert len(pair.log[Role.SENDER].of("/refused")) == refused
+        await asyncio.sleep(1.0)
+        assert len(pair.log[Role.SENDER].of("/refused")) == refused + 64
+
+    fly(rig, course)
+
+
+def test_a_deadline_is_due_at_its_own_instant(rig: Any) -> None:
+    async def course(pair: Pair) -> None:
+        pair.cut()
+        due_ns = pair.sender.wake_ns
+        assert due_ns is not None
+        now = pair.session[Role.SENDER]
+        now.now_ns = lambda: due_ns - 1  # type: ignore[method-assign]
+        pair.sender.tick()
+        assert pair.log[Role.SENDER].of("/decision") == []
+        now.now_ns = lambda: due_ns  # type: ignore[method-assign]
+        pair.sender.tick()
+        assert [record["outcome"] for record in pair.log[Role.SENDER].of("/decision")] == ["timeout"]
+        del now.now_ns
+
+    fly(rig, course)
+
+
+def test_a_record_that_failed_after_the_mission_is_not_told_of_by_asyncio(caplog: pytest.LogCaptureFixture) -> None:
+    async def main() -> None:
+        written = asyncio.get_running_loop().create_future()
+        written.set_exception(OSError("full"))
+        machine_run._retrieve(written)
+        del written
+        gc.collect()
+
+    asyncio.run(main())
+    assert caplog.records == []
 
 
 class SlowStore:

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from drivers.log.mcap_log import McapLog, read_log
-from flight.harness.relay import RelayConfig, RelayDrone
+from flight.harness.relay import NamedDrone, RelayConfig
 from flight.outcome import MissionEnd, Outcome
 from missions.relay.base import Base, Leg, TakeOffOrder
 from missions.relay.line import FarBase, hear, news_of
 from missions.relay.process import RelayedLog
 
-CONFIG = RelayConfig("no:harness", tuple(RelayDrone(name, (0.0, 0.0)) for name in ("D1", "D2")))
+CONFIG = RelayConfig("no:harness", tuple(NamedDrone(name, (0.0, 0.0)) for name in ("D1", "D2")))
 
 
 @dataclass

@@ -1,0 +1,1 @@
+"""``path-handoff team``: many drones keep many targets observed."""

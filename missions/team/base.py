@@ -1,0 +1,390 @@
+"""The ground of a team: which drone is sent to which target, when, and what those on the ground do.
+
+The drones decide when they need relief, by their own batteries; the ground assigns (``missions.team.assignment``), sees
+to it that no two ways through the air cross (``missions.team.airways``), and has a target pointed at again that was
+lost. Responsibility does not depend on it: the protocol runs between the two drones of each leg, and nobody else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from dataclasses import dataclass, field
+
+from flight.guidance import Vec3
+from flight.harness.flights import RoleResult
+from flight.harness.relay import DroneProgram, NamedTarget, Pointed, TeamField
+from flight.harness.team import TeamConfig
+from flight.outcome import MissionEnd, Outcome
+from missions.leg.session import as_end
+from missions.relay.base import Event, Leg, TakeOffOrder, Tell, What, Where
+from missions.team.airways import Airway, Point, in_the_way, way_back, way_out
+from missions.team.assignment import Airspace, Assignment, Need, ReadyDrone, assign
+from path.messages import Role
+
+POLL_S = 0.5
+CLUTTER_M = 10.0
+
+
+@dataclass(slots=True)
+class TeamLeg(Leg):
+    """One hand-over of one of the targets."""
+
+    target: int = 0
+
+
+@dataclass(slots=True)
+class Custody:
+    """A drone had a target, from its word on until another one's, or until it was lost."""
+
+    target: int
+    drone: str
+    from_s: float
+    to_s: float | None = None
+
+
+@dataclass(slots=True)
+class TeamDrone:
+    """What the ground knows of one drone. ``ways``: those that are kept free for it."""
+
+    name: str
+    home_m: Point
+    battery: float
+    where: Where = "ready"
+    ready_s: float = 0.0
+    order: TakeOffOrder = TakeOffOrder.RELIEVE
+    target: int | None = None
+    heading_deg: float = 0.0
+    leg: TeamLeg | None = None
+    called_home: bool = False
+    ways: list[Airway] = field(default_factory=list[Airway])
+    task: asyncio.Task[None] | None = None
+    result: RoleResult | None = None
+
+
+@dataclass(slots=True)
+class TeamTarget:
+    """What the ground knows of one target.
+
+    Attributes:
+        holder, leg, finder: who has it, who is about to take it over, who was sent to find it.
+        asking: battery of the holder, and until when it can wait, once it has asked for its relief.
+        place_n_m: where it was last said to be.
+        lost_s: since when nobody has it.
+    """
+
+    number: int
+    named: NamedTarget
+    known: bool = False
+    holder: str | None = None
+    finder: str | None = None
+    leg: TeamLeg | None = None
+    asking: tuple[float, float] | None = None
+    heading_deg: float | None = None
+    place_n_m: Vec3 = (0.0, 0.0, 0.0)
+    lost_s: float = 0.0
+    alarmed: bool = False
+
+    @property
+    def place_m(self) -> Point:
+        north, east, _ = self.place_n_m
+        return east, north
+
+
+@dataclass(slots=True)
+class TeamBase:
+    """Knows what the drones say, and acts on the field. One loop, in ``run``. Times are from its beginning."""
+
+    config: TeamConfig
+    tell: Tell = lambda _: None
+    hours: float = 2.0
+    legs: list[TeamLeg] = field(default_factory=list[TeamLeg])
+    events: list[Event] = field(default_factory=list[Event])
+    spells: list[Custody] = field(default_factory=list[Custody])
+    outcome: Outcome = Outcome.COMMITTED
+    detail: str = ""
+    over: bool = False
+    drones: dict[str, TeamDrone] = field(init=False)
+    targets: list[TeamTarget] = field(init=False)
+    _program: DroneProgram = field(init=False)
+    _field: TeamField = field(init=False)
+    _begun_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.drones = {own.name: TeamDrone(own.name, own.home_m, own.battery) for own in self.config.drones}
+        self.targets = [TeamTarget(number, named) for number, named in enumerate(self.config.targets)]
+
+    # --- what the drones' programs ask and say (``missions.relay.base.Ground``, and of their targets) ---
+
+    def order_of(self, name: str) -> TakeOffOrder:
+        return self.drones[name].order
+
+    def leg_of(self, name: str) -> TeamLeg | None:
+        return self.drones[name].leg
+
+    def target_of(self, name: str) -> TeamTarget:
+        """The target that a drone is sent to, or has."""
+        number = self.drones[name].target
+        assert number is not None, "asked for a drone that was not called"
+        return self.targets[number]
+
+    def pointed_at(self, name: str) -> Pointed:
+        """Where a person points, whose target this drone is sent to find."""
+        return self._field.point_at(self.target_of(name).number)
+
+    def ask(self, name: str, battery: float, wait_s: float) -> None:
+        target = self.target_of(name)
+        if name == target.holder:
+            target.asking = battery, self._now_s() + wait_s
+
+    def follows(self, name: str, place_n_m: Vec3) -> None:
+        """Where its target is, as a drone that has it says now and then."""
+        target = self.target_of(name)
+        if name == target.holder:
+            target.place_n_m = place_n_m
+
+    def holds(self, name: str) -> None:
+        drone, target = self.drones[name], self.target_of(name)
+        leg = drone.leg
+        if leg is not None:
+            leg.held_s, leg.outcome = self._now_s(), Outcome.COMMITTED.label
+            self._close_leg(leg)
+        target.holder, target.finder, target.asking, target.alarmed = name, None, None, False
+        self._end_spell(target)
+        self.spells.append(Custody(target.number, name, self._now_s()))
+        drone.ways.clear()
+        where = target.named.name
+        self._say(name, "holds", f"{where}: responsible" + ("" if leg is None else f", relieved {leg.sender}"))
+
+    def leg_failed(self, name: str, end: MissionEnd) -> None:
+        leg = self.drones[name].leg
+        if leg is not None:
+            leg.outcome, leg.detail = end.outcome.label, end.detail
+            self._close_leg(leg)
+            self.drones[name].ways.clear()  # it stays
+            self.drones[leg.receiver].ways.append(self._back(leg.receiver, leg.target))
+            self._say(name, "leg failed", f"leg {leg.number}, relief {leg.receiver}: {end}")
+
+    def gave_up(self, name: str, why: str) -> None:
+        """A drone that had its target has it no more, and handed it to nobody."""
+        drone, target = self.drones[name], self.target_of(name)
+        if drone.leg is not None:
+            drone.leg.outcome, drone.leg.detail = drone.leg.outcome or Outcome.PEER_ABORTED.label, why
+            self._close_leg(drone.leg)
+        drone.ways.append(self._back(name, target.number))
+        self._lose(target, name, why)
+
+    # --- the loop ---
+
+    async def run(self, where: TeamField, stop: asyncio.Event, program: DroneProgram) -> None:
+        """From the first take-off until the time is over and everybody is down."""
+        self._field, self._program, self._begun_s = where, program, asyncio.get_running_loop().time()
+        end_s = 3600.0 * self.hours
+        while not stop.is_set() and not (self.over and not self._flying()):
+            if not self.over and self._now_s() >= end_s:
+                self._time_is_over()
+            self._name_targets()
+            self._look_after_the_ground()
+            if self.over:
+                self._call_home()
+            else:
+                self._see_to_the_targets()
+            await asyncio.sleep(POLL_S)
+        if stop.is_set():
+            self.outcome, self.detail = Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
+        flying = self._flying()
+        if flying:
+            await asyncio.wait(flying)
+        self._say("", "end", f"{self.outcome.label}{': ' if self.detail else ''}{self.detail}")
+
+    def _flying(self) -> list[asyncio.Task[None]]:
+        return [drone.task for drone in self.drones.values() if drone.task is not None and not drone.task.done()]
+
+    def _time_is_over(self) -> None:
+        self.over = True
+        without = [t.named.name for t in self.targets if t.known and t.holder is None and t.finder is None]
+        if without:
+            self.outcome = Outcome.TARGET_LOST
+            self.detail = f"in the end nobody had {', '.join(without)}"
+
+    def _call_home(self) -> None:
+        """Those that have a target, one after the other where their ways cross."""
+        for target in self.targets:
+            drone = None if target.holder is None else self.drones[target.holder]
+            if drone is None or drone.called_home or target.leg is not None:
+                continue
+            back = self._back(drone.name, target.number)
+            if not in_the_way((back,), self._air().flown, self.config.clear_route_m):
+                drone.called_home = True
+                drone.ways.append(back)
+
+    def _name_targets(self) -> None:
+        for target in self.targets:
+            if not target.known and self._now_s() >= target.named.named_at_s and not self.over:
+                target.known, (east, north) = True, target.named.place_m
+                target.place_n_m = north, east, 0.0
+                target.lost_s = self._now_s() - self.config.point_s
+                self._say("", "named", f"{target.named.name}, {east:g} m east, {north:g} m north")
+
+    def _look_after_the_ground(self) -> None:
+        now_s = self._now_s()
+        for name, drone in self.drones.items():
+            if drone.where == "flying" and drone.task is not None and drone.task.done():
+                if drone.target is not None:
+                    self._program_over(drone, self.targets[drone.target])
+                if self._field.landed(name):
+                    drone.where, drone.ready_s, drone.target = "swap", now_s + self.config.swap_s, None
+                    drone.ways.clear()
+                    self._say(name, "down", _end_of(drone.result))
+            elif drone.where == "swap" and now_s >= drone.ready_s:
+                self._field.swap(name)
+                drone.where, drone.ready_s, drone.battery = "ready", now_s, 1.0
+                self._say(name, "ready", "full battery")
+
+    def _program_over(self, drone: TeamDrone, target: TeamTarget) -> None:
+        """Whatever it had to do is over, said or not."""
+        if drone.leg is not None:
+            leg = drone.leg
+            if drone.name == leg.receiver:
+                return  # its sender finds out by itself, within the protocol
+            leg.outcome, leg.detail = leg.outcome or "sender over", _end_of(drone.result)
+            self._close_leg(leg)
+        if target.finder == drone.name:
+            target.finder, target.lost_s = None, self._now_s()
+        if target.holder == drone.name:
+            self._lose(target, drone.name, _end_of(drone.result))
+
+    def _lose(self, target: TeamTarget, name: str, why: str) -> None:
+        target.holder, target.asking, target.lost_s, target.alarmed = None, None, self._now_s(), False
+        self._end_spell(target)
+        self._field.given_up(target.number)
+        if not self.over:
+            self._say(name, "lost", f"{target.named.name}: {why}")
+
+    def _end_spell(self, target: TeamTarget) -> None:
+        for spell in reversed(self.spells):
+            if spell.target == target.number:
+                spell.to_s = self._now_s() if spell.to_s is None else spell.to_s
+                return
+
+    # --- assignment ---
+
+    def _see_to_the_targets(self) -> None:
+        ready = [
+            ReadyDrone(name, drone.home_m, drone.battery)
+            for name, drone in self.drones.items()
+            if drone.where == "ready"
+        ]
+        needs = self._needs()
+        chosen = assign(needs, ready, self._ways, self._air())
+        for choice in chosen:
+            self._send(choice)
+        served = {choice.target for choice in chosen}
+        for need in needs:
+            if need.target not in served:
+                self._alarm(self.targets[need.target], bool(ready))
+
+    def _needs(self) -> list[Need]:
+        now_s, needs = self._now_s(), list[Need]()
+        for target in self.targets:
+            if not target.known or target.leg is not None or target.finder is not None:
+                continue
+            if target.holder is not None:
+                if target.asking is None or target.asking[1] - now_s < self.config.least_s:
+                    continue
+                needs.append(self._need(target, target.heading_deg, target.asking[1] - now_s))
+            elif now_s - target.lost_s >= self.config.point_s:
+                north, east, _ = self._field.point_at(target.number).place_n_m
+                target.place_n_m = north, east, 0.0
+                needs.append(self._need(target, None, 0.0))
+        return needs
+
+    def _need(self, target: TeamTarget, heading_deg: float | None, urgent_s: float) -> Need:
+        others = tuple(
+            other.place_m
+            for other in self.targets
+            if other is not target and other.known and math.dist(other.place_m, target.place_m) < CLUTTER_M
+        )
+        may = frozenset(target.named.drones) or None
+        return Need(target.number, target.place_m, heading_deg, others, may, urgent_s)
+
+    def _ways(self, need: Need, drone: ReadyDrone) -> tuple[Airway, ...]:
+        """Of the drone that is sent, and of the one that it relieves."""
+        out = way_out(drone.home_m, need.place_m, self.config.area_m)
+        holder = self.targets[need.target].holder
+        return (out,) if holder is None else (out, self._back(holder, need.target))
+
+    def _back(self, name: str, target: int) -> Airway:
+        return way_back(self.drones[name].home_m, self.targets[target].place_m, self.config.area_m)
+
+    def _air(self) -> Airspace:
+        config = self.config
+        flown = [way for drone in self.drones.values() for way in drone.ways]
+        return Airspace(flown, config.clear_route_m, config.entry_m, config.transit_mps)
+
+    def _send(self, choice: Assignment) -> None:
+        drone, target = self.drones[choice.drone], self.targets[choice.target]
+        need = Need(target.number, target.place_m, choice.heading_deg)
+        ways = self._ways(need, ReadyDrone(drone.name, drone.home_m, drone.battery))
+        if in_the_way(ways, self._air().flown, self.config.clear_route_m):
+            return  # another one of the same moment is in its way: a little later
+        drone.target, drone.heading_deg, target.heading_deg = target.number, choice.heading_deg, choice.heading_deg
+        drone.ways.append(ways[0])
+        if target.holder is None:
+            target.finder, drone.order = drone.name, TakeOffOrder.FIND
+            self._field.assign(drone.name, target.number)
+            self._say(drone.name, "find", f"{target.named.name}, heading {choice.heading_deg:.0f} degrees")
+        else:
+            self._open_leg(drone, target, ways[1])
+        drone.where, drone.result, drone.called_home = "flying", None, False
+        drone.task = asyncio.ensure_future(self._fly(drone))
+
+    def _open_leg(self, drone: TeamDrone, target: TeamTarget, back: Airway) -> None:
+        assert target.holder is not None and target.asking is not None
+        sender, battery = self.drones[target.holder], target.asking[0]
+        leg = TeamLeg(len(self.legs) + 1, sender.name, drone.name, self._now_s(), battery, target=target.number)
+        self.legs.append(leg)
+        target.leg = sender.leg = drone.leg = leg
+        sender.ways.append(back)
+        drone.order = TakeOffOrder.RELIEVE
+        self._field.open_leg(leg.number, sender.name, drone.name)
+        what = f"leg {leg.number}, {target.named.name}: relieves {sender.name}, battery at {100 * battery:.0f} %"
+        self._say(drone.name, "call", what)
+
+    def _close_leg(self, leg: TeamLeg) -> None:
+        for name in (leg.sender, leg.receiver):
+            if self.drones[name].leg is leg:
+                self.drones[name].leg = None
+        target = self.targets[leg.target]
+        target.leg, target.asking = None, None
+
+    def _alarm(self, target: TeamTarget, ready: bool) -> None:
+        if target.alarmed or ready:
+            return
+        target.alarmed, now_s = True, self._now_s()
+        coming = [drone.ready_s for drone in self.drones.values() if drone.where == "swap"]
+        soonest = f"the next one in {min(coming) - now_s:.0f} s" if coming else "and none is about to be"
+        until = "" if target.asking is None else f"; it is given up in {target.asking[1] - now_s:.0f} s otherwise"
+        self._say(target.holder or "", "alarm", f"{target.named.name}: no drone is ready, {soonest}{until}")
+
+    async def _fly(self, drone: TeamDrone) -> None:
+        died = RoleResult(Role.RECEIVER, Outcome.CRASHED, "its program died", responsible=False, landed=False)
+        try:
+            drone.result = await self._field.begin(drone.name, self._program) or died
+        except Exception as error:
+            end = as_end(error)  # prints what nobody foresaw
+            drone.result = RoleResult(Role.RECEIVER, end.outcome, end.detail, responsible=False, landed=False)
+
+    def _say(self, name: str, what: What, text: str) -> None:
+        event = Event(round(self._now_s(), 2), name, what, text)
+        self.events.append(event)
+        self.tell(event)
+
+    def _now_s(self) -> float:
+        return asyncio.get_running_loop().time() - self._begun_s
+
+
+def _end_of(result: RoleResult | None) -> str:
+    if result is None:
+        return "landed"
+    return result.outcome.label + (f": {result.detail}" if result.detail else "")

@@ -1,0 +1,127 @@
+"""``path-handoff team``: many targets kept observed by many drones for hours, and what came of it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from pathlib import Path
+from typing import Any, cast
+
+from drivers.interfaces import PartError
+from drivers.rig.parts import Rig, import_factory, with_errors
+from flight.harness.flights import Emit
+from flight.harness.relay import DroneProcesses, RelayField, RelayHarness, RelayReport, RelayRequest, TeamField
+from flight.harness.team import TeamConfig
+from flight.outcome import Outcome, violated_outcome
+from missions import rig_library
+from missions.options import TeamOptions
+from missions.relay.base import Event, Tell
+from missions.relay.command import faults_of
+from missions.report.command import show
+from missions.report.page import PageOf, write_page
+from missions.report.records import drone_logs
+from missions.run_folder import RunKind, claimed, unless_refused
+from missions.shown import say_unwritten, tell_line
+from missions.team.base import TeamBase
+from missions.team.config import fenced, team_of
+from missions.team.flight import program_of
+from missions.team.report import record_of, summarize_team, team_rows, team_table
+
+SUMMARY, TEAM, PICTURE, PAGE = "summary.json", "team.json", "team.png", "run.html"
+
+
+def run(options: TeamOptions) -> int:
+    """``path-handoff team``; returns the exit code. Raises PartError for what was asked wrongly."""
+    rig = with_errors(rig_library.load(options.rig), options.errors)
+    config = team_of(rig, options.drones, options.targets)
+    rig, hours = fenced(rig, config), config.hours if options.hours is None else options.hours
+    if not hours > 0.0:
+        raise PartError(f"--hours {hours:g} is not above 0", "give the hours that it is to last, such as 2")
+    with unless_refused(options.out) as folder:
+        tell_line(f"{len(config.drones)} drones, {len(config.targets)} targets, {hours:g} h: {folder}")
+        summary, record = fly_team(rig, config, options, folder, tell)
+    try:
+        _leave(summary, record, folder, options.picture)
+    except OSError as error:
+        say_unwritten(error)
+        committed = summary["exit_code"] == Outcome.COMMITTED.exit_code
+        return Outcome.LOG_FAILED.exit_code if committed else int(summary["exit_code"])
+    return int(summary["exit_code"])
+
+
+def _leave(summary: dict[str, Any], record: dict[str, Any], folder: Path, picture: bool) -> None:
+    """Write what came of it, and show it. Raises OSError."""
+    (folder / TEAM).write_text(json.dumps(record, indent=1) + "\n", "utf-8")
+    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+    if picture:
+        from missions.team.picture import draw_team  # noqa: PLC0415 (matplotlib takes a second to import)
+
+        draw_team(record, summary, folder / PICTURE)
+    write_page(folder / PAGE, _page_of(summary, folder), drone_logs(folder))
+    show(team_table(summary), sys.stdout)
+    written = [name for name in (SUMMARY, TEAM, PICTURE, PAGE) if (folder / name).exists()]
+    sys.stdout.write(f"\n{folder}: {', '.join(written)}\n")
+    sys.stdout.flush()
+
+
+def _page_of(summary: dict[str, Any], folder: Path) -> PageOf:
+    faults = "".join(f" --fault {fault}" for fault in summary["faults"])
+    size = f"--drones {summary['drones']} --targets {summary['targets']}"
+    asked = f"--rig {summary['rig']} {size} --hours {summary['hours']:g} --seed {summary['seed']}"
+    return PageOf(
+        outcome=summary["outcome"],
+        why=summary["detail"] or f"{summary['observed_percent']['all']:.2f} % of the time observed",
+        command=f"path-handoff team {asked}{faults}",
+        figures=team_rows(summary),
+        notes=summary["notes"],
+        pictures=[folder / PICTURE],
+    )
+
+
+def fly_team(
+    rig: Rig, config: TeamConfig, options: TeamOptions, out: Path, say: Tell
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A team's flights to their end; the logs are in ``out``. Returns summary and record."""
+    harness: RelayHarness = import_factory(config.harness, rig.where("[team] harness"))()
+    kind = RunKind(TEAM, (SUMMARY, PICTURE, PAGE), ("world", *(drone.name for drone in config.drones)))
+    base = TeamBase(config, say, config.hours if options.hours is None else options.hours)
+
+    async def main(ground: RelayField, stop: asyncio.Event, emit: Emit) -> None:
+        del emit
+        await base.run(cast(TeamField, ground), stop, program_of(rig, config, base))
+
+    request = RelayRequest(
+        rig, config, out, options.seed, faults_of(options.fault), main, lambda _: None, _no_processes(), base.hours,
+        options.logs, config.targets,
+    )  # fmt: skip
+    with claimed(out, kind):
+        report = harness.fly(request)
+    outcome, detail = judge(base, report)
+    summary = summarize_team(rig, config, options, base, report, outcome, detail)
+    return summary, {"outcome": outcome.label, **record_of(config, base, report)}
+
+
+def judge(base: TeamBase, report: RelayReport) -> tuple[Outcome, str]:
+    """The outcome of the whole: the harness's own failure and violated monitors first."""
+    if report.failure:
+        return Outcome.HARNESS_FAILED, report.failure
+    if report.violations:
+        return violated_outcome(report.violations), "; ".join(report.notes[:3])
+    if report.interrupted:
+        return Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
+    if base.outcome is Outcome.COMMITTED and report.log_failure:
+        return Outcome.LOG_FAILED, report.log_failure
+    return base.outcome, base.detail
+
+
+def _no_processes() -> DroneProcesses:
+    def command(name: str) -> list[str]:
+        raise AssertionError(f"{name} flies in this process")
+
+    return DroneProcesses(command, command, lambda _: {}, lambda _name, _word: None)
+
+
+def tell(event: Event) -> None:
+    """A line for the crew, as it comes."""
+    tell_line(f"{event.time_s / 60.0:8.1f} min  {event.drone:<5} {event.what:<11} {event.text}")

@@ -1,0 +1,166 @@
+"""One drone's flight in a team: that of a relay, on the target it was sent to, over the ways of the team."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from drivers.interfaces import Log, RecordStore, VehicleState, VelocitySetpoint
+from drivers.rig.parts import Rig
+from flight.config import MissionConfig
+from flight.guidance import Anchor, Vec3, bearing, close_in, subtract
+from flight.harness.flights import Emit, InProcess, RoleResult
+from flight.harness.relay import DroneProgram, Pointed
+from flight.harness.team import TeamConfig
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from missions.leg.session import RoleSession
+from missions.leg.steps import bring_down, may_manoeuvre
+from missions.relay.base import Leg, TakeOffOrder
+from missions.relay.guidance import way_home
+from missions.relay.records import write
+from missions.relay.role import DroneFlight
+from missions.relay.stages import Holder, Relief
+from missions.team.base import TeamBase
+from path.protocol.values import SenderRecord
+
+_GAIN_PER_S = 0.8
+_THERE_M = 0.6
+_TOLD_S = 1.0
+_POLL_S = 0.1
+_SLACK_S = 30.0
+
+
+class OwnGround:
+    """The ground as one drone's program knows it (``missions.relay.base.Ground``)."""
+
+    def __init__(self, base: TeamBase, name: str) -> None:
+        self._base, self._name = base, name
+
+    @property
+    def over(self) -> bool:
+        """Whether this drone is called home."""
+        return self._base.drones[self._name].called_home
+
+    def order_of(self, name: str) -> TakeOffOrder:
+        return self._base.order_of(name)
+
+    def leg_of(self, name: str) -> Leg | None:
+        return self._base.leg_of(name)
+
+    def ask(self, name: str, battery: float, wait_s: float) -> None:
+        self._base.ask(name, battery, wait_s)
+
+    def holds(self, name: str) -> None:
+        self._base.holds(name)
+
+    def leg_failed(self, name: str, end: MissionEnd) -> None:
+        self._base.leg_failed(name, end)
+
+
+class TeamFlight(DroneFlight):
+    """A drone's program. ``run`` is the whole of it."""
+
+    def __init__(
+        self, rig: Rig, team: TeamConfig, base: TeamBase, name: str, log: Log, emit: Emit, stop: asyncio.Event,
+        harness: InProcess | None, store: RecordStore,
+    ) -> None:  # fmt: skip
+        super().__init__(rig, team, OwnGround(base, name), name, log, emit, stop, harness, store)
+        self._team, self._ground = team, base
+        target = base.target_of(name)
+        self._mission = mission_on(self._mission, target.number, target.place_n_m, base.drones[name].heading_deg)
+        self._pointed: Pointed | None = None
+        self._told_s = -_TOLD_S
+        self.entry_m = team.entry_m
+
+    # --- where the target is ---
+
+    def designated(self) -> Vec3:
+        """A person goes on pointing at it until this drone has it."""
+        now_s = asyncio.get_running_loop().time()
+        if self._pointed is None or now_s - self._pointed.time_s > _TOLD_S:
+            self._pointed = self._ground.pointed_at(self._name)
+        north, east, _ = self._pointed.at(now_s)
+        return north, east, -self._mission.target.height_m
+
+    def _tell_place(self, holder: Holder) -> None:
+        now_s = asyncio.get_running_loop().time()
+        if holder.track is not None and now_s - self._told_s >= _TOLD_S:
+            self._told_s = now_s
+            self._ground.follows(self._name, holder.track.position_n_m)
+
+    async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
+        """What this drone was responsible for it is not any more, by its record too: it will be found anew."""
+        if flown.has_given_away or not session.responsible:
+            return
+        kept = self._store.load()
+        await write(self._store, SenderRecord(0 if kept is None else kept.record.epoch))
+        session.set_claim(None)
+        session.say("gives the target up: it is to be pointed at again")
+        self._ground.gave_up(self._name, str(end))
+
+    # --- over the ways of the team ---
+
+    async def go_out(self, session: RoleSession, place: Callable[[], Vec3]) -> None:
+        """Up above its home, across at the height of those that go out, and down."""
+        pilot, vehicle, team = session.pilot, session.vehicle, self._team
+        north, east, _ = vehicle.state.position_n_m
+        up = Anchor((north, east, -team.out_height_m), bearing(subtract(place(), vehicle.state.position_n_m)))
+        await self._within(session, _SLACK_S, lambda: up.position_n_m, team.transit_mps)
+
+        def above() -> Vec3:
+            n, e, _ = place()
+            return n, e, -team.out_height_m
+
+        away_m = math.dist(above(), vehicle.state.position_n_m)
+        await self._within(session, _SLACK_S + 2.0 * away_m / team.transit_mps, above, team.transit_mps)
+        await self._within(session, _SLACK_S, place, team.transit_mps)
+        pilot.hold_here()
+
+    async def _within(self, session: RoleSession, within_s: float, place: Callable[[], Vec3], speed_mps: float) -> None:
+        """To a place that may move. Raises MissionEnd(APPROACH_FAILED) when it was not reached in time."""
+        yaw_rad = bearing(subtract(place(), session.vehicle.state.position_n_m))
+
+        def guidance(state: VehicleState) -> VelocitySetpoint:
+            error = subtract(place(), state.position_n_m)
+            return VelocitySetpoint(close_in(error, (0.0, 0.0, 0.0), _GAIN_PER_S, speed_mps), yaw_rad)
+
+        session.pilot.guidance = guidance
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + within_s
+        while math.dist(place(), session.vehicle.state.position_n_m) > _THERE_M:
+            if loop.time() > end_s:
+                raise MissionEnd(Outcome.APPROACH_FAILED, f"a place on its way was not reached in {within_s:.0f} s")
+            await asyncio.sleep(_POLL_S)
+
+    async def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> bool:
+        """Out of the others' way, up, home above everything, and down; where that cannot be flown, down."""
+        east, north = self._me.home_m
+        way = way_home(aside, (north, east, -self._team.return_height_m))
+        if may_manoeuvre(session, end):
+            session.enter(Phase.DEPART, "on its way home")
+        for anchor in way:
+            if not may_manoeuvre(session, end):
+                break
+            await self._fly_to(session, anchor, self._team.transit_mps)
+        return await bring_down(session, end, way[-1])
+
+
+def mission_on(mission: MissionConfig, target: int, place_n_m: Vec3, heading_deg: float) -> MissionConfig:
+    """The rig's mission on one of the targets."""
+    north, east, _ = place_n_m
+    designation = replace(mission.target, north_m=north, east_m=east)
+    return replace(mission, target=designation, target_id=target + 1, heading_deg=heading_deg)
+
+
+def program_of(rig: Rig, team: TeamConfig, base: TeamBase) -> DroneProgram:
+    """The program of every drone of a team."""
+
+    async def fly(
+        name: str, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess, store: RecordStore
+    ) -> RoleResult:
+        return await TeamFlight(rig, team, base, name, log, emit, stop, harness, store).run()
+
+    return fly

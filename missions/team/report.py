@@ -1,0 +1,190 @@
+"""The figures of a team (``summary.json``), its record (``team.json``) and the table at its end. Pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from drivers.rig.parts import Rig
+from flight.harness.relay import RelayReport, TargetWatch
+from flight.harness.team import TeamConfig
+from flight.outcome import OBJECT_MONITOR, Outcome
+from missions.options import TeamOptions
+from missions.relay.report import GAP_BOUND_S, spread
+from missions.team.base import TeamBase
+
+HOUR_S = 3600.0
+
+
+def summarize_team(
+    rig: Rig,
+    config: TeamConfig,
+    options: TeamOptions,
+    base: TeamBase,
+    report: RelayReport,
+    outcome: Outcome,
+    detail: str,
+) -> dict[str, Any]:
+    """Everything ``summary.json`` holds; null where there is nothing to say."""
+    done = [leg for leg in base.legs if leg.outcome == Outcome.COMMITTED.label]
+    drone_hours = len(config.drones) * report.simulated_s / HOUR_S
+    flown_hours = sum(report.aloft_s.values()) / HOUR_S
+    return {
+        "outcome": outcome.label,
+        "exit_code": outcome.exit_code,
+        "detail": detail,
+        "rig": rig.name,
+        "seed": options.seed,
+        "errors": dict(report.errors),
+        "drones": len(config.drones),
+        "targets": len(config.targets),
+        "hours": base.hours,
+        "faults": list(options.fault),
+        "simulated_s": round(report.simulated_s, 2),
+        "wall_s": round(report.wall_s, 1),
+        "observed_percent": observed_percent(config, report),
+        "first_observed_s": {
+            each.name: None if seen.first_s is None else round(seen.first_s, 1)
+            for each, seen in zip(config.targets, report.watched, strict=True)
+        },
+        "legs": len(base.legs),
+        "legs_handed_over": len(done),
+        "legs_ended": dict(sorted(Counter(leg.outcome or "unfinished" for leg in base.legs).items())),
+        "wrong": report.violations.get(OBJECT_MONITOR, 0),
+        "monitors": dict(sorted(report.violations.items())),
+        "notes": list(report.notes),
+        "lost": sum(event.what == "lost" for event in base.events),
+        "alarms": sum(event.what == "alarm" for event in base.events),
+        "leg_s": spread([leg.held_s - leg.called_s for leg in done if leg.held_s is not None]),
+        "gap_s": spread(list(report.gaps_s.values())),
+        "gap_bound_s": round(GAP_BOUND_S, 2),
+        "battery_at_landing": spread([flight.battery for flight in report.flown]),
+        "reserve": config.reserve,
+        "closest_m": None if report.closest_m != report.closest_m else round(report.closest_m, 3),
+        "closest_pair": list(report.closest_pair),
+        "bytes_per_s": {
+            drone.name: round(report.bytes_sent.get(drone.name, 0) / report.simulated_s, 1) for drone in config.drones
+        },
+        "bytes_per_s_mean": round(sum(report.bytes_sent.values()) / report.simulated_s / len(config.drones), 1),
+        "flown_h": round(flown_hours, 3),
+        "cpu_s": round(report.cpu_s, 1),
+        "cpu_s_per_drone_hour": round(report.cpu_s / drone_hours, 2) if drone_hours > 0.0 else None,
+        "cpu_s_per_flown_hour": round(report.cpu_s / flown_hours, 2) if flown_hours > 0.0 else None,
+    }
+
+
+def observed_percent(config: TeamConfig, report: RelayReport) -> dict[str, float | None]:
+    """By target's name, since somebody was responsible for it for the first time; and ``all`` of them together."""
+    percent: dict[str, float | None] = {
+        each.name: _percent(seen.observed_s, seen.of_s)
+        for each, seen in zip(config.targets, report.watched, strict=True)
+    }
+    whole = _percent(sum(s.observed_s for s in report.watched), sum(s.of_s for s in report.watched))
+    return {**percent, "all": whole}
+
+
+def _percent(observed_s: float, of_s: float) -> float | None:
+    return round(100.0 * observed_s / of_s, 3) if of_s > 0.0 else None
+
+
+def record_of(config: TeamConfig, base: TeamBase, report: RelayReport) -> dict[str, Any]:
+    """``team.json``: who had which target when, every leg, every flight, every word to the crew."""
+    names = [target.name for target in config.targets]
+    return {
+        "drones": [drone.name for drone in config.drones],
+        "targets": names,
+        "reserve": config.reserve,
+        "legs": [
+            {
+                "leg": leg.number, "target": names[leg.target], "sender": leg.sender, "receiver": leg.receiver,
+                "called_s": round(leg.called_s, 2), "held_s": None if leg.held_s is None else round(leg.held_s, 2),
+                "outcome": leg.outcome, "detail": leg.detail, "battery": round(leg.battery, 4),
+                "gap_s": round(report.gaps_s[leg.number], 4) if leg.number in report.gaps_s else None,
+            }
+            for leg in base.legs
+        ],
+        "spells": [
+            {"target": names[spell.target], "drone": spell.drone, "from_s": round(spell.from_s, 2),
+             "to_s": None if spell.to_s is None else round(spell.to_s, 2)}
+            for spell in base.spells
+        ],
+        "unobserved": {name: _unobserved(seen) for name, seen in zip(names, report.watched, strict=True)},
+        "flights": [
+            {"drone": f.drone, "began_s": round(f.began_s, 2), "ended_s": round(f.ended_s, 2),
+             "battery": round(f.battery, 4)}
+            for f in report.flown
+        ],
+        "events": [{"time_s": e.time_s, "drone": e.drone, "what": e.what, "text": e.text} for e in base.events],
+        "samples": [[s.time_s, list(s.responsible), list(s.battery), list(s.airborne)] for s in report.samples],
+        "violations": list(report.notes),
+    }  # fmt: skip
+
+
+def _unobserved(seen: TargetWatch) -> list[list[float]]:
+    return [[round(since_s, 2), round(to_s, 2)] for since_s, to_s in seen.spells]
+
+
+def team_table(summary: Mapping[str, Any]) -> RenderableType:
+    """What a person wants to know of a team's flights."""
+    good = summary["outcome"] == Outcome.COMMITTED.label
+    head = Text.assemble((f" {summary['outcome']} ", "bold black on green" if good else "bold white on red"))
+    head.append(f"  rig {summary['rig']}, seed {summary['seed']}, ")
+    head.append(f"{summary['drones']} drones, {summary['targets']} targets")
+    if summary["faults"]:
+        head.append(f", faults: {', '.join(summary['faults'])}", "yellow")
+    parts: list[RenderableType] = [Text(), head]
+    if summary["detail"]:
+        parts.append(Text(f"  {summary['detail']}", "yellow"))
+    figures = Table.grid(padding=(0, 3))
+    for name, value in team_rows(summary):
+        figures.add_row(Text(name, "dim"), value)
+    return Group(*parts, Text(), figures)
+
+
+def team_rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """(name, value) of what a person wants to know."""
+    observed = s["observed_percent"]
+    each = [(name, value) for name, value in observed.items() if name != "all"]
+    worst = sorted(each, key=lambda pair: -1.0 if pair[1] is None else pair[1])[:6]
+    shown = ", ".join(f"{name} {_share(value)}" for name, value in worst)
+    ended = ", ".join(f"{name} {count}" for name, count in s["legs_ended"].items()) or "none"
+    violated = ", ".join(f"{name} {count}" for name, count in s["monitors"].items())
+    closest = "-" if s["closest_m"] is None else f"{s['closest_m']:.2f} m, {' and '.join(s['closest_pair'])}"
+    speed = f"{s['simulated_s'] / s['wall_s']:.1f} x real time ({s['wall_s']:.0f} s)" if s["wall_s"] > 0.0 else "-"
+    landing = s["battery_at_landing"]
+    at_least = "-" if landing is None else f"{100 * landing['min']:.1f} % at least"
+    return [
+        ("simulated", f"{s['simulated_s'] / 60.0:.1f} min, {s['flown_h']:.2f} h in the air"),
+        ("observed", f"{_share(observed['all'])} ({shown}{', ...' if len(each) > len(worst) else ''})"),
+        ("legs", f"{s['legs']}: {ended}"),
+        ("wrong objects", str(s["wrong"])),
+        ("targets lost, and pointed at again", str(s["lost"])),
+        ("from the call to holding", _spread(s["leg_s"], 1)),
+        ("nobody responsible", f"{_spread(s['gap_s'], 4)} (bound {s['gap_bound_s']:.2f} s)"),
+        ("no drone ready, said", f"{s['alarms']} times"),
+        ("battery at landing", f"{at_least} (reserve {100 * s['reserve']:.0f} %)"),
+        ("smallest separation", closest),
+        ("sent by a drone", f"{s['bytes_per_s_mean']:.0f} B/s in the mean"),
+        ("monitors", violated or "no violation"),
+        ("processor time", f"{_number(s['cpu_s_per_drone_hour'])} s a drone and simulated hour"),
+        ("speed", speed),
+    ]
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f} %"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"
+
+
+def _spread(each: Mapping[str, float] | None, digits: int) -> str:
+    if each is None:
+        return "-"
+    return f"median {each['median']:.{digits}f} s, {each['min']:.{digits}f} to {each['max']:.{digits}f} s"

@@ -1,0 +1,128 @@
+"""The ceiling in truth, with a GPS altitude that is off, drifts and jumps: a guard alone over its own MAVLink."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+import pytest
+
+from drivers.interfaces import FlightMode, VelocitySetpoint
+from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, Script
+from drivers.mavlink.guard_link import GuardMavlink, GuardMavlinkConfig
+from flight.config import GuardConfig, MissionConfig
+from flight.guard_rules import GuardStage
+from flight.guard_watch import GuardWatch, watch
+from hil.world.world import AltitudeConfig
+from tests.drivers.mavlink.test_guard_link import BIND, CONTEXT
+from tests.guard_bench import SYSID, Bench, bench
+
+CEILING_M = 2.0
+MISSION = MissionConfig(guard=GuardConfig(fence_height_m=CEILING_M))
+CLIMB = VelocitySetpoint((0.0, 0.0, -0.5), 0.0)
+ALTITUDES = (
+    AltitudeConfig(offset_m=10.0, drift_mps=0.3),
+    AltitudeConfig(offset_m=-10.0, drift_mps=-0.3),
+    AltitudeConfig(jump_m=-488.0, jump_after_s=4.0),  # a PX4 indoors, its origin at sea level: in the air
+)
+
+
+class Beating:
+    """The line of a program that lives, sends setpoints and looks at no limit; or of one that is dead."""
+
+    def __init__(self) -> None:
+        self.alive, self.beats, self.script = True, 0, Script.CLIMB
+        self.ignored: dict[str, int] = {}
+
+    async def __aenter__(self) -> Beating:
+        return self
+
+    async def __aexit__(self, *_: object) -> None: ...
+
+    def newest(self) -> tuple[int, Beat] | None:
+        self.beats += 1
+        return (CONTEXT.clock.now_ns(), Beat(self.script, self.beats)) if self.alive else None
+
+    def answer(self, answer: GuardAnswer) -> None: ...
+
+
+class Silent:
+    def write(self, topic: str, stamp_ns: int, record: object) -> None: ...
+
+    def image(self, topic: str, stamp_ns: int, image: object) -> None: ...
+
+
+def height_m(own: Bench) -> float:
+    with own.lock:
+        return -own.drone.true_position_n_m[2] - 0.1
+
+
+@pytest.mark.parametrize("altitude", ALTITUDES)
+def test_a_healthy_drone_is_left_alone_and_the_ceiling_is_kept_in_truth(altitude: AltitudeConfig) -> None:
+    """A script that climbs and looks at nothing; then, anew, one that is dead."""
+
+    async def main(own: Bench) -> None:
+        config = GuardMavlinkConfig(f"udpin://127.0.0.1:{own.port}", BIND, SYSID, height_from="home")
+        line, ended = Beating(), asyncio.Event()
+        async with GuardMavlink(config, CONTEXT) as vehicle:
+            guard = GuardWatch(vehicle, line, CONTEXT.clock, MISSION, Silent())
+            watching = asyncio.create_task(watch((guard,), ended))
+            await asyncio.sleep(1.0)  # what it stood on has been seen
+            await asyncio.to_thread(own.in_air)
+            line.script = Script.CONTROL
+            await asyncio.sleep(4.0)
+            assert guard.state.stage is GuardStage.WATCHING, guard.state.reason
+            own.flown, highest_m = CLIMB, 0.0
+            while guard.state.stage is GuardStage.WATCHING and highest_m < 2.0 * CEILING_M:
+                highest_m = max(highest_m, height_m(own))
+                await asyncio.sleep(0.02)
+            assert "outside the fence" in guard.state.reason
+            assert CEILING_M - 0.3 < highest_m < CEILING_M + 0.8  # half a second of patience at 0.5 m/s, and telemetry
+            for _ in range(500):
+                highest_m = max(highest_m, height_m(own))
+                if not own.autopilot.armed:
+                    break
+                await asyncio.sleep(0.02)
+            assert highest_m < CEILING_M + 1.0
+            assert not own.autopilot.armed
+            ended.set()
+            await watching
+
+    with bench(altitude=altitude) as own:
+        asyncio.run(main(own))
+
+
+@pytest.mark.parametrize("altitude", ALTITUDES)
+def test_a_dead_scripts_vehicle_is_held_where_it_truly_is(altitude: AltitudeConfig) -> None:
+    async def main(own: Bench) -> None:
+        config = GuardMavlinkConfig(f"udpin://127.0.0.1:{own.port}", BIND, SYSID, height_from="home")
+        line, ended = Beating(), asyncio.Event()
+        async with GuardMavlink(config, CONTEXT) as vehicle:
+            guard = GuardWatch(vehicle, line, CONTEXT.clock, MISSION, Silent())
+            watching = asyncio.create_task(watch((guard,), ended))
+            await asyncio.sleep(1.0)
+            await asyncio.to_thread(own.in_air)
+            line.script = Script.CONTROL
+            await asyncio.sleep(0.5)  # a beat has said so
+            own.flown = CLIMB
+            line.alive = False  # MAVSDK's own thread goes on with its last setpoint
+            highest_m = 0.0
+            while own.autopilot.mode is FlightMode.OFFBOARD:
+                highest_m = max(highest_m, height_m(own))
+                await asyncio.sleep(0.02)
+            assert "no sign of life" in guard.state.reason
+            assert highest_m < CEILING_M
+            ended.set()
+            watching.cancel()
+
+    with bench(altitude=altitude) as own:
+        asyncio.run(main(own))
+
+
+def test_what_an_altitude_is_wrong_by() -> None:
+    off = AltitudeConfig(offset_m=10.0, drift_mps=0.5, drift_most_m=2.0)
+    assert [off.error_m(number, time_s) for number, time_s in ((0, 0.0), (1, 0.0), (0, 2.0), (0, 60.0), (1, 60.0))] == [
+        10.0, -10.0, 11.0, 12.0, -12.0,
+    ]  # fmt: skip
+    indoors = replace(AltitudeConfig(), jump_m=-488.0, jump_after_s=5.0)
+    assert (indoors.error_m(0, 4.9), indoors.error_m(1, 5.0)) == (0.0, -488.0)
