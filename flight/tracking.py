@@ -15,11 +15,13 @@ from flight.target_track import TargetTrack
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.observations import Box, Depth, Detection, MissReason, Region
+from path.rivals import MOST, Rival
 
 Pixel = tuple[float, float]
 
 MIN_SCORE = 0.3
 _RIVAL_REACH_M = 0.6
+_BESIDE_M = 1.0  # around the object, what else is told of
 _UNSEEN_S = 0.5  # after so long anything else that the object may have come to might as well be the object
 _CUT_SCORE = 0.1  # of a box that the image's border cuts, which detectors score low: it is an object, not its box
 _BORDER_PX = 1.5
@@ -34,10 +36,15 @@ _COARSE_M = 0.12  # a range that is no better is estimated, not measured
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """The tracked object in one frame. ``depth`` is None where the depth camera gave nothing to be trusted."""
+    """The tracked object in one frame.
+
+    ``depth`` is None where the depth camera gave nothing to be trusted. ``beside``: the objects nearest to it that look
+    like it, of those that were looked for.
+    """
 
     box: Box
     depth: Depth | None
+    beside: tuple[Rival, ...] = ()
 
 
 def point_in_camera(box: Box, z_m: float, camera: CameraModel) -> Vec3:
@@ -144,7 +151,14 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     )
     if measured is not None:
         track.update(measured, view.stamp_ns)
-    return Sighting(box, depth)
+    return Sighting(box, depth, _beside(view, box, ranked[1:], px_per_m))
+
+
+def _beside(view: View, own: Box, others: Sequence[_Found], px_per_m: float) -> tuple[Rival, ...]:
+    """The whole objects nearest to a box, with their depth."""
+    near = [each.box for each in others if not each.cut and math.dist(each.pixel, own.center) <= px_per_m * _BESIDE_M]
+    near.sort(key=lambda box: math.dist(box.center, own.center))
+    return tuple(Rival(box, view.depth(box)) for box in near[:MOST])
 
 
 def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3:

@@ -67,7 +67,7 @@ MODULES: dict[type[object], str] = {
 EXIT_REFUSED = CommandEnd.REFUSED.exit_code
 EXIT_CTRL_C = CommandEnd.STOPPED.exit_code
 EXIT_BROKEN_PIPE = CommandEnd.READER_GONE.exit_code
-LIVE_AT = "127.0.0.1:8765"
+USUAL = {"--live": "127.0.0.1:8765", "--gcs": "127.0.0.1:14550"}
 UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM)
 """Errors of the place that is written to, and not of PATH."""
 
@@ -171,10 +171,10 @@ def _carry_out(arguments: Sequence[str] | None) -> int:
 
 
 def _spelled_out(arguments: Sequence[str]) -> list[str]:
-    """``--live`` without an address has the usual one."""
+    """``--live`` and ``--gcs`` without an address have the usual one."""
     spelled: list[str] = []
     for word, following in zip(arguments, [*arguments[1:], "--"], strict=True):
-        spelled += [word, LIVE_AT] if word == "--live" and following.startswith("--") else [word]
+        spelled += [word, USUAL[word]] if word in USUAL and following.startswith("--") else [word]
     return spelled
 
 

@@ -79,6 +79,10 @@ class HandoffOptions:
     """Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 when no
     address is given. Other hosts than this one need a token (docs/view.md)."""
 
+    gcs: Live = None
+    """At `sitl`: let a ground station watch both vehicles, QGroundControl or MAVProxy, at this address; 127.0.0.1:14550
+    when none is given. A mode that it selects is a pilot's word (docs/ground-station.md)."""
+
     px4: FileName = None
     """PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too."""
 
@@ -232,6 +236,10 @@ class FlyOptions:
     """Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 when no
     address is given. Other hosts than this one need a token (docs/view.md)."""
 
+    gcs: Live = None
+    """At `sitl`: let a ground station watch both vehicles, QGroundControl or MAVProxy, at this address; 127.0.0.1:14550
+    when none is given. A mode that it selects is a pilot's word (docs/ground-station.md)."""
+
     px4: FileName = None
     """PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too."""
 
@@ -299,10 +307,19 @@ class DoctorOptions:
 
 @dataclass(frozen=True, slots=True)
 class RigsOptions:
-    """List the rigs that come with PATH, or check one of your own."""
+    """List the rigs that come with PATH; write one of your own, or check it."""
 
     check: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
     """Check everything in this rig that can be checked without touching hardware, as before a flight."""
+
+    new: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
+    """Write a commented rig for the field into this file, and the key of its link beside it."""
+
+    autopilot: Literal["px4", "ardupilot"] = "px4"
+    """With --new: what flies both drones."""
+
+    camera: Literal["realsense"] = "realsense"
+    """With --new: what both drones see with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,7 +344,7 @@ class ReplayOptions:
     """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4; may be given several
     times. Without any (and without --gate) every decision must come out as it was logged."""
 
-    gate: Literal["consecutive", "evidence"] | None = None
+    gate: Literal["count", "evidence"] | None = None
     """The gate to decide with instead."""
 
     picture: bool = True
@@ -410,6 +427,10 @@ class TrialOptions:
     """The rig; by default sim-rendered, whose harness knows the truth; `dynamic` for `beacon`, `sim-field` for
     `rendezvous`, `sitl` for `soak`."""
 
+    errors: Errors = None
+    """How far the world of flights and Monte-Carlo hand-overs is from what the rig says (docs/errors.md); careful
+    unless the rig says otherwise. `static` and `ambiguity` have errors of their own."""
+
     xfeat: FileName = None
     """Weights of XFeat (ONNX), for the trials that compare with it; without them XFeat is left out."""
 
@@ -467,8 +488,8 @@ class CampaignOptions:
     set, forged and repeated packets, pilots, a receiver that does not see the target). See docs/campaign.md.
     """
 
-    program: Literal["machines", "roles"] = "machines"
-    """machines: both protocol machines, real messages; roles: both whole role programs."""
+    program: Literal["machines", "roles", "team"] = "machines"
+    """machines: both protocol machines, real messages; roles: both whole role programs; team: whole teams."""
 
     runs: Annotated[int, Bounds(1, 100_000_000, "runs")] = 1000
     """How many runs, shared out among the levels."""
@@ -492,7 +513,10 @@ class CampaignOptions:
     """A Dask scheduler that does the work instead, such as tcp://192.168.1.5:8786."""
 
     rig: RigName = "sim"
-    """The rig that is flown, of level sim."""
+    """The rig that is flown, of level sim; with --program team it is team-sim by default."""
+
+    hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
+    """With --program team: how long each team flies; as its rig says by default."""
 
     junit: FileName = None
     """Write a JUnit file too: a test case a run, failed by what it violated, with the line that replays it."""

@@ -15,7 +15,12 @@ LEVELS = ("sim", "sim-rendered", "sitl", "hitl", "field")
 
 
 def run(options: RigsOptions, out: TextIO | None = None) -> int:
-    """List them by level, with what each is for; or check one: 0, or NOT_FIT with what is wrong."""
+    """List them by level, with what each is for; or check one: 0, or NOT_FIT with what is wrong; or write one."""
+    if options.new is not None:
+        from missions.new_rig import write_rig  # noqa: PLC0415 (a list needs none of what it imports)
+
+        write_rig(options.new, options.autopilot, options.camera, out or sys.stdout)
+        return CommandEnd.DONE.exit_code
     if options.check is not None:
         return check(options.check, out or sys.stdout)
     tables = [(file.stem, tomllib.loads(file.read_text("utf-8"))) for file in FOLDER.glob("*.toml")]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from path.bounds import Bounds, check_bounds
 
 BoxMapping = Literal["center", "corner"]
-GateKind = Literal["consecutive", "evidence"]
+GateKind = Literal["count", "evidence"]
 TargetError = Literal["point", "ray"]
 
 
@@ -28,6 +28,12 @@ class EvidenceConfig:
         max_gap_s: a run ends after so long without an agreeing pair.
         min_s, min_pairs: no run is accepted that is shorter, whatever its evidence.
         max_pose_sigma_m: as ``MethodConfig.max_pose_sigma_m``, for this gate: what bounds the persistent errors.
+        offset_sigma_m, offset_known: standard deviation per axis of how far D2's box of the target is off D1's for as
+            long as a run lasts, in D1's image at the target's depth; and from how many measurements that is known.
+        unseen: share of the hand-overs in which D2 may see another object than the target that D1 does not see.
+        rival_s: for so long an object that D1 saw beside the target is taken to be there still.
+        apart_m, swap: D1 itself may have gone over to an object that is nearer to the target than that in its image, in
+            so many of the hand-overs with one.
     """
 
     alpha: Annotated[float, Bounds(0.0, 0.5, "of 1", above=True)] = 1e-3
@@ -42,6 +48,12 @@ class EvidenceConfig:
     min_s: Annotated[float, Bounds(0.05, 600.0)] = 1.0
     min_pairs: Annotated[int, Bounds(1, 100_000, "pairs")] = 30
     max_pose_sigma_m: Annotated[float, Bounds(0.0005, 1.0)] = 0.03
+    offset_sigma_m: Annotated[float, Bounds(0.001, 1.0)] = 0.03
+    offset_known: Annotated[int, Bounds(1, 10_000, "measurements")] = 20
+    unseen: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 1e-3
+    rival_s: Annotated[float, Bounds(0.0, 30.0)] = 3.0
+    apart_m: Annotated[float, Bounds(0.0, 10.0)] = 0.45
+    swap: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.05
 
     def __post_init__(self) -> None:
         """Raises ValueError naming the first field that cannot be right, and what is allowed."""
@@ -63,8 +75,8 @@ class MethodConfig:
         tau_min, tau_max: IoU needed far away and at ``z0_m`` or nearer (eq. adaptive_threshold).
         z0_m: reference viewing distance (eq. scale_factor).
         gate: what decides that the views have agreed for long enough: all of the last ``hold_frames`` pairs, as the
-            paper has it ("consecutive"), or the strength of the agreement as well ("evidence", ``path.evidence``).
-        hold_frames, hold_s: of the gate "consecutive": distinct fresh agreeing frame pairs, and the time from the first
+            paper has it ("count"), or the strength of the agreement as well ("evidence", ``path.evidence``).
+        hold_frames, hold_s: of the gate "count": distinct fresh agreeing frame pairs, and the time from the first
             to the last of them on capture stamps; both are needed.
         max_gap_s: longest time between two consecutive agreeing pairs; a longer one restarts the count.
         max_age_s: a message whose frame is older than this when it comes in, is stale.
@@ -131,7 +143,7 @@ class MethodConfig:
     min_search_px: Annotated[float, Bounds(0.5, 4000.0)] = 16.0
     max_search_px: Annotated[float, Bounds(0.5, 16384.0)] = 200.0
     ambiguity_margin: Annotated[float, Bounds(0.0, 1000.0, "(squared distances)", above=True)] = 6.0
-    gate: GateKind = "consecutive"
+    gate: GateKind = "count"
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
 
     def __post_init__(self) -> None:
@@ -140,8 +152,8 @@ class MethodConfig:
             raise ValueError(f'box_mapping: {self.box_mapping!r} is neither "center" nor "corner"')
         if self.target_error not in ("point", "ray"):
             raise ValueError(f'target_error: {self.target_error!r} is neither "point" nor "ray"')
-        if self.gate not in ("consecutive", "evidence"):
-            raise ValueError(f'gate: {self.gate!r} is neither "consecutive" nor "evidence"')
+        if self.gate not in ("count", "evidence"):
+            raise ValueError(f'gate: {self.gate!r} is neither "count" nor "evidence"')
         check_bounds(self)
         for low, high in (
             ("tau_min", "tau_max"),

@@ -42,6 +42,7 @@ from statistics import median
 from typing import TypeVar
 
 from path.config import EvidenceConfig, MethodConfig
+from path.identity import Identity
 from path.observations import MissReason
 from path.window import AgreementWindow, Evidence, FramePair, Gate
 
@@ -127,6 +128,7 @@ class EvidenceGate:
         self._agreed = False  # the newest pair that was compared
         self._begin_ns = 0  # of the block under way
         self._strengths: list[float] = []  # of its pairs
+        self._identity = Identity()  # of the run under way
         self.judged = BlockCounts()
 
     @property
@@ -144,7 +146,8 @@ class EvidenceGate:
 
     @property
     def evidence(self) -> Evidence:
-        reached = evidence_of(self.blocks, self._config, self._setbacks)
+        blocks = evidence_of(self.blocks, self._config, self._setbacks)
+        reached = min(blocks, self._identity.reached(self._config))
         return Evidence(reached, evidence_needed(max(1, self._runs), self._config))
 
     @property
@@ -161,7 +164,10 @@ class EvidenceGate:
         if self._run.count == 1:
             self._runs += 1
             self._blocks = self._setbacks = 0
+            self._identity = Identity()
             self._begin(pair.capture_ns)
+        if pair.offsets is not None:
+            self._identity.note(pair.offsets)
         self._compared(pair.capture_ns, strength(iou, tau))
         return None
 

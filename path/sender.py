@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import insort
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from path.agreement import Agreed, TwoViews, Verdict, compare, plain_box, threshold
@@ -15,10 +16,11 @@ from path.geometry import Pose
 from path.messages import Candidate, Target, Vec3
 from path.observations import Box, Depth, Missed, MissReason
 from path.rigid import rigid, rigid_from_quat
+from path.rivals import Rival, Rivals
 from path.rotation import normalized
 from path.target import TargetPoint, locate
 from path.timeline import Between, Sample, Track
-from path.window import FramePair, Gate, serial_difference
+from path.window import FramePair, Gate, Offsets, serial_difference
 
 MAX_PENDING = 64
 UNIT_TOLERANCE = 0.05  # of a direction or a quaternion that went through float32
@@ -35,6 +37,7 @@ class PairVerdict:
         mapped_box: D2's box in D1's image; None when it did not come to that.
         tau: what the overlap had to be; None when nothing was compared.
         own: D1's samples around that instant, box, point and depth; None as ``own_box``.
+        offsets: of D2's box from the target and from what D1 sees beside it; None when nothing was compared.
     """
 
     candidate: Candidate | None
@@ -44,6 +47,7 @@ class PairVerdict:
     mapped_box: Box | None = None
     tau: float | None = None
     own: Between | None = None
+    offsets: Offsets | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +88,19 @@ class SenderCycle:
         self._config = config
         self._identity = (handoff_id, epoch, target_id)
         self._track = Track(config.track_length, config.max_bracket_s)
+        self._rivals = Rivals(self._views, config)
         self._pending: list[_Pending] = []
         self._max_age_ns = round(config.max_age_s * 1e9)
         self._max_future_ns = round(config.max_future_s * 1e9)
 
     def observe(
-        self, frame_id: int, stamp_ns: int, box: Box | None, depth: Depth | None, gravity_v: Vec3
+        self,
+        frame_id: int,
+        stamp_ns: int,
+        box: Box | None,
+        depth: Depth | None,
+        gravity_v: Vec3,
+        rivals: Sequence[Rival] = (),
     ) -> Target | Missed:
         """D1's newest frame: the message to send, or why there is none. The gate is told of a miss, unless ``ignored``.
 
@@ -99,6 +110,7 @@ class SenderCycle:
             box: the tracked target; None when the frame does not show it.
             depth: registered depth over that box.
             gravity_v: unit vector of gravity in the marker frame at ``stamp_ns``.
+            rivals: the objects nearest to the target that look like it, in the same frame.
         """
         newest = self._track.newest
         if newest is not None and (frame_id <= newest.frame or stamp_ns <= newest.stamp_ns):
@@ -112,6 +124,7 @@ class SenderCycle:
             return self._missed(point)
         assert box is not None
         self._track.add(Sample(stamp_ns, frame_id, (box.x, box.y, box.w, box.h, *point.point_v_m, point.z_m)))
+        self._rivals.note(stamp_ns, box, point.z_m, point.point_v_m, gravity_v, rivals)
         handoff_id, epoch, target_id = self._identity
         sequence = frame_id & 0xFFFF
         return Target(handoff_id, epoch, target_id, sequence, stamp_ns, point.point_v_m, gravity_v, point.sigma_m)
@@ -184,15 +197,16 @@ class SenderCycle:
         reason = self._incomparable(candidate, capture_ns)
         if reason is not None or at is None or candidate.box is None:
             verdict, own_box, mapped_box = Missed(reason or MissReason.NO_TRACK), None, None
-            tau = used = None
+            tau = used = offsets = None
         else:
             x, y, w, h, *point, z1 = at.values
             own_box, point_v, used = Box(x, y, w, h), (point[0], point[1], point[2]), at
             T_v_c2 = rigid_from_quat(normalized(candidate.rotation_v_c2), candidate.position_v_m)
             verdict, mapped_box = compare(self._views, T_v_c2, own_box, z1, point_v, candidate.box, self._config)
             tau = None if verdict.iou is None else threshold(z1, self._config)
-        verdict = self._count(candidate.sequence, capture_ns, at, verdict, tau)
-        return PairVerdict(candidate, capture_ns, verdict, own_box, mapped_box, tau, used)
+            offsets = self._rivals.offsets(T_v_c2, candidate.box, own_box, z1, point_v)
+        verdict = self._count(candidate.sequence, capture_ns, at, verdict, tau, offsets)
+        return PairVerdict(candidate, capture_ns, verdict, own_box, mapped_box, tau, used, offsets)
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
         """Returns why a fresh candidate cannot even be compared, whatever D1 saw at that instant; None when it can."""
@@ -206,7 +220,13 @@ class SenderCycle:
         return None
 
     def _count(
-        self, sequence: int, capture_ns: int, at: Between | None, verdict: Verdict, tau: float | None
+        self,
+        sequence: int,
+        capture_ns: int,
+        at: Between | None,
+        verdict: Verdict,
+        tau: float | None,
+        offsets: Offsets | None,
     ) -> Verdict:
         """Let the gate count a verdict; what it refuses becomes an ``ignored`` miss."""
         if isinstance(verdict, Missed) or at is None:
@@ -214,7 +234,7 @@ class SenderCycle:
             refusal = self.gate.disagree(sequence, capture_ns, by)
         else:
             own = (at.before.frame, at.before.stamp_ns), (at.after.frame, at.after.stamp_ns)
-            refusal = self.gate.agree(FramePair(sequence, capture_ns, own), verdict.iou, verdict.tau)
+            refusal = self.gate.agree(FramePair(sequence, capture_ns, own, offsets), verdict.iou, verdict.tau)
         if refusal is not None:
             return self._missed(Missed(refusal, verdict.iou, ignored=True))
         if isinstance(verdict, Missed):

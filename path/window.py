@@ -1,4 +1,4 @@
-"""The gate before a commit, and the paper's: consecutive agreements on distinct fresh frame pairs only.
+"""The gate before a commit, and the paper's, "count": consecutive agreements on distinct fresh frame pairs only.
 
 Paper, eq. temporal_verification. The other gate, ``path.evidence``, rests on the same run of pairs.
 
@@ -31,6 +31,19 @@ def serial_difference(a: int, b: int) -> int:
     return ((a - b + SERIAL // 2) % SERIAL) - SERIAL // 2
 
 
+Offset = tuple[float, float]
+"""In D1's image, m at the depth of what it is measured from."""
+
+
+@dataclass(frozen=True, slots=True)
+class Offsets:
+    """How far D2's box, seen by D1, is from where each object would have it: the target, and those D1 sees beside it
+    (``path.rivals``)."""
+
+    target_m: Offset
+    rivals_m: tuple[Offset, ...] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class FramePair:
     """The frames that a comparison used.
@@ -40,11 +53,13 @@ class FramePair:
         capture_ns: when D2's frame was taken, D1's clock.
         own_frames: D1's frames before and after that instant, ``(frame number, stamp)`` each; the same one twice when
             the instants coincide.
+        offsets: of D2's box from the target and from what is beside it; None when nobody looked.
     """
 
     peer_sequence: int
     capture_ns: int
     own_frames: tuple[tuple[int, int], tuple[int, int]]
+    offsets: Offsets | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +121,7 @@ class Gate(Protocol):
 
 
 class AgreementWindow:
-    """Counts consecutive agreeing pairs: the gate "consecutive". Mutable; one instance for one attempt."""
+    """Counts consecutive agreeing pairs: the gate "count". Mutable; one instance for one attempt."""
 
     def __init__(self, config: MethodConfig) -> None:
         self._hold_frames = config.hold_frames

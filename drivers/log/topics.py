@@ -234,6 +234,9 @@ TOPICS: dict[str, Topic] = {
             "gravity_v": _numbers("direction of gravity in the marker's frame, unit vector"),
             "sigma_m": _number("standard deviation of the point, m"),
             "reason": _reason("nothing was sent"),
+            "beside": _numbers(
+                "objects beside the target, six each: box x y w h in px, depth, its deviation in m or 0"
+            ),
         },
     ),
     "/agreement": Topic(
@@ -255,6 +258,8 @@ TOPICS: dict[str, Topic] = {
             "epoch": _whole("of the answer"),
             "own_box": _box("D1's, at the capture of D2's frame"),
             "mapped_box": _box("D2's, mapped into D1's image"),
+            "offset_m": _numbers("of D2's box from D1's, in D1's image at the target's depth, m"),
+            "rival_offset_m": _numbers("the same from the nearest other object that D1 sees, m"),
         },
     ),
     # --- D2 ---

@@ -161,6 +161,13 @@ class TelemetrySlots:
 
     # --- for the event loop ---
 
+    @property
+    def known_kind(self) -> AutopilotKind:
+        """Whose modes and parameters it has. Raises VehicleError before that is known."""
+        if self.kind is None:
+            raise VehicleError("the vehicle is not connected", "open it first")
+        return self.kind
+
     def check(self) -> None:
         """Raise VehicleError when a handler failed: MAVSDK itself prints such an exception and goes on."""
         self.clock.follow()

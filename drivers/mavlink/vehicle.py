@@ -12,13 +12,12 @@ from types import TracebackType
 from typing import Annotated, Literal, Self
 
 from drivers.interfaces import SURE, FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
+from drivers.mavlink.before_arming import BeforeArming, access_of
 from drivers.mavlink.geodesy import LocalTangent
-from drivers.mavlink.geofence import FencePlan, Geofence, plan_fence
-from drivers.mavlink.geofence import names_of as fence_names
+from drivers.mavlink.geofence import FencePlan, Geofence
 from drivers.mavlink.modes import ARDUPILOT, CUSTOM_MODE_ENABLED, PX4, AutopilotKind
 from drivers.mavlink.parameters import Difference, ParameterAccess, differences
-from drivers.mavlink.pilot_rules import kept_out, silenced
-from drivers.mavlink.pilot_rules import names_of as pilot_names
+from drivers.mavlink.pilot_rules import silenced
 from drivers.mavlink.port import URL
 from drivers.mavlink.session import ACCEPTED, ARM_DISARM, RESULTS, MavsdkSession, SessionConfig
 from drivers.mavlink.telemetry import TelemetrySlots
@@ -140,6 +139,7 @@ class MavsdkVehicle:
         self._clock = self._telemetry.clock
         self._session = MavsdkSession(session, self._telemetry)
         self._kind: AutopilotKind = PX4
+        self._before = BeforeArming(self._session, self._telemetry, config)
         self._vision = config.vision and VisionFeed(config.vision, context, self._session, self._telemetry)
         self._feeding: asyncio.Task[None] | None = None
 
@@ -217,55 +217,22 @@ class MavsdkVehicle:
 
     async def pilot_findings(self) -> Sequence[Finding]:
         """Whether a pilot's radio can take the vehicle; nothing is set. Raises VehicleError."""
-        if self._config.rc == "none":
-            said = 'NO REMOTE CONTROL (rc = "none"): no pilot can take this vehicle, nor stop its motors'
-            return [Finding("note", "pilot", said, "give it a radio, and leave rc out, before people are near it")]
-        wrong = await self._without_pilot()
-        fix = "switch the transmitter on; what each parameter means for the pilot: docs/field.md"
-        if wrong:
-            return [Finding("fault", "pilot", each, fix) for each in wrong]
-        return [Finding("ok", "pilot", "a radio is heard, and can take the vehicle")]
-
-    async def _without_pilot(self) -> list[str]:
-        telemetry = self._telemetry
-        heard = await self._session.until(lambda: telemetry.radio_heard, self._config.mode_timeout_s)
-        missing = [] if heard else ["no radio is heard, and the rig says that a pilot has one"]
-        return missing + kept_out(self._kind, await self._access.read(pilot_names(self._kind)))
+        return await self._before.pilot_findings()
 
     async def plan_geofence(self, fence: Geofence) -> FencePlan:
         """What has to be done about the autopilot's own fence; nothing is set. Raises VehicleError."""
-        telemetry = self._telemetry
-        if not await self._session.until(lambda: telemetry.position is not None, self._config.connect_timeout_s):
-            raise VehicleError("its fence is around its home, and it does not say where it is", "give it a clear sky")
-        position = telemetry.position
-        assert position is not None
-        found = await self._access.read(fence_names(self._kind))
-        return plan_fence(self._kind, found, fence, position.n_m)
+        return await self._before.plan_geofence(fence)
 
     async def keep_geofence(self, fence: Geofence) -> Mapping[str, float]:
         """Gives the autopilot a fence of its own, one step wider than the script's, and reads it back.
 
         What was set, by name. Raises VehicleError where that is not possible: then nothing is to be armed.
         """
-        remedy = "look at `path-handoff doctor --rig RIG --role ROLE`; docs/field.md says what the fence is for"
-        plan = await self.plan_geofence(fence)
-        if plan.problems:
-            raise VehicleError(f"vehicle {self._config.sysid}: {'; '.join(plan.problems)}", remedy)
-        if plan.set_to and self.state.armed:
-            raise VehicleError(f"vehicle {self._config.sysid} is armed, and its fence is not set", "disarm it first")
-        for name, value in plan.set_to.items():
-            await self._access.write(Difference(name, value, None))
-        again = await self.plan_geofence(fence)
-        if again.set_to or again.problems:
-            raise VehicleError(f"vehicle {self._config.sysid} did not keep the fence it was given", remedy)
-        return plan.set_to
+        return await self._before.keep_geofence(fence)
 
     @property
     def _access(self) -> ParameterAccess:
-        access = self._session.parameters
-        if access is None:
-            raise VehicleError(f"{self._config.url} is not open", "enter the vehicle with `async with` first")
-        return access
+        return access_of(self._session, self._config.url)
 
     async def wait_armable(self, timeout_s: float) -> None:
         self._session.check_alive()  # what it said before it fell silent counts no more
@@ -282,7 +249,7 @@ class MavsdkVehicle:
             return not telemetry.missing() and telemetry.battery is not None
 
         if await self._session.until(ready, timeout_s):
-            await self._check_pilot()
+            await self._before.check_pilot()
             self._check_ground()
             return
         missing = telemetry.missing() + (["battery level"] if telemetry.battery is None else [])
@@ -293,14 +260,6 @@ class MavsdkVehicle:
             f"{', '.join(missing)}{said}",
             "give it a clear sky and do what its ground station shows, then start again",
         )
-
-    async def _check_pilot(self) -> None:
-        wrong = [] if self._config.rc == "none" else await self._without_pilot()
-        if wrong:
-            raise VehicleError(
-                f"vehicle {self._config.sysid} cannot be taken by its pilot: {'; '.join(wrong)}",
-                'switch the transmitter on and set what is named, or write rc = "none" in its table: then nobody can',
-            )
 
     def _check_ground(self) -> None:
         """A ceiling that is counted from an altitude of GPS holds only as far as that altitude is right."""

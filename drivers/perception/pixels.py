@@ -192,7 +192,9 @@ class PixelView:
 
     def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
         """Markers of the layout in ``region``."""
-        return detect_markers(self._frame.color, region, self._layout, self._model, refine=self._corners)
+        return detect_markers(
+            self._frame.color, region, self._layout, self._model, refine=self._corners, thorough=False
+        )
 
     def depth(self, box: Box) -> Depth | None:
         """Robust depth over a box (``path.target.registered_depth``); without a depth stream, by the target's size."""

@@ -7,8 +7,8 @@ complete or the time is over.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Literal, Protocol, Self
 
 import numpy as np
@@ -18,7 +18,7 @@ from drivers.rig.parts import Rig
 from path.agreement import threshold
 from path.config import MethodConfig
 from path.evidence import strength
-from path.window import FramePair, Gate
+from path.window import FramePair, Gate, Offsets
 
 FaultName = Literal[
     "none",
@@ -100,6 +100,7 @@ class Series:
         pose_sigma_m: (n,) standard deviation of D2's position that came with its box.
         right: (n,) whether D2's box is of the object that D1 was told to hand over.
         same: (n,) whether both boxes are of one object: D1 may have gone over to another one itself.
+        offsets: of D2's box from the target and from what D1 saw beside it, by entry; of a ``PAIR`` only.
     """
 
     kind: NDArray[np.int64]
@@ -113,6 +114,7 @@ class Series:
     pose_sigma_m: NDArray[np.float64]
     right: NDArray[np.bool_]
     same: NDArray[np.bool_]
+    offsets: Mapping[int, Offsets] = field(default_factory=dict[int, Offsets])
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -196,7 +198,7 @@ def tell(series: Series, gate: Gate, method: MethodConfig) -> int | None:
             continue
         gate.expire(capture_ns)
         if agreed:
-            pair = FramePair(sequence, capture_ns, ((own[0], own[1]), (own[2], own[3])))
+            pair = FramePair(sequence, capture_ns, ((own[0], own[1]), (own[2], own[3])), series.offsets.get(k))
             gate.agree(pair, iou, threshold(z_m, method))
         else:
             compared = kind == PAIR and sigma_m <= method.pose_sigma_limit_m
@@ -211,8 +213,11 @@ class HandoverRunner(Protocol):
         """``method`` in place of the rig's. Raises PartError for a rig that it cannot run."""
         ...
 
-    def run(self, attempt: Attempt) -> MonteCarloHandover:
-        """Through the method itself: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle``."""
+    def run(self, attempt: Attempt, until: Callable[[Series], bool] | None = None) -> MonteCarloHandover:
+        """Through the method itself: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle``.
+
+        ``until``: asked now and then with the series so far; True ends the attempt.
+        """
         ...
 
     def warmed(self) -> Self:

@@ -280,7 +280,8 @@ class RelayReport:
 
     ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``errors``: as in ``FlightReport``;
     ``watched``: by target, in their order; ``bytes_sent``, ``aloft_s``: by drone, on its links and in the air;
-    ``cpu_s``: of this process.
+    ``cpu_s``: of this process; ``overload``: what of a relay in real time was late, and how late, as in
+    ``FlightReport``.
     """
 
     violations: Mapping[str, int]
@@ -300,6 +301,7 @@ class RelayReport:
     bytes_sent: Mapping[str, int] = field(default_factory=dict[str, int])
     aloft_s: Mapping[str, float] = field(default_factory=dict[str, float])
     cpu_s: float = 0.0
+    overload: str = ""
 
 
 class RelayHarness(Protocol):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -142,12 +143,17 @@ def shared_camera(run: str, rig: Rig, role: Role) -> SharedCameraWriter:
     return SharedCameraWriter(run, role, size, depth_size(rig, role), fps)
 
 
+GROUND = "PATH_GCS"
+"""The variable of the environment that names where a ground station listens: ``path-handoff handoff --gcs``."""
+
+
 def embedded_vehicle(rig: Rig, own: RoleRig, drone: MavlinkDrone) -> MavlinkVehicle:
-    """A drone's autopilot on the wire, where the role's driver listens, and its guard's."""
+    """A drone's autopilot on the wire, where the role's driver listens, its guard's, and a ground station if any."""
+    ground = _listener(f"udp://{os.environ[GROUND]}") if os.environ.get(GROUND) else None
     second = None if own.guard is None else _listener(str(own.guard.options["url"]))
     tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
     options = own.vehicle.options
-    config = MavlinkVehicleConfig(int(options["sysid"]), _listener(str(options["url"])), second=second)
+    config = MavlinkVehicleConfig(int(options["sysid"]), _listener(str(options["url"])), second=second, ground=ground)
     return MavlinkVehicle(config, drone, tangent)
 
 

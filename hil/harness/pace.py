@@ -25,9 +25,14 @@ def overload_of(ages_s: Mapping[Role, Sequence[float]], pictures: Mapping[str, A
         rendered, left_out = int(made.get("rendered", 0)), int(made.get("left_out", 0))
         if rendered + left_out >= ENOUGH and left_out > LEFT_OUT * (rendered + left_out):
             late.append(f"the {role.value}'s pictures: {left_out} of {rendered + left_out} were not rendered in time")
-        ages = sorted(ages_s.get(role, ()))
-        old = sum(age > OLD_S for age in ages)
-        if len(ages) >= ENOUGH and old > OLD_SHARE * len(ages):
-            oldest = ages[int(0.9 * len(ages))]
-            late.append(f"the {role.value}'s program: {old} of {len(ages)} frames were late, a tenth by {oldest:.2f} s")
+        late += late_program(f"the {role.value}'s program", ages_s.get(role, ()))
     return "; ".join(late)
+
+
+def late_program(name: str, ages_s: Sequence[float]) -> list[str]:
+    """Returns what is said of a program whose frames were old when it took them up; nothing of one that kept up."""
+    ages = sorted(ages_s)
+    old = sum(age > OLD_S for age in ages)
+    if len(ages) < ENOUGH or old <= OLD_SHARE * len(ages):
+        return []
+    return [f"{name}: {old} of {len(ages)} frames were late, a tenth by {ages[int(0.9 * len(ages))]:.2f} s"]

@@ -219,7 +219,10 @@ class _VirtualRelay:
         role = fault.kind.role
         name = None if role is None else self._legs.end_of(leg, role)
         inject_on_link(fault.name, fault.value or 0.0, self._hubs[leg])
-        inject_in_world(fault.name, name, self._world, fault.value)
+        if fault.name == "lookalike":
+            self._world.send_lookalike(self._monitors.on_target(self._legs.end_of(leg, Role.SENDER)))
+        else:
+            inject_in_world(fault.name, name, self._world, fault.value)
         if name is not None:
             inject_at_drone(fault, name, self._drones[name].harness, self._programs)
 

@@ -12,13 +12,15 @@ import json
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from drivers.log.mcap_log import parts, read_log
 from drivers.rig.check import check_rig
 from drivers.rig.parts import Rig, RoleRig
 from drivers.rig.tables import RigError
@@ -29,6 +31,7 @@ from flight.outcome import Outcome
 from hil.harness.children import (
     Child,
     HarnessFailure,
+    WorldTooSlow,
     drain,
     duty_of,
     end,
@@ -45,6 +48,7 @@ from hil.harness.children import (
     write,
 )
 from hil.harness.leg_faults import LegFaults
+from hil.harness.pace import late_program
 from hil.harness.preparation import starting
 from hil.harness.relay_live import run_of
 from hil.world.errors import level_of, reported
@@ -118,20 +122,22 @@ class _ProcessRelay:
         }
 
     async def run(self) -> RelayReport:
-        failure = ""
+        failure = slow = ""
         start_s = time.monotonic()
         finished: Mapping[str, Any] = {}
         try:
             self._world = await self._start_world()
             await self._fly()
             finished = await finish_world(self._world, LANDING_LIMIT_S)
+        except WorldTooSlow as error:
+            failure = slow = str(error)
         except HarnessFailure as error:
             failure = str(error)
         finally:
             for task in self._coming:
                 task.cancel()
             await end(self._children)
-        return self._report(finished, failure, time.monotonic() - start_s)
+        return self._report(finished, failure, slow, time.monotonic() - start_s)
 
     async def _start_world(self) -> Child:
         request, rig = self._request, self._request.rig
@@ -324,7 +330,7 @@ class _ProcessRelay:
 
     # --- the end ---
 
-    def _report(self, finished: Mapping[str, Any], failure: str, wall_s: float) -> RelayReport:
+    def _report(self, finished: Mapping[str, Any], failure: str, slow: str, wall_s: float) -> RelayReport:
         if not failure and not finished:
             failure = "the world gave no findings"
         aloft = finished.get("aloft", ())
@@ -342,5 +348,20 @@ class _ProcessRelay:
             interrupted=self._interrupted,
             log_failure=self._log_failure,
             errors=reported(self._request.rig),
+            overload=slow or "; ".join(late_programs(self._out, self._drones)),
             failure=failure or (f"not landed at the end: {', '.join(aloft)}" if aloft else ""),
         )
+
+
+def late_programs(out: Path, drones: Iterable[str]) -> list[str]:
+    """Returns which drones' programs took up their frames too late, and how late, by their logs."""
+    late: list[str] = []
+    for name in drones:
+        ages_s = [
+            float(record.record["age_ns"]) * 1e-9
+            for part in parts(out, name)
+            for record in read_log(part)
+            if record.topic == "/frame"
+        ]
+        late += late_program(f"{name}'s program", ages_s)
+    return late

@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from path.config import MethodConfig
+from path.identity import REACH_M
 
 ROUNDING = 1e-9
 
@@ -33,6 +35,7 @@ class AgreedPairs:
     agrees: bool = False  # the newest pair that was compared
     block_ns: int = 0  # where the block under way begins
     block: list[tuple[float, bool]] = field(default_factory=list[tuple[float, bool]])  # strength, and whether it agrees
+    offsets: list[tuple[Any, Any]] = field(default_factory=list[tuple[Any, Any]])  # of the run, from target and rival
 
     @property
     def span_s(self) -> float:
@@ -41,7 +44,29 @@ class AgreedPairs:
     @property
     def reached(self) -> float:
         """log10 of the evidence of the run under way; 0 without any."""
-        return self.logs if self.pairs else 0.0
+        return min(self.logs, self._identified) if self.pairs else 0.0
+
+    @property
+    def _identified(self) -> float:
+        """log10 of what the offsets of D2's box say for the target: against one unseen, and against one beside it."""
+        own = self.method.evidence
+        if not self.offsets:
+            return 0.0
+        targets = np.array([target for target, _ in self.offsets])
+        found = self._likely(targets) - math.log10(2.0 * own.offset_sigma_m**2 / REACH_M**2) - math.log10(own.unseen)
+        near = [(target, rival) for target, rival in self.offsets if rival is not None]
+        if near:
+            then, beside = (np.array(column) for column in zip(*near, strict=True))
+            found = min(found, self._likely(then) - self._likely(beside))
+        target, rival = self.offsets[-1]
+        if rival is not None and math.dist(target, rival) < own.apart_m:
+            found = min(found, -math.log10(own.swap))
+        return max(0.0, found)
+
+    def _likely(self, offsets: NDArray[np.float64]) -> float:
+        own = self.method.evidence
+        off2 = float(np.sum(np.mean(offsets, axis=0) ** 2)) / own.offset_sigma_m**2
+        return -own.offset_known * math.log10(1.0 + off2 / (2.0 * own.offset_known))
 
     @property
     def full(self) -> bool:
@@ -87,6 +112,8 @@ class AgreedPairs:
         self.pairs += 1
         self.last_ns, self.agrees = capture_ns, True
         if self.method.gate == "evidence":
+            if record.get("offset_m") is not None:
+                self.offsets.append((record["offset_m"], record.get("rival_offset_m")))
             self._compare(capture_ns, iou, tau)
         if record["count"] > self.pairs:
             return f"the role counts {record['count']}, the monitor {self.pairs}"
@@ -102,7 +129,7 @@ class AgreedPairs:
     def _begin(self, capture_ns: int, target_id: int) -> None:
         self.pairs, self.first_ns, self.target_id = 0, capture_ns, target_id
         self.runs += 1
-        self.logs, self.block_ns, self.block = 0.0, capture_ns, []
+        self.logs, self.block_ns, self.block, self.offsets = 0.0, capture_ns, [], []
 
     def _compare(self, capture_ns: int, iou: float, tau: float) -> None:
         own = self.method.evidence

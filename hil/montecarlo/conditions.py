@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from flight.harness.montecarlo import FaultName
 from hil.geometric.noise import ObservationNoise
 from hil.montecarlo import faults, motion, scene, setup
+from hil.world.errors import ErrorSizes
 
 MEANINGS: Mapping[FaultName, str] = {
     "none": "nothing but the errors that last and the noise of every frame",
@@ -27,7 +28,7 @@ MEANINGS: Mapping[FaultName, str] = {
 }
 
 
-def conditions() -> tuple[tuple[str, str], ...]:
+def conditions(sizes: ErrorSizes) -> tuple[tuple[str, str], ...]:
     """(what, how much); standard deviations unless it is a range."""
     noise, deg = ObservationNoise(), math.degrees
     low, high = scene.SPEED_MPS
@@ -39,18 +40,21 @@ def conditions() -> tuple[tuple[str, str], ...]:
          "one drives along, two are parked; identical, at any heading"),
         ("drones hold their places", f"± {motion.WANDER_M[0]} m, tilt {deg(motion.TILT_RAD):.1f}° around a mean tilt "
          f"of 1.5°, yaw {deg(motion.YAW_RAD):.1f}°"),
-        ("attitude as estimated", f"bias 0.5° in roll and pitch, 2° in yaw; noise {deg(motion.TILT_NOISE_RAD):.1f}° "
+        ("attitude as estimated", f"bias {0.5 * sizes.tilt_bias:g}° in roll and pitch, {2.0 * sizes.yaw_bias:g}° in "
+         f"yaw; noise {sizes.attitude_noise * deg(motion.TILT_NOISE_RAD):.1f}° "
          f"and {deg(motion.YAW_NOISE_RAD):.1f}°"),
         ("velocity as reported", f"{motion.SPEED_NOISE_MPS} m/s; D1's ten times a second"),
-        ("printed side", f"{scene.SIDE_SIGMA:.1%}, once"),
-        ("focal length, principal point", f"{scene.FOCAL_SIGMA:.1%}, {scene.CENTRE_SIGMA_PX:g} px, once, both cameras"),
-        ("mounting of both cameras and of the marker", f"{1000 * scene.MOUNT_SIGMA_M:.0f} mm, "
-         f"{deg(scene.MOUNT_SIGMA_RAD):.1f}° per axis, once"),
+        ("printed side", f"{sizes.side:.2%}, once"),
+        ("focal length, principal point", f"{sizes.focal:.1%}, {sizes.centre_px:g} px, once, both cameras"),
+        ("mounting of both cameras and of the marker", f"{1000 * sizes.mount_m:.0f} mm, "
+         f"{sizes.mount_deg:.1f}° per axis, once"),
         ("marker's corners", f"{noise.marker.corner_sigma_px2} px² / side each frame, as measured on rendered frames"),
         ("boxes", f"{noise.targets.edge_sigma_px} px an edge each frame, outliers and merges as measured on rendered "
-         f"frames; {scene.EDGE_BIAS_PX} px an edge, once, both detectors"),
-        ("depth", f"{scene.DEPTH_SIGMA:.0%} too far or near, once; {1000 * noise.depth_sigma_at_1m_m:g} mm a pixel and "
+         f"frames; {sizes.edge_px} px an edge, once, both detectors"),
+        ("depth", f"{sizes.depth:.0%} and {1000 * sizes.depth_bias_m:g} mm too far or near, once; "
+         f"{1000 * noise.depth_sigma_at_1m_m:g} mm a pixel and "
          f"{1000 * noise.depth_common_sigma_at_1m_m:g} mm together at 1 m, growing with the square"),
+        ("stamps of frames", f"{1000 * sizes.attitude_stamp_s:g} ms, once; {1000 * sizes.stamp_jitter_s:g} ms a frame"),
         ("clocks", f"{1000 * scene.CLOCK_SIGMA_S:.0f} ms, once"),
         ("cameras", f"two, {setup.RATE_HZ:g} Hz, at any phase; "
          f"{_ms(setup.SENDER_LATENCY_S)} and {_ms(setup.RECEIVER_LATENCY_S)} ms until a frame is worked off"),

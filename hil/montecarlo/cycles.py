@@ -7,7 +7,7 @@ order of time.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,18 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Mount
 from flight.harness.montecarlo import MISS, OWN_MISS, PAIR, Attempt, Series
 from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
-from hil.montecarlo.perception import CLAIMED, FOUND, SEEN, SIGMA, STATUS, UNCLEAR, WHO, Z
+from hil.montecarlo.perception import (
+    CLAIMED,
+    FOUND,
+    OTHER_COLUMNS,
+    OTHERS,
+    SEEN,
+    SIGMA,
+    STATUS,
+    UNCLEAR,
+    WHO,
+    Z,
+)
 from hil.montecarlo.scene import Believed
 from hil.montecarlo.setup import (
     BLOCK_S,
@@ -34,9 +45,10 @@ from path.observations import Box, Depth, Detection, MarkerDetection, MissReason
 from path.prior import Prior
 from path.receiver import ReceiverCycle
 from path.rigid import rigid, rigid_from_quat
+from path.rivals import Rival
 from path.rotation import normalized
 from path.sender import PairVerdict, SenderCycle
-from path.window import AgreementWindow
+from path.window import AgreementWindow, Offsets
 
 Array = NDArray[np.float64]
 EYE8 = np.eye(8)
@@ -74,8 +86,18 @@ class CyclesRun:
     simulated_s: float
 
 
-def run_cycles(attempt: Attempt, setup: HandoverSetup, believed: Believed, method: MethodConfig) -> CyclesRun:
-    """Runs both cycles from the attempt's beginning until it is decided, or over."""
+def run_cycles(
+    attempt: Attempt,
+    setup: HandoverSetup,
+    believed: Believed,
+    method: MethodConfig,
+    until: Callable[[Series], bool] | None = None,
+) -> CyclesRun:
+    """Both cycles from the attempt's beginning until it is decided, or over.
+
+    Args:
+        until: asked twice a second with what the gate was told so far; True ends the attempt.
+    """
     cycles = _Cycles(setup, believed, method)
     kinds, which, now = setup.events
     events = list(zip(kinds.tolist(), which.tolist(), now.tolist(), strict=True))
@@ -87,6 +109,8 @@ def run_cycles(attempt: Attempt, setup: HandoverSetup, believed: Believed, metho
         if cycles.run(events[first:last], attempt.whole):
             break
         if not attempt.whole and cycles.hopeless(_ns(until_s), limit_ns):
+            break
+        if until is not None and len(cycles.record) and until(cycles.record.series):
             break
         first = last
     return CyclesRun(cycles.record.series, cycles.done, until_s)
@@ -106,7 +130,7 @@ class _Cycles:
         self._marker_id = rig.layout.markers[0].id
         camera_1, camera_2 = calibrated.camera_1, calibrated.camera_2
         # the paper's gate decides when to stop; others are told the series afterwards
-        method = replace(method, gate="consecutive")
+        method = replace(method, gate="count")
         carried = Mount(calibrated.T_b_c2, calibrated.T_b_v)
         self._marker = MarkerView(rig.layout, camera_2, carried, method, believed.mission)
         self._window = AgreementWindow(method)
@@ -150,7 +174,7 @@ class _Cycles:
         row, stamp_ns, number = seen.own[k].tolist(), int(seen.stamp_1[k]), int(seen.number_1[k])
         box = Box(*row[1:5]) if row[STATUS] == SEEN else None
         depth = Depth(row[Z], row[SIGMA]) if box is not None and row[Z] > 0.0 else None
-        message = self._sender.observe(number, stamp_ns, box, depth, _vector(seen.gravity_v[k]))
+        message = self._sender.observe(number, stamp_ns, box, depth, _vector(seen.gravity_v[k]), _rivals(row))
         if isinstance(message, Target):
             self._targets[k] = message
             self.record.own_whose[number] = row[WHO]
@@ -209,6 +233,7 @@ class _Record:
         self._other: BoxMapping = BOTH[1 - BOTH.index(mapping)]
         self._rows: list[tuple[int, ...]] = []
         self._values: list[tuple[float, ...]] = []
+        self._offsets: dict[int, Offsets] = {}
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -233,6 +258,8 @@ class _Record:
         scores = iou(pair.own_box, pair.mapped_box), self._by_other(candidate, at.values, candidate.box, pair.own_box)
         center, corner = scores if self._other == "corner" else scores[::-1]
         self._values.append((center, corner, at.values[7], candidate.sigma_m))
+        if pair.offsets is not None:
+            self._offsets[len(self._rows) - 1] = pair.offsets
 
     def _by_other(self, candidate: Candidate, values: tuple[float, ...], box: Box, own_box: Box) -> float:
         """The overlap by the mapping that the method does not use."""
@@ -248,8 +275,19 @@ class _Record:
         return Series(
             kind=ints[:, 0], reason=ints[:, 1], now_ns=ints[:, 2], sequence=ints[:, 3], capture_ns=ints[:, 4],
             own=ints[:, 5:9], iou=floats[:, :2], z_m=floats[:, 2], pose_sigma_m=floats[:, 3], right=ints[:, 9] != 0,
-            same=ints[:, 10] != 0,
+            same=ints[:, 10] != 0, offsets=self._offsets,
         )  # fmt: skip
+
+
+def _rivals(row: Sequence[float]) -> list[Rival]:
+    """What D1's frame shows beside the target (``hil.montecarlo.perception``)."""
+    found: list[Rival] = []
+    for at in range(OTHERS, len(row), OTHER_COLUMNS):
+        x, y, w, h, z_m, sigma_m = row[at : at + OTHER_COLUMNS]
+        if w <= 0.0:
+            break
+        found.append(Rival(Box(x, y, w, h), Depth(z_m, sigma_m) if z_m > 0.0 else None))
+    return found
 
 
 def _vector(row: Array) -> Vec3:

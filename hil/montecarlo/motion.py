@@ -104,7 +104,8 @@ class HandoverMotion:
         sender_t[:, :2] += target
         receiver_t = sender_t + drawn.place.receiver_n_m + values[:, WANDER[RECEIVER]]
         R = [_attitude(values[:, ATTITUDE[i]] + errors.mean_tilt[i], yaws[i]) for i in (SENDER, RECEIVER)]
-        off = [values[:, ATTITUDE_NOISE[i]] + errors.tilt_bias[i] + self._jump(times_s, i) for i in (SENDER, RECEIVER)]
+        noise = [errors.attitude_noise * values[:, ATTITUDE_NOISE[i]] for i in (SENDER, RECEIVER)]
+        off = [noise[i] + errors.tilt_bias[i] + self._jump(times_s, i) for i in (SENDER, RECEIVER)]
         return HandoverPoses((R[0], R[1]), (sender_t, receiver_t), (off[0], off[1]), values[:, DRIFT])
 
     def reported(self, times_s: Array, drone: int) -> Array:
@@ -121,7 +122,8 @@ class HandoverMotion:
         """The sender's, as it reports it."""
         errors = self._drawn.errors
         own = self._at(times_s, ATTITUDE[SENDER])[:, 2] + errors.mean_tilt[SENDER, 2]
-        return own + self._at(times_s, ATTITUDE_NOISE[SENDER])[:, 2] + errors.tilt_bias[SENDER, 2]
+        noise = errors.attitude_noise * self._at(times_s, ATTITUDE_NOISE[SENDER])[:, 2]
+        return own + noise + errors.tilt_bias[SENDER, 2]
 
     def _at(self, times_s: Array, channels: slice = EVERYTHING) -> Array:
         waves = self._waves[channels]

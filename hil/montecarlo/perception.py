@@ -48,7 +48,10 @@ from path.marker.kernels import undistort
 
 # Columns of what D1 has of a frame: status, box, depth and its standard deviation, whose box it is.
 STATUS, BOX, Z, SIGMA, WHO = 0, 1, 5, 6, 7
-OWN_COLUMNS = 8
+# And of the objects nearest to that: box, depth (negative: none) and its standard deviation; width 0: there is none.
+OTHERS, OTHERS_MOST, OTHER_COLUMNS = 8, 3, 6
+OTHERS_REACH_M = 1.0
+OWN_COLUMNS = OTHERS + OTHERS_MOST * OTHER_COLUMNS
 SEEN, LOST, UNCLEAR = 0.0, 1.0, 2.0
 # Columns of a found marker: corners u v, claimed standard deviation; whether there is one.
 CLAIMED, FOUND = 8, 9
@@ -83,12 +86,13 @@ class MonteCarloCamera(NamedTuple):
 
 
 class Depths(NamedTuple):
-    """The depth camera; ``scale``: how much too far it measures."""
+    """The depth camera; ``scale``, ``bias_m``: how much too far it measures."""
 
     settings: DepthSettings
     sigma_m: float
     common_sigma_m: float
     scale: float
+    bias_m: float
 
 
 class CameraPath(NamedTuple):
@@ -198,6 +202,45 @@ def _rival(found, many, row):
 
 
 @kernel
+def _others(found, many, row, reach, picked):
+    """Rows of the detections nearest to the chosen one, ``NOTHING`` where there is none, into ``picked``."""
+    picked[:] = NOTHING
+    before = 0.0
+    for j in range(picked.size):
+        best = reach
+        for i in range(many):
+            if i != row and found[i, SCORE] >= MIN_SCORE:
+                off = math.hypot(
+                    found[i, 0] + 0.5 * found[i, 2] - found[row, 0] - 0.5 * found[row, 2],
+                    found[i, 1] + 0.5 * found[i, 3] - found[row, 1] - 0.5 * found[row, 3],
+                )
+                if before < off < best:
+                    best, picked[j] = off, i
+        if picked[j] == NOTHING:
+            return
+        before = best
+
+
+@kernel
+def _tell_others(camera, depths, number, bodies, extents, frame, hidden, found, row, reach, out):
+    """Boxes and depths of the detections nearest to the chosen one, into D1's row of a frame."""
+    picked = np.empty(OTHERS_MOST, np.int64)
+    _others(found, found.shape[0], row, reach, picked)
+    for j in range(OTHERS_MOST):
+        if picked[j] == NOTHING:
+            return
+        at, other = OTHERS + j * OTHER_COLUMNS, found[picked[j]]
+        out[at : at + 4] = other[:4]
+        box = (other[0], other[1], other[2], other[3])
+        key = fold(fold(fold(fold(camera.seed, number), DEPTH), int(16.0 * box[0])), int(16.0 * box[1]))
+        noise = (depths.sigma_m, depths.common_sigma_m)
+        depth, out[at + 5] = depth_over(
+            bodies, extents, camera.car.shape[0], frame, camera.lens, hidden, box, depths.settings, noise, key
+        )
+        out[at + 4] = depth * depths.scale + depths.bias_m if depth > 0.0 else depth
+
+
+@kernel
 def _designated(found, many):
     """Row of the target's own detection, and no doubt about it."""
     for i in range(many):
@@ -283,7 +326,6 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
         out[BOX], out[BOX + 1], out[BOX + 2], out[BOX + 3] = box
         key = fold(fold(fold(fold(camera.seed, flown.frame[k]), DEPTH), int(16.0 * box[0])), int(16.0 * box[1]))
         bodies = boxes[: count * camera.car.shape[0] + camera.drone.shape[0]]
-        noise = (depths.sigma_m, depths.common_sigma_m)
         depth, out[SIGMA] = depth_over(
             bodies,
             extents[: count + 1],
@@ -293,11 +335,15 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
             holes[k],
             box,
             depths.settings,
-            noise,
+            (depths.sigma_m, depths.common_sigma_m),
             key,
         )
         ray_x, ray_y = _ray(lens, box[0] + 0.5 * box[2], box[1] + 0.5 * box[3])
-        depth *= depths.scale
+        depth = depth * depths.scale + depths.bias_m if depth > 0.0 else depth
+        _tell_others(
+            camera, depths, flown.frame[k], bodies, extents[: count + 1], frame, holes[k], found[:many], row,
+            OTHERS_REACH_M * scale, out,
+        )  # fmt: skip
         if depth > 0.0 and (
             not follower[BEGUN] or _shows(depth, out[SIGMA], ray_x, ray_y, R_n_c[k], t_n_c[k], point, sigma)
         ):

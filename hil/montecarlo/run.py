@@ -7,20 +7,21 @@ those of the geometric perception with errors that last on top. They go through 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Self
 
 import numpy as np
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig
-from flight.harness.montecarlo import PAIR, Attempt, FaultName, MonteCarloHandover, agreeing
+from flight.harness.montecarlo import PAIR, Attempt, FaultName, MonteCarloHandover, Series, agreeing
 from hil.geometric.perception import Sensor
 from hil.geometric.scene import CameraSetup
 from hil.montecarlo.conditions import MEANINGS, conditions
 from hil.montecarlo.cycles import REASONS, CyclesRun, run_cycles
 from hil.montecarlo.scene import Believed
 from hil.montecarlo.setup import EPOCH_S, BodyBoxes, HandoverSetup
+from hil.world.errors import level_of, sizes_of
 from path.config import MethodConfig
 from path.messages import Role
 from path.observations import MissReason
@@ -46,12 +47,12 @@ class MonteCarloHandovers:
         self.run(Attempt(0, 0, limit_s=0.3))
         return self
 
-    def run(self, attempt: Attempt) -> MonteCarloHandover:
+    def run(self, attempt: Attempt, until: Callable[[Series], bool] | None = None) -> MonteCarloHandover:
         setup = HandoverSetup(attempt, self._believed, self._sensor, self._parts)
-        return _result(attempt, setup, run_cycles(attempt, setup, self._believed, self._method), self._method)
+        return _result(attempt, setup, run_cycles(attempt, setup, self._believed, self._method, until), self._method)
 
     def conditions(self) -> tuple[tuple[str, str], ...]:
-        return conditions()
+        return conditions(sizes_of(level_of(self._believed.rig)))
 
     def meanings(self) -> Mapping[FaultName, str]:
         return MEANINGS

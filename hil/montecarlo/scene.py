@@ -19,6 +19,7 @@ from flight.viewpoint import Viewpoint, ViewpointScene, plan_viewpoint
 from hil.geometric.noise import ObservationNoise
 from hil.geometric.targets import TargetNoise
 from hil.montecarlo.faults import HandoverFaults, direction, draw_faults
+from hil.world.errors import level_of, other_lens, other_mount, sizes_of
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.rotation import exp
@@ -30,11 +31,7 @@ TARGET_HEIGHT_M = 0.08  # of its middle
 # Ranges and standard deviations of what is drawn; the trial prints them.
 BEHIND_M, HEIGHT_M, SIDE_M = (1.2, 1.7), (1.3, 1.8), 0.10
 PLACE_SIGMA_M, YAW_SIGMA_RAD = 0.07, math.radians(3.0)  # D2 at its viewpoint
-SIDE_SIGMA = 0.005  # printed side, relative
-FOCAL_SIGMA, CENTRE_SIGMA_PX = 0.002, 1.0
-MOUNT_SIGMA_M, MOUNT_SIGMA_RAD = 0.002, math.radians(0.2)
-DEPTH_SIGMA = 0.01  # relative
-EDGE_BIAS_PX = 1.5  # of each edge of a detector's boxes
+BIAS_RAD = (math.radians(0.5), math.radians(0.5), math.radians(2.0))  # of an attitude estimate: roll, pitch, yaw
 CLOCK_SIGMA_S = 0.002
 MOVING_SHARE, SPEED_MPS, TURN_RAD_S = 0.75, (0.05, 0.4), 0.15
 LOOK_ALIKES_M, PARKED_GAP_M = (1.2, 2.0), 1.0
@@ -127,8 +124,12 @@ class LastingErrors:
     true: HandoverCalibration
     tilt_bias: Array  # (2, 3) of each drone's attitude estimate, rotation vector in the body
     mean_tilt: Array  # (2, 3) roll, pitch, yaw in the mean
+    attitude_noise: float  # times what the estimates waver by
     clock_s: float  # D2's stamps as D1 converts them, minus the truth
+    stamp_late_s: tuple[float, float]  # a frame's stamp less its instant, sender and receiver
+    stamp_jitter_s: float
     depth_scale: float
+    depth_bias_m: float
     boxes: tuple[TargetNoise, TargetNoise]
 
 
@@ -238,17 +239,20 @@ def _beside(distance_m: float, crossing: bool, rng: Generator) -> tuple[Array, A
 
 
 def _errors(believed: Believed, calibrated: HandoverCalibration, rng: Generator) -> LastingErrors:
+    """From the one table of errors, by the level of the rig (``hil.world.errors``)."""
+    sizes = sizes_of(level_of(believed.rig))
     true = HandoverCalibration(
-        _other_lens(calibrated.camera_1, rng),
-        _other_lens(calibrated.camera_2, rng),
-        _other_mount(calibrated.T_b_c1, rng),
-        _other_mount(calibrated.T_b_c2, rng),
-        _other_mount(calibrated.T_b_v, rng),
-        calibrated.corners_v * (1.0 + SIDE_SIGMA * rng.standard_normal()),
+        other_lens(calibrated.camera_1, sizes, rng),
+        other_lens(calibrated.camera_2, sizes, rng),
+        other_mount(calibrated.T_b_c1, sizes, rng),
+        other_mount(calibrated.T_b_c2, sizes, rng),
+        other_mount(calibrated.T_b_v, sizes, rng),
+        calibrated.corners_v * (1.0 + sizes.side * rng.standard_normal()),
     )
-    bias = np.radians([0.5, 0.5, 2.0]) * rng.standard_normal((2, 3))
+    times = np.array([sizes.tilt_bias, sizes.tilt_bias, sizes.yaw_bias])
+    bias = times * np.array(BIAS_RAD) * rng.standard_normal((2, 3))
     mean_tilt = np.radians([1.5, 1.5, 1.5]) * rng.standard_normal((2, 3))
-    edges = EDGE_BIAS_PX * rng.standard_normal((2, 4))
+    edges = sizes.edge_px * rng.standard_normal((2, 4))
     base = believed.noise.targets
     boxes = [
         base._replace(
@@ -259,18 +263,13 @@ def _errors(believed: Believed, calibrated: HandoverCalibration, rng: Generator)
         )
         for a, b, c, d in edges.tolist()
     ]
-    clock_s, depth = CLOCK_SIGMA_S * rng.standard_normal(), 1.0 + DEPTH_SIGMA * rng.standard_normal()
-    return LastingErrors(true, bias, mean_tilt, clock_s, depth, (boxes[0], boxes[1]))
-
-
-def _other_lens(camera: CameraModel, rng: Generator) -> CameraModel:
-    scale = 1.0 + FOCAL_SIGMA * rng.standard_normal()
-    u, v = (CENTRE_SIGMA_PX * rng.standard_normal(2)).tolist()
-    return replace(camera, fx=camera.fx * scale, fy=camera.fy * scale, cx=camera.cx + u, cy=camera.cy + v)
-
-
-def _other_mount(T: Pose, rng: Generator) -> Pose:
-    return Pose(T.R @ exp(MOUNT_SIGMA_RAD * rng.standard_normal(3)), T.t + MOUNT_SIGMA_M * rng.standard_normal(3))
+    clock_s, depth = CLOCK_SIGMA_S * rng.standard_normal(), 1.0 + sizes.depth * rng.standard_normal()
+    late_1, late_2 = (sizes.attitude_stamp_s * rng.standard_normal(2)).tolist()
+    return LastingErrors(
+        true=true, tilt_bias=bias, mean_tilt=mean_tilt, attitude_noise=sizes.attitude_noise, clock_s=clock_s,
+        stamp_late_s=(late_1, late_2), stamp_jitter_s=sizes.stamp_jitter_s, depth_scale=depth,
+        depth_bias_m=sizes.depth_bias_m * rng.standard_normal(), boxes=(boxes[0], boxes[1]),
+    )  # fmt: skip
 
 
 def _bias(

@@ -52,6 +52,7 @@ STREAMS = 7
 BLOCK_S = 0.5
 HORIZON_S = 8.2  # how far an attempt is made ready at first
 CLOSEST_STEP_S = 0.02
+RIVAL_REACH_M = 0.6  # around the target, where D1 looks for others
 EPOCH_S = 10.0  # of the clocks, when an attempt begins
 SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD = 0, 1, 2, 3  # what happens
 
@@ -93,17 +94,20 @@ class Timed:
         number: (n,) running number; frames that a frozen camera did not give are left out.
         taken_s, done_s, heard_s: (n,) when it was taken, when its processing ended, when the other drone heard of it;
             infinite for a message that was lost.
+        stamped_s: (n,) when it was taken, by its stamp.
     """
 
     number: Whole
     taken_s: Array
     done_s: Array
     heard_s: Array
+    stamped_s: Array
 
     def until(self, time_s: float) -> Timed:
         """Returns the frames taken before an instant."""
         count = int(np.searchsorted(self.taken_s, time_s))
-        return Timed(self.number[:count], self.taken_s[:count], self.done_s[:count], self.heard_s[:count])
+        columns = self.number, self.taken_s, self.done_s, self.heard_s, self.stamped_s
+        return Timed(*(column[:count] for column in columns))  # type: ignore[arg-type]
 
 
 class BodyBoxes:
@@ -136,8 +140,10 @@ class HandoverSetup:
         faults = self.drawn.faults
         self.clock_ns = round((self.drawn.errors.clock_s + faults.clock_s) * 1e9)
         self.frames = tuple(
-            self._timed(attempt.limit_s, latency, frozen, streams[5])
-            for latency, frozen in zip((SENDER_LATENCY_S, RECEIVER_LATENCY_S), faults.frozen, strict=True)
+            self._timed(attempt.limit_s, latency, frozen, late_s, streams[5])
+            for latency, frozen, late_s in zip(
+                (SENDER_LATENCY_S, RECEIVER_LATENCY_S), faults.frozen, self.drawn.errors.stamp_late_s, strict=True
+            )
         )
         look_seeds = streams[6].integers(1 << 62, size=2).tolist()
         true = self.drawn.errors.true
@@ -145,7 +151,9 @@ class HandoverSetup:
         self._camera_1 = _true_camera(true.camera_1, true.T_b_c1, parts.car, parts.plain, boxes[0], look_seeds[0])
         marked = parts.marked(true.T_b_v)
         self._camera_2 = _true_camera(true.camera_2, true.T_b_c2, parts.car, marked, boxes[1], look_seeds[1])
-        self._depths = Depths(sensor.depth, *sensor.depth_noise, self.drawn.errors.depth_scale)
+        self._depths = Depths(
+            sensor.depth, *sensor.depth_noise, self.drawn.errors.depth_scale, self.drawn.errors.depth_bias_m
+        )
         self._corners_b = true.T_b_v.apply(true.corners_v)
         self._print = with_lapses(believed.noise.marker, faults.lapse_rate)
         self._T_v_m = believed.rig.layout.markers[0].T_v_m
@@ -155,7 +163,9 @@ class HandoverSetup:
         self._limit_s, self._lost_s = attempt.limit_s, believed.mission.deadlines.target_coast_s
         self._prepare(min(HORIZON_S, attempt.limit_s))
 
-    def _timed(self, limit_s: float, latency: tuple[float, float], frozen: Array, rng: np.random.Generator) -> Timed:
+    def _timed(
+        self, limit_s: float, latency: tuple[float, float], frozen: Array, late_s: float, rng: np.random.Generator
+    ) -> Timed:
         faults, count = self.drawn.faults, math.ceil(limit_s * RATE_HZ)
         taken = rng.uniform(0.0, 1.0 / RATE_HZ) + np.arange(count) / RATE_HZ
         first = int(rng.integers(1, 60000))
@@ -163,8 +173,10 @@ class HandoverSetup:
         done = np.maximum.accumulate(done)
         heard = done + faults.delay_s + rng.uniform(0.0, faults.jitter_s, count)
         heard[rng.random(count) < faults.loss] = math.inf
+        jitter = np.clip(self.drawn.errors.stamp_jitter_s * rng.standard_normal(count), -0.45 / RATE_HZ, 0.45 / RATE_HZ)
+        stamped = taken + late_s + jitter
         there = ~within(taken, frozen)
-        return Timed(first + np.flatnonzero(there), taken[there], done[there], heard[there])
+        return Timed(first + np.flatnonzero(there), taken[there], done[there], heard[there], stamped[there])
 
     def _prepare(self, horizon_s: float) -> None:
         """Poses of all frames up to a time."""
@@ -179,6 +191,7 @@ class HandoverSetup:
         self._holes = within(sender.taken_s, faults.holes)
         self._hidden = within(receiver.taken_s, faults.hidden)
         self._swapped = within(receiver.taken_s, faults.swapped)
+        things_2[self._swapped, 0] = np.nan  # D2's detector is blind for the target, also where another touches it
         R_n_b1 = at_1.estimated(SENDER)
         self._R_n_c1 = R_n_b1 @ calibrated.T_b_c1.R
         self._t_n_c1 = at_1.t_n[SENDER] + at_1.drift + R_n_b1 @ calibrated.T_b_c1.t
@@ -187,9 +200,9 @@ class HandoverSetup:
             self._follower = self._following(sender.taken_s, target_1, at_1.drift)
         own, markers, found, many = self._room(len(sender.number), len(receiver.number), things_2.shape[1])
         self.seen = HandoverViews(
-            sender.number, _ns(sender.taken_s), own,
+            sender.number, _ns(sender.stamped_s), own,
             np.ascontiguousarray((R_n_b1 @ calibrated.T_b_v.R)[:, 2]), receiver.number,
-            _ns(receiver.taken_s) + self.clock_ns, markers, found, many, self._gravity_c(R_n_c2, receiver), R_n_c2,
+            _ns(receiver.stamped_s) + self.clock_ns, markers, found, many, self._gravity_c(R_n_c2, receiver), R_n_c2,
             drawn.shift_c, exp_all(drawn.turn_c[None])[0], *self._reports(receiver),
         )  # fmt: skip
 
@@ -224,15 +237,25 @@ class HandoverSetup:
         return gravity_c
 
     def _following(self, times_s: Array, target: Array, drift: Array) -> Array:
-        """D1 has followed the target for a while: where it is, and how it moves."""
+        """D1 has followed the target for a while: where it is, how it moves, and what is beside it."""
         row = np.zeros(FOLLOWER_SIZE)
         row[POSITION : POSITION + 2] = target[0] + drift[0, :2]
         row[POSITION + 2] = -TARGET_HEIGHT_M
         row[VELOCITY : VELOCITY + 2] = (target[5] - target[0]) / (times_s[5] - times_s[0])
         row[PP], row[VV] = FOLLOWER_SIGMA_M**2, FOLLOWER_SIGMA_MPS**2
         row[AT] = row[RIVAL_AT] = times_s[0]
-        row[RIVAL] = math.inf
+        row[RIVAL] = self._beside_m()
         return row
+
+    def _beside_m(self) -> float:
+        """From the target to the nearest other object that D1 sees with it, across its line of sight."""
+        sender_n, places = self.drawn.place.sender_n_m, self.drawn.things.at(np.zeros(1))[0][0]
+        line = np.array([-sender_n[0], -sender_n[1], -TARGET_HEIGHT_M - sender_n[2]])
+        line /= np.linalg.norm(line)
+        away = np.zeros((len(places) - 1, 3))
+        away[:, :2] = places[1:] - places[0]
+        across = np.linalg.norm(away - (away @ line)[:, None] * line, axis=1)
+        return float(np.min(across, initial=math.inf, where=across <= RIVAL_REACH_M))
 
     def fill(self, until_s: float) -> None:
         """Fills in the observations of frames taken before ``until_s``."""
@@ -268,7 +291,7 @@ class HandoverSetup:
     @property
     def circumstances(self) -> Circumstances:
         """The true circumstances at the beginning."""
-        things = self.flown_2.things[0]
+        things = self.flown_1.things[0]
         middle = np.array([things[0, 0], things[0, 1], TARGET_HEIGHT_M])
         true = self.drawn.errors.true
         T_w_c1 = Pose(self.flown_1.R[0], self.flown_1.t[0]) @ true.T_b_c1

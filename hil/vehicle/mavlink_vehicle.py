@@ -29,6 +29,13 @@ UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
 NOT_NOW = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 FORCE_MAGIC = 21196.0
 
+MISSION_ANSWERS: dict[str, Callable[[Any], Any]] = {
+    "MISSION_REQUEST_LIST": lambda asked: mavlink.MAVLink_mission_count_message(*_from(asked), 0, asked.mission_type),
+    "MISSION_COUNT": lambda asked: _mission_ack(asked, mavlink.MAV_MISSION_UNSUPPORTED),
+    "MISSION_CLEAR_ALL": lambda asked: _mission_ack(asked, mavlink.MAV_MISSION_ACCEPTED),
+}
+"""It has no mission, fence points or rally points, and takes none; a ground station waits for answers yet."""
+
 # POSITION_TARGET_TYPEMASK
 IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW = 0b111, 0b111000, 1 << 10
 
@@ -42,6 +49,7 @@ class MavlinkVehicleConfig:
         remote: where MAVSDK listens (``udpin``).
         bind: its own address; port 0 takes a free one.
         second: where a second ground station or companion listens, on a port of its own with streams of its own.
+        ground: where a ground station for people listens, QGroundControl or MAVProxy; likewise.
         key: of MAVLink 2's signatures: it signs, and takes nothing that is not signed.
     """
 
@@ -49,6 +57,7 @@ class MavlinkVehicleConfig:
     remote: Address
     bind: Address = ("127.0.0.1", 0)
     second: Address | None = None
+    ground: Address | None = None
     key: bytes | None = None
 
 
@@ -67,8 +76,9 @@ class MavlinkVehicle:
         self._tangent = tangent
         self._local_origin_n_m: Vec3 | None = None
         self._channels = [UdpChannel(config.bind, config.remote)]
-        if config.second is not None:
-            self._channels.append(UdpChannel((config.bind[0], 0), config.second))
+        for further in (config.second, config.ground):
+            if further is not None:
+                self._channels.append(UdpChannel((config.bind[0], 0), further))
         self._mav: Any = mavlink.MAVLink(None, srcSystem=config.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         if config.key is not None:
             self._mav.signing.secret_key, self._mav.signing.sign_outgoing = config.key, True
@@ -190,6 +200,8 @@ class MavlinkVehicle:
         elif kind == "RC_CHANNELS_OVERRIDE":
             channels = [getattr(message, f"chan{number}_raw") for number in range(1, CHANNELS + 1)]
             flight.autopilot.radio.override(flight.now_s, channels)
+        elif kind in MISSION_ANSWERS:
+            self._send(channel, MISSION_ANSWERS[kind](message), sender)
         elif kind.startswith("PARAM_"):
             for answer in self._parameters.answer(message):
                 self._send(channel, answer, sender)
@@ -265,6 +277,14 @@ class MavlinkVehicle:
 
     def _request(self, flight: FlightInstant, mode: FlightMode, by_pilot: bool = False) -> int:
         return _not_now(flight.autopilot.request_mode(flight.now_s, mode, by_pilot))
+
+
+def _from(message: Any) -> tuple[int, int]:
+    return message.get_srcSystem(), message.get_srcComponent()
+
+
+def _mission_ack(asked: Any, result: int) -> Any:
+    return mavlink.MAVLink_mission_ack_message(*_from(asked), result, asked.mission_type)
 
 
 def _frames(packet: bytes) -> Iterator[bytearray]:

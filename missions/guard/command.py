@@ -26,7 +26,7 @@ from flight.guard_watch import GuardWatch, watch
 from missions import rig_library
 from missions.live.start import live
 from missions.options import GuardOptions
-from missions.run_folder import new_folder
+from missions.run_folder import unless_refused
 from path.messages import Role
 
 EXIT_GAVE_UP = CommandEnd.GAVE_UP.exit_code
@@ -68,10 +68,9 @@ def run(options: GuardOptions) -> int:
     config = rig_library.mission_of(rig)
     roles = tuple(Role) if options.role == "both" else (Role(options.role),)
     specs = {role: guard_of(rig, role) for role in roles}
-    folder = new_folder(options.out)
-    logs = {role: folder / f"{role.value}.guard.mcap" for role in roles}
     until_input_ends = options.console == "events"
-    with live(options.live, folder):
+    with unless_refused(options.out) as folder, live(options.live, folder):
+        logs = {role: folder / f"{role.value}.guard.mcap" for role in roles}
         return asyncio.run(
             watch_vehicles(
                 rig, config, specs, logs, until_input_ends=until_input_ends, while_flown=options.while_flown

@@ -8,8 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+from drivers.interfaces import PartError
 from drivers.mavlink.guard_line import is_taken
 from drivers.rig.parts import Rig
+from missions import rig_library
 from path.messages import Role
 
 _begun: list[subprocess.Popen[bytes]] = []  # held: they may go on longer than this program
@@ -29,6 +31,11 @@ def with_guard(rig: Rig, role: Role, how: How, folder: Path) -> Rig:
     if how == "none":
         bare = replace(own, guard=None)
         return replace(rig, sender=bare) if role is Role.SENDER else replace(rig, receiver=bare)
+    if how == "start" and "bind" not in own.guard.options:
+        raise PartError(
+            f"{own.guard.where}: rig {rig.name} has a guard that needs the simulated world",
+            f"start `path-handoff handoff --rig {rig_library.name_of(rig)}`, or name the rig of a real drone",
+        )
     if how == "start" and not is_taken(str(own.guard.options["bind"])):
         command = [
             sys.executable, "-m", "missions.cli", "guard", "--rig", str(rig.file), "--role", role.value,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import os
 import shlex
@@ -15,10 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from drivers.interfaces import PartError
+from drivers.link.udp import address_of
 from drivers.rig.parts import Rig, import_factory, with_errors
 from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleMain, RoleResult
-from flight.outcome import OBJECT_MONITOR, Outcome, violated_outcome
+from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
+from missions.lateness import for_lateness
 from missions.leg.process import fly_role
 from missions.live.start import live
 from missions.options import ConformanceOptions, FlyOptions, HandoffOptions
@@ -32,13 +35,7 @@ from missions.run_folder import claim_result, claimed, new_folder, refuse_foreig
 from missions.shown import say_unwritten
 from path.messages import Role
 
-OF_TIME = frozenset(Outcome) - {
-    Outcome.COMMITTED, Outcome.FLOWN, Outcome.PILOT_OVERRIDE, Outcome.ORPHANED, Outcome.STATE_LOST, Outcome.UNFIT,
-    Outcome.INTERRUPTED, Outcome.CRASHED, Outcome.RESTARTED, Outcome.LOG_FAILED,
-}  # fmt: skip
-MONITORS_OF_TIME = frozenset({"S7", "S8", OBJECT_MONITOR, "L1", "L2"})
-"""What a computer that does not keep up can be the cause of: then it says nothing of the mission."""
-
+_A_HARNESS = "write one as the rigs of `path-handoff rigs` do, or leave it out"
 _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
 
 
@@ -47,6 +44,7 @@ def run(options: HandoffOptions) -> int:
     name_simulators(options)
     rig = with_errors(rig_library.load(options.rig), options.errors)
     harness_of(rig)
+    name_ground_station(rig, options)
     with unless_refused(options.out) as folder:
         if options.seeds > 1:
             if options.live is not None:
@@ -69,6 +67,28 @@ def name_simulators(options: HandoffOptions | FlyOptions | ConformanceOptions) -
             if not binary.is_file():
                 raise PartError(f"{binary}: no such file", "name the simulator's binary, or leave the option out")
             os.environ[variable] = str(binary.resolve())
+
+
+def name_ground_station(rig: Rig, options: HandoffOptions | FlyOptions) -> None:
+    """For the harness: where a ground station listens. Raises PartError at levels that have no MAVLink of ours."""
+    if options.gcs is None:
+        return
+    embedded = all("sysid" in rig.role(role).vehicle.options for role in Role) and "sender_simulator" not in rig.world
+    if rig.level != "sitl" or not embedded:
+        raise PartError(
+            f"--gcs: rig {rig.name} has no embedded MAVLink vehicles in real time",
+            "a real autopilot has a port for its ground station already; at the sim levels there is no MAVLink: "
+            "take --rig sitl",
+        )
+    try:
+        host, _ = address_of(options.gcs, "--gcs")
+    except ValueError as error:
+        raise PartError(str(error), "write it as 127.0.0.1:14550") from error
+    if not ipaddress.ip_address(host).is_loopback:
+        raise PartError(
+            f"--gcs {options.gcs}: another computer", "let the ground station run on this one: the port is not signed"
+        )
+    os.environ["PATH_GCS"] = options.gcs
 
 
 def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
@@ -146,7 +166,13 @@ def harness_of(rig: Rig) -> Harness:
             f"rig {rig.name} is flown from its drones: it has no harness",
             f"start `path-handoff sender --rig {named}` on D1 and `path-handoff receiver --rig {named}` on D2",
         )
-    return import_factory(rig.harness, rig.where("harness"))()
+    try:
+        harness = import_factory(rig.harness, rig.where("harness"))()
+    except TypeError as error:
+        raise PartError(f"{rig.where('harness')}: {rig.harness} is no harness: {error}", _A_HARNESS) from error
+    if not callable(getattr(harness, "fly", None)):
+        raise PartError(f"{rig.where('harness')}: {rig.harness} is no harness: it has no `fly`", _A_HARNESS)
+    return harness
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,9 +249,7 @@ def unwritten(facts: RunFacts, error: OSError) -> RunFacts:
 def judge(report: FlightReport, good: Outcome = Outcome.COMMITTED) -> tuple[Outcome, str]:
     """The outcome of the whole run: what a computer that was too slow explains is blamed on nobody else."""
     outcome, detail = _cause(report, good)
-    if report.overload and outcome in OF_TIME and not report.violations.keys() - MONITORS_OF_TIME:
-        return Outcome.OVERLOADED, f"{report.overload} (and so {outcome.label}: {detail})"
-    return outcome, detail
+    return for_lateness(report.overload, report.violations, outcome, detail)
 
 
 def _cause(report: FlightReport, good: Outcome) -> tuple[Outcome, str]:

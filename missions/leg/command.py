@@ -12,7 +12,7 @@ from missions.leg.process import fly_role, run_role
 from missions.live.start import live
 from missions.options import ReceiverOptions, RoleOptions
 from missions.report.progress import open_console
-from missions.run_folder import new_folder
+from missions.run_folder import unless_refused
 from path.messages import Role
 
 
@@ -24,13 +24,13 @@ def run(options: RoleOptions) -> int:
 def fly_from_drone(options: RoleOptions, role: Role, main: RoleMain) -> int:
     """The same with any program of a role."""
     rig = rig_library.load(options.rig)
-    folder = new_folder(options.out)
-    rig = with_guard(rig, role, options.guard, folder)
-    state = options.state or (options.out or folder.parent) / f"{role.value}.state.json"
-    if options.console == "events":
-        return run_role(rig, role, folder, state, lambda _: None, parent=True, main=main).outcome.exit_code
-    with live(options.live, folder), open_console(sys.stdout) as console:
-        result = run_role(rig, role, folder, state, console.show, parent=False, main=main)
+    with unless_refused(options.out) as folder:
+        rig = with_guard(rig, role, options.guard, folder)
+        state = options.state or (options.out or folder.parent) / f"{role.value}.state.json"
+        if options.console == "events":
+            return run_role(rig, role, folder, state, lambda _: None, parent=True, main=main).outcome.exit_code
+        with live(options.live, folder), open_console(sys.stdout) as console:
+            result = run_role(rig, role, folder, state, console.show, parent=False, main=main)
     sys.stdout.write(f"{role.value}: {result.outcome.label}: {result.detail or result.outcome.meaning}\n")
     sys.stdout.write(f"log: {parts(folder, role.value)[-1]}\n")
     return result.outcome.exit_code

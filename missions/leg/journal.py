@@ -17,13 +17,17 @@ from flight.tracking import Sighting
 from path.agreement import Agreed
 from path.camera import CameraModel
 from path.geometry import Matrix, Pose
+from path.identity import nearest_rival
 from path.messages import Candidate, Role, Target
-from path.observations import Box, Detection, MarkerDetection, Missed, MissReason
+from path.observations import Box, Depth, Detection, MarkerDetection, Missed, MissReason
 from path.prior import Prior
 from path.rigid import transform_back
+from path.rivals import Rival
 from path.rotation import quat_from_R
 from path.sender import PairVerdict
 from path.window import Evidence, Gate
+
+RIVAL_NUMBERS = 6
 
 
 def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
@@ -91,6 +95,21 @@ def box_record(box: Box | None) -> list[float] | None:
     return None if box is None else [box.x, box.y, box.w, box.h]
 
 
+def beside_record(beside: Sequence[Rival]) -> list[float]:
+    """What D1 sees beside the target, six numbers each: box, depth and its standard deviation, or 0 without."""
+    numbers: list[float] = []
+    for each in beside:
+        depth = (0.0, 0.0) if each.depth is None else (each.depth.z_m, each.depth.sigma_m)
+        numbers += [each.box.x, each.box.y, each.box.w, each.box.h, *depth]
+    return numbers
+
+
+def beside_of(numbers: Sequence[float] | None) -> tuple[Rival, ...]:
+    """What ``beside_record`` has written."""
+    rows = np.asarray(numbers or (), float).reshape(-1, RIVAL_NUMBERS).tolist()
+    return tuple(Rival(Box(x, y, w, h), Depth(z, sigma) if z > 0.0 else None) for x, y, w, h, z, sigma in rows)
+
+
 def frame_record(view: View, now_ns: int) -> dict[str, Any]:
     """``/frame``: which frame a cycle is of, and how long after its capture the cycle began."""
     return {"frame_id": view.frame_id, "age_ns": now_ns - view.stamp_ns}
@@ -123,7 +142,7 @@ def agreement_record(
     pair: PairVerdict, count: int, needed: int, evidence: Evidence | None, target_id: int
 ) -> dict[str, Any]:
     """``/agreement``: what one answer of D2 was worth."""
-    verdict, candidate = pair.verdict, pair.candidate
+    verdict, candidate, offsets = pair.verdict, pair.candidate, pair.offsets
     agreed = isinstance(verdict, Agreed)
     return {
         "agreed": agreed,
@@ -142,6 +161,8 @@ def agreement_record(
         "epoch": candidate.epoch if candidate else None,
         "own_box": box_record(pair.own_box),
         "mapped_box": box_record(pair.mapped_box),
+        "offset_m": None if offsets is None else offsets.target_m,
+        "rival_offset_m": None if offsets is None else nearest_rival(offsets),
     }
 
 

@@ -23,6 +23,7 @@ from missions.leg.handover import SenderHandover
 from missions.leg.journal import (
     agreement_record,
     attempt_record,
+    beside_record,
     counted,
     frame_record,
     heard_candidate_record,
@@ -287,9 +288,11 @@ class Sender:
             session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
             session.log.write("/track", view.stamp_ns, track_record(seen))
             return
-        box, depth = (seen.box, seen.depth) if isinstance(seen, Sighting) else (None, None)
+        box, depth, beside = (seen.box, seen.depth, seen.beside) if isinstance(seen, Sighting) else (None, None, ())
         with session.stage("projection"):
-            message = cycle.observe(view.frame_id, view.stamp_ns, box, depth, self._camera_pose.gravity_v(R_n_b))
+            message = cycle.observe(
+                view.frame_id, view.stamp_ns, box, depth, self._camera_pose.gravity_v(R_n_b), beside
+            )
         if isinstance(message, Target):
             with session.stage("link"):
                 session.link.send(message)
@@ -344,6 +347,8 @@ class Sender:
         record["judged_ns"] = now_ns
         if isinstance(seen, Sighting) and seen.depth is not None:
             record["depth_m"], record["depth_sigma_m"] = seen.depth.z_m, seen.depth.sigma_m
+        if isinstance(seen, Sighting):
+            record["beside"] = beside_record(seen.beside)
         if isinstance(seen, MissReason):
             record["reason"] = seen.value
         session.log.write("/target", view.stamp_ns, record)

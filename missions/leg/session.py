@@ -279,8 +279,11 @@ class RoleSession:
         return (total - first) / (now_s - first_s) if now_s > first_s else 0.0
 
     def log_image(self, view: View, wanted: bool = False) -> None:
-        """Log the camera's image, ``image_hz`` times a second at the most, unless this one is ``wanted``."""
-        period_ns = round(1e9 / self.config.image_hz)
+        """Log the camera's image, ``image_hz`` times a second at the most, unless this one is ``wanted``.
+
+        At 0 those alone are logged.
+        """
+        period_ns = round(1e9 / self.config.image_hz) if self.config.image_hz > 0.0 else 1 << 63
         if view.stamp_ns - self._image_ns < (1 if wanted else period_ns):
             return
         image = view.image()

@@ -15,6 +15,7 @@ from flight.harness.flights import Emit, Progress
 from flight.harness.relay import RelayConfig, RelayField, RelayHarness, RelayReport, RelayRequest
 from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
+from missions.lateness import for_lateness
 from missions.live.start import live
 from missions.options import RelayOptions
 from missions.relay.base import Base, Event, Tell
@@ -119,7 +120,12 @@ def fly_relay(
 
 
 def judge(base: Base, report: RelayReport) -> tuple[Outcome, str]:
-    """The outcome of the whole relay: the harness's own failure and violated monitors first."""
+    """The outcome of the whole relay: what a computer that was too slow explains is blamed on nobody else."""
+    return for_lateness(report.overload, report.violations, *_cause(base, report))
+
+
+def _cause(base: Base, report: RelayReport) -> tuple[Outcome, str]:
+    """The harness's own failure and violated monitors first."""
     if report.failure:
         return Outcome.HARNESS_FAILED, report.failure
     if report.violations:

@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.log.mcap_log import LogRecord, encode_other
 from drivers.rig.tables import decode_table
-from missions.leg.journal import agreement_record, candidate_record, counted, target_record
+from missions.leg.journal import agreement_record, beside_of, candidate_record, counted, target_record
 from path.camera import CameraModel
 from path.config import MethodConfig
 from path.geometry import Pose
@@ -144,11 +144,12 @@ class _SenderReplay:
         box = _box(record["box"])
         depth = None if record["depth_m"] is None else Depth(record["depth_m"], record["depth_sigma_m"])
         frame_id, capture_ns, judged_ns = record["frame_id"], record["capture_ns"], record["judged_ns"]
-        message = cycle.observe(frame_id, capture_ns, box, depth, record["gravity_v"] or _NAN3)
+        beside = beside_of(record["beside"])
+        message = cycle.observe(frame_id, capture_ns, box, depth, record["gravity_v"] or _NAN3, beside)
         again = target_record(message, frame_id, capture_ns, box)
         if box is None:  # why, was said by what looked for it
             again["reason"] = record["reason"]
-        given = {name: record[name] for name in ("judged_ns", "depth_m", "depth_sigma_m")}
+        given = {name: record[name] for name in ("judged_ns", "depth_m", "depth_sigma_m", "beside")}
         yield DecisionPair("/target", capture_ns, record, _as_logged({**again, **given}))
         for pair in cycle.evaluate_ready(judged_ns):
             count, evidence = counted(pair, cycle.gate)

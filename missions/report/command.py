@@ -161,8 +161,11 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
 
 def _pairs(summary: Mapping[str, Any]) -> str:
     pairs = f"{summary['pairs_agreed']} of {summary['pairs_judged']}, {figure(summary['pairs_hz'], 'Hz', 1)}"
-    most = summary["evidence_max"]
-    return pairs if most is None else f"{pairs}; evidence {most:.1f} at most"
+    most, row = summary["evidence_max"], summary["in_a_row"]
+    if most is None or row is None:
+        return pairs
+    said = "enough" if row["complete"] else "not enough"
+    return f"{pairs}; evidence {most:.1f} at most; by count {row['pairs']} in a row, {said}"
 
 
 def _error(summary: Mapping[str, Any], name: str) -> str:

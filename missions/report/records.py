@@ -85,10 +85,10 @@ def write_facts(folder: Path, facts: RunFacts) -> None:
 
 
 def load_run(folder: Path) -> RunRecords:
-    """Read a run folder; what is missing in it is empty. Raises RunFolderError when it holds no log at all."""
+    """Read a run folder; what is missing in it is empty. Raises RunFolderError when it holds neither log nor facts."""
     names = (SENDER_LOG, RECEIVER_LOG, WORLD_LOG)
     logs = [parts(folder, Path(name).stem) for name in names]
-    if not any(logs):
+    if not any(logs) and load_facts(folder) is None:
         raise RunFolderError(
             f"{folder} is not the folder of a run: it holds none of {', '.join(names)}",
             "name the folder that `path-handoff handoff` printed, such as runs/20261104-101500",
@@ -104,7 +104,7 @@ def drone_logs(folder: Path) -> dict[str, list[LogRecord]]:
     others = (Path(WORLD_LOG).stem, Path(MERGED).stem, "attack")
     names = sorted(path.stem for path in folder.glob("*.mcap") if "." not in path.stem and path.stem not in others)
     logs = {name: read_parts(*parts(folder, name)) for name in names}
-    if not logs:
+    if not logs and load_facts(folder) is None:
         raise RunFolderError(
             f"{folder} is not the folder of a run: it holds no drone's log",
             "name the folder that `path-handoff handoff` printed, such as runs/20261104-101500",

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from drivers.log.mcap_log import LogRecord
+from missions.report.in_a_row import longest_row
 from missions.report.records import Records, RunRecords, judged_pairs, last
 from missions.report.truth import Truth, box_center, handed_over, truth_of
 from path.geometry import Pose
@@ -129,12 +130,14 @@ def _agreement(run: RunRecords, span: Verification | None) -> dict[str, Any]:
     agreed = [r.record for r in pairs if r.record["agreed"]]
     evidence = [reached for r in pairs if (reached := r.record.get("evidence")) is not None]
     misses = Counter(r.record["reason"] for r in pairs if not r.record["agreed"]) + _own_misses(run, span)
+    row = longest_row(run)
     return {
         "iou_median": _median(record["iou"] for record in agreed),
         "tau_median": _median(record["tau"] for record in agreed),
-        "gate": ("evidence" if evidence else "consecutive") if pairs else None,
+        "gate": ("evidence" if evidence else "count") if pairs else None,
         "count_max": max((r.record["count"] for r in pairs), default=0),
         "evidence_max": _rounded(max(evidence)) if evidence else None,
+        "in_a_row": None if row is None else {**asdict(row), "seconds": _rounded(row.seconds)},
         "pairs_judged": len(pairs),
         "pairs_agreed": len(agreed),
         "pairs_hz": _rounded(len(pairs) / span.seconds) if span and span.seconds > 0.0 else None,

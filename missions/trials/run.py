@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.interfaces import PartError
+from drivers.rig.parts import with_errors
 from flight.command_end import CommandEnd
 from flight.outcome import violated_outcome
 from missions import rig_library
@@ -51,7 +52,7 @@ def run(options: TrialOptions) -> int:
     whole = options.name == "all"
     names = (*NAMES, *(("real",) if options.set else ())) if whole else (options.name,)
     trials = {name: importlib.import_module(f"missions.trials.{name}.trial") for name in names}
-    rig = rig_library.load(options.rig or rig_of(options.name))
+    rig = with_errors(rig_library.load(options.rig or rig_of(options.name)), options.errors)
     for part in () if whole else getattr(trials[options.name], "NEEDS", ()):
         trial_part(rig, part)
     sets = sets_of(options)
@@ -122,6 +123,8 @@ def command(options: TrialOptions, name: str) -> str:
         words += ["--rig", options.rig]
     if options.quick:
         words.append("--quick")
+    if options.errors is not None:
+        words += ["--errors", options.errors]
     if options.xfeat is not None and name in ("ambiguity", "compute"):
         words += ["--xfeat", str(options.xfeat)]
     if options.board is not None and name == "corners":
@@ -165,6 +168,7 @@ def _summary(options: TrialOptions, name: str, wall_s: float, result: TrialResul
         "trial": name,
         "seed": options.seed,
         "quick": options.quick,
+        "errors": options.errors,
         "wall_s": round(wall_s, 2),
         **result.summary,
         "findings": [asdict(finding) for finding in result.findings],

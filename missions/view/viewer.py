@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import socket
 import subprocess
@@ -57,11 +58,12 @@ def viewer() -> Generator[tuple[subprocess.Popen[bytes], str], None, None]:
 @contextmanager
 def _until_end(command: Sequence[str]) -> Generator[subprocess.Popen[bytes], None, None]:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # the server ends with this program
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as server:
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True) as server:
         try:
             yield server
         finally:
-            server.terminate()
+            with suppress(ProcessLookupError):
+                os.killpg(server.pid, signal.SIGTERM)  # Rerun's package starts its program as a child of its own
 
 
 def _until_up(server: subprocess.Popen[bytes], port: int) -> None:

@@ -27,6 +27,9 @@ MAX_SCALE = 4.0
 DETECTION_PIXELS = 1.3e6  # an image is enlarged up to about this many pixels
 RETRY_SCALE, RETRY_PIXELS = 6.0, 4.0e4  # a small region that shows nothing is tried once more, larger and fainter
 THRESHOLD, RETRY_THRESHOLD = 7.0, 3.0  # grey levels below the neighbourhood's mean that are black
+THOROUGH_WINDOWS, THOROUGH_SMALL = (3, 23), (5, 5)  # of a whole image at its own size, and enlarged for small markers
+THOROUGH_SCALE, THOROUGH_PIXELS = 2.0, 4.0e6
+FULL_CORRECTION, THOROUGH_CORRECTION = 1.0, 0.6  # share of the bits corrected that the dictionary could correct
 LARGE_WINDOW_SCALE = 2.5  # from this scale on the threshold looks at a wider neighbourhood
 MIN_EXPLAINED = 0.85  # of the image's variance, for the fit to be trusted
 MIN_CONTRAST = 8.0  # grey levels
@@ -43,16 +46,19 @@ def detect_markers(
     refine: Refine = "photometric",
     scale: float | None = None,
     foreign: bool = False,
+    thorough: bool | None = None,
 ) -> tuple[MarkerDetection, ...]:
     """Markers of the layout in a region.
 
     Args:
         image: uint8, (height, width, 3) BGR or (height, width) grey, distorted as the lens gives it.
-        region: where to look; None for the whole image, which costs about ten times as much.
+        region: where to look; None for the whole image, which costs tens of times as much.
         refine: how corners are refined. "photometric" falls back to "subpix", with its larger covariance, where the
             image does not look like the print.
         scale: enlargement for detection; by default up to 4, less for large regions.
         foreign: also give markers of the dictionary that the layout does not have (unrefined).
+        thorough: look three times, for what is small, dim, steep or close to others too, in about six times the time;
+            by default in a whole image, and not in a region.
 
     Returns:
         Detections by id. A marker that is seen in two places is there twice.
@@ -67,6 +73,8 @@ def detect_markers(
     quads = _decode(grey, layout.dictionary, used, THRESHOLD)
     if not quads and scale is None and grey.size <= RETRY_PIXELS:
         quads = _decode(grey, layout.dictionary, RETRY_SCALE, RETRY_THRESHOLD)
+    if scale is None and (thorough or (thorough is None and region is None)):
+        quads = _united(quads, _thoroughly(grey, layout.dictionary))
     found: list[MarkerDetection] = []
     for marker_id, quad in quads:
         if layout.marker(marker_id) is not None:
@@ -85,28 +93,46 @@ def _scale_for(pixels: int) -> float:
 
 
 @lru_cache(maxsize=8)
-def _detector(dictionary: str, window: int, offset: float) -> cv2.aruco.ArucoDetector:
+def _detector(dictionary: str, windows: tuple[int, int], offset: float, correction: float) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
-    parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = window
+    parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = windows
     parameters.adaptiveThreshConstant = offset
     parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
     parameters.perspectiveRemovePixelPerCell = 8
-    parameters.errorCorrectionRate = 1.0
+    parameters.errorCorrectionRate = correction
     return cv2.aruco.ArucoDetector(dictionary_of(dictionary), parameters)
 
 
-def _decode(grey: NDArray[np.uint8], dictionary: str, scale: float, offset: float) -> list[tuple[int, Array]]:
+def _thoroughly(grey: NDArray[np.uint8], dictionary: str) -> list[tuple[int, Array]]:
+    """As ``_decode``, by what finds most on photographs of many tags: every window, and small ones enlarged."""
+    whole = _decode(grey, dictionary, 1.0, RETRY_THRESHOLD, THOROUGH_WINDOWS)
+    scale = min(THOROUGH_SCALE, math.floor(2.0 * math.sqrt(THOROUGH_PIXELS / max(grey.size, 1))) / 2.0)
+    return _united(whole, _decode(grey, dictionary, max(scale, 1.0), THRESHOLD, THOROUGH_SMALL))
+
+
+def _decode(
+    grey: NDArray[np.uint8], dictionary: str, scale: float, offset: float, windows: tuple[int, int] | None = None
+) -> list[tuple[int, Array]]:
     """Ids and corners (4, 2) in pixels of ``grey``; one physical marker once."""
     enlarged = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-    corners, ids, _ = _detector(dictionary, 23 if scale >= LARGE_WINDOW_SCALE else 13, offset).detectMarkers(enlarged)
+    window = 23 if scale >= LARGE_WINDOW_SCALE else 13
+    correction = FULL_CORRECTION if windows is None else THOROUGH_CORRECTION
+    corners, ids, _ = _detector(dictionary, windows or (window, window), offset, correction).detectMarkers(enlarged)
     quads: list[tuple[int, Array]] = []
     for row, corner in enumerate(corners):
         marker_id = int(np.ravel(ids)[row])  # shape (n, 1) in OpenCV 4, (n,) in 5
-        quad = (corner.reshape(4, 2).astype(np.float64) + 0.5) / scale - 0.5
+        quads.append((marker_id, (corner.reshape(4, 2).astype(np.float64) + 0.5) / scale - 0.5))
+    return _united([], quads)
+
+
+def _united(quads: list[tuple[int, Array]], more: list[tuple[int, Array]]) -> list[tuple[int, Array]]:
+    """Both lists, one physical marker once: as it was found first."""
+    united = list(quads)
+    for marker_id, quad in more:
         centre, side = quad.mean(axis=0), _side(quad)
-        if not any(other == marker_id and np.hypot(*(q.mean(axis=0) - centre)) < 0.5 * side for other, q in quads):
-            quads.append((marker_id, quad))
-    return quads
+        if not any(other == marker_id and np.hypot(*(q.mean(axis=0) - centre)) < 0.5 * side for other, q in united):
+            united.append((marker_id, quad))
+    return united
 
 
 def _side(quad: Array) -> float:

@@ -79,7 +79,7 @@ def locate_marker(
         layout: the printed markers; ``single_marker(side_m)`` for one whose own frame is ``v``.
         gravity_v, gravity_c: down in ``v`` and in the camera's frame. They tell the two poses of a small planar marker
             apart, and how it is tilted; one without the other says nothing.
-        region: where in the image to look; everywhere when None, which takes about ten times as long.
+        region: where in the image to look; everywhere when None, which takes tens of times as long.
         previous: ``T_c_v`` in an image shortly before, instead of a region: there first, then everywhere. The pose is
             still measured in this image alone.
         refine: "photometric", or "subpix" for OpenCV's corners with the covariance they deserve.

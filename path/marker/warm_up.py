@@ -40,7 +40,7 @@ def warm_up() -> None:
     gx, gy, gz = (T_c_v.R @ down).tolist()
     shadow = np.where(np.arange(160)[None, :] > 80, 0.7, 1.0)  # what is asked only where the light is uneven
     for light in (shadow, 1.0):
-        found = detect_markers(np.asarray(image * light, dtype=np.uint8), None, layout, camera)
+        found = detect_markers(np.asarray(image * light, dtype=np.uint8), None, layout, camera, thorough=False)
         pose = estimate_pose(found, layout, camera, (0.0, -0.8, -0.6), (gx, gy, gz), PoseSettings())
     if not isinstance(pose, MarkerPose):
         raise RuntimeError(f"a drawn marker gave no pose ({pose.reason.value}): reinstall numba and OpenCV")

@@ -281,3 +281,55 @@ def test_what_a_program_says_beside_its_events_is_none(line: bytes) -> None:
 
 def test_there_are_enough_of_them() -> None:
     assert len(RIGS) + len(LINES) + len(OUTS) + len(RECORDS) + len(LINES_OF_PROGRAMS) >= 150
+
+
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [
+        ("sender --rig sim", "rig sim has a guard that needs the simulated world"),
+        ("receiver --rig sim", "path-handoff handoff --rig sim"),
+        ("guard --rig sim", "needs the simulated world"),
+    ],
+)
+def test_a_simulated_rig_is_not_flown_from_a_drone(said: Said, tmp_path: Path, command: str, expected: str) -> None:
+    before = tree(tmp_path)
+    code, words = said(*command.split())
+    assert code == 3 and expected in words and "fix: " in words, words
+    assert tree(tmp_path) == before and list((tmp_path / "here").iterdir()) == []
+
+
+@pytest.mark.parametrize("harness", ["json:loads", "os:getcwdb", "builtins:int"])
+def test_a_harness_that_is_none(said: Said, tmp_path: Path, harness: str) -> None:
+    rig = rig_like_sim(tmp_path, f'harness = "{harness}"\n')
+    code, words = said("handoff", "--rig", rig, "--out", str(tmp_path / "out"))
+    assert code == 3 and "harness" in words and "fix: " in words, words
+    assert not (tmp_path / "out").exists()
+
+
+STRANGE = {
+    "another encoding": 'like = "sim"\n'.encode("utf-16"),
+    "latin-1": '# \xe9\nlike = "sim"\n'.encode("latin-1"),
+    "a list": b'like = ["sim"]\n',
+    "no table": b'like = "sim"\nmission = 5\n',
+    "a date": b'like = "sim"\n[mission]\ntake_off_height_m = 2020-01-01\n',
+    "yes": b'like = "sim"\n[mission]\ntake_off_height_m = true\n',
+    "in words": b'like = "sim"\n[mission]\ntake_off_height_m = "1.5"\n',
+    "five thousand digits": b'like = "sim"\n[mission]\nhandoff_id = ' + 5000 * b"9" + b"\n",
+    "three thousand brackets": b"a = " + 3000 * b"[" + 3000 * b"]",
+    "said twice": b'like = "sim"\nlike = "sitl"\n',
+    "like itself": b'like = "rig.toml"\n',
+    "two of three": b'like = "sim"\n[sender.mount.camera]\nposition_b_m = [0.1, 0.2]\n',
+    "a function": b'like = "sim"\n[sender.vehicle]\nfactory = "os:system"\n',
+    "a module": b'like = "sim"\n[sender.vehicle]\nfactory = "os.path"\n',
+    "a signed cable by TCP": b'like = "sitl"\n[sender.vehicle]\nurl = "tcpout://1.2.3.4:5"\nkey_file = "a.key"\n',
+    "every byte": bytes(range(256)),
+}
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_a_strange_file_is_refused_by_its_name(said: Said, tmp_path: Path, name: str) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_bytes(STRANGE[name])
+    code, words = said("handoff", "--rig", str(rig), "--out", str(tmp_path / "out"))
+    assert code == 3 and "rig.toml" in words and "fix: " in words, words
+    assert not (tmp_path / "out").exists() and rig.read_bytes() == STRANGE[name]

@@ -61,8 +61,8 @@ def test_a_wrong_value_of_the_evidence_gate_is_refused_by_name(field: str, value
 
 
 def test_a_gate_is_one_of_two() -> None:
-    assert MethodConfig().gate == "consecutive"
-    with pytest.raises(ValueError, match=r'^gate: .*"consecutive" nor "evidence"'):
+    assert MethodConfig().gate == "count"
+    with pytest.raises(ValueError, match=r'^gate: .*"count" nor "evidence"'):
         MethodConfig(gate="evidense")  # pyright: ignore[reportArgumentType]
 
 

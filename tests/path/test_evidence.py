@@ -23,7 +23,7 @@ from path.evidence import (
     strength,
 )
 from path.observations import MissReason
-from path.window import AgreementWindow, FramePair
+from path.window import AgreementWindow, FramePair, Offsets
 
 MS = 1_000_000
 PERIOD = 20 * MS
@@ -31,12 +31,13 @@ METHOD = MethodConfig(gate="evidence")
 OWN = METHOD.evidence
 TAU = 0.4
 CLEAR = 0.8
+ON_TARGET = Offsets((0.0, 0.0))
 
 
 def pair_of(index: int, period_ns: int = PERIOD) -> FramePair:
     """The index-th pair of a steady stream; the sequence wraps on the way."""
     own = (index, index * period_ns), (index + 1, (index + 1) * period_ns)
-    return FramePair((65_500 + index) % 65_536, index * period_ns + 3 * MS, own)
+    return FramePair((65_500 + index) % 65_536, index * period_ns + 3 * MS, own, ON_TARGET)
 
 
 def feed(gate: EvidenceGate, indices: range, iou: float = CLEAR) -> int | None:
@@ -447,3 +448,27 @@ def test_of_several_gates_the_answer_is_the_first_ones() -> None:
     far_ns = 10**12
     assert first.expire(far_ns)  # it has nothing any more; the second one still does
     assert both.expire(far_ns) is False and second.count == 0
+
+
+@pytest.mark.parametrize(("less", "agrees"), [(0.0, True), (1e-9, False)])
+def test_a_block_exactly_as_strong_as_is_asked_for_agrees(less: float, agrees: bool) -> None:
+    """With a threshold of 0 the strength of a pair is its overlap."""
+    gate = EvidenceGate(METHOD)
+    index = 0
+    while not gate.judged.first[0] and index < 1000:
+        gate.agree(pair_of(index), OWN.strength - less, 0.0)
+        index += 1
+    assert gate.judged.first == [1, int(agrees)]
+
+
+@pytest.mark.parametrize("agreeing", [0, 1])
+def test_a_block_in_which_exactly_the_share_agrees_does(agreeing: int) -> None:
+    """Its median is strong in both; one pair fewer, and it is none."""
+    own = replace(OWN, block_share=0.75, block_pairs=8, block_s=7 * PERIOD * 1e-9)
+    gate = EvidenceGate(replace(METHOD, evidence=own))
+    for index in range(8):
+        if 1 <= index < 4 - agreeing:
+            gate.disagree(pair_of(index).peer_sequence, pair_of(index).capture_ns, -0.1)
+        else:
+            gate.agree(pair_of(index), 1.0, TAU)
+    assert gate.judged.first == [1, agreeing]

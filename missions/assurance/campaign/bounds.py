@@ -10,4 +10,5 @@ BOUNDS: dict[tuple[str, str], float] = {
     ("machines", "gap_s"): GAP_BOUND_S,
     ("roles", "commit_s"): COMMIT_BOUND_S,
     ("roles", "gap_s"): GAP_BOUND_S,
+    ("team", "gap_s"): GAP_BOUND_S,
 }

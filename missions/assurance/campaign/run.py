@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import with_errors
 from flight.command_end import CommandEnd
 from flight.outcome import violated_outcome
 from missions import rig_library
-from missions.assurance.campaign import machine_runs, role_runs
+from missions.assurance.campaign import machine_runs, role_runs, team_runs
 from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.results import RunLine, resumable_results
 from missions.assurance.campaign.summary import draw_outcomes, summarize, table
@@ -37,6 +37,7 @@ class RunOrder:
     seed: int
     runs: tuple[tuple[LevelName, int], ...]
     errors: str | None = None
+    hours: float | None = None
 
 
 class Workers(Protocol):
@@ -65,6 +66,7 @@ class Kind:
 KINDS: dict[str, Kind] = {
     "machines": Kind(machine_runs.fly, machine_runs.replay, 100),
     "roles": Kind(role_runs.fly, role_runs.replay, 1),
+    "team": Kind(team_runs.fly, team_runs.replay, 1),
 }
 
 
@@ -78,9 +80,16 @@ def run(options: CampaignOptions) -> int:
         raise PartError(f"--runs {options.runs}: nothing to do", "give a number of runs, such as --runs 1000")
     began = datetime.now().strftime("%Y%m%d-%H%M%S")
     folder = options.out or Path("campaigns") / f"{began}-{options.program}"
-    asked = {"program": options.program, "rig": options.rig, "seed": options.seed, "levels": list(levels)}
+    asked: dict[str, Any] = {
+        "program": options.program,
+        "rig": options.rig,
+        "seed": options.seed,
+        "levels": list(levels),
+    }
     if options.errors is not None:
         asked["errors"] = options.errors
+    if options.hours is not None:
+        asked["hours"] = options.hours
     if options.junit is not None:
         claim_result(options.junit, "<testsuites>")
     kind = KINDS[options.program]
@@ -95,6 +104,7 @@ def run(options: CampaignOptions) -> int:
                 options.seed,
                 tuple((levels[number % len(levels)], number) for number in piece),
                 options.errors,
+                options.hours,
             )
             for piece in _pieces(left, kind.at_a_time)
         ]
@@ -132,6 +142,7 @@ def replay_command(options: CampaignOptions, line: RunLine) -> str:
     """One line that shows a run again."""
     rig = "" if options.rig == CampaignOptions().rig else f" --rig {options.rig}"
     errors = "" if options.errors is None else f" --errors {options.errors}"
+    errors += "" if options.hours is None else f" --hours {options.hours:g}"
     program = f"--program {options.program}{rig}{errors}"
     return f"path-handoff campaign {program} --faults {line.level} --seed {options.seed} --only {line.number}"
 
@@ -140,7 +151,7 @@ def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
     assert options.only is not None
     if len(levels) != 1:
         raise PartError("--only shows one run: of which level?", f"name it with --faults, one of {', '.join(LEVELS)}")
-    order = RunOrder(options.rig, options.seed, ((levels[0], options.only),), options.errors)
+    order = RunOrder(options.rig, options.seed, ((levels[0], options.only),), options.errors, options.hours)
     line = KINDS[options.program].replay(order, options.out)
     for what in (*line.violations, *(f"(after a clock was set) {one}" for one in line.beyond)):
         sys.stdout.write(f"violated: {what}\n")

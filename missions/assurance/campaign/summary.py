@@ -71,6 +71,7 @@ def _times(lines: Sequence[RunLine], name: str) -> dict[str, float | int]:
 _MEANING = {
     "decided_s": "from the offer to each side's decision (L1)",
     "commit_s": "from COMMIT to the sender's decision (L1)",
+    "unobserved_s": "nobody looked at a target, in all",
     "gap_s": "longest time with nobody responsible (L2)",
 }
 

@@ -128,7 +128,7 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
     summary = {
         "evidence_median_s": median,
         "evidence_p95_s": float(np.percentile(times, 95.0)),
-        "consecutive_median_s": papers,
+        "count_median_s": papers,
         "true_attempts": len(true),
         "true_wrong": wrongly([each.evidence for each in true]),
         "alpha": own.alpha,
@@ -143,7 +143,7 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
             name: {
                 "attempts": len(told),
                 "evidence_wrong": wrongly([each.evidence for each in told]),
-                "consecutive_wrong": wrongly([each.papers for each in told]),
+                "count_wrong": wrongly([each.papers for each in told]),
             }
             for name, told in by_group.items()
             if name not in ("true", "wrong")

@@ -111,12 +111,12 @@ def run_chunk(asked: AttemptBatch) -> BatchResult:
             more = runner.run(replace(attempt, whole=True))
             simulated_s += more.simulated_s
             evidence = by_evidence(more.series, method)
-        judged = by_consecutive(found), evidence
+        judged = by_count(found), evidence
         tried.append(HandshakeAttempt(index, attempt.fault, found.reason, judged, found.circumstances.closest_m))
     return BatchResult(tuple(tried), simulated_s, (busy_ns() - start_ns) * 1e-9)
 
 
-def by_consecutive(found: MonteCarloHandover) -> GateVerdict:
+def by_count(found: MonteCarloHandover) -> GateVerdict:
     """The paper's gate has judged it already."""
     if found.start_s is None or found.commit_s is None:
         return NOT_COMMITTED

@@ -17,8 +17,8 @@ from missions.trials.shared.statistics import wilson
 from path.config import GateKind
 from path.messages import Role
 
-COLOURS: Mapping[GateKind, str] = {"consecutive": ROLE[Role.SENDER], "evidence": COUNT}
-NAMES: Mapping[GateKind, str] = {"consecutive": "350 pairs", "evidence": "evidence"}
+COLOURS: Mapping[GateKind, str] = {"count": ROLE[Role.SENDER], "evidence": COUNT}
+NAMES: Mapping[GateKind, str] = {"count": "350 pairs", "evidence": "evidence"}
 PAPER_S = (7.20, 7.95)
 
 
@@ -32,7 +32,7 @@ def draw_times(
     figure = Figure(figsize=(11.0, 4.2), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
-    _missions(left, [each.seconds for each in flown["consecutive"] if each.seconds is not None])
+    _missions(left, [each.seconds for each in flown["count"] if each.seconds is not None])
     for gate in GATES:
         _shares(right, times[gate], attempts, COLOURS[gate], f"Monte-Carlo hand-overs, {NAMES[gate]}")
         own = [each.seconds for each in flown[gate] if each.seconds is not None]
@@ -46,7 +46,7 @@ def draw_times(
 
 def _missions(axes: Axes, seconds: Sequence[float]) -> None:
     bins = np.arange(6.9, max([9.0, *seconds]) + 0.2, 0.1)
-    axes.hist(seconds, bins=bins.tolist(), color=COLOURS["consecutive"], label=f"{len(seconds)} commits, level sim")
+    axes.hist(seconds, bins=bins.tolist(), color=COLOURS["count"], label=f"{len(seconds)} commits, level sim")
     for value, name in zip(PAPER_S, ("paper, median", "paper, 90th percentile"), strict=True):
         axes.axvline(value, color=NEEDED, ls="-" if value == PAPER_S[0] else ":", lw=1.2, label=f"{name} {value:.2f} s")
     axes.set(xlabel="time from the first agreeing pair to the commit, s", ylabel="missions")

@@ -78,10 +78,10 @@ def _summary(
     flown: Sequence[FlightResult], tried: Sequence[HandshakeAttempt], chunks: Sequence[BatchResult]
 ) -> dict[str, Any]:
     by_gate = _by_gate(flown)
-    paper = [_of(each, "consecutive") for each in tried]
+    paper = [_of(each, "count") for each in tried]
     busy = sum(chunk.busy_s for chunk in chunks)
     return {
-        "sim": _flights_summary(by_gate["consecutive"]),
+        "sim": _flights_summary(by_gate["count"]),
         "sim_evidence": _flights_summary(by_gate["evidence"]),
         "hand_overs": {
             "attempts": len(tried),
@@ -188,7 +188,7 @@ def _with_interval(values: Series, statistic: Any, rng: np.random.Generator) -> 
 
 def _flight_findings(flown: Sequence[FlightResult], rng: np.random.Generator) -> tuple[TrialFinding, ...]:
     by_gate = _by_gate(flown)
-    paper, evidence = by_gate["consecutive"], by_gate["evidence"]
+    paper, evidence = by_gate["count"], by_gate["evidence"]
     seconds, wrong = _seconds(paper), sum(each.wrong for each in flown)
     low, high = wilson(len(seconds), len(paper))
     median, median_in = _with_interval(seconds, _median, rng)
@@ -218,9 +218,9 @@ def _handover_findings(
     tried: Sequence[HandshakeAttempt], summary: dict[str, Any], rng: np.random.Generator
 ) -> tuple[TrialFinding, ...]:
     times, gates = _times(tried), summary["gates"]
-    consecutive, evidence = gates["consecutive"], gates["evidence"]
+    count, evidence = gates["count"], gates["evidence"]
     median, interval = _with_interval(times["evidence"], _median, rng)
-    median_paper, interval_paper = _with_interval(times["consecutive"], _median, rng)
+    median_paper, interval_paper = _with_interval(times["count"], _median, rng)
     faults = handovers.wrong_by_fault(tried)
     near, beside = (_look_alikes(tried, within) for within in (NEAR_M, BESIDE_M))
     low, high = wilson(near, len(tried))
@@ -242,15 +242,15 @@ def _handover_findings(
         )  # fmt: skip
 
     return (
-        wrong("consecutive", consecutive),
-        fooled("consecutive", consecutive),
+        wrong("count", count),
+        fooled("count", count),
         wrong("evidence", evidence),
         fooled("evidence", evidence),
         TrialFinding(f"Monte-Carlo hand-overs in which a look-alike came within {NEAR_M:g} m of the target",
                 f"{near} of {len(tried)}", f"{low:.1%}-{high:.1%}",
                 note=f"within {BESIDE_M:g} m: {beside}; all have three farther away"),
         TrialFinding("Monte-Carlo hand-overs, time to commit, count gate, s, median", median_paper, interval_paper,
-                f"{PAPER_MEDIAN_S:.2f}", note=f"{consecutive['commit_rate']:.1%} commit in {handovers.LIMIT_S:g} s"),
+                f"{PAPER_MEDIAN_S:.2f}", note=f"{count['commit_rate']:.1%} commit in {handovers.LIMIT_S:g} s"),
         TrialFinding("Monte-Carlo hand-overs, time to commit, evidence gate, s, median", median, interval, "", "≤ 2",
                 verdict(evidence["median_s"] is not None and evidence["median_s"] <= GOAL_MEDIAN_S),
                 f"{evidence['commit_rate']:.1%} commit in {handovers.LIMIT_S:g} s"),

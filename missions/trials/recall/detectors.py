@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flight.harness.montecarlo import MISS, PAIR, Series
+from flight.harness.montecarlo import MISS, OWN_MISS, PAIR, Series
 from path.config import MethodConfig
 from path.observations import MissReason
 
@@ -67,24 +67,43 @@ def unwrapped(sequence: Whole) -> Whole:
     return np.cumsum(steps)
 
 
-def with_detector(series: Series, detector: DetectorFaults, method: MethodConfig, rng: Generator) -> Series:
-    """Returns the series as it would have been with these detectors on both drones.
+@dataclass(frozen=True, slots=True)
+class FaultyFrames:
+    """Which frames of D1 and D2 the detectors miss, and in which they invent: (n,) each, from the first frame on."""
+
+    missed: tuple[Flags, Flags]
+    false: tuple[Flags, Flags]
+
+    @property
+    def longest_clear(self) -> int:
+        """Frames of the longest stretch in which both detectors see the target and nothing else."""
+        faulty = np.flatnonzero(np.any((*self.missed, *self.false), axis=0))
+        edges = np.concatenate(([-1], faulty, [len(self.missed[0])]))
+        return int(np.diff(edges).max()) - 1
+
+
+def faulty_frames(detector: DetectorFaults, many: int, rng: Generator) -> FaultyFrames:
+    share = 1.0 - detector.recall
+    missed = spells(share, detector.miss_frames, many, rng), spells(share, detector.miss_frames, many, rng)
+    rate, length = detector.false_positives, detector.miss_frames
+    return FaultyFrames(missed, (spells(rate, length, many, rng), spells(rate, length, many, rng)))
+
+
+def with_detector(series: Series, faults: FaultyFrames, method: MethodConfig) -> Series:
+    """The series as it would have been with these detectors on both drones.
 
     D1's own misses add no entries: a pair that would have needed the frame is a miss.
     """
     pairs = series.kind == PAIR
     if not pairs.any():
         return series
-    answered = series.kind != 2
+    answered = series.kind != OWN_MISS
     number = np.zeros(len(series), np.int64)
     number[answered] = unwrapped(series.sequence[answered])
     number -= number.min()
-    first, last = series.own[pairs, 0].min(), series.own[pairs, 2].max()
+    first = series.own[pairs, 0].min()
     before, after = (np.where(pairs, series.own[:, k] - first, 0) for k in (0, 2))
-    many_1, many_2 = int(last - first) + 1, int(number.max()) + 1
-    share = 1.0 - detector.recall
-    missed_1, missed_2 = (spells(share, detector.miss_frames, many, rng) for many in (many_1, many_2))
-    false_1, false_2 = (spells(detector.false_positives, detector.miss_frames, many, rng) for many in (many_1, many_2))
+    (missed_1, missed_2), (false_1, false_2) = faults.missed, faults.false
     silent = _silent(series, missed_1, before, method)
     reason = series.reason.copy()
     reason[pairs & silent] = REASONS.index(MissReason.LINK_SILENT)

@@ -10,14 +10,15 @@ import numpy as np
 
 from drivers.rig.parts import Rig
 from flight.harness.montecarlo import Attempt, HandoverRunner, Series, WrongAssociation, tell
-from missions.trials.recall.detectors import DetectorFaults, with_detector
+from missions.trials.recall.detectors import DetectorFaults, faulty_frames, with_detector
 from path.config import GateKind, MethodConfig
 from path.evidence import make_gate
 
 Group = Literal["true", "look-alike", "wrong object"]
 
-GATES: tuple[GateKind, ...] = ("consecutive", "evidence")
+GATES: tuple[GateKind, ...] = ("count", "evidence")
 LIMIT_S = 10.0
+FRAMES = 700  # more than any camera takes in that time
 LOCKED_M = (0.3, 0.4, 0.6, 1.0)  # from the target to the object that D2 sees instead of it, all the time
 
 
@@ -83,13 +84,25 @@ def orders(seed: int, detectors: int, of_each: int) -> list[AttemptOrder]:
 def run_pieces(pieces: Pieces) -> list[AttemptCommits]:
     runner = pieces.runner(pieces.rig).warmed()
     method = pieces.rig.method
-    judged: list[AttemptCommits] = []
-    for order in pieces.orders:
-        series = runner.run(order.attempt).series
-        rng = np.random.default_rng([order.attempt.seed, order.attempt.index, 0x64657465])
-        seen = with_detector(series, pieces.detectors[order.cell], method, rng)
-        judged.append(AttemptCommits(order, tuple(_commit(seen, replace(method, gate=gate)) for gate in GATES)))
-    return judged
+    return [_judged(runner, order, pieces.detectors[order.cell], method) for order in pieces.orders]
+
+
+def _judged(
+    runner: HandoverRunner, order: AttemptOrder, detector: DetectorFaults, method: MethodConfig
+) -> AttemptCommits:
+    """One attempt, run for as long as either gate can still say something."""
+    rng = np.random.default_rng([order.attempt.seed, order.attempt.index, 0x64657465])
+    faults = faulty_frames(detector, FRAMES, rng)
+    countable = faults.longest_clear >= method.hold_frames
+
+    def decided(series: Series) -> bool:
+        seen = with_detector(series, faults, method)
+        if _commit(seen, replace(method, gate="evidence")) is None:
+            return False
+        return not countable or _commit(seen, replace(method, gate="count")) is not None
+
+    seen = with_detector(runner.run(order.attempt, decided).series, faults, method)
+    return AttemptCommits(order, tuple(_commit(seen, replace(method, gate=gate)) for gate in GATES))
 
 
 def _commit(series: Series, method: MethodConfig) -> GateCommit | None:

@@ -47,8 +47,6 @@ class Cell:
             "miss_frames": self.detector.miss_frames,
             "false_positives": self.detector.false_positives,
             "gate": self.gate,
-            "true_attempts": self.true_attempts,
-            "attempts": self.attempts,
             "commit_rate": round(self.commit_rate, 4),
             "t_median_s": round(self.t_median_s, 2),
             "t_p90_s": round(self.t_p90_s, 2),
@@ -109,14 +107,14 @@ def result(judged: Sequence[AttemptCommits], short: bool) -> TrialResult:
             "wrong objects handed over, by evidence", f"{wrong['evidence']} of {len(judged)}", f"at most {bound:.2g}",
             goal=f"0, <= {WRONG_LIMIT:g}", verdict=held(wrong["evidence"] == 0 and bound <= WRONG_LIMIT),
             note=f"in {followed} of them D1 itself had gone over to the other object; by the count: "
-            f"{wrong['consecutive']}",
+            f"{wrong['count']}",
         ),
     )  # fmt: skip
     summary = {
         "short": short,
         "attempts": len(judged),
         "wrong": wrong["evidence"],
-        "wrong_consecutive": wrong["consecutive"],
+        "wrong_count": wrong["count"],
         "wrong_followed_by_d1": followed,
         "wrong_upper": bound,
         "cells": [cell.summary for cell in cells],

@@ -79,7 +79,7 @@ def _endless(rig: Rig, seconds: float, out: Path) -> Rig:
         raise PartError("a soak wants a rig of level sitl, and Linux's /proc", "path-handoff trial soak --rig sitl")
     table: dict[str, Any] = {
         "like": str(rig.file.resolve()),
-        "method": {"tau_min": NEVER, "tau_max": NEVER, "gate": "consecutive"},
+        "method": {"tau_min": NEVER, "tau_max": NEVER, "gate": "count"},
         "mission": {"deadlines": {"verify_s": float(seconds)}},
     }
     if rig.world.get("sender_simulator") is None:

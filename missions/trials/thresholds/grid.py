@@ -48,7 +48,7 @@ class Setting:
     def method(self, base: MethodConfig, frames: int) -> MethodConfig:
         return replace(
             base, box_mapping=self.mapping, tau_min=self.tau_min, tau_max=self.tau_max, z0_m=self.z0_m,
-            gate="consecutive", hold_frames=frames, hold_s=frames / HOLD_HZ,
+            gate="count", hold_frames=frames, hold_s=frames / HOLD_HZ,
         )  # fmt: skip
 
 

@@ -513,3 +513,10 @@ def test_a_battery_may_be_empty_or_full_and_nothing_beyond(battery: float) -> No
     assert isinstance(heard, Status) and heard.battery == battery
     with pytest.raises(EncodeError, match="battery"):
         sender.encode(replace(STATUS, battery=battery + (0.01 if battery else -0.01)))
+
+
+@pytest.mark.parametrize("yaw", [math.pi, -math.pi])
+def test_a_half_turn_of_yaw_arrives(yaw: float) -> None:
+    sender, receiver = pair()
+    heard = receiver.decode(sender.encode(replace(STATUS, yaw_rad=yaw)))
+    assert isinstance(heard, Status) and abs(heard.yaw_rad) == pytest.approx(math.pi, abs=1e-4)

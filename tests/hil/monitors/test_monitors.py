@@ -16,8 +16,9 @@ from hil.autopilot.values import OffboardSession
 from hil.monitors.monitors import Monitors, WatchedLog
 from path.config import MethodConfig
 from path.evidence import EvidenceGate
+from path.identity import nearest_rival
 from path.messages import Role
-from path.window import FramePair
+from path.window import FramePair, Offsets
 
 METHOD = MethodConfig(hold_frames=5, hold_s=0.4, max_gap_s=0.2)
 PERIOD_NS = 100_000_000
@@ -197,14 +198,16 @@ class Stream:
     monitors: Monitors = field(default_factory=lambda: Monitors(EVIDENCE, 0.7))
     gate: EvidenceGate = field(default_factory=lambda: EvidenceGate(EVIDENCE))
     epoch: int = 1
+    offsets: Offsets = field(default_factory=lambda: Offsets((0.01, -0.005)))
 
     def pair(self, index: int, iou: float = 0.8, **changes: Any) -> None:
         capture_ns = index * 20_000_000
         own = (index, capture_ns), (index + 1, capture_ns + 20_000_000)
-        refusal = self.gate.agree(FramePair(index, capture_ns, own), iou, 0.4)
+        refusal = self.gate.agree(FramePair(index, capture_ns, own, self.offsets), iou, 0.4)
         evidence = self.gate.evidence.reached
         record = {"agreed": refusal is None, "counted": refusal is None, "iou": iou, "tau": 0.4, "target_id": 1}
         record |= {"count": self.gate.count, "evidence": evidence, "epoch": self.epoch, "capture_ns": capture_ns}
+        record |= {"offset_m": self.offsets.target_m, "rival_offset_m": nearest_rival(self.offsets)}
         judge(self.monitors, {**record, **changes})
 
     def pairs(self, first: int, number: int, iou: float = 0.8) -> None:
@@ -221,6 +224,29 @@ def test_evidence_enough_for_a_commit_is_enough_for_the_monitors() -> None:
     stream.pairs(0, 4 * BLOCK + 1)
     assert stream.gate.complete
     assert stream.commit() == {}
+
+
+@pytest.mark.parametrize(
+    "offsets",
+    [
+        Offsets((0.10, 0.0)),
+        Offsets((0.08, 0.0), ((0.09, 0.0),)),
+        Offsets((0.03, 0.0), ((0.5, 0.0), (0.05, 0.0))),
+    ],
+)
+def test_s5_a_box_that_may_be_of_another_object(offsets: Offsets) -> None:
+    stream = Stream(offsets=offsets)
+    stream.pairs(0, 20 * BLOCK + 1)
+    assert not stream.gate.complete
+    assert stream.commit() == {"S5": 1}
+
+
+def test_s6_a_role_that_does_not_see_what_is_beside_the_target() -> None:
+    stream = Stream()
+    stream.pairs(0, 2 * BLOCK)
+    stream.offsets = Offsets((0.01, 0.0), ((0.02, 0.0),))
+    stream.pair(2 * BLOCK, evidence=2.44)
+    assert dict(stream.monitors.violations) == {"S6": 1}
 
 
 def test_s5_a_commit_a_pair_too_soon() -> None:

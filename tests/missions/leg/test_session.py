@@ -449,3 +449,20 @@ def test_images_are_logged_at_their_rate_and_when_wanted(rig: Any) -> None:
         assert bench.log.images[5:] == [2_020_000_000]
 
     virtual(main())
+
+
+def test_without_a_rate_only_wanted_images_are_logged(rig: Any) -> None:
+    @dataclass
+    class FakeView:
+        stamp_ns: int
+
+        def image(self) -> Any:
+            return np.zeros((2, 2, 3), np.uint8)
+
+    async def main() -> None:
+        bench = Bench(rig, MissionConfig(image_hz=0.0))
+        for k in range(3):
+            bench.session.log_image(cast(Any, FakeView(k * 1_000_000_000)), wanted=k == 1)
+        assert bench.log.images == [1_000_000_000]
+
+    virtual(main())

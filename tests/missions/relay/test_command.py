@@ -10,15 +10,17 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import Kept, PartError, StateError
-from drivers.log.mcap_log import read_log
+from drivers.log.mcap_log import McapLog, read_log
 from drivers.log.state_file import MemoryStore
 from drivers.rig.parts import Rig
-from flight.harness.relay import RelayConfig
+from flight.harness.relay import RelayConfig, RelayReport
+from flight.outcome import Outcome
+from hil.harness.relay_sitl import late_programs
 from missions import rig_library
 from missions.options import RelayOptions
-from missions.relay.base import Event
+from missions.relay.base import Base, Event
 from missions.relay.battery import Gauge
-from missions.relay.command import faults_of, fly_relay, relay_of
+from missions.relay.command import faults_of, fly_relay, judge, relay_of
 from missions.relay.guidance import keep_clear
 from missions.relay.records import as_first, as_holder, as_relief
 from path.protocol.values import Handoff, ReceiverRecord, SenderRecord
@@ -162,3 +164,25 @@ def test_what_cannot_be_flown_is_refused_by_name(rig: Rig) -> None:
         3: ["kill_receiver@approach"],
         0: ["link_loss=0.2"],
     }
+
+
+def test_a_relay_on_a_computer_that_is_too_slow_is_blamed_on_nobody(rig: Rig, tmp_path: Path) -> None:
+    """In real time; but a monitor of what must hold on any computer is not excused."""
+    config = relay_of(rig, 2)
+    base = Base(config, lambda _: None, 0.1)
+    base.outcome, base.detail = Outcome.TARGET_LOST, "nobody sees it"
+    report = RelayReport({}, (), {}, (), (), 1.0, 1.0, 1.0, overload="D1's program: 90 of 100 frames were late")
+    outcome, detail = judge(base, report)
+    assert outcome is Outcome.OVERLOADED and outcome.exit_code == 43
+    assert detail == "D1's program: 90 of 100 frames were late (and so target_lost: nobody sees it)"
+    assert judge(base, replace(report, overload=""))[0] is Outcome.TARGET_LOST
+    assert judge(base, replace(report, failure="the world did not come up"))[0] is Outcome.OVERLOADED
+    assert judge(base, replace(report, violations={"S1": 1}))[0] is Outcome.MONITOR_VIOLATED
+
+
+def test_late_programs_are_read_from_their_logs(tmp_path: Path) -> None:
+    for name, age_s in (("D1", 0.5), ("D2", 0.05)):
+        with McapLog(tmp_path / f"{name}.mcap") as log:
+            for number in range(60):
+                log.write("/frame", number + 1, {"number": number, "age_ns": round(age_s * 1e9), "bytes": 1})
+    assert late_programs(tmp_path, ("D1", "D2", "D3")) == ["D1's program: 60 of 60 frames were late, a tenth by 0.50 s"]

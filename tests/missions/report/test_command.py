@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from missions.report.command import make_report, series_table, show, summarize_many
-from missions.report.records import RunFolderError, load_run
+from missions.report.records import RunFacts, RunFolderError, load_run, write_facts
 from missions.report.summary import summarize
 from missions.report.truth import first_hit, truth_of
 from path.messages import Role
@@ -54,9 +54,10 @@ def test_times_counts_and_rates(make_run: MakeRun) -> None:
         "misses": {"low_iou": 2},
         "pairs_judged": 352,
         "pairs_agreed": 350,
-        "gate": "consecutive",
+        "gate": "count",
         "count_max": 350,
         "evidence_max": None,
+        "in_a_row": None,  # of a run whose log does not say what its gate was set to
         "separation_limit_m": 0.7,
         "link_bytes_per_s": 8000.0,
         "realtime_factor": 80.0,
@@ -181,3 +182,15 @@ def test_many_runs_are_summed_up(make_run: MakeRun) -> None:
     show(series_table(series), shown)
     assert "8 monitor_violated" in shown.getvalue()
     assert "50.0 %" in shown.getvalue()
+
+
+def test_a_run_that_ended_before_any_log_is_shown_with_its_own_outcome(tmp_path: Path) -> None:
+    """As on a computer that is too slow to begin; a folder of anything else is still none of a run."""
+    detail = "the start of the world: not ready within 180 s"
+    write_facts(tmp_path, RunFacts("sitl", "sitl", 0, "overloaded", 43, detail, simulated_s=0.0, wall_s=180.0))
+    stream = io.StringIO()
+    assert make_report(tmp_path, True, stream)["outcome"] == "overloaded"
+    assert "overloaded" in stream.getvalue() and "not ready within 180 s" in stream.getvalue()
+    (tmp_path / "run.json").unlink()
+    with pytest.raises(RunFolderError):
+        make_report(tmp_path, True, stream)

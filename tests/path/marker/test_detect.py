@@ -15,6 +15,7 @@ from path.marker import detect
 from path.marker.detect import detect_markers
 from path.marker.layout import Marker, MarkerLayout, single_marker
 from path.marker.pose import PoseSettings, estimate_pose
+from path.marker.texture import cells, dictionary_of
 from path.observations import Missed, MissReason, Region
 from tests.path.marker.scene import VGA, Optics, background, random_view, region_around, render, true_corners
 
@@ -155,3 +156,35 @@ def test_ground_without_a_marker_shows_none():
     for _ in range(3):
         image = np.clip(background(VGA, rng) + rng.normal(0.0, 4.0, (480, 640)), 0.0, 255.0).astype(np.uint8)
         assert detect_markers(image, None, LAYOUT, VGA) == ()
+
+
+def crowd(rng: np.random.Generator) -> tuple[NDArray[np.uint8], MarkerLayout]:
+    """Eighty small tags, steep, dim and blurred, each a cell from the next."""
+    layout = MarkerLayout(
+        tuple(Marker(i, 0.04, 0.0, Pose(np.eye(3), np.zeros(3))) for i in range(80)), "DICT_APRILTAG_36h11"
+    )
+    image = GROUND.copy()
+    for i in range(80):
+        printed = 30.0 + 60.0 * np.pad(cells(layout.dictionary, i), 1, constant_values=1.0)
+        large = np.kron(printed, np.ones((10, 10)))
+        x, y = 25.0 + 58.0 * (i % 10), 22.0 + 56.0 * (i // 10)
+        wide, high = rng.uniform(16.0, 30.0, 2)
+        lean = rng.uniform(-5.0, 5.0)
+        to = np.array([[x, y], [x + wide, y + lean], [x + wide + lean, y + high], [x + lean, y + high - lean]])
+        of = np.array([[0.0, 0.0], [99.0, 0.0], [99.0, 99.0], [0.0, 99.0]])
+        H = cv2.getPerspectiveTransform(of.astype(np.float32), to.astype(np.float32))
+        over = cv2.warpPerspective(np.ones_like(large), H, (640, 480), flags=cv2.INTER_AREA)
+        image = np.where(over > 0.5, cv2.warpPerspective(large, H, (640, 480), flags=cv2.INTER_AREA), image)
+    blurred = cv2.GaussianBlur(image, (0, 0), 0.7) + rng.normal(0.0, 1.5, image.shape)
+    return np.clip(blurred, 0.0, 255.0).astype(np.uint8), layout
+
+
+def test_in_a_whole_image_what_is_small_and_close_to_others_is_looked_for_thoroughly():
+    image, layout = crowd(np.random.default_rng(8))
+    once = detect_markers(image, None, layout, VGA, refine="subpix", thorough=False)
+    found = detect_markers(image, None, layout, VGA, refine="subpix")
+    parameters = cv2.aruco.DetectorParameters()
+    by_opencv, _, _ = cv2.aruco.ArucoDetector(dictionary_of(layout.dictionary), parameters).detectMarkers(image)
+    assert len({each.marker_id for each in found}) == len(found)  # each once
+    assert len(found) >= max(1.1 * len(once), len(by_opencv))
+    assert detect_markers(GROUND.astype(np.uint8), None, layout, VGA) == ()

@@ -431,3 +431,11 @@ def test_something_must_be_left_of_a_lease() -> None:
     ProtocolConfig(lease_s=1.0, max_uncertainty_s=0.5, guard_s=0.499)
     with pytest.raises(ValueError, match="nothing would be left"):
         ProtocolConfig(lease_s=1.0, max_uncertainty_s=0.5, guard_s=0.5)
+
+
+def test_an_attempt_is_the_same_to_whichever_receiver_it_is_committed() -> None:
+    for before, after in ((OPEN, LIVE), (LIVE, OPEN), (LIVE, replace(LIVE, instance=OTHER))):
+        assert not after.follows(before)
+    for other in (replace(OPEN, epoch=2), replace(OPEN, handoff_id=8), replace(OPEN, target_id=4)):
+        assert other.follows(LIVE) and LIVE.follows(other)
+    assert OPEN.follows(None)

@@ -108,11 +108,20 @@ TO_SENDER = {
     "candidate": Heard(at_sender.CANDIDATE),
     "accept": Heard(at_sender.ACCEPT),
     "abort": Heard(Abort(7, 1, AbortReason.TARGET_LOST, T0, at_sender.ME)),
+    "another's abort": Heard(Abort(7, 1, AbortReason.TARGET_LOST, T0, at_sender.OTHER)),
     "confirm": Heard(at_sender.CONFIRM),
     "holds": PeerStatus(True, LATE - 1, at_sender.ME),
     "holds not": PeerStatus(False, LATE - 1, at_sender.ME),
 }
 SENDER = """
+offering + another's abort -> Keeping, ended aborted (target_lost)
+verifying + another's abort -> Keeping, ended aborted (target_lost)
+awaiting + another's abort -> AwaitingAccept, write released 1
+withdrawn + another's abort -> same
+handed over + another's abort -> same, refused wrong_instance
+held + another's abort -> same, refused wrong_instance
+orphaned + another's abort -> same, refused wrong_instance
+unconfirmed + another's abort -> same, refused wrong_instance
 idle + offer -> Offering, write mine 1, take
 idle + new mission -> same, write idle 0
 idle + holds -> same

@@ -25,7 +25,7 @@ from missions.trials.handshake.handovers import (
     HandshakeAttempt,
     asked_for,
     attempt_of,
-    by_consecutive,
+    by_count,
     by_evidence,
     reasons,
     run_chunk,
@@ -63,7 +63,7 @@ def test_a_mission_commits_and_nothing_is_handed_over_wrongly(result: TrialResul
         assert summary["gates"][gate]["wrong"] == 0
         assert 0.18 < summary["gates"][gate]["wrong_upper_95"] < 0.20  # 1 - 0.05^(1/14)
     assert summary["gates"]["evidence"]["median_s"] < 2.0
-    assert summary["gates"]["consecutive"]["median_s"] > 7.0
+    assert summary["gates"]["count"]["median_s"] > 7.0
 
 
 def test_every_fault_has_its_row_and_every_finding_its_interval(result: TrialResult) -> None:
@@ -115,14 +115,14 @@ def misled() -> MonteCarloHandover:
 
 
 def test_a_wrong_hand_over_is_seen_and_counted() -> None:
-    both = by_consecutive(misled()), by_evidence(misled().series, METHOD)
+    both = by_count(misled()), by_evidence(misled().series, METHOD)
     assert [(judged.committed, judged.right) for judged in both] == [(True, False)] * 2
     tried = HandshakeAttempt(0, "flip", "", both, 0.8)
     assert not any(judged.same for judged in both)
     good = HandshakeAttempt(1, "flip", "", (GateVerdict(True, 7.0, True, True), NOT_COMMITTED), 2.0)
     lost = replace(good, index=2, reason="no_marker", judged=(NOT_COMMITTED,) * 2)
     counted = wrong_by_fault([tried, good, lost])
-    assert counted == {"consecutive": {"flip": 1}, "evidence": {"flip": 1}}
+    assert counted == {"count": {"flip": 1}, "evidence": {"flip": 1}}
     assert reasons([tried, good, lost, lost]) == {"no_marker": 2}
 
 

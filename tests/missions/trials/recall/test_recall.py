@@ -10,7 +10,15 @@ import pytest
 from flight.harness.montecarlo import MISS, PAIR, Series
 from missions import rig_library
 from missions.trials.recall import trial
-from missions.trials.recall.detectors import REASONS, DetectorFaults, spells, unwrapped, with_detector
+from missions.trials.recall.detectors import (
+    REASONS,
+    DetectorFaults,
+    FaultyFrames,
+    faulty_frames,
+    spells,
+    unwrapped,
+    with_detector,
+)
 from missions.trials.recall.handovers import GATES, LOCKED_M, AttemptCommits, AttemptOrder, GateCommit, orders
 from missions.trials.shared.trial import TrialRequest
 from missions.work import open_work
@@ -33,6 +41,19 @@ def series_of(count: int) -> Series:
     )  # fmt: skip
 
 
+def seen_by(series: Series, detector: DetectorFaults) -> Series:
+    return with_detector(series, faulty_frames(detector, len(series) + 2, np.random.default_rng(1)), METHOD)
+
+
+def test_the_longest_clear_stretch_is_of_both_drones_and_of_inventions_too() -> None:
+    none = np.zeros(20, bool)
+    at_5, at_12 = none.copy(), none.copy()
+    at_5[5], at_12[12] = True, True
+    assert FaultyFrames((none, none), (none, none)).longest_clear == 20
+    assert FaultyFrames((at_5, none), (none, none)).longest_clear == 14
+    assert FaultyFrames((at_5, none), (none, at_12)).longest_clear == 7
+
+
 @pytest.mark.parametrize(("share", "frames"), [(0.1, 5.0), (0.3, 15.0), (0.3, 1.0), (0.01, 1.0)])
 def test_spells_have_their_share_and_their_length(share: float, frames: float) -> None:
     on = spells(share, frames, 400_000, np.random.default_rng(2))
@@ -51,13 +72,13 @@ def test_numbers_of_frames_are_unwrapped_also_out_of_order() -> None:
 
 def test_perfect_detectors_change_nothing() -> None:
     series = series_of(300)
-    seen = with_detector(series, DetectorFaults(), METHOD, np.random.default_rng(1))
+    seen = seen_by(series, DetectorFaults())
     assert np.array_equal(seen.kind, series.kind)
     assert np.array_equal(seen.iou, series.iou)
 
 
 def test_misses_of_both_drones_take_pairs_and_say_why() -> None:
-    seen = with_detector(series_of(50_000), DetectorFaults(0.9, 5.0), METHOD, np.random.default_rng(1))
+    seen = seen_by(series_of(50_000), DetectorFaults(0.9, 5.0))
     names = [REASONS[reason] for reason in seen.reason[seen.kind == MISS].tolist()]
     shares = {name: names.count(name) / len(seen) for name in set(names)}
     assert shares[MissReason.NO_CANDIDATE] == pytest.approx(0.1, rel=0.15)
@@ -66,12 +87,12 @@ def test_misses_of_both_drones_take_pairs_and_say_why() -> None:
 
 
 def test_long_misses_of_d1_leave_d2_without_a_target() -> None:
-    seen = with_detector(series_of(50_000), DetectorFaults(0.7, 15.0), METHOD, np.random.default_rng(1))
+    seen = seen_by(series_of(50_000), DetectorFaults(0.7, 15.0))
     assert np.sum(seen.kind == PAIR) / len(seen) == pytest.approx(0.7 * 0.68, rel=0.1)
 
 
 def test_invented_boxes_overlap_with_nothing() -> None:
-    seen = with_detector(series_of(50_000), DetectorFaults(1.0, 5.0, 0.05), METHOD, np.random.default_rng(1))
+    seen = seen_by(series_of(50_000), DetectorFaults(1.0, 5.0, 0.05))
     assert np.all(seen.kind == PAIR)
     assert np.mean(seen.iou[:, 0] == 0.0) == pytest.approx(0.11, rel=0.2)
 
@@ -107,7 +128,7 @@ def test_a_cell_counts_true_commits_and_all_wrong_ones() -> None:
     assert evidence.commit_rate == pytest.approx(2 / 3)
     assert evidence.t_median_s == 4.0
     assert evidence.t_p90_s == np.inf
-    assert trial.cell_of(told, 1, "consecutive").wrong == 1
+    assert trial.cell_of(told, 1, "count").wrong == 1
 
 
 @pytest.mark.parametrize(("short", "said"), [(True, "measured"), (False, "met")])

@@ -1,0 +1,42 @@
+"""A campaign of teams: what is drawn can be ordered, and a run is made by its seed."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.world.faults import parse_fault
+from missions import rig_library
+from missions.assurance.campaign.run import RunOrder
+from missions.assurance.campaign.team_runs import HOSTILE, draw, fly
+from missions.options import LevelName
+from missions.team.config import team_of
+
+CONFIG = team_of(rig_library.load("team-sim"))
+
+
+@pytest.mark.parametrize("level", ["none", "lossy", "harsh", "hostile"])
+def test_every_drawn_fault_can_be_ordered_and_teams_differ(level: LevelName) -> None:
+    plans = [draw(CONFIG, 3, level, number, 2.0) for number in range(60)]
+    assert plans == [draw(CONFIG, 3, level, number, 2.0) for number in range(60)]
+    kinds: set[str] = set()
+    for plan in plans:
+        assert 2 * plan.targets <= plan.drones <= len(CONFIG.drones) and len(plan.moved_m) == plan.targets
+        kinds |= {parse_fault(fault.rpartition(":")[2]).name for fault in plan.faults}
+    assert {plan.targets for plan in plans} == {1, 2, 3}
+    links = {"link_loss", "link_jitter"}
+    assert (
+        kinds
+        == {
+            "none": set[str](),
+            "lossy": links,
+            "harsh": links | {"kill_receiver", "kill_sender", "link_out"},
+            "hostile": links | {*HOSTILE, "link_out"},
+        }[level]
+    )
+
+
+def test_a_team_of_a_campaign_flies() -> None:
+    number = next(k for k in range(20) if draw(CONFIG, 0, "none", k, 0.01).targets == 1)
+    (line,) = fly(RunOrder("sim", 0, (("none", number),), hours=0.01))
+    assert (line.number, line.outcome, line.violations) == (number, "committed", ())
+    assert line.figures["unobserved_s"] == 0.0 and line.figures["simulated_s"] > 36.0
