@@ -7,19 +7,43 @@ from typing import Annotated
 
 from drivers.interfaces import Capability
 from flight.guard_rules import GuardRules
-from flight.guidance import Answer
+from flight.guidance import Answer, Vec3
 from path.bounds import Bounds
 
 
 @dataclass(frozen=True, slots=True)
+class Designated:
+    """The ground on which a designated object can be: by an error that stays, and by how far it may have driven."""
+
+    place_n_m: Vec3
+    error_m: float
+    drift_m: float
+
+    @property
+    def radius_m(self) -> float:
+        return self.error_m + self.drift_m
+
+
+@dataclass(frozen=True, slots=True)
 class TargetDesignation:
-    """The object that the sender is to track: the place where the operator pointed, in the mission's local frame."""
+    """The object that the sender is to track: where the operator pointed, when, and what it did, in the local frame."""
 
     north_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 4.0
     east_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 0.0
     height_m: Annotated[float, Bounds(-10.0, 100.0)] = 0.10  # of the object's middle above the ground
-    # how far from the place an object may be and still be the one meant
+    # how far from the place the object may be: by where it was pointed at, and by the drone's own position
     radius_m: Annotated[float, Bounds(0.05, 20.0)] = 0.9
+    age_s: Annotated[float, Bounds(0.0, 3600.0)] = 0.0  # of the designation, when the drone's program starts
+    north_mps: Annotated[float, Bounds(-15.0, 15.0)] = 0.0  # what it drove when it was pointed at
+    east_mps: Annotated[float, Bounds(-15.0, 15.0)] = 0.0
+    holds_s: Annotated[float, Bounds(0.0, 36000.0)] = 20.0  # for so long it stands, or goes on driving so
+    drift_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.5  # after that it may be this much farther off every second
+
+    def at(self, since_start_s: float) -> Designated:
+        """Where the object can be so long after the start of the drone's program."""
+        age_s = self.age_s + max(0.0, since_start_s)
+        place = self.north_m + self.north_mps * age_s, self.east_m + self.east_mps * age_s, -self.height_m
+        return Designated(place, self.radius_m, self.drift_mps * max(0.0, age_s - self.holds_s))
 
 
 @dataclass(frozen=True, slots=True)

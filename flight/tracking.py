@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.interfaces import View
+from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
 from flight.target_track import TargetTrack
 from path.camera import CameraModel
@@ -27,6 +28,7 @@ _BORDER_PX = 1.5
 _OUTSIDE_PX = 60.0  # so far outside the image an object's middle may be, and a part of it inside
 _AMBIGUITY = 0.6
 _CLEARLY_NEARER = 1.5
+_ROUND = 16  # places on the rim of where a designated object can be
 _MIN_DESCENT = 0.2  # per metre along the optical axis
 _DEPTH_FLOOR_M, _DEPTH_SIGMAS = 0.2, 3.0  # how far a depth may put the object from its prediction
 _COARSE_M = 0.12  # a range that is no better is estimated, not measured
@@ -57,29 +59,49 @@ def to_local(point_c: Vec3, T_n_c: Pose) -> Vec3:
     return north, east, down
 
 
-def acquire(
-    view: View, T_n_c: Pose, camera: CameraModel, place_n_m: Vec3, radius_m: float
-) -> tuple[Sighting, Vec3] | MissReason:
-    """The object at a designated place: no farther from it than ``radius_m``, and clearly nearer than any other.
+def acquire(view: View, T_n_c: Pose, camera: CameraModel, designated: Designated) -> tuple[Sighting, Vec3] | MissReason:
+    """The one object that the designated one can be, with its position in ``n``; or why there is none.
 
-    Returns the sighting and its position in ``n``, or why there is none. A position estimate that is off by half the
-    distance between two objects would make the wrong one the nearest: then neither is taken.
+    Two that it can be are never told apart by their distances: neither is taken, until one is left. Nor is one that is
+    hardly nearer than the next: the place may be off by more than was thought. When the object may have driven since
+    it was pointed at, one alone is taken only if it would be seen wherever it is.
     """
-    seen: list[tuple[float, Sighting, Vec3]] = []
+    place_n_m, radius_m = designated.place_n_m, designated.radius_m
+    seen: list[tuple[float, Sighting | None, Vec3]] = []
     for detection in view.targets(None):
-        if detection.score < MIN_SCORE:
+        box = detection.box
+        cut = is_cut(box, camera)
+        if detection.score < (_CUT_SCORE if cut else MIN_SCORE):
             continue
-        depth = view.depth(detection.box)
-        if depth is None:
-            continue
-        position = place(detection.box, depth, camera, T_n_c, place_n_m[2])
-        seen.append((norm(subtract(position, place_n_m)), Sighting(detection.box, depth), position))
+        depth = None if cut else view.depth(box)
+        position = (
+            _at_height(box.center, camera, T_n_c, place_n_m[2])
+            if depth is None
+            else place(box, depth, camera, T_n_c, place_n_m[2])
+        )
+        if position is not None:
+            off_m = norm(subtract(position, place_n_m))
+            seen.append((off_m, None if depth is None else Sighting(box, depth), position))
     seen.sort(key=lambda item: item[0])
     if not seen or seen[0][0] > radius_m:
         return MissReason.NO_TARGET
-    if len(seen) > 1 and seen[1][0] < _CLEARLY_NEARER * seen[0][0]:
+    if len(seen) > 1 and seen[1][0] < max(radius_m, _CLEARLY_NEARER * seen[0][0]):
         return MissReason.AMBIGUOUS_TARGET
-    return seen[0][1], seen[0][2]
+    _, sighting, position = seen[0]
+    if sighting is None:
+        return MissReason.NO_TARGET
+    if designated.drift_m > 0.0 and not _overlooks(T_n_c, camera, designated):
+        return MissReason.AMBIGUOUS_TARGET
+    return sighting, position
+
+
+def _overlooks(T_n_c: Pose, camera: CameraModel, designated: Designated) -> bool:
+    """Returns whether the camera sees everywhere that the object can have gone to."""
+    (north, east, down), radius_m = designated.place_n_m, designated.radius_m
+    turns = [2.0 * math.pi * k / _ROUND for k in range(_ROUND)]
+    rim = [(north + radius_m * math.cos(turn), east + radius_m * math.sin(turn), down) for turn in turns]
+    T_c_n = T_n_c.inverse()
+    return all(camera.sees((x, y, z)) for x, y, z in T_c_n.apply(np.array(rim)).tolist())
 
 
 def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> Sighting | MissReason:

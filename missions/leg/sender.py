@@ -10,7 +10,7 @@ from dataclasses import replace
 from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
 from drivers.rig.parts import Rig
 from flight.camera_pose import CameraPose
-from flight.config import MissionConfig
+from flight.config import Designated, MissionConfig
 from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, subtract
 from flight.harness.flights import Emit, InProcess, RoleResult
 from flight.outcome import MissionEnd, Outcome
@@ -77,6 +77,7 @@ class Sender:
         ahead, right, down = rig.sender.mount.T_b_c.R[:, 2].tolist()
         self._axis_b: Vec3 = (ahead, right, down)
         self._heading_rad = math.radians(config.heading_deg)
+        self._begun_ns = session.now_ns()
         self._track: TargetTrack | None = None
         self._steady: list[Vec3] = []
         self._watching = True
@@ -193,12 +194,8 @@ class Sender:
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
         """Leads to where the designated place is in view."""
-        return self._approach(self._view_of(self._designated()), (0.0, 0.0, 0.0), state)
-
-    def _designated(self) -> Vec3:
-        """Returns where the target was pointed at."""
-        target = self._config.target
-        return target.north_m, target.east_m, -target.height_m
+        place = self._view_of(self._designated(self._session.now_ns()).place_n_m)
+        return self._approach(place, (0.0, 0.0, 0.0), state)
 
     def _approach(self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState) -> VelocitySetpoint:
         """To a moving place, and to rest there: past it the target would be below the image."""
@@ -254,7 +251,7 @@ class Sender:
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
         """Take the object at the designated place for the target once it was seen there in several frames."""
         T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
-        found = acquire(view, T_n_c, self._camera, self._designated(), self._config.target.radius_m)
+        found = acquire(view, T_n_c, self._camera, self._designated(view.stamp_ns))
         if isinstance(found, MissReason) or not self._well_inside(found[0].box):
             self._steady.clear()
             return
@@ -264,6 +261,10 @@ class Sender:
         self._steady.append(position)
         if len(self._steady) >= _STEADY_FRAMES:
             self._track = TargetTrack(position, view.stamp_ns, self._config.follow.target_accel_mps2)
+
+    def _designated(self, stamp_ns: int) -> Designated:
+        """The ground on which the object that the operator pointed at can be by a stamp."""
+        return self._config.target.at((stamp_ns - self._begun_ns) * 1e-9)
 
     def _well_inside(self, box: Box) -> bool:
         """Returns whether the box is so far inside the image that a gust would not take it out at once."""

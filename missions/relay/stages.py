@@ -11,6 +11,7 @@ from collections.abc import Awaitable, Callable
 from typing import Protocol
 
 from drivers.interfaces import LinkCounters, Received, RecordStore, VehicleState, VelocitySetpoint
+from flight.config import Designated
 from flight.guidance import Anchor, Vec3, add, from_heading
 from flight.outcome import MissionEnd
 from flight.phases import Phase
@@ -95,7 +96,7 @@ class Holder(Sender):
         await self._handover.resume()
         await check_own(session)
         await take_off(session, self._config.take_off_height_m)
-        await self._conduct.go_out(session, lambda: self._view_of(self._designated()))
+        await self._conduct.go_out(session, lambda: self._view_of(self._designated(session.now_ns()).place_n_m))
         await self.acquire()
 
     async def resume(self) -> None:
@@ -120,8 +121,11 @@ class Holder(Sender):
         self._handover.end(end)
         await self._handover.finish()
 
-    def _designated(self) -> Vec3:
-        return self._conduct.designated() or super()._designated()
+    def _designated(self, stamp_ns: int) -> Designated:
+        place = self._conduct.designated()  # by somebody who goes on pointing at it
+        if place is None:
+            return super()._designated(stamp_ns)
+        return Designated(place, self._config.target.radius_m, 0.0)
 
     def _go_on(self, note: str) -> None:
         session = self._session
