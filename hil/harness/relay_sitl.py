@@ -26,7 +26,16 @@ from drivers.rig.parts import Rig, RoleRig
 from drivers.rig.tables import RigError
 from drivers.stop_signals import leave_signals, stop_on_signals
 from flight.harness.flights import Progress, RoleResult, decode_event
-from flight.harness.relay import DroneProgram, FieldSample, FlightTruth, RelayConfig, RelayReport, RelayRequest, pair_of
+from flight.harness.relay import (
+    DroneProgram,
+    FieldSample,
+    FlightTruth,
+    RelayConfig,
+    RelayReport,
+    RelayRequest,
+    TargetWatch,
+    pair_of,
+)
 from flight.outcome import Outcome
 from hil.harness.children import (
     Child,
@@ -345,6 +354,9 @@ class _ProcessRelay:
             closest_pair=tuple(finished.get("closest_pair", ())),
             simulated_s=finished.get("simulated_s", wall_s),
             wall_s=wall_s,
+            watched=msgspec.convert(finished.get("watched", []), list[TargetWatch]),
+            bytes_sent=finished.get("bytes_sent", {}),
+            aloft_s=finished.get("aloft_s", {}),
             interrupted=self._interrupted,
             log_failure=self._log_failure,
             errors=reported(self._request.rig),

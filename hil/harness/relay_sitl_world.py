@@ -270,6 +270,7 @@ class RelaySitlWorld:
             **found,
             "flown": [asdict(each) for each in found["flown"]],
             "samples": [asdict(each) for each in found["samples"]],
+            "watched": [asdict(each) for each in found["watched"]],
             "simulated_s": now_s,
             "aloft": aloft,
         }

@@ -116,8 +116,8 @@ def test_transforms_calibration_boxes_scene_place_and_words_are_foxgloves(folder
     assert any("IoU" in text.text for m in by_topic["/annotations"] for text in m.content.texts)
     assert any(len(m.content.points) >= 4 for m in by_topic["/annotations"])  # box, region, prior, marker
     assert {e.id for m in by_topic["/3d"] for e in m.content.entities} == {
-        "sender/body", "sender/frustum", "sender/marker", "sender/target",
-        "receiver/body", "receiver/frustum", "receiver/separation", "receiver/target",
+        "sender/body", "sender/frustum", "sender/marker", "sender/target", "sender/fence",
+        "receiver/body", "receiver/frustum", "receiver/separation", "receiver/target", "receiver/fence",
     }  # fmt: skip
     assert any(m.content.message.startswith("phase verify") for m in by_topic["/log"])
     for message in by_topic["/position"]:

@@ -36,7 +36,7 @@ def same(a: Series, b: Series) -> None:
     """Equal in every number, to the last bit."""
     assert len(a) == len(b)
     for field in fields(Series):
-        assert (getattr(a, field.name) == getattr(b, field.name)).all(), field.name
+        assert np.all(getattr(a, field.name) == getattr(b, field.name)), field.name
 
 
 @pytest.mark.parametrize("kind", ["shift", "turn"])
