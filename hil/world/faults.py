@@ -18,6 +18,9 @@ LONGEST_S = 600.0
 DUTIES: dict[Role, tuple[str, ...]] = {Role.SENDER: get_args(SenderDuty), Role.RECEIVER: get_args(ReceiverDuty)}
 
 
+FaultValue = Literal["no", "may", "must"]
+
+
 @dataclass(frozen=True, slots=True)
 class FaultKind:
     """One kind of fault by name.
@@ -35,7 +38,7 @@ class FaultKind:
 
     name: str
     role: Role | None
-    value: Literal["no", "may", "must"]
+    value: FaultValue
     meaning: str
     whole_run: bool = False
     most: float = 1.0
@@ -55,6 +58,12 @@ class FaultKind:
         return tuple(phase.title for phase in phases) + DUTIES[self.followed]
 
 
+_RADIO_FAULTS: tuple[tuple[str, FaultValue, str], ...] = (
+    ("rc_mode", "no", "the {}'s pilot turns the transmitter's mode switch"),
+    ("rc_kill", "no", "the {}'s pilot throws the transmitter's kill switch"),
+    ("rc_sticks", "no", "the {}'s pilot grabs the sticks"),
+    ("rc_lost", "may", "the {}'s transmitter falls silent, for so many seconds"),
+)
 FAULTS: dict[str, FaultKind] = {
     kind.name: kind
     for kind in (
@@ -116,12 +125,7 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("motor_kill", Role.RECEIVER, "no", "the receiver's pilot stops the motors in the air"),
         *(
             FaultKind(f"{name}_{role.value}", role, value, meaning.format(role.value), most=LONGEST_S)
-            for name, value, meaning in (
-                ("rc_mode", "no", "the {}'s pilot turns the transmitter's mode switch"),
-                ("rc_kill", "no", "the {}'s pilot throws the transmitter's kill switch"),
-                ("rc_sticks", "no", "the {}'s pilot grabs the sticks"),
-                ("rc_lost", "may", "the {}'s transmitter falls silent, for so many seconds"),
-            )
+            for name, value, meaning in _RADIO_FAULTS
             for role in Role
         ),
         FaultKind("battery_sag", Role.SENDER, "may", "the sender's battery drops to this share, or to 15 %"),

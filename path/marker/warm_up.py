@@ -20,7 +20,9 @@ from path.observations import MarkerDetection
 from path.relative import RelativeFilter
 
 EYE = np.eye(3)
-CAMERA = CameraModel(160, 160, 600.0, 600.0, 80.0, 80.0, doubts=((1.0, *8 * (0.0,)),))  # of a calibration's file
+CAMERA = CameraModel(
+    160, 160, 600.0, 600.0, 80.0, 80.0, doubts=((1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),)
+)  # of a calibration's file
 POSE = Pose(rotation.exp(np.array([2.6, 0.3, 0.2])), np.array([0.0, 0.0, 0.5]))
 
 

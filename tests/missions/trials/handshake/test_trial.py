@@ -116,7 +116,7 @@ def misled() -> MonteCarloHandover:
 
 def test_a_wrong_hand_over_is_seen_and_counted() -> None:
     assert not by_evidence(misled().series, METHOD).committed  # its boxes lie off by what an object beside it would
-    both = (by_count(misled()),) * 2
+    both = by_count(misled()), by_count(misled())
     assert [(judged.committed, judged.right) for judged in both] == [(True, False)] * 2
     tried = HandshakeAttempt(0, "flip", "", both, 0.8)
     assert not any(judged.same for judged in both)
