@@ -43,6 +43,13 @@ Faults = Annotated[
 ]
 
 
+LegFaults = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(name="fault", metavar="[LEG:]NAME[=VALUE][@MOMENT[+SECONDS]]"),
+    tyro.conf.UseAppendAction,
+]
+
+
 @dataclass(frozen=True, slots=True)
 class HandoffOptions:
     """Fly a whole handoff: both drones, and the world when the rig has a simulated one."""
@@ -108,11 +115,7 @@ class RelayOptions:
     seed: Seed = 0
     """Seed of the world and of every noise: in simulated time the same seed is the same relay."""
 
-    fault: Annotated[
-        tuple[str, ...],
-        tyro.conf.arg(name="fault", metavar="[LEG:]NAME[=VALUE][@MOMENT[+SECONDS]]"),
-        tyro.conf.UseAppendAction,
-    ] = ()
+    fault: LegFaults = ()
     """What is to go wrong: in every leg, such as link_loss=0.3, or in one, such as 3:kill_receiver@approach; may be
     given several times."""
 
@@ -152,11 +155,7 @@ class TeamOptions:
     seed: Seed = 0
     """Seed of the world and of every noise: in simulated time the same seed is the same flight of the team."""
 
-    fault: Annotated[
-        tuple[str, ...],
-        tyro.conf.arg(name="fault", metavar="[LEG:]NAME[=VALUE][@MOMENT[+SECONDS]]"),
-        tyro.conf.UseAppendAction,
-    ] = ()
+    fault: LegFaults = ()
     """What is to go wrong: in every leg, such as link_loss=0.3, or in one, such as 3:kill_receiver@approach; may be
     given several times."""
 

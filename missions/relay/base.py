@@ -187,7 +187,7 @@ class Base:
                 if self.holder == name:
                     continue  # the relay is about to end
                 drone.where, drone.ready_s = "swap", now_s + self.config.swap_s
-                self._say(name, "down", _end_of(drone.result))
+                self._say(name, "down", end_of(drone.result))
             elif drone.where == "swap" and now_s >= drone.ready_s:
                 self._ground.swap(name)
                 drone.where, drone.ready_s = "ready", now_s
@@ -226,12 +226,7 @@ class Base:
         drone.task = asyncio.ensure_future(self._fly(name, drone))
 
     async def _fly(self, name: str, drone: _BaseDrone) -> None:
-        died = RoleResult(Role.RECEIVER, Outcome.CRASHED, "its program died", responsible=False, landed=False)
-        try:
-            drone.result = await self._ground.begin(name, self._program) or died
-        except Exception as error:
-            end = as_end(error)  # prints what nobody foresaw
-            drone.result = RoleResult(Role.RECEIVER, end.outcome, end.detail, responsible=False, landed=False)
+        drone.result = await flown(self._ground, name, self._program)
 
     def _say(self, name: str, what: What, text: str) -> None:
         event = Event(round(self._now_s(), 2), name, what, text)
@@ -242,7 +237,18 @@ class Base:
         return asyncio.get_running_loop().time() - self._begun_s
 
 
-def _end_of(result: RoleResult | None) -> str:
+async def flown(field: RelayField, name: str, program: DroneProgram) -> RoleResult:
+    """Flies one drone's program to its end; one that died, or ended as nobody foresaw, has a result too."""
+    try:
+        died = RoleResult(Role.RECEIVER, Outcome.CRASHED, "its program died", responsible=False, landed=False)
+        return await field.begin(name, program) or died
+    except Exception as error:
+        end = as_end(error)  # prints what nobody foresaw
+        return RoleResult(Role.RECEIVER, end.outcome, end.detail, responsible=False, landed=False)
+
+
+def end_of(result: RoleResult | None) -> str:
+    """Returns how a drone's flight ended, for a line to the crew."""
     if result is None:
         return "landed"
     return result.outcome.label + (f": {result.detail}" if result.detail else "")

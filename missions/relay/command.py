@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,23 +11,22 @@ from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, import_factory, with_errors
 from flight.harness.flights import Emit, Progress
 from flight.harness.relay import RelayConfig, RelayField, RelayHarness, RelayReport, RelayRequest
-from flight.outcome import Outcome, violated_outcome
+from flight.outcome import Outcome
 from missions import rig_library
 from missions.lateness import for_lateness
 from missions.live.start import live
 from missions.options import RelayOptions
 from missions.relay.base import Base, Event, Tell
 from missions.relay.config import relay_of
+from missions.relay.ending import PAGE, SUMMARY, Showing, Values, cause_of, leave
 from missions.relay.process import processes_of
-from missions.relay.report import relay_rows, relay_table, summarize_relay
+from missions.relay.report import flown_record, leg_record, relay_rows, relay_table, summarize_relay
 from missions.relay.role import program_of
-from missions.report.command import show
-from missions.report.page import PageOf, write_page
-from missions.report.records import drone_logs
+from missions.report.page import PageOf
 from missions.run_folder import RunKind, claimed, unless_refused
-from missions.shown import say_unwritten, tell_line
+from missions.shown import tell_line
 
-SUMMARY, RELAY, PICTURE, PAGE = "summary.json", "relay.json", "relay.png", "run.html"
+RELAY, PICTURE = "relay.json", "relay.png"
 
 
 def run(options: RelayOptions) -> int:
@@ -43,28 +40,14 @@ def run(options: RelayOptions) -> int:
         tell_line(f"{options.drones} drones, {hours:g} h: {folder}")
         with live(options.live, folder):
             summary, record = fly_relay(rig, config, options, folder, _Teller().tell)
-    try:
-        _leave(summary, record, folder, options.picture)
-    except OSError as error:
-        say_unwritten(error)
-        committed = summary["exit_code"] == Outcome.COMMITTED.exit_code
-        return Outcome.LOG_FAILED.exit_code if committed else int(summary["exit_code"])
-    return int(summary["exit_code"])
+    draw = _draw if options.picture else None
+    return leave(summary, record, folder, Showing(RELAY, PICTURE, draw, _page_of, relay_table))
 
 
-def _leave(summary: dict[str, Any], record: dict[str, Any], folder: Path, picture: bool) -> None:
-    """Write what came of a relay, and show it. Raises OSError."""
-    (folder / RELAY).write_text(json.dumps(record, indent=1) + "\n", "utf-8")
-    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
-    if picture:
-        from missions.relay.picture import draw_relay  # noqa: PLC0415 (matplotlib takes a second to import)
+def _draw(record: Values, summary: Values, path: Path) -> None:
+    from missions.relay.picture import draw_relay  # noqa: PLC0415 (matplotlib takes a second to import)
 
-        draw_relay(record, summary, folder / PICTURE)
-    write_page(folder / PAGE, _page_of(summary, folder), drone_logs(folder))
-    show(relay_table(summary), sys.stdout)
-    written = [name for name in (SUMMARY, RELAY, PICTURE, PAGE) if (folder / name).exists()]
-    sys.stdout.write(f"\n{folder}: {', '.join(written)}\n")
-    sys.stdout.flush()
+    draw_relay(record, summary, path)
 
 
 def _page_of(summary: dict[str, Any], folder: Path) -> PageOf:
@@ -121,20 +104,7 @@ def fly_relay(
 
 def judge(base: Base, report: RelayReport) -> tuple[Outcome, str]:
     """The outcome of the whole relay: what a computer that was too slow explains is blamed on nobody else."""
-    return for_lateness(report.overload, report.violations, *_cause(base, report))
-
-
-def _cause(base: Base, report: RelayReport) -> tuple[Outcome, str]:
-    """The harness's own failure and violated monitors first."""
-    if report.failure:
-        return Outcome.HARNESS_FAILED, report.failure
-    if report.violations:
-        return violated_outcome(report.violations), "; ".join(report.notes[:3])
-    if report.interrupted:
-        return Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
-    if base.outcome is Outcome.COMMITTED and report.log_failure:
-        return Outcome.LOG_FAILED, report.log_failure
-    return base.outcome, base.detail
+    return for_lateness(report.overload, report.violations, *cause_of(report, base.outcome, base.detail))
 
 
 def record_of(config: RelayConfig, base: Base, report: RelayReport) -> dict[str, Any]:
@@ -142,24 +112,9 @@ def record_of(config: RelayConfig, base: Base, report: RelayReport) -> dict[str,
     return {
         "drones": [drone.name for drone in config.drones],
         "reserve": config.reserve,
-        "legs": [
-            {
-                "leg": leg.number, "sender": leg.sender, "receiver": leg.receiver, "called_s": round(leg.called_s, 2),
-                "held_s": None if leg.held_s is None else round(leg.held_s, 2), "outcome": leg.outcome,
-                "detail": leg.detail, "battery": round(leg.battery, 4),
-                "gap_s": round(report.gaps_s[leg.number], 4) if leg.number in report.gaps_s else None,
-            }
-            for leg in base.legs
-        ],
-        "flights": [
-            {"drone": f.drone, "began_s": round(f.began_s, 2), "ended_s": round(f.ended_s, 2),
-             "battery": round(f.battery, 4)}
-            for f in report.flown
-        ],
-        "events": [{"time_s": e.time_s, "drone": e.drone, "what": e.what, "text": e.text} for e in base.events],
-        "samples": [[s.time_s, list(s.responsible), list(s.battery), list(s.airborne)] for s in report.samples],
-        "violations": list(report.notes),
-    }  # fmt: skip
+        "legs": [leg_record(leg, report) for leg in base.legs],
+        **flown_record(base.events, report),
+    }
 
 
 def _quiet(_: Progress) -> None:

@@ -15,7 +15,7 @@ from drivers.rig.parts import Rig
 from flight.harness.relay import RelayConfig, RelayReport
 from flight.outcome import Outcome
 from missions.options import RelayOptions
-from missions.relay.base import Base
+from missions.relay.base import Base, Event, Leg
 from path.protocol.values import ProtocolConfig
 
 LATE_S = 0.2
@@ -67,26 +67,61 @@ def spread(values: Sequence[float]) -> dict[str, float] | None:
     return {"number": len(values), "min": low, "median": median, "max": high}
 
 
-def relay_table(summary: Mapping[str, Any]) -> RenderableType:
-    """Returns the table of one relay for a person."""
+def leg_record(leg: Leg, report: RelayReport) -> dict[str, Any]:
+    """One leg in a record."""
+    return {
+        "leg": leg.number, "sender": leg.sender, "receiver": leg.receiver, "called_s": round(leg.called_s, 2),
+        "held_s": None if leg.held_s is None else round(leg.held_s, 2), "outcome": leg.outcome,
+        "detail": leg.detail, "battery": round(leg.battery, 4),
+        "gap_s": round(report.gaps_s[leg.number], 4) if leg.number in report.gaps_s else None,
+    }  # fmt: skip
+
+
+def flown_record(events: Sequence[Event], report: RelayReport) -> dict[str, Any]:
+    """Every flight, every word to the crew, the batteries now and then, and what the monitors found, in a record."""
+    return {
+        "flights": [
+            {"drone": f.drone, "began_s": round(f.began_s, 2), "ended_s": round(f.ended_s, 2),
+             "battery": round(f.battery, 4)}
+            for f in report.flown
+        ],
+        "events": [{"time_s": e.time_s, "drone": e.drone, "what": e.what, "text": e.text} for e in events],
+        "samples": [[s.time_s, list(s.responsible), list(s.battery), list(s.airborne)] for s in report.samples],
+        "violations": list(report.notes),
+    }  # fmt: skip
+
+
+def heading(summary: Mapping[str, Any], size: str) -> list[RenderableType]:
+    """The first lines of a table: outcome, rig, ``size``, faults, and why."""
     good = summary["outcome"] == Outcome.COMMITTED.label
     head = Text.assemble((f" {summary['outcome']} ", "bold black on green" if good else "bold white on red"))
-    head.append(f"  rig {summary['rig']}, seed {summary['seed']}, {summary['drones']} drones")
+    head.append(f"  rig {summary['rig']}, seed {summary['seed']}, {size}")
     if summary["faults"]:
         head.append(f", faults: {', '.join(summary['faults'])}", "yellow")
     parts: list[RenderableType] = [Text(), head]
     if summary["detail"]:
         parts.append(Text(f"  {summary['detail']}", "yellow"))
+    return parts
+
+
+def figures_grid(rows: Sequence[tuple[str, str]]) -> Table:
+    """The table of names and values."""
     figures = Table.grid(padding=(0, 3))
-    for name, value in relay_rows(summary):
+    for name, value in rows:
         figures.add_row(Text(name, "dim"), value)
+    return figures
+
+
+def relay_table(summary: Mapping[str, Any]) -> RenderableType:
+    """Returns the table of one relay for a person."""
+    parts = heading(summary, f"{summary['drones']} drones")
     landings = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
     for title in ("", "flights", "battery at landing: min", "median", "max"):
         landings.add_column(title, justify="left" if not title else "right")
     for name, each in summary["landings"].items():
         cells = ("0", "-", "-", "-") if each is None else _cells(each)
         landings.add_row(name, *cells)
-    return Group(*parts, Text(), figures, Text(), landings)
+    return Group(*parts, Text(), figures_grid(relay_rows(summary)), Text(), landings)
 
 
 def _cells(each: Mapping[str, float]) -> tuple[str, ...]:
@@ -102,8 +137,8 @@ def relay_rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [
         ("simulated", _lasted(s["simulated_s"])),
         ("legs", f"{s['legs']}: {ended}"),
-        ("from the call to holding", _shown(s["leg_s"], 1)),
-        ("nobody responsible", f"{_shown(s['gap_s'], 4)} (bound {s['gap_bound_s']:.2f} s)"),
+        ("from the call to holding", spread_text(s["leg_s"], 1)),
+        ("nobody responsible", f"{spread_text(s['gap_s'], 4)} (bound {s['gap_bound_s']:.2f} s)"),
         ("no relief ready, said", f"{s['alarms']} times"),
         ("smallest separation", closest),
         ("reserve", f"{100 * s['reserve']:.0f} %"),
@@ -116,7 +151,8 @@ def _lasted(seconds: float) -> str:
     return f"{seconds / 3600.0:.2f} h" if seconds >= 3600.0 else f"{seconds / 60.0:.1f} min"
 
 
-def _shown(each: Mapping[str, float] | None, digits: int) -> str:
+def spread_text(each: Mapping[str, float] | None, digits: int) -> str:
+    """Median and range of a ``spread`` in s."""
     if each is None:
         return "-"
     return f"median {each['median']:.{digits}f} s, {each['min']:.{digits}f} to {each['max']:.{digits}f} s"

@@ -16,11 +16,9 @@ from flight.harness.flights import RoleResult
 from flight.harness.relay import DroneProgram, NamedTarget, Pointed, TeamField
 from flight.harness.team import TeamConfig
 from flight.outcome import MissionEnd, Outcome
-from missions.leg.session import as_end
-from missions.relay.base import Event, Leg, TakeOffOrder, Tell, What, Where
+from missions.relay.base import Event, Leg, TakeOffOrder, Tell, What, Where, end_of, flown
 from missions.team.airways import Airway, Point, in_the_way, way_back, way_out
 from missions.team.assignment import Airspace, Assignment, Need, ReadyDrone, assign
-from path.messages import Role
 
 POLL_S = 0.5
 CLUTTER_M = 10.0
@@ -235,7 +233,7 @@ class TeamBase:
                 if self._field.landed(name):
                     drone.where, drone.ready_s, drone.target = "swap", now_s + self.config.swap_s, None
                     drone.ways.clear()
-                    self._say(name, "down", _end_of(drone.result))
+                    self._say(name, "down", end_of(drone.result))
             elif drone.where == "swap" and now_s >= drone.ready_s:
                 self._field.swap(name)
                 drone.where, drone.ready_s, drone.battery = "ready", now_s, 1.0
@@ -247,12 +245,12 @@ class TeamBase:
             leg = drone.leg
             if drone.name == leg.receiver:
                 return  # its sender finds out by itself, within the protocol
-            leg.outcome, leg.detail = leg.outcome or "sender over", _end_of(drone.result)
+            leg.outcome, leg.detail = leg.outcome or "sender over", end_of(drone.result)
             self._close_leg(leg)
         if target.finder == drone.name:
             target.finder, target.lost_s = None, self._now_s()
         if target.holder == drone.name:
-            self._lose(target, drone.name, _end_of(drone.result))
+            self._lose(target, drone.name, end_of(drone.result))
 
     def _lose(self, target: TeamTarget, name: str, why: str) -> None:
         target.holder, target.asking, target.lost_s, target.alarmed = None, None, self._now_s(), False
@@ -368,12 +366,7 @@ class TeamBase:
         self._say(target.holder or "", "alarm", f"{target.named.name}: no drone is ready, {soonest}{until}")
 
     async def _fly(self, drone: TeamDrone) -> None:
-        died = RoleResult(Role.RECEIVER, Outcome.CRASHED, "its program died", responsible=False, landed=False)
-        try:
-            drone.result = await self._field.begin(drone.name, self._program) or died
-        except Exception as error:
-            end = as_end(error)  # prints what nobody foresaw
-            drone.result = RoleResult(Role.RECEIVER, end.outcome, end.detail, responsible=False, landed=False)
+        drone.result = await flown(self._field, drone.name, self._program)
 
     def _say(self, name: str, what: What, text: str) -> None:
         event = Event(round(self._now_s(), 2), name, what, text)
@@ -382,9 +375,3 @@ class TeamBase:
 
     def _now_s(self) -> float:
         return asyncio.get_running_loop().time() - self._begun_s
-
-
-def _end_of(result: RoleResult | None) -> str:
-    if result is None:
-        return "landed"
-    return result.outcome.label + (f": {result.detail}" if result.detail else "")

@@ -3,32 +3,28 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import sys
 from pathlib import Path
 from typing import Any, cast
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, import_factory, with_errors
 from flight.harness.flights import Emit
-from flight.harness.relay import DroneProcesses, RelayField, RelayHarness, RelayReport, RelayRequest, TeamField
+from flight.harness.relay import DroneProcesses, RelayField, RelayHarness, RelayRequest, TeamField
 from flight.harness.team import TeamConfig
-from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
 from missions.options import TeamOptions
 from missions.relay.base import Event, Tell
 from missions.relay.command import faults_of
-from missions.report.command import show
-from missions.report.page import PageOf, write_page
-from missions.report.records import drone_logs
+from missions.relay.ending import PAGE, SUMMARY, Showing, Values, cause_of, leave
+from missions.report.page import PageOf
 from missions.run_folder import RunKind, claimed, unless_refused
-from missions.shown import say_unwritten, tell_line
+from missions.shown import tell_line
 from missions.team.base import TeamBase
 from missions.team.config import fenced, team_of
 from missions.team.flight import program_of
 from missions.team.report import record_of, summarize_team, team_rows, team_table
 
-SUMMARY, TEAM, PICTURE, PAGE = "summary.json", "team.json", "team.png", "run.html"
+TEAM, PICTURE = "team.json", "team.png"
 
 
 def run(options: TeamOptions) -> int:
@@ -41,28 +37,14 @@ def run(options: TeamOptions) -> int:
     with unless_refused(options.out) as folder:
         tell_line(f"{len(config.drones)} drones, {len(config.targets)} targets, {hours:g} h: {folder}")
         summary, record = fly_team(rig, config, options, folder, tell)
-    try:
-        _leave(summary, record, folder, options.picture)
-    except OSError as error:
-        say_unwritten(error)
-        committed = summary["exit_code"] == Outcome.COMMITTED.exit_code
-        return Outcome.LOG_FAILED.exit_code if committed else int(summary["exit_code"])
-    return int(summary["exit_code"])
+    draw = _draw if options.picture else None
+    return leave(summary, record, folder, Showing(TEAM, PICTURE, draw, _page_of, team_table))
 
 
-def _leave(summary: dict[str, Any], record: dict[str, Any], folder: Path, picture: bool) -> None:
-    """Write what came of it, and show it. Raises OSError."""
-    (folder / TEAM).write_text(json.dumps(record, indent=1) + "\n", "utf-8")
-    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
-    if picture:
-        from missions.team.picture import draw_team  # noqa: PLC0415 (matplotlib takes a second to import)
+def _draw(record: Values, summary: Values, path: Path) -> None:
+    from missions.team.picture import draw_team  # noqa: PLC0415 (matplotlib takes a second to import)
 
-        draw_team(record, summary, folder / PICTURE)
-    write_page(folder / PAGE, _page_of(summary, folder), drone_logs(folder))
-    show(team_table(summary), sys.stdout)
-    written = [name for name in (SUMMARY, TEAM, PICTURE, PAGE) if (folder / name).exists()]
-    sys.stdout.write(f"\n{folder}: {', '.join(written)}\n")
-    sys.stdout.flush()
+    draw_team(record, summary, path)
 
 
 def _page_of(summary: dict[str, Any], folder: Path) -> PageOf:
@@ -97,22 +79,9 @@ def fly_team(
     )  # fmt: skip
     with claimed(out, kind):
         report = harness.fly(request)
-    outcome, detail = judge(base, report)
+    outcome, detail = cause_of(report, base.outcome, base.detail)
     summary = summarize_team(rig, config, options, base, report, outcome, detail)
     return summary, {"outcome": outcome.label, **record_of(config, base, report)}
-
-
-def judge(base: TeamBase, report: RelayReport) -> tuple[Outcome, str]:
-    """The outcome of the whole: the harness's own failure and violated monitors first."""
-    if report.failure:
-        return Outcome.HARNESS_FAILED, report.failure
-    if report.violations:
-        return violated_outcome(report.violations), "; ".join(report.notes[:3])
-    if report.interrupted:
-        return Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
-    if base.outcome is Outcome.COMMITTED and report.log_failure:
-        return Outcome.LOG_FAILED, report.log_failure
-    return base.outcome, base.detail
 
 
 def _no_processes() -> DroneProcesses:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from drivers.rig.parts import Rig
@@ -15,7 +14,7 @@ from flight.harness.relay import RelayReport, TargetWatch
 from flight.harness.team import TeamConfig
 from flight.outcome import OBJECT_MONITOR, Outcome
 from missions.options import TeamOptions
-from missions.relay.report import GAP_BOUND_S, spread
+from missions.relay.report import GAP_BOUND_S, figures_grid, flown_record, heading, leg_record, spread, spread_text
 from missions.team.base import TeamBase
 
 HOUR_S = 3600.0
@@ -99,29 +98,14 @@ def record_of(config: TeamConfig, base: TeamBase, report: RelayReport) -> dict[s
         "drones": [drone.name for drone in config.drones],
         "targets": names,
         "reserve": config.reserve,
-        "legs": [
-            {
-                "leg": leg.number, "target": names[leg.target], "sender": leg.sender, "receiver": leg.receiver,
-                "called_s": round(leg.called_s, 2), "held_s": None if leg.held_s is None else round(leg.held_s, 2),
-                "outcome": leg.outcome, "detail": leg.detail, "battery": round(leg.battery, 4),
-                "gap_s": round(report.gaps_s[leg.number], 4) if leg.number in report.gaps_s else None,
-            }
-            for leg in base.legs
-        ],
+        "legs": [{"target": names[leg.target], **leg_record(leg, report)} for leg in base.legs],
         "spells": [
             {"target": names[spell.target], "drone": spell.drone, "from_s": round(spell.from_s, 2),
              "to_s": None if spell.to_s is None else round(spell.to_s, 2)}
             for spell in base.spells
         ],
         "unobserved": {name: _unobserved(seen) for name, seen in zip(names, report.watched, strict=True)},
-        "flights": [
-            {"drone": f.drone, "began_s": round(f.began_s, 2), "ended_s": round(f.ended_s, 2),
-             "battery": round(f.battery, 4)}
-            for f in report.flown
-        ],
-        "events": [{"time_s": e.time_s, "drone": e.drone, "what": e.what, "text": e.text} for e in base.events],
-        "samples": [[s.time_s, list(s.responsible), list(s.battery), list(s.airborne)] for s in report.samples],
-        "violations": list(report.notes),
+        **flown_record(base.events, report),
     }  # fmt: skip
 
 
@@ -131,19 +115,8 @@ def _unobserved(seen: TargetWatch) -> list[list[float]]:
 
 def team_table(summary: Mapping[str, Any]) -> RenderableType:
     """What a person wants to know of a team's flights."""
-    good = summary["outcome"] == Outcome.COMMITTED.label
-    head = Text.assemble((f" {summary['outcome']} ", "bold black on green" if good else "bold white on red"))
-    head.append(f"  rig {summary['rig']}, seed {summary['seed']}, ")
-    head.append(f"{summary['drones']} drones, {summary['targets']} targets")
-    if summary["faults"]:
-        head.append(f", faults: {', '.join(summary['faults'])}", "yellow")
-    parts: list[RenderableType] = [Text(), head]
-    if summary["detail"]:
-        parts.append(Text(f"  {summary['detail']}", "yellow"))
-    figures = Table.grid(padding=(0, 3))
-    for name, value in team_rows(summary):
-        figures.add_row(Text(name, "dim"), value)
-    return Group(*parts, Text(), figures)
+    parts = heading(summary, f"{summary['drones']} drones, {summary['targets']} targets")
+    return Group(*parts, Text(), figures_grid(team_rows(summary)))
 
 
 def team_rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -164,8 +137,8 @@ def team_rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("legs", f"{s['legs']}: {ended}"),
         ("wrong objects", str(s["wrong"])),
         ("targets lost, and pointed at again", str(s["lost"])),
-        ("from the call to holding", _spread(s["leg_s"], 1)),
-        ("nobody responsible", f"{_spread(s['gap_s'], 4)} (bound {s['gap_bound_s']:.2f} s)"),
+        ("from the call to holding", spread_text(s["leg_s"], 1)),
+        ("nobody responsible", f"{spread_text(s['gap_s'], 4)} (bound {s['gap_bound_s']:.2f} s)"),
         ("no drone ready, said", f"{s['alarms']} times"),
         ("battery at landing", f"{at_least} (reserve {100 * s['reserve']:.0f} %)"),
         ("smallest separation", closest),
@@ -182,9 +155,3 @@ def _share(value: float | None) -> str:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.1f}"
-
-
-def _spread(each: Mapping[str, float] | None, digits: int) -> str:
-    if each is None:
-        return "-"
-    return f"median {each['median']:.{digits}f} s, {each['min']:.{digits}f} to {each['max']:.{digits}f} s"

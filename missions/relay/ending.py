@@ -1,0 +1,75 @@
+"""The end of a relay, or of a team's flights: its outcome, and what is written and shown of it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import RenderableType
+
+from flight.harness.relay import RelayReport
+from flight.outcome import Outcome, violated_outcome
+from missions.report.command import show
+from missions.report.page import PageOf, write_page
+from missions.report.records import drone_logs
+from missions.shown import say_unwritten
+
+Values = dict[str, Any]
+SUMMARY, PAGE = "summary.json", "run.html"
+
+
+def cause_of(report: RelayReport, outcome: Outcome, detail: str) -> tuple[Outcome, str]:
+    """The outcome of the whole: the harness's own failure and violated monitors first.
+
+    Args:
+        outcome: as the ground has it, with its ``detail``.
+    """
+    if report.failure:
+        return Outcome.HARNESS_FAILED, report.failure
+    if report.violations:
+        return violated_outcome(report.violations), "; ".join(report.notes[:3])
+    if report.interrupted:
+        return Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
+    if outcome is Outcome.COMMITTED and report.log_failure:
+        return Outcome.LOG_FAILED, report.log_failure
+    return outcome, detail
+
+
+@dataclass(frozen=True, slots=True)
+class Showing:
+    """The files and the table of one kind of run.
+
+    Attributes:
+        record, picture: names of its files.
+        draw: draws the picture of a record and a summary; None: no picture.
+        page, table: what the page and the terminal show of a summary.
+    """
+
+    record: str
+    picture: str
+    draw: Callable[[Values, Values, Path], None] | None
+    page: Callable[[Values, Path], PageOf]
+    table: Callable[[Values], RenderableType]
+
+
+def leave(summary: Values, record: Values, folder: Path, showing: Showing) -> int:
+    """Writes what came of a run and shows it; returns the exit code, that of a full disk where it cannot be written."""
+    exit_code = int(summary["exit_code"])
+    try:
+        (folder / showing.record).write_text(json.dumps(record, indent=1) + "\n", "utf-8")
+        (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+        if showing.draw is not None:
+            showing.draw(record, summary, folder / showing.picture)
+        write_page(folder / PAGE, showing.page(summary, folder), drone_logs(folder))
+        show(showing.table(summary), sys.stdout)
+        names = (SUMMARY, showing.record, showing.picture, PAGE)
+        sys.stdout.write(f"\n{folder}: {', '.join(name for name in names if (folder / name).exists())}\n")
+        sys.stdout.flush()
+    except OSError as error:
+        say_unwritten(error)
+        return Outcome.LOG_FAILED.exit_code if exit_code == Outcome.COMMITTED.exit_code else exit_code
+    return exit_code
