@@ -120,7 +120,7 @@ def test_the_command_says_what_would_have_been(flown: Callable[..., Path], capsy
 def test_perception_runs_again_on_the_recorded_frames(
     flown: Callable[..., Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """H.264 loses a little, depth nothing: the boxes are the same ones, a fraction of a pixel off."""
+    """H.264 loses a little, depth nothing: the boxes are the same ones, about a pixel off."""
     folder = flown(RECORDED, 2, "kill_receiver@verify+1")
     logs = drone_logs(folder)
     eyes = {name: eyes_of(folder, name, PerceptionChange()) for name in logs}
@@ -132,7 +132,7 @@ def test_perception_runs_again_on_the_recorded_frames(
         seen = [(was, now) for was, now in both if was is not None and now is not None]
         assert len(seen) >= 0.97 * sum(was is not None for was, _ in both) > 0.5 * enough
         off_px = sorted(max(abs(a - b) for a, b in zip(was, now, strict=True)) for was, now in seen)
-        assert 0.0 < off_px[len(off_px) // 2] < 1.0
+        assert 0.0 < off_px[len(off_px) // 2] < 2.0
     capsys.readouterr()
     assert run(ReplayOptions(folder, frames=True)) == 0
     assert "frames with a candidate" in capsys.readouterr().out
