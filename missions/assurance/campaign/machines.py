@@ -48,8 +48,8 @@ class ProgramRun:
         violations, beyond: each "NAME at T s: what"; ``beyond``: after an assumption was broken, and which.
         broken: the assumptions that were: "clock", "disk".
         figures: in s: "decided_s", the longest wait for a decision since an attempt began; "commit_s", since a COMMIT;
-            "gap_s", the longest time with nobody responsible, orphans apart; "simulated_s". After a broken assumption, and
-            where a program stands still, only the last.
+            "gap_s", the longest time with nobody responsible, orphans apart; "simulated_s". After a broken assumption,
+            and where a program stands still, only the last.
     """
 
     outcome: str

@@ -46,6 +46,7 @@ CONCERNS = {
     "battery_sag": Role.SENDER,
 }
 """What the hostile level adds, and whose course says when."""
+STALL = 0.3  # chance that a program stands still, drawn twice
 
 
 def draw(seed: int, level: LevelName, number: int) -> tuple[int, tuple[str, ...]]:
@@ -66,7 +67,23 @@ def draw(seed: int, level: LevelName, number: int) -> tuple[int, tuple[str, ...]
             role = rng.choice(tuple(Role))
             again = f"={rng.uniform(0.1, 6.0):.2f}" if rng.random() < 0.7 else ""
             faults.append(f"kill_{role.value}{again}@{_moment(rng, role)}")
+        faults += _stalls(random.Random(seed_of("roles' stalls", seed, level, number)))
     return rng.getrandbits(31), tuple(faults)
+
+
+def _stalls(rng: random.Random) -> list[str]:
+    """Half of them begin within the lease, those for as long as it may take to sleep over its end."""
+    faults: list[str] = []
+    for _ in range(2):
+        if rng.random() < STALL:
+            role = rng.choice(tuple(Role))
+            if rng.random() < 0.5:
+                for_s = rng.choice((0.1, 0.39, 2.0))
+                moment = f"{DUTIES[role][0]}+{rng.choice((0.0, rng.uniform(0.0, 1.5))):.3f}"
+            else:
+                for_s, moment = rng.uniform(0.05, 2.0), _moment(rng, role)
+            faults.append(f"stall_{role.value}={for_s:.2f}@{moment}")
+    return faults
 
 
 def _link(

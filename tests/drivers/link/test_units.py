@@ -124,3 +124,9 @@ def test_the_narrowest_box_is_one_step_wide_and_one_high_and_anything_less_is_no
     for box in (Box(0.0, 0.0, 0.4 * step, 1.0), Box(0.0, 0.0, 1.0, 0.4 * step)):
         with pytest.raises(OutOfRange, match=r"box\.[wh]"):
             box_to(box)
+
+
+def test_a_turn_may_be_as_long_as_rounding_makes_a_half_turn_and_no_longer() -> None:
+    assert rotation_from("q", (-32768, 0, 0)) == pytest.approx((0.0, -1.0, 0.0, 0.0), abs=1e-4)
+    with pytest.raises(OutOfRange, match="half turn"):
+        rotation_from("q", (-32768, 1, 0))
