@@ -15,7 +15,7 @@ from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.results import RunLine
 
 SHOWN = 20  # failures printed
-BROKEN = {"clock": "a clock was set", "disk": "a disk lost a record"}
+BROKEN = {"clock": "a clock was set", "disk": "a disk lost a record", "stall": "a program stood still"}
 BOUNDS_NAMED = ("decided_s", "commit_s", "gap_s")
 
 

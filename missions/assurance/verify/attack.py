@@ -40,6 +40,7 @@ class Attacker(asyncio.DatagramProtocol):
         self._transport: asyncio.DatagramTransport | None = None
         self.heard: deque[tuple[int, bytes]] = deque(maxlen=MOST_RECORDED)
         self._pool: tuple[list[bytes], list[bytes]] = [], []
+        self._owed = 0
         self.sent = 0
 
     def connection_made(self, transport: Any) -> None:
@@ -81,7 +82,8 @@ class Attacker(asyncio.DatagramProtocol):
             elif packet:
                 pool[self._rng.randrange(POOL)] = packet
         assert self._transport is not None
-        for _ in range(number // (2 * BATCH)):
+        rounds, self._owed = divmod(self._owed + number, 2 * BATCH)
+        for _ in range(rounds):
             side = self._rng.randrange(2)
             pool = self._pool[side]
             if not pool:
