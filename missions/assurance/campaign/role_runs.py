@@ -45,7 +45,7 @@ CONCERNS = {
     "pilot_takeover": Role.RECEIVER,
     "battery_sag": Role.SENDER,
 }
-"""What the hostile level adds, and whose course says when."""
+"""The faults that the hostile level adds, and whose course says when."""
 STALL = 0.3  # chance that a program stands still, drawn twice
 OF_THE_AWAKE = ("S7", "L1", "L2")  # bounds in time, of programs that run
 
