@@ -226,7 +226,7 @@ class Wary(Protocol):
 
     @property
     def ignored(self) -> Mapping[str, int]:
-        """What was not believed, in words, and how often."""
+        """Everything that was not believed, in words, and its count."""
         ...
 
 

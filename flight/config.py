@@ -40,7 +40,7 @@ class TargetDesignation:
     drift_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.5  # after that it may be this much farther off every second
 
     def at(self, since_start_s: float) -> Designated:
-        """Where the object can be so long after the start of the drone's program."""
+        """The region in which the object can be so long after the start of the drone's program."""
         age_s = self.age_s + max(0.0, since_start_s)
         place = self.north_m + self.north_mps * age_s, self.east_m + self.east_mps * age_s, -self.height_m
         return Designated(place, self.radius_m, self.drift_mps * max(0.0, age_s - self.holds_s))
@@ -59,7 +59,7 @@ class FollowConfig:
     target_accel_mps2: Annotated[float, Bounds(0.0, 10.0)] = 0.6  # how hard the target speeds up, brakes and turns
 
     def answer(self, accel_mps2: float) -> Answer:
-        """How to fly there with setpoints of that acceleration."""
+        """Returns the way to fly there with setpoints of that acceleration."""
         return Answer(self.gain_per_s, self.max_speed_mps, self.response_s, accel_mps2)
 
 

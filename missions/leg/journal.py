@@ -96,7 +96,7 @@ def box_record(box: Box | None) -> list[float] | None:
 
 
 def beside_record(beside: Sequence[Rival]) -> list[float]:
-    """What D1 sees beside the target, six numbers each: box, depth and its standard deviation, or 0 without."""
+    """Objects that D1 sees beside the target, six numbers each: box, depth and its standard deviation, or 0 without."""
     numbers: list[float] = []
     for each in beside:
         depth = (0.0, 0.0) if each.depth is None else (each.depth.z_m, each.depth.sigma_m)
@@ -105,7 +105,7 @@ def beside_record(beside: Sequence[Rival]) -> list[float]:
 
 
 def beside_of(numbers: Sequence[float] | None) -> tuple[Rival, ...]:
-    """What ``beside_record`` has written."""
+    """Reads what ``beside_record`` has written."""
     rows = np.asarray(numbers or (), float).reshape(-1, RIVAL_NUMBERS).tolist()
     return tuple(Rival(Box(x, y, w, h), Depth(z, sigma) if z > 0.0 else None) for x, y, w, h, z, sigma in rows)
 

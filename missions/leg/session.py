@@ -331,7 +331,7 @@ class RoleSession:
             await asyncio.sleep(period_s)
 
     def _newly_ignored(self) -> list[str]:
-        """What the vehicle's driver does not believe, each kind once."""
+        """Returns what the vehicle's driver does not believe, each kind once."""
         vehicle = self.vehicle
         new = [what for what in vehicle.ignored if what not in self._ignored] if isinstance(vehicle, Wary) else []
         self._ignored.update(new)

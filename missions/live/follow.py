@@ -44,7 +44,7 @@ class FolderFollower:
         self._logs: dict[Path, LogFollower] = {}
 
     def new(self) -> Iterator[Said]:
-        """What is new, at most a megabyte of each log."""
+        """Returns what is new, at most a megabyte of each log."""
         for path in sorted(self._folder.glob("*.mcap")):
             if path not in self._logs and path.stem != "merged" and self._is_new(path):
                 self._logs[path] = LogFollower(path)
@@ -137,6 +137,6 @@ class LogFollower:
 
 
 def name_of(path: Path) -> str:
-    """What stands before a log's topics, as ``missions.logs.merge`` has it; parts after a restart have the first's."""
+    """The prefix of a log's topics, as ``missions.logs.merge`` has it; parts after a restart have the first's."""
     stem, _, number = path.stem.rpartition(".")
     return (stem if number.isdecimal() else path.stem).replace(".", "_")
