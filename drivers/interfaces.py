@@ -293,6 +293,14 @@ class View(Protocol):
         ...
 
 
+@runtime_checkable
+class Framed(Protocol):
+    """A view that has its frame, as the camera gave it; where there are no pixels a view is none."""
+
+    @property
+    def frame(self) -> Frame: ...
+
+
 class Perception(Part, Protocol):
     """A camera with what finds things in its frames: the perception seam of a role."""
 
@@ -387,3 +395,10 @@ class Log(Protocol):
         ...
 
     def image(self, topic: str, stamp_ns: int, image: NDArray[np.uint8]) -> None: ...
+
+
+@runtime_checkable
+class FrameLog(Protocol):
+    """A log that takes every frame of a camera too. Never raises, and never waits: what it cannot take is dropped."""
+
+    def frame(self, frame: Frame) -> None: ...

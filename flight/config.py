@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 from drivers.interfaces import Capability
 from flight.guard_rules import GuardRules
@@ -158,7 +158,8 @@ class MissionConfig:
     status_hz: Annotated[float, Bounds(0.5, 50.0)] = 10.0  # of the sender: the receiver flies by its velocity
     receiver_status_hz: Annotated[float, Bounds(0.5, 50.0)] = 4.0
     ping_hz: Annotated[float, Bounds(0.1, 50.0)] = 1.0  # once the clocks are aligned; with every Status before
-    image_hz: Annotated[float, Bounds(0.0, 60.0)] = 1.0  # camera images in the log
+    record: Literal["none", "keyframes", "all"] = "keyframes"  # "all": every frame too, in a file beside the log
+    image_hz: Annotated[float, Bounds(0.0, 60.0)] = 1.0  # camera images in the log: its key frames
     follow_after_s: Annotated[float, Bounds(0.0, 36000.0)] = 6.0  # how long D2 follows before it lands
     depart_m: Annotated[float, Bounds(0.5, 50.0)] = 2.5
     search_hz: Annotated[float, Bounds(0.5, 100.0)] = 10.0  # looks at the whole image for the marker

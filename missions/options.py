@@ -348,8 +348,18 @@ class ReplayOptions:
     """The folder of the run."""
 
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="method.NAME=VALUE"), tyro.conf.UseAppendAction] = ()
-    """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4; may be given several
-    times. Without any (and without --gate) every decision must come out as it was logged."""
+    """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4, or of its detector, such as
+    detector.min_saturation=0.4; may be given several times. Without any (and without --gate) every decision must come
+    out as it was logged."""
+
+    frames: bool = False
+    """Look again at the recorded frames (`record = "all"`) instead of taking what the log says was seen."""
+
+    detector: Annotated[str | None, tyro.conf.arg(metavar="MODULE:CLASS")] = None
+    """With --frames, which it implies: another detector than the rig's, for both drones."""
+
+    rig: str | None = None
+    """With --frames: the rig whose perception looks; the one that was flown by default."""
 
     gate: Literal["count", "evidence"] | None = None
     """The gate to decide with instead."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from drivers.interfaces import Log
+from drivers.interfaces import Frame, FrameLog, Log
 from drivers.rig.parts import Rig, RoleRig
 from flight.config import MissionConfig
 from flight.harness.relay import OFTEN, FieldSample, FlightTruth, RelayConfig
@@ -323,3 +323,7 @@ class RelayLog:
     def image(self, topic: str, stamp_ns: int, image: Any) -> None:
         if not self.ended and self._whole:
             self._log.image(topic, stamp_ns, image)
+
+    def frame(self, frame: Frame) -> None:
+        if not self.ended and self._whole and isinstance(self._log, FrameLog):
+            self._log.frame(frame)
