@@ -90,6 +90,10 @@ class HandoffOptions:
     """At `sitl`: let a ground station watch both vehicles, QGroundControl or MAVProxy, at this address; 127.0.0.1:14550
     when none is given. A mode that it selects is a pilot's word (docs/ground-station.md)."""
 
+    serve_world: bool = False
+    """At `sitl`: run the world alone, and wait for `path-handoff sender` and `receiver` from two other shells, as on
+    two companions. What to type is printed (docs/field.md)."""
+
     px4: FileName = None
     """PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too."""
 
@@ -131,6 +135,10 @@ class RelayOptions:
     live: Live = None
     """Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 when no
     address is given. Other hosts than this one need a token (docs/view.md)."""
+
+    gcs: Live = None
+    """With relay-sitl: let a ground station watch all vehicles at this address; 127.0.0.1:14550 when none is given. A
+    mode that it selects is a pilot's word (docs/ground-station.md)."""
 
     picture: bool = True
     """Draw relay.png at the end."""
