@@ -137,6 +137,10 @@ class RelayField(Protocol):
         """Give two drones a link to each other; it takes the place of any that either had."""
         ...
 
+    def close_leg(self, number: int) -> None:
+        """The hand-over is over, done or not: so is what went wrong in it alone. The link stays."""
+        ...
+
     def landed(self, name: str) -> bool:
         """Returns whether it is seen to stand on the ground, its motors off."""
         ...

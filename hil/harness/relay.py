@@ -23,7 +23,7 @@ from flight.harness.flights import Progress, RoleResult
 from flight.harness.relay import DroneProgram, Pointed, RelayConfig, RelayReport, RelayRequest, pair_of
 from hil.harness.drone import Disk, DroneHarness, present_s
 from hil.harness.guard import MemoryBeatLine, keep_watch
-from hil.harness.inject import inject_at_drone, inject_in_world, inject_on_link
+from hil.harness.inject import inject_at_drone, inject_on_link
 from hil.harness.leg_faults import LegFaults
 from hil.harness.preparation import prepare, starting
 from hil.harness.programs import Programs, Started
@@ -177,6 +177,12 @@ class _VirtualRelay:
         self._monitors.on_leg(number, sender, receiver)
         self._legs.open_leg(number, sender, receiver)
 
+    def close_leg(self, number: int) -> None:
+        self._world.close_leg(*self._ends_of(number))
+
+    def _ends_of(self, leg: int) -> tuple[str, str]:
+        return self._legs.end_of(leg, Role.SENDER), self._legs.end_of(leg, Role.RECEIVER)
+
     def landed(self, name: str) -> bool:
         return self._world.landed(name)
 
@@ -219,10 +225,11 @@ class _VirtualRelay:
         role = fault.kind.role
         name = None if role is None else self._legs.end_of(leg, role)
         inject_on_link(fault.name, fault.value or 0.0, self._hubs[leg])
+        ends = self._ends_of(leg)
         if fault.name == "lookalike":
-            self._world.send_lookalike(self._monitors.on_target(self._legs.end_of(leg, Role.SENDER)))
+            self._world.send_lookalike(self._monitors.on_target(ends[0]))
         else:
-            inject_in_world(fault.name, name, self._world, fault.value)
+            self._world.inject(fault.name, name, fault.value, ends)
         if name is not None:
             inject_at_drone(fault, name, self._drones[name].harness, self._programs)
 

@@ -136,6 +136,7 @@ class Base:
         if leg is not None:
             leg.held_s, leg.outcome = self._now_s(), Outcome.COMMITTED.label
             self._leg = None
+            self._ground.close_leg(leg.number)
         self.holder, self._asking, self._alarmed = name, None, False
         self._say(name, "holds", "responsible" if leg is None else f"responsible, relieved {leg.sender}")
 
@@ -144,6 +145,7 @@ class Base:
         if leg is not None:
             leg.outcome, leg.detail = end.outcome.label, end.detail
             self._leg, self._asking = None, None
+            self._ground.close_leg(leg.number)
             self._say(name, "leg failed", f"leg {leg.number}, relief {leg.receiver}: {end}")
 
     # --- the loop ---

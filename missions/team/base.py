@@ -355,6 +355,7 @@ class TeamBase:
                 self.drones[name].leg = None
         target = self.targets[leg.target]
         target.leg, target.asking = None, None
+        self._field.close_leg(leg.number)
 
     def _alarm(self, target: TeamTarget, ready: bool) -> None:
         if target.alarmed or ready:
