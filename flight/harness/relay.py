@@ -19,6 +19,7 @@ from flight.harness.flights import Emit, InProcess, RoleResult
 from path.bounds import Bounds
 
 Point = tuple[float, float]
+POINTING_M = 0.1  # standard deviation, on each axis, of where a person points
 
 OFTEN = frozenset({
     "/frame", "/target", "/track", "/setpoint", "/state", "/agreement", "/candidate", "/marker", "/motion", "/link",

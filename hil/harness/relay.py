@@ -20,7 +20,15 @@ from drivers.rig.parts import Rig, RoleRig, part_context
 from drivers.rig.tables import decode_table
 from drivers.stop_signals import stop_on_signals
 from flight.harness.flights import Progress, RoleResult
-from flight.harness.relay import DroneProgram, Pointed, RelayConfig, RelayReport, RelayRequest, pair_of
+from flight.harness.relay import (
+    POINTING_M,
+    DroneProgram,
+    Pointed,
+    RelayConfig,
+    RelayReport,
+    RelayRequest,
+    pair_of,
+)
 from hil.harness.drone import Disk, DroneHarness, present_s
 from hil.harness.guard import MemoryBeatLine, keep_watch
 from hil.harness.inject import inject_at_drone, inject_on_link
@@ -42,7 +50,6 @@ PERIOD_S = 0.2
 VEHICLES_S = 1.0
 SAMPLE_S = 10.0
 LANDING_LIMIT_S = 90.0
-POINTING_M = 0.1  # standard deviation, on each axis, of where a person points
 
 
 class RelaySim:

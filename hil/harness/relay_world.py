@@ -134,6 +134,11 @@ class RelayWorld(Fleet[str]):
         """All around the first target."""
         return self._field.near(self._field.starts[0], self.traffic_s)
 
+    @property
+    def all_objects(self) -> tuple[ObjectTruth, ...]:
+        """All around all targets."""
+        return self._field.all(self.traffic_s)
+
     def objects_near(self, name: str) -> tuple[ObjectTruth, ...]:
         """What a drone may see."""
         north, east, _ = self._drones[name].true_position_n_m
@@ -156,11 +161,6 @@ class RelayWorld(Fleet[str]):
     def batteries(self) -> tuple[float, ...]:
         """The batteries in the order of ``names``."""
         return tuple(round(drone.autopilot.battery, 4) for drone in self._drones.values())
-
-    def landed(self, name: str) -> bool:
-        """Returns whether it stands on the ground, its motors off."""
-        drone = self._drones[name]
-        return drone.on_ground and not drone.autopilot.armed
 
     def view(self, own: str, other: str | None) -> Snapshot:
         """The truth at ``time_s`` as far as a pair is concerned."""

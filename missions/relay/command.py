@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from missions.relay.config import relay_of
 from missions.relay.ending import PAGE, SUMMARY, Showing, Values, cause_of, leave
 from missions.relay.process import processes_of
 from missions.relay.report import flown_record, leg_record, relay_rows, relay_table, summarize_relay
-from missions.relay.role import program_of
+from missions.relay.role import DroneFlight, program_of
 from missions.report.page import PageOf
 from missions.run_folder import RunKind, claimed, unless_refused
 from missions.shown import tell_line
@@ -88,7 +89,7 @@ def fly_relay(
 
     async def main(ground: RelayField, stop: asyncio.Event, emit: Emit) -> None:
         del emit
-        await base.run(ground, stop, program_of(rig, config, base))
+        await base.run(ground, stop, program_of(partial(DroneFlight, rig, config, base)))
 
     faults, processes = faults_of(options.fault), processes_of(rig, config, out, base, options.logs)
     request = RelayRequest(

@@ -306,12 +306,15 @@ class DroneFlight:
             await asyncio.sleep(0.1)
 
 
-def program_of(rig: Rig, relay: RelayConfig, base: Ground) -> DroneProgram:
-    """The program of every drone of a relay (``flight.harness.relay.DroneProgram``)."""
+FlightOf = Callable[[str, Log, Emit, asyncio.Event, InProcess | None, RecordStore], DroneFlight]
+
+
+def program_of(flight: FlightOf) -> DroneProgram:
+    """The program of every drone (``flight.harness.relay.DroneProgram``): its flight, from begin to end."""
 
     async def fly(
         name: str, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess, store: RecordStore
     ) -> RoleResult:
-        return await DroneFlight(rig, relay, base, name, log, emit, stop, harness, store).run()
+        return await flight(name, log, emit, stop, harness, store).run()
 
     return fly
