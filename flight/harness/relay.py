@@ -28,7 +28,7 @@ OFTEN = frozenset({
 """What is logged many times a second: hours of it are left out unless they are asked for."""
 WATCHED: Mapping[str, float] = {
     "/phase": 0.0, "/responsibility": 0.0, "/epoch": 0.0, "/commit": 0.0, "/decision": 0.0, "/agreement": 0.0,
-    "/frame": 0.2, "/target": 0.2, "/track": 0.2,
+    "/frame": 0.2, "/target": 0.2, "/track": 0.2, "/link": 0.5,
 }  # fmt: skip
 """What the monitors read of a drone's log, and how many seconds at least are between two of a kind."""
 

@@ -250,6 +250,7 @@ class _VirtualRelay:
             if now_s != world.time_s:
                 world.advance(now_s)
             self._monitors.on_truth(now_s)
+            self._monitors.on_watched(now_s)
             if now_s >= vehicles_s:
                 vehicles_s = now_s + VEHICLES_S
                 self._monitors.on_vehicles(now_s, self._monitors.vehicles())

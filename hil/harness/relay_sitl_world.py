@@ -93,6 +93,7 @@ class RelaySitlWorld(RealTimeWorld):
         world, hindsight = self._world, self._hindsight
         if steps % TRUTH_STEPS == 0:
             self._monitors.on_truth(world.time_s)
+            hindsight.put(world.time_s, "on_watched", world.time_s)
             hindsight.remember(world.time_s, (world.truth(), world.all_objects))
         if steps % VEHICLES_STEPS == 0:
             hindsight.put(world.time_s, "on_vehicles", world.time_s, self._monitors.vehicles())
