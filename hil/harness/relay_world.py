@@ -104,13 +104,14 @@ class RelayWorld(Fleet[str]):
 
     def _command(self) -> None:
         self._commanded_step = self._step
-        for name in [name for name, at_s in self._pilot_lands_s.items() if self.time_s >= at_s]:
+        now_s = self._step / STEP_HZ
+        for name in [name for name, at_s in self._pilot_lands_s.items() if now_s >= at_s]:
             del self._pilot_lands_s[name]
-            self._drones[name].autopilot.request_mode(self.time_s, FlightMode.LAND, by_pilot=True)
+            self._drones[name].autopilot.request_mode(now_s, FlightMode.LAND, by_pilot=True)
             self._drones[name].autopilot.radio.transmitter.sticks = CENTRED
         for i, (name, drone) in enumerate(self._drones.items()):
             if name in self.on:
-                self._commands[i] = drone.command(self._step / STEP_HZ)
+                self._commands[i] = drone.command(now_s)
 
     def _changed(self) -> None:
         self._truths.clear()
