@@ -31,8 +31,9 @@ from flight.harness.relay import (
 )
 from flight.outcome import Outcome
 from hil.harness.children import run_name
+from hil.harness.live_programs import Command, Orders
 from hil.harness.pace import frame_age_s, overload_of
-from hil.harness.realtime import Command, Ending, Orders, RealTimeRun
+from hil.harness.realtime import Ending, RealTimeRun
 from hil.harness.realtime_world import world_command
 from hil.harness.relay_sitl_world import run_of
 from hil.world.errors import reported

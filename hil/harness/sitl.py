@@ -10,9 +10,10 @@ from drivers.log.mcap_log import LogRecord, parts, read_log
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from flight.harness.flights import FlightReport, FlightRequest
+from hil.harness.live_programs import Command, Orders
 from hil.harness.pace import frame_age_s, overload_of
 from hil.harness.preparation import prepare
-from hil.harness.realtime import Command, Ending, Orders, RealTimeRun
+from hil.harness.realtime import Ending, RealTimeRun
 from hil.harness.realtime_world import world_command
 from hil.harness.sim import LEG, mission_config
 from hil.monitors.monitors import Monitors

@@ -19,10 +19,10 @@ from missions.live.start import live
 from missions.options import RelayOptions
 from missions.relay.base import Base, Event, Tell
 from missions.relay.config import relay_of
+from missions.relay.drone import DroneFlight, program_of
 from missions.relay.ending import PAGE, SUMMARY, Showing, Values, cause_of, leave
 from missions.relay.process import processes_of
 from missions.relay.report import flown_record, leg_record, relay_rows, relay_table, summarize_relay
-from missions.relay.role import DroneFlight, program_of
 from missions.report.page import PageOf
 from missions.run_folder import RunKind, claimed, unless_refused
 from missions.shown import tell_line

@@ -33,8 +33,8 @@ from missions import rig_library
 from missions.guard.command import watch_vehicles
 from missions.relay.base import Base
 from missions.relay.config import relay_of
+from missions.relay.drone import DroneFlight
 from missions.relay.line import FarBase, hear, news_of
-from missions.relay.role import DroneFlight
 from path.messages import Role
 
 

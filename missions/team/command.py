@@ -16,8 +16,8 @@ from missions.lateness import for_lateness
 from missions.options import TeamOptions
 from missions.relay.base import Event, Tell
 from missions.relay.command import faults_of
+from missions.relay.drone import program_of
 from missions.relay.ending import PAGE, SUMMARY, Showing, Values, cause_of, leave
-from missions.relay.role import program_of
 from missions.report.page import PageOf
 from missions.run_folder import RunKind, claimed, unless_refused
 from missions.shown import tell_line

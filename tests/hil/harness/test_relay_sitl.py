@@ -16,7 +16,8 @@ from flight.harness.flights import Progress
 from flight.harness.relay import DroneProcesses, RelayRequest
 from hil.harness.children import end, spawn
 from hil.harness.leg_faults import LegFaults
-from hil.harness.realtime import RECORD, RealTimeRun
+from hil.harness.live_programs import RECORD
+from hil.harness.realtime import RealTimeRun
 from hil.harness.relay_sitl import check_drones, orders_of
 from hil.harness.relay_sitl_world import field_of
 from hil.monitors.hindsight import Hindsight

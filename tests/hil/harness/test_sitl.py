@@ -98,11 +98,13 @@ class Stage:
         def python(program: str) -> Sequence[str]:
             return [sys.executable, "-I", "-S", "-c", program]
 
+        def command(name: str) -> Sequence[str]:
+            return python(next(left[Role(name)]))
+
         orders = replace(
             sitl.orders_of(self.request),
             world=python(READY + (world or WRITES_DOWN.format(file=str(self.out / "told")))),
-            program=lambda name: python(next(left[Role(name)])),
-            attack=lambda rate, _: python(f"print({rate})"),
+            program=command,
             awaited=frozenset(),
         )
         return RealTimeRun(orders, sitl.ENDS, {LEG: [parse_fault(text) for text in faults]})

@@ -37,6 +37,11 @@ class Field:
     def close_leg(self, number: int) -> None: ...
 
 
+def twelve(base: TeamBase) -> float:
+    del base
+    return 12.0
+
+
 @pytest.fixture
 def rig() -> Rig:
     return rig_library.load("team-sitl")
@@ -44,7 +49,7 @@ def rig() -> Rig:
 
 @pytest.fixture
 def base(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> TeamBase:
-    monkeypatch.setattr(TeamBase, "_now_s", lambda _: 12.0)  # there is no loop here
+    monkeypatch.setattr(TeamBase, "_now_s", twelve)  # there is no loop here
     made = TeamBase(team_of(rig))
     field: Any = Field()
     made._field = field
