@@ -225,7 +225,7 @@ class Wary(Protocol):
 
     @property
     def ignored(self) -> Mapping[str, int]:
-        """What was not believed, in words, and how often."""
+        """Everything that was not believed, in words, and its count."""
         ...
 
 
@@ -287,6 +287,14 @@ class View(Protocol):
     def image(self) -> NDArray[np.uint8] | None:
         """The colour image (BGR) for logs and pictures; None where there are no pixels."""
         ...
+
+
+@runtime_checkable
+class Framed(Protocol):
+    """A view that has its frame, as the camera gave it; where there are no pixels a view is none."""
+
+    @property
+    def frame(self) -> Frame: ...
 
 
 class Perception(Part, Protocol):
@@ -383,3 +391,10 @@ class Log(Protocol):
         ...
 
     def image(self, topic: str, stamp_ns: int, image: NDArray[np.uint8]) -> None: ...
+
+
+@runtime_checkable
+class FrameLog(Protocol):
+    """A log that takes every frame of a camera too. Never raises, and never waits: what it cannot take is dropped."""
+
+    def frame(self, frame: Frame) -> None: ...

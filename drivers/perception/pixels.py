@@ -132,7 +132,10 @@ class PixelPerception:
         """
         for _ in range(_TURNS):
             await asyncio.sleep(0)
-        frame = await self._freshness.next(self._camera.read, timeout_s)
+        return self.view_of(await self._freshness.next(self._camera.read, timeout_s))
+
+    def view_of(self, frame: Frame) -> PixelView:
+        """The view of a frame, whoever has it; the camera need not be open. Raises CameraError for another size."""
         _check_size(frame, self.model)
         config = self._config
         return PixelView(frame, self.model, self._layout, self._detector, config.method, config.corners, self._ranging)
@@ -205,6 +208,10 @@ class PixelView:
 
     def image(self) -> NDArray[np.uint8]:
         return self._frame.color
+
+    @property
+    def frame(self) -> Frame:
+        return self._frame
 
     def _may_be_within(self, region: Region, box: Box) -> bool:
         """Returns whether a target in this box can be as far away as the region says; yes where that is not known."""

@@ -36,7 +36,7 @@ class Custody:
 
 @dataclass(slots=True)
 class TeamDrone:
-    """What the ground knows of one drone. ``ways``: those that are kept free for it."""
+    """The ground's knowledge of one drone. ``ways``: those that are kept free for it."""
 
     name: str
     home_m: Point
@@ -55,7 +55,7 @@ class TeamDrone:
 
 @dataclass(slots=True)
 class TeamTarget:
-    """What the ground knows of one target.
+    """The ground's knowledge of one target.
 
     Attributes:
         holder, leg, finder: who has it, who is about to take it over, who was sent to find it.

@@ -63,7 +63,7 @@ class TeamFlight(DroneFlight):
             self._ground.follows(self._name, holder.track.position_n_m)
 
     async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
-        """What this drone was responsible for it is not any more, by its record too: it will be found anew."""
+        """Gives up what this drone was responsible for, by its record too: the target will be found anew."""
         if flown.has_given_away or not session.responsible:
             return
         kept = self._store.load()

@@ -41,7 +41,7 @@ def warm_up(images: bool = True) -> None:
 
 
 def warm_up_image() -> None:
-    """What finds a marker in an image. Raises RuntimeError when a drawn one gives no pose."""
+    """Compiles what finds a marker in an image. Raises RuntimeError when a drawn one gives no pose."""
     layout, camera, T_c_v = single_marker(), CAMERA, POSE
     marker = layout.markers[0]
     pattern = np.pad(cells(layout.dictionary, marker.id), 1, constant_values=1.0)
@@ -61,7 +61,7 @@ def warm_up_image() -> None:
 
 
 def warm_up_pose() -> None:
-    """What turns a marker's corners into a pose and keeps it. Raises RuntimeError when there is none."""
+    """Compiles what turns a marker's corners into a pose and keeps it. Raises RuntimeError when there is none."""
     layout, camera, T_c_v = single_marker(), CAMERA, POSE
     marker = layout.markers[0]
     corners = camera.project(T_c_v.apply(marker.corners_v))
@@ -80,7 +80,7 @@ def warm_up_pose() -> None:
 
 
 def is_compiled() -> bool:
-    """Whether the kernels of an earlier start are there: one of the smallest is loaded, or else compiled."""
+    """True when the kernels of an earlier start are there: one of the smallest is loaded, or else compiled."""
     smallest: Any = tones
     smallest(np.zeros((1, 6)))
     return not smallest.stats.cache_misses

@@ -46,7 +46,7 @@ Guidance = Callable[[VehicleState, TargetTrack, int], VelocitySetpoint]
 
 @dataclass
 class Seen:
-    """What the camera saw, through the simulated colour detector: a box that the border cuts is hardly one."""
+    """The camera's view, through the simulated colour detector: a box that the border cuts is hardly one."""
 
     stamp_ns: int
     objects: Sequence[Vec3]
