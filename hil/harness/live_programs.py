@@ -38,7 +38,7 @@ NEWS_S = 0.05
 RECORD_POLL_S = 0.001
 PROGRAM_END_S = 90.0  # from being told to stop until it has landed
 RECORD = b'{"event":"record"'
-"""How a line begins that the world's monitors are to judge."""
+"""The beginning of a line that the world's monitors are to judge."""
 
 Command = Sequence[str]
 
@@ -51,7 +51,7 @@ def no_news(name: str) -> Mapping[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Orders:
-    """What is to be run.
+    """The commands of a run, and who hears of it.
 
     Attributes:
         world, program, guard: commands; the guard's is None for a drone without one.

@@ -149,7 +149,7 @@ class LiveField:
         self._tell("given_up", target)
 
     def point_at(self, target: int) -> Pointed:
-        """Where the world last said that it is; whoever points is off by some centimetres."""
+        """The place that the world last gave; whoever points is off by some centimetres."""
         before = self._pointed.get(target)
         if before is not None and time.monotonic() - before.time_s < POINT_AGAIN_S:
             return before

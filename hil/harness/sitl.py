@@ -120,7 +120,7 @@ def _records(out: Path) -> Iterator[tuple[int, Role, LogRecord | None]]:
 
 
 def report_of(request: FlightRequest, run: RealTimeRun, ending: Ending) -> FlightReport:
-    """What the world found, and what both programs' logs say, judged in the order of time."""
+    """The world's findings, and those of both programs' logs, judged in the order of time."""
     finished = ending.finished
     monitors = Monitors(request.rig.method, min_separation_m=0.0)
     ages_s: dict[str, list[float]] = {name: [] for name in ENDS}

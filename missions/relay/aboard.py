@@ -1,4 +1,4 @@
-"""What a drone has aboard while its role changes: parts that stay open, its sessions, its battery, its ways."""
+"""A drone's parts that stay open while its role changes, its sessions, its battery and its ways."""
 
 from __future__ import annotations
 

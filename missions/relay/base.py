@@ -102,11 +102,11 @@ class TeamGround(Ground, Protocol):
     def sent_to(self, name: str) -> SentTo: ...
 
     def pointed_at(self, name: str) -> Pointed:
-        """Where a person points, whose target this drone is sent to find."""
+        """Returns the place at which a person points, whose target this drone is sent to find."""
         ...
 
     def follows(self, name: str, place_n_m: Vec3) -> None:
-        """Where its target is, as a drone that has it says now and then."""
+        """Takes the target's place, as a drone that has it says now and then."""
         ...
 
     def gave_up(self, name: str, why: str) -> None:

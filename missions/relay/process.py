@@ -21,11 +21,7 @@ from typing import Any
 import cv2
 import msgspec
 
-<<<<<<< HEAD
-from drivers.interfaces import Log, RecordStore
-=======
-from drivers.interfaces import Frame, FrameLog, Log
->>>>>>> main
+from drivers.interfaces import Frame, FrameLog, Log, RecordStore
 from drivers.log.json_lines import JsonLines
 from drivers.log.mcap_log import McapLog, encode_other, new_part
 from drivers.log.state_file import StateFile

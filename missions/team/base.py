@@ -98,7 +98,7 @@ class OwnGround:
 
     @property
     def over(self) -> bool:
-        """Whether this drone is called home."""
+        """True when this drone is called home."""
         return self._base.drones[self._name].called_home
 
 
