@@ -16,7 +16,7 @@ from flight.outcome import Outcome
 from missions import rig_library
 from missions.lateness import for_lateness
 from missions.live.start import live
-from missions.options import RelayOptions
+from missions.options.flights import RelayOptions
 from missions.relay.base import Base, Event, Tell
 from missions.relay.config import relay_of
 from missions.relay.drone import DroneFlight, program_of

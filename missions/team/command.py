@@ -13,7 +13,7 @@ from flight.harness.relay import RelayField, RelayHarness, RelayRequest, TeamFie
 from flight.harness.team import TeamConfig
 from missions import rig_library
 from missions.lateness import for_lateness
-from missions.options import TeamOptions
+from missions.options.flights import TeamOptions
 from missions.relay.base import Event, Tell
 from missions.relay.command import faults_of
 from missions.relay.drone import program_of

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from missions.assurance.campaign.levels import MACHINE_LEVELS, MachineLevel, Range
-from missions.options import LevelName
+from missions.options.words import LevelName
 from path.messages import Role
 
 ROLES = (Role.SENDER, Role.RECEIVER)

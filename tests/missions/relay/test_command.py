@@ -18,7 +18,7 @@ from flight.outcome import Outcome
 from hil.harness.pace import overload_of
 from hil.harness.relay_sitl import frame_ages_s
 from missions import rig_library
-from missions.options import RelayOptions
+from missions.options.flights import RelayOptions
 from missions.relay.base import Base, Event
 from missions.relay.battery import Gauge
 from missions.relay.command import faults_of, fly_relay, judge, relay_of
