@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.camera import CameraModel
+from path.geometry import Pose
 from path.messages import Message, Vec3
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 from path.protocol.values import ReceiverRecord, SenderRecord
@@ -276,8 +277,11 @@ class View(Protocol):
         """Target-like objects whose box centre is in ``region`` (None: whole image)."""
         ...
 
-    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
-        """Markers of the layout in ``region`` (None: whole image), with corner covariance."""
+    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+        """Markers of the layout in ``region`` (None: whole image), with corner covariance.
+
+        ``expected`` is ``T_c_v`` as far as it is known, where it is known well: a help to find them sooner.
+        """
         ...
 
     def depth(self, box: Box) -> Depth | None:

@@ -23,6 +23,7 @@ from path.agreement import iou
 from path.bounds import Bounds
 from path.camera import CameraModel
 from path.config import MethodConfig
+from path.geometry import Pose
 from path.marker.detect import detect_markers
 from path.marker.layout import MarkerLayout
 from path.monocular import TargetSize, monocular_range
@@ -193,11 +194,12 @@ class PixelView:
         sure = [each for each in kept if each in found or each.score >= CUT_SCORE]
         return sure or [each for each in kept if depths.is_thing(each)]
 
-    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
-        """Markers of the layout in ``region``."""
+    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+        """Markers of the layout in ``region``, looked for first where they are expected."""
+        image, layout, model = self._frame.color, self._layout, self._model
         return detect_markers(
-            self._frame.color, region, self._layout, self._model, refine=self._corners, thorough=False
-        )
+            image, region, layout, model, refine=self._corners, thorough=False, expected=expected
+        )  # fmt: skip
 
     def depth(self, box: Box) -> Depth | None:
         """Robust depth over a box (``path.target.registered_depth``); without a depth stream, by the target's size."""
