@@ -197,11 +197,11 @@ class Telling:
         if self.done is not None or first == len(series):
             return self.done
         gate, method = self.gate, self._method
-        column = 0 if method.box_mapping == "center" else 1
+        column, agrees = 0 if method.box_mapping == "center" else 1, agreeing(series, method)
         entries = zip(
             series.kind[first:].tolist(), series.now_ns[first:].tolist(), series.sequence[first:].tolist(),
             series.capture_ns[first:].tolist(), series.own[first:].tolist(), series.iou[first:, column].tolist(),
-            series.z_m[first:].tolist(), series.pose_sigma_m[first:].tolist(), agreeing(series, method)[first:].tolist(),
+            series.z_m[first:].tolist(), series.pose_sigma_m[first:].tolist(), agrees[first:].tolist(),
             strict=True,
         )  # fmt: skip
         for k, (kind, now_ns, sequence, capture_ns, own, iou, z_m, sigma_m, agreed) in enumerate(entries, first):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -19,6 +20,7 @@ Group = Literal["true", "look-alike", "wrong object"]
 GATES: tuple[GateKind, ...] = ("count", "evidence")
 LIMIT_S = 10.0
 FRAMES = 520  # more than any camera takes in that time
+FAR_M, FAR_S = 0.15, 1.0
 LATE_S = 0.5  # by that much, what was captured is judged later
 LOCKED_M = (0.3, 0.4, 0.6, 1.0)  # from the target to the object that D2 sees instead of it, all the time
 
@@ -101,16 +103,28 @@ def _judged(
     def decided(series: Series) -> bool:
         """Returns whether each gate has committed, or cannot any more."""
         seen = with_detector(series, faults, method)
+        far = order.group == "wrong object" and stays_far(series)
         left_s = LIMIT_S - int(series.now_ns[-1] - series.capture_ns[0]) * 1e-9
         return all(
             told.on(seen) is not None
             or (own.gate == "count" and not countable)
+            or (own.gate == "evidence" and far)
             or (not told.gate.count and left_s + LATE_S < shortest_s(own))
             for told, own in zip(telling, methods, strict=True)
         )
 
     seen = with_detector(runner.run(order.attempt, decided).series, faults, method)
     return AttemptCommits(order, tuple(_commit(seen, own) for own in methods))
+
+
+def stays_far(series: Series) -> bool:
+    """Returns whether D2, which sees only another object, has seen it nowhere near the target for long enough.
+
+    The offset of its box wavers by 0.01 m (docs/gates.md); the gate "evidence" lets no mean above 0.074 m pass.
+    """
+    if (int(series.now_ns[-1]) - int(series.capture_ns[0])) * 1e-9 < FAR_S:
+        return False
+    return all(math.hypot(*offsets.target_m) > FAR_M for offsets in series.offsets.values())
 
 
 def shortest_s(method: MethodConfig) -> float:
