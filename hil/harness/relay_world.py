@@ -168,7 +168,9 @@ class RelayWorld(Fleet[str]):
         truth = self.truth_of
         drones = {OWN: truth(own)} if other is None else {OTHER: truth(other), OWN: truth(own)}
         covered, no_depth = other in self._covered, own in self._no_depth
-        return Snapshot(self.time_s, drones, self.objects_near(own), covered, no_depth, self.detector)
+        return Snapshot(
+            self.time_s, drones, self.objects_near(own), covered, no_depth, self.detector, self.config.target.kind
+        )
 
 
 class PairView:

@@ -39,6 +39,7 @@ from hil.tello.emulator import TelloEmulator
 from hil.tello.video import TelloVideo
 from hil.tello.world import is_tello, tello_of
 from hil.vehicle.followed_world import FollowedWorld, SimulatedVehicle, start_simulators
+from hil.world.clearance import clearance
 from hil.world.errors import as_built
 from hil.world.snapshot import Snapshot
 from hil.world.world import World, WorldConfig
@@ -75,7 +76,9 @@ class SitlWorld(RealTimeWorld):
             await self._start_simulators()
         self._world.hold_traffic()  # until both programs are ready, however long a busy computer takes
         self._truth = TruthLog(log, round(self.start_s * 1e9))
-        self._truth.scene(self._built.rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
+        self._truth.scene(
+            self._built.rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0), self._config.target.kind
+        )
         for role in Role:
             self._start_camera(role)
         stack.enter_context(open_beacons(rig, self._seed, self._out, self.now_s, self._look))
@@ -129,6 +132,7 @@ class SitlWorld(RealTimeWorld):
         if steps % TRUTH_STEPS == 0:
             self._truth.truth(world)
             self._monitors.on_truth(now_s, world.separation_m, world.both_in_air)
+            self._monitors.on_target(now_s, clearance(world))
         if steps % (TRUTH_STEPS * VEHICLES_EVERY) == 0:  # the roles' phases are in their logs: no S7 here
             self._monitors.scripts.on_truth(now_s, vehicles_of(world, self._built.rig))
 
