@@ -49,6 +49,23 @@ def test_an_object_beyond_the_errors_does_not_disturb() -> None:
     assert gate_after(100, Offsets((0.01, 0.0), ((0.5, 0.0), (0.0, -0.6)))).complete
 
 
+def test_runs_that_began_too_weakly_are_no_more_observations_of_errors_that_last() -> None:
+    """An offset that is enough in an attempt's first run is enough in its fifth; one that is not never is."""
+
+    def complete(offset_m: float) -> bool:
+        gate = EvidenceGate(MethodConfig(gate="evidence"))
+        for k in range(300):
+            frames = (k, 20 * k * MS), (k + 1, 20 * (k + 1) * MS)
+            iou = 0.45 if k < 100 else 0.9  # above the threshold, but not by as much as a first block needs
+            gate.agree(FramePair(k, 20 * k * MS, frames, Offsets((offset_m, 0.0))), iou, 0.4)
+        assert gate.evidence.needed > ENOUGH + 0.5
+        return gate.complete
+
+    assert against_unseen((2.3 * SIGMA, 0.0), OWN) == pytest.approx(ENOUGH, abs=0.2)
+    assert complete(2.3 * SIGMA)
+    assert not complete(2.7 * SIGMA)
+
+
 def test_an_object_to_which_d1_itself_may_have_gone_over_is_no_evidence_while_it_is_there() -> None:
     gate = gate_after(200, Offsets((0.01, 0.0), ((0.3, 0.0),)))
     assert gate.evidence.reached == pytest.approx(-math.log10(OWN.swap))
