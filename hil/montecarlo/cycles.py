@@ -65,7 +65,7 @@ class _View:
     row: Array
     marker_id: int
 
-    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
+    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
         corners = self.row[:8].reshape(4, 2)
         if self.row[FOUND] == 0.0:
             return ()

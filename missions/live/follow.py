@@ -19,6 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import breakup_chunk
 
+from drivers.log.frames import is_frames
 from drivers.log.index import MAGIC
 
 READ_BYTES = 1 << 20
@@ -37,7 +38,10 @@ class Said:
 
 
 class FolderFollower:
-    """All logs of a folder written from now on. Those of an earlier run, which a new one takes away, are not."""
+    """All logs of a folder written from now on, but for those of every frame of a camera.
+
+    Those of an earlier run, which a new one takes away, are not.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._since_s = folder, time.time() - SLACK_S
@@ -46,7 +50,7 @@ class FolderFollower:
     def new(self) -> Iterator[Said]:
         """Returns what is new, at most a megabyte of each log."""
         for path in sorted(self._folder.glob("*.mcap")):
-            if path not in self._logs and path.stem != "merged" and self._is_new(path):
+            if path not in self._logs and path.stem != "merged" and not is_frames(path) and self._is_new(path):
                 self._logs[path] = LogFollower(path)
         for log in self._logs.values():
             yield from log.new()

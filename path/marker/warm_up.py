@@ -16,6 +16,7 @@ from path.marker.fit_kernels import tones
 from path.marker.layout import single_marker
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.marker.texture import cells
+from path.marker.track import recognise
 from path.observations import MarkerDetection
 from path.relative import RelativeFilter
 
@@ -58,6 +59,8 @@ def warm_up_image() -> None:
         found = detect_markers(np.asarray(image * light, dtype=np.uint8), None, layout, camera, thorough=False)
         if not found:
             raise RuntimeError("a drawn marker was not found: reinstall numba and OpenCV")
+    if recognise(image, T_c_v, layout, camera) is None:
+        raise RuntimeError("a drawn marker was not recognised: reinstall numba and OpenCV")
 
 
 def warm_up_pose() -> None:

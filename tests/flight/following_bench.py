@@ -74,7 +74,7 @@ class Seen:
     def targets(self, region: Region | None) -> Sequence[Detection]:
         return [d for d, _ in self.found if region is None or region.contains(*d.box.center)]
 
-    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
+    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
         return []
 
     def depth(self, box: Box) -> Depth | None:
