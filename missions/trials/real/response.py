@@ -189,8 +189,9 @@ def fitted(curve: Array, black: float, white: float) -> tuple[Imaging, float]:
 
     bounds = ([0.3, 0.0, 0.7, 1.0, -0.5], [1.8, 4.0, 2.5, 2.6, 0.5])
     starts = [np.array([0.6, sharpen, 1.1, gamma, 0.0]) for sharpen in (0.2, 1.2) for gamma in (1.05, 2.2)]
-    found = min((least_squares(off, start, bounds=bounds) for start in starts), key=lambda one: float(one.cost))
-    return _optics(found.x), float(np.sqrt(np.mean(found.fun**2)))
+    found = [least_squares(off, start, bounds=bounds) for start in starts]
+    best = found[int(np.argmin([float(one.cost) for one in found]))]
+    return _optics(best.x), float(np.sqrt(np.mean(best.fun**2)))
 
 
 def _optics(x: Array) -> Imaging:

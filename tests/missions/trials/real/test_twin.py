@@ -12,7 +12,7 @@ import pytest
 
 from flight.harness.renderer import Imaging
 from hil.camera.pictures import CameraRenderer
-from missions.options import TrialOptions
+from missions.options.proofs import TrialOptions
 from missions.trials.real.board import SetSeen, look_at_set
 from missions.trials.real.response import edge_of, jpeg_quality, levels_of, mean_edge, measure_response, see_edges
 from missions.trials.real.set import RealSet, read_set
