@@ -11,7 +11,7 @@ from drivers.interfaces import PartError
 from drivers.rig.parts import Rig
 from flight.harness.flights import Progress
 from missions import rig_library
-from missions.options import HandoffOptions
+from missions.options.flights import HandoffOptions
 from path.messages import Role
 
 RUN_VARIABLE = "PATH_HANDOFF_RUN"

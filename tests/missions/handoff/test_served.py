@@ -17,7 +17,7 @@ from flight.outcome import Outcome
 from hil.camera import shared
 from missions import rig_library
 from missions.handoff import command, served
-from missions.options import HandoffOptions
+from missions.options.flights import HandoffOptions
 from path.messages import Role
 
 OUTCOME = {"outcome": "committed", "detail": "", "responsible": False, "landed": True}
