@@ -34,6 +34,7 @@ from hil.harness.children import (
     tell,
     until_ready,
 )
+from hil.harness.inject import RC
 from hil.harness.pace import overload_of
 from hil.harness.preparation import prepare, starting
 from hil.harness.sim import mission_config
@@ -92,6 +93,7 @@ async def _fly(request: FlightRequest) -> FlightReport:
     faults = parse_faults(request.faults, request.rig.level)
     if any(fault.name == "attack" for fault in faults):
         _need_keys(request.rig)
+    need_radios(request.rig, faults)
     run = _Run(request)
     start_s = time.monotonic()
     processes: list[Child] = []
@@ -125,6 +127,19 @@ def _need_keys(rig: Rig) -> None:
                 f"fault attack: {rig.where(f'{role.value}.link')} has no key_file, so that any packet is believed",
                 "copy the rig, make a key (head -c 32 /dev/urandom > pair.key && chmod 600 pair.key), and name it "
                 "there for both drones",
+            )
+
+
+def need_radios(rig: Rig, faults: Sequence[Fault]) -> None:
+    """Raises FaultError when a pilot without a transmitter is to use one."""
+    for fault in faults:
+        role = fault.kind.role
+        if role is None or not (fault.name.startswith(RC) or fault.name == "motor_kill"):
+            continue
+        if "sender_simulator" in rig.world and rig.role(role).vehicle.options.get("rc") == "none":
+            raise FaultError(
+                f'fault {fault.name}: {rig.where(f"{role.value}.vehicle")} says rc = "none"',
+                "name a rig whose pilots have radios: sitl-px4-field, sitl-ardupilot-field",
             )
 
 

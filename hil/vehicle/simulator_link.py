@@ -141,6 +141,10 @@ class SimulatorLink:
             )
         )
 
+    def send_channels(self, channels: tuple[int, ...]) -> None:
+        """Pulse widths in µs of channels 1 to 8, as of a receiver on board."""
+        self._send(mavlink.MAVLink_rc_channels_override_message(self._sysid, AUTOPILOT, *channels))
+
     # --- inside ---
 
     def _slow(self, message: int) -> bool:
