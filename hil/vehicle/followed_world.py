@@ -105,6 +105,8 @@ class SimulatedVehicle:
     def start(self) -> None:
         if self._process is not None:
             self._process.start()
+        if self.radio is not None:
+            self.radio.start()
 
     def listen(self) -> None:
         """Take packets as they come, from now on."""
@@ -121,9 +123,9 @@ class SimulatedVehicle:
             for each in relay.sockets:
                 loop.remove_reader(each)
             relay.close()
-        self.link.close()
         if self.radio is not None:
             self.radio.close()
+        self.link.close()
         if self._process is not None:
             self._process.stop()
 
@@ -138,7 +140,7 @@ class SimulatedVehicle:
         now_s = time.monotonic()
         self.link.ask(now_s)
         if self.radio is not None:
-            self.radio.pump(world_s, now_s)
+            self.radio.pump(world_s)
         silent_s = now_s - self.follower.newest_s
         if math.isfinite(silent_s) and silent_s > SILENT_S:
             raise SimulatorBroken(f"{self.config.kind} of vehicle {self.sysid} told no truth for {silent_s:.1f} s")

@@ -3,14 +3,17 @@
 ArduPilot's simulator takes pulse widths by UDP, on a port that follows from its instance, and goes on with the last
 ones when no more come: the loss of a radio is a parameter of it. PX4's takes RC_CHANNELS_OVERRIDE for what a receiver
 on board heard, and notices by itself when no more come.
+
+It sends from a thread of its own: a transmitter does not wait for a world that is late.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
 import socket
 import struct
+import threading
+import time
 from collections.abc import Mapping
 from typing import Protocol
 
@@ -61,7 +64,7 @@ class RadioWire(Protocol):
 
 
 class SimulatedRadio:
-    """What the pilot's transmitter sends to one simulator.
+    """What the pilot's transmitter sends to one simulator, from ``start`` to ``close``.
 
     Attributes:
         transmitter: the pilot's; a harness moves it.
@@ -75,22 +78,31 @@ class SimulatedRadio:
         self._wire = wire
         self._config = RadioConfig()
         self._port = FIRST_PORT + PORTS_APART * (sysid - 1)
-        self._sent_s = -math.inf
+        self._asked_s = -SEND_S
+        self._closed = threading.Event()
+        self._thread: threading.Thread | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
+    def start(self) -> None:
+        self._thread = threading.Thread(target=self._run, name="transmitter", daemon=True)
+        self._thread.start()
+
     def close(self) -> None:
+        self._closed.set()
+        if self._thread is not None:
+            self._thread.join()
         self._socket.close()
 
-    def pump(self, world_s: float, now_s: float) -> None:
-        """Send what is due. ``world_s``: the world's clock, of the transmitter's loss; ``now_s``: the monotonic one."""
-        if now_s - self._sent_s < SEND_S:
-            return
-        self._sent_s = now_s
+    def pump(self, world_s: float) -> None:
+        """Takes over what the harness wants of its reach. ``world_s``: the world's clock."""
         own = self.transmitter
         self.lost = not own.on or world_s < own.away_until_s
         if self._kind == "ardupilot":
             self._fail(self.lost)
+
+    def send(self) -> None:
+        """Sends the channels once, if it is heard at all."""
         if self.lost:
             return
         channels = channels_of(self.transmitter, self._config)
@@ -101,9 +113,14 @@ class SimulatedRadio:
         with contextlib.suppress(OSError):
             self._socket.sendto(packet, ("127.0.0.1", self._port))
 
+    def _run(self) -> None:
+        while not self._closed.wait(SEND_S):
+            self.send()
+
     def _fail(self, fails: bool) -> None:
         """Asked for until it was taken; nothing where it never failed."""
         found = self._wire.parameters.get(FAIL, 0.0)
         wanted = NO_PULSES if fails else 0.0
-        if found != wanted:
+        if found != wanted and time.monotonic() - self._asked_s > SEND_S:
+            self._asked_s = time.monotonic()
             self._wire.set_parameter(FAIL, wanted)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import socket
 import struct
+import time
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 
@@ -16,7 +17,7 @@ from drivers.rig.tables import decode_table
 from hil.autopilot.radio import HIGH_US, MIDDLE_US, RadioConfig, Transmitter, channels_of
 from hil.autopilot.simulator import Kind
 from hil.harness.sitl import need_radios
-from hil.vehicle.simulated_radio import FAIL, FIRST_PORT, PORTS_APART, SET_UP, SimulatedRadio
+from hil.vehicle.simulated_radio import FAIL, FIRST_PORT, PORTS_APART, SEND_S, SET_UP, SimulatedRadio
 from hil.world.faults import FaultError, parse_faults
 from hil.world.world import WorldConfig
 from missions import rig_library
@@ -55,17 +56,18 @@ def port() -> Generator[socket.socket]:
 def test_px4_is_sent_its_switches_and_nothing_once_the_radio_is_lost() -> None:
     wire = Wire()
     radio = SimulatedRadio("px4", SYSID, wire)
-    radio.pump(0.0, 10.0)
-    radio.pump(0.0, 10.01)
-    assert len(wire.channels) == 1, "25 times a second"
+    radio.pump(0.0)
+    radio.send()
     assert wire.channels[0][:4] == (MIDDLE_US,) * 4
     radio.transmitter.kill = True
-    radio.pump(1.0, 11.0)
+    radio.send()
     assert wire.channels[-1][6] == HIGH_US
     radio.transmitter.away_until_s = 3.0
-    radio.pump(2.0, 12.0)
+    radio.pump(2.0)
+    radio.send()
     assert radio.lost and len(wire.channels) == 2
-    radio.pump(3.0, 13.0)
+    radio.pump(3.0)
+    radio.send()
     assert not radio.lost and len(wire.channels) == 3
     assert wire.asked == []
     radio.close()
@@ -74,20 +76,34 @@ def test_px4_is_sent_its_switches_and_nothing_once_the_radio_is_lost() -> None:
 def test_ardupilot_gets_pulses_on_its_port_and_is_told_of_a_loss_until_it_knows(port: socket.socket) -> None:
     wire = Wire()
     radio = SimulatedRadio("ardupilot", SYSID, wire)
-    radio.pump(0.0, 10.0)
+    radio.pump(0.0)
+    radio.send()
     assert struct.unpack("<8H", port.recv(64)) == channels_of(Transmitter(), RadioConfig())
     assert wire.asked == []
     radio.transmitter.away_until_s = math.inf
-    radio.pump(1.0, 11.0)
-    radio.pump(1.0, 12.0)
+    for _ in range(2):
+        radio.pump(1.0)
+        time.sleep(1.5 * SEND_S)
     assert wire.asked == [(FAIL, 1.0)] * 2
     wire.parameters[FAIL] = 1.0
-    radio.pump(1.0, 13.0)
+    radio.pump(1.0)
     assert len(wire.asked) == 2
     radio.transmitter.away_until_s = 0.0
-    radio.pump(1.0, 14.0)
+    radio.pump(1.0)
     assert wire.asked[-1] == (FAIL, 0.0)
     radio.close()
+
+
+def test_it_goes_on_sending_while_the_world_stands_still() -> None:
+    wire = Wire()
+    radio = SimulatedRadio("px4", SYSID, wire)
+    radio.start()
+    time.sleep(10.0 * SEND_S)
+    radio.close()
+    sent = len(wire.channels)
+    assert sent >= 3
+    time.sleep(3.0 * SEND_S)
+    assert len(wire.channels) == sent, "closed"
 
 
 @pytest.mark.parametrize("kind", ["px4", "ardupilot"])
