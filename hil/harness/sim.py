@@ -24,12 +24,14 @@ from hil.harness.inject import inject_at_drone, inject_in_world, inject_on_link
 from hil.harness.leg_faults import LegFaults
 from hil.harness.preparation import prepare, starting
 from hil.harness.programs import Programs, Started
-from hil.harness.virtual_time import run_virtual
+from hil.harness.stalls import StallingLoop
+from hil.harness.virtual_time import VirtualTimeLoop, run_virtual
 from hil.link.faulty import MemoryHub
 from hil.monitors.monitors import Monitors, WatchedLog
 from hil.monitors.scripts import vehicles_of
 from hil.monitors.truth_log import TruthLog
 from hil.world.check import check_world
+from hil.world.clearance import clearance
 from hil.world.errors import Built, as_built, reported
 from hil.world.faults import Fault, FaultError, parse_faults
 from hil.world.world import World, WorldConfig
@@ -54,13 +56,14 @@ class SimHarness:
         if any(fault.name == "attack" for fault in faults):
             raise FaultError("fault attack needs real sockets", "fly it with --rig sitl, or a rig like it")
         for fault in faults:
-            if fault.kind.own:
+            if fault.kind.own and not fault.stalls:
                 raise FaultError(f"fault {fault.name} needs programs of their own", "use a rig of level sitl")
         prepare(request.rig, lambda what: show_start(request, what))
         start_s = time.perf_counter()
         gc.disable()  # nothing here lives in cycles, and collecting takes a tenth of the time
         try:
-            findings = run_virtual(_Flight(request, faults).run())
+            loop = StallingLoop if any(fault.stalls for fault in faults) else VirtualTimeLoop
+            findings = run_virtual(_Flight(request, faults).run(), loop)
         finally:
             gc.enable()
         return FlightReport(**findings, wall_s=time.perf_counter() - start_s)
@@ -97,7 +100,7 @@ class _Flight:
         with virtual_log(request.out / "world.mcap", "world") as log:
             guarding = list(self._guards(mission))
             truth = self._truth = TruthLog(log)
-            truth.scene(self._true_rig, self._monitors.min_separation_m, self._offsets_ns)
+            truth.scene(self._true_rig, self._monitors.min_separation_m, self._offsets_ns, config.target.kind)
             self._faults.open_leg(LEG, Role.SENDER.value, Role.RECEIVER.value)
             watching = asyncio.create_task(self._watch_truth(truth))
             results = await self._fly_roles()
@@ -190,6 +193,7 @@ class _Flight:
             truth.truth(world)
             truth.modes(world)
             self._monitors.on_truth(world.time_s, world.separation_m, world.both_in_air)
+            self._monitors.on_target(world.time_s, clearance(world))
             ticks += 1
             if ticks % VEHICLES_EVERY == 0:
                 self._monitors.scripts.on_truth(world.time_s, vehicles_of(world, self._true_rig))
@@ -199,7 +203,7 @@ class _Flight:
         loop = asyncio.get_running_loop()
         end_s = loop.time() + LANDING_LIMIT_S
         while loop.time() < end_s:
-            if all(down(self._world, role) for role in Role):
+            if all(self._world.landed(role) for role in Role):
                 return
             await asyncio.sleep(0.1)
 
@@ -212,7 +216,7 @@ class _Flight:
             truth.violation(self._world.time_s, detail.partition(" ")[0], detail)
         return {
             "results": results,
-            "landed": {role: down(self._world, role) for role in Role},
+            "landed": {role: self._world.landed(role) for role in Role},
             "violations": dict(self._monitors.violations),
             "simulated_s": self._world.time_s,
             "interrupted": self._programs.interrupted,
@@ -232,12 +236,6 @@ async def _with_log(program: Awaitable[RoleResult], log: McapLog) -> RoleResult:
     result = await program
     log.close()  # what waits in its buffer may still fail
     return with_log(result, log.failed)
-
-
-def down(world: World, role: Role) -> bool:
-    """Returns whether a vehicle stands on the ground, disarmed."""
-    drone = world.drone(role)
-    return drone.on_ground and not drone.autopilot.armed
 
 
 def mission_config(rig: Rig) -> MissionConfig:

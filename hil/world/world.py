@@ -74,7 +74,7 @@ class PositionOffsetConfig:
 
 @dataclass(frozen=True, slots=True)
 class AltitudeConfig:
-    """What the vehicles' altitude above the sea is wrong by. Their local frames and barometers have none of it.
+    """The error of the vehicles' altitude above the sea. Their local frames and barometers have none of it.
 
     Attributes:
         offset_m: of the first drone upward, of the second downward, and so on.
@@ -240,6 +240,11 @@ class Fleet(Generic[Name]):
     def drone(self, name: Name) -> SimDrone:
         return self._drones[name]
 
+    def landed(self, name: Name) -> bool:
+        """Returns whether a drone stands on the ground, disarmed."""
+        drone = self._drones[name]
+        return drone.on_ground and not drone.autopilot.armed
+
     def advance(self, to_s: float) -> None:
         """Let time pass until ``to_s``, the time since the world began. Raises ValueError for the past."""
         if to_s < self.time_s:
@@ -377,8 +382,9 @@ class World(Fleet[Role]):
         if self._snapshot is None:
             objects = self._traffic.at(self.traffic_s)
             self._snapshot = Snapshot(
-                self.time_s, self.truths(), objects, self._marker_hidden, self._depth_holes, self.detector
-            )
+                self.time_s, self.truths(), objects, self._marker_hidden, self._depth_holes, self.detector,
+                self.config.target.kind,
+            )  # fmt: skip
         return self._snapshot
 
 

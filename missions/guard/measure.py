@@ -27,7 +27,7 @@ from flight.outcome import Outcome
 from flight.phases import Phase
 from missions import rig_library
 from missions.handoff.command import fly_once
-from missions.options import GuardOptions
+from missions.options.field import GuardOptions
 from missions.report.command import show
 from missions.report.records import SUMMARY
 from missions.run_folder import claim_folder, new_folder
@@ -196,7 +196,7 @@ def _first(at_ns: int, stamps_ns: Sequence[int]) -> float | None:
 
 
 def _own_outcome(log: Path) -> str:
-    """How a role's program said that it ended; empty when it did not say so."""
+    """The end that a role's program named; empty when it named none."""
     ends = [r.record["outcome"] for r in read_log(log) if r.topic == "/outcome"] if log.exists() else []
     return str(ends[-1]) if ends else ""
 

@@ -228,10 +228,11 @@ class Receiver:
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the place relative to the target that the hand-over found this drone in."""
         assert self._track is not None
-        target, (north, east, _) = self._track.believed(self._session.now_ns())
+        target, (north, east, down) = self._track.believed(self._session.now_ns())
+        moves = north, east, down if self._config.target.flies else 0.0
         error = subtract(add(target, self._keep_n_m), state.position_n_m)
         keep, accel_mps2 = self._config.follow, self._config.max_accel_mps2
-        velocity = approach(error, state.velocity_n_mps, (north, east, 0.0), keep.answer(accel_mps2))
+        velocity = approach(error, state.velocity_n_mps, moves, keep.answer(accel_mps2))
         return VelocitySetpoint(velocity, bearing(subtract(target, state.position_n_m)))
 
     # --- what runs beside the course -----------------------------------------------------------------------------
@@ -240,7 +241,7 @@ class Receiver:
         """Look at every frame, at some once the target is held. Raises CameraError when the camera stops."""
         session, guard = self._session, self._config.guard
         while self._watching:
-            view = await session.perception.view(guard.frame_age_s)
+            view = await session.view(guard.frame_age_s)
             session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._rendezvous.tilt.note(R_n_b)

@@ -18,6 +18,8 @@ import cv2
 from drivers.interfaces import (
     CameraError,
     Clock,
+    Framed,
+    FrameLog,
     Link,
     LinkError,
     Log,
@@ -41,6 +43,7 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
 from flight.under_guard import UnderGuard
+from missions.leg.link_alarm import LinkAlarm
 from path.marker.warm_up import warm_up
 from path.messages import Ping, Pong, Role, Status
 from path.protocol.values import TakeResponsibility
@@ -109,6 +112,7 @@ class RoleSession:
         self.log = log
         self.stop = stop
         self.entropy = entropy
+        self._link_alarm = LinkAlarm()
         self._ignored: set[str] = set()  # kinds of what the crew was told not to be believed
         self.clock, self.vehicle, self.perception, self.link = parts
         self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
@@ -127,6 +131,7 @@ class RoleSession:
         self._emit = emit
         self._pings = 0
         self._image_ns = -(1 << 62)
+        self._frames = log if config.record == "all" and isinstance(log, FrameLog) else None
         self._traffic: list[tuple[float, int]] = []
 
     # --- time and waiting ---------------------------------------------------------------------------------------
@@ -278,11 +283,25 @@ class RoleSession:
         first_s, first = self._traffic[0]
         return (total - first) / (now_s - first_s) if now_s > first_s else 0.0
 
+    @property
+    def records_frames(self) -> bool:
+        """Returns whether every frame is recorded, so that perception can be run again."""
+        return self._frames is not None
+
+    async def view(self, timeout_s: float) -> View:
+        """The newest view not yet given, recorded if the rig says so. Raises CameraError when none came in time."""
+        view = await self.perception.view(timeout_s)
+        if self._frames is not None and isinstance(view, Framed):
+            self._frames.frame(view.frame)
+        return view
+
     def log_image(self, view: View, wanted: bool = False) -> None:
         """Log the camera's image, ``image_hz`` times a second at the most, unless this one is ``wanted``.
 
-        At 0 those alone are logged.
+        At 0 those alone are logged, and none when the rig records none.
         """
+        if self.config.record == "none":
+            return
         period_ns = round(1e9 / self.config.image_hz) if self.config.image_hz > 0.0 else 1 << 63
         if view.stamp_ns - self._image_ns < (1 if wanted else period_ns):
             return
@@ -331,7 +350,7 @@ class RoleSession:
             await asyncio.sleep(period_s)
 
     def _newly_ignored(self) -> list[str]:
-        """What the vehicle's driver does not believe, each kind once."""
+        """Returns what the vehicle's driver does not believe, each kind once."""
         vehicle = self.vehicle
         new = [what for what in vehicle.ignored if what not in self._ignored] if isinstance(vehicle, Wary) else []
         self._ignored.update(new)
@@ -388,6 +407,9 @@ class RoleSession:
             "clock_uncertainty_ns": self.alignment.uncertainty_ns if self.alignment.ready else None,
         }
         self.log.write("/link", self.now_ns(), record)
+        alarm = self._link_alarm.look(counters, self.now_ns())
+        if alarm:
+            self.say(alarm)
 
     def spawn(self, task: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         """Run beside the course until the vehicle is down; an error in it ends the course."""

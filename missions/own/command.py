@@ -18,7 +18,8 @@ from missions import rig_library
 from missions.handoff.command import FlightPrograms, fly_once, name_ground_station, name_simulators, unwritten
 from missions.leg.command import fly_from_drone
 from missions.live.start import live
-from missions.options import FlyOptions, RoleOptions
+from missions.options.field import RoleOptions
+from missions.options.flights import FlyOptions
 from missions.own.load import load_mission
 from missions.own.program import OwnMission
 from missions.report.command import figure, outcome_line, phase_table, show, violations
@@ -34,7 +35,7 @@ KEPT = (
     "wall_s", "realtime_factor", "min_separation_m", "separation_limit_m", "link_sent_bytes_per_s", "setpoint_gap_s",
     "monitors", "phases",
 )  # fmt: skip
-"""What a run's summary says that has nothing to do with a hand-over."""
+"""The part of a run's summary that has nothing to do with a hand-over."""
 
 
 def run(options: FlyOptions) -> int:

@@ -14,14 +14,14 @@ from rich.text import Text
 from drivers.rig.parts import Rig
 from flight.harness.relay import RelayConfig, RelayReport
 from flight.outcome import Outcome
-from missions.options import RelayOptions
+from missions.options.flights import RelayOptions
 from missions.relay.base import Base, Event, Leg
 from path.protocol.values import ProtocolConfig
 
 LATE_S = 0.2
 PROTOCOL = ProtocolConfig()
 GAP_BOUND_S = PROTOCOL.lease_s + PROTOCOL.max_uncertainty_s + PROTOCOL.guard_s + LATE_S
-"""How long nobody may be responsible (docs/campaign.md)."""
+"""The time for which nobody may be responsible (docs/campaign.md)."""
 
 
 def summarize_relay(

@@ -7,6 +7,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -16,10 +17,11 @@ from rich.text import Text
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord
 from drivers.rig.tables import RigError, decode_table
-from missions.options import ReplayOptions
-from missions.replay.redecide import Complete, DecisionPair, other_answers, redecide
+from missions.options.runs import ReplayOptions
+from missions.replay.perceive import PerceptionChange, detector_settings, eyes_of
+from missions.replay.redecide import Complete, DecisionPair, Open, other_answers, redecide
 from missions.report.command import show
-from missions.report.records import REPLAY, drone_logs
+from missions.report.records import REPLAY, drone_logs, load_facts
 from path.config import MethodConfig
 from path.messages import Role
 
@@ -47,26 +49,68 @@ class Replayed:
 
 def run(options: ReplayOptions) -> int:
     """``path-handoff replay``. Raises PartError for a folder or a setting that is none."""
-    logs = {name: _of_a_leg(name, records) for name, records in drone_logs(options.folder).items()}
+    if len(options.folders) != 1:
+        return run_many(options)
+    (folder,) = options.folders
+    logs = logs_of(folder)
     before = [_replay(name, records) for name, records in logs.items()]
     show(_same_table(before), sys.stdout)
     differ = [each for drone in before for each in drone.different]
     if not any(drone.decided for drone in before):
-        raise PartError(
-            f"{options.folder}: nothing was decided in it", "name the folder of a run that reached a handoff"
-        )
+        raise PartError(f"{folder}: nothing was decided in it", "name the folder of a run that reached a handoff")
     for each in differ[:1]:
         sys.stdout.write(f"first difference, {each.topic} at {each.stamp_ns}:\n{_difference(each)}")
-    change = change_of(options.set, options.gate)
-    if change is not None:
-        after = replay_changed(logs, change)
+    method = [text for text in options.set if not text.startswith("detector.")]
+    detector = [text for text in options.set if text.startswith("detector.")]
+    change = change_of(method, options.gate)
+    looks = options.frames or options.detector is not None or bool(detector)
+    if change is not None or looks:
+        seen_with = PerceptionChange(options.rig, options.detector, detector_settings(detector))
+        eyes = {name: eyes_of(folder, name, seen_with) for name in logs} if looks else {}
+        after = replay_changed(logs, change or (lambda method: method), eyes)
         show(_other_table(before, after), sys.stdout)
         if options.picture:
             from missions.replay.picture import draw_replay  # noqa: PLC0415 (matplotlib takes a second to import)
 
-            draw_replay(before, after, " ".join((*options.set, options.gate or "")), options.folder / REPLAY)
-            sys.stdout.write(f"\n{options.folder / REPLAY}\n")
+            draw_replay(before, after, _title(options), folder / REPLAY)
+            sys.stdout.write(f"\n{folder / REPLAY}\n")
     return EXIT_DIFFERENT if differ else 0
+
+
+def logs_of(folder: Path) -> dict[str, Sequence[LogRecord]]:
+    """Every drone's log of a run. Raises PartError for what is none, or cannot be replayed."""
+    return {name: _of_a_leg(name, records) for name, records in drone_logs(folder).items()}
+
+
+def run_many(options: ReplayOptions) -> int:
+    """What was decided in many runs, again; 1 when anything differs. Raises PartError for settings, or no folder."""
+    if not options.folders or options != ReplayOptions(options.folders, picture=options.picture):
+        raise PartError("other settings are for one run", "name one folder, or leave the settings out")
+    table = _table("run", "kind", "decisions", "differ")
+    decisions = differ = replayed = 0
+    for folder in options.folders:
+        try:
+            of = [each for name, records in logs_of(folder).items() for each in _replay(name, records).decided]
+        except PartError as error:
+            table.add_row(str(folder), str(error).removeprefix(f"{folder}: "), "-", "-")
+            continue
+        different = sum(not each.same for each in of)
+        table.add_row(str(folder), kind_of(folder), str(len(of)), str(different))
+        decisions, differ, replayed = decisions + len(of), differ + different, replayed + bool(of)
+    show(Group(Text(), table), sys.stdout)
+    sys.stdout.write(f"\n{replayed} runs, {decisions} decisions, {differ} differ\n")
+    return EXIT_DIFFERENT if differ else 0
+
+
+def kind_of(folder: Path) -> str:
+    """What a run was, in a few words."""
+    facts = load_facts(folder)
+    return "cut off" if facts is None else " ".join((facts.rig, *facts.faults, facts.outcome))
+
+
+def _title(options: ReplayOptions) -> str:
+    looked = options.frames or options.detector
+    return " ".join(("seen again" if looked else "", options.detector or "", *options.set, options.gate or ""))
 
 
 def change_of(settings: Sequence[str], gate: str | None) -> Callable[[MethodConfig], MethodConfig] | None:
@@ -92,13 +136,23 @@ def change_of(settings: Sequence[str], gate: str | None) -> Callable[[MethodConf
 
 
 def replay_changed(
-    logs: Mapping[str, Sequence[LogRecord]], change: Callable[[MethodConfig], MethodConfig]
+    logs: Mapping[str, Sequence[LogRecord]],
+    change: Callable[[MethodConfig], MethodConfig],
+    eyes: Mapping[str, Open] | None = None,
 ) -> list[Replayed]:
-    """Replays with other settings on both drones: D1 judges what D2 would have answered to what D1 sent."""
-    receivers = {name: _replay(name, records, change) for name, records in logs.items() if _is(Role.RECEIVER, records)}
+    """Replays with other settings on both drones: D1 judges what D2 would have answered to what D1 sent.
+
+    ``eyes``: of the drones that look at their recorded frames again.
+    """
+    eyes = eyes or {}
+    receivers = {
+        name: _replay(name, records, change, open_eyes=eyes.get(name))
+        for name, records in logs.items()
+        if _is(Role.RECEIVER, records)
+    }
     answers = {key: answer for each in receivers.values() for key, answer in other_answers(each.decided).items()}
     return [
-        receivers[name] if name in receivers else _replay(name, records, change, answers)
+        receivers[name] if name in receivers else _replay(name, records, change, answers, eyes.get(name))
         for name, records in logs.items()
     ]
 
@@ -108,10 +162,11 @@ def _replay(
     records: Sequence[LogRecord],
     change: Callable[[MethodConfig], MethodConfig] = lambda method: method,
     answers: Mapping[tuple[int, int], Mapping[str, Any]] | None = None,
+    open_eyes: Open | None = None,
 ) -> Replayed:
     decided: list[DecisionPair] = []
     complete: list[Complete] = []
-    for each in redecide(records, change, answers):
+    for each in redecide(records, change, answers, open_eyes):
         if isinstance(each, DecisionPair):
             decided.append(each)
         else:
@@ -147,9 +202,7 @@ def _setting(text: str) -> tuple[list[str], Any]:
 
 
 def _same_table(replayed: Sequence[Replayed]) -> RenderableType:
-    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
-    for title in ("drone", "decisions", "decided again", "differ"):
-        table.add_column(title, justify="left" if title == "drone" else "right")
+    table = _table("drone", "decisions", "decided again", "differ")
     for drone in replayed:
         for topic in dict.fromkeys(each.topic for each in drone.decided):
             of = [each for each in drone.decided if each.topic == topic]
@@ -159,14 +212,19 @@ def _same_table(replayed: Sequence[Replayed]) -> RenderableType:
 
 
 def _other_table(before: Sequence[Replayed], after: Sequence[Replayed]) -> RenderableType:
-    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
-    for title in ("", "as flown", "otherwise"):
-        table.add_column(title, justify="left" if not title else "right")
+    table = _table("", "as flown", "otherwise")
     for was, would in zip(before, after, strict=True):
         rows = _figures(was), _figures(would)
         for name in dict.fromkeys((*rows[0], *rows[1])):
             table.add_row(f"{was.drone}: {name}", rows[0].get(name, "-"), rows[1].get(name, "-"))
     return Group(Text(), table)
+
+
+def _table(*titles: str) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
+    for title in titles:
+        table.add_column(title, justify="left" if title in ("", "run", "kind", "drone") else "right")
+    return table
 
 
 def _figures(drone: Replayed) -> dict[str, str]:
@@ -178,6 +236,10 @@ def _figures(drone: Replayed) -> dict[str, str]:
         rows["gate complete, after the first answer"] = ", ".join(ends) or "not within the log"
         agreed = sum(bool(verdict["agreed"]) for verdict in verdicts)
         rows["answers that agree"] = f"{agreed}/{len(verdicts)}"
+    for topic, what in (("/target", "frames with the target"), ("/candidate", "frames with a candidate")):
+        of = [each.again for each in drone.decided if each.topic == topic and each.again is not None]
+        if of:
+            rows[what] = f"{sum(record['box'] is not None for record in of)}/{len(of)}"
     misses = Counter(
         f"{each.topic}: {each.again['reason']}" for each in drone.decided if each.again and each.again["reason"]
     )

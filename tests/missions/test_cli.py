@@ -12,16 +12,10 @@ import pytest
 
 from drivers.interfaces import PartError
 from missions import cli
-from missions.options import (
-    DoctorOptions,
-    HandoffOptions,
-    PrepareOptions,
-    ReceiverOptions,
-    ReportOptions,
-    RigsOptions,
-    SenderOptions,
-    TrialOptions,
-)
+from missions.options.field import DoctorOptions, PrepareOptions, ReceiverOptions, RigsOptions, SenderOptions
+from missions.options.flights import HandoffOptions
+from missions.options.proofs import TrialOptions
+from missions.options.runs import ReportOptions
 from missions.rig_list import FOLDER
 
 HEAVY = ("numpy", "cv2", "numba", "mavsdk", "pymavlink", "matplotlib", "scipy")
@@ -139,7 +133,8 @@ def test_the_rigs_are_listed_with_what_they_are_for(capsys: pytest.CaptureFixtur
     lines = capsys.readouterr().out.splitlines()
     names = [line.split()[0] for line in lines]
     courses = [name for name in names if not name.startswith(("dynamic", "relay", "team"))]
-    assert courses[:6] == ["sim", "sim-fast", "sim-field", "sim-px4", "sim-rendered", "sim-tello"]
+    assert courses[:7] == ["sim", "sim-drone", "sim-fast", "sim-field", "sim-person", "sim-px4", "sim-rendered"]
+    assert courses[7:10] == ["sim-rendered-drone", "sim-rendered-person", "sim-tello"]
     assert all(len(line.split(maxsplit=1)[1]) > 20 for line in lines)
 
 

@@ -11,7 +11,7 @@ from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.machines import Machines
 from missions.assurance.campaign.plan import Crash, Outage, RunPlan, Stall, draw
 from missions.assurance.verify.mutants import MUTANTS, wrong
-from missions.options import LevelName
+from missions.options.words import LevelName
 from path.messages import Role
 
 CALM = replace(draw(0, "none", 1), disk_s=0.0, late_s=0.0, agree_s=1.0, wrong=False)
@@ -119,3 +119,20 @@ def test_a_program_may_stand_still_between_any_two_effects_for_any_time(role: Ro
             for outages in ((), (lost,)):
                 run = Machines(replace(CALM, stalls=(stall,), outages=outages), faulty_channel).run()
                 assert run.violations == (), (stall, outages)
+
+
+def test_a_disk_that_loses_a_record_breaks_what_the_promises_rest_on_and_is_counted_apart() -> None:
+    apart: list[str] = []
+    for after in range(1, 8):
+        for role in Role:
+            crash = Crash(role, commit_s(CALM) - 0.001, after, True, 0.5, reboot=True, flying=True, forgets="newest")
+            run = Machines(replace(CALM, crashes=(crash,)), faulty_channel).run()
+            assert (run.violations, run.broken) == ((), ("disk",))
+            apart += run.beyond
+    assert any(what.startswith(("S1", "S2", "S4")) for what in apart), "the assumption is not needed?"
+
+
+def test_what_a_disk_forgets_is_drawn_beside_all_else() -> None:
+    plans = [draw(7301, "hostile", number) for number in range(200)]
+    assert {crash.forgets for plan in plans for crash in plan.crashes} == {"nothing", "newest", "all"}
+    assert all(crash.forgets == "nothing" for number in range(50) for crash in draw(7301, "harsh", number).crashes)
