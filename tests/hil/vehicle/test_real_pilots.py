@@ -46,7 +46,7 @@ PATIENT: dict[Kind, dict[str, float]] = {"px4": {"COM_OF_LOSS_T": 5.0}, "ardupil
 
 CEILING_M = 3.5
 OVER_M: dict[Kind, float] = {"px4": 2.0, "ardupilot": 1.0}
-"""In truth over the ceiling at most: half a second of patience at 0.5 m/s, and PX4's own error of height (1.7 m seen)."""
+"""In truth over the ceiling at most: half a second of patience at 0.5 m/s, and PX4's error of height, 1.7 m seen."""
 
 CLIMB = VelocitySetpoint((0.0, 0.0, -0.5), 0.0)
 
