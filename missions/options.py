@@ -37,6 +37,7 @@ TrialName = Literal[
     "real",
 ]
 Live = Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")]
+Slow = Annotated[float | None, Bounds(0.02, 1.0, "of a core")]
 Errors = Literal["exact", "careful", "careless"] | None
 Faults = Annotated[
     tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@MOMENT[+SECONDS]]"), tyro.conf.UseAppendAction
@@ -78,6 +79,10 @@ class HandoffOptions:
 
     junit: FileName = None
     """With --seeds: write a JUnit file too, a test case a run, failed unless it committed."""
+
+    slow: Slow = None
+    """At `sitl`: confine each role's program to this share of one core, 0.2 for a fifth, by a control group
+    (docs/compute.md)."""
 
     picture: bool = True
     """Draw run.png at the end."""
@@ -299,6 +304,9 @@ class DoctorOptions:
 
     vehicle: Literal["none", "sender", "receiver"] = "none"
     """Connect to this role's vehicle as well, and compare its parameters with the rig's. Nothing moves."""
+
+    slow: Slow = None
+    """With --role: what this computer would hold if each role had this share of one core (docs/compute.md)."""
 
     set_parameters: bool = False
     """Set the vehicle's parameters to what the rig wants; what they were is kept in runs/parameters."""

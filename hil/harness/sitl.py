@@ -9,11 +9,13 @@ import asyncio
 import signal
 import sys
 import time
-from collections.abc import Awaitable, Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from drivers.cpu_share import CpuShare
 from drivers.log.mcap_log import LogRecord, parts, read_log
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
@@ -77,7 +79,7 @@ class SitlHarness:
     prepare = staticmethod(prepare)
 
     def fly(self, request: FlightRequest) -> FlightReport:
-        """Raises PartError when the rig needs an autopilot that was not named."""
+        """Raises PartError when the rig needs an autopilot that was not named, or a share of a core it cannot have."""
         config = decode_table(request.rig.world, WorldConfig, request.rig.where("[world]"))
         for role in Role:
             simulator = config.simulator(role)
@@ -85,10 +87,17 @@ class SitlHarness:
                 binary_of(simulator.kind)
             if simulator is not None and simulator.on_board and "fc_link_loss" in " ".join(request.faults):
                 raise FaultError("fault fc_link_loss: the harness has no hold of the board's cable", "pull it yourself")
-        return asyncio.run(_fly(request))
+        with ExitStack() as stack:
+            shares: dict[Role, CpuShare] = {}
+            if config.slow is not None:
+                shares = {role: stack.enter_context(CpuShare(role.value, config.slow)) for role in Role}
+            report = asyncio.run(_fly(request, shares))
+            slow = {} if config.slow is None else {"share": config.slow}
+            stopped = {f"{role.value}_stopped_s": round(share.stopped_s(), 3) for role, share in shares.items()}
+            return replace(report, slow={**slow, **stopped})
 
 
-async def _fly(request: FlightRequest) -> FlightReport:
+async def _fly(request: FlightRequest, shares: Mapping[Role, CpuShare]) -> FlightReport:
     faults = parse_faults(request.faults, request.rig.level)
     if any(fault.name == "attack" for fault in faults):
         _need_keys(request.rig)
@@ -100,7 +109,7 @@ async def _fly(request: FlightRequest) -> FlightReport:
         world, air = await _start_world(request, processes)
         crew = _Crew(
             world,
-            lambda role: _start_role(request, role, processes),
+            lambda role: _start_role(request, role, processes, shares.get(role)),
             lambda rate: _start_attack(request, rate, air, processes),
         )
         for role in Role:
@@ -152,8 +161,12 @@ async def _start_attack(request: FlightRequest, rate: float, air: int, processes
     return process
 
 
-async def _start_role(request: FlightRequest, role: Role, processes: list[Child]) -> Child:
+async def _start_role(
+    request: FlightRequest, role: Role, processes: list[Child], share: CpuShare | None = None
+) -> Child:
     process = await spawn(request.role_command(role), request.out / f"{role.value}.stderr.txt")
+    if share is not None:
+        share.add(process.pid)
     processes.append(process)
     return process
 

@@ -238,9 +238,9 @@ class Receiver:
 
     async def _watch(self) -> None:
         """Look at every frame, at some once the target is held. Raises CameraError when the camera stops."""
-        session, guard = self._session, self._config.guard
+        session = self._session
         while self._watching:
-            view = await session.perception.view(guard.frame_age_s)
+            view = await session.view()
             session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._rendezvous.tilt.note(R_n_b)
@@ -273,6 +273,7 @@ class Receiver:
         T_n_c = self._camera_pose.T_n_c(stamp_ns, R_n_b)
         motion = self._motion()
         self._marker.note_motion(motion)
+        self._marker.search_every = session.shedding.search_every
         with session.stage("marker"):
             fix = self._marker.look(view, T_n_c.R, gravity_v, self._camera_pose.gravity_c(R_n_b))
         with session.stage("log"):

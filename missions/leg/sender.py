@@ -231,7 +231,7 @@ class Sender:
         """Look at every frame while the receiver is near, else at some. Raises CameraError when the camera stops."""
         session = self._session
         while self._watching:
-            view = await session.perception.view(self._config.guard.frame_age_s)
+            view = await session.view()
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._tilt.note(R_n_b)
             if self._track is None:

@@ -40,6 +40,7 @@ from flight.harness.flights import Emit, InProcess, Progress
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
+from flight.shedding import BEAT_S, Shedding
 from flight.under_guard import UnderGuard
 from path.marker.warm_up import warm_up
 from path.messages import Ping, Pong, Role, Status
@@ -100,6 +101,7 @@ class RoleSession:
     ) -> None:
         self.guard = guard
         self._stages = stages  # None in virtual time, in which logs tell nothing of the machine
+        self.shedding = Shedding()
         self.script = Script.IDLE
         self._measured_m = math.nan
         self.rig = rig
@@ -220,6 +222,30 @@ class RoleSession:
             self.log.write("/cpu", self.now_ns(), {"spent_ns": self._stages.spent_ns()})
             await asyncio.sleep(_CPU_PERIOD_S)
 
+    async def keep_up(self) -> None:
+        """Give things up in order while the program is busy all the time, and take them up again, for ever.
+
+        In virtual time nothing is late.
+        """
+        loop = asyncio.get_running_loop()
+        while self._stages is not None:
+            due_s = loop.time() + BEAT_S
+            await asyncio.sleep(BEAT_S)
+            changed = self.shedding.beat(loop.time() - due_s)
+            if changed is not None:
+                record = {"what": changed.what, "gone": changed.gone, "busy": changed.busy}
+                self.log.write("/shed", self.now_ns(), record)
+                self.say(f"this computer is busy: {'gives up' if changed.gone else 'takes up again'} {changed.what}")
+
+    async def view(self) -> View:
+        """The next view; on a computer that does not keep up some are left out. Raises CameraError when none comes."""
+        wait_s = self.shedding.until_next_s(self.now_ns())
+        if wait_s > 0.0:
+            await asyncio.sleep(wait_s)
+        view = await self.perception.view(self.config.guard.frame_age_s)
+        self.shedding.took(view.frame_id, view.stamp_ns, self.now_ns())
+        return view
+
     # --- what the others see -------------------------------------------------------------------------------------
 
     def enter(self, phase: Phase, note: str = "") -> None:
@@ -284,7 +310,7 @@ class RoleSession:
         At 0 those alone are logged.
         """
         period_ns = round(1e9 / self.config.image_hz) if self.config.image_hz > 0.0 else 1 << 63
-        if view.stamp_ns - self._image_ns < (1 if wanted else period_ns):
+        if view.stamp_ns - self._image_ns < (1 if wanted else period_ns) or not (wanted or self.shedding.pictures):
             return
         image = view.image()
         if image is not None:

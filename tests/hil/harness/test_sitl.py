@@ -16,9 +16,12 @@ from typing import Any
 
 import pytest
 
+from drivers.cpu_share import CpuShare
+from drivers.interfaces import PartError
 from drivers.link.udp import address_of
 from drivers.log.mcap_log import McapLog, new_part
 from drivers.log.state_file import StateFile
+from drivers.rig.parts import with_slow
 from flight.harness.flights import FlightReport, FlightRequest, Progress, RoleResult, encode_event
 from flight.outcome import Outcome
 from hil.harness import children, sitl
@@ -380,3 +383,36 @@ def test_no_two_ends_of_a_run_share_a_port(rig: Any) -> None:
     sides = [proxy_side(rig.role(role)) for role in Role]
     ends = [end for side in sides for end in (side.listen, side.end)]
     assert len(set(ends)) == 4
+
+
+def test_each_roles_program_is_in_a_group_of_its_own_also_when_it_is_started_again(rig: Any, tmp_path: Path) -> None:
+    """Which group, it says itself."""
+    try:
+        with CpuShare("test", 0.5):
+            pass
+    except PartError as error:
+        pytest.skip(str(error))
+    says = "from pathlib import Path; import sys; sys.stdin.readline(); print(Path('/proc/self/cgroup').read_text())"
+    request = FlightRequest(rig, tmp_path, 1, (), None, lambda role: [sys.executable, "-c", says], lambda _: None)  # type: ignore[arg-type]
+
+    async def groups() -> list[str]:
+        processes: list[asyncio.subprocess.Process] = []
+        said: list[str] = []
+        with CpuShare("sender", 0.5) as share:
+            for _ in range(2):
+                process = await sitl._start_role(request, Role.SENDER, processes, share)
+                told, _ = await process.communicate(b"\n")
+                said.append(told.decode())
+        return said
+
+    assert all("-sender\n" in said for said in asyncio.run(groups()))
+
+
+def test_a_share_that_cannot_be_had_ends_before_anything_starts(
+    rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.cpu_share.hierarchies", lambda: iter(()))
+    request = FlightRequest(with_slow(rig, 0.2), tmp_path, 1, (), None, lambda role: [], lambda _: None)  # type: ignore[arg-type]
+    with pytest.raises(PartError, match="control group"):
+        sitl.SitlHarness().fly(request)
+    assert not list(tmp_path.iterdir())
