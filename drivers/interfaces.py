@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.camera import CameraModel
+from path.geometry import Pose
 from path.messages import Message, Vec3
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 from path.protocol.values import ReceiverRecord, SenderRecord
@@ -225,7 +226,7 @@ class Wary(Protocol):
 
     @property
     def ignored(self) -> Mapping[str, int]:
-        """What was not believed, in words, and how often."""
+        """Everything that was not believed, in words, and its count."""
         ...
 
 
@@ -276,8 +277,11 @@ class View(Protocol):
         """Target-like objects whose box centre is in ``region`` (None: whole image)."""
         ...
 
-    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
-        """Markers of the layout in ``region`` (None: whole image), with corner covariance."""
+    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+        """Markers of the layout in ``region`` (None: whole image), with corner covariance.
+
+        ``expected`` is ``T_c_v`` as far as it is known, where it is known well: a help to find them sooner.
+        """
         ...
 
     def depth(self, box: Box) -> Depth | None:
@@ -287,6 +291,14 @@ class View(Protocol):
     def image(self) -> NDArray[np.uint8] | None:
         """The colour image (BGR) for logs and pictures; None where there are no pixels."""
         ...
+
+
+@runtime_checkable
+class Framed(Protocol):
+    """A view that has its frame, as the camera gave it; where there are no pixels a view is none."""
+
+    @property
+    def frame(self) -> Frame: ...
 
 
 class Perception(Part, Protocol):
@@ -383,3 +395,10 @@ class Log(Protocol):
         ...
 
     def image(self, topic: str, stamp_ns: int, image: NDArray[np.uint8]) -> None: ...
+
+
+@runtime_checkable
+class FrameLog(Protocol):
+    """A log that takes every frame of a camera too. Never raises, and never waits: what it cannot take is dropped."""
+
+    def frame(self, frame: Frame) -> None: ...

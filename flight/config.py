@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 from drivers.interfaces import Capability
 from flight.guard_rules import GuardRules
@@ -40,7 +40,7 @@ class TargetDesignation:
     drift_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.5  # after that it may be this much farther off every second
 
     def at(self, since_start_s: float) -> Designated:
-        """Where the object can be so long after the start of the drone's program."""
+        """The region in which the object can be so long after the start of the drone's program."""
         age_s = self.age_s + max(0.0, since_start_s)
         place = self.north_m + self.north_mps * age_s, self.east_m + self.east_mps * age_s, -self.height_m
         return Designated(place, self.radius_m, self.drift_mps * max(0.0, age_s - self.holds_s))
@@ -59,7 +59,7 @@ class FollowConfig:
     target_accel_mps2: Annotated[float, Bounds(0.0, 10.0)] = 0.6  # how hard the target speeds up, brakes and turns
 
     def answer(self, accel_mps2: float) -> Answer:
-        """How to fly there with setpoints of that acceleration."""
+        """Returns the way to fly there with setpoints of that acceleration."""
         return Answer(self.gain_per_s, self.max_speed_mps, self.response_s, accel_mps2)
 
 
@@ -158,7 +158,8 @@ class MissionConfig:
     status_hz: Annotated[float, Bounds(0.5, 50.0)] = 10.0  # of the sender: the receiver flies by its velocity
     receiver_status_hz: Annotated[float, Bounds(0.5, 50.0)] = 4.0
     ping_hz: Annotated[float, Bounds(0.1, 50.0)] = 1.0  # once the clocks are aligned; with every Status before
-    image_hz: Annotated[float, Bounds(0.0, 60.0)] = 1.0  # camera images in the log
+    record: Literal["none", "keyframes", "all"] = "keyframes"  # "all": every frame too, in a file beside the log
+    image_hz: Annotated[float, Bounds(0.0, 60.0)] = 1.0  # camera images in the log: its key frames
     follow_after_s: Annotated[float, Bounds(0.0, 36000.0)] = 6.0  # how long D2 follows before it lands
     depart_m: Annotated[float, Bounds(0.5, 50.0)] = 2.5
     search_hz: Annotated[float, Bounds(0.5, 100.0)] = 10.0  # looks at the whole image for the marker

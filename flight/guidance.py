@@ -51,7 +51,7 @@ def close_in(error_n_m: Vec3, feed_forward_n_mps: Vec3, gain_per_s: float, max_s
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """How a vehicle may be flown towards a moving point.
+    """The limits within which a vehicle is flown towards a moving point.
 
     ``response_s``: until it has answered to 63 % of a new velocity. ``accel_mps2``: of setpoints, at most.
     """

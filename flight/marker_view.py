@@ -25,6 +25,7 @@ from path.relative import Relative, RelativeFilter, RelativeSettings
 _ROOM_M, _TURN_RAD = 0.012, 0.1  # around the markers' corners; a plate that is turned by so much more
 _NEAREST_M = 0.1  # a corner that would be nearer is none
 _FIXED_NS = 500_000_000  # fixes older than this do not count towards "seen"
+_EXPECTED_S = 0.15  # after a fix a marker is expected at one place; later it must be searched for
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,13 +107,13 @@ class MarkerView:
         if gravity_v is not None and self._motion is not None:
             R_n_v = levelled(gravity_v, self._R_b_v, self._motion.peer_yaw_rad)
         self.R_n_v = R_n_v
-        region = self._region(view.stamp_ns, R_n_c, R_n_v)
+        region, expected = self._where(view.stamp_ns, R_n_c, R_n_v)
         if region is None:
             # a search of the whole image costs ten times a look at the right place
             if view.stamp_ns - self._searched_ns < self.search_every * self._search_period_ns:
                 return Missed(MissReason.NO_MARKER)
             self._searched_ns = view.stamp_ns
-        detections = view.markers(region)
+        detections = view.markers(region, expected)
         pose = estimate_pose(detections, self._layout, self._camera, gravity_v, gravity_c, self._settings)
         if isinstance(pose, Missed):
             return pose
@@ -128,16 +129,18 @@ class MarkerView:
         north, east, down = (R_n_c @ (x * prior.depth_m, y * prior.depth_m, prior.depth_m)).tolist()
         self.target_n_m = (north, east, down)
 
-    def _region(self, stamp_ns: int, R_n_c: Matrix, R_n_v: Matrix | None) -> Region | None:
-        """Around where the markers must be; None when that is not known: then everywhere."""
+    def _where(self, stamp_ns: int, R_n_c: Matrix, R_n_v: Matrix | None) -> tuple[Region | None, Pose | None]:
+        """Around where the markers must be, None when that is not known: then everywhere; and where they are expected,
+        shortly after a fix."""
         relative = self._filter.predict(stamp_ns, R_n_c, R_n_v)
         if relative is None:
-            return None
+            return None, None
         u0, v0, u1, v1, near_m = extent(self._lens, relative.T_c_v.apply(self._corners_v), _NEAREST_M)
         if math.isinf(near_m):
-            return None
+            return None, None
         room_px = self._camera.fx * (self._room_m + 3.0 * relative.sigma_m) / near_m + 12.0
-        return Region(u0 - room_px, v0 - room_px, u1 + room_px, v1 + room_px)
+        known = self._filter.unseen_s(stamp_ns) <= _EXPECTED_S
+        return Region(u0 - room_px, v0 - room_px, u1 + room_px, v1 + room_px), relative.T_c_v if known else None
 
 
 def _relative_settings(mission: MissionConfig) -> RelativeSettings:

@@ -36,4 +36,4 @@ COURSE: dict[Role, tuple[Phase, ...]] = {
         Phase.FOLLOW, Phase.DEPART, Phase.LAND,
     ),
 }  # fmt: skip
-"""What each drone passes when all goes well, before it is done."""
+"""The phases that each drone passes when all goes well, before it is done."""

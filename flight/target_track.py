@@ -43,7 +43,7 @@ class TargetTrack:
         return add(self.position_n_m, scale(self.velocity_n_mps, dt)), math.sqrt(variance)
 
     def reach_m(self, stamp_ns: int) -> float:
-        """How far from its prediction the object can have come by a stamp: by what is not known of it, and by driving.
+        """The most that the object can be from its prediction at a stamp: by what is not known of it, and by driving.
 
         ``accel_mps2`` is a bound here: what is farther off is another object.
         """
@@ -66,7 +66,7 @@ class TargetTrack:
         return add(self.position_n_m, scale(self.velocity_n_mps, driven_s)), scale(self.velocity_n_mps, share)
 
     def gate_m(self, sigma_m: float, stamp_ns: int) -> float:
-        """How far from its prediction, with this standard deviation, the object may be found at a stamp."""
+        """The farthest from its prediction, with this standard deviation, that the object may be found at a stamp."""
         most_m = min(_GATE_MOST_M, _RIVAL_SHARE * self.rival_m) if self._rival_known(stamp_ns) else _GATE_MOST_M
         return max(_GATE_LEAST_M, min(3.0 * sigma_m + _GATE_FLOOR_M, most_m))
 

@@ -175,7 +175,7 @@ def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: floa
 
 
 def _at_height(pixel: Pixel, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3 | None:
-    """Where a pixel's ray comes down to a height; None for a ray that hardly does."""
+    """Returns the point at which a pixel's ray comes down to a height; None for a ray that hardly does."""
     x, y = camera.ray(*pixel)
     ray = T_n_c.R @ (x, y, 1.0)
     if ray[2] < _MIN_DESCENT:
@@ -210,7 +210,7 @@ def _by_distance(
 
 
 def is_cut(box: Box, camera: CameraModel) -> bool:
-    """Whether the image's border cuts a box, or may: then it is not the whole object's."""
+    """True when the image's border cuts a box, or may: then it is not the whole object's."""
     return (
         min(box.x, box.y) < _BORDER_PX - 0.5
         or box.x + box.w > camera.width - 0.5 - _BORDER_PX
@@ -219,7 +219,7 @@ def is_cut(box: Box, camera: CameraModel) -> bool:
 
 
 def _middle(box: Box, camera: CameraModel, size_m: tuple[float, float], z_m: float) -> Pixel:
-    """Where the middle of an object is that the border cuts, from its size when it was whole."""
+    """The middle of an object that the border cuts, from its size when it was whole."""
     half_u, half_v = 0.5 * size_m[0] * camera.fx / z_m, 0.5 * size_m[1] * camera.fy / z_m
     return (
         _whole_middle(box.x, box.x + box.w, half_u, camera.width),
@@ -242,5 +242,5 @@ def _nearest_m(ranked: Sequence[_Found], px_per_m: float) -> float:
 
 
 def _nearly_as_near(ranked: Sequence[_Found]) -> bool:
-    """Whether the second object might be the one expected as well as the first."""
+    """True when the second object might be the one expected as well as the first."""
     return ranked[0].off_px > _AMBIGUITY * ranked[1].off_px

@@ -1,4 +1,4 @@
-"""What a computer that was too slow for a run in real time is blamed for, and nobody else."""
+"""Lateness in a run in real time: what a computer that was too slow is blamed for, and nobody else."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ OF_TIME = frozenset(Outcome) - {
     Outcome.INTERRUPTED, Outcome.CRASHED, Outcome.RESTARTED, Outcome.LOG_FAILED,
 }  # fmt: skip
 MONITORS_OF_TIME = frozenset({"S7", "S8", OBJECT_MONITOR, "L1", "L2"})
-"""What a computer that does not keep up can be the cause of: then it says nothing of the mission."""
+"""Ends that a computer that does not keep up can be the cause of: they say nothing of the mission."""
 
 
 def for_lateness(overload: str, violations: Collection[str], outcome: Outcome, detail: str) -> tuple[Outcome, str]:

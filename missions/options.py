@@ -68,10 +68,10 @@ class HandoffOptions:
     """Runs at a time with --seeds; 0: one per core. Rigs in real time fly one at a time."""
 
     fault: Faults = ()
-    """What is to go wrong, such as lookalike, link_loss=0.3 or kill_sender=1@verify+2; may be given several times."""
+    """Faults to try, such as lookalike, link_loss=0.3 or kill_sender=1@verify+2; may be given several times."""
 
     errors: Errors = None
-    """How far the simulated world is from what the rig says (docs/errors.md): as a careful crew leaves it, three times
+    """Errors of the simulated world against the rig (docs/errors.md): as a careful crew leaves it, three times
     that, or not at all; careful unless the rig says otherwise."""
 
     out: OutFolder = None
@@ -111,7 +111,7 @@ class RelayOptions:
     fast as it computes; relay-sitl: in real time, each drone's program a process of its own."""
 
     drones: Annotated[int, Bounds(2, 100, "drones")] = 3
-    """How many of the rig's drones take part, from its first one on."""
+    """The number of the rig's drones that take part, from its first one on."""
 
     hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
     """For how long; then the responsible drone comes home. By default as the rig says: 8 h in relay-sim, minutes in
@@ -121,14 +121,14 @@ class RelayOptions:
     """Seed of the world and of every noise: in simulated time the same seed is the same relay."""
 
     fault: LegFaults = ()
-    """What is to go wrong: in every leg, such as link_loss=0.3, or in one, such as 3:kill_receiver@approach; may be
+    """Faults to try: in every leg, such as link_loss=0.3, or in one, such as 3:kill_receiver@approach; may be
     given several times."""
 
     out: OutFolder = None
     """Folder for logs, summary and picture; runs/<time> by default."""
 
     errors: Errors = None
-    """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
+    """Errors of the simulated world against the rig (docs/errors.md); careful unless the rig says otherwise."""
 
     logs: bool = False
     """Log everything, frame by frame, and not only what is decided: some 40 MB an hour."""
@@ -149,10 +149,10 @@ class TeamOptions:
     """A rig with [team], [[drones]] and [[targets]] (docs/team.md)."""
 
     drones: Annotated[int | None, Bounds(2, 1000, "drones")] = None
-    """How many drones; those of the rig by default, and a field laid out like it for more than it names."""
+    """The number of drones; those of the rig by default, and a field laid out like it for more than it names."""
 
     targets: Annotated[int | None, Bounds(1, 1000, "targets")] = None
-    """How many targets; those of the rig by default, and a field laid out like it for more than it names."""
+    """The number of targets; those of the rig by default, and a field laid out like it for more than it names."""
 
     hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
     """For how long; then everybody comes home. By default as the rig says: 2 h in team-sim."""
@@ -161,14 +161,14 @@ class TeamOptions:
     """Seed of the world and of every noise: in simulated time the same seed is the same flight of the team."""
 
     fault: LegFaults = ()
-    """What is to go wrong: in every leg, such as link_loss=0.3, or in one, such as 3:kill_receiver@approach; may be
+    """Faults to try: in every leg, such as link_loss=0.3, or in one, such as 3:kill_receiver@approach; may be
     given several times."""
 
     out: OutFolder = None
     """Folder for logs, summary and picture; runs/<time> by default."""
 
     errors: Errors = None
-    """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
+    """Errors of the simulated world against the rig (docs/errors.md); careful unless the rig says otherwise."""
 
     logs: bool = False
     """Log everything, frame by frame, and not only what is decided: some 40 MB an hour and drone."""
@@ -216,10 +216,10 @@ class FlyOptions:
     """Seed of the world and of every noise: the same seed is the same run at the sim levels."""
 
     fault: Faults = ()
-    """What is to go wrong, such as link_loss=0.3 or kill_sender@mission+5; may be given several times."""
+    """Faults to try, such as link_loss=0.3 or kill_sender@mission+5; may be given several times."""
 
     errors: Errors = None
-    """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
+    """Errors of the simulated world against the rig (docs/errors.md); careful unless the rig says otherwise."""
 
     out: OutFolder = None
     """Folder for logs and summary; runs/<time> by default."""
@@ -356,8 +356,18 @@ class ReplayOptions:
     """The folder of the run."""
 
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="method.NAME=VALUE"), tyro.conf.UseAppendAction] = ()
-    """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4; may be given several
-    times. Without any (and without --gate) every decision must come out as it was logged."""
+    """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4, or of its detector, such as
+    detector.min_saturation=0.4; may be given several times. Without any (and without --gate) every decision must come
+    out as it was logged."""
+
+    frames: bool = False
+    """Look again at the recorded frames (`record = "all"`) instead of taking what the log says was seen."""
+
+    detector: Annotated[str | None, tyro.conf.arg(metavar="MODULE:CLASS")] = None
+    """With --frames, which it implies: another detector than the rig's, for both drones."""
+
+    rig: str | None = None
+    """With --frames: the rig whose perception looks; the one that was flown by default."""
 
     gate: Literal["count", "evidence"] | None = None
     """The gate to decide with instead."""
@@ -391,7 +401,7 @@ class ExportOptions:
     """A table for each topic of each log."""
 
     out: OutFolder = None
-    """Where to; `export` in the run's folder by default."""
+    """The folder to write to; `export` in the run's folder by default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -443,7 +453,7 @@ class TrialOptions:
     `rendezvous`, `sitl` for `soak`."""
 
     errors: Errors = None
-    """How far the world of flights and Monte-Carlo hand-overs is from what the rig says (docs/errors.md); careful
+    """Errors of the world of flights and Monte-Carlo hand-overs against what the rig says (docs/errors.md); careful
     unless the rig says otherwise. `static` and `ambiguity` have errors of their own."""
 
     xfeat: FileName = None
@@ -453,7 +463,7 @@ class TrialOptions:
     """Folder with the logs of a session, for `beacon`: it is judged as if it were flown now."""
 
     seconds: Annotated[float, Bounds(0.0, 1e6)] = 0.0
-    """How long `soak` verifies, 0: 20 minutes; how long `beacon` records where the drones are flown from their own
+    """The time for which `soak` verifies, 0: 20 minutes; or `beacon` records where the drones are flown from their own
     computers, 0: until Ctrl-C."""
 
     board: FileName = None
@@ -464,7 +474,7 @@ class TrialOptions:
     times."""
 
     photographs: OutFolder = None
-    """What the paths in --set's files are relative to; by default each file's own folder."""
+    """The folder that paths in --set's files are relative to; by default each file's own folder."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -488,7 +498,7 @@ class VerifyOptions:
     whether the tests notice. In a checkout with what `.[dev]` brings; most of an hour on two cores."""
 
     sample: Annotated[int, Bounds(1, 1_000_000, "changes")] = 168
-    """How many changes, of more than a thousand."""
+    """The number of changes, of more than a thousand."""
 
     seed: Seed = 0
     """Seed of the forged packets, and of which changes are made."""
@@ -507,7 +517,7 @@ class CampaignOptions:
     """machines: both protocol machines, real messages; roles: both whole role programs; team: whole teams."""
 
     runs: Annotated[int, Bounds(1, 100_000_000, "runs")] = 1000
-    """How many runs, shared out among the levels."""
+    """The number of runs, shared out among the levels."""
 
     faults: Annotated[tuple[LevelName, ...], tyro.conf.arg(metavar="LEVEL ...")] = ()
     """The levels of faults; all of them by default."""
@@ -537,7 +547,7 @@ class CampaignOptions:
     """Write a JUnit file too: a test case a run, failed by what it violated, with the line that replays it."""
 
     errors: Errors = None
-    """How far the simulated world is from what the rig says (docs/errors.md); careful unless the rig says otherwise."""
+    """Errors of the simulated world against the rig (docs/errors.md); careful unless the rig says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -685,7 +695,7 @@ class DetectOptions:
     """Model of the YOLOX family (ONNX), instead of the rig's detector."""
 
     classes: tuple[str, ...] = ()
-    """What to look for with --model, such as `car truck`; everything by default."""
+    """Classes to look for with --model, such as `car truck`; everything by default."""
 
     min_score: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.3
     """With --model: what scores less is not found."""

@@ -26,7 +26,7 @@ def run(options: PrepareOptions) -> int:
 
 
 def prepare(rig: Rig) -> None:
-    """What the rig's harness prepares before its clock starts; without one, what a role compiles on its drone."""
+    """Prepares what the rig's harness needs before its clock starts; without one, what a role compiles on its drone."""
     harness = None if rig.harness is None else import_factory(rig.harness, rig.where("harness"))
     by_harness: Callable[[Rig, Callable[[str], None]], None] | None = getattr(harness, "prepare", None)
     if by_harness is not None:

@@ -32,7 +32,7 @@ class RunKind:
     def files(self, folder: Path) -> Iterator[Path]:
         """Yields the files in a folder that have the names of a run's."""
         actors = "|".join(map(re.escape, self.actors))
-        logs = re.compile(rf"({actors})(\.guard)?(\.\d+)?\.(mcap|stderr\.txt|state\.json)")
+        logs = re.compile(rf"({actors})(\.guard)?(\.\d+)?(\.frames)?\.(mcap|stderr\.txt|state\.json)")
         for file in sorted(folder.iterdir()):
             if file.name in (self.marker, *self.results) or logs.fullmatch(file.name):
                 yield file

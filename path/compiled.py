@@ -1,4 +1,4 @@
-"""How kernels are compiled: kept on disk, without the GIL, in exact IEEE arithmetic, the same on every CPU.
+"""The decorator of compiled kernels: kept on disk, without the GIL, in exact IEEE arithmetic, the same on every CPU.
 
 Without fast-math, so that results do not depend on the machine; division by zero gives inf or NaN, as in C, which is
 less to compile than an exception at each division, and lets loops vectorise.

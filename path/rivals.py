@@ -1,4 +1,4 @@
-"""What D1 sees beside its target: the objects that D2's box could be of instead, and how far from each it is.
+"""The objects that D1 sees beside its target: D2's box could be of one of them, and lies at a distance from each.
 
 D2's box gives a line of sight. Where that passes the target, at the target's depth, it is some way off D1's own box;
 where it passes another object, at that one's depth, some way off that one's. Both are offsets in D1's image, in metres
@@ -23,7 +23,7 @@ from path.window import Offset, Offsets
 SAME_M = 0.15
 """Two sightings that are nearer to each other than that are of one object."""
 MOST, REMEMBERED = 3, 8
-"""How many are told of, and how many are remembered: the nearest ones."""
+"""The numbers of those told of and of those remembered: the nearest ones."""
 SEEN_TIMES = 3
 """One that was seen less often may be nothing: detectors invent, but hardly ever several times in the same place."""
 _LEAST_DESCENT = 0.1  # of a line of sight towards the target's level, per metre of depth
@@ -85,7 +85,7 @@ class Rivals:
         self._beside = seen[:REMEMBERED]
 
     def offsets(self, T_v_c2: Rigid, box2: Box, own: Box, z_m: float, point_v: Vec3) -> Offsets | None:
-        """How far D2's box is from the target and from each object beside it; None when it cannot be told.
+        """The distances of D2's box from the target and from each object beside it; None when they cannot be told.
 
         Args:
             own, z_m, point_v: D1's target at D2's capture instant.
@@ -114,7 +114,7 @@ class Rivals:
         return (u - center[0]) * z_m / camera.fx, (v - center[1]) * z_m / camera.fy
 
     def _place(self, rival: Rival, z_m: float, point_v: Vec3, gravity_v: Vec3) -> tuple[Vec3, float] | None:
-        """Where a rival is in ``v``, and its depth; None when its pixel has no ray."""
+        """A rival's place in ``v``, and its depth; None when its pixel has no ray."""
         views, config = self._views, self._config
         depth = rival.depth
         if depth is not None and config.min_depth_m <= depth.z_m <= config.max_depth_m:

@@ -37,7 +37,7 @@ Offset = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Offsets:
-    """How far D2's box, seen by D1, is from where each object would have it: the target, and those D1 sees beside it
+    """D2's box, seen by D1, as distances from where each object would have it: the target, and those D1 sees beside it
     (``path.rivals``)."""
 
     target_m: Offset

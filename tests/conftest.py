@@ -8,6 +8,7 @@ Machines are noisy. ``pytest --hypothesis-profile=explore`` looks for new exampl
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,12 @@ from hypothesis import settings
 from xdist.scheduler import LoadScopeScheduling
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in missions, and before any test loads numpy
+
+# Signals that whoever began the tests ignores (nohup, a shell's `&`) would be ignored by the programs under test too:
+# a handler keeps the tests running as before, and does not pass on to programs that they start.
+for _number in (signal.SIGINT, signal.SIGHUP):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, lambda *_: None)
 
 # What has sockets, threads, processes and limits of its own: one at a time, and only what computes is run beside it.
 REAL_TIME = (

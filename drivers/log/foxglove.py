@@ -24,6 +24,7 @@ from foxglove.messages import (
     CameraCalibration,
     Color,
     CompressedImage,
+    CompressedVideo,
     CubePrimitive,
     FrameTransform,
     FrameTransforms,
@@ -38,6 +39,7 @@ from foxglove.messages import (
     PointsAnnotationType,
     Pose,
     Quaternion,
+    RawImage,
     SceneEntity,
     SceneUpdate,
     SpherePrimitive,
@@ -47,6 +49,7 @@ from foxglove.messages import (
     Vector3,
 )
 from foxglove.messages import Log as Line
+from numpy.typing import NDArray
 
 from drivers.log.topics import blank
 from path.rotation import quat_from_R
@@ -81,6 +84,7 @@ GHOST, BACK = Color(r=0.3, g=0.9, b=0.3, a=0.35), Color(a=0.6)
 
 AS_IT_IS = (1.0, 0.0, 0.0, 0.0)
 ENU_OF_NED = Quaternion(w=0.0, x=math.sqrt(0.5), y=math.sqrt(0.5))
+VIDEO, RAW = CompressedVideo.get_schema(), RawImage.get_schema()
 LEVELS = {
     "/violation": LogLevel.Error,
     "/fault": LogLevel.Warning,
@@ -91,6 +95,23 @@ LEVELS = {
 
 def compressed_image(stamp_ns: int, frame: str, jpeg: bytes) -> Message:
     return CompressedImage(timestamp=time_of(stamp_ns), frame_id=frame, data=jpeg, format="jpeg")
+
+
+def compressed_video(stamp_ns: int, frame: str, h264: bytes) -> Message:
+    return CompressedVideo(timestamp=time_of(stamp_ns), frame_id=frame, data=h264, format="h264")
+
+
+def depth_image(stamp_ns: int, frame: str, depth_mm: NDArray[np.uint16]) -> Message:
+    height, width = depth_mm.shape
+    return RawImage(
+        timestamp=time_of(stamp_ns),
+        frame_id=frame,
+        width=width,
+        height=height,
+        encoding="16UC1",
+        step=2 * width,
+        data=depth_mm.astype("<u2", copy=False).tobytes(),
+    )
 
 
 def time_of(stamp_ns: int) -> Timestamp:

@@ -37,12 +37,15 @@ Record = (
 )  # fmt: skip
 
 MAGIC = b"\x89MCAP0\r\n"
+ABOUT, OFFSET = "path", "utc_minus_stamp_ns"
+"""Metadata of every log: a record of this name, and the key of how far its UTC is from its program's clock."""
 CHUNK_BYTES = 1 << 20
 LEVEL = 1  # of the compression: as fast as the disk
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<9xH4xQ")  # channel and log time of a whole record
 _IS_MESSAGE, _ENDS = int(Opcode.MESSAGE), (int(Opcode.DATA_END), int(Opcode.FOOTER))  # enums compare slowly
 _INDEX = struct.Struct("<BQHI")
+_WRITTEN = struct.Struct("<BQHIQQ")  # head, then channel, sequence, log and publish time
 
 
 def index_log(path: Path) -> None:
@@ -112,6 +115,12 @@ class ChunkedFile:
         if len(self._chunk) >= CHUNK_BYTES:
             self._write_chunk()
 
+    def end_chunk(self) -> int:
+        """Writes what waits, and returns how many bytes of the file that was."""
+        at = self._file.tell()
+        self._write_chunk()
+        return self._file.tell() - at
+
     def close(self) -> None:
         """Write what is left, and the summary."""
         with self._file:
@@ -170,6 +179,11 @@ class ChunkedFile:
                 schema_count=len(self._said[Opcode.SCHEMA]),
             )
         )
+
+
+def message_record(channel: int, sequence: int, utc_ns: int, data: bytes) -> bytes:
+    """The bytes of a whole message."""
+    return _WRITTEN.pack(_IS_MESSAGE, 22 + len(data), channel, sequence, utc_ns, utc_ns) + data
 
 
 def built(record: Record) -> bytes:

@@ -31,20 +31,20 @@ from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
 from drivers.clock import wall_offset_ns
-from drivers.log.index import MAGIC, ChunkedFile, built, index_log
+from drivers.log.index import ABOUT, MAGIC, OFFSET, ChunkedFile, built, index_log, message_record
+from drivers.log.protobuf import fields
 from drivers.log.topics import blank, schema_of
 
 if TYPE_CHECKING:
+    from drivers.interfaces import Frame
     from drivers.log import foxglove
+    from drivers.log.frames import FrameRecorder
 
 JPEG_QUALITY = 90
+RECORDING_PERIOD_NS = 1_000_000_000
 VIRTUAL_EPOCH_NS = 1_767_225_600_000_000_000
 """UTC of the beginning of every run in virtual time: 2026-01-01."""
-ABOUT = "path"
-OFFSET = "utc_minus_stamp_ns"
 IMAGE_SCHEMA = "foxglove.CompressedImage"
-_MESSAGE = struct.Struct("<BQHIQQ")  # head, then channel, sequence, log and publish time
-_IS_MESSAGE = int(Opcode.MESSAGE)
 
 
 class McapLog:
@@ -63,7 +63,10 @@ class McapLog:
         """
         from drivers.log.foxglove import Standards  # noqa: PLC0415 (whoever only reads logs does not need it)
 
-        self.failed: str | None = None
+        self._failed: str | None = None
+        self._path, self._name, self._buffered = path, name, buffered
+        self._recorder: FrameRecorder | None = None
+        self._recording_told_ns = 0
         self._standards = Standards(name)
         self._utc_ns = wall_offset_ns(time.monotonic_ns) if utc_minus_stamp_ns is None else utc_minus_stamp_ns
         self._channels: dict[str, int] = {}
@@ -87,6 +90,11 @@ class McapLog:
     ) -> None:
         self.close()
 
+    @property
+    def failed(self) -> str | None:
+        """What went wrong first, of the log or of the frames beside it."""
+        return self._failed or (None if self._recorder is None else self._recorder.failed)
+
     def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
         """One JSON record with a stamp of the program's clock."""
         if self._file is None:
@@ -103,7 +111,7 @@ class McapLog:
         except OSError as error:
             self._fail(error)
         except Exception as error:  # whatever was wrong with this record: the others go on, and so does the flight
-            self.failed = self.failed or f"{topic}: {error}"
+            self._failed = self._failed or f"{topic}: {error}"
 
     def image(self, topic: str, stamp_ns: int, image: NDArray[np.uint8]) -> None:
         """One BGR image, shape (h, w, 3), as JPEG."""
@@ -111,7 +119,7 @@ class McapLog:
             return
         jpeg = _jpeg(image)
         if jpeg is None:
-            self.failed = self.failed or f"{topic}: the image could not be encoded"
+            self._failed = self._failed or f"{topic}: the image could not be encoded"
             return
         from drivers.log.foxglove import compressed_image  # noqa: PLC0415
 
@@ -123,7 +131,20 @@ class McapLog:
         except OSError as error:
             self._fail(error)
         except Exception as error:
-            self.failed = self.failed or f"{topic}: {error}"
+            self._failed = self._failed or f"{topic}: {error}"
+
+    def frame(self, frame: Frame) -> None:
+        """One frame, whole, into the file beside the log (``drivers.log.frames``); or it is dropped."""
+        if self._recorder is None:
+            if self._file is None:
+                return
+            from drivers.log.frames import FrameRecorder  # noqa: PLC0415 (few programs record frames)
+
+            self._recorder = FrameRecorder(self._path, self._name, self._utc_ns, waits=self._buffered)
+        self._recorder.take(frame)
+        if frame.stamp_ns - self._recording_told_ns >= RECORDING_PERIOD_NS:
+            self._recording_told_ns = frame.stamp_ns
+            self._tell_recording(frame.stamp_ns)
 
     def close(self) -> None:
         """Close, and put the file into chunks with an index. Closing twice does nothing."""
@@ -134,6 +155,16 @@ class McapLog:
             file.close()
         except OSError as error:
             self._fail(error)
+        if self._recorder is not None:
+            self._recorder.close()
+
+    def _tell_recording(self, stamp_ns: int) -> None:
+        assert self._recorder is not None
+        counts = self._recorder.counts
+        record = {"taken": counts.taken, "dropped": counts.dropped, "bytes": counts.bytes}
+        if not self._buffered:  # in virtual time nothing in a log is of the machine
+            record["spent_ns"] = counts.spent_ns
+        self.write("/recording", stamp_ns, record)
 
     def _utc(self, stamp_ns: int) -> int:
         if not 0 <= stamp_ns < 1 << 63:
@@ -150,8 +181,7 @@ class McapLog:
         assert self._file is not None
         self._count += 1
         channel = self._channels[topic]
-        head = _MESSAGE.pack(_IS_MESSAGE, 22 + len(data), channel, self._count, utc_ns, utc_ns)
-        self._file.message(channel, utc_ns, head + data)
+        self._file.message(channel, utc_ns, message_record(channel, self._count, utc_ns, data))
 
     def _register(self, topic: str, encoding: str, name: str, kind: str, schema: bytes) -> None:
         assert self._file is not None
@@ -162,7 +192,7 @@ class McapLog:
 
     def _fail(self, error: OSError) -> None:
         """Ends the log: from here on nothing is written, and what is in the file stays readable."""
-        self.failed = f"log not written: {error.strerror or error}" + (f": {error.filename}" if error.filename else "")
+        self._failed = f"log not written: {error.strerror or error}" + (f": {error.filename}" if error.filename else "")
         file, self._file = self._file, None
         if file is not None:
             with suppress(OSError):
@@ -337,38 +367,10 @@ def image_record(data: bytes) -> dict[str, Any]:
     """A Foxglove CompressedImage: ``frame_id``, ``format`` and ``data``. Raises ValueError for what is none."""
     names = {2: "data", 3: "format", 4: "frame_id"}
     record: dict[str, Any] = {"data": b"", "format": "", "frame_id": ""}
-    for number, value in _protobuf(data):
+    for number, value in fields(data):
         if number in names and isinstance(value, bytes):
             record[names[number]] = value if number == 2 else value.decode()
     return record
-
-
-def _protobuf(data: bytes) -> Iterator[tuple[int, int | bytes]]:
-    """The fields of a message: number, and an integer or what is in it."""
-    at = 0
-
-    def varint() -> int:
-        nonlocal at
-        value, shift = 0, 0
-        while True:
-            byte = data[at]
-            at += 1
-            value |= (byte & 0x7F) << shift
-            shift += 7
-            if byte < 0x80:
-                return value
-
-    while at < len(data):
-        key = varint()
-        kind = key & 7
-        if kind not in (0, 2):
-            raise ValueError(f"field {key >> 3} of an image is of kind {kind}")
-        value = varint()
-        if kind == 2:
-            yield key >> 3, data[at : at + value]
-            at += value
-        else:
-            yield key >> 3, value
 
 
 def decode_image(record: Mapping[str, Any]) -> NDArray[np.uint8]:

@@ -110,6 +110,7 @@ TOPICS: dict[str, Topic] = {
             "handoff_id": _whole("of the mission"),
             "target_id": _whole("of the target"),
             "method": _table("settings of the method: path.config.MethodConfig"),
+            "mission": _table("settings of the mission: flight.config.MissionConfig"),
             "camera": _table("this drone's", **_CAMERA),
             "peer_camera": _table("the other drone's", **_CAMERA),
             "T_b_c": _numbers("this drone's camera to its body (FRD), m"),
@@ -122,7 +123,20 @@ TOPICS: dict[str, Topic] = {
     ),
     "/frame": Topic(
         "a camera frame whose cycle began; the stamp is the capture",
-        {"frame_id": _whole("of the camera; it only grows"), "age_ns": _whole("capture to begin of the cycle, ns")},
+        {
+            "frame_id": _whole("of the camera; it only grows"),
+            "age_ns": _whole("capture to begin of the cycle, ns"),
+            "T_n_c": _numbers("camera to north-east-down as believed, of D1 with record = all: rows of its matrix, m"),
+        },
+    ),
+    "/recording": Topic(
+        "frames recorded beside the log, once a second; counters are from the program's start",
+        {
+            "taken": _whole("frames that were to be recorded"),
+            "dropped": _whole("of them not recorded: encoder or disk did not keep up"),
+            "bytes": _whole("of the file"),
+            "spent_ns": _whole("of processor, in real time only, ns"),
+        },
     ),
     "/cpu": Topic(
         "processor time, once a second, in real time only",
@@ -302,6 +316,7 @@ TOPICS: dict[str, Topic] = {
             "own_n_mps": _numbers("north, east, down in m/s"),
             "peer_stamp_ns": _whole("of the other drone's velocity, ns of this log's clock"),
             "peer_n_mps": _numbers("north, east, down in m/s"),
+            "peer_yaw_rad": _number("heading of the other drone from north, rad"),
             "q_n_c": _numbers("camera to north-east-down as reported, quaternion wxyz"),
             "q_n_v": _numbers("marker's frame to north-east-down as reported, quaternion wxyz"),
             "T_c_v": _numbers("the marker's pose in the camera: three rows of its matrix, one after another, m"),

@@ -1,4 +1,4 @@
-"""What is looked at before a vehicle is armed, besides its own checks: its pilot's radio, and its own fence."""
+"""The checks before a vehicle is armed, besides its own: its pilot's radio, and its own fence."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class BeforeArming:
         return access_of(self._session, self._config.url)
 
     async def pilot_findings(self) -> Sequence[Finding]:
-        """Whether a pilot's radio can take the vehicle; nothing is set. Raises VehicleError."""
+        """Checks that a pilot's radio can take the vehicle; nothing is set. Raises VehicleError."""
         if self._config.rc == "none":
             said = 'NO REMOTE CONTROL (rc = "none"): no pilot can take this vehicle, nor stop its motors'
             return [Finding("note", "pilot", said, "give it a radio, and leave rc out, before people are near it")]
@@ -73,7 +73,7 @@ class BeforeArming:
         )
 
     async def plan_geofence(self, fence: Geofence) -> FencePlan:
-        """What has to be done about the autopilot's own fence; nothing is set. Raises VehicleError."""
+        """Returns what has to be done about the autopilot's own fence; nothing is set. Raises VehicleError."""
         telemetry = self._telemetry
         if not await self._session.until(lambda: telemetry.position is not None, self._config.connect_timeout_s):
             raise VehicleError("its fence is around its home, and it does not say where it is", "give it a clear sky")

@@ -30,7 +30,7 @@ class Geofence:
 
 @dataclass(frozen=True, slots=True)
 class FencePlan:
-    """What is to be done about an autopilot's fence.
+    """The changes that an autopilot's fence needs.
 
     Attributes:
         set_to: parameters to be written, by name.

@@ -60,7 +60,7 @@ class MavsdkLine:
 
     @property
     def ignored(self) -> Mapping[str, int]:
-        """What came as the vehicle's and was not believed, in words, and how often."""
+        """Everything that came as the vehicle's and was not believed, in words, and its count."""
         return dict(self._source.ignored)
 
     def start(self, mavsdk: Any) -> None:

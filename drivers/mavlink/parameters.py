@@ -15,7 +15,7 @@ from mavsdk.plugins.param import Param, ParamError, ParamResult
 from drivers.interfaces import VehicleError
 
 RENAMED: Mapping[str, tuple[str, ...]] = {"MAV_GCS_SYSID": ("SYSID_MYGCS",)}  # ArduPilot before 4.7
-"""What a parameter was called in older versions of its autopilot."""
+"""The name of a parameter in older versions of its autopilot."""
 
 T = TypeVar("T")
 

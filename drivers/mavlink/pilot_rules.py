@@ -39,7 +39,7 @@ SILENCING = (
     PilotRule("RC_OPTIONS", _bit(0), "bit 0 ignores the receiver: mode switch and kill switch do nothing"),
     PilotRule("FENCE_OPTIONS", _bit(0), "bit 0 refuses the pilot's mode switch after a breach of the fence"),
 )
-"""What no rig may ask for, and no vehicle have, wherever there is a pilot or should be one."""
+"""Values that no rig may ask for, and no vehicle have, wherever there is a pilot or should be one."""
 
 _WITH_RADIO: Mapping[str, tuple[PilotRule, ...]] = {
     "px4": (
@@ -55,7 +55,7 @@ _ESSENTIAL = frozenset({"COM_RC_IN_MODE", "RC_MAP_FLTMODE", "RC_MAP_KILL_SW", "F
 
 
 def silenced(parameters: Mapping[str, float]) -> list[str]:
-    """What of a rig's wanted parameters would keep a pilot out, each with its reason."""
+    """Returns those of a rig's wanted parameters that would keep a pilot out, each with its reason."""
     rules = (rule for rule in SILENCING if rule.name in parameters)
     return [
         f"{rule.name} = {parameters[rule.name]:g}: {rule.otherwise}"
@@ -65,14 +65,14 @@ def silenced(parameters: Mapping[str, float]) -> list[str]:
 
 
 def names_of(kind: AutopilotKind) -> tuple[str, ...]:
-    """What has to be read of a vehicle of this kind."""
+    """The parameters to read of a vehicle of this kind."""
     own = ("COM_RC_IN_MODE",) if kind is PX4 else ("RC_OPTIONS", "FENCE_OPTIONS")
     options = () if kind is PX4 else tuple(f"RC{channel}_OPTION" for channel in SWITCH_CHANNELS)
     return (*own, *(rule.name for rule in _WITH_RADIO[kind.name]), *options)
 
 
 def kept_out(kind: AutopilotKind, found: Mapping[str, float | None]) -> list[str]:
-    """Why a pilot with a radio could not take a vehicle with these parameters; empty when one can."""
+    """The reasons for which a pilot with a radio could not take a vehicle with these parameters; empty when one can."""
     wrong: list[str] = []
     for rule in (*SILENCING, *_WITH_RADIO[kind.name]):
         if rule.name not in found:

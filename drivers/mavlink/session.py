@@ -129,7 +129,7 @@ class MavsdkSession:
 
     @property
     def ignored(self) -> Mapping[str, int]:
-        """What came as the vehicle's and was not believed, in words, and how often."""
+        """Everything that came as the vehicle's and was not believed, in words, and its count."""
         return {} if self._line is None else self._line.ignored
 
     async def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:

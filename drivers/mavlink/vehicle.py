@@ -177,7 +177,7 @@ class MavsdkVehicle:
 
     @property
     def ignored(self) -> Mapping[str, int]:
-        """What came as the vehicle's and was not believed, in words, and how often."""
+        """Everything that came as the vehicle's and was not believed, in words, and its count."""
         return self._session.ignored
 
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
@@ -216,11 +216,11 @@ class MavsdkVehicle:
         await self._access.write(difference)
 
     async def pilot_findings(self) -> Sequence[Finding]:
-        """Whether a pilot's radio can take the vehicle; nothing is set. Raises VehicleError."""
+        """Checks that a pilot's radio can take the vehicle; nothing is set. Raises VehicleError."""
         return await self._before.pilot_findings()
 
     async def plan_geofence(self, fence: Geofence) -> FencePlan:
-        """What has to be done about the autopilot's own fence; nothing is set. Raises VehicleError."""
+        """Returns what has to be done about the autopilot's own fence; nothing is set. Raises VehicleError."""
         return await self._before.plan_geofence(fence)
 
     async def keep_geofence(self, fence: Geofence) -> Mapping[str, float]:

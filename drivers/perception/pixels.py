@@ -23,6 +23,7 @@ from path.agreement import iou
 from path.bounds import Bounds
 from path.camera import CameraModel
 from path.config import MethodConfig
+from path.geometry import Pose
 from path.marker.detect import detect_markers
 from path.marker.layout import MarkerLayout
 from path.monocular import TargetSize, monocular_range
@@ -132,7 +133,10 @@ class PixelPerception:
         """
         for _ in range(_TURNS):
             await asyncio.sleep(0)
-        frame = await self._freshness.next(self._camera.read, timeout_s)
+        return self.view_of(await self._freshness.next(self._camera.read, timeout_s))
+
+    def view_of(self, frame: Frame) -> PixelView:
+        """The view of a frame, whoever has it; the camera need not be open. Raises CameraError for another size."""
         _check_size(frame, self.model)
         config = self._config
         return PixelView(frame, self.model, self._layout, self._detector, config.method, config.corners, self._ranging)
@@ -190,11 +194,12 @@ class PixelView:
         sure = [each for each in kept if each in found or each.score >= CUT_SCORE]
         return sure or [each for each in kept if depths.is_thing(each)]
 
-    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
-        """Markers of the layout in ``region``."""
+    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+        """Markers of the layout in ``region``, looked for first where they are expected."""
+        image, layout, model = self._frame.color, self._layout, self._model
         return detect_markers(
-            self._frame.color, region, self._layout, self._model, refine=self._corners, thorough=False
-        )
+            image, region, layout, model, refine=self._corners, thorough=False, expected=expected
+        )  # fmt: skip
 
     def depth(self, box: Box) -> Depth | None:
         """Robust depth over a box (``path.target.registered_depth``); without a depth stream, by the target's size."""
@@ -205,6 +210,10 @@ class PixelView:
 
     def image(self) -> NDArray[np.uint8]:
         return self._frame.color
+
+    @property
+    def frame(self) -> Frame:
+        return self._frame
 
     def _may_be_within(self, region: Region, box: Box) -> bool:
         """Returns whether a target in this box can be as far away as the region says; yes where that is not known."""

@@ -15,7 +15,7 @@ from typing import Annotated, Self
 
 from drivers.interfaces import CameraError, Frame
 from drivers.perception.stamp_clock import Domain, StampConfig
-from drivers.realsense.library import Filter, Identity, Streams
+from drivers.realsense.library import DeviceIdentity, Filter, Streams
 from drivers.realsense.sources import DeviceSource, RecordingSource, UsbSource
 from drivers.realsense.stream import PairStream, StreamConfig, StreamCounters
 from drivers.rig.part_check import Finding
@@ -198,7 +198,7 @@ class RealSense:
         stream.join()
 
 
-def _device(identity: Identity) -> Iterator[Finding]:
+def _device(identity: DeviceIdentity) -> Iterator[Finding]:
     detail = f"{identity.name}, serial {identity.serial or 'not said'}, firmware {identity.firmware or 'not said'}"
     if identity.recommended and identity.firmware != identity.recommended:
         fix = "librealsense's rs-fw-update sets it; measure its latency again afterwards"

@@ -154,7 +154,7 @@ def described(device: Any) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class DeviceIdentity:
     """A device's words about itself; "" for what it does not say. ``recommended``: firmware, by this librealsense."""
 
     name: str
@@ -164,11 +164,11 @@ class Identity:
     usb: str
 
 
-def identity_of(device: Any) -> Identity:
+def identity_of(device: Any) -> DeviceIdentity:
     info = import_realsense().camera_info
     keys = info.name, info.serial_number, info.firmware_version, info.recommended_firmware_version
     said = [str(device.get_info(key)) if device.supports(key) else "" for key in (*keys, info.usb_type_descriptor)]
-    return Identity(*said)
+    return DeviceIdentity(*said)
 
 
 def serial_of(device: Any) -> str:

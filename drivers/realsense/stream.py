@@ -19,7 +19,15 @@ import numpy as np
 from drivers.clock import busy_ns, wall_offset_ns
 from drivers.interfaces import CameraError, Clock, Frame
 from drivers.perception.stamp_clock import Domain, StampClock, StampConfig, StampLine, StampRefused
-from drivers.realsense.library import QUEUE_FRAMES, Identity, Kind, RawImage, RealSenseDevice, Streams, identity_of
+from drivers.realsense.library import (
+    QUEUE_FRAMES,
+    DeviceIdentity,
+    Kind,
+    RawImage,
+    RealSenseDevice,
+    Streams,
+    identity_of,
+)
 from drivers.realsense.registration import DepthRegistration, warm_up
 from drivers.realsense.sources import DeviceSource
 from path.camera import CameraModel
@@ -134,7 +142,7 @@ class PairStream(threading.Thread):
         self.counters = StreamCounters()
         self.trouble: CameraError | None = None
         self.ended = False
-        self.identity: Identity | None = None  # of the device that was opened last
+        self.identity: DeviceIdentity | None = None  # of the device that was opened last
 
     def take(self) -> Frame | None:
         """The newest frame not yet taken; to be called by one thread."""

@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError
+from drivers.log.frames import is_frames
 from drivers.log.mcap_log import LogRecord, decode_image, read_log
+from drivers.log.video import recorded_frames
 from drivers.recordings.video_file import VIDEO_SUFFIXES, VideoError, video_frames
 
 Image = NDArray[np.uint8]
@@ -98,6 +100,8 @@ def open_recording(file: Path, options: RecordingOptions | None = None) -> Recor
         raise RecordingError(f"{file}: there is no such file or folder", REMEDY)
     if file.is_dir():
         recording: Recording = Folder(file, options)
+    elif file.suffix.lower() == ".mcap" and is_frames(file):
+        recording = RecordedFrames(file)
     elif file.suffix.lower() == ".mcap":
         recording = RecordedLog(file, options.topic)
     elif file.suffix.lower() in VIDEO_SUFFIXES:
@@ -198,6 +202,24 @@ class RecordedLog:
             return Loaded(decode_image(record.record))
         except (KeyError, ValueError) as error:
             raise RecordingError(f"{self._file}: {self._topic} at {record.stamp_ns} ns: {error}", REMEDY) from error
+
+
+class RecordedFrames:
+    """Every frame of a camera as a program of PATH has recorded them beside its log, with depth."""
+
+    count: int | None = None
+
+    def __init__(self, file: Path) -> None:
+        self.name = str(file)
+        self._file = file
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        try:
+            for frame in recorded_frames(self._file):
+                loaded = Loaded(frame.color, frame.depth_mm)
+                yield RecordedFrame(f"frame {frame.frame_id}", frame.stamp_ns, lambda loaded=loaded: loaded)
+        except (OSError, ValueError) as error:
+            raise RecordingError(f"{self._file}: {error}", REMEDY) from error
 
 
 def read_image(file: Path) -> Image:

@@ -40,7 +40,7 @@ WrongKind = Literal["shift", "turn", "lock"]
 Outcome = Literal["commit", "timeout"]
 
 PAIR, MISS, OWN_MISS = 0, 1, 2
-"""What an entry of a series is: boxes were compared; D2's frame is a miss; D1's own frame is a miss."""
+"""The kinds of entry in a series: boxes were compared; D2's frame is a miss; D1's own frame is a miss."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,12 +24,12 @@ OFTEN = frozenset({
     "/frame", "/target", "/track", "/setpoint", "/state", "/agreement", "/candidate", "/marker", "/motion", "/link",
     "/guard_view",
 })  # fmt: skip
-"""What is logged many times a second: hours of it are left out unless they are asked for."""
+"""Topics logged many times a second: hours of them are left out unless they are asked for."""
 WATCHED: Mapping[str, float] = {
     "/phase": 0.0, "/responsibility": 0.0, "/epoch": 0.0, "/commit": 0.0, "/decision": 0.0, "/agreement": 0.0,
     "/frame": 0.2, "/target": 0.2, "/track": 0.2,
 }  # fmt: skip
-"""What the monitors read of a drone's log, and how many seconds at least are between two of a kind."""
+"""The topics that the monitors read of a drone's log, and the least seconds between two of a kind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ class TeamField(RelayField, Protocol):
         ...
 
     def point_at(self, target: int) -> Pointed:
-        """Where a person on the ground sees a target now."""
+        """Returns the place at which a person on the ground sees a target now."""
         ...
 
 
@@ -198,14 +198,14 @@ class NamedTarget:
 
 @dataclass(frozen=True, slots=True)
 class Pointed:
-    """Where a person says that a target is: NED in m and m/s, at an instant of the ground's clock."""
+    """A person's word on a target's place: NED in m and m/s, at an instant of the ground's clock."""
 
     place_n_m: tuple[float, float, float]
     velocity_n_mps: tuple[float, float, float]
     time_s: float
 
     def at(self, time_s: float) -> tuple[float, float, float]:
-        """Where it is by then."""
+        """Returns its place by then."""
         since_s = time_s - self.time_s
         n, e, d = (p + since_s * v for p, v in zip(self.place_n_m, self.velocity_n_mps, strict=True))
         return n, e, d
@@ -259,7 +259,7 @@ class FieldSample:
 
 @dataclass(frozen=True, slots=True)
 class TargetWatch:
-    """How one target was kept in view, in truth.
+    """The times for which one target was kept in view, in truth.
 
     Attributes:
         first_s: when a drone was responsible for it for the first time; None: never.

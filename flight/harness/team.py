@@ -1,4 +1,4 @@
-"""What a rig says about a team: drones by name, targets by name, and how they share the air."""
+"""The part of a rig about a team: drones by name, targets by name, and the rules by which they share the air."""
 
 from __future__ import annotations
 

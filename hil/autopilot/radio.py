@@ -24,7 +24,7 @@ RELEASED, UNCHANGED = 0, 0xFFFF  # of RC_CHANNELS_OVERRIDE: the transmitter's va
 DEADBAND = 0.1
 STICK_MEMORY_S = 0.5  # a stick that moves slower than this is no grab
 SLOTS = (FlightMode.HOLD, FlightMode.OTHER, FlightMode.LAND, FlightMode.RETURN, FlightMode.HOLD, FlightMode.HOLD)
-"""What the positions of the mode switch select; OTHER is flown by sticks."""
+"""The modes that the switch's positions select; OTHER is flown by sticks."""
 
 HOLD_SLOT, STICKS_SLOT = 0, 1
 IN_AUTO, IN_OFFBOARD = 1, 2  # bits of ``override``

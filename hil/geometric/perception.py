@@ -203,7 +203,7 @@ class GeometricView:
             detected.append(invented)
         return detected
 
-    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
+    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
         """The markers on the sender that would be found in ``region``, with corner covariance."""
         sensor, snapshot = self._sensor, self._snapshot
         sender = snapshot.drones.get(Role.SENDER)

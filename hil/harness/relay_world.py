@@ -104,7 +104,7 @@ class RelayWorld(Fleet[str]):
         return self._field.near(self._field.starts[0], self.traffic_s)
 
     def objects_near(self, name: str) -> tuple[ObjectTruth, ...]:
-        """What a drone may see."""
+        """The objects that a drone may see."""
         north, east, _ = self._drones[name].true_position_n_m
         return self._field.near((east, north), self.traffic_s)
 
@@ -117,7 +117,7 @@ class RelayWorld(Fleet[str]):
         return tuple(names[row] for row in np.flatnonzero(self._states[:, CONTACT] == 0.0).tolist())
 
     def closest(self, within_m: float) -> Nearness:
-        """How near drones in the air are to each other in truth."""
+        """The distances between drones in the air, in truth."""
         aloft = np.flatnonzero(self._states[:, CONTACT] == 0.0)
         return nearness(tuple(self.names[row] for row in aloft.tolist()), self._states[aloft, :3], within_m)
 

@@ -37,7 +37,7 @@ class Claims(Generic[Who]):
         self._until_s.pop(who, None)
 
     def holds(self, who: Who, now_s: float) -> bool:
-        """Whether one's claim holds at an instant."""
+        """True when one's claim holds at an instant."""
         return now_s < self._until_s.get(who, -math.inf)
 
     def holders(self, now_s: float) -> tuple[Who, ...]:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.interfaces import Log
+from drivers.interfaces import Frame, FrameLog, Log
 from flight.config import GuardConfig
 from hil.autopilot.values import OffboardSession
 from hil.monitors.agreed_pairs import AgreedPairs
@@ -148,3 +148,7 @@ class WatchedLog:
     def image(self, topic: str, stamp_ns: int, image: Any) -> None:
         if not self.ended:
             self._log.image(topic, stamp_ns, image)
+
+    def frame(self, frame: Frame) -> None:
+        if not self.ended and isinstance(self._log, FrameLog):
+            self._log.frame(frame)

@@ -1,4 +1,4 @@
-"""What must never happen in a relay or a team: the monitors of a handoff for each leg, and those of all drones at once.
+"""Monitors of what must never happen in a relay or a team: a handoff's for each leg, and those of all drones at once.
 
 Of all drones: for each target at most one is responsible (S1), nobody is for no longer than lease, uncertainty and
 guard allow (L2), every two that are in the air keep their separation (S9), none is below the reserve before it has
@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from drivers.interfaces import Log
+from drivers.interfaces import Frame, FrameLog, Log
 from drivers.rig.parts import Rig, RoleRig
 from flight.config import MissionConfig
 from flight.harness.relay import OFTEN, FieldSample, FlightTruth, RelayConfig
@@ -252,7 +252,7 @@ class RelayMonitors:
         self._sent[name] = leg, sent
 
     def _holders(self, target: int, now_s: float) -> tuple[str, ...]:
-        """Who is responsible for a target."""
+        """The drones that are responsible for a target."""
         return tuple(name for name in self.claims.holders(now_s) if self.on_target(name) == target)
 
     def _on_responsibility(self, name: str, now_s: float, record: Mapping[str, Any]) -> None:
@@ -323,3 +323,7 @@ class RelayLog:
     def image(self, topic: str, stamp_ns: int, image: Any) -> None:
         if not self.ended and self._whole:
             self._log.image(topic, stamp_ns, image)
+
+    def frame(self, frame: Frame) -> None:
+        if not self.ended and self._whole and isinstance(self._log, FrameLog):
+            self._log.frame(frame)

@@ -65,7 +65,7 @@ class _View:
     row: Array
     marker_id: int
 
-    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
+    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
         corners = self.row[:8].reshape(4, 2)
         if self.row[FOUND] == 0.0:
             return ()
@@ -280,7 +280,7 @@ class _Record:
 
 
 def _rivals(row: Sequence[float]) -> list[Rival]:
-    """What D1's frame shows beside the target (``hil.montecarlo.perception``)."""
+    """The objects that D1's frame shows beside the target (``hil.montecarlo.perception``)."""
     found: list[Rival] = []
     for at in range(OTHERS, len(row), OTHER_COLUMNS):
         x, y, w, h, z_m, sigma_m = row[at : at + OTHER_COLUMNS]

@@ -2,7 +2,8 @@
 
 The drone behind it is the same simulated one as behind MAVLink. It has no thread and no clock: whoever steps the world
 calls ``pump`` at 200 Hz. What is answered follows the SDK 2.0 user guide, with ``port``, ``setfps`` and others of SDK
-3.0; where a guide only says "error", the texts are those that drones were seen to send.
+3.0; where a guide only says "error", the texts are those that drones were seen to send. What a query asks for ends with
+CRLF, "ok" and refusals end with nothing.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ Address = tuple[str, int]
 
 COMMAND_PORT, STATE_PORT, VIDEO_PORT = 8889, 8890, 11111
 STATE_PERIOD_S = 0.1
+SDK2 = ("speed", "mdirection")  # settings that an early drone knows too
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +95,8 @@ class TelloEmulator:
             "land": self.flight.land,
             "emergency": self.flight.emergency,
             "stop": self.flight.stop,
+            "mon": lambda: "ok",
+            "moff": lambda: "ok",
             "streamon": lambda: self._stream(True),
             "streamoff": lambda: self._stream(False),
         }
@@ -101,6 +105,7 @@ class TelloEmulator:
             "port": self._set_ports,
             "setfps": self._set_fps,
             **dict.fromkeys(("setresolution", "setbitrate", "downvision"), lambda _: "ok"),
+            "mdirection": lambda arguments: "ok" if arguments in (["0"], ["1"], ["2"]) else "error",
         }
 
     @property
@@ -169,7 +174,7 @@ class TelloEmulator:
             return
         answer = self._execute(word, words[1:])
         if answer is not None:
-            self._answer(answer, sender)
+            self._answer(answer + ("\r\n" if word.endswith("?") else ""), sender)
         elif word != "emergency":
             self._waiting = (word, sender)
 
@@ -177,7 +182,7 @@ class TelloEmulator:
         """The answer, None when it comes once the motion is over."""
         if word.endswith("?"):
             return self._query(word)
-        if word in self._settings and (self.config.sdk3 or word == "speed"):
+        if word in self._settings and (self.config.sdk3 or word in SDK2):
             return self._settings[word](arguments)
         if word in self._commands and not arguments:
             busy = word == "takeoff" and self._waiting is not None
@@ -189,6 +194,7 @@ class TelloEmulator:
             "speed?": f"{self.flight.speed_cm:.1f}",
             "sdk?": "30" if self.config.sdk3 else "20",
             "sn?": self.config.serial,
+            "hardware?": "TELLO",  # without the expansion board, whose EXT is not known
         }
         return known.get(word) or self._sensors.answer(word) or f"unknown command: {word}"
 
@@ -238,7 +244,7 @@ class TelloEmulator:
     def _answer(self, text: str, to: Address) -> None:
         if not self.faults.mute:
             due_s = self._now_s + self.config.answer_s + self.faults.late_s
-            self._answers.append((due_s, f"{text}\r\n".encode(), to))
+            self._answers.append((due_s, text.encode(), to))
 
     def _send_answers(self) -> None:
         due = [each for each in self._answers if each[0] <= self._now_s]

@@ -56,6 +56,7 @@ class TelloFlight:
             self._let_go(FlightMode.LAND)
             autopilot.request_mode(now_s, FlightMode.LAND)
         elif self._move is not None:
+            self._move = self._move.after(self._drone.estimate.position_n_m, dt)
             self._fly_move(self._move)
         elif self._by_rc:
             self._fly_sticks(dt)
@@ -90,7 +91,9 @@ class TelloFlight:
             autopilot.request_mode(self._now_s, FlightMode.LAND)
 
     def stop(self) -> str:
-        self._rc, self._move = (0, 0, 0, 0), None
+        self._rc = (0, 0, 0, 0)
+        if self._move is not None:
+            self._hover()
         return "error Not joystick" if self._drone.autopilot.landed else "ok"
 
     def move(self, word: str, arguments: list[str]) -> str | None:
@@ -131,15 +134,23 @@ class TelloFlight:
             return "ok" if not autopilot.landed and autopilot.mode is FlightMode.HOLD else None
         if word == "land":
             return None if autopilot.armed else "ok"
-        if self._move is None or self._move.over(self._drone.estimate):
-            self._move = None
+        if self._move is None:
             return "ok"
-        return None
+        if not self._move.over(self._drone.estimate):
+            return None
+        self._hover()
+        return "ok"
 
     def close(self) -> None:
         self._end_session(FlightMode.OTHER)
 
     # --- inside ---
+
+    def _hover(self) -> None:
+        """After a move, and until the next command: nothing is sent meanwhile, and it stays where it is."""
+        self._move = None
+        self._end_session(FlightMode.HOLD)
+        self._drone.autopilot.request_mode(self._now_s, FlightMode.HOLD)
 
     def _fly_move(self, move: TelloMove) -> None:
         estimate = self._drone.estimate

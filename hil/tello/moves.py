@@ -1,9 +1,11 @@
-"""The SDK's relative moves of a Tello: ``up 50``, ``cw 90``, ``go 100 0 0 50``."""
+"""The SDK's relative moves of a Tello: ``up 50``, ``cw 90``, ``go 100 0 0 50``, ``curve 100 100 0 200 0 0 30``."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from hil.autopilot.guidance import toward
 from hil.autopilot.values import Estimate
@@ -15,24 +17,39 @@ AXES: dict[str, Vec3] = {  # forward, right, down
     "forward": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0),
 }  # fmt: skip
 TURNS = {"cw": 1.0, "ccw": -1.0}
+NUMBERS = {"go": 4, "curve": 7}
+FLIPS = ("l", "r", "f", "b")
+FLIP_S = 1.0
 THERE_M, THERE_RAD = 0.08, math.radians(3.0)
+PASSED_M = 0.15
+MIN_RADIUS_M, MAX_RADIUS_M = 0.5, 10.0  # of a curve
+ARC_RAD = math.radians(15.0)  # between two places on it
 
 
 @dataclass(frozen=True, slots=True)
 class TelloMove:
-    """A move to a place (NED, m) and a heading."""
+    """A move to a place (NED, m) and a heading. ``via``: places on the way; ``wait_s``: it takes at least so long."""
 
     goal_n_m: Vec3
     yaw_rad: float
+    speed_mps: float | None = None  # None: as it is set
+    via: tuple[Vec3, ...] = ()
+    wait_s: float = 0.0
 
     def velocity(self, position_n_m: Vec3, speed_mps: float) -> Vec3:
-        return toward(position_n_m, self.goal_n_m, 1.5, speed_mps, speed_mps)
+        speed = self.speed_mps or speed_mps
+        return toward(position_n_m, self.via[0] if self.via else self.goal_n_m, 1.5, speed, speed)
 
     def turn_left(self, yaw_rad: float) -> float:
         return wrapped(self.yaw_rad - yaw_rad)
 
+    def after(self, position_n_m: Vec3, dt: float) -> TelloMove:
+        """Returns what is left of it."""
+        passed = bool(self.via) and math.dist(position_n_m, self.via[0]) < PASSED_M
+        return replace(self, via=self.via[1:] if passed else self.via, wait_s=max(0.0, self.wait_s - dt))
+
     def over(self, estimate: Estimate) -> bool:
-        near = math.dist(estimate.position_n_m, self.goal_n_m) < THERE_M
+        near = not self.via and self.wait_s <= 0.0 and math.dist(estimate.position_n_m, self.goal_n_m) < THERE_M
         return near and abs(self.turn_left(yaw_of(estimate.q_n_b))) < THERE_RAD
 
 
@@ -41,8 +58,14 @@ def move_of(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float)
 
     None when it is no move.
     """
-    if word not in AXES and word not in TURNS:
-        return None
+    if word == "flip":
+        return TelloMove(position_n_m, yaw_rad, wait_s=FLIP_S) if arguments in [[each] for each in FLIPS] else "error"
+    if word in NUMBERS:
+        return _to_places(word, arguments, position_n_m, yaw_rad)
+    return _straight(word, arguments, position_n_m, yaw_rad) if word in AXES or word in TURNS else None
+
+
+def _straight(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float) -> TelloMove | str:
     low, high = (1, 360) if word in TURNS else (20, 500)
     try:
         (value,) = (int(argument) for argument in arguments)
@@ -53,6 +76,68 @@ def move_of(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float)
     if word in TURNS:
         return TelloMove(position_n_m, yaw_rad + TURNS[word] * math.radians(value))
     forward, right, down = (value / 100.0 * part for part in AXES[word])
+    return TelloMove(_place(position_n_m, yaw_rad, (forward, -right, -down)), yaw_rad)
+
+
+def _to_places(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float) -> TelloMove | str:
+    """``go`` and ``curve``: places are forward, left and up of the drone, cm."""
+    if any(argument.startswith("m") for argument in arguments[NUMBERS[word] :]):
+        return "error No valid marker"  # no mission pad is ever in sight
+    try:
+        *coordinates, speed = (int(argument) for argument in arguments)
+    except ValueError:
+        coordinates, speed = [], 0
+    if len(coordinates) + 1 != NUMBERS[word]:
+        return "error"
+    points = [_vec(coordinates[k : k + 3]) for k in range(0, len(coordinates), 3)]
+    slow = 10 <= speed <= (100 if word == "go" else 60)
+    if not slow or any(abs(each) > 500 for each in coordinates) or all(abs(each) < 20 for each in coordinates[-3:]):
+        return "out of range"
+    on_the_way: list[Vec3] = []
+    if word == "curve":
+        arc = _arc(*points)
+        if arc is None:
+            return "error Radius is too large!"
+        on_the_way = arc
+    places = [_place(position_n_m, yaw_rad, point) for point in (*on_the_way, points[-1])]
+    return TelloMove(places[-1], yaw_rad, speed / 100.0, tuple(places[:-1]))
+
+
+def _arc(via: Vec3, end: Vec3) -> list[Vec3] | None:
+    """Places on the circle from the drone through one place to another; None when there is none of a radius allowed."""
+    a, b = np.array(via), np.array(end)
+    normal = np.cross(a, b)
+    area2 = float(normal @ normal)
+    if area2 < 1e-9:
+        return None
+    centre = np.cross((a @ a) * b - (b @ b) * a, normal) / (2.0 * area2)
+    radius = float(np.linalg.norm(centre))
+    if not MIN_RADIUS_M <= radius <= MAX_RADIUS_M:
+        return None
+    x = -centre / radius
+    y = np.cross(normal / math.sqrt(area2), x)
+
+    def angle(point: np.ndarray) -> float:
+        return math.atan2(float((point - centre) @ y), float((point - centre) @ x)) % (2.0 * math.pi)
+
+    whole = angle(b)
+    count = max(2, math.ceil(whole / ARC_RAD))
+    turns = [whole * k / count for k in range(1, count)]
+    return [_metres(centre + radius * (math.cos(turn) * x + math.sin(turn) * y)) for turn in turns]
+
+
+def _vec(cm: list[int]) -> Vec3:
+    x, y, z = (each / 100.0 for each in cm)
+    return x, y, z
+
+
+def _metres(point: np.ndarray) -> Vec3:
+    x, y, z = point.tolist()
+    return x, y, z
+
+
+def _place(position_n_m: Vec3, yaw_rad: float, forward_left_up_m: Vec3) -> Vec3:
+    forward, left, up = forward_left_up_m
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     north, east, height = position_n_m
-    return TelloMove((north + c * forward - s * right, east + s * forward + c * right, height + down), yaw_rad)
+    return north + c * forward + s * left, east + s * forward - c * left, height - up

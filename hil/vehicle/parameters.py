@@ -16,7 +16,7 @@ from path.bounds import Bounds, bounded_fields
 REAL32, INT32 = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
 TAKE_OFF = "MIS_TAKEOFF_ALT"
 FIXED: Mapping[str, int] = {"COM_OBL_RC_ACT": 4, "NAV_DLL_ACT": 0, "COM_LOW_BAT_ACT": 2}
-"""What it cannot do otherwise: it lands when setpoints stop, does not mind a ground station that leaves, and lands with
+"""Its fixed behaviour: it lands when setpoints stop, does not mind a ground station that leaves, and lands with
 an empty battery."""
 
 FIELDS: Mapping[str, str] = {

@@ -1,4 +1,4 @@
-"""How near bodies are to each other, for any number of them: no two are compared that are far apart."""
+"""Distances between any number of bodies: no two are compared that are far apart."""
 
 from __future__ import annotations
 

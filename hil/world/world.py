@@ -74,7 +74,7 @@ class PositionOffsetConfig:
 
 @dataclass(frozen=True, slots=True)
 class AltitudeConfig:
-    """What the vehicles' altitude above the sea is wrong by. Their local frames and barometers have none of it.
+    """The error of the vehicles' altitude above the sea. Their local frames and barometers have none of it.
 
     Attributes:
         offset_m: of the first drone upward, of the second downward, and so on.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import shutil
 import socket
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +22,7 @@ from flight.command_end import CommandEnd
 from missions import rig_library
 from missions.doctor.computer import computer_findings
 from missions.doctor.parts import part_tests, run_test
+from missions.doctor.room import check_room
 from missions.doctor.table import open_findings
 from missions.doctor.vehicle import check_vehicle
 from missions.kernel_cache import VARIABLE, can_write, usual_folders
@@ -31,7 +31,6 @@ from path.messages import Role
 
 EXIT_UNFIT = CommandEnd.NOT_FIT.exit_code
 OPENCV = ("opencv-contrib-python-headless", "opencv-python-headless", "opencv-contrib-python", "opencv-python")
-SHM_MIB, DISK_MIB = 64, 500
 REALSENSE = "drivers.realsense.camera:RealSense"
 
 
@@ -106,7 +105,7 @@ def findings(rig: str) -> Iterator[Finding]:
         yield _check_import(name, module)
     yield check_realsense(needed=uses(rig, REALSENSE))
     yield check_kernel_cache()
-    yield check_room()
+    yield check_room(rig)
     yield from check_rig_file(rig)
 
 
@@ -177,17 +176,6 @@ def check_kernel_cache() -> Finding:
     return Finding("fault", "kernel cache", "no folder can be written to", f"set {VARIABLE} to a folder")
 
 
-def check_room() -> Finding:
-    disk = shutil.disk_usage(_existing(Path("runs").resolve())).free >> 20
-    shared = shutil.disk_usage("/dev/shm").free >> 20 if Path("/dev/shm").is_dir() else 0
-    detail = f"{disk} MiB for logs, {shared} MiB shared memory for frames"
-    if disk < DISK_MIB:
-        return Finding("fault", "room", detail, f"free {DISK_MIB} MiB here, or name another folder with --out")
-    if shared < SHM_MIB:
-        return Finding("note", "room", detail, f"rigs of level sitl need {SHM_MIB} MiB in /dev/shm")
-    return Finding("ok", "room", detail)
-
-
 def check_rig_file(name: str) -> Iterator[Finding]:
     """The rig as a flight would load it, then its ports."""
     try:
@@ -236,7 +224,3 @@ def _version(package: str) -> str | None:
 def _is_stub(package: str) -> bool:
     """A distribution that brings no files of its own, only a name."""
     return not any(str(file).startswith("cv2") for file in distribution(package).files or ())
-
-
-def _existing(folder: Path) -> Path:
-    return next(path for path in (folder, *folder.parents) if path.exists())

@@ -195,7 +195,7 @@ def _first(at_ns: int, stamps_ns: Sequence[int]) -> float | None:
 
 
 def _own_outcome(log: Path) -> str:
-    """How a role's program said that it ended; empty when it did not say so."""
+    """The end that a role's program named; empty when it named none."""
     ends = [r.record["outcome"] for r in read_log(log) if r.topic == "/outcome"] if log.exists() else []
     return str(ends[-1]) if ends else ""
 

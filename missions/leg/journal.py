@@ -41,6 +41,7 @@ def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
         "handoff_id": config.handoff_id,
         "target_id": config.target_id,
         "method": asdict(rig.method),
+        "mission": asdict(config),
         "camera": camera_record(own.camera),
         "peer_camera": camera_record(peer.camera),
         "T_b_c": _rows(own.mount.T_b_c),
@@ -96,7 +97,7 @@ def box_record(box: Box | None) -> list[float] | None:
 
 
 def beside_record(beside: Sequence[Rival]) -> list[float]:
-    """What D1 sees beside the target, six numbers each: box, depth and its standard deviation, or 0 without."""
+    """Objects that D1 sees beside the target, six numbers each: box, depth and its standard deviation, or 0 without."""
     numbers: list[float] = []
     for each in beside:
         depth = (0.0, 0.0) if each.depth is None else (each.depth.z_m, each.depth.sigma_m)
@@ -105,14 +106,18 @@ def beside_record(beside: Sequence[Rival]) -> list[float]:
 
 
 def beside_of(numbers: Sequence[float] | None) -> tuple[Rival, ...]:
-    """What ``beside_record`` has written."""
+    """Reads what ``beside_record`` has written."""
     rows = np.asarray(numbers or (), float).reshape(-1, RIVAL_NUMBERS).tolist()
     return tuple(Rival(Box(x, y, w, h), Depth(z, sigma) if z > 0.0 else None) for x, y, w, h, z, sigma in rows)
 
 
-def frame_record(view: View, now_ns: int) -> dict[str, Any]:
-    """``/frame``: which frame a cycle is of, and how long after its capture the cycle began."""
-    return {"frame_id": view.frame_id, "age_ns": now_ns - view.stamp_ns}
+def frame_record(view: View, now_ns: int, T_n_c: Pose | None = None) -> dict[str, Any]:
+    """``/frame``: which frame a cycle is of, and how long after its capture the cycle began.
+
+    ``T_n_c``: the camera's pose as believed, where perception may be run again and needs it.
+    """
+    record: dict[str, Any] = {"frame_id": view.frame_id, "age_ns": now_ns - view.stamp_ns}
+    return record if T_n_c is None else {**record, "T_n_c": _rows(T_n_c)}
 
 
 def track_record(seen: Sighting | MissReason) -> dict[str, Any]:
@@ -201,6 +206,7 @@ def motion_record(
         "own_n_mps": motion.own_n_mps,
         "peer_stamp_ns": motion.peer_stamp_ns,
         "peer_n_mps": motion.peer_n_mps,
+        "peer_yaw_rad": motion.peer_yaw_rad,
         "q_n_c": quat_from_R(R_n_c),
         "q_n_v": None if R_n_v is None else quat_from_R(R_n_v),
         "T_c_v": _rows(fix.T_c_v) if isinstance(fix, MarkerFix) else None,

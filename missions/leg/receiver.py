@@ -238,9 +238,9 @@ class Receiver:
 
     async def _watch(self) -> None:
         """Look at every frame, at some once the target is held. Raises CameraError when the camera stops."""
-        session = self._session
+        session, guard = self._session, self._config.guard
         while self._watching:
-            view = await session.view()
+            view = await session.view(guard.frame_age_s)
             session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._rendezvous.tilt.note(R_n_b)

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
 from drivers.rig.parts import Rig
+from flight.acquisition import Acquisition
 from flight.camera_pose import CameraPose
 from flight.config import Designated, MissionConfig
 from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, subtract
@@ -17,7 +18,7 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.target_track import TargetTrack
 from flight.tilt import Tilt
-from flight.tracking import Sighting, acquire, follow
+from flight.tracking import Sighting, follow
 from missions.leg.course import fly_course
 from missions.leg.handover import SenderHandover
 from missions.leg.journal import (
@@ -35,15 +36,12 @@ from missions.leg.steps import bring_down, preflight, take_off
 from missions.rig_library import mission_of
 from path.geometry import Matrix
 from path.messages import Candidate, Role, Target
-from path.observations import Box, Missed, MissReason
+from path.observations import Missed, MissReason
 from path.rotation import yaw_of
 from path.sender import PairVerdict, SenderCycle
 from path.window import Gate
 
-_STEADY_FRAMES = 5
 _PEER_POLL_S = 0.25
-_STEADY_M = 0.25
-_ROOM = 0.2  # of the image, at each side, when the target is acquired
 _WIDER = 1.4  # times the distance, to see it again
 
 
@@ -79,7 +77,7 @@ class Sender:
         self._heading_rad = math.radians(config.heading_deg)
         self._begun_ns = session.now_ns()
         self._track: TargetTrack | None = None
-        self._steady: list[Vec3] = []
+        self._acquisition = Acquisition(self._camera)
         self._watching = True
         self._handover = SenderHandover(session, store)
         self._cycle: SenderCycle | None = None
@@ -231,10 +229,12 @@ class Sender:
         """Look at every frame while the receiver is near, else at some. Raises CameraError when the camera stops."""
         session = self._session
         while self._watching:
-            view = await session.view()
+            view = await session.view(self._config.guard.frame_age_s)
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._tilt.note(R_n_b)
             if self._track is None:
+                if session.records_frames:
+                    self._log_view(view, R_n_b)
                 self._try_to_acquire(view, R_n_b)
             else:
                 self._cycle_once(view, R_n_b, self._track)
@@ -249,28 +249,14 @@ class Sender:
             await asyncio.sleep(_PEER_POLL_S)
 
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
-        """Take the object at the designated place for the target once it was seen there in several frames."""
         T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
-        found = acquire(view, T_n_c, self._camera, self._designated(view.stamp_ns))
-        if isinstance(found, MissReason) or not self._well_inside(found[0].box):
-            self._steady.clear()
-            return
-        position = found[1]
-        if self._steady and math.dist(position, self._steady[-1]) > _STEADY_M:
-            self._steady.clear()
-        self._steady.append(position)
-        if len(self._steady) >= _STEADY_FRAMES:
+        position = self._acquisition.look(view, T_n_c, self._designated(view.stamp_ns))
+        if position is not None:
             self._track = TargetTrack(position, view.stamp_ns, self._config.follow.target_accel_mps2)
 
     def _designated(self, stamp_ns: int) -> Designated:
         """The ground on which the object that the operator pointed at can be by a stamp."""
         return self._config.target.at((stamp_ns - self._begun_ns) * 1e-9)
-
-    def _well_inside(self, box: Box) -> bool:
-        """Returns whether the box is so far inside the image that a gust would not take it out at once."""
-        u, v = box.center
-        room_u, room_v = _ROOM * self._camera.width, _ROOM * self._camera.height
-        return room_u <= u <= self._camera.width - room_u and room_v <= v <= self._camera.height - room_v
 
     def _cycle_once(self, view: View, R_n_b: Matrix, track: TargetTrack) -> None:
         """One cycle of PATH: follow the box, say where the target is, judge the receiver's answers."""
@@ -285,7 +271,7 @@ class Sender:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
         cycle = self._cycle
         if cycle is None:
-            session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
+            self._log_view(view, R_n_b)
             session.log.write("/track", view.stamp_ns, track_record(seen))
             return
         box, depth, beside = (seen.box, seen.depth, seen.beside) if isinstance(seen, Sighting) else (None, None, ())
@@ -298,6 +284,7 @@ class Sender:
                 session.link.send(message)
         now_ns = session.now_ns()
         with session.stage("log"):
+            self._log_view(view, R_n_b)
             self._log_frame(view, seen, message, now_ns)
         with session.stage("agreement"):
             pairs = cycle.evaluate_ready(now_ns)
@@ -339,10 +326,14 @@ class Sender:
         record = agreement_record(pair, count, session.rig.method.needed_pairs, evidence, self._config.target_id)
         session.log.write("/agreement", session.now_ns(), record)
 
+    def _log_view(self, view: View, R_n_b: Matrix) -> None:
+        session = self._session
+        T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b) if session.records_frames else None
+        session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns(), T_n_c))
+
     def _log_frame(self, view: View, seen: Sighting | MissReason, message: Target | Missed, now_ns: int) -> None:
         session = self._session
         box = seen.box if isinstance(seen, Sighting) else None
-        session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
         record = target_record(message, view.frame_id, view.stamp_ns, box)
         record["judged_ns"] = now_ns
         if isinstance(seen, Sighting) and seen.depth is not None:

@@ -18,6 +18,8 @@ import cv2
 from drivers.interfaces import (
     CameraError,
     Clock,
+    Framed,
+    FrameLog,
     Link,
     LinkError,
     Log,
@@ -129,6 +131,7 @@ class RoleSession:
         self._emit = emit
         self._pings = 0
         self._image_ns = -(1 << 62)
+        self._frames = log if config.record == "all" and isinstance(log, FrameLog) else None
         self._traffic: list[tuple[float, int]] = []
 
     # --- time and waiting ---------------------------------------------------------------------------------------
@@ -237,15 +240,6 @@ class RoleSession:
                 self.log.write("/shed", self.now_ns(), record)
                 self.say(f"this computer is busy: {'gives up' if changed.gone else 'takes up again'} {changed.what}")
 
-    async def view(self) -> View:
-        """The next view; on a computer that does not keep up some are left out. Raises CameraError when none comes."""
-        wait_s = self.shedding.until_next_s(self.now_ns())
-        if wait_s > 0.0:
-            await asyncio.sleep(wait_s)
-        view = await self.perception.view(self.config.guard.frame_age_s)
-        self.shedding.took(view.frame_id, view.stamp_ns, self.now_ns())
-        return view
-
     # --- what the others see -------------------------------------------------------------------------------------
 
     def enter(self, phase: Phase, note: str = "") -> None:
@@ -304,11 +298,32 @@ class RoleSession:
         first_s, first = self._traffic[0]
         return (total - first) / (now_s - first_s) if now_s > first_s else 0.0
 
+    @property
+    def records_frames(self) -> bool:
+        """Returns whether every frame is recorded, so that perception can be run again."""
+        return self._frames is not None
+
+    async def view(self, timeout_s: float) -> View:
+        """The newest view not yet given, recorded if the rig says so. Raises CameraError when none came in time.
+
+        On a computer that does not keep up frames are left out before it.
+        """
+        wait_s = self.shedding.until_next_s(self.now_ns())
+        if wait_s > 0.0:
+            await asyncio.sleep(wait_s)
+        view = await self.perception.view(timeout_s)
+        self.shedding.took(view.frame_id, view.stamp_ns, self.now_ns())
+        if self._frames is not None and isinstance(view, Framed):
+            self._frames.frame(view.frame)
+        return view
+
     def log_image(self, view: View, wanted: bool = False) -> None:
         """Log the camera's image, ``image_hz`` times a second at the most, unless this one is ``wanted``.
 
-        At 0 those alone are logged.
+        At 0 those alone are logged, and none when the rig records none.
         """
+        if self.config.record == "none":
+            return
         period_ns = round(1e9 / self.config.image_hz) if self.config.image_hz > 0.0 else 1 << 63
         if view.stamp_ns - self._image_ns < (1 if wanted else period_ns) or not (wanted or self.shedding.pictures):
             return
@@ -357,7 +372,7 @@ class RoleSession:
             await asyncio.sleep(period_s)
 
     def _newly_ignored(self) -> list[str]:
-        """What the vehicle's driver does not believe, each kind once."""
+        """Returns what the vehicle's driver does not believe, each kind once."""
         vehicle = self.vehicle
         new = [what for what in vehicle.ignored if what not in self._ignored] if isinstance(vehicle, Wary) else []
         self._ignored.update(new)

@@ -19,6 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import breakup_chunk
 
+from drivers.log.frames import is_frames
 from drivers.log.index import MAGIC
 
 READ_BYTES = 1 << 20
@@ -37,16 +38,19 @@ class Said:
 
 
 class FolderFollower:
-    """All logs of a folder written from now on. Those of an earlier run, which a new one takes away, are not."""
+    """All logs of a folder written from now on, but for those of every frame of a camera.
+
+    Those of an earlier run, which a new one takes away, are not.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._since_s = folder, time.time() - SLACK_S
         self._logs: dict[Path, LogFollower] = {}
 
     def new(self) -> Iterator[Said]:
-        """What is new, at most a megabyte of each log."""
+        """Returns what is new, at most a megabyte of each log."""
         for path in sorted(self._folder.glob("*.mcap")):
-            if path not in self._logs and path.stem != "merged" and self._is_new(path):
+            if path not in self._logs and path.stem != "merged" and not is_frames(path) and self._is_new(path):
                 self._logs[path] = LogFollower(path)
         for log in self._logs.values():
             yield from log.new()
@@ -137,6 +141,6 @@ class LogFollower:
 
 
 def name_of(path: Path) -> str:
-    """What stands before a log's topics, as ``missions.logs.merge`` has it; parts after a restart have the first's."""
+    """The prefix of a log's topics, as ``missions.logs.merge`` has it; parts after a restart have the first's."""
     stem, _, number = path.stem.rpartition(".")
     return (stem if number.isdecimal() else path.stem).replace(".", "_")

@@ -19,7 +19,7 @@ REFUSED = b"HTTP/1.1 401 Unauthorized\r\nContent-Length: 0\r\nConnection: close\
 _PIECE = 1 << 16
 
 
-class Gate:
+class TokenGate:
     """Before ``inner``, a port on loopback."""
 
     def __init__(self, token: str, inner: int) -> None:
@@ -71,7 +71,7 @@ class Gate:
 
 
 def knows(head: bytes, token: str) -> bool:
-    """Whether the request line of an HTTP request has the token."""
+    """True when the request line of an HTTP request has the token."""
     words = head.split(b"\r\n", 1)[0].split(b" ")
     if len(words) != 3 or words[0] != b"GET":
         return False

@@ -19,7 +19,7 @@ from pathlib import Path
 import foxglove
 
 from missions.live.follow import FolderFollower, Said
-from missions.live.gate import LOOPBACK, TOKEN, Gate
+from missions.live.gate import LOOPBACK, TOKEN, TokenGate
 
 POLL_S = 0.03
 NEW_S = 0.05  # for clients to ask for a topic before its first message
@@ -66,7 +66,7 @@ def main() -> None:
 
 
 async def _serve(follower: FolderFollower, stream: Stream, host: str, port: int, inner: int) -> None:
-    gate = Gate(os.environ.get(TOKEN, ""), inner)
+    gate = TokenGate(os.environ.get(TOKEN, ""), inner)
     if host != LOOPBACK:
         await gate.open(host, port)
     print(f"up {port}", flush=True)
@@ -84,7 +84,7 @@ async def _serve(follower: FolderFollower, stream: Stream, host: str, port: int,
 
 
 async def _pass_on(follower: FolderFollower, stream: Stream, last_s: float) -> int:
-    """What is new, no faster than clients are sent it; returns how many messages."""
+    """Sends what is new, no faster than clients take it; returns the number of messages."""
     count = 0
     for count, said in enumerate(follower.new(), 1):
         if stream.begin(said):

@@ -18,6 +18,7 @@ from mcap.records import Metadata
 from mcap.writer import Writer
 
 from drivers.interfaces import PartError
+from drivers.log.frames import is_frames
 from drivers.log.index import MAGIC
 from drivers.log.mcap_log import (
     ABOUT,
@@ -31,7 +32,7 @@ from drivers.log.mcap_log import (
 from missions.options import MergeOptions
 from missions.report.records import MERGED
 
-GUARD = "_guard"
+GUARD, FRAMES = "_guard", "_frames"
 Clock = Sequence[tuple[int, int]]
 """From which UTC of a log on (in order) how much is added to it."""
 
@@ -87,8 +88,13 @@ def align(logs: Mapping[str, Sequence[Path]]) -> list[Aligned]:
     records = {name: list(_link_records(files)) for name, files in logs.items()}
     first = next((name for name, found in records.items() if found), None)
     of_drones = {name: _aligned(name, first, records, logs) for name in logs}
-    # a guard is on its drone's computer
-    return [replace(of_drones.get(name.removesuffix(GUARD), each), name=name) for name, each in of_drones.items()]
+    # a guard is on its drone's computer, and so is the camera
+    return [replace(of_drones.get(_drone(name), each), name=name) for name, each in of_drones.items()]
+
+
+def _drone(name: str) -> str:
+    """The name of a drone's log, of a log of the same computer."""
+    return name.removesuffix(GUARD).removesuffix(FRAMES)
 
 
 def _aligned(
@@ -158,14 +164,19 @@ def _told(each: Aligned) -> str:
 
 
 def named_logs(paths: Sequence[Path]) -> dict[str, list[Path]]:
-    """The parts of every log that was named, or is in a folder that was. Raises PartError."""
+    """The parts of every log that was named, or is in a folder that was. Raises PartError.
+
+    Every frame of a camera, which is a file of its own, has to be named.
+    """
     found: dict[str, list[Path]] = {}
     for path in paths:
         files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
         for file in files:
+            if is_frames(file) and path.is_dir():
+                continue  # a hundred times as much as everything else
             if file.name != MERGED and not file.stem.rpartition(".")[2].isdecimal():
                 found[file.stem.replace(".", "_")] = parts(file.parent, file.stem) or [file]
     if not found:
         raise PartError(f"{', '.join(map(str, paths))}: there is no log", "name .mcap files, or the folder of a run")
-    order = sorted(found, key=lambda name: (name.endswith(GUARD) or name == "world", name != "sender", name))
+    order = sorted(found, key=lambda name: (name.endswith((GUARD, FRAMES)) or name == "world", name != "sender", name))
     return {name: found[name] for name in order}

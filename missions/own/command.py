@@ -34,7 +34,7 @@ KEPT = (
     "wall_s", "realtime_factor", "min_separation_m", "separation_limit_m", "link_sent_bytes_per_s", "setpoint_gap_s",
     "monitors", "phases",
 )  # fmt: skip
-"""What a run's summary says that has nothing to do with a hand-over."""
+"""The part of a run's summary that has nothing to do with a hand-over."""
 
 
 def run(options: FlyOptions) -> int:

@@ -21,7 +21,7 @@ from typing import Any
 import cv2
 import msgspec
 
-from drivers.interfaces import Log
+from drivers.interfaces import Frame, FrameLog, Log
 from drivers.log.json_lines import JsonLines
 from drivers.log.mcap_log import McapLog, encode_other, new_part
 from drivers.log.state_file import StateFile
@@ -72,6 +72,10 @@ class RelayedLog:
     def image(self, topic: str, stamp_ns: int, image: Any) -> None:
         if self._whole:
             self._log.image(topic, stamp_ns, image)
+
+    def frame(self, frame: Frame) -> None:
+        if self._whole and isinstance(self._log, FrameLog):
+            self._log.frame(frame)
 
 
 def _say(word: Mapping[str, Any]) -> None:

@@ -21,7 +21,7 @@ from path.protocol.values import ProtocolConfig
 LATE_S = 0.2
 PROTOCOL = ProtocolConfig()
 GAP_BOUND_S = PROTOCOL.lease_s + PROTOCOL.max_uncertainty_s + PROTOCOL.guard_s + LATE_S
-"""How long nobody may be responsible (docs/campaign.md)."""
+"""The time for which nobody may be responsible (docs/campaign.md)."""
 
 
 def summarize_relay(

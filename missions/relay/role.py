@@ -267,7 +267,7 @@ class DroneFlight:
         """The base of a relay need not know where the target is."""
 
     async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
-        """Where the target is when a relay ends is for a person to say: its last drone stays responsible until then."""
+        """Does nothing at a relay's end: its last drone stays responsible until a person says where the target is."""
 
     # --- what holds in every session ---
 

@@ -25,7 +25,7 @@ from path.messages import Message
 
 
 class Conduct(Protocol):
-    """What holds for a drone of a relay in either role. ``entry_m``: how far behind the other one it goes down."""
+    """Settings of a drone in either role of a relay. ``entry_m``: how far behind the other one it goes down."""
 
     @property
     def entry_m(self) -> float: ...
@@ -43,11 +43,11 @@ class Conduct(Protocol):
         ...
 
     def designated(self) -> Vec3 | None:
-        """Where the target is pointed at; None: where the mission says."""
+        """The place at which the target is pointed; None: the mission's."""
         ...
 
     def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> Awaitable[bool]:
-        """Whether the script landed the vehicle."""
+        """True when the script landed the vehicle."""
         ...
 
 

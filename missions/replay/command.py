@@ -17,7 +17,8 @@ from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord
 from drivers.rig.tables import RigError, decode_table
 from missions.options import ReplayOptions
-from missions.replay.redecide import Complete, DecisionPair, other_answers, redecide
+from missions.replay.perceive import PerceptionChange, detector_settings, eyes_of
+from missions.replay.redecide import Complete, DecisionPair, Open, other_answers, redecide
 from missions.report.command import show
 from missions.report.records import REPLAY, drone_logs
 from path.config import MethodConfig
@@ -57,16 +58,26 @@ def run(options: ReplayOptions) -> int:
         )
     for each in differ[:1]:
         sys.stdout.write(f"first difference, {each.topic} at {each.stamp_ns}:\n{_difference(each)}")
-    change = change_of(options.set, options.gate)
-    if change is not None:
-        after = replay_changed(logs, change)
+    method = [text for text in options.set if not text.startswith("detector.")]
+    detector = [text for text in options.set if text.startswith("detector.")]
+    change = change_of(method, options.gate)
+    looks = options.frames or options.detector is not None or bool(detector)
+    if change is not None or looks:
+        seen_with = PerceptionChange(options.rig, options.detector, detector_settings(detector))
+        eyes = {name: eyes_of(options.folder, name, seen_with) for name in logs} if looks else {}
+        after = replay_changed(logs, change or (lambda method: method), eyes)
         show(_other_table(before, after), sys.stdout)
         if options.picture:
             from missions.replay.picture import draw_replay  # noqa: PLC0415 (matplotlib takes a second to import)
 
-            draw_replay(before, after, " ".join((*options.set, options.gate or "")), options.folder / REPLAY)
+            draw_replay(before, after, _title(options), options.folder / REPLAY)
             sys.stdout.write(f"\n{options.folder / REPLAY}\n")
     return EXIT_DIFFERENT if differ else 0
+
+
+def _title(options: ReplayOptions) -> str:
+    looked = options.frames or options.detector
+    return " ".join(("seen again" if looked else "", options.detector or "", *options.set, options.gate or ""))
 
 
 def change_of(settings: Sequence[str], gate: str | None) -> Callable[[MethodConfig], MethodConfig] | None:
@@ -92,13 +103,23 @@ def change_of(settings: Sequence[str], gate: str | None) -> Callable[[MethodConf
 
 
 def replay_changed(
-    logs: Mapping[str, Sequence[LogRecord]], change: Callable[[MethodConfig], MethodConfig]
+    logs: Mapping[str, Sequence[LogRecord]],
+    change: Callable[[MethodConfig], MethodConfig],
+    eyes: Mapping[str, Open] | None = None,
 ) -> list[Replayed]:
-    """Replays with other settings on both drones: D1 judges what D2 would have answered to what D1 sent."""
-    receivers = {name: _replay(name, records, change) for name, records in logs.items() if _is(Role.RECEIVER, records)}
+    """Replays with other settings on both drones: D1 judges what D2 would have answered to what D1 sent.
+
+    ``eyes``: of the drones that look at their recorded frames again.
+    """
+    eyes = eyes or {}
+    receivers = {
+        name: _replay(name, records, change, open_eyes=eyes.get(name))
+        for name, records in logs.items()
+        if _is(Role.RECEIVER, records)
+    }
     answers = {key: answer for each in receivers.values() for key, answer in other_answers(each.decided).items()}
     return [
-        receivers[name] if name in receivers else _replay(name, records, change, answers)
+        receivers[name] if name in receivers else _replay(name, records, change, answers, eyes.get(name))
         for name, records in logs.items()
     ]
 
@@ -108,10 +129,11 @@ def _replay(
     records: Sequence[LogRecord],
     change: Callable[[MethodConfig], MethodConfig] = lambda method: method,
     answers: Mapping[tuple[int, int], Mapping[str, Any]] | None = None,
+    open_eyes: Open | None = None,
 ) -> Replayed:
     decided: list[DecisionPair] = []
     complete: list[Complete] = []
-    for each in redecide(records, change, answers):
+    for each in redecide(records, change, answers, open_eyes):
         if isinstance(each, DecisionPair):
             decided.append(each)
         else:
@@ -178,6 +200,10 @@ def _figures(drone: Replayed) -> dict[str, str]:
         rows["gate complete, after the first answer"] = ", ".join(ends) or "not within the log"
         agreed = sum(bool(verdict["agreed"]) for verdict in verdicts)
         rows["answers that agree"] = f"{agreed}/{len(verdicts)}"
+    for topic, what in (("/target", "frames with the target"), ("/candidate", "frames with a candidate")):
+        of = [each.again for each in drone.decided if each.topic == topic and each.again is not None]
+        if of:
+            rows[what] = f"{sum(record['box'] is not None for record in of)}/{len(of)}"
     misses = Counter(
         f"{each.topic}: {each.again['reason']}" for each in drone.decided if each.again and each.again["reason"]
     )

@@ -3,27 +3,34 @@
 A log holds what a cycle was given, in the order it was given it: on D1 what the camera saw of the target (``/target``)
 and the answers of D2 (``/heard_candidate``); on D2 the messages of D1 (``/heard_target``), the marker's pose
 (``/marker``, ``/motion``) and what the detector found (``found`` of ``/candidate``). What the cycles make of it is held
-against the decisions in the same log.
+against the decisions in the same log. With ``missions.replay.eyes`` what was seen comes from recorded frames instead.
 """
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
 import numpy as np
 
-from drivers.log.mcap_log import LogRecord, encode_other
+from drivers.log.mcap_log import LogRecord
 from drivers.rig.tables import decode_table
-from missions.leg.journal import agreement_record, beside_of, candidate_record, counted, target_record
-from path.camera import CameraModel
+from flight.tracking import Sighting
+from missions.leg.journal import (
+    agreement_record,
+    beside_of,
+    beside_record,
+    candidate_record,
+    counted,
+    target_record,
+)
+from missions.replay.eyes import ReceiverEyes, SenderEyes
+from missions.replay.logged import NAN3, as_logged, box_of, camera_of, candidate_of, pose_of, target_of
 from path.config import MethodConfig
-from path.geometry import Pose
-from path.messages import Candidate, Role, Target
+from path.geometry import Matrix, Pose
+from path.messages import Role
 from path.observations import Box, Depth, Detection, Missed, MissReason
 from path.receiver import ReceiverCycle
 from path.sender import SenderCycle
@@ -31,8 +38,9 @@ from path.sender import SenderCycle
 Record = Mapping[str, Any]
 Answers = Mapping[tuple[int, int], Record]
 Change = Callable[[MethodConfig], MethodConfig]
-
-_NAN3 = (math.nan, math.nan, math.nan)
+Eyes = SenderEyes | ReceiverEyes
+Open = Callable[[Record, int, MethodConfig], Eyes]
+"""The eyes of a session, from its ``/setup`` and that record's stamp."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,20 +66,24 @@ class Complete:
 
 
 def redecide(
-    records: Iterable[LogRecord], change: Change = lambda method: method, answers: Answers | None = None
+    records: Iterable[LogRecord],
+    change: Change = lambda method: method,
+    answers: Answers | None = None,
+    open_eyes: Open | None = None,
 ) -> Iterator[DecisionPair | Complete]:
     """Every decision of one drone's log, in its order.
 
     Args:
         change: of the method's settings, to see what would have been otherwise.
         answers: what the other drone answers instead of what was heard of it, by epoch and sequence.
+        open_eyes: for what is seen in recorded frames; None: what the log says.
     """
     again: _SenderReplay | _ReceiverReplay | None = None
     for each in records:
         if each.topic == "/setup":
             if again is not None:
                 yield from again.rest()
-            again = _again(each.record, change, answers or {})
+            again = _again(each, change, answers or {}, open_eyes)
         elif again is not None:
             yield from again.take(each)
     if again is not None:
@@ -88,18 +100,22 @@ def other_answers(decided: Iterable[DecisionPair | Complete]) -> dict[tuple[int,
     return changed
 
 
-def _again(setup: Record, change: Change, answers: Answers) -> _SenderReplay | _ReceiverReplay:
-    method = change(decode_table(setup["method"], MethodConfig, "/setup: method"))
-    return (
-        _SenderReplay(setup, method, answers) if setup["role"] == Role.SENDER.value else _ReceiverReplay(setup, method)
-    )
+def _again(
+    setup: LogRecord, change: Change, answers: Answers, open_eyes: Open | None
+) -> _SenderReplay | _ReceiverReplay:
+    record = setup.record
+    method = change(decode_table(record["method"], MethodConfig, "/setup: method"))
+    eyes = None if open_eyes is None else open_eyes(record, setup.stamp_ns, method)
+    if record["role"] == Role.SENDER.value:
+        return _SenderReplay(record, method, answers, eyes if isinstance(eyes, SenderEyes) else None)
+    return _ReceiverReplay(record, method, eyes if isinstance(eyes, ReceiverEyes) else None)
 
 
 class _SenderReplay:
     """D1's cycle, for one session."""
 
-    def __init__(self, setup: Record, method: MethodConfig, answers: Answers) -> None:
-        self._setup, self._method, self._answers = setup, method, answers
+    def __init__(self, setup: Record, method: MethodConfig, answers: Answers, eyes: SenderEyes | None) -> None:
+        self._setup, self._method, self._answers, self._eyes = setup, method, answers, eyes
         self._cycle: SenderCycle | None = None
         self._epoch = 0
         self._complete = False
@@ -107,14 +123,16 @@ class _SenderReplay:
 
     def take(self, each: LogRecord) -> Iterator[DecisionPair | Complete]:
         record, cycle = each.record, self._cycle
-        if each.topic == "/attempt":
+        if each.topic == "/frame" and self._eyes is not None:
+            self._eyes.look(each.stamp_ns, record)
+        elif each.topic == "/attempt":
             yield from self.rest()
             self._begin(record)
         elif cycle is None:
             return
         elif each.topic == "/heard_candidate":
             otherwise = self._answers.get((record["epoch"], record["sequence"]), {})
-            cycle.offer(_candidate({**record, **otherwise}), record["capture_ns"], each.stamp_ns)
+            cycle.offer(candidate_of({**record, **otherwise}), record["capture_ns"], each.stamp_ns)
         elif each.topic == "/target":
             yield from self._observe(cycle, record)
         elif each.topic == "/agreement":
@@ -130,9 +148,9 @@ class _SenderReplay:
     def _begin(self, attempt: Record) -> None:
         setup, self._epoch, self._complete = self._setup, attempt["epoch"], False
         self._cycle = SenderCycle(
-            _camera(setup["camera"]),
-            _camera(setup["peer_camera"]),
-            _pose(setup["T_v_c1"]),
+            camera_of(setup["camera"]),
+            camera_of(setup["peer_camera"]),
+            pose_of(setup["T_v_c1"]),
             self._method,
             handoff_id=attempt["handoff_id"],
             epoch=attempt["epoch"],
@@ -141,31 +159,45 @@ class _SenderReplay:
 
     def _observe(self, cycle: SenderCycle, record: Record) -> Iterator[DecisionPair | Complete]:
         yield from self.rest()
-        box = _box(record["box"])
-        depth = None if record["depth_m"] is None else Depth(record["depth_m"], record["depth_sigma_m"])
+        seen, gravity_v = self._seen(record)
+        box, depth, beside = (seen.box, seen.depth, seen.beside) if isinstance(seen, Sighting) else (None, None, ())
         frame_id, capture_ns, judged_ns = record["frame_id"], record["capture_ns"], record["judged_ns"]
-        beside = beside_of(record["beside"])
-        message = cycle.observe(frame_id, capture_ns, box, depth, record["gravity_v"] or _NAN3, beside)
+        message = cycle.observe(frame_id, capture_ns, box, depth, gravity_v, beside)
         again = target_record(message, frame_id, capture_ns, box)
-        if box is None:  # why, was said by what looked for it
-            again["reason"] = record["reason"]
-        given = {name: record[name] for name in ("judged_ns", "depth_m", "depth_sigma_m", "beside")}
-        yield DecisionPair("/target", capture_ns, record, _as_logged({**again, **given}))
+        if isinstance(seen, MissReason):  # why, was said by what looked for it
+            again["reason"] = seen.value
+        given = {
+            "judged_ns": judged_ns,
+            "depth_m": None if depth is None else depth.z_m,
+            "depth_sigma_m": None if depth is None else depth.sigma_m,
+            "beside": beside_record(beside) if isinstance(seen, Sighting) else None,
+        }
+        yield DecisionPair("/target", capture_ns, record, as_logged({**again, **given}))
         for pair in cycle.evaluate_ready(judged_ns):
             count, evidence = counted(pair, cycle.gate)
             verdict = agreement_record(pair, count, self._method.needed_pairs, evidence, self._setup["target_id"])
-            self._due.append((judged_ns, _as_logged(verdict)))
+            self._due.append((judged_ns, as_logged(verdict)))
         if cycle.gate.complete and not self._complete:
             self._complete = True
             yield Complete(judged_ns, self._epoch)
+
+    def _seen(self, record: Record) -> tuple[Sighting | MissReason, Any]:
+        """What was seen in the frame of a ``/target``, by the log or by eyes, and down in the marker's frame."""
+        if self._eyes is not None and self._eyes.seen is not None:
+            return self._eyes.seen
+        gravity_v, box = record["gravity_v"] or NAN3, box_of(record["box"])
+        if box is None:
+            return MissReason(record["reason"]), gravity_v
+        depth = None if record["depth_m"] is None else Depth(record["depth_m"], record["depth_sigma_m"])
+        return Sighting(box, depth, beside_of(record["beside"])), gravity_v
 
 
 class _ReceiverReplay:
     """D2's cycle, for one session."""
 
-    def __init__(self, setup: Record, method: MethodConfig) -> None:
-        self._setup, self._method = setup, method
-        self._camera = _camera(setup["camera"])
+    def __init__(self, setup: Record, method: MethodConfig, eyes: ReceiverEyes | None) -> None:
+        self._setup, self._method, self._eyes = setup, method, eyes
+        self._camera = camera_of(setup["camera"])
         self._cycle: ReceiverCycle | None = None
         self._newest: dict[str, Record] = {}
 
@@ -175,8 +207,10 @@ class _ReceiverReplay:
             self._begin(record)
         elif each.topic in ("/frame", "/marker", "/motion"):
             self._newest[each.topic] = record
+            if each.topic == "/motion" and self._eyes is not None and cycle is not None:
+                self._eyes.look(each.stamp_ns, record, cycle.gravity_v(each.stamp_ns))
         elif cycle is not None and each.topic == "/heard_target":
-            cycle.on_target(_target(record), record["capture_ns"], each.stamp_ns)
+            cycle.on_target(target_of(record), record["capture_ns"], each.stamp_ns)
         elif cycle is not None and each.topic == "/candidate":
             yield DecisionPair(each.topic, each.stamp_ns, record, self._answer(cycle, each.stamp_ns, record))
 
@@ -186,79 +220,31 @@ class _ReceiverReplay:
 
     def _begin(self, attempt: Record) -> None:
         setup = self._setup
-        x, y, z = _pose(setup["T_v_c1"]).t.tolist()
+        x, y, z = pose_of(setup["T_v_c1"]).t.tolist()
         self._cycle = ReceiverCycle(
             self._camera,
             self._method,
             handoff_id=attempt["handoff_id"],
             epoch=attempt["epoch"],
             target_id=attempt["target_id"],
-            sender=(_camera(setup["peer_camera"]), (x, y, z)),
+            sender=(camera_of(setup["peer_camera"]), (x, y, z)),
         )
 
     def _answer(self, cycle: ReceiverCycle, stamp_ns: int, record: Record) -> dict[str, Any] | None:
-        marker, motion = self._newest["/marker"], self._newest["/motion"]
-        if marker["reason"] is None:
-            prior = cycle.prior(
-                _pose(motion["T_c_v"]), np.reshape(np.array(motion["covariance"], float), (6, 6)), stamp_ns
-            )
-        else:
-            prior = Missed(MissReason(marker["reason"]))
-        found = [Detection(Box(*each["box"]), each["score"]) for each in record["found"]]
+        eyes = self._eyes
+        fix = self._fix() if eyes is None or eyes.fix is None else eyes.fix
+        prior = cycle.prior(fix[0], fix[1], stamp_ns) if isinstance(fix, tuple) else fix
+        found = None if eyes is None else eyes.find(prior)
+        if found is None:
+            found = [Detection(Box(*each["box"]), each["score"]) for each in record["found"]]
         candidate = cycle.candidate(self._newest["/frame"]["frame_id"], stamp_ns, found, prior)
         if isinstance(candidate, Missed):
             return None
-        return _as_logged(candidate_record(candidate, prior, self._camera, found))
+        return as_logged(candidate_record(candidate, prior, self._camera, found))
 
-
-def _as_logged(record: Record) -> dict[str, Any]:
-    """Returns a record as it comes back from a log."""
-    return msgspec.json.decode(msgspec.json.encode(record, enc_hook=encode_other))
-
-
-def _camera(record: Record) -> CameraModel:
-    values: dict[str, Any] = {**record, "distortion": tuple(record["distortion"])}
-    return CameraModel(**values)
-
-
-def _pose(rows: Any) -> Pose:
-    matrix = np.reshape(np.array(rows, float), (3, 4))
-    return Pose(np.ascontiguousarray(matrix[:, :3]), matrix[:, 3].copy())
-
-
-def _box(box: Any) -> Box | None:
-    return None if box is None else Box(*box)
-
-
-def _numbers(values: Any) -> Any:
-    """Returns numbers as they were before the log: what was not finite is null in it."""
-    return tuple(math.nan if value is None else value for value in values)
-
-
-def _candidate(record: Record) -> Candidate:
-    return Candidate(
-        record["handoff_id"],
-        record["epoch"],
-        record["target_id"],
-        record["sequence"],
-        record["target_sequence"],
-        record["peer_capture_ns"],
-        None if record["box"] is None else Box(*_numbers(record["box"])),
-        None if record["reason"] is None else MissReason(record["reason"]),
-        _numbers(record["position_v_m"]),
-        _numbers(record["rotation_v_c2"]),
-        math.nan if record["sigma_m"] is None else record["sigma_m"],
-    )
-
-
-def _target(record: Record) -> Target:
-    return Target(
-        record["handoff_id"],
-        record["epoch"],
-        record["target_id"],
-        record["sequence"],
-        record["peer_capture_ns"],
-        _numbers(record["point_v_m"]),
-        _numbers(record["gravity_v"]),
-        math.nan if record["sigma_m"] is None else record["sigma_m"],
-    )
+    def _fix(self) -> tuple[Pose, Matrix] | Missed:
+        """The marker's pose in the newest frame as logged, with its covariance."""
+        marker, motion = self._newest["/marker"], self._newest["/motion"]
+        if marker["reason"] is not None:
+            return Missed(MissReason(marker["reason"]))
+        return pose_of(motion["T_c_v"]), np.reshape(np.array(motion["covariance"], float), (6, 6))

@@ -1,4 +1,4 @@
-"""What the paper's gate would have said of a run, whichever gate decided: the longest row of agreeing pairs."""
+"""The paper's gate's word on a run, whichever gate decided: the longest row of agreeing pairs."""
 
 from __future__ import annotations
 

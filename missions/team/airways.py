@@ -16,7 +16,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class AirColumn:
-    """Where a drone goes up or down, through the ways out (``top`` 0), or those and the ways back (1)."""
+    """A column in which a drone goes up or down, through the ways out (``top`` 0), or those and the ways back (1)."""
 
     middle: Point
     radius_m: float
@@ -42,13 +42,13 @@ def way_back(home: Point, target: Point, area_m: float) -> Airway:
 
 
 def in_the_way(wanted: Iterable[Airway], flown: Iterable[Airway], clear_m: float) -> bool:
-    """Whether anything of what is wanted must wait for what is flown."""
+    """True when anything of what is wanted must wait for what is flown."""
     there = tuple(flown)
     return any(conflict(one, other, clear_m) for one in wanted for other in there)
 
 
 def conflict(one: Airway, other: Airway, clear_m: float) -> bool:
-    """Whether two ways may bring two drones together."""
+    """True when two ways may bring two drones together."""
     if one.level == other.level and _between(one.begin, one.end, other.begin, other.end) < clear_m:
         return True
     if any(_overlap(mine, its, clear_m) for mine in one.columns for its in other.columns):
@@ -61,7 +61,7 @@ def _overlap(one: AirColumn, other: AirColumn, clear_m: float) -> bool:
 
 
 def _crosses(way: Airway, other: Airway, clear_m: float) -> bool:
-    """Whether a way leads through a column of the other one."""
+    """True when a way leads through a column of the other one."""
     return any(
         column.top >= way.level and _from(column.middle, way.begin, way.end) < column.radius_m + clear_m
         for column in other.columns

@@ -1,4 +1,4 @@
-"""Who takes what over, and from where: the assignment of drones that stand ready to targets that need one. Pure.
+"""The assignment of drones that stand ready to targets that need one, and of the headings from which they follow. Pure.
 
 Every pair that is possible has a cost in seconds, and ``scipy.optimize.linear_sum_assignment`` finds the pairs whose
 costs add up to the least. (E, N) in metres, headings clockwise from north.
@@ -58,7 +58,7 @@ class Need:
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """What was assigned: the drone, and the heading from which it follows."""
+    """One assignment: the drone, and the heading from which it follows."""
 
     target: int
     drone: str
@@ -68,7 +68,7 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True)
 class Airspace:
-    """What is flown already, and how the ways of a pair would lead.
+    """The ways that are flown already, and those of a pair.
 
     Attributes:
         flown: ways that are in use.
@@ -132,7 +132,7 @@ def cost_of(need: Need, drone: ReadyDrone, air: Airspace) -> tuple[float, float]
 
 
 def clutter_s(need: Need, heading_deg: float) -> float:
-    """What others in the image, beyond the target as it is seen at a heading, cost: the nearer the more."""
+    """The cost of others in the image, beyond the target as it is seen at a heading: the nearer the more."""
     worst = 0.0
     for east, north in need.others:
         away_m = math.hypot(east - need.place_m[0], north - need.place_m[1])

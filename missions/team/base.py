@@ -43,7 +43,7 @@ class Custody:
 
 @dataclass(slots=True)
 class TeamDrone:
-    """What the ground knows of one drone. ``ways``: those that are kept free for it."""
+    """The ground's knowledge of one drone. ``ways``: those that are kept free for it."""
 
     name: str
     home_m: Point
@@ -62,7 +62,7 @@ class TeamDrone:
 
 @dataclass(slots=True)
 class TeamTarget:
-    """What the ground knows of one target.
+    """The ground's knowledge of one target.
 
     Attributes:
         holder, leg, finder: who has it, who is about to take it over, who was sent to find it.
@@ -127,7 +127,7 @@ class TeamBase:
         return self.targets[number]
 
     def pointed_at(self, name: str) -> Pointed:
-        """Where a person points, whose target this drone is sent to find."""
+        """Returns the place at which a person points, whose target this drone is sent to find."""
         return self._field.point_at(self.target_of(name).number)
 
     def ask(self, name: str, battery: float, wait_s: float) -> None:
@@ -136,7 +136,7 @@ class TeamBase:
             target.asking = battery, self._now_s() + wait_s
 
     def follows(self, name: str, place_n_m: Vec3) -> None:
-        """Where its target is, as a drone that has it says now and then."""
+        """Takes the target's place, as a drone that has it says now and then."""
         target = self.target_of(name)
         if name == target.holder:
             target.place_n_m = place_n_m

@@ -1,4 +1,4 @@
-"""What a rig says about a team, checked; and a field laid out for more drones and targets than it names."""
+"""The checked part of a rig about a team; and a field laid out for more drones and targets than it names."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _wire(config: TeamConfig, mission: MissionConfig) -> Found:
 
 
 def _taken(part: str, option: str, value: object) -> tuple[str, str]:
-    """What an option occupies: two listeners on one port collide whatever their addresses say."""
+    """The port that an option occupies: two listeners on one port collide whatever their addresses say."""
     text = str(value)
     if option == "bind" or text.startswith(("udpin://", "tcpin://")):
         return "port", text.rpartition(":")[2]

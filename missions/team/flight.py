@@ -41,7 +41,7 @@ class OwnGround:
 
     @property
     def over(self) -> bool:
-        """Whether this drone is called home."""
+        """True when this drone is called home."""
         return self._base.drones[self._name].called_home
 
     def order_of(self, name: str) -> TakeOffOrder:
@@ -92,7 +92,7 @@ class TeamFlight(DroneFlight):
             self._ground.follows(self._name, holder.track.position_n_m)
 
     async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
-        """What this drone was responsible for it is not any more, by its record too: it will be found anew."""
+        """Gives up what this drone was responsible for, by its record too: the target will be found anew."""
         if flown.has_given_away or not session.responsible:
             return
         kept = self._store.load()

@@ -114,7 +114,7 @@ def _unobserved(seen: TargetWatch) -> list[list[float]]:
 
 
 def team_table(summary: Mapping[str, Any]) -> RenderableType:
-    """What a person wants to know of a team's flights."""
+    """The lines that a person wants to read of a team's flights."""
     parts = heading(summary, f"{summary['drones']} drones, {summary['targets']} targets")
     return Group(*parts, Text(), figures_grid(team_rows(summary)))
 

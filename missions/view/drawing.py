@@ -24,7 +24,7 @@ from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory
 
 from drivers.log.topics import blank
-from missions.view.figures import Figures
+from missions.view.figures import PlottedValues
 
 UTC, RUN = "utc", "run"
 _LINE_LOOP, _LINE_LIST = 2, 4  # of foxglove.PointsAnnotation; LinePrimitive has 1 and 2
@@ -39,7 +39,7 @@ class Drawing:
         self._decoders = DecoderFactory()
         self._decode: dict[str, Callable[[bytes], Any] | None] = {}
         self._begin_ns: int | None = None
-        self._figures: dict[str, Figures] = {}
+        self._figures: dict[str, PlottedValues] = {}
         self._framed: set[str] = set()
         self._images: dict[str, tuple[int, int]] = {}
         self._newest_boxes: dict[str, Any] = {}
@@ -72,7 +72,7 @@ class Drawing:
                 draw(name, decode(data))
             return
         record = {**blank(f"/{own}"), **msgspec.json.decode(data)}
-        for path, value in self._figures.setdefault(name, Figures()).of(f"/{own}", utc_ns, record):
+        for path, value in self._figures.setdefault(name, PlottedValues()).of(f"/{own}", utc_ns, record):
             self._plot(name, path, value)
 
     def _plot(self, name: str, path: str, value: float) -> None:

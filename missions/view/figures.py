@@ -1,4 +1,4 @@
-"""What is plotted of a log's records. Pure."""
+"""The values plotted of a log's records. Pure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Figure = tuple[str, float]
 """Kind of plot and name in it, value."""
 
 
-class Figures:
+class PlottedValues:
     """Of one log."""
 
     def __init__(self) -> None:

@@ -25,7 +25,7 @@ _IS_MESSAGE = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class StreamMessage:
     topic: str
     schema: Schema
     utc_ns: int
@@ -40,11 +40,11 @@ class Watcher:
     """
 
     def __init__(self, *addresses: str) -> None:
-        self._heard: queue.Queue[Heard] = queue.Queue(WAITING)
+        self._heard: queue.Queue[StreamMessage] = queue.Queue(WAITING)
         for address in addresses:
             threading.Thread(target=self._watch, args=(address,), daemon=True).start()
 
-    def next(self, timeout_s: float) -> Heard | None:
+    def next(self, timeout_s: float) -> StreamMessage | None:
         with suppress(queue.Empty):
             return self._heard.get(timeout=timeout_s)
         return None
@@ -67,9 +67,9 @@ class Watcher:
                     stream.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
             elif len(word) >= _HEAD.size and word[0] == _IS_MESSAGE:
                 _, number, utc_ns = _HEAD.unpack_from(word)
-                self._put(Heard(*topics[number], utc_ns, word[_HEAD.size :]))
+                self._put(StreamMessage(*topics[number], utc_ns, word[_HEAD.size :]))
 
-    def _put(self, heard: Heard) -> None:
+    def _put(self, heard: StreamMessage) -> None:
         while True:
             try:
                 self._heard.put_nowait(heard)

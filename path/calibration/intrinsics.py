@@ -146,7 +146,7 @@ def doubting(solution: Intrinsics) -> Intrinsics:
 
 
 def _doubts(turns: Array, sigmas: Array) -> tuple[Nine, ...]:
-    """What errs together: deviations (k, 9) whose squares add up to the jackknife's, scaled to the standard errors."""
+    """Common errors: deviations (k, 9) whose squares add up to the jackknife's, scaled to the standard errors."""
     rows = np.diag(np.where(np.arange(len(sigmas)) < SCALED, sigmas, 0.0))[:SCALED]
     if len(turns):
         own = np.sqrt((turns[:, :SCALED] ** 2).sum(axis=0))

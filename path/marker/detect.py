@@ -15,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.camera import CameraModel
+from path.geometry import Pose
 from path.marker.kernels import Array
 from path.marker.layout import MarkerLayout
 from path.marker.photometric import PhotometricFit, fit
 from path.marker.texture import cells, dictionary_of
+from path.marker.track import recognise
 from path.observations import MarkerDetection, Region
 
 Refine = Literal["photometric", "subpix"]
@@ -47,6 +49,7 @@ def detect_markers(
     scale: float | None = None,
     foreign: bool = False,
     thorough: bool | None = None,
+    expected: Pose | None = None,
 ) -> tuple[MarkerDetection, ...]:
     """Markers of the layout in a region.
 
@@ -59,6 +62,8 @@ def detect_markers(
         foreign: also give markers of the dictionary that the layout does not have (unrefined).
         thorough: look three times, for what is small, dim, steep or close to others too, in about six times the time;
             by default in a whole image, and not in a region.
+        expected: ``T_c_v`` good to about a cell of the print. Markers that are there are recognised without decoding,
+            in a tenth of the time; when one is not, everything is decoded. Only for "photometric".
 
     Returns:
         Detections by id. A marker that is seen in two places is there twice.
@@ -66,6 +71,10 @@ def detect_markers(
     area = (region or Region(0.0, 0.0, math.inf, math.inf)).clipped(image.shape[1], image.shape[0])
     if area is None:
         return ()
+    if expected is not None and refine == "photometric":
+        tracked = _tracked(image, expected, layout, camera)
+        if tracked:
+            return tracked
     u0, v0 = int(area.x0), int(area.y0)
     cut = image[v0 : math.ceil(area.y1), u0 : math.ceil(area.x1)]
     grey = np.ascontiguousarray(cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY) if cut.ndim == 3 else cut, dtype=np.uint8)
@@ -83,6 +92,20 @@ def detect_markers(
                 found.append(MarkerDetection(marker_id, *refined))
         elif foreign:
             found.append(MarkerDetection(marker_id, quad + np.array([u0, v0]), np.eye(8)))
+    return tuple(sorted(found, key=lambda detection: detection.marker_id))
+
+
+def _tracked(
+    image: NDArray[np.uint8], expected: Pose, layout: MarkerLayout, camera: CameraModel
+) -> tuple[MarkerDetection, ...]:
+    """All markers that an expected pose shows, with photometric corners; nothing when one of them has none."""
+    found: list[MarkerDetection] = []
+    for seen in recognise(image, expected, layout, camera) or ():
+        pattern = _quiet(layout.dictionary, seen.marker_id)
+        fitted = trusted_fit(seen.grey, seen.offset, seen.quad, pattern, camera, near=True)
+        if fitted is None:
+            return ()
+        found.append(MarkerDetection(seen.marker_id, fitted.corners_px, fitted.covariance_px2))
     return tuple(sorted(found, key=lambda detection: detection.marker_id))
 
 
@@ -168,11 +191,20 @@ def refine_corners(
 
 
 def trusted_fit(
-    grey: NDArray[np.uint8], offset: tuple[int, int], quad: Array, pattern: Array, camera: CameraModel
+    grey: NDArray[np.uint8],
+    offset: tuple[int, int],
+    quad: Array,
+    pattern: Array,
+    camera: CameraModel,
+    *,
+    near: bool = False,
 ) -> PhotometricFit | None:
-    """The photometric fit from decoded corners, see ``refine_corners``; None where it is not to be trusted."""
+    """The photometric fit from decoded corners, see ``refine_corners``; None where it is not to be trusted.
+
+    ``near``: the corners are good to half a pixel.
+    """
     start = quad + offset
-    fitted = fit(grey, offset, start, camera, pattern)
+    fitted = fit(grey, offset, start, camera, pattern, near=near)
     if (
         fitted is None
         or fitted.explained < MIN_EXPLAINED

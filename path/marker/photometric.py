@@ -38,6 +38,7 @@ from path.marker.print_pixels import MAX_PIXELS, Gray, frame_of, gather, homogra
 from path.marker.shadow import cell_light, find_shadow
 
 MAX_PASSES = 8
+FIRST_PIXELS = 600  # for the first pass from a near start, which only leads nearer
 MAX_MORE_PASSES, MAX_FEW_PASSES = 6, 2  # with what may be wrong: a shadow or much, or little
 STRONG_MISFIT, STRONG_CORRELATED_MISFIT = 0.055, 0.035  # residual over contrast that is worth all pixels and passes
 LARGE_PX = 42.0  # side from which on less than that is not worth it: a pose is as good as print and lens are known
@@ -108,6 +109,7 @@ class _FitState:
     spread: float = 1e3
     moved: float = math.inf
     passes: int = 0
+    measured: Statistics | None = None  # of these residuals, once asked for
 
     def copy(self) -> _FitState:
         """Returns a copy with unknowns of its own."""
@@ -126,7 +128,10 @@ class _FitState:
 
     @property
     def statistics(self) -> Statistics:
-        return statistics(self.pixels, self.residuals, self.spread, len(self.factor))
+        known = self.measured
+        if known is None:
+            known = self.measured = statistics(self.pixels, self.residuals, self.spread, len(self.factor))
+        return known
 
     @property
     def area_px2(self) -> float:
@@ -156,7 +161,7 @@ class _FitState:
     def gather(self, blur_px: float, most: int = MAX_PIXELS, block: int = 0) -> bool:
         """Choose the pixels; False when there are too few."""
         u, v = self.offset
-        frame, lens, theta = self.frame, self.lens, self.theta
+        frame, lens, theta, self.measured = self.frame, self.lens, self.theta, None
         self.pixels = gather(self.image, u, v, frame, lens, theta, self.n, blur_px, most, block)
         return len(self.pixels) >= 3 * UNKNOWNS
 
@@ -170,6 +175,7 @@ def fit(
     edges: Array | None = None,
     *,
     ideal: bool = False,
+    near: bool = False,
 ) -> PhotometricFit | None:
     """Fit the printed pattern to a grey image.
 
@@ -180,12 +186,13 @@ def fit(
         edges: where the cells end along x and y, in cells from the frame's outer edge, shape (2, cells + 1); None for
             0, 1, ..., cells.
         ideal: fit an ideal print and camera only.
+        near: the corners to start from are good to half a pixel: the first pass looks at few pixels.
 
     Returns:
         None when the fit does not converge or too few pixels show the print.
     """
-    state = _start(image, offset, start_px, camera, cells, edges)
-    if state is None or not _fit_ideal(state, ideal):
+    state = _start(image, offset, start_px, camera, cells, edges, FIRST_PIXELS if near else MAX_PIXELS)
+    if state is None or not _fit_ideal(state, ideal, near):
         return None
     if not ideal and _misfits(state):
         state = _fit_misfit(state)
@@ -193,7 +200,13 @@ def fit(
 
 
 def _start(
-    image: Gray, offset: tuple[int, int], start_px: Array, camera: CameraModel, cells: Array, edges: Array | None
+    image: Gray,
+    offset: tuple[int, int],
+    start_px: Array,
+    camera: CameraModel,
+    cells: Array,
+    edges: Array | None,
+    first_pixels: int,
 ) -> _FitState | None:
     n = cells.shape[0] - 2
     lens = lens_of(camera)
@@ -204,14 +217,17 @@ def _start(
     ends = np.repeat(np.arange(n + 1.0)[None], 2, axis=0) if edges is None else edges
     extra, groups = np.zeros(TAPS + 2 * (n - 1) + SHADOW), np.zeros(GROUPS, np.bool_)
     state = _FitState(image, offset, cells, ends, lens, frame, theta, rays, np.empty((0, 6)), extra, groups)
-    if not state.gather(START_BLUR_PX):
+    if not state.gather(START_BLUR_PX, first_pixels):
         return None
     theta[8], theta[11] = tones(state.pixels)
     return state
 
 
-def _fit_ideal(state: _FitState, ideal: bool) -> bool:
-    """Passes with the 16 unknowns of an ideal print and camera; False when they drift away or off the print."""
+def _fit_ideal(state: _FitState, ideal: bool, few: bool = False) -> bool:
+    """Passes with the 16 unknowns of an ideal print and camera; False when they drift away or off the print.
+
+    ``few``: the first pass has few pixels.
+    """
     normal, used, sigmas = np.empty((UNKNOWNS, UNKNOWNS + 1)), np.empty(0, np.int64), np.empty(0)
     for _ in range(MAX_PASSES):
         state.residuals = np.empty(len(state.pixels))
@@ -220,10 +236,10 @@ def _fit_ideal(state: _FitState, ideal: bool) -> bool:
         )
         if not _step(state, normal, used, sigmas):
             return False
-        near = not ideal and state.moved < NEAR_PX and _misfits(state) and state.share_used > SHARE_USED
-        if state.passes > 1 and (near or state.moved < SETTLED_PX):
+        first = state.passes == 1
+        if not first and (state.moved < SETTLED_PX or (not ideal and state.moved < NEAR_PX and _is_wrong(state))):
             break
-        if state.moved > REGATHER_PX and not state.gather(state.theta[BLUR]):
+        if ((first and few) or state.moved > REGATHER_PX) and not state.gather(state.theta[BLUR]):
             return False
     return True
 
@@ -232,6 +248,11 @@ def _misfits(state: _FitState) -> bool:
     """Returns whether an ideal print and camera fail to explain the image: to be asked near the end of their fit."""
     sure = state.misfit < MISFIT and state.correlated_misfit < CORRELATED_MISFIT
     return not sure or state.share_used < SHARE_USED
+
+
+def _is_wrong(state: _FitState) -> bool:
+    """Returns whether it can be told already that something other than what lies across the print is not ideal."""
+    return _misfits(state) and state.share_used > SHARE_USED
 
 
 def _filter_pays(state: _FitState) -> bool:
@@ -294,7 +315,7 @@ def _look_for_shadow(state: _FitState) -> bool:
     beside = find_shadow(light, state.extra[-SHADOW:])
     state.theta[[8, 11]] *= beside
     state.theta[[9, 10, 12, 13, TONE]] = 0.0
-    state.spread = 1e3
+    state.spread, state.measured = 1e3, None
     return beside > 0.0
 
 
@@ -311,7 +332,7 @@ def _misfit_pass(state: _FitState, rays: Array, at: Indices) -> bool:
 def _step(state: _FitState, normal: Array, used: Places, sigmas: Array) -> bool:
     """Change the unknowns; False when that leads away from the start."""
     state.noise = robust_scale(state.residuals)
-    state.spread = 4.0 * state.noise
+    state.spread, state.measured = 4.0 * state.noise, None
     state.factor = np.empty((len(normal), len(normal)))
     state.passes += 1
     state.moved = step(

@@ -16,6 +16,7 @@ from path.marker.fit_kernels import tones
 from path.marker.layout import single_marker
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.marker.texture import cells
+from path.marker.track import recognise
 from path.observations import MarkerDetection
 from path.relative import RelativeFilter
 
@@ -41,7 +42,7 @@ def warm_up(images: bool = True) -> None:
 
 
 def warm_up_image() -> None:
-    """What finds a marker in an image. Raises RuntimeError when a drawn one gives no pose."""
+    """Compiles what finds a marker in an image. Raises RuntimeError when a drawn one gives no pose."""
     layout, camera, T_c_v = single_marker(), CAMERA, POSE
     marker = layout.markers[0]
     pattern = np.pad(cells(layout.dictionary, marker.id), 1, constant_values=1.0)
@@ -58,10 +59,12 @@ def warm_up_image() -> None:
         found = detect_markers(np.asarray(image * light, dtype=np.uint8), None, layout, camera, thorough=False)
         if not found:
             raise RuntimeError("a drawn marker was not found: reinstall numba and OpenCV")
+    if recognise(image, T_c_v, layout, camera) is None:
+        raise RuntimeError("a drawn marker was not recognised: reinstall numba and OpenCV")
 
 
 def warm_up_pose() -> None:
-    """What turns a marker's corners into a pose and keeps it. Raises RuntimeError when there is none."""
+    """Compiles what turns a marker's corners into a pose and keeps it. Raises RuntimeError when there is none."""
     layout, camera, T_c_v = single_marker(), CAMERA, POSE
     marker = layout.markers[0]
     corners = camera.project(T_c_v.apply(marker.corners_v))
@@ -80,7 +83,7 @@ def warm_up_pose() -> None:
 
 
 def is_compiled() -> bool:
-    """Whether the kernels of an earlier start are there: one of the smallest is loaded, or else compiled."""
+    """True when the kernels of an earlier start are there: one of the smallest is loaded, or else compiled."""
     smallest: Any = tones
     smallest(np.zeros((1, 6)))
     return not smallest.stats.cache_misses

@@ -177,7 +177,7 @@ def test_a_leftover_is_told_by_when_its_maker_began(tmp_path: Path, monkeypatch:
     ours, others = tmp_path / f"{PREFIX}-1-77-sender", tmp_path / f"{PREFIX}-1-99-sender"
     for folder in (ours, others):
         folder.mkdir()
-    monkeypatch.setattr(cpu_share, "_began", lambda pid: "99")
+    monkeypatch.setattr(cpu_share, "_began", lambda pid: "99")  # type: ignore[misc]
     cpu_share.remove_leftovers(tmp_path)
     assert not ours.exists()
     assert others.exists()

@@ -46,7 +46,7 @@ Guidance = Callable[[VehicleState, TargetTrack, int], VelocitySetpoint]
 
 @dataclass
 class Seen:
-    """What the camera saw, through the simulated colour detector: a box that the border cuts is hardly one."""
+    """The camera's view, through the simulated colour detector: a box that the border cuts is hardly one."""
 
     stamp_ns: int
     objects: Sequence[Vec3]
@@ -74,7 +74,7 @@ class Seen:
     def targets(self, region: Region | None) -> Sequence[Detection]:
         return [d for d, _ in self.found if region is None or region.contains(*d.box.center)]
 
-    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
+    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
         return []
 
     def depth(self, box: Box) -> Depth | None:

@@ -51,7 +51,7 @@ def test_however_late_no_look_alike_is_acquired(late_s: float, up: float) -> Non
 
 
 def test_a_place_alone_takes_the_look_alike_that_came_to_it() -> None:
-    """What the age of a designation is for: most seeds, when it is taken to hold for ever."""
+    """The wrong objects that a designation's age is there to prevent: most seeds, when it is taken to hold for ever."""
     stale = TargetDesignation(holds_s=3600.0)
     taken = [acquired(seed, PARKED_S + 4.5, stale.at(PARKED_S + 4.5)) for seed in range(SEEDS)]
     assert sum(who not in (0, None) for who in taken) > 0.4 * SEEDS

@@ -30,7 +30,7 @@ def guidance(state: VehicleState, track: TargetTrack, now_ns: int) -> VelocitySe
 
 
 def in_proportion(state: VehicleState, track: TargetTrack, now_ns: int) -> VelocitySetpoint:
-    """What overshoots: in proportion to the way that is left, whatever the vehicle does meanwhile."""
+    """The approach that overshoots: in proportion to the way that is left, whatever the vehicle does meanwhile."""
     target, _ = track.predict(now_ns)
     north, east, _ = track.velocity_n_mps
     error = subtract(place_behind(target), state.position_n_m)

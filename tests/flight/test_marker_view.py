@@ -48,9 +48,11 @@ class FakeView:
     T_c_v: Pose | None
     frame_id: int = 0
     asked: list[Region | None] = field(default_factory=list[Region | None])
+    expected: Pose | None = None
 
-    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
+    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
         self.asked.append(region)
+        self.expected = expected
         if self.T_c_v is None:
             return []
         corners = CAMERA.project(self.T_c_v.apply(LAYOUT.markers[0].corners_v))
@@ -115,6 +117,21 @@ def test_the_first_look_is_everywhere_the_next_where_the_marker_was() -> None:
     u, v = CAMERA.project_point((0.1, -0.1, 1.2))
     assert region.contains(u, v)
     assert region.x1 - region.x0 < 250.0
+
+
+def test_a_marker_is_expected_where_it_will_be_shortly_after_a_fix_only() -> None:
+    watch = Watch()
+    watch.see(NEAR)
+    assert watch.last.expected is None
+    watch.see(NEAR, 5)
+    turn = R_from_rpy(0.0, 0.0, 0.2)
+    moved = Pose((turn @ R_N_C).T @ R_N_C @ NEAR.R, (turn @ R_N_C).T @ R_N_C @ NEAR.t)
+    watch.look(moved, turn @ R_N_C)
+    assert watch.last.expected is not None
+    assert watch.last.expected.t == pytest.approx(moved.t, abs=2e-3)
+    watch.look(moved, turn @ R_N_C, after_ns=200 * MS)
+    assert watch.last.asked != [None]
+    assert watch.last.expected is None
 
 
 def test_the_region_follows_the_marker_as_the_camera_turns() -> None:

@@ -48,7 +48,7 @@ class FakeView:
         found = [Detection(box, score) for box, score in zip(self.boxes(), scores, strict=True)]
         return [d for d in found if region is None or region.contains(*d.box.center)]
 
-    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
+    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
         return []
 
     def depth(self, box: Box) -> Depth | None:

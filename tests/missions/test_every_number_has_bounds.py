@@ -28,7 +28,7 @@ from missions.trials.board.file import BoardFile
 from path.bounds import Bounds, bounds_of, numbers, unit_of
 
 STATED = (Quality,)
-"""What a calibration says of itself: nothing is computed with it."""
+"""A calibration's words on itself: nothing is computed with them."""
 CHECKED = ("CameraCalibration.version", "MountCalibration.version")
 """Compared with the one value that there is."""
 

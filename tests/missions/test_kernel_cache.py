@@ -11,7 +11,7 @@ from drivers.interfaces import PartError
 from missions.kernel_cache import VARIABLE, can_write, have_kernel_cache
 
 NOWHERE = (Path("/proc/kernels"), Path("/dev/null/kernels"))
-"""Where nobody can write, not even root."""
+"""A folder in which nobody can write, not even root."""
 
 
 @pytest.fixture(autouse=True)

@@ -1,4 +1,4 @@
-"""What D1 sees beside its target, remembered, and D2's box measured from each."""
+"""The objects that D1 sees beside its target, remembered, and D2's box measured from each."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ CONCERNS = {
     "pilot_takeover": Role.RECEIVER,
     "battery_sag": Role.SENDER,
 }
-"""What the hostile level adds, and whose course says when."""
+"""The faults that the hostile level adds, and whose course says when."""
 
 
 def draw(seed: int, level: LevelName, number: int) -> tuple[int, tuple[str, ...]]:

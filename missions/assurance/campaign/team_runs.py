@@ -43,7 +43,7 @@ MOMENTS = {
 
 @dataclass(frozen=True, slots=True)
 class TeamPlan:
-    """What is drawn for one run.
+    """Everything that is drawn for one run.
 
     Attributes:
         seed: of its world and of every noise.

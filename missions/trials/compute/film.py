@@ -22,7 +22,7 @@ from path.rotation import R_from_rpy
 SIZES = {"640x480": (640, 480), "1280x720": (1280, 720)}
 PERIOD_NS = 20_000_000
 BETWEEN_NS = 7_000_000  # D2's frames come this long after D1's: the two cameras are not synchronous
-SWAY_M, SWAY_RAD = 0.006, math.radians(0.4)
+SWAY_MPS2, SWAY_RAD = 2.3, math.radians(0.4)  # 6 mm in a period of 16 frames, less in a shorter one
 PLACES_W_M = {Role.SENDER: (0.0, 0.0, 1.4), Role.RECEIVER: (0.45, -0.95, 2.1)}
 HEADINGS_RAD = {Role.SENDER: 0.0, Role.RECEIVER: -0.25}
 CARS = (
@@ -83,7 +83,7 @@ def shoot_film(request: TrialRequest, size: str, count: int) -> Film:
     moments: list[Moment] = []
     for k in request.work.steps(f"frames of {size}", range(count)):
         instants = {Role.SENDER: float(k), Role.RECEIVER: k + BETWEEN_NS / PERIOD_NS}
-        stages = {role: _stage(instant / count) for role, instant in instants.items()}
+        stages = {role: _stage(instant / count, count) for role, instant in instants.items()}
         shots = {role: renderers[role].shoot(stage, role, k) for role, stage in stages.items()}
         T_c_w = (stages[Role.SENDER].T_w_b[Role.SENDER] @ mounts[Role.SENDER].T_b_c).inverse()
         x, y, z = T_c_w.apply(np.array(TARGET_W_M)).tolist()
@@ -115,23 +115,24 @@ def camera_of(rig: Rig, role: Role, size: str) -> CameraModel:
     return replace(camera, width=width, height=height, fx=factor * camera.fx, fy=factor * camera.fy, cx=cx, cy=cy)
 
 
-def _stage(phase: float) -> RenderedInstant:
-    """Returns the stage at a share of the period of the swaying."""
+def _stage(phase: float, count: int) -> RenderedInstant:
+    """Returns the stage at a share of the period of the swaying, which has so many frames."""
     turn = 2.0 * math.pi * phase
+    sway_m = SWAY_MPS2 * (count * PERIOD_NS * 1e-9 / (2.0 * math.pi)) ** 2
     poses: dict[Role, Pose] = {}
     for number, role in enumerate(Role):
-        sway = SWAY_M * np.array(
+        sway = sway_m * np.array(
             [math.sin(turn + number), math.cos(turn + 2.0 * number), 0.5 * math.sin(turn - number)]
         )
         roll, pitch = SWAY_RAD * math.sin(turn + 1.0 + number), SWAY_RAD * math.cos(turn - number)
         attitude = R_W_N @ R_from_rpy(roll, pitch, HEADINGS_RAD[role])
-        poses[role] = Pose(attitude, np.array(PLACES_W_M[role]) + SWAY_M * np.array(sway))
+        poses[role] = Pose(attitude, np.array(PLACES_W_M[role]) + sway)
     return RenderedInstant(poses, CARS, rotor_phase_rad=turn)
 
 
 def _velocity(role: Role, instant: float, count: int) -> Vec3:
     """Returns a velocity in ``n``, m/s, at an instant in frames, of a film that repeats after ``count`` of them."""
-    before, after = (_stage((instant + step) / count).T_w_b[role].t for step in (-0.05, 0.05))
+    before, after = (_stage((instant + step) / count, count).T_w_b[role].t for step in (-0.05, 0.05))
     north, east, down = (R_W_N.T @ (after - before) / (0.1 * PERIOD_NS * 1e-9)).tolist()
     return north, east, down
 

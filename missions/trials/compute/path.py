@@ -19,9 +19,10 @@ from flight.config import MissionConfig
 from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
 from missions.trials.compute.film import BETWEEN_NS, HEADINGS_RAD, PERIOD_NS, Film, Moment, SceneError
 from path.agreement import Agreed
-from path.geometry import Matrix
+from path.geometry import Matrix, Pose
 from path.marker.detect import detect_markers
 from path.marker.pose import PoseSettings, estimate_pose
+from path.marker.track import recognise
 from path.messages import Candidate, Role, Target, Vec3
 from path.observations import Box, Depth, Detection, MarkerDetection, Missed, Region
 from path.prior import Prior
@@ -69,6 +70,7 @@ class _TimedView:
     def __init__(self, view: PixelView, watch: Stopwatch) -> None:
         self._view, self._watch = view, watch
         self.region: Region | None = None
+        self.expected: Pose | None = None
 
     @property
     def stamp_ns(self) -> int:
@@ -81,9 +83,9 @@ class _TimedView:
     def targets(self, region: Region | None) -> Sequence[Detection]:
         return self._view.targets(region)
 
-    def markers(self, region: Region | None) -> Sequence[MarkerDetection]:
-        self.region = region
-        return self._watch("d2_marker_corners", self._view.markers, region)
+    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+        self.region, self.expected = region, expected
+        return self._watch("d2_marker_corners", self._view.markers, region, expected)
 
     def depth(self, box: Box) -> Depth | None:
         return self._view.depth(box)
@@ -194,7 +196,7 @@ class PathPair:
         fix = watch("d2_marker", self._look, view, motion, R_n_c, gravity_v, gravity_c)
         if not isinstance(fix, MarkerFix):
             raise SceneError(f"D2 has no pose: {fix.reason.value}")
-        self._again(moment, fix, view.region, gravity_v, gravity_c, watch)
+        self._again(moment, fix, view, gravity_v, gravity_c, watch)
         return fix
 
     def _prior(self, fix: MarkerFix, watch: Stopwatch) -> Prior:
@@ -228,15 +230,16 @@ class PathPair:
         self,
         moment: Moment,
         fix: MarkerFix,
-        region: Region | None,
+        view: _TimedView,
         gravity_v: Vec3 | None,
         gravity_c: Vec3,
         watch: Stopwatch,
     ) -> None:
-        """Two parts of the marker's pose by themselves: all before the fit, and the pose from corners and gravity."""
+        """Two parts of the marker's pose by themselves, as flown: all before the fit, and the pose from corners."""
         camera, layout = self._film.cameras[Role.RECEIVER], self._rig.layout
         color = moment.color[Role.RECEIVER]
-        watch("d2_marker_detect", detect_markers, color, region, layout, camera, refine="subpix")
+        if view.expected is None or watch("d2_marker_detect", recognise, color, view.expected, layout, camera) is None:
+            watch("d2_marker_detect", detect_markers, color, view.region, layout, camera, refine="subpix")
         watch("d2_marker_pose", estimate_pose, fix.detections, layout, camera, gravity_v, gravity_c, PoseSettings())
 
 

@@ -31,7 +31,7 @@ TITLES = {
     "d1_depth": "D1 depth over the box",
     "d1_target": "D1 back-projection, point in v",
     "d2_take": "D2 take target, gravity then",
-    "d2_marker_detect": "D2 marker: decode in its region",
+    "d2_marker_detect": "D2 marker: find it where expected",
     "d2_marker_fit": "D2 marker: photometric corners",
     "d2_marker_pose": "D2 marker: pose with gravity",
     "d2_marker_filter": "D2 marker: filter, gates, region",

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.camera import CameraModel
-from path.geometry import Matrix
+from path.geometry import Matrix, Pose
 from path.marker.detect import Refine, detect_markers
 from path.marker.layout import MarkerLayout
 from path.marker.texture import dictionary_of
@@ -26,8 +26,9 @@ TITLES = {
     "apriltag": "cv2 APRILTAG",
     "edges": "edge lines",
     "photometric": "photometric",
+    "expected": "photometric, expected",
 }
-METHODS: tuple[str, ...] = tuple(name for name in TITLES if name in OPENCV or name in get_args(Refine))
+METHODS: tuple[str, ...] = tuple(name for name in TITLES if name in (*OPENCV, *get_args(Refine), "expected"))
 ENLARGED = 4.0  # OpenCV's own methods see the region so much larger: at its own size they miss small markers
 WINDOW_PX = 23  # of the threshold, in the enlarged region
 
@@ -41,12 +42,18 @@ class Found:
 
 
 def find(
-    method: str, image: NDArray[np.uint8], region: Region, layout: MarkerLayout, camera: CameraModel
+    method: str, image: NDArray[np.uint8], region: Region, layout: MarkerLayout, camera: CameraModel, T_c_v: Pose
 ) -> Found | None:
-    """The first marker of the layout in a region, None when it is not found, or more than once."""
+    """The first marker of the layout in a region, None when it is not found, or more than once.
+
+    ``T_c_v`` is the pose that is expected, for the method that is told one.
+    """
     if method in OPENCV:
         return _by_opencv(method, image, region, layout)
-    found = detect_markers(image, region, layout, camera, refine=cast(Refine, method))
+    if method == "expected":
+        found = detect_markers(image, region, layout, camera, expected=T_c_v)
+    else:
+        found = detect_markers(image, region, layout, camera, refine=cast(Refine, method))
     return Found(found[0].corners_px, found[0].covariance_px2) if len(found) == 1 else None
 
 

@@ -25,6 +25,7 @@ COLOURS = {
     "apriltag": COUNT,
     "edges": ROLE[Role.RECEIVER],
     "photometric": ROLE[Role.SENDER],
+    "expected": MARKER,
 }
 STRIP_COLUMNS = 6
 SHOWN_METHODS = {"subpix": FAULT, "photometric": MARKER}

@@ -13,10 +13,12 @@ from missions.trials.corners.methods import METHODS, Found, find
 from path.geometry import Matrix, Pose
 from path.messages import Role
 from path.observations import Region
+from path.rotation import exp
 
 AROUND = 0.6  # of the marker's extent: how far the predicted region reaches beyond it, each way
 OFF = 0.1  # of the extent: how wrong the prediction is
-REGION_STREAM = 2
+OFF_M, OFF_RAD = 0.0015, 0.005  # per axis, an expected pose: what the motion between two frames leaves unknown
+REGION_STREAM, EXPECTED_STREAM = 2, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +65,8 @@ def shoot(shooting: CornerSeries) -> list[CornerShot]:
         true_px = seen.corners_px(camera, shooting.T_b_v)
         image = renderer.shoot(seen.stage(), Role.RECEIVER, number).color
         region = _predicted(true_px, np.random.default_rng([shooting.seed, REGION_STREAM, number]))
-        found = {method: find(method, image, region, LAYOUT, camera) for method in METHODS}
+        expected = _expected(seen.T_w_c.inverse() @ seen.T_w_b1 @ shooting.T_b_v, shooting.seed, number)
+        found = {method: find(method, image, region, LAYOUT, camera, expected) for method in METHODS}
         sample = CornerShot(shooting.camera, shooting.condition, number, true_px, found)
         samples.append(_pictured(sample, image) if number == shooting.shown else sample)
     return samples
@@ -75,6 +78,12 @@ def _predicted(true_px: Matrix, rng: np.random.Generator) -> Region:
     extent = float((high - low).max())
     low, high = (end + rng.uniform(-OFF, OFF, 2) * extent for end in (low - AROUND * extent, high + AROUND * extent))
     return Region(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def _expected(T_c_v: Pose, seed: int, number: int) -> Pose:
+    """Returns the pose that flight would expect."""
+    rng = np.random.default_rng([seed, EXPECTED_STREAM, number])
+    return Pose(exp(rng.normal(0.0, OFF_RAD, 3)) @ T_c_v.R, T_c_v.t + rng.normal(0.0, OFF_M, 3))
 
 
 def _pictured(sample: CornerShot, image: NDArray[np.uint8]) -> CornerShot:

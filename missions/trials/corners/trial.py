@@ -26,7 +26,7 @@ from missions.trials.corners.conditions import (
 from missions.trials.corners.methods import ENLARGED, METHODS, OPENCV, TITLES
 from missions.trials.corners.pictures import Scores, draw_errors, draw_strip
 from missions.trials.corners.score import Score, score
-from missions.trials.corners.shots import CornerSeries, CornerShot, shoot
+from missions.trials.corners.shots import OFF_M, OFF_RAD, CornerSeries, CornerShot, shoot
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 
 TITLE = "Corners of a 40 mm marker: five methods, on cameras and prints as they are"
@@ -229,6 +229,8 @@ def _noise_table() -> TrialTable:
         ("every camera", f"blur {ideal.blur_sigma_px} px", f"read noise {ideal.read_sigma} grey levels, shot noise "
          f"variance {ideal.shot_gain} per grey level, 8 bit"),
         ("search region", "10 % of the marker's size off", "as from a prediction; 60 % of its size around it"),
+        ("expected pose", f"{1000.0 * OFF_M:g} mm, {math.degrees(OFF_RAD):.1f}° per axis",
+         "of the method that is told one; where it does not recognise the marker there, it decodes"),
     ]  # fmt: skip
     rows += [(condition.title, *_departures(condition)) for condition in list(CONDITIONS.values())[1:]]
     return TrialTable("Cameras, views and conditions", ("what", "how much", "how it is applied"), tuple(rows))

@@ -49,7 +49,7 @@ DEPTH_SIGMA_AT_1M_M = 0.005  # common to the whole target, in a comparison only;
 
 Error = Literal["side", "focal", "mount", "bias", "noise", "depth", "wide"]
 ALL: tuple[Error, ...] = ("side", "focal", "mount", "bias", "noise")
-"""What is wrong in the trial: print, focal lengths, mounting, attitude biases, attitude noise. Beside them, for
+"""The errors of the trial: print, focal lengths, mounting, attitude biases, attitude noise. Beside them, for
 comparison: "depth", wrong over the whole target, and "wide", depth from a larger part of its box."""
 
 

@@ -29,7 +29,7 @@ WAYS: Mapping[str, tuple[WrongAssociation, ...]] = {
     BESIDE: tuple(WrongAssociation(kind, d, BESIDE_M) for d in (0.4, 0.5, 0.7, 1.0, 1.5) for kind in ("shift", "turn")),
     ON: tuple(WrongAssociation(kind, d, ON_M) for d in (0.4, 0.5, 0.7, 1.0, 1.5) for kind in ("shift", "turn")),
 }
-"""What is forced, by what it is."""
+"""Values that are forced, by name."""
 
 
 @dataclass(frozen=True, slots=True)

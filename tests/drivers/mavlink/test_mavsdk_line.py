@@ -1,4 +1,4 @@
-"""Who speaks for the vehicle on the script's own port: proven once, everybody else ignored, and signed with a key."""
+"""Source of the vehicle's words on the script's own port: proven once, all others ignored, signed with a key."""
 
 import asyncio
 import socket
@@ -223,7 +223,7 @@ def test_what_cannot_be_signed_is_said() -> None:
 
 
 class Taking:
-    """What MAVSDK would be handed."""
+    """The packets that MAVSDK would be handed."""
 
     def __init__(self) -> None:
         self.frames: list[bytes] = []

@@ -15,7 +15,7 @@ SCENES = 90
 
 
 @dataclass(frozen=True)
-class Figures:
+class NoiseFigures:
     """The figures of a perception."""
 
     edge_bias_px: np.ndarray
@@ -39,13 +39,13 @@ def spread(values: np.ndarray) -> np.ndarray:
     return 0.5 * (high - low)
 
 
-def figures(residuals: Residuals) -> Figures:
+def figures(residuals: Residuals) -> NoiseFigures:
     edges = np.array(residuals.edges_px)
     centers = 0.5 * (edges[:, :2] + edges[:, 2:])
     scaled = np.sqrt(np.mean(np.array(residuals.corners_px) ** 2, axis=1)) * np.array(residuals.corner_sides_px)
     found, whole = np.array(residuals.found), np.array(residuals.whole)
     depths = np.array(residuals.depths)
-    return Figures(
+    return NoiseFigures(
         edge_bias_px=np.median(edges, axis=0),
         edge_spread_px=float(spread(edges).mean()),
         edge_p99_px=float(np.percentile(np.abs(edges), 99.0)),

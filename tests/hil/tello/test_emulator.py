@@ -127,6 +127,21 @@ def test_it_is_silent_until_it_is_put_into_sdk_mode(bench: Bench) -> None:
         ("sn?", "0TQZH77ED00000"),
         ("altitude?", "unknown command: altitude?"),
         ("dance", "unknown command: dance"),
+        ("EXT led 255 0 0", "unknown command: EXT"),
+        ("hardware?", "TELLO"),
+        ("mon", "ok"),
+        ("mdirection 2", "ok"),
+        ("mdirection 3", "error"),
+        ("moff", "ok"),
+        ("go 50 0 0 30", "error Motor stop"),
+        ("go 50 0 0 101", "out of range"),
+        ("go 10 10 10 30", "out of range"),
+        ("go 50 0 30", "error"),
+        ("go 50 0 0 30 m1", "error No valid marker"),
+        ("curve 50 0 0 100 0 0 30", "error Radius is too large!"),
+        ("curve 50 50 0 100 0 0 61", "out of range"),
+        ("flip x", "error"),
+        ("flip f", "error Motor stop"),
         ("", "unknown command: "),
         ("takeoff now", "unknown command: takeoff"),
         ("land", "error"),
@@ -168,12 +183,12 @@ def test_a_take_off_is_answered_when_it_hovers_and_a_landing_when_the_motors_sta
     assert bench.ask("takeoff", 1.0) is None
     assert bench.ask("takeoff") == "error"  # once is enough
     bench.advance(6.0)
-    assert bench.answer() == "ok\r\n"
+    assert bench.answer() == "ok"
     assert bench.height_m == pytest.approx(0.9, abs=0.15)
     assert bench.state()["h"] in ("70", "80")
     assert bench.ask("land", 1.0) is None
     bench.advance(6.0)
-    assert bench.answer() == "ok\r\n"
+    assert bench.answer() == "ok"
     assert bench.drone.on_ground
 
 
@@ -230,6 +245,60 @@ def test_a_relative_move_is_answered_when_it_is_over(bench: Bench) -> None:
     assert bench.height_m == pytest.approx(height_m + 0.5, abs=0.15)
     assert bench.ask("cw 90", 8.0) == "ok"
     assert int(bench.state()["yaw"]) == pytest.approx(90, abs=6)
+
+
+def test_what_is_asked_for_ends_a_line_and_ok_does_not(bench: Bench) -> None:
+    bench.enter()
+    for command, answer in (("battery?", "100\r\n"), ("speed 30", "ok"), ("speed 9", "out of range")):
+        bench.send(command)
+        bench.advance(0.1)
+        assert bench.answer() == answer
+
+
+@pytest.mark.parametrize("move", ["up 50", "forward 60", "cw 90", "go 60 0 0 50", "flip f"])
+def test_a_move_ends_in_a_hover(bench: Bench, move: str) -> None:
+    bench.fly()
+    assert bench.ask(move, 12.0) == "ok"
+    bench.advance(1.0)
+    before = bench.drone.true_position_n_m
+    bench.advance(8.0)
+    assert not bench.drone.on_ground
+    assert math.dist(before, bench.drone.true_position_n_m) < 0.5
+    assert bench.ask("back 40", 12.0) == "ok"
+
+
+def test_a_move_that_is_stopped_hovers(bench: Bench) -> None:
+    bench.fly()
+    bench.send("forward 300")
+    bench.advance(1.5)
+    assert bench.ask("stop") == "ok"
+    bench.advance(8.0)
+    assert not bench.drone.on_ground
+    assert bench.drone.true_position_n_m[0] < 2.0
+
+
+def test_places_are_forward_left_and_up_of_the_drone(bench: Bench) -> None:
+    bench.fly()
+    north, east, down = bench.drone.true_position_n_m
+    assert bench.ask("go 100 50 30 60", 15.0) == "ok"
+    now = bench.drone.true_position_n_m
+    assert now == pytest.approx((north + 1.0, east - 0.5, down - 0.3), abs=0.25)
+
+
+def test_a_curve_goes_by_its_place_on_the_way(bench: Bench) -> None:
+    bench.fly()
+    north, east, _ = bench.drone.true_position_n_m
+    bench.send("curve 100 100 0 200 0 0 50")
+    nearest_m, answer = math.inf, None
+    for _ in range(600):
+        bench.advance(0.05)
+        n, e, _ = bench.drone.true_position_n_m
+        nearest_m = min(nearest_m, math.dist((n, e), (north + 1.0, east - 1.0)))
+        if (answer := bench.answer()) is not None:
+            break
+    assert answer == "ok"
+    assert nearest_m < 0.3
+    assert bench.drone.true_position_n_m[:2] == pytest.approx((north + 2.0, east), abs=0.3)
 
 
 def test_velocities_are_decimetres_a_second_in_the_axes_of_the_start(bench: Bench) -> None:

@@ -42,7 +42,7 @@ class Ground:
         self.script.close()
 
     def run(self, seconds: float) -> dict[str, list[Any]]:
-        """What was heard meanwhile, by type."""
+        """The messages heard meanwhile, by type."""
         heard: dict[str, list[Any]] = {}
         for _ in range(round(seconds / STEP_S)):
             self.now_s += STEP_S

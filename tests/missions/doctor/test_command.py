@@ -13,7 +13,9 @@ import pytest
 
 from drivers.interfaces import CameraError
 from drivers.rig.part_check import Finding, State
+from missions import rig_library
 from missions.doctor import command as doctor
+from missions.doctor import room
 from missions.options import DoctorOptions
 
 
@@ -83,3 +85,16 @@ def test_a_port_in_use_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found[-1].state == "fault"
     assert f"{port} for sender.link.bind is in use" in found[-1].detail
     assert list(doctor.check_rig_file("r"))[-1].state == "ok"
+
+
+def test_the_row_about_room_says_what_a_rig_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = rig_library.load("sim-rendered").file.read_text("utf-8")
+    for record in ("keyframes", "all"):
+        (tmp_path / f"{record}.toml").write_text(
+            text.replace("[mission]\n", f'[mission]\nrecord = "{record}"\n'), "utf-8"
+        )
+    assert "record" not in room.check_room(str(tmp_path / "keyframes.toml")).detail
+    found = room.check_room(str(tmp_path / "all.toml"))
+    assert "MB a minute" in found.detail
+    monkeypatch.setattr(room, "MINUTES", 1e6)
+    assert room.check_room(str(tmp_path / "all.toml")).state == "note"

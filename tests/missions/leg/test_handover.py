@@ -494,7 +494,7 @@ def round_ms(now_ns: Callable[[], int]) -> Callable[[], int]:
 
 
 def test_what_waits_for_a_slow_disk_is_bounded(rig: Any) -> None:
-    """What counts is said again."""
+    """Messages that count are said again."""
 
     async def course(pair: Pair) -> None:
         pair.sender._store = SlowStore(pair.store[Role.SENDER], 0.7)

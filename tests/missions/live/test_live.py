@@ -26,7 +26,7 @@ from drivers.log.mcap_log import McapLog, virtual_log
 from missions import rig_library
 from missions.handoff.command import fly_once
 from missions.live.follow import FolderFollower
-from missions.live.gate import LOOPBACK, TOKEN, Gate, knows
+from missions.live.gate import LOOPBACK, TOKEN, TokenGate, knows
 from missions.live.start import address_of, live
 
 PROTOCOL = Subprotocol("foxglove.sdk.v1")
@@ -173,14 +173,14 @@ def test_the_token_is_in_the_request_line(head: str, let_in: bool) -> None:
 
 def test_a_gate_without_a_token_does_not_open() -> None:
     with pytest.raises(ValueError, match="no token"):
-        asyncio.run(Gate("", 1).open(LOOPBACK, 0))
+        asyncio.run(TokenGate("", 1).open(LOOPBACK, 0))
 
 
 # --- logs that grow ----------------------------------------------------------------------------------------------
 
 
 def drain(follower: FolderFollower) -> list[tuple[str, str, int]]:
-    """What is new: topic, schema, stamp."""
+    """The new records: topic, schema, stamp."""
     return [(said.topic, said.schema.name, said.message.log_time) for said in follower.new()]
 
 

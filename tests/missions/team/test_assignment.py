@@ -1,4 +1,4 @@
-"""Who is sent where: the least cost in all, and no two ways that cross."""
+"""Drones are sent at the least cost in all, and no two ways cross."""
 
 from __future__ import annotations
 

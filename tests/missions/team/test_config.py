@@ -1,4 +1,4 @@
-"""What of a team's rig is refused before anything moves: by file, key and fix."""
+"""Faults of a team's rig that are refused before anything moves: by file, key and fix."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from drivers.interfaces import PartError
 from missions.options import ViewOptions
 from missions.view import command
 from missions.view.command import run as run_view
-from missions.view.figures import Figures
+from missions.view.figures import PlottedValues
 
 DRAWN = {
     "/sender/3d/body/boxes",
@@ -83,7 +83,7 @@ def test_nothing_named_is_refused() -> None:
 
 
 def test_rates_are_of_the_seconds_between() -> None:
-    figures = Figures()
+    figures = PlottedValues()
     first = {"bytes_sent": 1000, "bytes_received": 0}
     assert list(figures.of("/link", 0, first)) == []
     second = {"bytes_sent": 2000, "bytes_received": 500}

@@ -1,4 +1,4 @@
-"""What each machine does with each event in each of its states: both tables whole, one row a state and event.
+"""Each machine's answer to each event in each of its states: both tables whole, one row a state and event.
 
 A row says the state that comes after and the actions in their order. Whatever has no row is refused: the state stays,
 and the one action is Refused(WRONG_STATE). Words about another attempt, and instants, are in the other tests.
