@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from typing import Protocol
 
 from drivers.log.state_file import MemoryStore
@@ -36,11 +38,20 @@ class Disk(MemoryStore):
         super().__init__()
         self._saved = saved
         self.writable = True  # not by a program that was killed
+        self.stands_until_s = -math.inf  # of its program, which is told of what is on the disk no sooner
 
     def save(self, record: SenderRecord | ReceiverRecord) -> None:
         if self.writable:
             super().save(record)
             self._saved(record.duty)
+
+    def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
+        saved, loop = super().begin_save(record), asyncio.get_running_loop()
+        if loop.time() >= self.stands_until_s or saved.exception() is not None:
+            return saved
+        told = Future[None]()
+        loop.call_at(self.stands_until_s, told.set_result, None)
+        return told
 
 
 class DroneHarness:

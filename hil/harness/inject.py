@@ -106,3 +106,5 @@ def inject_at_drone(fault: Fault, name: str, drone: DroneHarness, programs: Prog
         drone.cut_off_s.append(present_s())
     if fault.kills is not None:
         programs.kill(name, fault.value)
+    elif fault.stalls:
+        programs.stall(name, fault.value or 0.0)

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from contextvars import copy_context
 from dataclasses import dataclass
 from typing import Protocol
 
 from flight.harness.flights import RoleResult
 from hil.harness.drone import Disk, DroneHarness
+from hil.harness.stalls import PROGRAM, StallingLoop
 
 
 class EndingLog(Protocol):
@@ -33,6 +35,7 @@ class Started:
 class _Slot:
     """One drone's place for a program."""
 
+    name: str
     harness: DroneHarness
     disk: Disk
     start: Callable[[], Started] | None = None
@@ -62,7 +65,7 @@ class Programs:
 
     def add(self, name: str, harness: DroneHarness, disk: Disk) -> None:
         """A drone, which may have a program from now on."""
-        self._slots[name] = _Slot(harness, disk)
+        self._slots[name] = _Slot(name, harness, disk)
 
     def begin(self, name: str, start: Callable[[], Started]) -> Awaitable[RoleResult | None]:
         """Start a drone's program now; its result in the end, None when it died. Raises what ended it otherwise."""
@@ -85,8 +88,17 @@ class Programs:
         slot.log.ended = True
         self._died(name)
         slot.task.cancel()
+        loop = asyncio.get_running_loop()
+        if isinstance(loop, StallingLoop):
+            loop.wake(name)
         if restart_s is not None and not self.interrupted:
             slot.restart = asyncio.ensure_future(self._start_again(slot, slot.task, restart_s))
+
+    def stall(self, name: str, for_s: float) -> None:
+        """Has a program stand still. What its record is to be followed by waits too, if it is just written."""
+        slot, loop = self._slots[name], asyncio.get_running_loop()
+        if slot.task is not None and not slot.task.done() and not slot.killed and isinstance(loop, StallingLoop):
+            slot.disk.stands_until_s = loop.stand_still(name, for_s)
 
     def disk(self, name: str) -> Disk:
         return self._slots[name].disk
@@ -115,7 +127,9 @@ class Programs:
         slot.killed, slot.restart, slot.disk.writable = False, None, True
         slot.harness.silent = slot.harness.lost
         started = slot.start()
-        slot.log, slot.task = started.log, asyncio.ensure_future(started.result)
+        context = copy_context()
+        context.run(PROGRAM.set, slot.name)
+        slot.log, slot.task = started.log, context.run(asyncio.ensure_future, started.result)
 
     async def _start_again(self, slot: _Slot, dead: asyncio.Future[RoleResult], after_s: float) -> None:
         """Starts a program again with the old one's disk; its vehicle and the world have gone on."""

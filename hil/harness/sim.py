@@ -24,7 +24,8 @@ from hil.harness.inject import inject_at_drone, inject_in_world, inject_on_link
 from hil.harness.leg_faults import LegFaults
 from hil.harness.preparation import prepare, starting
 from hil.harness.programs import Programs, Started
-from hil.harness.virtual_time import run_virtual
+from hil.harness.stalls import StallingLoop
+from hil.harness.virtual_time import VirtualTimeLoop, run_virtual
 from hil.link.faulty import MemoryHub
 from hil.monitors.monitors import Monitors, WatchedLog
 from hil.monitors.scripts import vehicles_of
@@ -54,13 +55,14 @@ class SimHarness:
         if any(fault.name == "attack" for fault in faults):
             raise FaultError("fault attack needs real sockets", "fly it with --rig sitl, or a rig like it")
         for fault in faults:
-            if fault.kind.own:
+            if fault.kind.own and not fault.stalls:
                 raise FaultError(f"fault {fault.name} needs programs of their own", "use a rig of level sitl")
         prepare(request.rig, lambda what: show_start(request, what))
         start_s = time.perf_counter()
         gc.disable()  # nothing here lives in cycles, and collecting takes a tenth of the time
         try:
-            findings = run_virtual(_Flight(request, faults).run())
+            loop = StallingLoop if any(fault.stalls for fault in faults) else VirtualTimeLoop
+            findings = run_virtual(_Flight(request, faults).run(), loop)
         finally:
             gc.enable()
         return FlightReport(**findings, wall_s=time.perf_counter() - start_s)

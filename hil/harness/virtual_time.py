@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import selectors
+from collections.abc import Callable
 from typing import Any
 
 ASK_EVERY = 64
@@ -58,7 +59,7 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         self._now_s += seconds
 
 
-def run_virtual(main: Any) -> Any:
+def run_virtual(main: Any, loop_factory: Callable[[], VirtualTimeLoop] = VirtualTimeLoop) -> Any:
     """Run a coroutine to its end in virtual time and return its result."""
-    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+    with asyncio.Runner(loop_factory=loop_factory) as runner:
         return runner.run(main)

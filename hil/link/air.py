@@ -2,6 +2,7 @@
 
 One UDP socket on loopback. Whoever sends to it hears every packet from then on, and what it sent goes to one drone as
 if the other had sent it. The first byte of a datagram is the side that the rest is for: 0 the sender, 1 the receiver.
+With ``MANY`` added to it the rest is many packets, each behind its length in two bytes.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from hil.link.faulty import UdpFaultProxy
+
+MANY = 2
 
 
 class Air(asyncio.DatagramProtocol):
@@ -44,6 +47,12 @@ class Air(asyncio.DatagramProtocol):
         self._listener = addr
         if len(data) > 1 and data[0] in (0, 1):
             self._proxy.inject(data[1:], data[0])
+        elif len(data) > 1 and data[0] - MANY in (0, 1):
+            at = 1
+            while at < len(data):
+                end = at + 2 + int.from_bytes(data[at : at + 2], "little")
+                self._proxy.inject(data[at + 2 : end], data[0] - MANY)
+                at = end
 
     def _pass_on(self, data: bytes, side: int) -> None:
         if self._transport is not None and self._listener is not None:

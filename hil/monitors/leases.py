@@ -79,8 +79,6 @@ class LeaseMonitor:
     def _on_epoch(self, role: Role, now_s: float, epoch: int, duty: str) -> None:
         if epoch < self._highest[role]:
             self.violated("S2", now_s, f"the {role.value} wrote epoch {epoch} down after {self._highest[role]}")
-        if duty == "provisional" and epoch < self._highest[Role.SENDER]:
-            self.violated("S2", now_s, f"taken over in epoch {epoch}, when {self._highest[Role.SENDER]} had begun")
         self._highest[role] = max(self._highest[role], epoch)
         self._duty[role] = duty
         if duty == "idle":  # landed, and begins a new mission: what it had is over
@@ -111,6 +109,9 @@ class LeaseMonitor:
             self.violated("S4", now_s, f"taken back {self._lease.end_s - now_s:.3f} s before the lease's end")
 
     def _took_over(self, now_s: float, until_s: float) -> None:
+        epoch, begun = self._highest[Role.RECEIVER], self._highest[Role.SENDER]
+        if epoch < begun:
+            self.violated("S2", now_s, f"taken over in epoch {epoch}, when {begun} had begun")
         if self._lease is None or self._lease.epoch != self._highest[Role.RECEIVER]:
             if not self._died:
                 self.violated("S3", now_s, "taken over without a COMMIT of this epoch")

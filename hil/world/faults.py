@@ -30,7 +30,7 @@ class FaultKind:
 
     Attributes:
         role: whom it concerns; None for both, and then "when" is of the sender's course.
-        own: only where programs are processes of their own.
+        own: only where programs are processes of their own; what stalls, in a single hand-over in virtual time too.
         least: the smallest value.
         geometric: only at level ``sim``, where observations come from geometry: elsewhere there are real detectors.
         value: whether it is a quantity (``link_loss=0.3``), and whether that may be left out.
@@ -81,7 +81,7 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("link_out", None, "must", "nothing passes for this many seconds, either way", False, LONGEST_S),
         FaultKind(
             "attack", None, "must", "a third process floods both drones with this many forged and repeated packets a "
-            "second", True, 20_000.0,
+            "second", True, 100_000.0,
         ),
         FaultKind(
             "detector_recall", None, "must", "both detectors find a thing in this share of the frames", True,
@@ -164,6 +164,11 @@ class Fault:
     def stops(self) -> Role | None:
         """The role whose program this fault stops where it is."""
         return self.kind.role if self.name.startswith(("stop_", "stall_")) else None
+
+    @property
+    def stalls(self) -> bool:
+        """Whether a program stands still for a while, which the plain simulation can do too."""
+        return self.name.startswith("stall_")
 
     @property
     def cuts_off(self) -> Role | None:

@@ -44,6 +44,7 @@ from flight.phases import Phase
 from flight.pilot import Pilot
 from flight.shedding import BEAT_S, Shedding
 from flight.under_guard import UnderGuard
+from missions.leg.link_alarm import LinkAlarm
 from path.marker.warm_up import warm_up
 from path.messages import Ping, Pong, Role, Status
 from path.protocol.values import TakeResponsibility
@@ -113,6 +114,7 @@ class RoleSession:
         self.log = log
         self.stop = stop
         self.entropy = entropy
+        self._link_alarm = LinkAlarm()
         self._ignored: set[str] = set()  # kinds of what the crew was told not to be believed
         self.clock, self.vehicle, self.perception, self.link = parts
         self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
@@ -429,6 +431,9 @@ class RoleSession:
             "clock_uncertainty_ns": self.alignment.uncertainty_ns if self.alignment.ready else None,
         }
         self.log.write("/link", self.now_ns(), record)
+        alarm = self._link_alarm.look(counters, self.now_ns())
+        if alarm:
+            self.say(alarm)
 
     def spawn(self, task: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         """Run beside the course until the vehicle is down; an error in it ends the course."""

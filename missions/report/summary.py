@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.log.mcap_log import LogRecord
 from missions.report.in_a_row import longest_row
+from missions.report.link_shares import link_shares
 from missions.report.records import Records, RunRecords, judged_pairs, last
 from missions.report.truth import Truth, box_center, handed_over, truth_of
 from path.geometry import Pose
@@ -232,6 +233,7 @@ def _link(run: RunRecords, span: Verification | None) -> dict[str, Any]:
         "link_bytes_per_s": _rounded(sum(known), 1) if known else None,
         "link_sent_bytes_per_s": rates,
         "link_dropped": {role.value: _dropped(run.role(role).get("/link", ())) for role in Role},
+        **link_shares({role: run.role(role).get("/link", ()) for role in Role}),
     }
 
 

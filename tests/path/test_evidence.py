@@ -472,3 +472,8 @@ def test_a_block_in_which_exactly_the_share_agrees_does(agreeing: int) -> None:
         else:
             gate.agree(pair_of(index), 1.0, TAU)
     assert gate.judged.first == [1, agreeing]
+
+
+def test_what_is_within_reach_is_never_safe_however_small_the_error_is_held_to_be() -> None:
+    assert persistent_bound(0.5, 0.5, 0.0, 148) == 1.0
+    assert persistent_bound(0.5, 0.4999, 0.0, 148) == 0.0

@@ -1,7 +1,7 @@
 """Holds one run of the machines to S1-S6, L1 and L2: from true time and from what the programs do, not what they say.
 
-A clock that was set is outside every lease's assumption (``flight.clocks`` finds it, and ends the mission): what breaks
-after it is kept apart, as ``beyond``.
+A clock that was set, and a disk that has lost what it said that it has, are outside what the leases and epochs assume
+(``flight.clocks`` finds the first, and ends the mission): what breaks after either is kept apart, as ``beyond``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Judge:
         self.beyond: list[str] = []
         self.decided_s = self.gap_s = 0.0
         self.commit_s: float | None = None
-        self.stepped = False
+        self.broken: list[str] = []  # assumptions
         self._stalled_s = 0.0
         self._agreed: set[int] = set()
         self._issued: dict[tuple[int, int], _Issued] = {}  # by epoch and nonce
@@ -70,7 +70,14 @@ class Judge:
     # --- told by the programs ----------------------------------------------------------------------------------
 
     def clock_set(self) -> None:
-        self.stepped = True
+        self._break("clock")
+
+    def forgot(self) -> None:
+        self._break("disk")
+
+    def _break(self, assumption: str) -> None:
+        if assumption not in self.broken:
+            self.broken.append(assumption)
 
     def stalled(self, for_s: float) -> None:
         """A program stands still: all that is to end in time may end as much later."""
@@ -298,7 +305,7 @@ class Judge:
         if f"{name} {what[:20]}" in self._told:  # once is enough
             return
         self._told.add(f"{name} {what[:20]}")
-        (self.beyond if self.stepped else self.violations).append(text)
+        (self.beyond if self.broken else self.violations).append(text)
         self._world.tell(Role.SENDER, f"*** {text}")
 
 

@@ -20,6 +20,7 @@ class MachineLevel:
         step: chance that a clock is set forward or back.
         crash: chance that a program is killed, between any two of its effects; drawn once more for a second time.
         stall: chance that a program stands still for a while, between any two of its effects; drawn twice.
+        forget: chance that a killed program finds an older record when it is started again, or none.
         disk_s, late_s: how long at most it takes to write a record down, and how late a program wakes.
         forged_hz: forged, altered and repeated packets a second at most, at either end.
         pilot: chance that a pilot, or a guard, ends the mission of one side.
@@ -40,6 +41,7 @@ class MachineLevel:
     step: float = 0.0
     crash: float = 0.0
     stall: float = 0.0
+    forget: float = 0.0
     disk_s: float = 0.002
     late_s: float = 0.001
     forged_hz: float = 0.0
@@ -60,7 +62,7 @@ MACHINE_LEVELS: dict[LevelName, MachineLevel] = {
     ),
     "hostile": MachineLevel(
         loss=(0.0, 0.5), delay_s=(0.0, 0.03), jitter_s=(0.0, 0.2), duplicate=0.2, corrupt=0.2, reorder=0.2,
-        outages=3, outage_s=3.0, drift_ppm=100.0, step=0.15, crash=0.5, stall=0.3, disk_s=0.04, late_s=0.02,
+        outages=3, outage_s=3.0, drift_ppm=100.0, step=0.15, crash=0.5, stall=0.3, forget=0.1, disk_s=0.04, late_s=0.02,
         forged_hz=20.0, pilot=0.4, unable=0.3, wrong=0.2, never=0.05,
     ),
 }  # fmt: skip

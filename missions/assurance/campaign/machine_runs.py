@@ -43,7 +43,7 @@ def _channel(rig: str) -> OpenChannel:
 
 def _line(level: str, number: int, run: ProgramRun) -> RunLine:
     rounded = {name: round(value, 4) for name, value in run.figures.items()}
-    return RunLine(number, level, run.outcome, run.violations, run.beyond, rounded)
+    return RunLine(number, level, run.outcome, run.violations, run.beyond, rounded, run.broken)
 
 
 def _story_of(plan: RunPlan) -> str:

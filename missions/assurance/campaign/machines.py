@@ -16,10 +16,11 @@ from drivers.link.wire import KEY_LENGTH, Codec
 from drivers.log.state_file import MemoryStore
 from flight.outcome import Outcome
 from missions.assurance.campaign.judge import Judge
-from missions.assurance.campaign.plan import CLOCKS_S, ROLES, Crash, RunPlan, Stall, Step
+from missions.assurance.campaign.plan import CLOCKS_S, ROLES, Crash, Forgotten, RunPlan, Stall, Step
 from missions.assurance.campaign.program import Program, ReceiverProgram, SenderProgram, Sent
 from path.messages import Accept, Commit, Message, Role
 from path.protocol import receiver, sender
+from path.protocol.values import ReceiverRecord, SenderRecord
 
 LONGEST_S = 45.0
 QUIET_S = 0.5
@@ -44,15 +45,17 @@ class ProgramRun:
 
     Attributes:
         outcome: "commit", "timeout", "aborted: REASON" and so on, see ``docs/campaign.md``.
-        violations, beyond: each "NAME at T s: what"; ``beyond``: after a clock was set, which no lease can bear.
+        violations, beyond: each "NAME at T s: what"; ``beyond``: after an assumption was broken, and which.
+        broken: the assumptions that were: "clock", "disk".
         figures: in s: "decided_s", the longest wait for a decision since an attempt began; "commit_s", since a COMMIT;
-            "gap_s", the longest time with nobody responsible, orphans apart; "simulated_s". After a clock was set, and
-            where a program stands still, only the last.
+            "gap_s", the longest time with nobody responsible, orphans apart; "simulated_s". After a broken assumption,
+            and where a program stands still, only the last.
     """
 
     outcome: str
     violations: tuple[str, ...]
     beyond: tuple[str, ...]
+    broken: tuple[str, ...]
     figures: Mapping[str, float]
 
 
@@ -67,12 +70,35 @@ class TrueClock:
         return round((self.offset_s + self.rate * true_s) * 1e9)
 
 
+class _Disk(MemoryStore):
+    """A disk that may lose what it had said that it has."""
+
+    def __init__(self, kept: Kept | None = None, older: Kept | None = None) -> None:
+        super().__init__(kept)
+        self._older = older
+
+    def save(self, record: SenderRecord | ReceiverRecord) -> None:
+        self._older = self.kept
+        super().save(record)
+
+    def after(self, forgets: Forgotten, reboot: bool) -> _Disk:
+        """Returns the disk as the next program finds it."""
+        kept = self.kept if forgets == "nothing" else self._older if forgets == "newest" else None
+        if reboot:
+            kept = _of_another_clock(kept)
+        return _Disk(kept, _of_another_clock(self._older) if reboot else self._older)
+
+
+def _of_another_clock(kept: Kept | None) -> Kept | None:
+    return None if kept is None else Kept(kept.record, same_clock=False)
+
+
 @dataclass(slots=True)
 class _Computer:
     """The parts of a drone that outlive its program: its clock, its disk."""
 
     clock: TrueClock
-    store: MemoryStore = field(default_factory=MemoryStore)
+    store: _Disk = field(default_factory=_Disk)
     program: Program | None = None
     lives: int = 0
     crash: Crash | None = None
@@ -230,8 +256,10 @@ class Machines:
         self.flying = crash.flying
         if crash.reboot:
             drone.clock.offset_s = self.random.uniform(*CLOCKS_S)
-            kept = drone.store.kept
-            drone.store = MemoryStore(Kept(kept.record, same_clock=False) if kept else None)
+        if crash.forgets != "nothing" and drone.store.kept is not None:
+            self.tell(crash.role, f"its disk has lost {'its newest record' if crash.forgets == 'newest' else 'it all'}")
+            self.judge.forgot()
+        drone.store = drone.store.after(crash.forgets, crash.reboot)
         self._start(crash.role)
 
     def _stall(self, stall: Stall) -> None:
@@ -272,11 +300,11 @@ class Machines:
         judge = self.judge
         judge.close()
         figures = {"simulated_s": self.now_s}
-        if not judge.stepped and not self.plan.stalls:
+        if not judge.broken and not self.plan.stalls:
             figures |= {"decided_s": judge.decided_s, "gap_s": judge.gap_s}
             if judge.commit_s is not None:
                 figures["commit_s"] = judge.commit_s
-        return ProgramRun(judge.outcome(), tuple(judge.violations), tuple(judge.beyond), figures)
+        return ProgramRun(judge.outcome(), tuple(judge.violations), tuple(judge.beyond), tuple(judge.broken), figures)
 
 
 def _last_s(plan: RunPlan) -> float:

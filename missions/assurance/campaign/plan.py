@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import random
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 from missions.assurance.campaign.levels import MACHINE_LEVELS, MachineLevel, Range
 from missions.options import LevelName
 from path.messages import Role
 
+Forgotten = Literal["nothing", "newest", "all"]
 ROLES = (Role.SENDER, Role.RECEIVER)
 CLOCKS_S = (100.0, 2000.0)  # what the clocks say when the run begins
 EARLIEST_S, LATEST_S = 0.5, 8.0  # of what happens at any moment
@@ -34,6 +36,7 @@ class Crash:
         halfway: killed once that effect is done, not before it.
         reboot: with another clock.
         flying: its vehicle is in the air when it is started again.
+        forgets: what its disk has lost by then, though it had said that it has it.
     """
 
     role: Role
@@ -43,6 +46,7 @@ class Crash:
     down_s: float
     reboot: bool
     flying: bool
+    forgets: Forgotten = "nothing"
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +127,7 @@ def draw(seed: int, level: LevelName, number: int) -> RunPlan:
         wrong=rng.random() < of.wrong,
         outages=tuple(_outage(of, rng, commit_s) for _ in range(rng.randint(0, of.outages))),
         steps=(Step(rng.choice(ROLES), _when(rng, commit_s), _step(rng)),) if rng.random() < of.step else (),
-        crashes=_crashes(of, rng, commit_s),
+        crashes=_forgetful(of, random.Random(f"{name} disks"), _crashes(of, rng, commit_s)),
         pilots=((rng.choice(ROLES), _when(rng, commit_s)),) if rng.random() < of.pilot else (),
         blind=_blind(of, rng, commit_s),
         forged_hz=rng.uniform(0.0, of.forged_hz),
@@ -175,6 +179,14 @@ def _crashes(of: MachineLevel, rng: random.Random, commit_s: float) -> tuple[Cra
             )
         )  # fmt: skip
     return tuple(crashes)
+
+
+def _forgetful(of: MachineLevel, rng: random.Random, crashes: tuple[Crash, ...]) -> tuple[Crash, ...]:
+    def one(crash: Crash) -> Crash:
+        kind: Forgotten = "newest" if rng.random() < 0.5 else "all"
+        return replace(crash, forgets=kind) if rng.random() < of.forget else crash
+
+    return tuple(one(crash) for crash in crashes)
 
 
 def _stalls(of: MachineLevel, rng: random.Random, commit_s: float) -> tuple[Stall, ...]:

@@ -21,8 +21,10 @@ class RunLine:
         number, level: with the campaign's program and seed, what the run was drawn from.
         outcome: how it ended.
         violations: each "NAME at T s: what".
-        beyond: the same after a clock was set, which is outside every lease's assumptions.
+        beyond: the same after an assumption was broken.
         figures: seconds by name, such as "decided_s"; what was not measured is not there.
+        broken: the assumptions that were: "clock" (it was set), "disk" (it lost a record),
+            "stall" (a program stood still, and a bound in time of programs that run is not asked for).
     """
 
     number: int
@@ -31,6 +33,7 @@ class RunLine:
     violations: tuple[str, ...] = ()
     beyond: tuple[str, ...] = ()
     figures: Mapping[str, float] = field(default_factory=dict[str, float])
+    broken: tuple[str, ...] = ()
 
 
 def resumable_results(folder: Path, asked: Mapping[str, Any]) -> ResumableLines[RunLine]:

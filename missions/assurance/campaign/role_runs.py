@@ -46,6 +46,8 @@ CONCERNS = {
     "battery_sag": Role.SENDER,
 }
 """The faults that the hostile level adds, and whose course says when."""
+STALL = 0.3  # chance that a program stands still, drawn twice
+OF_THE_AWAKE = ("S7", "L1", "L2")  # bounds in time, of programs that run
 
 
 def draw(seed: int, level: LevelName, number: int) -> tuple[int, tuple[str, ...]]:
@@ -66,7 +68,23 @@ def draw(seed: int, level: LevelName, number: int) -> tuple[int, tuple[str, ...]
             role = rng.choice(tuple(Role))
             again = f"={rng.uniform(0.1, 6.0):.2f}" if rng.random() < 0.7 else ""
             faults.append(f"kill_{role.value}{again}@{_moment(rng, role)}")
+        faults += _stalls(random.Random(seed_of("roles' stalls", seed, level, number)))
     return rng.getrandbits(31), tuple(faults)
+
+
+def _stalls(rng: random.Random) -> list[str]:
+    """Half of them begin within the lease, those for as long as it may take to sleep over its end."""
+    faults: list[str] = []
+    for _ in range(2):
+        if rng.random() < STALL:
+            role = rng.choice(tuple(Role))
+            if rng.random() < 0.5:
+                for_s = rng.choice((0.1, 0.39, 2.0))
+                moment = f"{DUTIES[role][0]}+{rng.choice((0.0, rng.uniform(0.0, 1.5))):.3f}"
+            else:
+                for_s, moment = rng.uniform(0.05, 2.0), _moment(rng, role)
+            faults.append(f"stall_{role.value}={for_s:.2f}@{moment}")
+    return faults
 
 
 def _link(
@@ -139,9 +157,12 @@ def _fly(rig: Rig, seed: int, level: LevelName, number: int, folder: Path, emit:
     outcome, _ = judge(replace(report, violations={}))
     figures = {**report.figures, "simulated_s": report.simulated_s}
     violations = tuple(note for note in report.notes if note[:1] in "SL" and note[1:2].isdigit())
+    stalled = any(fault.startswith("stall_") for fault in faults)
+    late = tuple(what for what in violations if stalled and what.partition(" ")[0] in OF_THE_AWAKE)
     rounded = {name: round(value, 4) for name, value in figures.items()}
     name = "commit" if outcome is Outcome.COMMITTED else outcome.label.replace("_", " ")
-    return RunLine(number, level, name, violations, (), rounded)
+    safe = tuple(what for what in violations if what not in late)
+    return RunLine(number, level, name, safe, late, rounded, ("stall",) if stalled else ())
 
 
 def _no_process(role: Role) -> Sequence[str]:

@@ -20,7 +20,7 @@ from missions import rig_library
 from missions.assurance.campaign import machine_runs, role_runs, team_runs
 from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.results import RunLine, resumable_results
-from missions.assurance.campaign.summary import draw_outcomes, summarize, table
+from missions.assurance.campaign.summary import BROKEN, draw_outcomes, summarize, table
 from missions.options import CampaignOptions, LevelName
 from missions.report.junit import JUnitCase, write_junit
 from missions.run_folder import claim_result
@@ -153,7 +153,8 @@ def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
         raise PartError("--only shows one run: of which level?", f"name it with --faults, one of {', '.join(LEVELS)}")
     order = RunOrder(options.rig, options.seed, ((levels[0], options.only),), options.errors, options.hours)
     line = KINDS[options.program].replay(order, options.out)
-    for what in (*line.violations, *(f"(after a clock was set) {one}" for one in line.beyond)):
+    broken = " and ".join(BROKEN[name] for name in line.broken)
+    for what in (*line.violations, *(f"(after {broken}) {one}" for one in line.beyond)):
         sys.stdout.write(f"violated: {what}\n")
     sys.stdout.write(f"outcome: {line.outcome}\n")
     return exit_code([what.partition(" ")[0] for what in line.violations])

@@ -15,6 +15,7 @@ from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.results import RunLine
 
 SHOWN = 20  # failures printed
+BROKEN = {"clock": "a clock was set", "disk": "a disk lost a record", "stall": "a program stood still"}
 BOUNDS_NAMED = ("decided_s", "commit_s", "gap_s")
 
 
@@ -32,6 +33,7 @@ def summarize(program: str, seed: int, lines: Sequence[RunLine], command: Callab
         "violations": sum(violations.values()),
         "violations_of": dict(sorted(violations.items())),
         "beyond_assumptions": dict(sorted(beyond.items())),
+        "assumptions_broken": dict(sorted(Counter(name for line in lines for name in line.broken).items())),
         "levels": {level: _level([line for line in lines if line.level == level]) for level in levels},
         "times": {name: {**_times(lines, name), "bound_s": BOUNDS.get((program, name))} for name in _names(lines)},
         "simulated_h": round(sum(line.figures.get("simulated_s", 0.0) for line in lines) / 3600.0, 2),
@@ -100,9 +102,12 @@ def table(summary: dict[str, Any]) -> str:
                 )
     found = ", ".join(f"{name} {count}" for name, count in summary["violations_of"].items()) or "none"
     lines += ["", f"{summary['runs']:,} runs, {summary['simulated_h']:,} h simulated; violations: {found}"]
+    if summary["assumptions_broken"]:
+        broken = ", ".join(f"{BROKEN[name]} in {count} runs" for name, count in summary["assumptions_broken"].items())
+        lines.append(f"assumptions broken: {broken}")
     if summary["beyond_assumptions"]:
         beyond = ", ".join(f"{name} {count}" for name, count in summary["beyond_assumptions"].items())
-        lines.append(f"after a clock was set, which no lease can bear: {beyond}")
+        lines.append(f"after one of these, which the promises do not bear: {beyond}")
     for failure in summary["failures"][:SHOWN]:
         lines += [f"  {failure['violations'][0]}", f"    {failure['replay']}"]
     if len(summary["failures"]) > SHOWN:

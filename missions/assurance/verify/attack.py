@@ -20,6 +20,10 @@ from drivers.link.udp import Address, address_of
 from missions.assurance.verify.forger import REMEMBERED, Forger
 
 TICK_S = 0.01
+FORGED_HZ = 4000.0  # a second are made anew; in a faster flood each is sent again and again
+POOL = 2000
+BATCH = 100  # packets on the air in one datagram,
+MANY = 2  # which says so in its first byte
 RECORDING = ".air"
 OLD_SHARE = 0.2  # of the packets: of earlier flights, sent once more
 MOST_RECORDED = 20_000
@@ -35,6 +39,8 @@ class Attacker(asyncio.DatagramProtocol):
         self._forgers = Forger(Random(rng.random())), Forger(Random(rng.random()))
         self._transport: asyncio.DatagramTransport | None = None
         self.heard: deque[tuple[int, bytes]] = deque(maxlen=MOST_RECORDED)
+        self._pool: tuple[list[bytes], list[bytes]] = [], []
+        self._owed = 0
         self.sent = 0
 
     def connection_made(self, transport: Any) -> None:
@@ -58,11 +64,40 @@ class Attacker(asyncio.DatagramProtocol):
         while True:
             await asyncio.sleep(TICK_S)
             now = round((loop.time() - begun_s) * rate_hz)
-            for _ in range(min(now - due, round(10.0 * rate_hz * TICK_S))):
-                self._send()
+            number = min(now - due, round(10.0 * rate_hz * TICK_S))
+            if rate_hz <= FORGED_HZ:
+                for _ in range(number):
+                    self._send(*self._made())
+            else:
+                self._pour(number)
             due = now
 
-    def _send(self) -> None:
+    def _pour(self, number: int) -> None:
+        """Sends so many packets, few of them new ones. What is not of this address goes onto the air by the handful."""
+        for _ in range(min(number, round(FORGED_HZ * TICK_S / 2))):
+            side, packet = self._made()
+            pool = self._pool[side]
+            if packet and len(pool) < POOL:
+                pool.append(packet)
+            elif packet:
+                pool[self._rng.randrange(POOL)] = packet
+        assert self._transport is not None
+        rounds, self._owed = divmod(self._owed + number, 2 * BATCH)
+        for _ in range(rounds):
+            side = self._rng.randrange(2)
+            pool = self._pool[side]
+            if not pool:
+                continue
+            begin = self._rng.randrange(len(pool))
+            packets = [pool[(begin + k) % len(pool)] for k in range(BATCH)]
+            for packet in packets:
+                self._transport.sendto(packet, self._ends[side])
+            together = b"".join(len(packet).to_bytes(2, "little") + packet for packet in packets)
+            self._transport.sendto(bytes((MANY + side,)) + together, self._air)
+            self.sent += 2 * BATCH
+
+    def _made(self) -> tuple[int, bytes]:
+        """Returns a packet, and the side that it is for."""
         side = self._rng.randrange(2)
         forger = self._forgers[side]
         if self._earlier and self._rng.random() < OLD_SHARE:
@@ -71,6 +106,9 @@ class Attacker(asyncio.DatagramProtocol):
             _, packet = forger.forge()
         else:
             packet = self._rng.randbytes(self._rng.randrange(REMEMBERED))
+        return side, packet
+
+    def _send(self, side: int, packet: bytes) -> None:
         assert self._transport is not None
         if self._rng.random() < 0.5:
             self._transport.sendto(packet, self._ends[side])
@@ -96,7 +134,7 @@ async def attack(rate_hz: float, air: int, ends: tuple[Address, Address], seed: 
     loop.add_reader(sys.stdin.fileno(), ended.set)
     attacker = Attacker(("127.0.0.1", air), ends, Random(f"attack {seed}"), earlier_flights(out))
     transport, _ = await loop.create_datagram_endpoint(lambda: attacker, local_addr=("127.0.0.1", 0))
-    flood = asyncio.create_task(attacker.flood(rate_hz))
+    flood, begun_s = asyncio.create_task(attacker.flood(rate_hz)), loop.time()
     try:
         await asyncio.wait([flood, asyncio.ensure_future(ended.wait())], return_when=asyncio.FIRST_COMPLETED)
     finally:
@@ -104,7 +142,9 @@ async def attack(rate_hz: float, air: int, ends: tuple[Address, Address], seed: 
         transport.abort()
         lines = (f"{side} {packet.hex()}\n" for side, packet in attacker.heard)
         out.with_name(out.name + RECORDING).write_text("".join(lines), "ascii")
-        (out / "attack.txt").write_text(f"sent {attacker.sent}\nheard {len(attacker.heard)}\n", "ascii")
+        for_s = loop.time() - begun_s
+        told = f"sent {attacker.sent}\nheard {len(attacker.heard)}\nfor_s {for_s:.1f}\nhz {attacker.sent / for_s:.0f}\n"
+        (out / "attack.txt").write_text(told, "ascii")
 
 
 def main() -> None:

@@ -18,6 +18,7 @@ from drivers.link.units import (
     rotation_to,
 )
 from path.messages import Quat, Vec3
+from path.observations import Box
 
 HALF_PART_M = 0.5 / 256 / 1000.0
 coordinate = st.floats(-32.7, 32.7)
@@ -114,3 +115,18 @@ def test_every_coordinate_that_the_wire_can_say_can_be_said_again() -> None:
 
 def test_no_box_is_four_zeros() -> None:
     assert box_to(None) == (0, 0, 0, 0)
+
+
+def test_the_narrowest_box_is_one_step_wide_and_one_high_and_anything_less_is_none() -> None:
+    step = 1.0 / 16.0
+    assert box_to(Box(0.0, 0.0, step, step)) == (0, 0, 1, 1)
+    assert box_to(Box(0.0, 0.0, 65535 * step, 65535 * step)) == (0, 0, 65535, 65535)
+    for box in (Box(0.0, 0.0, 0.4 * step, 1.0), Box(0.0, 0.0, 1.0, 0.4 * step)):
+        with pytest.raises(OutOfRange, match=r"box\.[wh]"):
+            box_to(box)
+
+
+def test_a_turn_may_be_as_long_as_rounding_makes_a_half_turn_and_no_longer() -> None:
+    assert rotation_from("q", (-32768, 0, 0)) == pytest.approx((0.0, -1.0, 0.0, 0.0), abs=1e-4)
+    with pytest.raises(OutOfRange, match="half turn"):
+        rotation_from("q", (-32768, 1, 0))

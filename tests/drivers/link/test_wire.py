@@ -520,3 +520,17 @@ def test_a_half_turn_of_yaw_arrives(yaw: float) -> None:
     sender, receiver = pair()
     heard = receiver.decode(sender.encode(replace(STATUS, yaw_rad=yaw)))
     assert isinstance(heard, Status) and abs(heard.yaw_rad) == pytest.approx(math.pi, abs=1e-4)
+
+
+def test_a_packet_of_nothing_but_zeros_may_be_sent_without_a_payload() -> None:
+    """Twelve bytes: other programs than ours may leave even the last zero out."""
+    header = Codec(Role.SENDER, None).encode(Ping(0, 0))[:10]
+    bare = header[:1] + b"\0" + header[2:]
+    checksum = dialect.x25crc(bare[1:])
+    checksum.accumulate(bytes((dialect.MAVLink_path_ping_message.crc_extra,)))
+    packet = bare + checksum.crc.to_bytes(2, "little")
+    assert len(packet) == 12
+    assert Codec(Role.RECEIVER, None).decode(packet) == Ping(0, 0)
+    assert Codec(Role.RECEIVER, None).decode(packet[:11]) is Drop.TRUNCATED
+    assert Codec(Role.RECEIVER, None).decode(packet[:3]) is Drop.TRUNCATED
+    assert Codec(Role.RECEIVER, None).decode(packet[:2]) is Drop.TRUNCATED

@@ -236,3 +236,8 @@ def test_what_the_disk_is_asked_to_keep_has_left_the_program_before(
     file = tmp_path / "state.json"
     StateFile(file, Role.SENDER).save(SenderRecord(7))
     assert sizes[0] == file.stat().st_size > 0
+
+
+def test_a_person_can_read_it_a_line_for_each_thing(path: Path) -> None:
+    StateFile(path, Role.SENDER).save(RELEASED)
+    assert any(line.strip().startswith('"duty"') for line in path.read_text().splitlines())

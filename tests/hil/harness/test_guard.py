@@ -51,7 +51,7 @@ def test_a_killed_program_s_vehicle_is_held_and_landed_by_its_guard(tmp_path: Pa
     assert [stage for _, stage, _ in decisions(tmp_path, "receiver")] in ([], ["landing", "watching"])
 
 
-@pytest.mark.parametrize("fault", ["stall_sender=5", "stop_receiver", "guard_death"])
+@pytest.mark.parametrize("fault", ["stop_sender", "stop_receiver", "guard_death"])
 def test_what_needs_a_process_is_refused(tmp_path: Path, fault: str) -> None:
     with pytest.raises(PartError, match="programs of their own"):
         fly_once(rig_library.load("sim"), 1, (fault,), tmp_path, lambda _: None)

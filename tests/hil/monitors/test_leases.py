@@ -171,3 +171,15 @@ def test_a_claim_that_outlasts_the_lease_is_seen_and_one_that_ran_out_is_none() 
     assert story.found == {}
     story.holds(D2, 2.7, True)
     assert story.found["S1"] == 1
+
+
+def test_what_was_written_down_in_time_and_told_after_a_stall_is_not_taken() -> None:
+    """A program that slept over its lease says what it wrote down when it goes on, and takes nothing."""
+    story = begun()
+    story.commit()
+    story.take_back(2.6)
+    story.epoch(D2, 3.1, 1, "provisional")
+    story.holds(D2, 3.1, False)
+    assert story.found == {}
+    story.holds(D2, 3.1, True, 3.2)
+    assert set(story.found) >= {"S2", "S3"}

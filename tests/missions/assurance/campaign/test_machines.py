@@ -119,3 +119,20 @@ def test_a_program_may_stand_still_between_any_two_effects_for_any_time(role: Ro
             for outages in ((), (lost,)):
                 run = Machines(replace(CALM, stalls=(stall,), outages=outages), faulty_channel).run()
                 assert run.violations == (), (stall, outages)
+
+
+def test_a_disk_that_loses_a_record_breaks_what_the_promises_rest_on_and_is_counted_apart() -> None:
+    apart: list[str] = []
+    for after in range(1, 8):
+        for role in Role:
+            crash = Crash(role, commit_s(CALM) - 0.001, after, True, 0.5, reboot=True, flying=True, forgets="newest")
+            run = Machines(replace(CALM, crashes=(crash,)), faulty_channel).run()
+            assert (run.violations, run.broken) == ((), ("disk",))
+            apart += run.beyond
+    assert any(what.startswith(("S1", "S2", "S4")) for what in apart), "the assumption is not needed?"
+
+
+def test_what_a_disk_forgets_is_drawn_beside_all_else() -> None:
+    plans = [draw(7301, "hostile", number) for number in range(200)]
+    assert {crash.forgets for plan in plans for crash in plan.crashes} == {"nothing", "newest", "all"}
+    assert all(crash.forgets == "nothing" for number in range(50) for crash in draw(7301, "harsh", number).crashes)

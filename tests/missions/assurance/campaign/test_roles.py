@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from hil.world.faults import parse_fault
+from missions.assurance.campaign import role_runs
 from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.results import RunLine
-from missions.assurance.campaign.role_runs import CONCERNS, draw, fly
+from missions.assurance.campaign.role_runs import CONCERNS, OF_THE_AWAKE, draw, fly
 from missions.assurance.campaign.run import RunOrder
 from missions.options import LevelName
 
@@ -33,3 +34,23 @@ def test_one_whole_run_of_both_programs() -> None:
     assert isinstance(line, RunLine)
     assert (line.outcome, line.violations) == ("commit", ())
     assert 0.0 < line.figures["gap_s"] < 0.1
+
+
+def test_programs_stand_still_at_the_levels_where_programs_die() -> None:
+    for level in LEVELS:
+        faults = [fault for number in range(100) for fault in draw(0, level, number)[1]]
+        assert any(fault.startswith("stall_") for fault in faults) is (level in ("harsh", "hostile"))
+
+
+def test_a_receiver_that_sleeps_over_its_lease_in_flight_takes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its record is on the disk, and it goes on half a second after the sender took back."""
+
+    def asked(*_: object) -> tuple[int, tuple[str, ...]]:
+        return 5, ("stall_receiver=2@provisional",)
+
+    monkeypatch.setattr(role_runs, "draw", asked)
+    (line,) = fly(RunOrder("sim", 0, (("harsh", 0),)))
+    assert (line.violations, line.broken) == ((), ("stall",))
+    assert line.outcome == "guard"  # which does not wait for it for two seconds
+    assert 1.5 <= line.figures["gap_s"] < 1.65
+    assert {what.partition(" ")[0] for what in line.beyond} <= set(OF_THE_AWAKE)

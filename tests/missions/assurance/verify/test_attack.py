@@ -5,13 +5,18 @@ from __future__ import annotations
 import asyncio
 import os
 import socket
+from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from random import Random
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from drivers.interfaces import Received
 from drivers.link.udp import UdpLink, UdpLinkConfig, address_of
+from hil.harness.virtual_time import run_virtual
 from hil.link.air import Air
 from hil.link.faulty import ProxySide, UdpFaultProxy
 from hil.world.faults import FaultError
@@ -22,6 +27,7 @@ from path.messages import Message, Ping, Pong, Role, Status
 from tests.drivers.link.link_ends import Context, WallClock, until
 
 RATE_HZ = 2000.0
+AIR = ("127.0.0.1", 9)
 
 
 def free_ports(count: int) -> list[int]:
@@ -97,6 +103,43 @@ def test_two_drones_that_are_flooded_from_the_start_hear_each_other_and_nobody_e
         dropped = links[role].counters.dropped
         assert {"stranger", "bad_signature", "replayed"} <= set(dropped)
         assert sum(dropped.values()) > 0.2 * attacker.sent
+
+
+class Sockets:
+    """What an attacker sends, by where to."""
+
+    def __init__(self) -> None:
+        self.sent: Counter[tuple[str, int]] = Counter()
+        self.on_air: list[bytes] = []
+
+    def sendto(self, data: bytes, to: tuple[str, int]) -> None:
+        self.sent[to] += 1
+        if to == AIR:
+            self.on_air.append(data)
+
+
+def test_a_flood_of_fifty_thousand_a_second_is_one_half_of_it_as_if_from_the_other_drone() -> None:
+    attacker, sockets = Attacker(AIR, (("127.0.0.1", 1), ("127.0.0.1", 2)), Random(3), []), Sockets()
+
+    async def main() -> None:
+        attacker.connection_made(sockets)
+        with suppress(TimeoutError):
+            async with asyncio.timeout(1.0):
+                await attacker.flood(50_000.0)
+
+    run_virtual(main())
+    injected: list[int] = []
+
+    def inject(data: bytes, side: int) -> None:
+        assert data
+        injected.append(side)
+
+    air = Air(cast(Any, SimpleNamespace(inject=inject)))
+    for datagram in sockets.on_air[1:]:  # the first one says that it listens
+        air.datagram_received(datagram, AIR)
+    assert attacker.sent == pytest.approx(50_000, rel=0.05)
+    assert len(injected) == sockets.sent["127.0.0.1", 1] + sockets.sent["127.0.0.1", 2] == attacker.sent // 2
+    assert 0.4 < injected.count(0) / len(injected) < 0.6
 
 
 def test_what_was_heard_is_there_for_the_next_attack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,37 @@
+"""What the crew is told of packets that are not the other drone's: a flood, and its end."""
+
+from __future__ import annotations
+
+from drivers.interfaces import LinkCounters
+from drivers.link.wire import Drop
+
+NOT_THE_PEERS = frozenset({"stranger", "flooded", *(drop.value for drop in Drop)})
+"""Reasons for which a link does not take what came in. The others drop what was the peer's, or this side's own."""
+FLOOD_HZ = 300  # a link that sends every packet twice and damages a tenth comes to half of it
+
+
+class LinkAlarm:
+    """Looks at the link's counters now and then."""
+
+    def __init__(self) -> None:
+        self._before: tuple[int, int] | None = None
+        self._flooded = False
+
+    def look(self, counters: LinkCounters, now_ns: int) -> str:
+        """Returns what the crew has to know since the last look; "" when there is nothing new."""
+        foreign, before = foreign_packets(counters.dropped), self._before
+        self._before = foreign, now_ns
+        if before is None or now_ns <= before[1]:
+            return ""
+        rate_hz = (foreign - before[0]) / ((now_ns - before[1]) * 1e-9)
+        if (rate_hz > FLOOD_HZ) is self._flooded:
+            return ""
+        self._flooded = not self._flooded
+        if self._flooded:
+            return f"ALARM: {rate_hz:,.0f} packets a second on the link are not the other drone's: who sends them?"
+        return "the flood on the link is over"
+
+
+def foreign_packets(dropped: dict[str, int]) -> int:
+    """Returns how many of the packets that came in were not taken for the peer's."""
+    return sum(count for reason, count in dropped.items() if reason in NOT_THE_PEERS)
