@@ -31,6 +31,8 @@ class TargetDesignation:
     north_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 4.0
     east_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 0.0
     height_m: Annotated[float, Bounds(-10.0, 100.0)] = 0.10  # of the object's middle above the ground
+    half_size_m: Annotated[float, Bounds(0.02, 3.0)] = 0.25  # around its middle, as much as must be in view
+    flies: bool = False  # it moves up and down too; else it stays as high as it was
     # how far from the place the object may be: by where it was pointed at, and by the drone's own position
     radius_m: Annotated[float, Bounds(0.05, 20.0)] = 0.9
     age_s: Annotated[float, Bounds(0.0, 3600.0)] = 0.0  # of the designation, when the drone's program starts
@@ -51,7 +53,8 @@ class FollowConfig:
     """The place of a drone relative to the target it follows, in the heading it came with."""
 
     behind_m: Annotated[float, Bounds(0.0, 30.0)] = 1.45  # horizontal distance
-    height_m: Annotated[float, Bounds(0.3, 100.0)] = 1.50  # above the ground
+    # above the ground, of a target that is as high as it was designated; else as much above the target as there
+    height_m: Annotated[float, Bounds(0.3, 100.0)] = 1.50
     gain_per_s: Annotated[float, Bounds(0.05, 10.0, "1/s")] = 1.0
     max_speed_mps: Annotated[float, Bounds(0.1, 15.0)] = 1.2
     # until the vehicle has answered to 63 % of a new velocity (docs/conformance.md)

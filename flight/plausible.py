@@ -87,7 +87,10 @@ def _viewpoint(rig: Rig, mission: MissionConfig) -> Found:
     """Checks that there is a place for the receiver, with these cameras, mounts and markers."""
     T_b_v, own = rig.sender.mount.T_b_v, rig.receiver
     side_m = max(marker.side_m for marker in rig.layout.markers)
-    scene = ViewpointScene(_target_from_sender(mission) - T_b_v.t, T_b_v.R[:, 2], side_m, -T_b_v.t)
+    scene = ViewpointScene(
+        _target_from_sender(mission) - T_b_v.t, T_b_v.R[:, 2], side_m, -T_b_v.t,
+        target_radius_m=mission.target.half_size_m,
+    )  # fmt: skip
     plan = plan_viewpoint(scene, own.camera, own.mount.T_b_c, mission.rendezvous, mission.separation)
     if isinstance(plan, NoViewpoint):
         yield (

@@ -85,6 +85,7 @@ class Rendezvous:
             marker_normal_h=R_h_v[:, 2],
             marker_side_m=self._side_m,
             body_h_m=R_h_v @ self._mount.T_b_v.inverse().t,
+            target_radius_m=self._config.target.half_size_m,
         )
         tilt_h = np.array(from_heading(self.tilt.down_n, -self._peer().yaw_rad))
         config = self._config

@@ -19,7 +19,6 @@ _DISTANCES_M = np.arange(0.80, 1.65, 0.05)
 _AZIMUTHS_RAD = np.radians(np.arange(-70.0, 71.0, 10.0))
 _ELEVATIONS_RAD = np.radians(np.arange(0.0, 61.0, 7.5))
 _YAW_SHARES = (0.35, 0.5, 0.65)
-_TARGET_RADIUS_M = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +30,7 @@ class ViewpointScene:
     marker_side_m: float
     body_h_m: Floats  # (3,), middle of D1
     body_radius_m: float = 0.30
+    target_radius_m: float = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +69,8 @@ def plan_viewpoint(
     is fixed to it. None: level.
 
     Rules, in this order: separation ellipsoid, downwash cone of the upper drone, marker size in the image,
-    incidence on the marker, range to the target, marker and target inside the image with margin, D1's body
-    not in front of the target. The best of the rest has the largest margin for its marker size.
+    incidence on the marker, range to the target, not too near to it, marker and target inside the image with margin,
+    D1's body not in front of the target. The best of the rest has the largest margin for its marker size.
     """
     candidates = _candidates()
     distance = np.linalg.norm(candidates, axis=1)
@@ -95,7 +95,8 @@ def plan_viewpoint(
         ("marker too small", marker_px >= rendezvous.min_marker_px),
         ("too oblique", incidence <= math.radians(rendezvous.max_incidence_deg)),
         ("target too far", target_range <= rendezvous.max_range_m),
-        ("target hidden by D1", _clear_of_body(to_body, to_target, scene.body_radius_m)),
+        ("target too near", target_range >= separation.minimum_m + scene.target_radius_m),
+        ("target hidden by D1", _clear_of_body(to_body, to_target, scene)),
     ]
     alive = np.ones(len(candidates), dtype=bool)
     rejected: dict[str, int] = {}
@@ -131,13 +132,13 @@ def _candidates() -> Floats:
     return places.reshape(-1, 3)
 
 
-def _clear_of_body(to_body: Floats, to_target: Floats, body_radius_m: float) -> NDArray[np.bool_]:
+def _clear_of_body(to_body: Floats, to_target: Floats, scene: ViewpointScene) -> NDArray[np.bool_]:
     """Returns whether D1's body leaves the line of sight to the whole target free."""
     body_range = np.linalg.norm(to_body, axis=1)
     target_range = np.linalg.norm(to_target, axis=1)
     cosine = np.sum(to_body * to_target, axis=1) / (body_range * target_range)
     apart = np.arccos(np.clip(cosine, -1.0, 1.0))
-    return apart >= np.arctan2(body_radius_m, body_range) + np.arctan2(_TARGET_RADIUS_M, target_range)
+    return apart >= np.arctan2(scene.body_radius_m, body_range) + np.arctan2(scene.target_radius_m, target_range)
 
 
 def _look(
@@ -157,7 +158,7 @@ def _look(
     R_h_c = tilt @ R_level_b @ T_b_c.R
     points_c = np.einsum("nkji,nmj->nkmi", R_h_c, points_h)  # (n, shares, 2, 3)
     pixels = camera.project(points_c.reshape(-1, 3)).reshape(*points_c.shape[:-1], 2)
-    radius = camera.fx * np.array([scene.marker_side_m, _TARGET_RADIUS_M]) / points_c[..., 2]
+    radius = camera.fx * np.array([scene.marker_side_m, scene.target_radius_m]) / points_c[..., 2]
     left_top = pixels.min(axis=-1) - radius
     right_bottom = np.minimum(camera.width - pixels[..., 0], camera.height - pixels[..., 1]) - radius
     margin = np.minimum(left_top, right_bottom).min(axis=-1)

@@ -352,8 +352,8 @@ class ReportOptions:
 class ReplayOptions:
     """Decide again, from a run's logs, what its drones decided; or what they would have, with other settings."""
 
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-    """The folder of the run."""
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR ...")]
+    """The folder of the run. With several, what was decided is decided again in each, and counted."""
 
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="method.NAME=VALUE"), tyro.conf.UseAppendAction] = ()
     """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4, or of its detector, such as

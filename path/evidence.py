@@ -22,7 +22,9 @@ What can make boxes of different objects agree, and what is done about it:
        next_rate * gain + (1 - next_rate) * setback = 1,
 
    so that E is expected not to grow, and exceeds 1 / a at any time with a probability of at most a (Ville). The j-th
-   run of an attempt may spend ``alpha / (j (j + 1))``, which sums to ``alpha`` however often it is tried.
+   run of an attempt may spend ``alpha / (j (j + 1))``, which sums to ``alpha`` however often it is tried. What speaks
+   against errors that last (``path.identity``) is asked for the first run's share in every run: all runs of an attempt
+   have the same errors, so that another run tries nothing new.
 
 A frame without a box, of either camera, is no disagreement: a detector misses one object as it misses another. It adds
 nothing, and nothing is assumed for it: blocks are of pairs that were compared, and wait until they have enough of them.
@@ -146,9 +148,10 @@ class EvidenceGate:
 
     @property
     def evidence(self) -> Evidence:
-        blocks = evidence_of(self.blocks, self._config, self._setbacks)
-        reached = min(blocks, self._identity.reached(self._config))
-        return Evidence(reached, evidence_needed(max(1, self._runs), self._config))
+        blocks, needed = evidence_of(self.blocks, self._config, self._setbacks), evidence_needed(1, self._config)
+        later = evidence_needed(max(1, self._runs), self._config) - needed
+        # errors that last are drawn once: another run is another chance for an accident, not for them
+        return Evidence(min(blocks, self._identity.reached(self._config) + later), needed + later)
 
     @property
     def complete(self) -> bool:

@@ -374,6 +374,7 @@ TOPICS: dict[str, Topic] = {
         {
             "target_id": _whole("of the object that is the target"),
             "min_separation_m": _number("limit, m"),
+            "kind": _text("of all objects: car, person or drone"),
             "boxes": _tables("parts of every object, in its own frame", c=_numbers("centre, m"), s=_numbers("size, m")),
             "clock_offset_ns": _table("clock of a role minus the world's, ns"),
             "cameras": _table("by role", sender=_table("", **_CAMERA), receiver=_table("", **_CAMERA)),

@@ -178,32 +178,56 @@ def agreeing(series: Series, method: MethodConfig) -> NDArray[np.bool_]:
     return (series.kind == PAIR) & (series.pose_sigma_m <= method.pose_sigma_limit_m) & (iou >= tau)
 
 
+class Telling:
+    """Tells a gate what D1's cycle would have told it, from a series that grows. One instance for one gate.
+
+    Attributes:
+        done: the entry with which the gate was complete for the first time; None until then. Nothing is told after it.
+    """
+
+    def __init__(self, gate: Gate, method: MethodConfig) -> None:
+        self.gate, self._method = gate, method
+        self._told = 0
+        self._judged_ns: int | None = None
+        self.done: int | None = None
+
+    def on(self, series: Series) -> int | None:
+        """Goes on with the entries that are new, which end with all that D1 judged by a frame. Returns ``done``."""
+        first, self._told = self._told, len(series)
+        if self.done is not None or first == len(series):
+            return self.done
+        gate, method = self.gate, self._method
+        column, agrees = 0 if method.box_mapping == "center" else 1, agreeing(series, method)
+        entries = zip(
+            series.kind[first:].tolist(), series.now_ns[first:].tolist(), series.sequence[first:].tolist(),
+            series.capture_ns[first:].tolist(), series.own[first:].tolist(), series.iou[first:, column].tolist(),
+            series.z_m[first:].tolist(), series.pose_sigma_m[first:].tolist(), agrees[first:].tolist(),
+            strict=True,
+        )  # fmt: skip
+        for k, (kind, now_ns, sequence, capture_ns, own, iou, z_m, sigma_m, agreed) in enumerate(entries, first):
+            # D1 looks once it has judged all that came in by a frame
+            if now_ns != self._judged_ns and gate.complete:
+                self.done = k - 1
+                return self.done
+            self._judged_ns = now_ns
+            if kind == OWN_MISS:
+                gate.restart(capture_ns)
+                continue
+            gate.expire(capture_ns)
+            if agreed:
+                pair = FramePair(sequence, capture_ns, ((own[0], own[1]), (own[2], own[3])), series.offsets.get(k))
+                gate.agree(pair, iou, threshold(z_m, method))
+            else:
+                compared = kind == PAIR and sigma_m <= method.pose_sigma_limit_m
+                gate.disagree(sequence, capture_ns, strength(iou, threshold(z_m, method)) if compared else None)
+        if gate.complete:
+            self.done = len(series) - 1
+        return self.done
+
+
 def tell(series: Series, gate: Gate, method: MethodConfig) -> int | None:
     """Tell a gate what D1's cycle would have told it; the entry with which it was complete, None when it never was."""
-    agrees = agreeing(series, method).tolist()
-    column = 0 if method.box_mapping == "center" else 1
-    entries = zip(
-        series.kind.tolist(), series.now_ns.tolist(), series.sequence.tolist(), series.capture_ns.tolist(),
-        series.own.tolist(), series.iou[:, column].tolist(), series.z_m.tolist(), series.pose_sigma_m.tolist(), agrees,
-        strict=True,
-    )  # fmt: skip
-    judged_ns = None
-    for k, (kind, now_ns, sequence, capture_ns, own, iou, z_m, sigma_m, agreed) in enumerate(entries):
-        # D1 looks once it has judged all that came in by a frame
-        if now_ns != judged_ns and gate.complete:
-            return k - 1
-        judged_ns = now_ns
-        if kind == OWN_MISS:
-            gate.restart(capture_ns)
-            continue
-        gate.expire(capture_ns)
-        if agreed:
-            pair = FramePair(sequence, capture_ns, ((own[0], own[1]), (own[2], own[3])), series.offsets.get(k))
-            gate.agree(pair, iou, threshold(z_m, method))
-        else:
-            compared = kind == PAIR and sigma_m <= method.pose_sigma_limit_m
-            gate.disagree(sequence, capture_ns, strength(iou, threshold(z_m, method)) if compared else None)
-    return len(series) - 1 if gate.complete else None
+    return Telling(gate, method).on(series)
 
 
 class HandoverRunner(Protocol):

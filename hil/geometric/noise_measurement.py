@@ -21,6 +21,7 @@ from hil.geometric.perception import GeometricView, Sensor
 from hil.geometric.scene import Array, CameraSetup, outlines, place
 from hil.geometric.targets import CONTACT, DEPTH_CELLS, SHARE
 from hil.render.renderer import Renderer
+from hil.world.kinds import TargetKind
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.agreement import iou
 from path.camera import CameraModel
@@ -48,11 +49,15 @@ def setup(role: Role) -> CameraSetup:
     return CameraSetup(role, CAMERA, T_B_C, T_B_V, single_marker())
 
 
-def scenes(seed: int, count: int) -> Iterator[Snapshot]:
-    """Moments of a mission: D1 behind and above the target, D2 at all distances that it looks at the marker from."""
+def scenes(seed: int, count: int, kind: TargetKind = "car") -> Iterator[Snapshot]:
+    """Moments of a mission: D1 behind and above the target, D2 at all distances that it looks at the marker from.
+
+    What flies hangs as high as the rigs have it while it waits.
+    """
     rng = np.random.default_rng(seed)
+    low_m = 0.8 if kind == "drone" else 0.0
     for _ in range(count):
-        sender = _posed(rng, np.array([0.0, -1.55, 1.5]) + rng.normal(0.0, 0.15, 3), rng.normal(0.0, 0.15))
+        sender = _posed(rng, np.array([0.0, -1.55, 1.5 + low_m]) + rng.normal(0.0, 0.15, 3), rng.normal(0.0, 0.15))
         plate = sender @ T_B_V
         below, aside = math.radians(rng.uniform(28.0, 60.0)), rng.normal(0.0, 0.4)
         back = np.array([math.cos(below) * math.sin(aside), -math.cos(below) * math.cos(aside), math.sin(below)])
@@ -66,7 +71,10 @@ def scenes(seed: int, count: int) -> Iterator[Snapshot]:
                 Role.SENDER: DroneTruth(sender, (0.0, 0.0, 0.0), rng.uniform(0.0, 6.0), True),
                 Role.RECEIVER: DroneTruth(receiver, (0.0, 0.0, 0.0), rng.uniform(0.0, 6.0), True),
             },
-            tuple(ObjectTruth(k, (e, n, 0.0), rng.uniform(0.0, 2.0 * math.pi), 0.0) for k, (e, n) in enumerate(places)),
+            tuple(
+                ObjectTruth(k, (e, n, low_m), rng.uniform(0.0, 2.0 * math.pi), 0.0) for k, (e, n) in enumerate(places)
+            ),
+            kind=kind,
         )
 
 

@@ -218,7 +218,7 @@ class GeometricView:
             if marker(
                 placed.boxes,
                 placed.extents,
-                len(setup.car),
+                placed.per_object,
                 placed.frame,
                 setup.lens,
                 truth.R,
@@ -242,7 +242,7 @@ class GeometricView:
         z_m, sigma_m = depth_over(
             placed.boxes,
             placed.extents,
-            len(setup.car),
+            placed.per_object,
             placed.frame,
             setup.lens,
             self._snapshot.depth_holes,

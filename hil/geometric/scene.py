@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.geometric import kernels, targets
-from hil.render.scene import CAR_BOXES, SOLID, Model, drone, marked_drone
+from hil.render.kinds import BOXES
+from hil.render.scene import SOLID, Model, drone, marked_drone
+from hil.world.kinds import TargetKind
 from hil.world.snapshot import Snapshot
 from path.camera import CameraModel
 from path.camera_kernels import lens_of
@@ -20,9 +23,10 @@ Array = NDArray[np.float64]
 FACES_OF_A_BOX = 6
 
 
-def car_parts() -> Array:
-    """Boxes of a car, (b, 15): centre, half sides, axes."""
-    rows = [[*centre, *(0.5 * side for side in size), *np.eye(3).ravel()] for centre, size, _ in CAR_BOXES]
+@cache
+def parts_of(kind: TargetKind) -> Array:
+    """Boxes of an object, (b, 15): centre, half sides, axes. Shared: do not change them."""
+    rows = [[*centre, *(0.5 * side for side in size), *np.eye(3).ravel()] for centre, size, _ in BOXES[kind]]
     return np.array(rows, float)
 
 
@@ -51,12 +55,10 @@ class CameraSetup:
     T_b_v: Pose
     layout: MarkerLayout
     lens: Array = field(init=False)
-    car: Array = field(init=False)
     other: Array = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lens", lens_of(self.camera))
-        object.__setattr__(self, "car", car_parts())
         marked = self.role is not Role.SENDER
         object.__setattr__(self, "other", drone_parts(self.T_b_v, self.layout, marked=marked))
 
@@ -67,32 +69,36 @@ STILL = Pose(np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """The bodies of one instant before one camera; columns as in ``hil.geometric.kernels``. The other drone is last."""
+    """The bodies of one instant before one camera; columns as in ``hil.geometric.kernels``. The other drone is last.
+
+    ``per_object``: boxes of every object.
+    """
 
     boxes: Array
     extents: Array
     frame: Array
+    per_object: int
 
 
 def place(setup: CameraSetup, snapshot: Snapshot) -> Placed:
-    """Put the snapshot's cars, and the other drone, before the camera."""
+    """Put the snapshot's objects, and the other drone, before the camera."""
     own = snapshot.drones[setup.role].T_w_b
     others = [truth.T_w_b for role, truth in snapshot.drones.items() if role is not setup.role]
     other, parts = (others[0], setup.other) if others else (STILL, NO_DRONE)
     things = np.array([(*thing.position_w_m, thing.yaw_rad) for thing in snapshot.objects], float).reshape(-1, 4)
-    count = len(things)
-    boxes = np.empty((count * len(setup.car) + len(parts), kernels.BOX_COLUMNS))
+    count, shape = len(things), parts_of(snapshot.kind)
+    boxes = np.empty((count * len(shape) + len(parts), kernels.BOX_COLUMNS))
     extents = np.empty((count + 1, kernels.EXTENT_COLUMNS))
     frame = np.empty(kernels.FRAME_COLUMNS)
     kernels.place(
-        own.R, own.t, setup.T_b_c.R, setup.T_b_c.t, setup.lens, things, setup.car, other.R, other.t, parts,
+        own.R, own.t, setup.T_b_c.R, setup.T_b_c.t, setup.lens, things, shape, other.R, other.t, parts,
         boxes, extents, frame,
     )  # fmt: skip
-    return Placed(boxes, extents, frame)
+    return Placed(boxes, extents, frame, len(shape))
 
 
 def outlines(setup: CameraSetup, placed: Placed) -> Array:
-    """Returns the visible outline of each car, (n, SEEN_COLUMNS), without noise."""
+    """Returns the visible outline of each object, (n, SEEN_COLUMNS), without noise."""
     seen = np.empty((len(placed.extents) - 1, targets.SEEN_COLUMNS))
-    targets.outlines(placed.boxes, placed.extents, len(setup.car), setup.lens, seen)
+    targets.outlines(placed.boxes, placed.extents, placed.per_object, setup.lens, seen)
     return seen

@@ -136,8 +136,9 @@ class RelayWorld(Fleet[str]):
         truth = self.truth_of
         drones = {OWN: truth(own)} if other is None else {OTHER: truth(other), OWN: truth(own)}
         return Snapshot(
-            self.time_s, drones, self.objects_near(own), self._marker_hidden, self._depth_holes, self.detector
-        )
+            self.time_s, drones, self.objects_near(own), self._marker_hidden, self._depth_holes, self.detector,
+            self.config.target.kind,
+        )  # fmt: skip
 
 
 class PairView:

@@ -31,6 +31,7 @@ from hil.monitors.monitors import Monitors, WatchedLog
 from hil.monitors.scripts import vehicles_of
 from hil.monitors.truth_log import TruthLog
 from hil.world.check import check_world
+from hil.world.clearance import clearance
 from hil.world.errors import Built, as_built, reported
 from hil.world.faults import Fault, FaultError, parse_faults
 from hil.world.world import World, WorldConfig
@@ -99,7 +100,7 @@ class _Flight:
         with virtual_log(request.out / "world.mcap", "world") as log:
             guarding = list(self._guards(mission))
             truth = self._truth = TruthLog(log)
-            truth.scene(self._true_rig, self._monitors.min_separation_m, self._offsets_ns)
+            truth.scene(self._true_rig, self._monitors.min_separation_m, self._offsets_ns, config.target.kind)
             self._faults.open_leg(LEG, Role.SENDER.value, Role.RECEIVER.value)
             watching = asyncio.create_task(self._watch_truth(truth))
             results = await self._fly_roles()
@@ -192,6 +193,7 @@ class _Flight:
             truth.truth(world)
             truth.modes(world)
             self._monitors.on_truth(world.time_s, world.separation_m, world.both_in_air)
+            self._monitors.on_target(world.time_s, clearance(world))
             ticks += 1
             if ticks % VEHICLES_EVERY == 0:
                 self._monitors.scripts.on_truth(world.time_s, vehicles_of(world, self._true_rig))

@@ -54,6 +54,7 @@ from hil.tello.world import is_tello, tello_of
 from hil.vehicle.followed_world import FollowedWorld, SimulatedVehicle, start_simulators
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle
 from hil.vehicle.simulator_process import SimulatorBroken
+from hil.world.clearance import clearance
 from hil.world.errors import as_built
 from hil.world.faults import FAULTS
 from hil.world.snapshot import Snapshot
@@ -133,7 +134,9 @@ class SitlWorld:
                 await self._start_simulators(stack)
             live.world.hold_traffic()  # until both programs are ready, however long a busy computer takes
             truth = self._truth = TruthLog(log, round(live.start_s * 1e9))
-            truth.scene(self._built.rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0))
+            truth.scene(
+                self._built.rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0), live.world.config.target.kind
+            )
             self._start_cameras(stack)
             stack.enter_context(open_beacons(rig, self._seed, self._out, live.now_s, live.snapshot))
             stack.enter_context(open_hedges(rig, self._seed, live.now_s, live.snapshot))
@@ -198,6 +201,7 @@ class SitlWorld:
                 if steps % TRUTH_STEPS == 0:
                     truth.truth(live.world)
                     self._monitors.on_truth(now_s, live.world.separation_m, live.world.both_in_air)
+                    self._monitors.on_target(now_s, clearance(live.world))
                 if steps % (TRUTH_STEPS * VEHICLES_EVERY) == 0:  # the roles' phases are in their logs: no S7 here
                     self._monitors.scripts.on_truth(now_s, vehicles_of(live.world, self._built.rig))
             if self._finish_within_s is not None:

@@ -44,7 +44,10 @@ class AgreedPairs:
     @property
     def reached(self) -> float:
         """log10 of the evidence of the run under way; 0 without any."""
-        return min(self.logs, self._identified) if self.pairs else 0.0
+        if not self.pairs:
+            return 0.0
+        # what an attempt's later runs need more is against accidents; errors that last are those of its first run
+        return min(self.logs, self._identified + math.log10(0.5 * self.runs * (self.runs + 1)))
 
     @property
     def _identified(self) -> float:

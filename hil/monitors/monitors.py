@@ -18,6 +18,7 @@ from hil.monitors.agreed_pairs import AgreedPairs
 from hil.monitors.claims import Claims, in_world_time
 from hil.monitors.leases import LeaseMonitor
 from hil.monitors.scripts import ScriptMonitor
+from hil.world.clearance import LEAST_M
 from path.config import MethodConfig
 from path.messages import Role
 
@@ -41,6 +42,7 @@ class Monitors:
     closest_m: float = math.inf
     _claims: Claims[Role] = field(default_factory=Claims[Role])
     _too_close: bool = False
+    _too_close_to_target: bool = False
     _agreed: AgreedPairs = field(init=False)
     _committed: set[int] = field(default_factory=set[int])
 
@@ -82,6 +84,13 @@ class Monitors:
         if too_close and not self._too_close:
             self._violated("S9", time_s, f"separation {separation_m:.2f} m is below {self.min_separation_m:.2f} m")
         self._too_close = too_close
+
+    def on_target(self, time_s: float, nearest_m: float) -> None:
+        """True distance in m from the target's body to a drone's in the air (S9); each time below the least counts."""
+        too_close = nearest_m < LEAST_M
+        if too_close and not self._too_close_to_target:
+            self._violated("S9", time_s, f"{nearest_m:.2f} m from the target, below {LEAST_M:.2f} m")
+        self._too_close_to_target = too_close
 
     def on_offboard(self, role: Role, sessions: Iterable[OffboardSession], cut_off_s: Sequence[float] = ()) -> None:
         """Setpoint gaps of one vehicle (S8).

@@ -9,7 +9,8 @@ from typing import Any
 from drivers.interfaces import Log
 from drivers.log.topics import camera_record
 from drivers.rig.parts import Rig, RoleRig
-from hil.render.scene import CAR_BOXES
+from hil.render.kinds import BOXES
+from hil.world.kinds import TargetKind
 from hil.world.world import World
 from path.geometry import Pose
 from path.messages import Role
@@ -24,12 +25,15 @@ class TruthLog:
         self._epoch_ns = epoch_ns
         self._shown: dict[Role, tuple[str, bool]] = {}
 
-    def scene(self, rig: Rig, min_separation_m: float, clock_offset_ns: Mapping[Role, int]) -> None:
+    def scene(
+        self, rig: Rig, min_separation_m: float, clock_offset_ns: Mapping[Role, int], kind: TargetKind = "car"
+    ) -> None:
         """Writes what does not change: once, first."""
         record = {
             "target_id": 0,
             "min_separation_m": min_separation_m,
-            "boxes": [{"c": center, "s": size} for center, size, _ in CAR_BOXES],
+            "kind": kind,
+            "boxes": [{"c": center, "s": size} for center, size, _ in BOXES[kind]],
             "clock_offset_ns": {role.value: offset for role, offset in clock_offset_ns.items()},
             "cameras": {role.value: camera_record(rig.role(role).camera) for role in Role},
             "mounts": {role.value: _mount(rig.role(role)) for role in Role},

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from flight.harness.montecarlo import Attempt, Circumstances
 from hil.geometric.perception import Sensor
-from hil.geometric.scene import car_parts, drone_parts
+from hil.geometric.scene import drone_parts, parts_of
 from hil.montecarlo.motion import P_W_N, RECEIVER, SENDER, HandoverMotion, HandoverPoses, exp_all, within
 from hil.montecarlo.perception import (
     AT,
@@ -115,7 +115,7 @@ class BodyBoxes:
 
     def __init__(self, believed: Believed) -> None:
         T_b_v, layout = believed.rig.sender.mount.T_b_v, believed.rig.layout
-        self.car = car_parts()
+        self.car = parts_of("car")
         self.plain, self._marked = (drone_parts(T_b_v, layout, marked=on) for on in (False, True))
         self._v_b = T_b_v.inverse()
 

@@ -17,6 +17,7 @@ from hil.render.scene import GAP_M, PATTERN, Color, Face, Model, box, model_of
 
 HEIGHT_M = 1.75
 SEED = 20240611  # the clothes are the same in every world
+VARIANTS = 8  # so many people are not quite alike
 INDIVIDUAL = 0.08  # share of a pattern's cells that is a person's own
 
 SHIRT: tuple[Color, Color] = ((24.0, 118.0, 245.0), (12.0, 66.0, 158.0))  # both of the hue that is tracked

@@ -15,7 +15,8 @@ from hil.render import edges as edge_pass
 from hil.render import kernels, primitives, sensor
 from hil.render.bodies import Body, flying, standing
 from hil.render.ground import SCRATCH_ROWS, draw_ground, ground_plane
-from hil.render.scene import MARKER, car, drone, marked_drone
+from hil.render.kinds import model_of_kind
+from hil.render.scene import MARKER, drone, marked_drone
 from hil.render.sensor import SensorNoise
 from hil.render.textures import ground_pyramid
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
@@ -72,7 +73,7 @@ class Renderer:
         self.seed = seed
         self.noise = noise
         self._lens = lens_of(camera)
-        self._car, self._plain = car(), drone()
+        self._plain = drone()
         self._marked = {hidden: marked_drone(T_b_v, layout, hidden=hidden) for hidden in (False, True)}
         self._taps = sensor.blur_taps(noise.blur_sigma_px)
         rng = np.random.default_rng(sensor.mixed(seed))
@@ -190,7 +191,10 @@ class Renderer:
             for other, truth in snapshot.drones.items()
             if other is not role
         ]
-        return drones + [standing(self._car, thing.position_w_m, thing.yaw_rad) for thing in snapshot.objects]
+        return drones + [
+            standing(model_of_kind(snapshot.kind, thing.object_id), thing.position_w_m, thing.yaw_rad)
+            for thing in snapshot.objects
+        ]
 
 
 def sense_depth(

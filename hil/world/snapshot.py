@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.world.detector import PERFECT, DetectorConfig
+from hil.world.kinds import TargetKind
 from path.geometry import Pose
 from path.messages import Role
 
@@ -24,22 +25,29 @@ class DroneTruth:
 
 @dataclass(frozen=True, slots=True)
 class ObjectTruth:
-    """A ground vehicle: the target (``object_id`` 0) or a look-alike. Its frame: x forward, z up, on the ground."""
+    """The target (``object_id`` 0) or a look-alike.
+
+    Its frame: x forward, z up; on the ground below it, or in the middle of what flies.
+    """
 
     object_id: int
     position_w_m: tuple[float, float, float]
     yaw_rad: float  # counter-clockwise from east
     speed_mps: float
+    climb_mps: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
+    """Everything at one instant. ``kind``: of all objects."""
+
     time_s: float
     drones: dict[Role, DroneTruth]
     objects: tuple[ObjectTruth, ...]
     marker_hidden: bool = False
     depth_holes: bool = False
     detector: DetectorConfig = PERFECT
+    kind: TargetKind = "car"
 
     def carried_on(self, by_s: float) -> Snapshot:
         """Returns the snapshot some milliseconds later or earlier: everything moves on with its velocity."""
@@ -47,11 +55,11 @@ class Snapshot:
             role: replace(drone, T_w_b=Pose(drone.T_w_b.R, drone.T_w_b.t + by_s * np.array(drone.velocity_w_mps)))
             for role, drone in self.drones.items()
         }
-        objects = tuple(_moved(thing, by_s * thing.speed_mps) for thing in self.objects)
+        objects = tuple(_moved(thing, by_s) for thing in self.objects)
         return replace(self, time_s=self.time_s + by_s, drones=drones, objects=objects)
 
 
-def _moved(thing: ObjectTruth, by_m: float) -> ObjectTruth:
-    x, y, z = thing.position_w_m
-    at = (x + by_m * math.cos(thing.yaw_rad), y + by_m * math.sin(thing.yaw_rad), z)
+def _moved(thing: ObjectTruth, by_s: float) -> ObjectTruth:
+    (x, y, z), by_m = thing.position_w_m, by_s * thing.speed_mps
+    at = (x + by_m * math.cos(thing.yaw_rad), y + by_m * math.sin(thing.yaw_rad), z + by_s * thing.climb_mps)
     return replace(thing, position_w_m=at)

@@ -1,9 +1,10 @@
-"""The ground vehicles: where the target and its look-alikes are at any time, as functions of time fixed by the seed.
+"""The target and its look-alikes: of which kind, and where they are, as functions of time fixed by the seed.
 
 The target drives round a smooth closed loop that starts where it is parked. Some look-alikes drive the same loop a
 fixed way ahead or behind, the others are parked beside it; all keep their distance at every time, which is checked
 when they are placed. Only a look-alike that is sent (a fault) comes close, past the target but never through it.
-Positions are (E, N) in metres, angles counter-clockwise from east.
+Cars and people are on the ground; drones fly, the target and those on its loop up and down together, the others each
+at a height of its own. Positions are (E, N) in metres, angles counter-clockwise from east.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.world.kinds import TargetKind
 from hil.world.snapshot import ObjectTruth
 from path.bounds import Bounds
 
@@ -30,16 +32,28 @@ PLACEMENTS = 2000
 CROSSING_MPS = 1.0  # relative to the target
 CROSSING_START_M = 3.5
 CROSSING_S = 2.0 * CROSSING_START_M / CROSSING_MPS
-CROSSING_PAST_M = (0.36, 0.4)  # between the centres, at the closest; two cars side by side need 0.31 m at most
-CROSSING_GAP_M = 0.45  # to every other object
+# between the centres, at the closest; two cars or drones side by side need 0.31 m at most, two people 0.7 m
+CROSSING_PAST_M: dict[TargetKind, tuple[float, float]] = {
+    "car": (0.36, 0.4),
+    "drone": (0.36, 0.4),
+    "person": (0.75, 0.8),
+}
+CROSSING_GAP_M: dict[TargetKind, float] = {"car": 0.45, "drone": 0.45, "person": 0.8}  # to every other object
+LOWEST_M, HIGHEST_M = 0.5, 3.0  # of what flies
 
 
 @dataclass(frozen=True, slots=True)
 class TargetConfig:
     """The target waits at ``start_m`` until ``start_time_s``, then drives, never leaving ``radius_m`` around it.
 
-    ``to_and_fro_s``: period of driving ahead and back along the loop, ``speed_mps`` being the fastest; 0: always ahead.
+    Attributes:
+        kind: of the target and its look-alikes: a robot car, a person who walks, or a micro-UAV that flies.
+        to_and_fro_s: period of driving ahead and back along the loop, ``speed_mps`` being the fastest; 0: always ahead.
+        height_m: above the ground, of the middle of one that flies, while it waits.
+        climb_m, climb_s: by how much it flies up and down again once it moves, and the time both take.
     """
+
+    kind: TargetKind = "car"
 
     start_m: Annotated[Point, Bounds(-1000, 1000)] = (0.0, 4.0)
     start_time_s: Annotated[float, Bounds(0.0, 3600.0)] = 20.0
@@ -49,8 +63,13 @@ class TargetConfig:
     loop_bearing_deg: Annotated[float, Bounds(-360.0, 360.0)] = 90.0
     loop_bearing_sigma_deg: Annotated[float, Bounds(0.0, 360.0)] = 20.0
     to_and_fro_s: Annotated[float, Bounds(0.0, 3600.0)] = 0.0
+    height_m: Annotated[float, Bounds(LOWEST_M, HIGHEST_M)] = 1.0
+    climb_m: Annotated[float, Bounds(0.0, HIGHEST_M - LOWEST_M)] = 1.2
+    climb_s: Annotated[float, Bounds(5.0, 600.0)] = 20.0
 
     def __post_init__(self) -> None:
+        if self.height_m + self.climb_m > HIGHEST_M:
+            raise ValueError(f"height_m and climb_m together must not be above {HIGHEST_M:g} m")
         if not (self.speed_mps >= 0.0 and self.radius_m >= 1.0 and min(self.start_time_s, self.to_and_fro_s) >= 0.0):
             raise ValueError("speed_mps, start_time_s and to_and_fro_s must not be negative, radius_m at least 1")
 
@@ -127,7 +146,7 @@ class Crossing:
 
 
 class GroundVehicles:
-    """All ground vehicles. ``at`` is a pure function of time, but for the look-alikes sent so far."""
+    """The target and its look-alikes, also those that fly. ``at`` is a pure function of time, but for those sent."""
 
     def __init__(
         self,
@@ -143,9 +162,13 @@ class GroundVehicles:
         self._crossing_rng = np.random.default_rng(crossing_seed)
         self._crossings: list[Crossing] = []
         self._apart = _driving(self._loop, look_alikes)
-        parked = _parked(self._loop, look_alikes, keep_clear, self._apart, np.random.default_rng(place_seed))
+        place_rng = np.random.default_rng(place_seed)
+        parked = _parked(self._loop, look_alikes, keep_clear, self._apart, place_rng)
+        flies = target.kind == "drone"
+        heights = place_rng.uniform(LOWEST_M, HIGHEST_M, len(parked)).tolist() if flies else [0.0] * len(parked)
         self._parked = tuple(
-            ObjectTruth(1 + len(self._apart) + k, (x, y, 0.0), yaw, 0.0) for k, (x, y, yaw) in enumerate(parked)
+            ObjectTruth(1 + len(self._apart) + k, (x, y, z), yaw, 0.0)
+            for k, ((x, y, yaw), z) in enumerate(zip(parked, heights, strict=True))
         )
 
     def _driven(self, time_s: float) -> tuple[float, float]:
@@ -165,11 +188,21 @@ class GroundVehicles:
             return speed * RAMP_S * (since**3 - 0.5 * since**4), speed * (3.0 * since**2 - 2.0 * since**3)
         return speed * RAMP_S * (since - 0.5), speed
 
+    def _risen(self, time_s: float) -> tuple[float, float]:
+        """Returns the height of the target and of those on its loop, and how fast they climb."""
+        own = self._config
+        if own.kind != "drone":
+            return 0.0, 0.0
+        turn = 2.0 * math.pi / own.climb_s
+        angle = turn * max(0.0, time_s - own.start_time_s)
+        return own.height_m + 0.5 * own.climb_m * (1.0 - math.cos(angle)), 0.5 * own.climb_m * turn * math.sin(angle)
+
     def at(self, time_s: float) -> tuple[ObjectTruth, ...]:
         """The target (first, id 0), its look-alikes, and those that are just passing."""
         along_m, speed = self._driven(time_s)
+        z, climbing = self._risen(time_s)
         on_loop = [
-            ObjectTruth(k, (x, y, 0.0), yaw, speed)
+            ObjectTruth(k, (x, y, z), yaw, speed, climbing)
             for k, (x, y, yaw) in enumerate(self._loop.at(along_m + apart) for apart in (0.0, *self._apart))
         ]
         passing = [
@@ -181,15 +214,15 @@ class GroundVehicles:
 
     def _passing(self, crossing: Crossing, time_s: float, target: ObjectTruth) -> ObjectTruth:
         way = CROSSING_MPS * (time_s - crossing.start_s) - CROSSING_START_M
-        (ax, ay), (bx, by), (x, y, _) = crossing.along, crossing.beside, target.position_w_m
+        (ax, ay), (bx, by), (x, y, z) = crossing.along, crossing.beside, target.position_w_m
         vx = CROSSING_MPS * ax + target.speed_mps * math.cos(target.yaw_rad)
         vy = CROSSING_MPS * ay + target.speed_mps * math.sin(target.yaw_rad)
-        position = x + way * ax + bx, y + way * ay + by, 0.0
-        return ObjectTruth(crossing.object_id, position, math.atan2(vy, vx), math.hypot(vx, vy))
+        position = x + way * ax + bx, y + way * ay + by, z
+        return ObjectTruth(crossing.object_id, position, math.atan2(vy, vx), math.hypot(vx, vy), target.climb_mps)
 
     def send_lookalike(self, now_s: float) -> None:
         """Drive one more look-alike across, ``CROSSING_PAST_M`` past the target; it is there for ``CROSSING_S``."""
-        past_m = float(self._crossing_rng.uniform(*CROSSING_PAST_M))
+        past_m = float(self._crossing_rng.uniform(*CROSSING_PAST_M[self._config.kind]))
         flip = 1.0 if self._crossing_rng.random() < 0.5 else -1.0
         heading = self.at(now_s + 0.5 * CROSSING_S)[0].yaw_rad
         number = 1 + len(self._apart) + len(self._parked) + len(self._crossings)
@@ -199,7 +232,7 @@ class GroundVehicles:
             for side in (past_m, -past_m):
                 along = math.cos(angle), math.sin(angle)
                 crossing = Crossing(number, now_s, along, (-side * along[1], side * along[0]))
-                clear_m = min(self._clearance(crossing), CROSSING_GAP_M)
+                clear_m = min(self._clearance(crossing), CROSSING_GAP_M[self._config.kind])
                 choices.append((clear_m, abs(math.sin(angle - heading)), crossing))
         self._crossings.append(max(choices, key=lambda choice: choice[:2])[2])
 

@@ -379,8 +379,9 @@ class World(Fleet[Role]):
         if self._snapshot is None:
             objects = self._traffic.at(self.traffic_s)
             self._snapshot = Snapshot(
-                self.time_s, self.truths(), objects, self._marker_hidden, self._depth_holes, self.detector
-            )
+                self.time_s, self.truths(), objects, self._marker_hidden, self._depth_holes, self.detector,
+                self.config.target.kind,
+            )  # fmt: skip
         return self._snapshot
 
 

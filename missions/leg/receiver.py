@@ -228,10 +228,11 @@ class Receiver:
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the place relative to the target that the hand-over found this drone in."""
         assert self._track is not None
-        target, (north, east, _) = self._track.believed(self._session.now_ns())
+        target, (north, east, down) = self._track.believed(self._session.now_ns())
+        moves = north, east, down if self._config.target.flies else 0.0
         error = subtract(add(target, self._keep_n_m), state.position_n_m)
         keep, accel_mps2 = self._config.follow, self._config.max_accel_mps2
-        velocity = approach(error, state.velocity_n_mps, (north, east, 0.0), keep.answer(accel_mps2))
+        velocity = approach(error, state.velocity_n_mps, moves, keep.answer(accel_mps2))
         return VelocitySetpoint(velocity, bearing(subtract(target, state.position_n_m)))
 
     # --- what runs beside the course -----------------------------------------------------------------------------

@@ -214,8 +214,9 @@ class Sender:
         if session.phase is Phase.VERIFY and session.peer_silence_s() > self._config.guard.near_silence_s:
             # the receiver may hang or sink where it was last, and the target may lead there
             return VelocitySetpoint((0.0, 0.0, 0.0), self._heading_rad)
-        target, (north, east, _) = self._track.believed(session.now_ns())
-        return self._approach(self._view_of(target), (north, east, 0.0), state)
+        target, (north, east, down) = self._track.believed(session.now_ns())
+        moves = north, east, down if self._config.target.flies else 0.0
+        return self._approach(self._view_of(target), moves, state)
 
     def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
         """Make room, the camera still on the target: nobody has it for sure until the hand-over is settled."""

@@ -7,6 +7,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -20,7 +21,7 @@ from missions.options import ReplayOptions
 from missions.replay.perceive import PerceptionChange, detector_settings, eyes_of
 from missions.replay.redecide import Complete, DecisionPair, Open, other_answers, redecide
 from missions.report.command import show
-from missions.report.records import REPLAY, drone_logs
+from missions.report.records import REPLAY, drone_logs, load_facts
 from path.config import MethodConfig
 from path.messages import Role
 
@@ -48,14 +49,15 @@ class Replayed:
 
 def run(options: ReplayOptions) -> int:
     """``path-handoff replay``. Raises PartError for a folder or a setting that is none."""
-    logs = {name: _of_a_leg(name, records) for name, records in drone_logs(options.folder).items()}
+    if len(options.folders) != 1:
+        return run_many(options)
+    (folder,) = options.folders
+    logs = logs_of(folder)
     before = [_replay(name, records) for name, records in logs.items()]
     show(_same_table(before), sys.stdout)
     differ = [each for drone in before for each in drone.different]
     if not any(drone.decided for drone in before):
-        raise PartError(
-            f"{options.folder}: nothing was decided in it", "name the folder of a run that reached a handoff"
-        )
+        raise PartError(f"{folder}: nothing was decided in it", "name the folder of a run that reached a handoff")
     for each in differ[:1]:
         sys.stdout.write(f"first difference, {each.topic} at {each.stamp_ns}:\n{_difference(each)}")
     method = [text for text in options.set if not text.startswith("detector.")]
@@ -64,15 +66,46 @@ def run(options: ReplayOptions) -> int:
     looks = options.frames or options.detector is not None or bool(detector)
     if change is not None or looks:
         seen_with = PerceptionChange(options.rig, options.detector, detector_settings(detector))
-        eyes = {name: eyes_of(options.folder, name, seen_with) for name in logs} if looks else {}
+        eyes = {name: eyes_of(folder, name, seen_with) for name in logs} if looks else {}
         after = replay_changed(logs, change or (lambda method: method), eyes)
         show(_other_table(before, after), sys.stdout)
         if options.picture:
             from missions.replay.picture import draw_replay  # noqa: PLC0415 (matplotlib takes a second to import)
 
-            draw_replay(before, after, _title(options), options.folder / REPLAY)
-            sys.stdout.write(f"\n{options.folder / REPLAY}\n")
+            draw_replay(before, after, _title(options), folder / REPLAY)
+            sys.stdout.write(f"\n{folder / REPLAY}\n")
     return EXIT_DIFFERENT if differ else 0
+
+
+def logs_of(folder: Path) -> dict[str, Sequence[LogRecord]]:
+    """Every drone's log of a run. Raises PartError for what is none, or cannot be replayed."""
+    return {name: _of_a_leg(name, records) for name, records in drone_logs(folder).items()}
+
+
+def run_many(options: ReplayOptions) -> int:
+    """What was decided in many runs, again; 1 when anything differs. Raises PartError for settings, or no folder."""
+    if not options.folders or options != ReplayOptions(options.folders, picture=options.picture):
+        raise PartError("other settings are for one run", "name one folder, or leave the settings out")
+    table = _table("run", "kind", "decisions", "differ")
+    decisions = differ = replayed = 0
+    for folder in options.folders:
+        try:
+            of = [each for name, records in logs_of(folder).items() for each in _replay(name, records).decided]
+        except PartError as error:
+            table.add_row(str(folder), str(error).removeprefix(f"{folder}: "), "-", "-")
+            continue
+        different = sum(not each.same for each in of)
+        table.add_row(str(folder), kind_of(folder), str(len(of)), str(different))
+        decisions, differ, replayed = decisions + len(of), differ + different, replayed + bool(of)
+    show(Group(Text(), table), sys.stdout)
+    sys.stdout.write(f"\n{replayed} runs, {decisions} decisions, {differ} differ\n")
+    return EXIT_DIFFERENT if differ else 0
+
+
+def kind_of(folder: Path) -> str:
+    """What a run was, in a few words."""
+    facts = load_facts(folder)
+    return "cut off" if facts is None else " ".join((facts.rig, *facts.faults, facts.outcome))
 
 
 def _title(options: ReplayOptions) -> str:
@@ -169,9 +202,7 @@ def _setting(text: str) -> tuple[list[str], Any]:
 
 
 def _same_table(replayed: Sequence[Replayed]) -> RenderableType:
-    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
-    for title in ("drone", "decisions", "decided again", "differ"):
-        table.add_column(title, justify="left" if title == "drone" else "right")
+    table = _table("drone", "decisions", "decided again", "differ")
     for drone in replayed:
         for topic in dict.fromkeys(each.topic for each in drone.decided):
             of = [each for each in drone.decided if each.topic == topic]
@@ -181,14 +212,19 @@ def _same_table(replayed: Sequence[Replayed]) -> RenderableType:
 
 
 def _other_table(before: Sequence[Replayed], after: Sequence[Replayed]) -> RenderableType:
-    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
-    for title in ("", "as flown", "otherwise"):
-        table.add_column(title, justify="left" if not title else "right")
+    table = _table("", "as flown", "otherwise")
     for was, would in zip(before, after, strict=True):
         rows = _figures(was), _figures(would)
         for name in dict.fromkeys((*rows[0], *rows[1])):
             table.add_row(f"{was.drone}: {name}", rows[0].get(name, "-"), rows[1].get(name, "-"))
     return Group(Text(), table)
+
+
+def _table(*titles: str) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
+    for title in titles:
+        table.add_column(title, justify="left" if title in ("", "run", "kind", "drone") else "right")
+    return table
 
 
 def _figures(drone: Replayed) -> dict[str, str]:

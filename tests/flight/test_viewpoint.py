@@ -271,3 +271,11 @@ def test_a_rule_that_is_made_stricter_is_kept() -> None:
         replace(RULES, image_margin_px=loose.margin_px - 1.0),
     ):
         check_rules(Seen(scene(), found(scene(), rules=rules)), rules)
+
+
+def test_it_keeps_away_from_the_target() -> None:
+    """A target as high as D1 itself, just ahead of it: a camera beside D1 would be too near to something large."""
+    near = replace(scene(ahead_m=0.9, below_m=0.1), target_radius_m=1.2)
+    refused = plan(near)
+    assert isinstance(refused, NoViewpoint)
+    assert refused.rejected["target too near"] > 0

@@ -63,7 +63,7 @@ def test_our_ids_are_in_no_public_dialect() -> None:
 
 def test_the_dissector_for_wireshark_knows_every_message(tmp_path: Path) -> None:
     output = tmp_path / "path.lua"
-    generate.generate(output, "WLua")
+    generate.write_dissector(output)
     dissector = output.read_text("utf-8")
     for number, kind in path_dialect.mavlink_map.items():
         assert f"[{number}] = '{kind.msgname}'" in dissector

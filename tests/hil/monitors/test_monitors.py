@@ -366,6 +366,13 @@ def test_s9_each_excursion_counts_once(monitors: Monitors) -> None:
     assert monitors.details[0] == "S9 at 0.02 s: separation 0.69 m is below 0.70 m"
 
 
+def test_s9_is_about_a_target_that_can_be_hit_as_well(monitors: Monitors) -> None:
+    for k, nearest_m in enumerate([math.inf, 0.6, 0.39, 0.2, 0.5, 0.3]):
+        monitors.on_target(k * 0.02, nearest_m)
+    assert dict(monitors.violations) == {"S9": 2}
+    assert monitors.details[0] == "S9 at 0.04 s: 0.39 m from the target, below 0.40 m"
+
+
 def test_s9_is_about_flight(monitors: Monitors) -> None:
     monitors.on_truth(0.0, 0.3, both_in_air=False)
     assert not monitors.violations

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hil.render.scene import CAR_BOXES, GAP_M, MARKER, PAPER, SOLID, Model, box, car, drone, marked_drone
+from hil.render.kinds import BOXES, model_of_kind
+from hil.render.scene import GAP_M, MARKER, PAPER, SOLID, Model, box, car, drone, marked_drone
 from hil.render.textures import GROUND_LEVELS, GROUND_SIZE, ground_pyramid
+from hil.world.kinds import TargetKind
 from path.marker.layout import single_marker
 from tests.hil.render.views import TAIL
 
@@ -40,10 +42,19 @@ def test_car_has_its_size() -> None:
     assert points[:, 1].min() == pytest.approx(-points[:, 1].max())
 
 
-def test_parts_of_the_car_do_not_touch() -> None:
-    for (center, size, _), (other, other_size, _) in combinations(CAR_BOXES, 2):
+@pytest.mark.parametrize("kind", ["car", "drone"])
+def test_parts_of_what_is_tracked_do_not_touch(kind: TargetKind) -> None:
+    for (center, size, _), (other, other_size, _) in combinations(BOXES[kind], 2):
         apart = np.abs(np.subtract(center, other)) - 0.5 * np.add(size, other_size)
         assert apart.max() >= GAP_M - 1e-9
+
+
+@pytest.mark.parametrize(("kind", "height_m"), [("car", 0.16), ("person", 1.75), ("drone", 0.07)])
+def test_cameras_see_the_boxes_that_geometry_reckons_with(kind: TargetKind, height_m: float) -> None:
+    points = vertices(model_of_kind(kind, 3))
+    ends = np.array([np.add(c, np.multiply(half, s)) for c, s, _ in BOXES[kind] for half in (-0.5, 0.5)])
+    assert np.ptp(ends[:, 2]) == pytest.approx(height_m, abs=0.01)
+    assert np.ptp(points, axis=0) == pytest.approx(np.ptp(ends, axis=0), rel=0.08)  # people are not quite alike
 
 
 def test_plate_carries_the_marker_with_a_white_border() -> None:

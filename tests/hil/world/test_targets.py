@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.world.snapshot import ObjectTruth
-from hil.world.targets import CROSSING_S, GroundVehicles, LookAlikeConfig, TargetConfig
+from hil.world.targets import CROSSING_S, HIGHEST_M, LOWEST_M, GroundVehicles, LookAlikeConfig, TargetConfig
 
 TARGET = TargetConfig()
 HOMES = ((0.0, 0.0), (1.5, -3.0))
@@ -102,3 +102,36 @@ def test_says_so_when_there_is_no_room() -> None:
         traffic(0, TargetConfig(radius_m=1.0), LookAlikeConfig(count=30, driving=0))
     with pytest.raises(ValueError, match="driving"):
         traffic(0, look_alikes=LookAlikeConfig(count=12, driving=12))
+
+
+def test_what_flies_goes_up_and_down_and_its_look_alikes_hang_at_heights_of_their_own() -> None:
+    flying = TargetConfig(kind="drone", height_m=0.8, climb_m=1.6, climb_s=20.0)
+    world = traffic(7, flying)
+    heights = [world.at(0.1 * k)[0].position_w_m[2] for k in range(1200)]
+    assert (min(heights), max(heights)) == pytest.approx((0.8, 2.4), abs=0.01)
+    assert heights[: round(10 * flying.start_time_s)] == [0.8] * round(10 * flying.start_time_s)
+    before, after = world.at(33.0)[0], world.at(33.01)[0]
+    assert (after.position_w_m[2] - before.position_w_m[2]) / 0.01 == pytest.approx(before.climb_mps, abs=0.01)
+    parked = [thing.position_w_m[2] for thing in world.at(33.0)[2:]]
+    assert all(LOWEST_M <= height <= HIGHEST_M for height in parked)
+    assert len(set(parked)) == 2
+    world.send_lookalike(33.0)
+    assert world.at(36.0)[-1].position_w_m[2] == world.at(36.0)[0].position_w_m[2]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_people_pass_each_other_an_arm_apart(seed: int) -> None:
+    world = traffic(seed, TargetConfig(kind="person"))
+    world.send_lookalike(30.0)
+    passing = [world.at(30.0 + 0.01 * k) for k in range(1, 700)]
+    assert 0.74 <= min(apart(target, sent) for target, *_, sent in passing) <= 0.81
+
+
+def test_cars_and_people_stay_on_the_ground() -> None:
+    for config in (TARGET, TargetConfig(kind="person")):
+        assert {thing.position_w_m[2] for thing in traffic(7, config).at(50.0)} == {0.0}
+
+
+def test_no_target_flies_higher_than_was_said() -> None:
+    with pytest.raises(ValueError, match="must not be above 3 m"):
+        TargetConfig(kind="drone", height_m=2.0, climb_m=1.5)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import csv
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -101,6 +104,21 @@ def test_trajectories_differ_from_the_truth_by_what_the_report_prints(
     errors = np.linalg.norm(measured[:, 1:4] - true[:, 1:4], axis=1)
     assert np.median(errors) == pytest.approx(summary["d2_error_m"], abs=2e-4)
     assert np.linalg.norm(measured[:, 4:], axis=1) == pytest.approx(1.0)
+
+
+def test_evo_says_what_the_report_prints(make_run: Callable[..., Path], tmp_path: Path) -> None:
+    folder = make_run(d2_error_m=0.03)
+    with (tmp_path / "said.txt").open("w") as stream:
+        summary = make_report(folder, False, stream)
+    assert run_export(ExportOptions(folder, tum=True)) == 0
+    files = [str(folder / "export" / f"{name}.tum") for name in ("truth-marker", "marker")]
+    evo = [str(Path(sys.executable).with_name("evo_ape")), "tum", *files]
+    done = subprocess.run(
+        evo, capture_output=True, text=True, timeout=120.0, env={**os.environ, "HOME": str(tmp_path)}, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    (median,) = (float(line.split()[1]) for line in done.stdout.splitlines() if line.split()[:1] == ["median"])
+    assert median == pytest.approx(summary["d2_error_m"], abs=2e-4)
 
 
 def test_tables_have_a_column_for_every_number(make_run: Callable[..., Path], tmp_path: Path) -> None:

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import PartError
-from drivers.log.mcap_log import LogRecord, read_log
+from drivers.log.mcap_log import LogRecord, read_log, virtual_log
 from missions import rig_library
 from missions.handoff.command import fly_once
 from missions.options import ReplayOptions
-from missions.replay.command import change_of, replay_changed, run
+from missions.replay.command import EXIT_DIFFERENT, change_of, replay_changed, run
 from missions.replay.perceive import PerceptionChange, eyes_of
 from missions.replay.redecide import Complete, DecisionPair, redecide
 from missions.report.records import REPLAY, drone_logs
@@ -110,9 +110,9 @@ def verdicts(decided: Any, until_ns: int) -> list[Mapping[str, Any]]:
 
 def test_the_command_says_what_would_have_been(flown: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
     folder = flown("sim", 3)
-    assert run(ReplayOptions(folder)) == 0
+    assert run(ReplayOptions((folder,))) == 0
     assert not (folder / REPLAY).exists()
-    assert run(ReplayOptions(folder, gate="evidence")) == 0
+    assert run(ReplayOptions((folder,), gate="evidence")) == 0
     assert (folder / REPLAY).stat().st_size > 10_000
     assert "gate complete, after the first answer" in capsys.readouterr().out
 
@@ -134,7 +134,7 @@ def test_perception_runs_again_on_the_recorded_frames(
         off_px = sorted(max(abs(a - b) for a, b in zip(was, now, strict=True)) for was, now in seen)
         assert 0.0 < off_px[len(off_px) // 2] < 2.0
     capsys.readouterr()
-    assert run(ReplayOptions(folder, frames=True)) == 0
+    assert run(ReplayOptions((folder,), frames=True)) == 0
     assert "frames with a candidate" in capsys.readouterr().out
     blind = {name: eyes_of(folder, name, PerceptionChange(settings={"min_saturation": 1.0})) for name in logs}
     for drone in replay_changed(logs, lambda method: method, blind):
@@ -143,16 +143,30 @@ def test_perception_runs_again_on_the_recorded_frames(
 
 def test_a_run_without_frames_says_how_to_record_them(flown: Callable[..., Path]) -> None:
     with pytest.raises(PartError, match="recorded no frames") as caught:
-        run(ReplayOptions(flown("sim", 3), frames=True))
+        run(ReplayOptions((flown("sim", 3),), frames=True))
     assert 'record = "all"' in caught.value.remedy
 
 
 @pytest.mark.parametrize("setting", ["method.tau=1", "world.tau_min=0.3", "method.tau_min", "method.tau_min=0.9"])
 def test_a_setting_that_cannot_be_is_refused(flown: Callable[..., Path], setting: str) -> None:
     with pytest.raises(PartError, match="--set"):
-        run(ReplayOptions(flown("sim", 3), set=(setting,)))
+        run(ReplayOptions((flown("sim", 3),), set=(setting,)))
+
+
+def test_many_runs_are_counted(flown: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = flown("sim", 3)
+    assert run(ReplayOptions((good, tmp_path))) == 0
+    assert "1 runs," in capsys.readouterr().out
+    records = list(read_log(good / "sender.mcap"))
+    with virtual_log(tmp_path / "sender.mcap", "sender") as log:
+        for each in records:
+            wrong = {"agreed": False} if each.topic == "/agreement" else {}
+            log.write(each.topic, each.stamp_ns, {**each.record, **wrong})
+    assert run(ReplayOptions((good, tmp_path))) == EXIT_DIFFERENT
+    with pytest.raises(PartError, match="one run"):
+        run(ReplayOptions((good, tmp_path), gate="evidence"))
 
 
 def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PartError, match="no drone's log"):
-        run(ReplayOptions(tmp_path))
+        run(ReplayOptions((tmp_path,)))

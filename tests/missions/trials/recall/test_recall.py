@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from flight.harness.montecarlo import MISS, PAIR, Series
+from flight.harness.montecarlo import MISS, PAIR, Series, Telling, tell
 from missions import rig_library
 from missions.trials.recall import trial
 from missions.trials.recall.detectors import (
@@ -19,11 +20,22 @@ from missions.trials.recall.detectors import (
     unwrapped,
     with_detector,
 )
-from missions.trials.recall.handovers import GATES, LOCKED_M, AttemptCommits, AttemptOrder, GateCommit, orders
+from missions.trials.recall.handovers import (
+    GATES,
+    LOCKED_M,
+    AttemptCommits,
+    AttemptOrder,
+    GateCommit,
+    orders,
+    shortest_s,
+    stays_far,
+)
 from missions.trials.shared.trial import TrialRequest
 from missions.work import open_work
 from path.config import MethodConfig
+from path.evidence import make_gate
 from path.observations import MissReason
+from path.window import Offsets
 
 METHOD = MethodConfig()
 PERIOD_NS = 20_000_000
@@ -95,6 +107,38 @@ def test_invented_boxes_overlap_with_nothing() -> None:
     seen = seen_by(series_of(50_000), DetectorFaults(1.0, 5.0, 0.05))
     assert np.all(seen.kind == PAIR)
     assert np.mean(seen.iou[:, 0] == 0.0) == pytest.approx(0.11, rel=0.2)
+
+
+def test_a_growing_series_is_told_as_the_whole_one() -> None:
+    seen = seen_by(series_of(500), DetectorFaults(0.99, 1.0))
+    for kind in GATES:
+        own = replace(METHOD, gate=kind, hold_frames=40, hold_s=0.5)
+        telling = Telling(make_gate(own), own)
+        for end in range(25, 501, 25):
+            telling.on(first(seen, end))
+        assert telling.done == tell(seen, make_gate(own), own)
+        # offsets were not told: the gate "evidence" knows nothing of the object
+        assert (telling.done is None) == (kind == "evidence")
+
+
+def first(series: Series, count: int) -> Series:
+    arrays = {name: getattr(series, name)[:count] for name in series.__dataclass_fields__ if name != "offsets"}
+    return replace(series, **arrays)
+
+
+def test_an_object_far_from_the_target_is_given_up_and_one_near_it_is_not() -> None:
+    def far(offset_m: float, seconds: float) -> bool:
+        series = series_of(round(50 * seconds))
+        return stays_far(replace(series, offsets={7: Offsets((0.3, 0.0)), 9: Offsets((0.0, offset_m))}))
+
+    assert far(0.2, 1.2)
+    assert not far(0.2, 0.6)  # too soon to say
+    assert not far(0.1, 1.2)
+
+
+def test_the_shortest_runs_of_both_gates() -> None:
+    assert shortest_s(replace(METHOD, gate="count")) == METHOD.hold_s
+    assert shortest_s(replace(METHOD, gate="evidence")) == pytest.approx(1.6)
 
 
 def test_every_cell_has_every_kind_of_attempt_and_no_hand_over_comes_twice() -> None:

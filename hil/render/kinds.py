@@ -1,0 +1,53 @@
+"""The shapes of what can be tracked: boxes for the geometry, models for the cameras. x forward, z up.
+
+The frame of a car or a person lies on the ground below its middle, that of a drone in its middle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+
+from hil.render.people import PARTS, VARIANTS, person
+from hil.render.scene import CAR_BOXES, FRAME, GAP_M, MOTOR, ORANGE, Color, Model, box, car, model_of
+from hil.world.kinds import TargetKind
+
+Vec3 = tuple[float, float, float]
+Boxes = tuple[tuple[Vec3, Vec3, Color], ...]
+
+_ARM_M, _HULL_M = 0.12, (0.16, 0.11, 0.05)
+_DRONE_BOXES: Boxes = (
+    # centre, size, colour: a quadrotor whose arms point ahead, back and to its sides
+    ((0.0, 0.0, 0.0), _HULL_M, ORANGE),
+    ((0.0, 0.0, 0.037), (0.09, 0.06, 0.020), ORANGE),
+    *(
+        ((sign * (0.5 * (_HULL_M[0] / 2 + GAP_M + _ARM_M)), 0.0, 0.0), (_ARM_M - _HULL_M[0] / 2 - GAP_M, 0.02, 0.012),
+         FRAME)
+        for sign in (1.0, -1.0)
+    ),
+    *(
+        ((0.0, sign * (0.5 * (_HULL_M[1] / 2 + GAP_M + _ARM_M)), 0.0), (0.02, _ARM_M - _HULL_M[1] / 2 - GAP_M, 0.012),
+         FRAME)
+        for sign in (1.0, -1.0)
+    ),
+    *(
+        ((x, y, 0.010), (0.034, 0.034, 0.040), MOTOR)
+        for x, y in ((_ARM_M + 0.018, 0.0), (-_ARM_M - 0.018, 0.0), (0.0, _ARM_M + 0.018), (0.0, -_ARM_M - 0.018))
+    ),
+)  # fmt: skip
+
+BOXES: Mapping[TargetKind, Boxes] = {
+    "car": CAR_BOXES,
+    "person": tuple((part.center, part.size, part.colors[0]) for part in PARTS),
+    "drone": _DRONE_BOXES,
+}
+
+
+@cache
+def model_of_kind(kind: TargetKind, number: int = 0) -> Model:
+    """What cameras see of the object with a number; people are not quite alike."""
+    if kind == "car":
+        return car()
+    if kind == "person":
+        return person(number % VARIANTS)
+    return model_of([face for center, size, color in _DRONE_BOXES for face in box(center, size, color)])
