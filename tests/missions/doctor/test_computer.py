@@ -14,7 +14,7 @@ from missions.doctor import command as doctor
 from missions.doctor import computer
 from missions.doctor.computer import FLOWN, MARGIN, REST, computer_findings, fits, holds_hz, pace_of
 from missions.doctor.pace import SIZES, Pace, Stage
-from missions.options import DoctorOptions
+from missions.options.field import DoctorOptions
 from path.messages import Role
 
 

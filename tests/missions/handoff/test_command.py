@@ -19,7 +19,7 @@ from flight.outcome import Outcome
 from hil.world.check import check_world
 from missions import rig_library
 from missions.handoff.command import fly_once, harness_of, judge
-from missions.options import HandoffOptions
+from missions.options.flights import HandoffOptions
 from missions.report.records import FACTS
 from missions.run_folder import new_folder
 from path.messages import Role
