@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
+from drivers.cpu_share import CpuShare
 from drivers.log.mcap_log import LogRecord, parts, read_log
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from flight.harness.flights import FlightReport, FlightRequest
-from hil.harness.inject import RC
+from hil.harness.inject import need_radios
 from hil.harness.live_programs import Command, Orders
 from hil.harness.pace import frame_age_s, overload_of
 from hil.harness.preparation import prepare
@@ -37,7 +40,7 @@ class SitlHarness:
     prepare = staticmethod(prepare)
 
     def fly(self, request: FlightRequest) -> FlightReport:
-        """Raises PartError when the rig needs an autopilot that was not named."""
+        """Raises PartError when the rig needs an autopilot that was not named, or a share of a core it cannot have."""
         config = decode_table(request.rig.world, WorldConfig, request.rig.where("[world]"))
         for role in Role:
             simulator = config.simulator(role)
@@ -49,7 +52,14 @@ class SitlHarness:
         if any(fault.name == "attack" for fault in faults):
             _need_keys(request.rig)
         need_radios(request.rig, faults)
-        return asyncio.run(_fly(request, faults))
+        with ExitStack() as stack:
+            shares: dict[str, CpuShare] = {}
+            if config.slow is not None:
+                shares = {name: stack.enter_context(CpuShare(name, config.slow)) for name in ENDS}
+            report = asyncio.run(_fly(request, faults, shares))
+            share = {} if config.slow is None else {"share": config.slow}
+            stopped = {f"{name}_stopped_s": round(each.stopped_s(), 3) for name, each in shares.items()}
+            return replace(report, slow={**share, **stopped})
 
 
 def _need_keys(rig: Rig) -> None:
@@ -63,21 +73,8 @@ def _need_keys(rig: Rig) -> None:
             )
 
 
-def need_radios(rig: Rig, faults: Sequence[Fault]) -> None:
-    """Raises FaultError when a pilot without a transmitter is to use one."""
-    for fault in faults:
-        role = fault.kind.role
-        if role is None or not (fault.name.startswith(RC) or fault.name == "motor_kill"):
-            continue
-        if "sender_simulator" in rig.world and rig.role(role).vehicle.options.get("rc") == "none":
-            raise FaultError(
-                f'fault {fault.name}: {rig.where(f"{role.value}.vehicle")} says rc = "none"',
-                "name a rig whose pilots have radios: sitl-px4-field, sitl-ardupilot-field",
-            )
-
-
-async def _fly(request: FlightRequest, faults: list[Fault]) -> FlightReport:
-    run = RealTimeRun(orders_of(request), ENDS, {LEG: faults})
+async def _fly(request: FlightRequest, faults: list[Fault], shares: Mapping[str, CpuShare]) -> FlightReport:
+    run = RealTimeRun(orders_of(request, shares), ENDS, {LEG: faults})
     mission = mission_config(request.rig)
 
     limit_s = RUN_LIMIT_S + mission.deadlines.verify_s + mission.follow_after_s
@@ -92,8 +89,12 @@ async def one_leg(run: RealTimeRun) -> None:
     await asyncio.gather(*(run.fly(name) for name in ENDS))
 
 
-def orders_of(request: FlightRequest) -> Orders:
+def orders_of(request: FlightRequest, shares: Mapping[str, CpuShare]) -> Orders:
     rig = request.rig
+
+    def begun(name: str, pid: int) -> None:
+        if name in shares:
+            shares[name].add(pid)
 
     def guard(name: str) -> Command | None:
         return (
@@ -115,6 +116,7 @@ def orders_of(request: FlightRequest) -> Orders:
         out=request.out,
         emit=request.emit,
         attack=attack,
+        begun=begun,
         awaited=frozenset(ENDS),
     )
 

@@ -16,7 +16,7 @@ from drivers.mavlink.pilot_rules import kept_out, names_of, silenced
 from drivers.rig.tables import decode_table
 from hil.autopilot.radio import HIGH_US, MIDDLE_US, RadioConfig, Transmitter, channels_of
 from hil.autopilot.simulator import Kind
-from hil.harness.sitl import need_radios
+from hil.harness.inject import need_radios
 from hil.vehicle.simulated_radio import FAIL, FIRST_PORT, PORTS_APART, SEND_S, SET_UP, SimulatedRadio
 from hil.world.faults import FaultError, parse_faults
 from hil.world.world import WorldConfig
