@@ -15,29 +15,19 @@ import tyro
 
 from flight.command_end import CommandEnd
 from missions.kernel_cache import have_kernel_cache
-from missions.options import (
-    CalibrateOptions,
-    CampaignOptions,
-    ConformanceOptions,
+from missions.options.calibrate import CalibrateOptions
+from missions.options.field import (
     DetectOptions,
     DoctorOptions,
-    ExportOptions,
-    FlyOptions,
     GuardOptions,
-    HandoffOptions,
-    MergeOptions,
     PrepareOptions,
     ReceiverOptions,
-    RelayOptions,
-    ReplayOptions,
-    ReportOptions,
     RigsOptions,
     SenderOptions,
-    TeamOptions,
-    TrialOptions,
-    VerifyOptions,
-    ViewOptions,
 )
+from missions.options.flights import FlyOptions, HandoffOptions, RelayOptions, TeamOptions
+from missions.options.proofs import CampaignOptions, ConformanceOptions, TrialOptions, VerifyOptions
+from missions.options.runs import ExportOptions, MergeOptions, ReplayOptions, ReportOptions, ViewOptions
 from missions.shown import drop, flush_or_drop, say_unwritten
 from path.bounds import out_of_bounds
 

@@ -17,7 +17,7 @@ from drivers.interfaces import Detector, PartError
 from drivers.recordings.recording import RecordedFrame, RecordingOptions, open_recording
 from drivers.rig.file import load_rig
 from drivers.rig.parts import PartContext, PartSpec, create, decode_part, part_context
-from missions.options import DetectOptions
+from missions.options.field import DetectOptions
 from missions.rig_list import FOLDER
 from missions.run_folder import claim_folder, new_folder
 from missions.work import Bars

@@ -12,7 +12,7 @@ from drivers.rig.parts import Rig, import_factory
 from flight.command_end import CommandEnd
 from missions import rig_library
 from missions.kernel_cache import INSTALLED, VARIABLE, can_write
-from missions.options import PrepareOptions
+from missions.options.field import PrepareOptions
 
 
 def run(options: PrepareOptions) -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from flight.command_end import CommandEnd
-from missions.options import RigsOptions
+from missions.options.field import RigsOptions
 
 FOLDER = Path(__file__).parent / "rigs"
 LEVELS = ("sim", "sim-rendered", "sitl", "hitl", "field")

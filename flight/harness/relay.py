@@ -19,6 +19,7 @@ from flight.harness.flights import Emit, InProcess, RoleResult
 from path.bounds import Bounds
 
 Point = tuple[float, float]
+POINTING_M = 0.1  # standard deviation, on each axis, of where a person points
 
 OFTEN = frozenset({
     "/frame", "/target", "/track", "/setpoint", "/state", "/agreement", "/candidate", "/marker", "/motion", "/link",
@@ -27,7 +28,7 @@ OFTEN = frozenset({
 """Topics logged many times a second: hours of them are left out unless they are asked for."""
 WATCHED: Mapping[str, float] = {
     "/phase": 0.0, "/responsibility": 0.0, "/epoch": 0.0, "/commit": 0.0, "/decision": 0.0, "/agreement": 0.0,
-    "/frame": 0.2, "/target": 0.2, "/track": 0.2,
+    "/frame": 0.2, "/target": 0.2, "/track": 0.2, "/link": 0.5,
 }  # fmt: skip
 """The topics that the monitors read of a drone's log, and the least seconds between two of a kind."""
 
@@ -135,6 +136,10 @@ class RelayField(Protocol):
 
     def open_leg(self, number: int, sender: str, receiver: str) -> None:
         """Give two drones a link to each other; it takes the place of any that either had."""
+        ...
+
+    def close_leg(self, number: int) -> None:
+        """The hand-over is over, done or not: so is what went wrong in it alone. The link stays."""
         ...
 
     def landed(self, name: str) -> bool:

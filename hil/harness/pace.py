@@ -5,28 +5,34 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from path.messages import Role
+from drivers.log.mcap_log import LogRecord
 
 LEFT_OUT = 0.5  # of the pictures
 OLD_S, OLD_SHARE = 0.25, 0.2  # of the frames, when a program took them up
 ENOUGH = 50  # frames
 
 
-def overload_of(ages_s: Mapping[Role, Sequence[float]], pictures: Mapping[str, Any]) -> str:
+def overload_of(ages_s: Mapping[str, Sequence[float]], pictures: Mapping[str, Any], whose: str = "{}'s") -> str:
     """Returns what was late, and how late; empty when all kept up.
 
     Args:
-        ages_s: of each role's frames, from their capture until its program took them up.
-        pictures: by role, how many were ``rendered`` and how many ``left_out`` because it was too late for them.
+        ages_s: of each drone's frames, from their capture until its program took them up.
+        pictures: by drone, how many were ``rendered`` and how many ``left_out`` because it was too late for them.
+        whose: how something of a drone is called.
     """
     late: list[str] = []
-    for role in Role:
-        made = pictures.get(role.value, {})
+    for name in dict.fromkeys((*ages_s, *pictures)):
+        made, its = pictures.get(name, {}), whose.format(name)
         rendered, left_out = int(made.get("rendered", 0)), int(made.get("left_out", 0))
         if rendered + left_out >= ENOUGH and left_out > LEFT_OUT * (rendered + left_out):
-            late.append(f"the {role.value}'s pictures: {left_out} of {rendered + left_out} were not rendered in time")
-        late += late_program(f"the {role.value}'s program", ages_s.get(role, ()))
+            late.append(f"{its} pictures: {left_out} of {rendered + left_out} were not rendered in time")
+        late += late_program(f"{its} program", ages_s.get(name, ()))
     return "; ".join(late)
+
+
+def frame_age_s(record: LogRecord) -> list[float]:
+    """Returns how old a frame was when it was taken up; nothing for a record that is of none."""
+    return [float(record.record["age_ns"]) * 1e-9] if record.topic == "/frame" else []
 
 
 def late_program(name: str, ages_s: Sequence[float]) -> list[str]:

@@ -20,10 +20,18 @@ from drivers.rig.parts import Rig, RoleRig, part_context
 from drivers.rig.tables import decode_table
 from drivers.stop_signals import stop_on_signals
 from flight.harness.flights import Progress, RoleResult
-from flight.harness.relay import DroneProgram, Pointed, RelayConfig, RelayReport, RelayRequest, pair_of
+from flight.harness.relay import (
+    POINTING_M,
+    DroneProgram,
+    Pointed,
+    RelayConfig,
+    RelayReport,
+    RelayRequest,
+    pair_of,
+)
 from hil.harness.drone import Disk, DroneHarness, present_s
 from hil.harness.guard import MemoryBeatLine, keep_watch
-from hil.harness.inject import inject_at_drone, inject_in_world, inject_on_link
+from hil.harness.inject import inject_at_drone, inject_on_link
 from hil.harness.leg_faults import LegFaults
 from hil.harness.preparation import prepare, starting
 from hil.harness.programs import Programs, Started
@@ -42,7 +50,6 @@ PERIOD_S = 0.2
 VEHICLES_S = 1.0
 SAMPLE_S = 10.0
 LANDING_LIMIT_S = 90.0
-POINTING_M = 0.1  # standard deviation, on each axis, of where a person points
 
 
 class RelaySim:
@@ -177,6 +184,12 @@ class _VirtualRelay:
         self._monitors.on_leg(number, sender, receiver)
         self._legs.open_leg(number, sender, receiver)
 
+    def close_leg(self, number: int) -> None:
+        self._world.close_leg(*self._ends_of(number))
+
+    def _ends_of(self, leg: int) -> tuple[str, str]:
+        return self._legs.end_of(leg, Role.SENDER), self._legs.end_of(leg, Role.RECEIVER)
+
     def landed(self, name: str) -> bool:
         return self._world.landed(name)
 
@@ -219,10 +232,11 @@ class _VirtualRelay:
         role = fault.kind.role
         name = None if role is None else self._legs.end_of(leg, role)
         inject_on_link(fault.name, fault.value or 0.0, self._hubs[leg])
+        ends = self._ends_of(leg)
         if fault.name == "lookalike":
-            self._world.send_lookalike(self._monitors.on_target(self._legs.end_of(leg, Role.SENDER)))
+            self._world.send_lookalike(self._monitors.on_target(ends[0]))
         else:
-            inject_in_world(fault.name, name, self._world, fault.value)
+            self._world.inject(fault.name, name, fault.value, ends)
         if name is not None:
             inject_at_drone(fault, name, self._drones[name].harness, self._programs)
 
@@ -236,6 +250,7 @@ class _VirtualRelay:
             if now_s != world.time_s:
                 world.advance(now_s)
             self._monitors.on_truth(now_s)
+            self._monitors.on_watched(now_s)
             if now_s >= vehicles_s:
                 vehicles_s = now_s + VEHICLES_S
                 self._monitors.on_vehicles(now_s, self._monitors.vehicles())

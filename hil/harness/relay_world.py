@@ -10,8 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from drivers.interfaces import FlightMode
 from flight.harness.relay import NamedDrone, NamedTarget
 from hil.autopilot.autopilot import Autopilot
+from hil.autopilot.radio import CENTRED
+from hil.harness.inject import inject_in_world
 from hil.world.dynamics import CONTACT
 from hil.world.fields import TargetField
 from hil.world.nearness import Nearness, nearness
@@ -21,6 +24,8 @@ from hil.world.world import STEP_HZ, Fleet, HomeConfig, SimDrone, WorldConfig, a
 from path.messages import Role
 
 OWN, OTHER = Role.RECEIVER, Role.SENDER
+TAKEN_OVER = ("pilot_takeover", "rc_mode", "rc_sticks")
+PILOT_LANDS_S = 15.0  # after he took a drone over he lands it where it is
 
 
 class RelayWorld(Fleet[str]):
@@ -37,6 +42,9 @@ class RelayWorld(Fleet[str]):
         self.on: set[str] = set()
         self._rows = {name: k for k, name in enumerate(self._homes)}
         self._truths: dict[str, DroneTruth] = {}
+        self._covered: set[str] = set()  # whose markers are
+        self._no_depth: set[str] = set()  # whose depth cameras measure nothing on objects
+        self._pilot_lands_s: dict[str, float] = {}  # when, of drones that a pilot took over
         super().__init__(config, seed, self._homes, {})
         for drone in drones:
             self.battery(drone.name, drone.battery)
@@ -49,6 +57,24 @@ class RelayWorld(Fleet[str]):
     def send_lookalike(self, target: int = 0) -> None:
         """Past one of the targets; see ``Fleet.send_lookalike``."""
         self._field.send_lookalike(target, self.traffic_s)
+        self._changed()
+
+    def inject(self, fault: str, drone: str | None, value: float | None, leg: Sequence[str]) -> None:
+        """A fault of a leg: of a drone, or of the field around it. ``leg``: its sender and receiver."""
+        if fault == "marker_hidden":
+            self._covered.add(leg[0])
+        elif fault == "depth_holes":
+            self._no_depth.update(leg)
+        else:
+            inject_in_world(fault, drone, self, value)
+        if drone is not None and fault.startswith(TAKEN_OVER):
+            self._pilot_lands_s[drone] = self.time_s + PILOT_LANDS_S
+        self._changed()
+
+    def close_leg(self, sender: str, receiver: str) -> None:
+        """The cameras and markers of a leg's drones are as before: what was wrong in it alone is over."""
+        self._covered -= {sender, receiver}
+        self._no_depth -= {sender, receiver}
         self._changed()
 
     def switch_on(self, name: str) -> None:
@@ -67,7 +93,8 @@ class RelayWorld(Fleet[str]):
         )
         self._drones[name].autopilot = Autopilot(self.config.autopilot, seed)
         self.on.discard(name)
-        self._changed()
+        self._pilot_lands_s.pop(name, None)
+        self.close_leg(name, name)
 
     def _sense(self) -> None:
         rows, time_s = self._sensors.tick(self._states), self._step / STEP_HZ
@@ -77,9 +104,14 @@ class RelayWorld(Fleet[str]):
 
     def _command(self) -> None:
         self._commanded_step = self._step
+        now_s = self._step / STEP_HZ
+        for name in [name for name, at_s in self._pilot_lands_s.items() if now_s >= at_s]:
+            del self._pilot_lands_s[name]
+            self._drones[name].autopilot.request_mode(now_s, FlightMode.LAND, by_pilot=True)
+            self._drones[name].autopilot.radio.transmitter.sticks = CENTRED
         for i, (name, drone) in enumerate(self._drones.items()):
             if name in self.on:
-                self._commands[i] = drone.command(self._step / STEP_HZ)
+                self._commands[i] = drone.command(now_s)
 
     def _changed(self) -> None:
         self._truths.clear()
@@ -102,6 +134,11 @@ class RelayWorld(Fleet[str]):
     def objects(self) -> tuple[ObjectTruth, ...]:
         """All around the first target."""
         return self._field.near(self._field.starts[0], self.traffic_s)
+
+    @property
+    def all_objects(self) -> tuple[ObjectTruth, ...]:
+        """All around all targets."""
+        return self._field.all(self.traffic_s)
 
     def objects_near(self, name: str) -> tuple[ObjectTruth, ...]:
         """The objects that a drone may see."""
@@ -126,19 +163,14 @@ class RelayWorld(Fleet[str]):
         """The batteries in the order of ``names``."""
         return tuple(round(drone.autopilot.battery, 4) for drone in self._drones.values())
 
-    def landed(self, name: str) -> bool:
-        """Returns whether it stands on the ground, its motors off."""
-        drone = self._drones[name]
-        return drone.on_ground and not drone.autopilot.armed
-
     def view(self, own: str, other: str | None) -> Snapshot:
         """The truth at ``time_s`` as far as a pair is concerned."""
         truth = self.truth_of
         drones = {OWN: truth(own)} if other is None else {OTHER: truth(other), OWN: truth(own)}
+        covered, no_depth = other in self._covered, own in self._no_depth
         return Snapshot(
-            self.time_s, drones, self.objects_near(own), self._marker_hidden, self._depth_holes, self.detector,
-            self.config.target.kind,
-        )  # fmt: skip
+            self.time_s, drones, self.objects_near(own), covered, no_depth, self.detector, self.config.target.kind
+        )
 
 
 class PairView:

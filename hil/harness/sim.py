@@ -203,7 +203,7 @@ class _Flight:
         loop = asyncio.get_running_loop()
         end_s = loop.time() + LANDING_LIMIT_S
         while loop.time() < end_s:
-            if all(down(self._world, role) for role in Role):
+            if all(self._world.landed(role) for role in Role):
                 return
             await asyncio.sleep(0.1)
 
@@ -216,7 +216,7 @@ class _Flight:
             truth.violation(self._world.time_s, detail.partition(" ")[0], detail)
         return {
             "results": results,
-            "landed": {role: down(self._world, role) for role in Role},
+            "landed": {role: self._world.landed(role) for role in Role},
             "violations": dict(self._monitors.violations),
             "simulated_s": self._world.time_s,
             "interrupted": self._programs.interrupted,
@@ -236,12 +236,6 @@ async def _with_log(program: Awaitable[RoleResult], log: McapLog) -> RoleResult:
     result = await program
     log.close()  # what waits in its buffer may still fail
     return with_log(result, log.failed)
-
-
-def down(world: World, role: Role) -> bool:
-    """Returns whether a vehicle stands on the ground, disarmed."""
-    drone = world.drone(role)
-    return drone.on_ground and not drone.autopilot.armed
 
 
 def mission_config(rig: Rig) -> MissionConfig:

@@ -1,73 +1,32 @@
-"""The ``sitl`` harness: the world and both roles as processes, in real time, with real sockets between them.
-
-This process only starts them, passes on what they say, switches faults and makes sure that nothing is left behind.
-"""
+"""A handoff in real time: the two drones of one leg, which are called by their roles, and how their logs are judged."""
 
 from __future__ import annotations
 
 import asyncio
-import signal
-import sys
-import time
-from collections.abc import Awaitable, Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from drivers.log.mcap_log import LogRecord, parts, read_log
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
-from drivers.stop_signals import leave_signals, stop_on_signals
-from flight.harness.flights import FlightReport, FlightRequest, Progress, RoleResult, decode_event
-from hil.harness.children import (
-    Child,
-    HarnessFailure,
-    WorldTooSlow,
-    duty_of,
-    end,
-    finish_world,
-    go_on,
-    last_words,
-    read_world,
-    send_signal,
-    spawn,
-    tell,
-    until_ready,
-)
-from hil.harness.pace import overload_of
-from hil.harness.preparation import prepare, starting
-from hil.harness.sim import mission_config
+from flight.harness.flights import FlightReport, FlightRequest
+from hil.harness.live_programs import Command, Orders
+from hil.harness.pace import frame_age_s, overload_of
+from hil.harness.preparation import prepare
+from hil.harness.realtime import Ending, RealTimeRun
+from hil.harness.realtime_world import world_command
+from hil.harness.sim import LEG, mission_config
 from hil.monitors.monitors import Monitors
 from hil.vehicle.simulator_process import binary_of
 from hil.world.check import check_world
-from hil.world.errors import level_of, reported
-from hil.world.faults import Fault, FaultError, FaultTrigger, parse_faults
+from hil.world.errors import reported
+from hil.world.faults import Fault, FaultError, parse_faults
 from hil.world.world import WorldConfig
 from path.messages import Role
 
 RUN_LIMIT_S = 360.0  # besides what the mission allows for verifying and following
 LANDING_LIMIT_S = 45.0
-ROLE_EXIT_S = 60.0
-RECORD_POLL_S = 0.001
-
-StartRole = Callable[[Role], Awaitable[Child]]
-StartAttack = Callable[[float], Awaitable[Child]]
-
-
-@dataclass(slots=True)
-class _Run:
-    """The state of a run while it goes on."""
-
-    request: FlightRequest
-    results: dict[Role, RoleResult] = field(default_factory=dict[Role, RoleResult])
-    interrupted: bool = False
-    finished: dict[str, Any] | None = None
-    slow: str = ""
-
-    @property
-    def limit_s(self) -> float:
-        mission = mission_config(self.request.rig)
-        return RUN_LIMIT_S + mission.deadlines.verify_s + mission.follow_after_s
+ENDS = Role.SENDER.value, Role.RECEIVER.value
 
 
 class SitlHarness:
@@ -85,36 +44,10 @@ class SitlHarness:
                 binary_of(simulator.kind)
             if simulator is not None and simulator.on_board and "fc_link_loss" in " ".join(request.faults):
                 raise FaultError("fault fc_link_loss: the harness has no hold of the board's cable", "pull it yourself")
-        return asyncio.run(_fly(request))
-
-
-async def _fly(request: FlightRequest) -> FlightReport:
-    faults = parse_faults(request.faults, request.rig.level)
-    if any(fault.name == "attack" for fault in faults):
-        _need_keys(request.rig)
-    run = _Run(request)
-    start_s = time.monotonic()
-    processes: list[Child] = []
-    failure = ""
-    try:
-        world, air = await _start_world(request, processes)
-        crew = _Crew(
-            world,
-            lambda role: _start_role(request, role, processes),
-            lambda rate: _start_attack(request, rate, air, processes),
-        )
-        for role in Role:
-            if request.rig.role(role).guard is not None:
-                crew.guards[role] = await _start_guard(request, role, processes)
-        await _supervise(run, FaultTrigger(faults), crew)
-        run.finished = await finish_world(world, LANDING_LIMIT_S)
-    except WorldTooSlow as error:
-        failure = run.slow = str(error)
-    except HarnessFailure as error:
-        failure = str(error)
-    finally:
-        await end(processes)
-    return _report(run, failure, time.monotonic() - start_s)
+        faults = parse_faults(request.faults, request.rig.level)
+        if any(fault.name == "attack" for fault in faults):
+            _need_keys(request.rig)
+        return asyncio.run(_fly(request, faults))
 
 
 def _need_keys(rig: Rig) -> None:
@@ -128,180 +61,47 @@ def _need_keys(rig: Rig) -> None:
             )
 
 
-async def _start_world(request: FlightRequest, processes: list[Child]) -> tuple[Child, int]:
-    """Its process, and the port on which it lets others on the air."""
+async def _fly(request: FlightRequest, faults: list[Fault]) -> FlightReport:
+    run = RealTimeRun(orders_of(request), ENDS, {LEG: faults})
+    mission = mission_config(request.rig)
+
+    limit_s = RUN_LIMIT_S + mission.deadlines.verify_s + mission.follow_after_s
+    return report_of(request, run, await run.run(lambda: one_leg(run), limit_s, LANDING_LIMIT_S))
+
+
+async def one_leg(run: RealTimeRun) -> None:
+    """Both drones' programs to their end."""
+    for name in ENDS:
+        await run.start_guard(name)
+    run.legs.open_leg(LEG, *ENDS)
+    await asyncio.gather(*(run.fly(name) for name in ENDS))
+
+
+def orders_of(request: FlightRequest) -> Orders:
     rig = request.rig
-    arguments = [str(rig.file), str(request.out), str(request.seed), level_of(rig), *map(str, rig.folders)]
-    world = await spawn([sys.executable, "-m", "hil.harness.sitl_world", *arguments], request.out / "world.stderr.txt")
-    processes.append(world)
 
-    def warming(what: str) -> None:
-        for role in Role:
-            request.emit(starting(role, what))
+    def guard(name: str) -> Command | None:
+        return (
+            None
+            if request.guard_command is None or not rig.role(Role(name)).guard
+            else request.guard_command(Role(name))
+        )
 
-    ready = await until_ready(world, warming)
-    return world, int(ready.get("air", 0))
+    def attack(rate: float, ready: object) -> Command:
+        """The third process: it knows where both drones listen, and hears and sends on the air."""
+        assert isinstance(ready, dict)
+        ends = [str(rig.role(Role(name)).link.options["bind"]) for name in ENDS]
+        return [*request.attack_command, f"{rate:g}", str(ready["air"]), *ends, str(request.seed), str(request.out)]
 
-
-async def _start_attack(request: FlightRequest, rate: float, air: int, processes: list[Child]) -> Child:
-    """The third process: it knows where both drones listen, and hears and sends on the air."""
-    ends = [str(request.rig.role(role).link.options["bind"]) for role in (Role.SENDER, Role.RECEIVER)]
-    arguments = [f"{rate:g}", str(air), *ends, str(request.seed), str(request.out)]
-    process = await spawn([*request.attack_command, *arguments], request.out / "attack.stderr.txt")
-    processes.append(process)
-    return process
-
-
-async def _start_role(request: FlightRequest, role: Role, processes: list[Child]) -> Child:
-    process = await spawn(request.role_command(role), request.out / f"{role.value}.stderr.txt")
-    processes.append(process)
-    return process
-
-
-async def _start_guard(request: FlightRequest, role: Role, processes: list[Child]) -> Child:
-    assert request.guard_command is not None  # of a rig with guards
-    process = await spawn(request.guard_command(role), request.out / f"{role.value}.guard.stderr.txt")
-    processes.append(process)
-    return process
-
-
-class _Crew:
-    """The world's process and those of the roles, which may die and be started again."""
-
-    def __init__(self, world: Child, start: StartRole, attack: StartAttack) -> None:
-        self.world = world
-        self._attack = attack
-        self.guards: dict[Role, Child] = {}
-        self.roles: dict[Role, Child] = {}
-        self._start = start
-        self._restart_s: dict[Role, float] = {}
-        self._waited_for = set(Role)
-        self._coming: set[asyncio.Task[None]] = set()
-
-    async def start(self, role: Role) -> None:
-        self.roles[role] = await self._start(role)
-
-    async def reports(self, role: Role) -> None:
-        """Its program's parts are open; with the last of both the time of what is on the ground begins."""
-        if role in self._waited_for:
-            self._waited_for.discard(role)
-            if not self._waited_for:
-                await tell(self.world, {"begin": True})
-
-    def begin(self, faults: Sequence[Fault]) -> None:
-        for fault in faults:
-            task = asyncio.ensure_future(self._inject(fault))
-            self._coming.add(task)
-            task.add_done_callback(self._coming.discard)
-
-    async def _inject(self, fault: Fault) -> None:
-        if fault.after_s:
-            await asyncio.sleep(fault.after_s)
-        at_ns = time.monotonic_ns()
-        if fault.kills is not None:
-            process = self.roles[fault.kills]
-            if process.returncode is None:
-                process.kill()
-                if fault.value is not None:
-                    self._restart_s[fault.kills] = fault.value
-        elif fault.name == "attack":
-            await self._attack(fault.value or 0.0)
-        elif fault.stops is not None:
-            send_signal(self.roles[fault.stops], signal.SIGSTOP)
-        elif fault.name == "guard_death" and Role.SENDER in self.guards:
-            send_signal(self.guards[Role.SENDER], signal.SIGKILL)
-        await tell(self.world, {"fault": fault.name, "value": fault.value or 0.0, "at_ns": at_ns})
-        if fault.stops is not None:
-            await go_on(self.roles[fault.stops], fault.value)
-
-    async def started_again(self, role: Role) -> bool:
-        """Returns whether another program was started once a role's has ended, as the fault that killed it wants."""
-        after_s = self._restart_s.pop(role, None)
-        if after_s is None:
-            return False
-        await asyncio.sleep(after_s)
-        await self.start(role)
-        return True
-
-    def stop(self) -> None:
-        """Gently: they land."""
-        self._restart_s.clear()
-        for process in self.roles.values():
-            if process.returncode is None:
-                process.send_signal(signal.SIGTERM)
-
-    async def close(self) -> None:
-        for task in self._coming:
-            task.cancel()
-        await asyncio.gather(*self._coming, return_exceptions=True)
-
-
-async def _supervise(run: _Run, trigger: FaultTrigger, crew: _Crew) -> None:
-    """Passes on the events of both role programs until they have ended.
-
-    Switches faults, and stops them when told to.
-    """
-
-    def stop() -> None:
-        run.interrupted = True
-        crew.stop()
-
-    async def listen(role: Role) -> None:
-        while True:
-            process = crew.roles[role]
-            assert process.stdout is not None
-            async for line in process.stdout:
-                event = decode_event(line)
-                if isinstance(event, RoleResult):
-                    run.results[role] = event
-                elif isinstance(event, Progress):
-                    await crew.reports(role)
-                    run.request.emit(event)
-                    crew.begin(trigger.on_progress(event))
-            await process.wait()
-            if run.interrupted or not await crew.started_again(role):
-                return
-
-    async def watch_record(role: Role) -> None:
-        """Watches what a role writes down for a restart, as soon as it is there."""
-        file, seen = run.request.out / f"{role.value}.state.json", ""
-        while trigger.waits_for_duty(role):
-            duty = duty_of(file)
-            if duty != seen:
-                seen = duty
-                crew.begin(trigger.on_duty(role, duty))
-            await asyncio.sleep(RECORD_POLL_S)
-
-    async def watch_world() -> None:
-        while True:
-            await read_world(crew.world)
-
-    stop_on_signals(stop)
-    crew.begin(trigger.from_the_start())
-    for role in Role:
-        await crew.start(role)
-    watcher = asyncio.create_task(watch_world())
-    readers = [asyncio.create_task(watch_record(role)) for role in Role]
-    listeners = asyncio.gather(*(listen(role) for role in Role))
-    try:
-        done, _ = await asyncio.wait([watcher, listeners], timeout=run.limit_s, return_when=asyncio.FIRST_COMPLETED)
-        if not done:
-            stop()
-            await asyncio.wait([listeners], timeout=ROLE_EXIT_S)
-            raise HarnessFailure(f"the run did not end within {run.limit_s:.0f} s")
-        for task in done:
-            task.result()
-    finally:
-        beside = asyncio.gather(watcher, *readers)
-        for tasks in (beside, listeners):
-            tasks.cancel()
-        await asyncio.gather(beside, listeners, return_exceptions=True)
-        await crew.close()
-        leave_signals()
-
-
-def _died(out: Path, role: Role) -> str:
-    return f"the {role.value}'s program died. {last_words(out / f'{role.value}.stderr.txt')}"
+    return Orders(
+        world=world_command("hil.harness.sitl_world", rig, request.seed, str(request.out)),
+        program=lambda name: request.role_command(Role(name)),
+        guard=guard,
+        out=request.out,
+        emit=request.emit,
+        attack=attack,
+        awaited=frozenset(ENDS),
+    )
 
 
 def _records(out: Path) -> Iterator[tuple[int, Role, LogRecord | None]]:
@@ -319,33 +119,34 @@ def _records(out: Path) -> Iterator[tuple[int, Role, LogRecord | None]]:
                 yield newest_ns, role, None
 
 
-def _report(run: _Run, failure: str, wall_s: float) -> FlightReport:
-    request, finished = run.request, run.finished or {}
+def report_of(request: FlightRequest, run: RealTimeRun, ending: Ending) -> FlightReport:
+    """The world's findings, and those of both programs' logs, judged in the order of time."""
+    finished = ending.finished
     monitors = Monitors(request.rig.method, min_separation_m=0.0)
-    ages_s: dict[Role, list[float]] = {role: [] for role in Role}
+    ages_s: dict[str, list[float]] = {name: [] for name in ENDS}
     for stamp_ns, role, record in sorted(_records(request.out), key=lambda entry: entry[0]):
         if record is None:
             monitors.on_death(role)
         else:
             monitors.on_record(role, record.topic, stamp_ns, record.record)
-            if record.topic == "/frame":
-                ages_s[role].append(float(record.record["age_ns"]) * 1e-9)
+            ages_s[role.value] += frame_age_s(record)
     violations = dict(monitors.violations)
     for name, count in finished.get("violations", {}).items():
         violations[name] = violations.get(name, 0) + count
-    notes = [*monitors.details, *finished.get("details", [])]
-    if not failure and not finished:
-        failure = "the world gave no findings"
-    dead = [role for role in Role if role not in run.results]
+    dead = [name for name, drone in run.drones.items() if drone.result is None]
     return FlightReport(
-        results={role: run.results.get(role) for role in Role},
+        results={role: run.drones[role.value].result for role in Role},
         landed={role: bool(finished.get("landed", {}).get(role.value, False)) for role in Role},
         violations=violations,
-        simulated_s=wall_s,
-        wall_s=wall_s,
+        simulated_s=ending.wall_s,
+        wall_s=ending.wall_s,
         interrupted=run.interrupted,
-        failure=failure,
-        overload=run.slow or overload_of(ages_s, finished.get("frames", {})),
-        notes=[*notes, *(_died(request.out, role) for role in dead)],
+        failure=ending.failure,
+        overload=ending.slow or overload_of(ages_s, finished.get("frames", {}), "the {}'s"),
+        notes=[
+            *monitors.details,
+            *finished.get("details", []),
+            *(f"the {name}'s program died. {run.died(name)}" for name in dead),
+        ],
         errors=reported(request.rig),
     )

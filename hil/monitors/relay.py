@@ -181,9 +181,6 @@ class RelayMonitors:
         since_s, self._truth_s = now_s - (now_s if self._truth_s is None else self._truth_s), now_s
         for name in world.airborne:
             self.aloft_s[name] = self.aloft_s.get(name, 0.0) + since_s
-        if now_s <= self.watched_until_s:
-            for observed in self.observed:
-                observed.tick(now_s)
         for name, flight in self._flights.items():
             autopilot = world.drone(name).autopilot
             if not autopilot.armed:
@@ -192,6 +189,12 @@ class RelayMonitors:
             if flight.battery < self.config.reserve and not flight.told:
                 flight.told = True
                 self.violated("reserve", now_s, f"{name} flies with its battery at {100 * flight.battery:.1f} %")
+
+    def on_watched(self, now_s: float) -> None:
+        """As often as ``on_truth``, when what drones looked at until then is known."""
+        if now_s <= self.watched_until_s:
+            for observed in self.observed:
+                observed.tick(now_s)
 
     def on_vehicles(self, now_s: float, vehicles: Mapping[Enum, VehicleTruth]) -> None:
         """S7 and S10, when the records up to then are known; seldom is enough."""

@@ -66,6 +66,10 @@ class TargetField:
             self._cells[cell] = there
         return tuple(thing for k in there for thing in self._at(k, time_s))
 
+    def all(self, time_s: float) -> tuple[ObjectTruth, ...]:
+        """Everything on the whole field."""
+        return tuple(thing for k in range(len(self.starts)) for thing in self._at(k, time_s))
+
     def send_lookalike(self, number: int, now_s: float) -> None:
         """Past one of the targets."""
         self._traffic[number].send_lookalike(now_s)

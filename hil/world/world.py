@@ -240,6 +240,11 @@ class Fleet(Generic[Name]):
     def drone(self, name: Name) -> SimDrone:
         return self._drones[name]
 
+    def landed(self, name: Name) -> bool:
+        """Returns whether a drone stands on the ground, disarmed."""
+        drone = self._drones[name]
+        return drone.on_ground and not drone.autopilot.armed
+
     def advance(self, to_s: float) -> None:
         """Let time pass until ``to_s``, the time since the world began. Raises ValueError for the past."""
         if to_s < self.time_s:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
-from missions.options import BoardOptions, CalibrateBoardOptions
+from missions.options.calibrate import BoardOptions, CalibrateBoardOptions
 from missions.run_folder import REMEDY
 from path.calibration.board import Board, print_cells
 

@@ -28,7 +28,7 @@ from missions.calibrate.board import board_of, otherwise
 from missions.calibrate.collect import Collected, CollectedImage, from_camera, from_images, from_recording
 from missions.calibrate.diagnose import what_else
 from missions.calibrate.picture import draw_calibration
-from missions.options import CalibrateCameraOptions
+from missions.options.calibrate import CalibrateCameraOptions
 from missions.rig_list import FOLDER
 from missions.run_folder import REMEDY, claim_result
 from missions.work import Bars

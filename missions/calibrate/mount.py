@@ -31,7 +31,7 @@ from drivers.rig.parts import Rig
 from drivers.rig.tables import RigError, decode_table, read_toml
 from missions.calibrate.board import board_of
 from missions.calibrate.collect import image_files
-from missions.options import CalibrateMountOptions
+from missions.options.calibrate import CalibrateMountOptions
 from missions.rig_list import FOLDER
 from missions.run_folder import claim_result
 from missions.work import Bars

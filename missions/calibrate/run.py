@@ -8,7 +8,7 @@ from typing import TextIO
 from missions.calibrate.board import draw_print
 from missions.calibrate.camera import calibrate_camera
 from missions.calibrate.mount import calibrate_mount
-from missions.options import CalibrateCameraOptions, CalibrateMountOptions, CalibrateOptions
+from missions.options.calibrate import CalibrateCameraOptions, CalibrateMountOptions, CalibrateOptions
 
 
 def run(options: CalibrateOptions, out: TextIO | None = None) -> int:

@@ -24,7 +24,7 @@ from missions.doctor.room import check_room
 from missions.doctor.table import open_findings
 from missions.doctor.vehicle import check_vehicle
 from missions.kernel_cache import VARIABLE, can_write, usual_folders
-from missions.options import DoctorOptions
+from missions.options.field import DoctorOptions
 from path.messages import Role
 
 EXIT_UNFIT = CommandEnd.NOT_FIT.exit_code

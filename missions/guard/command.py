@@ -25,7 +25,7 @@ from flight.guard_rules import Act, GuardStage, GuardState
 from flight.guard_watch import GuardWatch, watch
 from missions import rig_library
 from missions.live.start import live
-from missions.options import GuardOptions
+from missions.options.field import GuardOptions
 from missions.run_folder import unless_refused
 from path.messages import Role
 

@@ -27,7 +27,7 @@ from flight.outcome import Outcome
 from flight.phases import Phase
 from missions import rig_library
 from missions.handoff.command import fly_once
-from missions.options import GuardOptions
+from missions.options.field import GuardOptions
 from missions.report.command import show
 from missions.report.records import SUMMARY
 from missions.run_folder import claim_folder, new_folder

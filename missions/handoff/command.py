@@ -24,7 +24,8 @@ from missions import rig_library
 from missions.lateness import for_lateness
 from missions.leg.process import fly_role, load_programs
 from missions.live.start import live
-from missions.options import ConformanceOptions, FlyOptions, HandoffOptions
+from missions.options.flights import FlyOptions, HandoffOptions
+from missions.options.proofs import ConformanceOptions
 from missions.report.command import make_report, series_table, show, summarize_many
 from missions.report.junit import JUnitCase, write_junit
 from missions.report.progress import open_console, open_tally

@@ -10,7 +10,7 @@ from missions import rig_library
 from missions.guard.start import with_guard
 from missions.leg.process import fly_role, run_role
 from missions.live.start import live
-from missions.options import ReceiverOptions, RoleOptions
+from missions.options.field import ReceiverOptions, RoleOptions
 from missions.report.progress import open_console
 from missions.run_folder import unless_refused
 from path.messages import Role

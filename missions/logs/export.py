@@ -17,7 +17,7 @@ from typing import Any
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord, parts
 from missions.logs.merge import utc_minus_stamp
-from missions.options import ExportOptions
+from missions.options.runs import ExportOptions
 from missions.report.records import WORLD_LOG, RunRecords, drone_logs, load_run, read_parts
 from missions.report.truth import Truth, truth_of
 from path.messages import Role

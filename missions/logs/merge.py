@@ -29,7 +29,7 @@ from drivers.log.mcap_log import (
     parts,
     read_log,
 )
-from missions.options import MergeOptions
+from missions.options.runs import MergeOptions
 from missions.report.records import MERGED
 
 GUARD, FRAMES = "_guard", "_frames"

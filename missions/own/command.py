@@ -18,7 +18,8 @@ from missions import rig_library
 from missions.handoff.command import FlightPrograms, fly_once, name_ground_station, name_simulators, unwritten
 from missions.leg.command import fly_from_drone
 from missions.live.start import live
-from missions.options import FlyOptions, RoleOptions
+from missions.options.field import RoleOptions
+from missions.options.flights import FlyOptions
 from missions.own.load import load_mission
 from missions.own.program import OwnMission
 from missions.report.command import figure, outcome_line, phase_table, show, violations

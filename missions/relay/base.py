@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal, Protocol
 
+from flight.guidance import Vec3
 from flight.harness.flights import RoleResult
-from flight.harness.relay import DroneProgram, RelayConfig, RelayField
+from flight.harness.relay import DroneProgram, Pointed, RelayConfig, RelayField
 from flight.outcome import MissionEnd, Outcome
 from missions.leg.session import as_end
 from path.messages import Role
@@ -40,6 +41,7 @@ class Leg:
     receiver: str
     called_s: float
     battery: float  # of the sender, when it was called
+    target: int = 0  # of a team
     held_s: float | None = None
     outcome: str = ""
     detail: str = ""
@@ -82,6 +84,33 @@ class Ground(Protocol):
 
     def leg_failed(self, name: str, end: MissionEnd) -> None:
         """Tells the end of a leg for the drone that goes on with the target."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class SentTo:
+    """The target that a drone of a team is sent to, where it was said to be, and the heading to follow it from."""
+
+    target: int
+    place_n_m: Vec3
+    heading_deg: float
+
+
+class TeamGround(Ground, Protocol):
+    """The ground of a team: it knows targets besides."""
+
+    def sent_to(self, name: str) -> SentTo: ...
+
+    def pointed_at(self, name: str) -> Pointed:
+        """Returns the place at which a person points, whose target this drone is sent to find."""
+        ...
+
+    def follows(self, name: str, place_n_m: Vec3) -> None:
+        """Takes the target's place, as a drone that has it says now and then."""
+        ...
+
+    def gave_up(self, name: str, why: str) -> None:
+        """A drone that had its target has it no more, and handed it to nobody."""
         ...
 
 
@@ -136,6 +165,7 @@ class Base:
         if leg is not None:
             leg.held_s, leg.outcome = self._now_s(), Outcome.COMMITTED.label
             self._leg = None
+            self._ground.close_leg(leg.number)
         self.holder, self._asking, self._alarmed = name, None, False
         self._say(name, "holds", "responsible" if leg is None else f"responsible, relieved {leg.sender}")
 
@@ -144,6 +174,7 @@ class Base:
         if leg is not None:
             leg.outcome, leg.detail = end.outcome.label, end.detail
             self._leg, self._asking = None, None
+            self._ground.close_leg(leg.number)
             self._say(name, "leg failed", f"leg {leg.number}, relief {leg.receiver}: {end}")
 
     # --- the loop ---

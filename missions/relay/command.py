@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,13 @@ from flight.outcome import Outcome
 from missions import rig_library
 from missions.lateness import for_lateness
 from missions.live.start import live
-from missions.options import RelayOptions
+from missions.options.flights import RelayOptions
 from missions.relay.base import Base, Event, Tell
 from missions.relay.config import relay_of
+from missions.relay.drone import DroneFlight, program_of
 from missions.relay.ending import PAGE, SUMMARY, Showing, Values, cause_of, leave
 from missions.relay.process import processes_of
 from missions.relay.report import flown_record, leg_record, relay_rows, relay_table, summarize_relay
-from missions.relay.role import program_of
 from missions.report.page import PageOf
 from missions.run_folder import RunKind, claimed, unless_refused
 from missions.shown import tell_line
@@ -88,7 +89,7 @@ def fly_relay(
 
     async def main(ground: RelayField, stop: asyncio.Event, emit: Emit) -> None:
         del emit
-        await base.run(ground, stop, program_of(rig, config, base))
+        await base.run(ground, stop, program_of(partial(DroneFlight, rig, config, base)))
 
     faults, processes = faults_of(options.fault), processes_of(rig, config, out, base, options.logs)
     request = RelayRequest(

@@ -1,4 +1,4 @@
-"""One drone's program of a relay, and its guard, as processes of their own: children of ``path-handoff relay``.
+"""One drone's program, and its guard, as processes of their own: children of ``path-handoff relay`` and ``team``.
 
     python -m missions.relay.process program RIG DRONES NAME FOLDER whole|rare
     python -m missions.relay.process guard   RIG DRONES NAME FOLDER
@@ -14,43 +14,49 @@ import gc
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import msgspec
 
-from drivers.interfaces import Frame, FrameLog, Log
+from drivers.interfaces import Frame, FrameLog, Log, RecordStore
 from drivers.log.json_lines import JsonLines
 from drivers.log.mcap_log import McapLog, encode_other, new_part
 from drivers.log.state_file import StateFile
 from drivers.rig.parts import Rig
 from drivers.stop_signals import stop_on_signals
-from flight.harness.flights import Progress, RoleResult, encode_event, with_log
+from flight.harness.flights import Emit, Progress, RoleResult, encode_event, with_log
 from flight.harness.relay import OFTEN, WATCHED, DroneProcesses, NamedDrone, RelayConfig, pair_of
 from missions import rig_library
 from missions.guard.command import watch_vehicles
 from missions.relay.base import Base
 from missions.relay.config import relay_of
+from missions.relay.drone import DroneFlight
 from missions.relay.line import FarBase, hear, news_of
-from missions.relay.role import DroneFlight
 from path.messages import Role
 
 
 def processes_of(rig: Rig, config: RelayConfig, out: Path, base: Base, whole_log: bool) -> DroneProcesses:
     """Returns how the harness starts the processes of this relay's drones."""
-
-    def command(what: str, name: str, *more: str) -> Sequence[str]:
-        drones = str(len(config.drones))
-        return [sys.executable, "-m", "missions.relay.process", what, str(rig.file), drones, name, str(out), *more]
-
     return DroneProcesses(
-        command=lambda name: command("program", name, "whole" if whole_log else "rare"),
-        guard_command=lambda name: command("guard", name),
+        *commands("missions.relay.process", rig, str(len(config.drones)), out, whole_log),
         news=lambda name: news_of(base, name),
         heard=lambda name, word: hear(base, name, word),
     )
+
+
+def commands(
+    module: str, rig: Rig, size: str, out: Path, whole_log: bool
+) -> tuple[Callable[[str], Sequence[str]], Callable[[str], Sequence[str]]]:
+    """Returns the commands of any drone's program, and of its guard. ``size``: how much of the rig takes part."""
+
+    def command(what: str, name: str, *more: str) -> Sequence[str]:
+        return [sys.executable, "-m", module, what, str(rig.file), size, name, str(out), *more]
+
+    logs = "whole" if whole_log else "rare"
+    return (lambda name: command("program", name, logs)), (lambda name: command("guard", name))
 
 
 class RelayedLog:
@@ -86,7 +92,10 @@ def _show(progress: Progress) -> None:
     print(encode_event(progress), flush=True)
 
 
-async def _fly(rig: Rig, config: RelayConfig, name: str, log: Log, store: StateFile) -> RoleResult:
+FarFlight = Callable[[FarBase, str, Log, Emit, asyncio.Event, RecordStore], DroneFlight]
+
+
+async def _fly(flight: FarFlight, name: str, log: Log, store: StateFile) -> RoleResult:
     """Listen until there is an order, then fly it to its end."""
     base, stop, ordered = FarBase(name, _say), asyncio.Event(), asyncio.Event()
     loop, standard_input = asyncio.get_running_loop(), sys.stdin.fileno()
@@ -109,17 +118,17 @@ async def _fly(rig: Rig, config: RelayConfig, name: str, log: Log, store: StateF
         raise SystemExit(f"{name} was never told what for")
     cv2.setNumThreads(1)  # as any role in real time
     gc.freeze()
-    return await DroneFlight(rig, config, base, name, log, _show, stop, None, store).run()
+    return await flight(base, name, log, _show, stop, store).run()
 
 
 def _drone(config: RelayConfig, name: str) -> NamedDrone:
     return next(drone for drone in config.drones if drone.name == name)
 
 
-def fly(rig: Rig, config: RelayConfig, name: str, out: Path, whole: bool) -> None:
+def fly(flight: FarFlight, name: str, out: Path, whole: bool) -> None:
     with McapLog(new_part(out, name), name) as log:
         store = StateFile(out / f"{name}.state.json", None)
-        result = asyncio.run(_fly(rig, config, name, RelayedLog(log, name, whole), store))
+        result = asyncio.run(_fly(flight, name, RelayedLog(log, name, whole), store))
         print(encode_event(with_log(result, log.failed)), flush=True)
 
 
@@ -136,14 +145,24 @@ def guard(rig: Rig, config: RelayConfig, name: str, out: Path) -> int:
     )  # fmt: skip
 
 
-def main() -> None:
-    what, rig_file, drones, name, folder, *logs = sys.argv[1:]
+def main(config_of: Callable[[Rig, str], tuple[RelayConfig, FarFlight]]) -> None:
+    """The program of the process. ``config_of``: what of the rig takes part, and how one of its drones flies."""
+    what, rig_file, size, name, folder, *logs = sys.argv[1:]
     rig = rig_library.load_unchecked(rig_file)
-    config = relay_of(rig, int(drones))
+    config, flight = config_of(rig, size)
     if what == "guard":
         sys.exit(guard(rig, config, name, Path(folder)))
-    fly(rig, config, name, Path(folder), logs == ["whole"])
+    fly(flight, name, Path(folder), logs == ["whole"])
+
+
+def _of_a_relay(rig: Rig, drones: str) -> tuple[RelayConfig, FarFlight]:
+    config = relay_of(rig, int(drones))
+
+    def flight(base: FarBase, name: str, log: Log, emit: Emit, stop: asyncio.Event, store: RecordStore) -> DroneFlight:
+        return DroneFlight(rig, config, base, name, log, emit, stop, None, store)
+
+    return config, flight
 
 
 if __name__ == "__main__":
-    main()
+    main(_of_a_relay)

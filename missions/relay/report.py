@@ -14,7 +14,7 @@ from rich.text import Text
 from drivers.rig.parts import Rig
 from flight.harness.relay import RelayConfig, RelayReport
 from flight.outcome import Outcome
-from missions.options import RelayOptions
+from missions.options.flights import RelayOptions
 from missions.relay.base import Base, Event, Leg
 from path.protocol.values import ProtocolConfig
 

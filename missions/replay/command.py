@@ -17,7 +17,7 @@ from rich.text import Text
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord
 from drivers.rig.tables import RigError, decode_table
-from missions.options import ReplayOptions
+from missions.options.runs import ReplayOptions
 from missions.replay.perceive import PerceptionChange, detector_settings, eyes_of
 from missions.replay.redecide import Complete, DecisionPair, Open, other_answers, redecide
 from missions.report.command import show

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from flight.outcome import Outcome
-from missions.options import ReportOptions
+from missions.options.runs import ReportOptions
 from missions.report.page import PageOf, write_page
 from missions.report.records import PAGE, PICTURE, SUMMARY, RunFacts, RunRecords, drone_logs, last, load_run
 from missions.report.summary import summarize

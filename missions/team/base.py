@@ -16,19 +16,12 @@ from flight.harness.flights import RoleResult
 from flight.harness.relay import DroneProgram, NamedTarget, Pointed, TeamField
 from flight.harness.team import TeamConfig
 from flight.outcome import MissionEnd, Outcome
-from missions.relay.base import Event, Leg, TakeOffOrder, Tell, What, Where, end_of, flown
+from missions.relay.base import Event, Leg, SentTo, TakeOffOrder, Tell, What, Where, end_of, flown
 from missions.team.airways import Airway, Point, in_the_way, way_back, way_out
 from missions.team.assignment import Airspace, Assignment, Need, ReadyDrone, assign
 
 POLL_S = 0.5
 CLUTTER_M = 10.0
-
-
-@dataclass(slots=True)
-class TeamLeg(Leg):
-    """One hand-over of one of the targets."""
-
-    target: int = 0
 
 
 @dataclass(slots=True)
@@ -53,7 +46,7 @@ class TeamDrone:
     order: TakeOffOrder = TakeOffOrder.RELIEVE
     target: int | None = None
     heading_deg: float = 0.0
-    leg: TeamLeg | None = None
+    leg: Leg | None = None
     called_home: bool = False
     ways: list[Airway] = field(default_factory=list[Airway])
     task: asyncio.Task[None] | None = None
@@ -76,7 +69,7 @@ class TeamTarget:
     known: bool = False
     holder: str | None = None
     finder: str | None = None
-    leg: TeamLeg | None = None
+    leg: Leg | None = None
     asking: tuple[float, float] | None = None
     heading_deg: float | None = None
     place_n_m: Vec3 = (0.0, 0.0, 0.0)
@@ -89,6 +82,26 @@ class TeamTarget:
         return east, north
 
 
+class OwnGround:
+    """The ground as one drone's program knows it (``missions.relay.base.TeamGround``).
+
+    What the base answers and hears is as it is; whether all is over is another matter for each drone.
+    """
+
+    def __init__(self, base: TeamBase, name: str) -> None:
+        self._base, self._name = base, name
+        self.order_of, self.leg_of, self.sent_to, self.pointed_at = (
+            base.order_of, base.leg_of, base.sent_to, base.pointed_at,
+        )  # fmt: skip
+        self.ask, self.holds, self.leg_failed = base.ask, base.holds, base.leg_failed
+        self.follows, self.gave_up = base.follows, base.gave_up
+
+    @property
+    def over(self) -> bool:
+        """True when this drone is called home."""
+        return self._base.drones[self._name].called_home
+
+
 @dataclass(slots=True)
 class TeamBase:
     """Knows what the drones say, and acts on the field. One loop, in ``run``. Times are from its beginning."""
@@ -96,7 +109,7 @@ class TeamBase:
     config: TeamConfig
     tell: Tell = lambda _: None
     hours: float = 2.0
-    legs: list[TeamLeg] = field(default_factory=list[TeamLeg])
+    legs: list[Leg] = field(default_factory=list[Leg])
     events: list[Event] = field(default_factory=list[Event])
     spells: list[Custody] = field(default_factory=list[Custody])
     outcome: Outcome = Outcome.COMMITTED
@@ -112,12 +125,12 @@ class TeamBase:
         self.drones = {own.name: TeamDrone(own.name, own.home_m, own.battery) for own in self.config.drones}
         self.targets = [TeamTarget(number, named) for number, named in enumerate(self.config.targets)]
 
-    # --- what the drones' programs ask and say (``missions.relay.base.Ground``, and of their targets) ---
+    # --- what the drones' programs ask and say (``missions.relay.base.TeamGround``, but for ``over``) ---
 
     def order_of(self, name: str) -> TakeOffOrder:
         return self.drones[name].order
 
-    def leg_of(self, name: str) -> TeamLeg | None:
+    def leg_of(self, name: str) -> Leg | None:
         return self.drones[name].leg
 
     def target_of(self, name: str) -> TeamTarget:
@@ -126,8 +139,11 @@ class TeamBase:
         assert number is not None, "asked for a drone that was not called"
         return self.targets[number]
 
+    def sent_to(self, name: str) -> SentTo:
+        target = self.target_of(name)
+        return SentTo(target.number, target.place_n_m, self.drones[name].heading_deg)
+
     def pointed_at(self, name: str) -> Pointed:
-        """Returns the place at which a person points, whose target this drone is sent to find."""
         return self._field.point_at(self.target_of(name).number)
 
     def ask(self, name: str, battery: float, wait_s: float) -> None:
@@ -136,7 +152,6 @@ class TeamBase:
             target.asking = battery, self._now_s() + wait_s
 
     def follows(self, name: str, place_n_m: Vec3) -> None:
-        """Takes the target's place, as a drone that has it says now and then."""
         target = self.target_of(name)
         if name == target.holder:
             target.place_n_m = place_n_m
@@ -164,7 +179,6 @@ class TeamBase:
             self._say(name, "leg failed", f"leg {leg.number}, relief {leg.receiver}: {end}")
 
     def gave_up(self, name: str, why: str) -> None:
-        """A drone that had its target has it no more, and handed it to nobody."""
         drone, target = self.drones[name], self.target_of(name)
         if drone.leg is not None:
             drone.leg.outcome, drone.leg.detail = drone.leg.outcome or Outcome.PEER_ABORTED.label, why
@@ -340,7 +354,7 @@ class TeamBase:
     def _open_leg(self, drone: TeamDrone, target: TeamTarget, back: Airway) -> None:
         assert target.holder is not None and target.asking is not None
         sender, battery = self.drones[target.holder], target.asking[0]
-        leg = TeamLeg(len(self.legs) + 1, sender.name, drone.name, self._now_s(), battery, target=target.number)
+        leg = Leg(len(self.legs) + 1, sender.name, drone.name, self._now_s(), battery, target=target.number)
         self.legs.append(leg)
         target.leg = sender.leg = drone.leg = leg
         sender.ways.append(back)
@@ -349,12 +363,13 @@ class TeamBase:
         what = f"leg {leg.number}, {target.named.name}: relieves {sender.name}, battery at {100 * battery:.0f} %"
         self._say(drone.name, "call", what)
 
-    def _close_leg(self, leg: TeamLeg) -> None:
+    def _close_leg(self, leg: Leg) -> None:
         for name in (leg.sender, leg.receiver):
             if self.drones[name].leg is leg:
                 self.drones[name].leg = None
         target = self.targets[leg.target]
         target.leg, target.asking = None, None
+        self._field.close_leg(leg.number)
 
     def _alarm(self, target: TeamTarget, ready: bool) -> None:
         if target.alarmed or ready:

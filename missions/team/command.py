@@ -9,19 +9,22 @@ from typing import Any, cast
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, import_factory, with_errors
 from flight.harness.flights import Emit
-from flight.harness.relay import DroneProcesses, RelayField, RelayHarness, RelayRequest, TeamField
+from flight.harness.relay import RelayField, RelayHarness, RelayRequest, TeamField
 from flight.harness.team import TeamConfig
 from missions import rig_library
-from missions.options import TeamOptions
+from missions.lateness import for_lateness
+from missions.options.flights import TeamOptions
 from missions.relay.base import Event, Tell
 from missions.relay.command import faults_of
+from missions.relay.drone import program_of
 from missions.relay.ending import PAGE, SUMMARY, Showing, Values, cause_of, leave
 from missions.report.page import PageOf
 from missions.run_folder import RunKind, claimed, unless_refused
 from missions.shown import tell_line
-from missions.team.base import TeamBase
+from missions.team.base import OwnGround, TeamBase
 from missions.team.config import fenced, team_of
-from missions.team.flight import program_of
+from missions.team.flight import TeamFlight
+from missions.team.process import processes_of
 from missions.team.report import record_of, summarize_team, team_rows, team_table
 
 TEAM, PICTURE = "team.json", "team.png"
@@ -71,24 +74,21 @@ def fly_team(
 
     async def main(ground: RelayField, stop: asyncio.Event, emit: Emit) -> None:
         del emit
-        await base.run(cast(TeamField, ground), stop, program_of(rig, config, base))
+        await base.run(cast(TeamField, ground), stop, program_of(flight))
+
+    def flight(name: str, *parts: Any) -> TeamFlight:
+        return TeamFlight(rig, config, OwnGround(base, name), name, *parts)
 
     request = RelayRequest(
-        rig, config, out, options.seed, faults_of(options.fault), main, lambda _: None, _no_processes(), base.hours,
-        options.logs, config.targets,
+        rig, config, out, options.seed, faults_of(options.fault), main, lambda _: None,
+        processes_of(rig, config, out, base, options.logs), base.hours, options.logs, config.targets,
     )  # fmt: skip
     with claimed(out, kind):
         report = harness.fly(request)
-    outcome, detail = cause_of(report, base.outcome, base.detail)
+    ending = cause_of(report, base.outcome, base.detail)
+    outcome, detail = for_lateness(report.overload, report.violations, *ending)
     summary = summarize_team(rig, config, options, base, report, outcome, detail)
     return summary, {"outcome": outcome.label, **record_of(config, base, report)}
-
-
-def _no_processes() -> DroneProcesses:
-    def command(name: str) -> list[str]:
-        raise AssertionError(f"{name} flies in this process")
-
-    return DroneProcesses(command, command, lambda _: {}, lambda _name, _word: None)
 
 
 def tell(event: Event) -> None:

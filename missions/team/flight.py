@@ -11,19 +11,18 @@ from drivers.interfaces import Log, RecordStore, VehicleState, VelocitySetpoint
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
 from flight.guidance import Anchor, Vec3, bearing, close_in, subtract
-from flight.harness.flights import Emit, InProcess, RoleResult
-from flight.harness.relay import DroneProgram, Pointed
+from flight.harness.flights import Emit, InProcess
+from flight.harness.relay import Pointed
 from flight.harness.team import TeamConfig
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, may_manoeuvre
-from missions.relay.base import Leg, TakeOffOrder
+from missions.relay.base import SentTo, TeamGround
+from missions.relay.drone import DroneFlight
 from missions.relay.guidance import way_home
 from missions.relay.records import write
-from missions.relay.role import DroneFlight
 from missions.relay.stages import Holder, Relief
-from missions.team.base import TeamBase
 from path.protocol.values import SenderRecord
 
 _GAIN_PER_S = 0.8
@@ -33,44 +32,16 @@ _POLL_S = 0.1
 _SLACK_S = 30.0
 
 
-class OwnGround:
-    """The ground as one drone's program knows it (``missions.relay.base.Ground``)."""
-
-    def __init__(self, base: TeamBase, name: str) -> None:
-        self._base, self._name = base, name
-
-    @property
-    def over(self) -> bool:
-        """True when this drone is called home."""
-        return self._base.drones[self._name].called_home
-
-    def order_of(self, name: str) -> TakeOffOrder:
-        return self._base.order_of(name)
-
-    def leg_of(self, name: str) -> Leg | None:
-        return self._base.leg_of(name)
-
-    def ask(self, name: str, battery: float, wait_s: float) -> None:
-        self._base.ask(name, battery, wait_s)
-
-    def holds(self, name: str) -> None:
-        self._base.holds(name)
-
-    def leg_failed(self, name: str, end: MissionEnd) -> None:
-        self._base.leg_failed(name, end)
-
-
 class TeamFlight(DroneFlight):
     """A drone's program. ``run`` is the whole of it."""
 
     def __init__(
-        self, rig: Rig, team: TeamConfig, base: TeamBase, name: str, log: Log, emit: Emit, stop: asyncio.Event,
+        self, rig: Rig, team: TeamConfig, ground: TeamGround, name: str, log: Log, emit: Emit, stop: asyncio.Event,
         harness: InProcess | None, store: RecordStore,
     ) -> None:  # fmt: skip
-        super().__init__(rig, team, OwnGround(base, name), name, log, emit, stop, harness, store)
-        self._team, self._ground = team, base
-        target = base.target_of(name)
-        self._mission = mission_on(self._mission, target.number, target.place_n_m, base.drones[name].heading_deg)
+        super().__init__(rig, team, ground, name, log, emit, stop, harness, store)
+        self._team, self._ground = team, ground
+        self._mission = mission_on(self._mission, ground.sent_to(name))
         self._pointed: Pointed | None = None
         self._told_s = -_TOLD_S
         self.entry_m = team.entry_m
@@ -148,19 +119,8 @@ class TeamFlight(DroneFlight):
         return await bring_down(session, end, way[-1])
 
 
-def mission_on(mission: MissionConfig, target: int, place_n_m: Vec3, heading_deg: float) -> MissionConfig:
+def mission_on(mission: MissionConfig, sent: SentTo) -> MissionConfig:
     """The rig's mission on one of the targets."""
-    north, east, _ = place_n_m
+    north, east, _ = sent.place_n_m
     designation = replace(mission.target, north_m=north, east_m=east)
-    return replace(mission, target=designation, target_id=target + 1, heading_deg=heading_deg)
-
-
-def program_of(rig: Rig, team: TeamConfig, base: TeamBase) -> DroneProgram:
-    """The program of every drone of a team."""
-
-    async def fly(
-        name: str, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess, store: RecordStore
-    ) -> RoleResult:
-        return await TeamFlight(rig, team, base, name, log, emit, stop, harness, store).run()
-
-    return fly
+    return replace(mission, target=designation, target_id=sent.target + 1, heading_deg=sent.heading_deg)

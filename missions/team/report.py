@@ -13,7 +13,7 @@ from drivers.rig.parts import Rig
 from flight.harness.relay import RelayReport, TargetWatch
 from flight.harness.team import TeamConfig
 from flight.outcome import OBJECT_MONITOR, Outcome
-from missions.options import TeamOptions
+from missions.options.flights import TeamOptions
 from missions.relay.report import GAP_BOUND_S, figures_grid, flown_record, heading, leg_record, spread, spread_text
 from missions.team.base import TeamBase
 

@@ -22,7 +22,7 @@ from drivers.rig.parts import with_errors
 from flight.command_end import CommandEnd
 from flight.outcome import violated_outcome
 from missions import rig_library
-from missions.options import TrialName, TrialOptions
+from missions.options.proofs import TrialName, TrialOptions
 from missions.report.command import show
 from missions.report.records import SUMMARY
 from missions.run_folder import claim_folder, new_folder

@@ -20,7 +20,7 @@ from drivers.interfaces import PartError
 from drivers.log.index import MAGIC
 from drivers.log.mcap_log import LoggedMessage, messages
 from missions.logs.merge import merge, named_logs
-from missions.options import ViewOptions
+from missions.options.runs import ViewOptions
 from missions.report.records import MERGED
 from missions.view.viewer import page, serve, viewer, window
 

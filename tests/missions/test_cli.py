@@ -12,16 +12,10 @@ import pytest
 
 from drivers.interfaces import PartError
 from missions import cli
-from missions.options import (
-    DoctorOptions,
-    HandoffOptions,
-    PrepareOptions,
-    ReceiverOptions,
-    ReportOptions,
-    RigsOptions,
-    SenderOptions,
-    TrialOptions,
-)
+from missions.options.field import DoctorOptions, PrepareOptions, ReceiverOptions, RigsOptions, SenderOptions
+from missions.options.flights import HandoffOptions
+from missions.options.proofs import TrialOptions
+from missions.options.runs import ReportOptions
 from missions.rig_list import FOLDER
 
 HEAVY = ("numpy", "cv2", "numba", "mavsdk", "pymavlink", "matplotlib", "scipy")

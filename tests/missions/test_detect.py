@@ -12,7 +12,7 @@ import pytest
 
 from drivers.interfaces import PartError
 from missions.detect import Timing, run
-from missions.options import DetectOptions
+from missions.options.field import DetectOptions
 from tests.drivers.detectors.onnx_graphs import bright_cells_network
 
 ORANGE = (24, 118, 245)

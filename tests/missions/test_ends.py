@@ -15,7 +15,7 @@ import pytest
 import missions.handoff.command
 from flight.command_end import CommandEnd
 from missions import cli
-from missions.options import HandoffOptions
+from missions.options.flights import HandoffOptions
 from tests.missions.replayed import Replayed
 
 MakeRun = Callable[..., Path]

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.interfaces import PartError
 from flight.command_end import CommandEnd
-from missions.options import RigsOptions
+from missions.options.field import RigsOptions
 from missions.rig_list import run
 
 CAMERA = """width = 640

@@ -19,18 +19,10 @@ from missions.assurance.verify import run as verify
 from missions.calibrate import board, camera, mount
 from missions.guard.measure import measure
 from missions.handoff import command as handoff
-from missions.options import (
-    CalibrateBoardOptions,
-    CalibrateCameraOptions,
-    CalibrateMountOptions,
-    CampaignOptions,
-    ConformanceOptions,
-    DetectOptions,
-    GuardOptions,
-    HandoffOptions,
-    TrialOptions,
-    VerifyOptions,
-)
+from missions.options.calibrate import CalibrateBoardOptions, CalibrateCameraOptions, CalibrateMountOptions
+from missions.options.field import DetectOptions, GuardOptions
+from missions.options.flights import HandoffOptions
+from missions.options.proofs import CampaignOptions, ConformanceOptions, TrialOptions, VerifyOptions
 from missions.relay.command import RELAY
 from missions.report.records import FACTS, RUN
 from missions.run_folder import RunKind, claim_folder, claim_result, claimed, discard, unless_refused

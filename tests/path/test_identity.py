@@ -131,3 +131,29 @@ def test_true_boxes_pass() -> None:
     rng = np.random.default_rng(7)
     passed = [against_unseen((x, y), OWN) >= ENOUGH for x, y in (SIGMA * rng.standard_normal((20_000, 2))).tolist()]
     assert np.mean(passed) > 0.94
+
+
+@pytest.mark.parametrize(
+    ("beside_m", "object_m", "seen", "handed_over"),
+    [
+        (0.00, 0.35, True, False),  # D1 may have gone over to it itself
+        (0.06, 0.35, True, False),
+        (0.00, 0.50, True, True),  # what beats the gate: the error is the whole way, which nobody said it can be
+        (0.06, 0.50, True, True),
+        (0.06, 1.00, True, True),
+        (0.09, 0.50, True, False),
+        (0.09, 1.00, True, False),
+        (0.00, 0.35, False, True),
+        (0.06, 0.20, False, True),
+        (0.09, 0.35, False, False),
+        (0.12, 1.00, False, False),
+    ],
+)
+def test_a_prior_that_is_forced_onto_another_object(
+    beside_m: float, object_m: float, seen: bool, handed_over: bool
+) -> None:
+    """A pose that is off by as much as lies between the objects, all but ``beside_m``: by the same wrong pose the other
+    object's box is mapped to that far from the target. No frame can tell; docs/gates.md has the table.
+    """
+    rivals = ((beside_m - object_m, 0.0),) if seen else ()
+    assert gate_after(2000, Offsets((beside_m, 0.0), rivals)).complete is handed_over

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from missions.options import LevelName
+from missions.options.words import LevelName
 
 Range = tuple[float, float]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from missions.assurance.campaign.levels import MACHINE_LEVELS, MachineLevel, Range
-from missions.options import LevelName
+from missions.options.words import LevelName
 from path.messages import Role
 
 Forgotten = Literal["nothing", "newest", "all"]

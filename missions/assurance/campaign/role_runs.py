@@ -20,7 +20,7 @@ from missions.assurance.campaign.plan import seed_of
 from missions.assurance.campaign.results import RunLine
 from missions.handoff.command import harness_of, judge
 from missions.leg.process import fly_role
-from missions.options import LevelName
+from missions.options.words import LevelName
 from missions.report.records import RUN
 from missions.report.right_object import fly_watched
 from missions.run_folder import claimed

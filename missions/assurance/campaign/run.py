@@ -21,7 +21,8 @@ from missions.assurance.campaign import machine_runs, role_runs, team_runs
 from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.results import RunLine, resumable_results
 from missions.assurance.campaign.summary import BROKEN, draw_outcomes, summarize, table
-from missions.options import CampaignOptions, LevelName
+from missions.options.proofs import CampaignOptions
+from missions.options.words import LevelName
 from missions.report.junit import JUnitCase, write_junit
 from missions.run_folder import claim_result
 from missions.work import open_work

@@ -19,7 +19,9 @@ from flight.outcome import Outcome
 from missions import rig_library
 from missions.assurance.campaign.plan import seed_of
 from missions.assurance.campaign.results import RunLine
-from missions.options import CampaignOptions, LevelName, TeamOptions
+from missions.options.flights import TeamOptions
+from missions.options.proofs import CampaignOptions
+from missions.options.words import LevelName
 from missions.relay.base import Event
 from missions.team.command import fly_team, tell
 from missions.team.config import team_of

@@ -18,7 +18,7 @@ from missions.assurance.conformance.measure import FlightSuite, chosen
 from missions.assurance.conformance.page import WRITTEN_BY, page, terminal_table
 from missions.assurance.conformance.record import VEHICLES, Record, joined, read_all, write
 from missions.handoff.command import name_simulators
-from missions.options import ConformanceOptions
+from missions.options.proofs import ConformanceOptions
 from missions.report.command import show
 from missions.rig_library import trial_part
 from missions.run_folder import claim_result, new_folder

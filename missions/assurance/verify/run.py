@@ -17,7 +17,7 @@ from missions.assurance.verify import mutation_run, wire
 from missions.assurance.verify.explore import Covering, Exact, Exploration, explore
 from missions.assurance.verify.model import Scope
 from missions.assurance.verify.mutants import MUTANTS, SMALL, caught
-from missions.options import VerifyOptions
+from missions.options.proofs import VerifyOptions
 from missions.run_folder import claim_result, new_folder
 from missions.work import Work, open_work
 

@@ -27,7 +27,7 @@ from hil.world.world import World, WorldConfig
 from missions import rig_library
 from missions.doctor import command as doctor
 from missions.doctor import vehicle as doctor_vehicle
-from missions.options import DoctorOptions
+from missions.options.field import DoctorOptions
 from path.messages import Role
 
 LIMIT_S = 15.0

@@ -16,9 +16,11 @@ from flight.harness.flights import Progress
 from flight.harness.relay import DroneProcesses, RelayRequest
 from hil.harness.children import end, spawn
 from hil.harness.leg_faults import LegFaults
-from hil.harness.relay_live import Hindsight
-from hil.harness.relay_sitl import RECORD, _ProcessRelay, check_drones
-from hil.harness.relay_sitl_world import drones_of
+from hil.harness.live_programs import RECORD
+from hil.harness.realtime import RealTimeRun
+from hil.harness.relay_sitl import check_drones, orders_of
+from hil.harness.relay_sitl_world import field_of
+from hil.monitors.hindsight import Hindsight
 from hil.world.faults import Fault, parse_fault
 from missions import rig_library
 from path.messages import Role
@@ -68,7 +70,7 @@ def test_a_record_is_judged_by_the_truth_of_its_time() -> None:
 
 
 def test_each_drone_is_its_own_on_the_wire(rig: Rig) -> None:
-    config = drones_of(rig, 3)
+    config = field_of(rig, 3, 0)
     check_drones(rig, config)
     first, second, *_ = config.drones
     with pytest.raises(RigError, match="D2 needs a vehicle"):
@@ -127,17 +129,17 @@ def test_what_a_killed_program_did_not_finish_saying_is_not_passed_on(rig: Rig, 
         said.append((name, word["event"]))
 
     processes = DroneProcesses(nothing, nothing, nothing, heard)
-    request = RelayRequest(rig, drones_of(rig, 3), tmp_path, 1, {}, nothing, nothing, processes)
+    request = RelayRequest(rig, field_of(rig, 3, 0), tmp_path, 1, {}, nothing, nothing, processes)
 
     async def main() -> object:
-        relay = _ProcessRelay(request, {})
+        relay = RealTimeRun(orders_of(request), ("D1", "D2", "D3"), {})
         python = [sys.executable, "-I", "-S", "-c"]
-        relay._world = await spawn([*python, WRITES_DOWN.format(file=str(tmp_path / "told"))], tmp_path / "world.txt")
+        relay.world = await spawn([*python, WRITES_DOWN.format(file=str(tmp_path / "told"))], tmp_path / "world.txt")
         dies = DIES_IN_THE_MIDDLE.format(record=record, half=record[:40])
         program = await spawn([*python, dies], tmp_path / "D1.txt")
-        result = await relay._listen(relay._drones["D1"], program)
-        await end([relay._world, program])
-        return result
+        await relay._listen(relay.drones["D1"], program)
+        await end([relay.world, program])
+        return relay.drones["D1"].result
 
     assert asyncio.run(main()) is None
     assert (tmp_path / "told").read_text() == record + "\n"

@@ -10,7 +10,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,9 @@ from flight.harness.flights import FlightReport, FlightRequest, Progress, RoleRe
 from flight.outcome import Outcome
 from hil.harness import children, sitl
 from hil.harness.live_world import proxy_side
-from hil.world.faults import AT_COUNT, FaultTrigger, parse_fault
+from hil.harness.realtime import Ending, RealTimeRun
+from hil.harness.sim import LEG
+from hil.world.faults import AT_COUNT, parse_fault
 from missions import rig_library
 from path.messages import Role
 from path.protocol.values import Handoff, ReceiverRecord
@@ -48,12 +50,15 @@ def saying(*lines: object, then: str = "") -> str:
     return "\n".join([*(f"print({text!r}, flush=True)" for text in texts), textwrap.dedent(then)])
 
 
+READY = 'print(\'{"event": "ready", "air": 1}\', flush=True)\n'
 WRITES_DOWN = """
 import sys
 with open({file!r}, "a") as file:
     for line in sys.stdin:
         file.write(line)
         file.flush()
+        if "finish" in line:
+            print('{{"event": "finished"}}', flush=True)
 """
 Programs = Mapping[Role, str | Sequence[str]]
 UNTIL_STDIN_ENDS = "import sys; sys.stdin.read()"
@@ -68,6 +73,7 @@ class Stage:
     shown: list[Progress] = field(default_factory=list[Progress])
     processes: list[asyncio.subprocess.Process] = field(default_factory=list[asyncio.subprocess.Process])
     on_progress: Any = None
+    ending: Any = None
 
     @property
     def request(self) -> FlightRequest:
@@ -85,32 +91,44 @@ class Stage:
         self.processes.append(process)
         return process
 
-    async def supervise(self, programs: Programs, faults: Sequence[str] = (), world: str = "") -> sitl._Run:
-        """One run to its end; ``world`` writes down what it is told. A role's programs start one after another."""
-        run = sitl._Run(self.request)
-        trigger = FaultTrigger([parse_fault(text) for text in faults])
+    def run_of(self, programs: Programs, faults: Sequence[str] = (), world: str = "") -> RealTimeRun:
+        """``world`` writes down what it is told. A role's programs start one after another."""
         left = {role: iter([own] if isinstance(own, str) else own) for role, own in programs.items()}
-        try:
-            world_process = await self.start("world", world or WRITES_DOWN.format(file=str(self.out / "told")))
-            crew = sitl._Crew(
-                world_process,
-                lambda role: self.start(role.value, next(left[role])),
-                lambda rate: self.start("attack", f"print({rate})"),
-            )
-            await sitl._supervise(run, trigger, crew)
-        finally:
-            await children.end(self.processes)
+
+        def python(program: str) -> Sequence[str]:
+            return [sys.executable, "-I", "-S", "-c", program]
+
+        def command(name: str) -> Sequence[str]:
+            return python(next(left[Role(name)]))
+
+        orders = replace(
+            sitl.orders_of(self.request),
+            world=python(READY + (world or WRITES_DOWN.format(file=str(self.out / "told")))),
+            program=command,
+            awaited=frozenset(),
+        )
+        return RealTimeRun(orders, sitl.ENDS, {LEG: [parse_fault(text) for text in faults]})
+
+    def fly(self, programs: Programs, faults: Sequence[str] = (), world: str = "") -> RealTimeRun:
+        """One run to its end."""
+        run = self.run_of(programs, faults, world)
+        self.ending = asyncio.run(run.run(lambda: sitl.one_leg(run), 600.0, 0.5))
+        self.processes = run.children
         return run
 
     def told(self) -> list[Any]:
-        """Returns the commands that the world was told, without their instants."""
+        """Returns the faults that the world was told of: their names, of which drone, their values."""
         told = [json.loads(line) for line in (self.out / "told").read_text().splitlines()]
-        return [{name: value for name, value in command.items() if name != "at_ns"} for command in told]
+        return [(command["fault"], command["drone"], command["value"]) for command in told if "fault" in command]
 
 
 @pytest.fixture
 def stage(rig: Any, tmp_path: Path) -> Stage:
     return Stage(rig, tmp_path)
+
+
+def results(run: RealTimeRun) -> dict[Role, RoleResult]:
+    return {Role(name): drone.result for name, drone in run.drones.items() if drone.result is not None}
 
 
 def gone(pid: int) -> bool:
@@ -126,15 +144,15 @@ def gone(pid: int) -> bool:
 
 def test_results_are_collected_and_progress_shown_whatever_else_is_printed(stage: Stage) -> None:
     programs = {role: saying("[Info] a library says hello", progress(role), "{}", result(role), "bye") for role in Role}
-    run = asyncio.run(stage.supervise(programs))
-    assert run.results == {role: result(role) for role in Role}
+    run = stage.fly(programs)
+    assert results(run) == {role: result(role) for role in Role}
     assert sorted(shown.role.value for shown in stage.shown) == ["receiver", "sender"]
     assert not run.interrupted
 
 
 def test_a_program_that_dies_has_no_result(stage: Stage) -> None:
     programs = {Role.SENDER: saying(result(Role.SENDER)), Role.RECEIVER: "raise SystemExit(3)"}
-    assert asyncio.run(stage.supervise(programs)).results == {Role.SENDER: result(Role.SENDER)}
+    assert results(stage.fly(programs)) == {Role.SENDER: result(Role.SENDER)}
 
 
 def test_a_fault_that_is_due_is_told_to_the_world(stage: Stage) -> None:
@@ -142,8 +160,8 @@ def test_a_fault_that_is_due_is_told_to_the_world(stage: Stage) -> None:
         Role.SENDER: saying(progress(Role.SENDER, AT_COUNT - 1), progress(Role.SENDER, AT_COUNT)),
         Role.RECEIVER: saying(result(Role.RECEIVER)),
     }
-    asyncio.run(stage.supervise(programs, ["marker_hidden"]))
-    assert stage.told() == [{"fault": "marker_hidden", "value": 0.0}]
+    stage.fly(programs, ["marker_hidden"])
+    assert stage.told() == [("marker_hidden", "sender", None)]
 
 
 def test_a_fault_that_kills_kills_the_program_and_no_other(stage: Stage) -> None:
@@ -151,10 +169,10 @@ def test_a_fault_that_kills_kills_the_program_and_no_other(stage: Stage) -> None
         Role.SENDER: saying(progress(Role.SENDER, AT_COUNT), result(Role.SENDER)),
         Role.RECEIVER: saying(then="import time; time.sleep(600)"),
     }
-    run = asyncio.run(stage.supervise(programs, ["kill_receiver"]))
-    assert run.results == {Role.SENDER: result(Role.SENDER)}
+    run = stage.fly(programs, ["kill_receiver"])
+    assert results(run) == {Role.SENDER: result(Role.SENDER)}
     assert stage.processes[2].returncode == -signal.SIGKILL
-    assert stage.told() == [{"fault": "kill_receiver", "value": 0.0}]
+    assert stage.told() == [("kill_receiver", "receiver", None)]
 
 
 def test_a_program_is_started_again_after_its_death(stage: Stage) -> None:
@@ -165,10 +183,10 @@ def test_a_program_is_started_again_after_its_death(stage: Stage) -> None:
         ],
         Role.RECEIVER: saying(result(Role.RECEIVER)),
     }
-    run = asyncio.run(stage.supervise(programs, ["kill_sender=0.05"]))
-    assert run.results[Role.SENDER].outcome is Outcome.RESTARTED
+    run = stage.fly(programs, ["kill_sender=0.05"])
+    assert results(run)[Role.SENDER].outcome is Outcome.RESTARTED
     assert [process.returncode for process in stage.processes].count(-signal.SIGKILL) == 1
-    assert stage.told() == [{"fault": "kill_sender", "value": 0.05}]
+    assert stage.told() == [("kill_sender", "sender", 0.05)]
 
 
 def test_a_record_that_is_written_down_is_a_moment_too(stage: Stage) -> None:
@@ -178,8 +196,8 @@ def test_a_record_that_is_written_down_is_a_moment_too(stage: Stage) -> None:
     text, file = (stage.out / "x").read_text(), str(stage.out / "receiver.state.json")
     writes = f"import time; open({file!r}, 'w').write({text!r}); time.sleep(600)"
     programs = {Role.SENDER: saying(result(Role.SENDER)), Role.RECEIVER: writes}
-    run = asyncio.run(stage.supervise(programs, ["kill_receiver@provisional"]))
-    assert list(run.results) == [Role.SENDER]
+    run = stage.fly(programs, ["kill_receiver@provisional"])
+    assert list(results(run)) == [Role.SENDER]
 
 
 RUNS = """
@@ -203,9 +221,9 @@ def test_a_program_that_stalls_goes_on_afterwards(stage: Stage) -> None:
         + saying(progress(Role.SENDER, AT_COUNT), then=STANDS_STILL),
         Role.RECEIVER: saying(result(Role.RECEIVER)),
     }
-    run = asyncio.run(stage.supervise(programs, ["stall_sender=0.5"]))
-    assert set(run.results) == set(Role)
-    assert stage.told() == [{"fault": "stall_sender", "value": 0.5}]
+    run = stage.fly(programs, ["stall_sender=0.5"])
+    assert set(results(run)) == set(Role)
+    assert stage.told() == [("stall_sender", "sender", 0.5)]
 
 
 def test_a_program_that_is_stopped_for_good_is_ended_at_last(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -214,15 +232,15 @@ def test_a_program_that_is_stopped_for_good_is_ended_at_last(stage: Stage, monke
         Role.SENDER: saying(progress(Role.SENDER, AT_COUNT), then="import time; time.sleep(600)"),
         Role.RECEIVER: saying(result(Role.RECEIVER)),
     }
-    run = asyncio.run(stage.supervise(programs, ["stop_sender"]))
-    assert set(run.results) == {Role.RECEIVER}
+    run = stage.fly(programs, ["stop_sender"])
+    assert set(results(run)) == {Role.RECEIVER}
     assert [process.returncode for process in stage.processes].count(-signal.SIGKILL) == 1
 
 
 def test_a_world_that_dies_in_flight_is_the_harness_s_failure(stage: Stage) -> None:
     programs = dict.fromkeys(Role, UNTIL_STDIN_ENDS)
-    with pytest.raises(children.HarnessFailure, match=r"world.stderr.txt"):
-        asyncio.run(stage.supervise(programs, world="raise SystemExit(1)"))
+    stage.fly(programs, world="raise SystemExit(1)")
+    assert "world.stderr.txt" in stage.ending.failure
     assert all(process.returncode is not None for process in stage.processes)
 
 
@@ -246,9 +264,9 @@ def test_a_signal_stops_the_roles_gently(stage: Stage) -> None:
             os.kill(os.getpid(), signal.SIGTERM)
 
     stage.on_progress = when_both_are_flying
-    run = asyncio.run(stage.supervise(programs))
+    run = stage.fly(programs)
     assert run.interrupted
-    assert {end.outcome for end in run.results.values()} == {Outcome.INTERRUPTED}
+    assert {end.outcome for end in results(run).values()} == {Outcome.INTERRUPTED}
 
 
 def test_nothing_is_left_behind_not_even_a_child_of_a_child(stage: Stage) -> None:
@@ -289,20 +307,23 @@ def test_the_children_of_a_run_share_its_name(stage: Stage) -> None:
 
 
 def test_what_a_program_writes_to_stderr_is_kept(stage: Stage) -> None:
-    asyncio.run(stage.supervise(dict.fromkeys(Role, "import sys; sys.stderr.write('why')")))
+    stage.fly(dict.fromkeys(Role, "import sys; sys.stderr.write('why')"))
     assert (stage.out / "sender.stderr.txt").read_text() == "why"
 
 
 # --- the report --------------------------------------------------------------------------------------------------
 
 
-def report(stage: Stage, failure: str = "", **changes: Any) -> FlightReport:
-    run = sitl._Run(stage.request)
-    run.results = {role: result(role) for role in Role}
-    run.finished = {"landed": {"sender": True, "receiver": True}, "violations": {}, "details": []}
-    for name, value in changes.items():
-        setattr(run, name, value)
-    return sitl._report(run, failure, 50.0)
+FOUND = {"landed": {"sender": True, "receiver": True}, "violations": {}, "details": []}
+
+
+def report(
+    stage: Stage, finished: Mapping[str, Any] = FOUND, failure: str = "", dead: Sequence[Role] = ()
+) -> FlightReport:
+    run = RealTimeRun(sitl.orders_of(stage.request), sitl.ENDS, {})
+    for role in Role:
+        run.drones[role.value].result = None if role in dead else result(role)
+    return sitl.report_of(stage.request, run, Ending(finished, failure, "", 50.0, 0.0))
 
 
 def log_responsibility(stage: Stage, role: Role, *changes: tuple[int, bool], ended: bool = True) -> None:
@@ -354,15 +375,17 @@ def test_what_the_world_saw_is_added(stage: Stage) -> None:
 
 def test_a_dead_program_is_named_with_its_last_words(stage: Stage) -> None:
     (stage.out / "receiver.stderr.txt").write_text("Traceback\n  ...\nValueError: no such camera\n")
-    dead = report(stage, results={Role.SENDER: result(Role.SENDER)})
+    dead = report(stage, dead=[Role.RECEIVER])
     assert dead.results[Role.RECEIVER] is None
     (note,) = dead.notes
     assert note.startswith("the receiver's program died") and note.endswith("ValueError: no such camera")
 
 
-def test_a_world_without_findings_is_a_failure(stage: Stage) -> None:
-    silent = report(stage, finished=None)
-    assert silent.failure == "the world gave no findings"
+def test_a_world_without_findings_is_a_failure(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(children, "FINDINGS_S", 0.2)
+    stage.fly({role: saying(result(role)) for role in Role}, world="import sys; sys.stdin.read()")
+    assert stage.ending.failure == "the world did not end"
+    silent = report(stage, finished={}, failure=stage.ending.failure)
     assert silent.landed == dict.fromkeys(Role, False)
 
 

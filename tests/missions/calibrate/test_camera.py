@@ -16,7 +16,7 @@ from drivers.rig.calibration_file import read_camera
 from missions.calibrate.camera import BadViews, calibrate
 from missions.calibrate.collect import Chooser, Collected, CollectedImage, from_recording
 from missions.calibrate.run import run
-from missions.options import CalibrateBoardOptions, CalibrateCameraOptions, CalibrateOptions
+from missions.options.calibrate import CalibrateBoardOptions, CalibrateCameraOptions, CalibrateOptions
 from missions.rig_list import FOLDER
 from missions.work import Bars
 from path.calibration.board import Board

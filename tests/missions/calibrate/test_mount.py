@@ -28,7 +28,7 @@ from flight.harness.renderer import RenderedInstant, RendererSetup
 from hil.camera.pictures import CameraRenderer
 from missions.calibrate.mount import solve_pairs
 from missions.calibrate.run import run
-from missions.options import CalibrateMountOptions, CalibrateOptions
+from missions.options.calibrate import CalibrateMountOptions, CalibrateOptions
 from missions.rig_list import FOLDER
 from path.calibration.board import Board, find_board
 from path.calibration.mount import MountPair

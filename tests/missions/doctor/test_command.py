@@ -16,7 +16,7 @@ from drivers.rig.part_check import Finding, State
 from missions import rig_library
 from missions.doctor import command as doctor
 from missions.doctor import room
-from missions.options import DoctorOptions
+from missions.options.field import DoctorOptions
 
 
 def gives(value: Any) -> Callable[[str], Any]:

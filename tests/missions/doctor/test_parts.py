@@ -21,7 +21,7 @@ from missions.doctor import command as doctor
 from missions.doctor import parts as doctor_parts
 from missions.doctor.parts import PartTest, part_tests, run_test
 from missions.doctor.table import open_findings
-from missions.options import DoctorOptions
+from missions.options.field import DoctorOptions
 from path.messages import Role
 from tests.drivers.detectors.onnx_graphs import bright_cells_network, identity_network
 from tests.missions.doctor.test_link import ports

@@ -428,6 +428,21 @@ def test_the_console_sees_phase_count_and_traffic(rig: Any) -> None:
     virtual(main())
 
 
+def test_the_crew_is_told_of_a_flood_while_it_lasts_and_the_mission_goes_on(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+        bench.session.spawn(bench.session.report())
+        for second in range(12):
+            await asyncio.sleep(1.0)
+            if second in (2, 3, 4):
+                bench.link.counters.dropped["flooded"] = 25_000 * (second - 1)
+        await bench.session.cancel_spawned()
+        told = [record["note"] for record in bench.log.of("/note")]
+        assert len(told) == 2 and "ALARM: 25," in told[0] and told[1] == "the flood on the link is over"
+
+    virtual(main())
+
+
 def test_images_are_logged_at_their_rate_and_when_wanted(rig: Any) -> None:
     @dataclass
     class FakeView:

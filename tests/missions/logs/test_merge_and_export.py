@@ -17,7 +17,7 @@ from drivers.interfaces import PartError
 from drivers.log.mcap_log import McapLog
 from missions.logs.export import run as run_export
 from missions.logs.merge import run as run_merge
-from missions.options import ExportOptions, MergeOptions
+from missions.options.runs import ExportOptions, MergeOptions
 from missions.report.command import make_report
 
 HOUR_NS = 3_600_000_000_000

@@ -15,9 +15,10 @@ from drivers.log.state_file import MemoryStore
 from drivers.rig.parts import Rig
 from flight.harness.relay import RelayConfig, RelayReport
 from flight.outcome import Outcome
-from hil.harness.relay_sitl import late_programs
+from hil.harness.pace import overload_of
+from hil.harness.relay_sitl import frame_ages_s
 from missions import rig_library
-from missions.options import RelayOptions
+from missions.options.flights import RelayOptions
 from missions.relay.base import Base, Event
 from missions.relay.battery import Gauge
 from missions.relay.command import faults_of, fly_relay, judge, relay_of
@@ -185,4 +186,5 @@ def test_late_programs_are_read_from_their_logs(tmp_path: Path) -> None:
         with McapLog(tmp_path / f"{name}.mcap") as log:
             for number in range(60):
                 log.write("/frame", number + 1, {"number": number, "age_ns": round(age_s * 1e9), "bytes": 1})
-    assert late_programs(tmp_path, ("D1", "D2", "D3")) == ["D1's program: 60 of 60 frames were late, a tenth by 0.50 s"]
+    said = overload_of(frame_ages_s(tmp_path, ("D1", "D2", "D3")), {})
+    assert said == "D1's program: 60 of 60 frames were late, a tenth by 0.50 s"

@@ -20,6 +20,13 @@ from missions.relay.process import RelayedLog
 CONFIG = RelayConfig("no:harness", tuple(NamedDrone(name, (0.0, 0.0)) for name in ("D1", "D2")))
 
 
+class NoGround:
+    def close_leg(self, number: int) -> None: ...
+
+
+NO_GROUND: Any = NoGround()
+
+
 @dataclass
 class Line:
     """A base, and D2's program; what each says is on its way until the test carries it."""
@@ -28,6 +35,7 @@ class Line:
     words: list[str] = field(default_factory=list[str])
 
     def __post_init__(self) -> None:
+        self.base._ground = NO_GROUND
         self.far = FarBase("D2", lambda word: self.words.append(json.dumps(word)))
 
     def call(self, number: int, sender: str, receiver: str) -> None:

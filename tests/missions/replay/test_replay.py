@@ -12,7 +12,7 @@ from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord, read_log, virtual_log
 from missions import rig_library
 from missions.handoff.command import fly_once
-from missions.options import ReplayOptions
+from missions.options.runs import ReplayOptions
 from missions.replay.command import EXIT_DIFFERENT, change_of, replay_changed, run
 from missions.replay.perceive import PerceptionChange, eyes_of
 from missions.replay.redecide import Complete, DecisionPair, redecide

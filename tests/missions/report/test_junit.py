@@ -8,7 +8,8 @@ from xml.etree import ElementTree as ET
 from missions.assurance.campaign.results import RunLine
 from missions.assurance.campaign.run import junit_case, run
 from missions.handoff.command import junit_case as handoff_case
-from missions.options import CampaignOptions, HandoffOptions
+from missions.options.flights import HandoffOptions
+from missions.options.proofs import CampaignOptions
 from missions.report.junit import JUnitCase, write_junit
 
 # element: (attributes it must have, attributes it may have, children it may have)

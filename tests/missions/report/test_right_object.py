@@ -13,7 +13,8 @@ import missions.assurance.campaign.role_runs
 import missions.handoff.command
 from missions.assurance.campaign import run as campaign
 from missions.assurance.campaign.results import RunLine
-from missions.options import CampaignOptions, HandoffOptions
+from missions.options.flights import HandoffOptions
+from missions.options.proofs import CampaignOptions
 from missions.report.records import FACTS, WORLD_LOG
 from missions.report.right_object import watch_object
 from missions.trials.run import exit_code

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.interfaces import PartError
 from missions import rig_library
-from missions.options import TrialOptions
+from missions.options.proofs import TrialOptions
 from missions.trials import run as command
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, trial_part
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from drivers.interfaces import PartError
-from missions.options import ViewOptions
+from missions.options.runs import ViewOptions
 from missions.view import command
 from missions.view.command import run as run_view
 from missions.view.figures import PlottedValues

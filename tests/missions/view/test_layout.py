@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 
 from drivers.log.topics import TOPICS
 from missions.logs.merge import run as run_merge
-from missions.options import MergeOptions, ViewOptions
+from missions.options.runs import MergeOptions, ViewOptions
 from missions.view.command import run as run_view
 
 

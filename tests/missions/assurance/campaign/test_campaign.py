@@ -13,7 +13,7 @@ from missions.assurance.campaign.results import FILE, RunLine, resumable_results
 from missions.assurance.campaign.run import replay_command, run
 from missions.assurance.campaign.summary import summarize, table
 from missions.cli import main
-from missions.options import CampaignOptions
+from missions.options.proofs import CampaignOptions
 
 ASKED = {"program": "machines", "rig": "sim", "seed": 0, "levels": ["none"]}
 

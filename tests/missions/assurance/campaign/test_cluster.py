@@ -10,7 +10,7 @@ import pytest
 
 from missions.assurance.campaign.cluster import open_cluster
 from missions.assurance.campaign.run import run
-from missions.options import CampaignOptions
+from missions.options.proofs import CampaignOptions
 
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 

@@ -11,7 +11,7 @@ from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.machines import Machines
 from missions.assurance.campaign.plan import Crash, Outage, RunPlan, Stall, draw
 from missions.assurance.verify.mutants import MUTANTS, wrong
-from missions.options import LevelName
+from missions.options.words import LevelName
 from path.messages import Role
 
 CALM = replace(draw(0, "none", 1), disk_s=0.0, late_s=0.0, agree_s=1.0, wrong=False)

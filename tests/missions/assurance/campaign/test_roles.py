@@ -10,7 +10,7 @@ from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.results import RunLine
 from missions.assurance.campaign.role_runs import CONCERNS, OF_THE_AWAKE, draw, fly
 from missions.assurance.campaign.run import RunOrder
-from missions.options import LevelName
+from missions.options.words import LevelName
 
 
 @pytest.mark.parametrize("level", LEVELS)

@@ -8,7 +8,7 @@ from hil.world.faults import parse_fault
 from missions import rig_library
 from missions.assurance.campaign.run import RunOrder
 from missions.assurance.campaign.team_runs import HOSTILE, draw, fly
-from missions.options import LevelName
+from missions.options.words import LevelName
 from missions.team.config import team_of
 
 CONFIG = team_of(rig_library.load("team-sim"))

@@ -24,7 +24,7 @@ from missions.assurance.verify.mutation_run import (
 )
 from missions.assurance.verify.mutation_warm import NotHereError, put_into
 from missions.assurance.verify.mutations import mutated, mutations
-from missions.options import VerifyOptions
+from missions.options.proofs import VerifyOptions
 
 ROOT = Path(__file__).parents[4]
 

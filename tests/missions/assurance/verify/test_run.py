@@ -13,7 +13,7 @@ from missions.assurance.verify import run
 from missions.assurance.verify.explore import explore
 from missions.assurance.verify.model import Scope
 from missions.assurance.verify.mutants import MUTANTS, SMALL, Mutant, wrong
-from missions.options import VerifyOptions
+from missions.options.proofs import VerifyOptions
 
 TINY = (
     run.Job("tiny", replace(SMALL, lease=3, offer=3, handoff=4)),

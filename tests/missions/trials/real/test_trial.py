@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import PartError
-from missions.options import TrialOptions
+from missions.options.proofs import TrialOptions
 from missions.trials.real.board import look_at_set
 from missions.trials.real.corners import METHODS, FoundMarker, corners_by
 from missions.trials.real.errors import measure_set

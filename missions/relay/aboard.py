@@ -1,9 +1,4 @@
-"""One drone's flight in a relay: it takes the target over, has it, hands it over and comes home, all in one program.
-
-A relief is the receiver of a handoff; once it holds, it changes its role in the air. Vehicle, perception and pilot
-stay. The session and the protocol's machine begin anew on the other side. What it holds is written down as its own
-before the receiver's machine is let go of, so that at any instant one record says that this drone is responsible.
-"""
+"""A drone's parts that stay open while its role changes, its sessions, its battery and its ways."""
 
 from __future__ import annotations
 
@@ -11,13 +6,11 @@ import asyncio
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 
 from drivers.interfaces import (
     Clock,
     Link,
     Log,
-    PartError,
     Perception,
     RecordStore,
     Vehicle,
@@ -27,32 +20,25 @@ from drivers.interfaces import (
 from drivers.rig.parts import PartContext, Rig, create, part_context
 from flight.config import MissionConfig
 from flight.guidance import Anchor, Vec3
-from flight.harness.flights import Emit, InProcess, RoleResult
-from flight.harness.relay import DroneProgram, NamedDrone, RelayConfig, pair_of
+from flight.harness.flights import Emit, InProcess
+from flight.harness.relay import NamedDrone, RelayConfig, pair_of
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
 from flight.target_track import TargetTrack
 from flight.under_guard import UnderGuard
-from missions.leg.course import close_session, conclude, run_course, run_recovery
-from missions.leg.session import RoleSession, as_end, entropy_of, guard_line_of
+from missions.leg.session import RoleSession, entropy_of, guard_line_of
 from missions.leg.steps import bring_down, may_manoeuvre
-from missions.relay.base import Ground, Leg, TakeOffOrder
+from missions.relay.base import Ground, Leg
 from missions.relay.battery import Gauge
 from missions.relay.guidance import keep_clear, way_home
-from missions.relay.records import as_first, as_holder, as_relief, write
-from missions.relay.stages import Holder, Nobody, Relief
+from missions.relay.stages import Holder, Relief
 from missions.rig_library import mission_of
 from path.marker.warm_up import warm_up
 from path.messages import Role
-from path.protocol.values import SenderRecord
 
 _POLL_S = 0.25
 _THERE_M = 0.5
-_THE_RELIEFS = frozenset(
-    {Outcome.NO_AGREEMENT, Outcome.PEER_LOST, Outcome.PEER_ABORTED, Outcome.CLOCK_FAULT, Outcome.TOO_CLOSE}
-)
-"""Ends of a leg after which the target is still this drone's, and followed on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +51,14 @@ class Parts:
     guard: UnderGuard | None
 
 
-class DroneFlight:
-    """A drone's program. ``run`` is the whole of it.
+class Aboard:
+    """Everything of a drone but the order in which it does things (``missions.relay.drone.DroneFlight``).
 
     Args:
         base: knows what this drone was called for, and who relieves it.
     """
+
+    _parts: Parts  # once they are open
 
     def __init__(
         self, rig: Rig, relay: RelayConfig, base: Ground, name: str, log: Log, emit: Emit, stop: asyncio.Event,
@@ -85,89 +73,6 @@ class DroneFlight:
         self._gauge = Gauge(relay.endurance_s, relay.reserve)
         self._called = asyncio.Event()
         self._failed_at: tuple[Vec3, float] | None = None  # where a relief was heard last that failed, and until when
-
-    async def run(self) -> RoleResult:
-        """Raises PartError when a part cannot be opened."""
-        async with AsyncExitStack() as stack:
-            self._parts = await self._open(stack)
-            if self._parts.vehicle.state.armed:
-                return await self._begun_in_the_air()
-            if self._base.order_of(self._name) is TakeOffOrder.FIND:
-                return await self._find()
-            return await self._relieve()
-
-    # --- what a drone takes off for ---
-
-    async def _find(self) -> RoleResult:
-        await write(self._store, as_first(self._store.load()))
-        session = self._session(Role.SENDER, None, Nobody())
-        holder = Holder(session, self._store, self, None)
-        end = await run_course(session, holder.find)
-        if end is not None:
-            return await self._end(session, holder, end)
-        return await self._change_role(session, holder)
-
-    async def _relieve(self) -> RoleResult:
-        leg = self._base.leg_of(self._name)
-        if leg is None:  # started again on the ground, too late
-            what = "the leg it was called for is over"
-            return RoleResult(Role.RECEIVER, Outcome.PEER_ABORTED, what, responsible=False, landed=True)
-        await write(self._store, as_relief(self._store.load()))
-        async with AsyncExitStack() as stack:
-            session = self._session(Role.RECEIVER, leg, await self._link(stack, Role.RECEIVER))
-            relief = Relief(session, self._store, self)
-            end = await run_course(session, relief.course)
-            if end is not None:
-                return await self._end(session, relief, end)
-            await relief.leave_role()
-            return await self._change_role(session, relief, stack)
-
-    async def _change_role(
-        self, session: RoleSession, flown: Holder | Relief, link: AsyncExitStack | None = None
-    ) -> RoleResult:
-        """Flies on as a sender: from here on this drone is responsible by its own record, follows and hands over."""
-        try:
-            await write(self._store, as_holder(self._store.load()))
-            self._base.holds(self._name)
-            session, flown = await self._go_on(session, None, Nobody(), flown.track)
-            if link is not None:
-                await link.aclose()
-            while True:
-                self._called.clear()
-                end = await run_course(session, partial(flown.keep, self._called))
-                leg = self._base.leg_of(self._name)
-                if end is not None or leg is None:
-                    return await self._end(session, flown, end)
-                async with AsyncExitStack() as stack:
-                    session, flown = await self._go_on(session, leg, await self._link(stack, Role.SENDER), flown.track)
-                    end = await run_course(session, partial(flown.pass_on, leg))
-                    if end is None or end.outcome not in _THE_RELIEFS or flown.decided:
-                        return await self._end(session, flown, end)
-                    await self._leg_failed(session, flown, end)
-                    session, flown = await self._go_on(session, None, Nobody(), flown.track)
-        except PartError as error:  # the session that flies still does
-            return await self._end(session, flown, as_end(error))
-
-    async def _leg_failed(self, session: RoleSession, holder: Holder, end: MissionEnd) -> None:
-        peer = session.peer
-        if peer is not None:
-            until_s = asyncio.get_running_loop().time() + self._relay.clear_s
-            self._failed_at = peer.position_n_m, until_s
-        await holder.give_up_leg(end)
-        self._base.leg_failed(self._name, end)
-
-    async def _begun_in_the_air(self) -> RoleResult:
-        """Started again: what was under way is settled by what the disk says, and the drone lands."""
-        kept = self._store.load()
-        sender = kept is not None and isinstance(kept.record, SenderRecord)
-        role, leg = (Role.SENDER if sender else Role.RECEIVER), self._base.leg_of(self._name)
-        async with AsyncExitStack() as stack:
-            in_leg = leg is not None and self._name == (leg.sender if sender else leg.receiver)
-            link = await self._link(stack, role) if in_leg else Nobody()
-            session = self._session(role, leg if in_leg else None, link)
-            flown = Holder(session, self._store, self, None) if sender else Relief(session, self._store, self)
-            end = await run_course(session, flown.resume)
-            return await self._end(session, flown, end)
 
     # --- sessions ---
 
@@ -221,16 +126,6 @@ class DroneFlight:
         pilot.in_control = True
         session.spawn(pilot.run())
         return session, holder
-
-    async def _end(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd | None) -> RoleResult:
-        landed = False
-        try:
-            if end is not None:
-                await self._give_up(session, flown, end)
-            landed = await run_recovery(session, flown.recover, end)
-        finally:
-            await close_session(session)
-        return conclude(session, end, landed)
 
     # --- what holds in every session ---
 
@@ -304,14 +199,3 @@ class DroneFlight:
             if max(abs(north - n), abs(east - e), abs(down - d)) < _THERE_M:
                 return
             await asyncio.sleep(0.1)
-
-
-def program_of(rig: Rig, relay: RelayConfig, base: Ground) -> DroneProgram:
-    """The program of every drone of a relay (``flight.harness.relay.DroneProgram``)."""
-
-    async def fly(
-        name: str, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess, store: RecordStore
-    ) -> RoleResult:
-        return await DroneFlight(rig, relay, base, name, log, emit, stop, harness, store).run()
-
-    return fly

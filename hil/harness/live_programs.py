@@ -1,0 +1,271 @@
+"""The drones' programs and guards as processes, in real time: begun, killed, started again, listened to, by name.
+
+In virtual time ``hil.harness.programs`` does the same with programs that are tasks.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import signal
+import time
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from flight.harness.flights import Emit, Progress, RoleResult, decode_event
+from hil.harness.children import (
+    Child,
+    drain,
+    duty_of,
+    end,
+    end_gently,
+    go_on,
+    kill_after,
+    last_words,
+    run_name,
+    send_signal,
+    spawn,
+    write,
+)
+from hil.harness.leg_faults import LegFaults
+from hil.world.faults import Fault
+from path.messages import Role
+
+NEWS_S = 0.05
+RECORD_POLL_S = 0.001
+PROGRAM_END_S = 90.0  # from being told to stop until it has landed
+RECORD = b'{"event":"record"'
+"""The beginning of a line that the world's monitors are to judge."""
+
+Command = Sequence[str]
+
+
+def no_news(name: str) -> Mapping[str, Any]:
+    """The news of a program that was told everything when it was started."""
+    del name
+    return {}
+
+
+@dataclass(frozen=True, slots=True)
+class Orders:
+    """The commands of a run, and who hears of it.
+
+    Attributes:
+        world, program, guard: commands; the guard's is None for a drone without one.
+        out: the run's folder.
+        emit: shown the progress of every program.
+        shares: the name of what a drone's program shares with the world.
+        news: what a drone's program has to know at present; it is told on its stdin whenever that changes.
+        heard: takes any other line of JSON that a program prints.
+        attack: the command of a program that floods the link with so many packets a second, once the world said where.
+        awaited: the world's traffic stands until the programs of all these drones have reported.
+    """
+
+    world: Command
+    program: Callable[[str], Command]
+    guard: Callable[[str], Command | None]
+    out: Path
+    emit: Emit
+    shares: Callable[[str], str] = lambda _: run_name()
+    news: Callable[[str], Mapping[str, Any]] = no_news
+    heard: Callable[[str, Mapping[str, Any]], None] = lambda _name, _word: None
+    attack: Callable[[float, Mapping[str, Any]], Command] = lambda _rate, _ready: ()
+    awaited: frozenset[str] = frozenset()
+
+
+@dataclass(slots=True)
+class LiveDrone:
+    """One drone's processes.
+
+    Attributes:
+        guard_ends: the end of the guard of the flight before.
+        killed, restart_s: by a fault; and after how long its program is started again.
+        told: the news that its program knows.
+        result: what its newest program said in the end; None: it died, or still flies.
+    """
+
+    name: str
+    program: Child | None = None
+    guard: Child | None = None
+    guard_ends: asyncio.Future[None] | None = None
+    killed: bool = False
+    restart_s: float | None = None
+    told: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    result: RoleResult | None = None
+
+
+class LivePrograms:
+    """One program a drone at most, and its guard. They share the world's process, which is told what becomes of them.
+
+    Args:
+        faults: by the number of their leg; of 0 those of all legs.
+
+    Attributes:
+        stop: tells the mission to land everybody; ``interrupted``: whether it was told.
+        said: the newest event of each kind that the world said.
+    """
+
+    def __init__(self, orders: Orders, names: Sequence[str], faults: Mapping[int, Sequence[Fault]]) -> None:
+        self._orders = orders
+        self.drones = {name: LiveDrone(name) for name in names}
+        self.legs = LegFaults(faults, self._inject)
+        self.stop = asyncio.Event()
+        self.interrupted = False
+        self.said: dict[str, dict[str, Any]] = {}
+        self.children: list[Child] = []
+        self.world: Child
+        self._awaited = set(orders.awaited)
+        self._coming: set[asyncio.Task[Any]] = set()
+
+    async def fly(self, name: str) -> RoleResult | None:
+        """A drone's program to its end; killed by a fault it is started again, when the fault says so.
+
+        Returns what it said in the end; None when it died.
+        """
+        drone = self.drones[name]
+        while True:
+            drone.killed, drone.told, drone.restart_s, drone.result = False, {}, None, None
+            drone.program = await self.spawn(self._orders.program(name), name, self._orders.shares(name))
+            if self.stop.is_set():
+                send_signal(drone.program, signal.SIGTERM)
+            await self._listen(drone, drone.program)
+            if drone.result is not None or drone.restart_s is None:
+                return drone.result
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self.stop.wait(), drone.restart_s)
+            if self.stop.is_set():
+                return None
+
+    async def start_guard(self, name: str) -> None:
+        """Beside the programs of one flight, in a rig with guards; that of the flight before has ended by then."""
+        drone, command = self.drones[name], self._orders.guard(name)
+        if drone.guard_ends is not None:
+            await drone.guard_ends
+        if command is not None and drone.guard is None:
+            drone.guard = await self.spawn(command, f"{name}.guard", self._orders.shares(name))
+            self._later(drain(drone.guard))
+
+    def end_guard(self, name: str) -> None:
+        drone = self.drones[name]
+        if drone.guard is not None:
+            drone.guard_ends, drone.guard = asyncio.ensure_future(end_gently(drone.guard)), None
+
+    def interrupt(self) -> None:
+        """Gently: they land."""
+        self.interrupted = True
+        self.stop.set()
+        for drone in self.drones.values():
+            drone.restart_s = None
+            if drone.program is not None:
+                send_signal(drone.program, signal.SIGTERM)
+                self._later(kill_after(drone.program, PROGRAM_END_S))
+
+    def died(self, name: str) -> str:
+        """Returns the last words of a drone's program that died."""
+        return last_words(self._orders.out / f"{name}.stderr.txt")
+
+    async def close(self) -> None:
+        for task in self._coming:
+            task.cancel()
+        await asyncio.gather(*self._coming, return_exceptions=True)
+        await end(self.children)
+
+    # --- what is heard and told ---
+
+    async def spawn(self, command: Command, name: str, shares: str = "") -> Child:
+        child = await spawn(command, self._orders.out / f"{name}.stderr.txt", shares)
+        self.children.append(child)
+        return child
+
+    async def _listen(self, drone: LiveDrone, program: Child) -> None:
+        """Passes on what a program says until it has ended."""
+        assert program.stdout is not None
+        async for line in program.stdout:
+            if not line.endswith(b"\n"):
+                continue  # it was killed in the middle of it
+            if line.startswith(RECORD):
+                write(self.world, line)
+                continue
+            event = decode_event(line)
+            if isinstance(event, RoleResult):
+                drone.result = event
+            elif isinstance(event, Progress):
+                self._reported(drone.name)
+                self._orders.emit(event)
+                self.legs.on_progress(drone.name, event)
+            else:
+                self._hear(drone.name, line)
+        await program.wait()
+
+    def _reported(self, name: str) -> None:
+        """Its parts are open; with the last that is awaited the time of what is on the ground begins."""
+        if name in self._awaited:
+            self._awaited.discard(name)
+            if not self._awaited:
+                self.tell_world({"begin": True})
+
+    def _hear(self, name: str, line: bytes) -> None:
+        with contextlib.suppress(ValueError):  # a library's own output
+            word = json.loads(line)
+            if isinstance(word, dict):
+                self._orders.heard(name, word)
+
+    async def _tell_news(self) -> None:
+        while True:
+            for drone in self.drones.values():
+                if drone.program is not None and drone.program.returncode is None:
+                    news = self._orders.news(drone.name)
+                    if news != drone.told:
+                        drone.told = news
+                        write(drone.program, json.dumps(news).encode() + b"\n")
+            await asyncio.sleep(NEWS_S)
+
+    async def _watch_records(self) -> None:
+        """Watches what a drone writes down for a restart, as soon as it is there, while a fault waits for it."""
+        seen: dict[str, str] = {}
+        while True:
+            waited_for = [name for name in self.drones if self.legs.waits_for_duty(name)]
+            for name in waited_for:
+                duty = duty_of(self._orders.out / f"{name}.state.json")
+                if duty != seen.get(name):
+                    seen[name] = duty
+                    self.legs.on_duty(name, duty)
+            await asyncio.sleep(RECORD_POLL_S if waited_for else NEWS_S)
+
+    def tell_world(self, command: Mapping[str, Any]) -> None:
+        write(self.world, json.dumps(command).encode() + b"\n")
+
+    def _later(self, what: Coroutine[Any, Any, Any] | Awaitable[Any]) -> None:
+        task = asyncio.ensure_future(what)
+        self._coming.add(task)
+        task.add_done_callback(self._coming.discard)
+
+    # --- faults ---
+
+    def _inject(self, leg: int, fault: Fault) -> None:
+        """A fault at the drone that has, or had, its role in the leg; the world is told when it began."""
+        role, at_ns = fault.kind.role, time.monotonic_ns()
+        name = None if role is None else self.legs.end_of(leg, role)
+        if name is not None:
+            self._hit(self.drones[name], fault)
+        elif fault.name == "attack":
+            self._later(self.spawn(self._orders.attack(fault.value or 0.0, self.said["ready"]), "attack"))
+        ends = [self.legs.end_of(leg, each) for each in (Role.SENDER, Role.RECEIVER)]
+        self.tell_world(
+            {"fault": fault.name, "leg": leg, "ends": ends, "drone": name, "value": fault.value, "at_ns": at_ns}
+        )
+
+    def _hit(self, drone: LiveDrone, fault: Fault) -> None:
+        program = drone.program
+        if program is not None and program.returncode is None:
+            if fault.kills is not None:
+                drone.killed, drone.restart_s = True, None if self.stop.is_set() else fault.value
+                program.kill()
+            elif fault.stops is not None:
+                send_signal(program, signal.SIGSTOP)
+                self._later(go_on(program, fault.value))
+        if fault.name == "guard_death" and drone.guard is not None:
+            send_signal(drone.guard, signal.SIGKILL)

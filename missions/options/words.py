@@ -1,0 +1,79 @@
+"""What several commands' options say alike: their types, their bounds, and their help where it is the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from path.bounds import Bounds
+
+Seed = Annotated[int, Bounds(0, 2**32 - 1, "(a seed)")]
+RunSeed = Annotated[
+    Seed,
+    tyro.conf.arg(help="Seed of the world and of every noise: the same seed is the same run at the sim levels."),
+]
+JobCount = Annotated[int, Bounds(0, 1024, "processes")]
+Jobs = Annotated[JobCount, tyro.conf.arg(help="Processes at a time; 0: one per core.")]
+RigName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
+AnyRig = Annotated[
+    str, tyro.conf.arg(metavar="NAME|FILE", help="A rig by name (see `path-handoff rigs`), or a rig's TOML file.")
+]
+LevelName = Literal["none", "lossy", "harsh", "hostile"]
+OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
+RunFolder = Annotated[
+    Path | None,
+    tyro.conf.arg(metavar="DIR", help="Folder for logs, summary and picture; runs/<time> by default."),
+]
+LogFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help="Folder for the log; runs/<time> by default.")]
+FileName = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+Px4Binary = Annotated[
+    Path | None,
+    tyro.conf.arg(
+        metavar="FILE",
+        help="PX4's SITL binary (bin/px4 in its build folder), for the rigs that fly it; PATH_PX4 names it too.",
+    ),
+]
+ArduPilotBinary = Annotated[
+    Path | None,
+    tyro.conf.arg(
+        metavar="FILE", help="ArduCopter's SITL binary, for the rigs that fly it; PATH_ARDUPILOT names it too."
+    ),
+]
+Live = Annotated[
+    str | None,
+    tyro.conf.arg(
+        metavar="HOST:PORT",
+        help="Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 "
+        "when no address is given. Other hosts than this one need a token (docs/view.md).",
+    ),
+]
+GroundStation = Annotated[
+    str | None,
+    tyro.conf.arg(
+        metavar="HOST:PORT",
+        help="At `sitl`: let a ground station watch both vehicles, QGroundControl or MAVProxy, at this address; "
+        "127.0.0.1:14550 when none is given. A mode that it selects is a pilot's word (docs/ground-station.md).",
+    ),
+]
+ErrorLevel = Literal["exact", "careful", "careless"] | None
+Errors = Annotated[
+    ErrorLevel,
+    tyro.conf.arg(
+        help="Errors of the simulated world against the rig (docs/errors.md); careful unless the rig says otherwise."
+    ),
+]
+Faults = Annotated[
+    tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@MOMENT[+SECONDS]]"), tyro.conf.UseAppendAction
+]
+LegFaults = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(
+        name="fault",
+        metavar="[LEG:]NAME[=VALUE][@MOMENT[+SECONDS]]",
+        help="Faults to try: in every leg, such as link_loss=0.3, or in one, such as 3:kill_receiver@approach; "
+        "may be given several times.",
+    ),
+    tyro.conf.UseAppendAction,
+]

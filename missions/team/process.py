@@ -1,0 +1,47 @@
+"""One drone's program of a team, and its guard, as processes of their own: children of ``path-handoff team``.
+
+    python -m missions.team.process program RIG DRONES/TARGETS NAME FOLDER whole|rare
+    python -m missions.team.process guard   RIG DRONES/TARGETS NAME FOLDER
+
+As those of a relay (``missions.relay.process``), with what a team's ground says besides.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+from drivers.interfaces import Log, RecordStore
+from drivers.rig.parts import Rig
+from flight.harness.flights import Emit
+from flight.harness.relay import DroneProcesses
+from flight.harness.team import TeamConfig
+from missions.relay.line import FarBase, team_hear, team_news_of
+from missions.relay.process import FarFlight, commands, main
+from missions.team.base import OwnGround, TeamBase
+from missions.team.config import team_of
+from missions.team.flight import TeamFlight
+
+
+def processes_of(rig: Rig, config: TeamConfig, out: Path, base: TeamBase, whole_log: bool) -> DroneProcesses:
+    """Returns how the harness starts the processes of this team's drones."""
+    size = f"{len(config.drones)}/{len(config.targets)}"
+    return DroneProcesses(
+        *commands("missions.team.process", rig, size, out, whole_log),
+        news=lambda name: team_news_of(OwnGround(base, name), name),
+        heard=lambda name, word: team_hear(OwnGround(base, name), name, word),
+    )
+
+
+def _of_a_team(rig: Rig, size: str) -> tuple[TeamConfig, FarFlight]:
+    drones, _, targets = size.partition("/")
+    config = team_of(rig, int(drones), int(targets))
+
+    def flight(base: FarBase, name: str, log: Log, emit: Emit, stop: asyncio.Event, store: RecordStore) -> TeamFlight:
+        return TeamFlight(rig, config, base, name, log, emit, stop, None, store)
+
+    return config, flight
+
+
+if __name__ == "__main__":
+    main(_of_a_team)

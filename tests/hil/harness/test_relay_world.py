@@ -1,0 +1,63 @@
+"""What goes wrong in one leg of a field of many drones, and what of it is left for the others."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.interfaces import FlightMode
+from drivers.rig.tables import decode_table
+from hil.harness.relay_world import PILOT_LANDS_S, RelayWorld
+from hil.world.world import WorldConfig
+from missions import rig_library
+from missions.team.config import team_of
+
+
+@pytest.fixture
+def world() -> RelayWorld:
+    rig = rig_library.load("team-sim")
+    team = team_of(rig, 4, 2)
+    made = RelayWorld(decode_table(rig.world, WorldConfig, rig.where("[world]")), 1, team.drones, team.targets)
+    for name in made.names:
+        made.switch_on(name)
+    return made
+
+
+def test_a_covered_marker_is_the_sender_s_and_clear_again_in_the_next_leg(world: RelayWorld) -> None:
+    world.inject("marker_hidden", "D1", None, ("D1", "D2"))
+    assert world.view("D2", "D1").marker_hidden
+    assert not world.view("D4", "D3").marker_hidden  # another leg at the same time
+    world.close_leg("D1", "D2")
+    assert not world.view("D3", "D1").marker_hidden
+
+
+def test_depth_holes_are_of_a_leg_s_two_cameras(world: RelayWorld) -> None:
+    world.inject("depth_holes", "D1", None, ("D1", "D2"))
+    assert [world.view(name, None).depth_holes for name in world.names] == [True, True, False, False]
+    world.close_leg("D1", "D2")
+    assert not any(world.view(name, None).depth_holes for name in world.names)
+
+
+def test_what_is_done_to_a_drone_is_over_with_its_swap(world: RelayWorld) -> None:
+    world.inject("marker_hidden", "D1", None, ("D1", "D2"))
+    world.swap("D1")
+    assert not world.view("D2", "D1").marker_hidden
+
+
+def test_a_pilot_who_took_a_drone_over_lands_it(world: RelayWorld) -> None:
+    autopilot = world.drone("D1").autopilot
+    world.advance(12.0)
+    autopilot.request_arm(world.time_s, True)
+    autopilot.request_takeoff(world.time_s, 2.0)
+    world.advance(20.0)
+    assert not world.landed("D1")
+    world.inject("pilot_takeover", "D1", None, ("D2", "D1"))
+    world.advance(20.0 + PILOT_LANDS_S - 1.0)
+    assert autopilot.mode is FlightMode.OTHER and not world.landed("D1")
+    world.advance(20.0 + PILOT_LANDS_S + 15.0)
+    assert world.landed("D1")
+
+
+def test_all_objects_are_those_of_every_target(world: RelayWorld) -> None:
+    numbers = {thing.object_id for thing in world.all_objects}
+    assert {0, 100} <= numbers and len(numbers) == len(world.all_objects)
+    assert {thing.object_id for thing in world.objects_near("D1")} <= numbers
