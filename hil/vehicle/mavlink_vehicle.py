@@ -131,9 +131,12 @@ class MavlinkVehicle:
         self._channels[0].send(packet)
 
     def _send(self, channel: UdpChannel, message: Any, to: Address | None = None) -> None:
-        packet = message.pack(self._mav)
+        channel.send(self._packed(message), to)
+
+    def _packed(self, message: Any) -> bytes:
+        packet: bytes = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
-        channel.send(packet, to)
+        return packet
 
     def _send_texts(self, flight: FlightInstant) -> None:
         texts = flight.autopilot.status_texts
@@ -148,13 +151,19 @@ class MavlinkVehicle:
         shown = flight.autopilot.mode, flight.autopilot.armed
         changed = shown != self._shown and self._own_beat_s is None  # a change is told at once
         self._shown = shown
+        packets: dict[int, bytes] = {}  # of this instant: every channel is told the same
         for channel in self._channels:
             if changed:
                 channel.heartbeat_now()
             # By the estimate's time and not by ours: a stream as fast as the estimator then carries every estimate
             # once, at once, instead of beating against it with up to a period of delay.
-            for message in channel.due(flight.estimate.time_s):
-                self._send_message(flight, channel, message)
+            due = list(channel.due(flight.estimate.time_s))
+            for message in due:
+                if message not in packets and (made := STREAMS[message][0](flight)) is not None:
+                    packets[message] = self._packed(made)
+            # In one datagram, as PX4 sends them: each one sent gives the interpreter away, and what draws takes it.
+            if together := b"".join(packets.get(message, b"") for message in due):
+                channel.send(together)
 
     def _send_message(self, flight: FlightInstant, channel: UdpChannel, message: int) -> None:
         made = STREAMS[message][0](flight)

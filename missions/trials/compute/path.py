@@ -2,96 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ParamSpec, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.clock import busy_ns
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
-from drivers.interfaces import Frame
+from drivers.interfaces import Frame, Log
 from drivers.link.wire import KEY_LENGTH, Codec, introduce
 from drivers.perception.pixels import PixelView
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
 from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
 from missions.trials.compute.film import BETWEEN_NS, HEADINGS_RAD, PERIOD_NS, Film, Moment, SceneError
+from missions.trials.compute.journals import Journals
+from missions.trials.compute.stopwatch import Stopwatch, TimedView, overhead_ns
 from path.agreement import Agreed
-from path.geometry import Matrix, Pose
+from path.geometry import Matrix
 from path.marker.detect import detect_markers
 from path.marker.pose import PoseSettings, estimate_pose
 from path.marker.track import recognise
 from path.messages import Candidate, Role, Target, Vec3
-from path.observations import Box, Depth, Detection, MarkerDetection, Missed, Region
+from path.observations import Box, Depth, Detection, Missed, Region
 from path.prior import Prior
 from path.receiver import ReceiverCycle
-from path.sender import SenderCycle
+from path.sender import PairVerdict, SenderCycle
 
 GEOMETRY = ("d1_target", "d2_take", "d2_prior", "d2_candidate", "d1_judge")
 MESSAGES = ("encode_target", "decode_target", "encode_candidate", "decode_candidate")
+D1_CYCLE = ("d1_depth", "d1_target", "encode_target", "decode_candidate", "d1_judge", "d1_log")
+D2_CYCLE = ("decode_target", "d2_take", "d2_marker", "d2_prior", "d2_candidate", "encode_candidate", "d2_log")
 SUMS = {
     "geometry": GEOMETRY,
     "geometry_and_depth": ("d1_depth", *GEOMETRY),
     "path_without_messages": ("d1_depth", *GEOMETRY, "d2_marker"),
     "path": ("d1_depth", *GEOMETRY, "d2_marker", *MESSAGES),
+    "d1_cycle": D1_CYCLE,
+    "d2_cycle": D2_CYCLE,
 }
 DETECTORS = ("d1_detector", "d2_detector")
 FIRST_FRAME = 1000  # clocks do not begin at zero
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-
-class Stopwatch:
-    """Time that each stage of one cycle kept the core busy, us; what asking for the time takes is taken off."""
-
-    def __init__(self, overhead_ns: int) -> None:
-        self.us: dict[str, float] = {}
-        self._overhead_ns = overhead_ns
-
-    def __call__(self, stage: str, call: Callable[P, R], *arguments: P.args, **options: P.kwargs) -> R:
-        """Returns the call's value, timed as a stage."""
-        begin_ns = busy_ns()
-        result = call(*arguments, **options)
-        self.us[stage] = max(0, busy_ns() - begin_ns - self._overhead_ns) / 1e3
-        return result
-
-
-def overhead_ns() -> int:
-    """Returns the time that asking for the time twice takes."""
-    return sorted(-busy_ns() + busy_ns() for _ in range(1001))[500]
-
-
-class _TimedView:
-    """A view of D2 that times how long its markers take to find (``drivers.interfaces.View``)."""
-
-    def __init__(self, view: PixelView, watch: Stopwatch) -> None:
-        self._view, self._watch = view, watch
-        self.region: Region | None = None
-        self.expected: Pose | None = None
-
-    @property
-    def stamp_ns(self) -> int:
-        return self._view.stamp_ns
-
-    @property
-    def frame_id(self) -> int:
-        return self._view.frame_id
-
-    def targets(self, region: Region | None) -> Sequence[Detection]:
-        return self._view.targets(region)
-
-    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
-        self.region, self.expected = region, expected
-        return self._watch("d2_marker_corners", self._view.markers, region, expected)
-
-    def depth(self, box: Box) -> Depth | None:
-        return self._view.depth(box)
-
-    def image(self) -> NDArray[np.uint8]:
-        return self._view.image()
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +56,11 @@ class _Seen:
 class PathPair:
     """Both roles on a film. ``cycle`` goes on in time for ever; the film repeats."""
 
-    def __init__(self, rig: Rig, mission: MissionConfig, film: Film, seed: int) -> None:
+    def __init__(self, rig: Rig, mission: MissionConfig, film: Film, seed: int, logs: Mapping[Role, Log]) -> None:
         self._rig, self._film = rig, film
+        self._journals = Journals(logs, rig.method.needed_pairs, film.cameras[Role.RECEIVER])
+        self._motion: VehicleMotions | None = None
+        self._pairs: Sequence[PairVerdict] = ()
         self._mounts = {role: rig.role(role).mount for role in Role}
         cameras = film.cameras
         one, two = cameras[Role.SENDER], cameras[Role.RECEIVER]
@@ -137,7 +90,7 @@ class PathPair:
         if not isinstance(target, Target):
             raise SceneError(f"the target's packet was dropped: {target}")
         gravity_v = watch("d2_take", self._take, target)
-        seen_by_d2 = _TimedView(self._view(moment, Role.RECEIVER, stamp_ns + BETWEEN_NS), watch)
+        seen_by_d2 = TimedView(self._view(moment, Role.RECEIVER, stamp_ns + BETWEEN_NS), watch)
         fix = self._fix(moment, seen_by_d2, gravity_v, watch)
         prior = self._prior(fix, watch)
         found = watch("d2_detector", seen_by_d2.targets, prior.region)
@@ -147,6 +100,7 @@ class PathPair:
         if not isinstance(received, Candidate):
             raise SceneError(f"the candidate's packet was dropped: {received}")
         watch("d1_judge", self._offer_and_evaluate, received)
+        self._log(view, seen_by_d2, target, (moment, depth, fix, prior, candidate, found), watch)
         self._seen[number] = _Seen(depth, fix, found)
         return _with_sums(watch.us)
 
@@ -186,7 +140,7 @@ class PathPair:
         self._receiver.on_target(target, target.capture_ns, stamp_ns)
         return self._receiver.gravity_v(stamp_ns)
 
-    def _fix(self, moment: Moment, view: _TimedView, gravity_v: Vec3 | None, watch: Stopwatch) -> MarkerFix:
+    def _fix(self, moment: Moment, view: TimedView, gravity_v: Vec3 | None, watch: Stopwatch) -> MarkerFix:
         R_n_c = moment.R_n_b[Role.RECEIVER] @ self._mounts[Role.RECEIVER].T_b_c.R
         gravity_c = _down(R_n_c)
         motion = VehicleMotions(
@@ -214,15 +168,35 @@ class PathPair:
         return candidate
 
     def _look(
-        self, view: _TimedView, motion: VehicleMotions, R_n_c: Matrix, gravity_v: Vec3 | None, gravity_c: Vec3
+        self, view: TimedView, motion: VehicleMotions, R_n_c: Matrix, gravity_v: Vec3 | None, gravity_c: Vec3
     ) -> MarkerFix | Missed:
+        self._motion = motion
         self._marker.note_motion(motion)
         return self._marker.look(view, R_n_c, gravity_v, gravity_c)
+
+    def _log(
+        self,
+        one: PixelView,
+        two: TimedView,
+        target: Target,
+        made: tuple[Moment, Depth | None, MarkerFix, Prior, Candidate, Sequence[Detection]],
+        watch: Stopwatch,
+    ) -> None:
+        moment, depth, fix, prior, candidate, found = made
+        assert self._motion is not None
+        seen = moment.box1, depth
+        watch("d1_log", self._journals.sender, one, target, seen, candidate, self._pairs, self._sender.gate)
+        R_n_c = moment.R_n_b[Role.RECEIVER] @ self._mounts[Role.RECEIVER].T_b_c.R
+        attitudes = R_n_c, self._marker.R_n_v
+        watch(
+            "d2_log", self._journals.receiver, two, target, fix, self._motion, attitudes, prior, candidate, found
+        )  # fmt: skip
 
     def _offer_and_evaluate(self, candidate: Candidate) -> None:
         """A candidate waits for D1's next frame: what is judged in a cycle is that of the cycle before."""
         now_ns = self._frame * PERIOD_NS + BETWEEN_NS
-        for pair in self._sender.evaluate_ready(now_ns):
+        self._pairs = self._sender.evaluate_ready(now_ns)
+        for pair in self._pairs:
             self.agreed += isinstance(pair.verdict, Agreed)
         self._sender.offer(candidate, candidate.capture_ns, now_ns)
 
@@ -230,7 +204,7 @@ class PathPair:
         self,
         moment: Moment,
         fix: MarkerFix,
-        view: _TimedView,
+        view: TimedView,
         gravity_v: Vec3 | None,
         gravity_c: Vec3,
         watch: Stopwatch,

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.clock import busy_ns
 from drivers.detectors.xfeat import XFeat
+from drivers.log.mcap_log import McapLog
 from missions import rig_library
 from missions.trials.compute.film import Film, Moment
 from missions.trials.compute.path import PathPair
@@ -57,7 +60,13 @@ class Timings:
 
 def time_all(request: TrialRequest, film: Film, plan: ComputePlan) -> Timings:
     """Every method in every block, one thread. The order within a block turns."""
-    path = PathPair(request.rig, rig_library.mission_of(request.rig), film, request.seed)
+    with TemporaryDirectory() as folder, ExitStack() as stack:
+        logs = {role: stack.enter_context(McapLog(Path(folder) / f"{role.value}.mcap", role.value)) for role in Role}
+        path = PathPair(request.rig, rig_library.mission_of(request.rig), film, request.seed, logs)
+        return _time_all(request, film, plan, path)
+
+
+def _time_all(request: TrialRequest, film: Film, plan: ComputePlan, path: PathPair) -> Timings:
     turns: list[Callable[[], dict[str, list[float]]]] = [
         lambda: _of_path(path, plan.path),
         lambda: {HOT: [path.geometry() for _ in range(plan.path)]},

@@ -24,6 +24,7 @@ from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.modes import powered
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.autopilot.radio import STICKS_SLOT
+from hil.vehicle.channel import Address, UdpChannel
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.world import HomeConfig, World, WorldConfig
@@ -132,6 +133,21 @@ def test_streams_come_at_the_rates_asked_for_and_stop_when_told(bench: Bench) ->
     assert bench.command(interval, 30.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED  # 0: the default again
     bench.run(1.0)
     assert len(bench.of("ATTITUDE")) == pytest.approx(10, abs=1)
+
+
+def test_what_is_due_at_one_instant_is_one_datagram(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    datagrams: list[tuple[float, int]] = []
+    send = UdpChannel.send
+
+    def noted(channel: UdpChannel, packet: bytes, to: Address | None = None) -> None:
+        datagrams.append((bench.now_s, len(packet)))
+        send(channel, packet, to)
+
+    monkeypatch.setattr(UdpChannel, "send", noted)
+    bench.run(2.0)
+    assert len({now_s for now_s, _ in datagrams}) == len(datagrams)
+    assert len(bench.heard) > 1.5 * len(datagrams)
+    assert max(size for _, size in datagrams) < 1400
 
 
 def test_a_stalled_world_goes_on_without_a_burst(bench: Bench) -> None:

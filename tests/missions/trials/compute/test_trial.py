@@ -1,14 +1,19 @@
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from missions import rig_library
 from missions.trials.compute import trial as compute
 from missions.trials.compute.film import PERIOD_NS, Film, camera_of, shoot_film
-from missions.trials.compute.path import GEOMETRY, SUMS, PathPair, Stopwatch
+from missions.trials.compute.path import GEOMETRY, SUMS, PathPair
 from missions.trials.compute.rounds import Timings, one_thread
+from missions.trials.compute.stopwatch import Stopwatch
 from missions.trials.shared.trial import TrialRequest, TrialResult
 from missions.work import open_work
 from path.messages import Role
@@ -49,8 +54,23 @@ def test_without_weights_xfeat_is_left_out_and_that_is_told(result: TrialResult)
 
 def test_the_timed_cycles_are_cycles_that_agree(request_: TrialRequest, film: Film) -> None:
     """The cycles that are timed are the method at work: nearly every pair that is judged agrees."""
-    path = PathPair(request_.rig, rig_library.mission_of(request_.rig), film, 1)
+    written: list[str] = []
+
+    class Noted:
+        def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
+            assert stamp_ns and record
+            written.append(topic)
+
+        def image(self, topic: str, stamp_ns: int, image: NDArray[np.uint8]) -> None:
+            raise AssertionError(topic)
+
+    log = Noted()
+    path = PathPair(request_.rig, rig_library.mission_of(request_.rig), film, 1, dict.fromkeys(Role, log))
     us = [path.cycle() for _ in range(8)][-1]
+    assert set(written) >= {"/frame", "/target", "/agreement", "/heard_candidate", "/heard_target", "/marker"}
+    assert {*written} >= {"/motion", "/candidate"} and written.count("/motion") == 8
+    for side in ("d1", "d2"):
+        assert us[f"{side}_cycle"] > us[f"{side}_log"] > 0.0
     before = path.agreed
     assert before >= 6
     path.geometry()
