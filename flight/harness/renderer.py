@@ -46,11 +46,13 @@ class PlacedBoard:
         T_w_o: the board's frame, origin at the top-left corner of the print, to the world.
         side_m: of one cell of the print.
         print_shades: uint8 (rows, columns), one a cell, 255 white paper and 0 ink.
+        light: of ink and of paper, 0..255 linear.
     """
 
     T_w_o: Pose
     side_m: float
     print_shades: NDArray[np.uint8]
+    light: tuple[float, float] = (26.0, 228.0)
 
 
 @dataclass(frozen=True, slots=True)

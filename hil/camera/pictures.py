@@ -121,7 +121,7 @@ def _standing(things: Sequence[Thing]) -> list[Body]:
 
 
 def _board(board: PlacedBoard) -> Body:
-    return lying(printed_board(board.print_shades, board.side_m), board.T_w_o)
+    return lying(printed_board(board.print_shades, board.side_m, board.light), board.T_w_o)
 
 
 def _sensor_noise(imaging: Imaging, depth: DepthNoise) -> SensorNoise:

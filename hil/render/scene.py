@@ -112,14 +112,15 @@ def drone() -> Model:
     return model_of(_airframe())
 
 
-def printed_board(shades: NDArray[np.uint8], side_m: float) -> Model:
+def printed_board(shades: NDArray[np.uint8], side_m: float, light: tuple[float, float] = (INK[0], PAPER[0])) -> Model:
     """A flat print of square cells: origin at its top-left corner, x right, y down, z away from the viewer.
 
-    ``shades``: (rows, columns) of the paper, 255 is white and 0 ink.
+    ``shades``: (rows, columns) of the paper, 255 is white and 0 ink. ``light``: of ink and paper, 0..255.
     """
     rows, columns = shades.shape
     e1, e2 = np.array([columns * side_m, 0.0, 0.0]), np.array([0.0, rows * side_m, 0.0])
-    return model_of([Face(np.zeros(3), e1, e2, PAPER, PRINT, INK, shades)])
+    ink, paper = light
+    return model_of([Face(np.zeros(3), e1, e2, (paper, paper, paper), PRINT, (ink, ink, ink), shades)])
 
 
 def marked_drone(T_b_v: Pose, layout: MarkerLayout, *, hidden: bool, prints: Sequence[NDArray[np.uint8]] = ()) -> Model:

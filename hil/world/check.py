@@ -9,6 +9,8 @@ from drivers.rig.tables import Problems, decode_table
 from flight.config import MissionConfig
 from hil.world.world import WorldConfig
 
+CONFINES = "hil.harness.sitl:SitlHarness"
+
 
 def check_world(rig: Rig) -> None:
     """Raises RigError for a ``[world]`` that cannot be, or that does not fit the mission's fence."""
@@ -24,4 +26,7 @@ def check_world(rig: Rig) -> None:
         if away_m > fence_m:
             what = f"{away_m:g} m from the origin; mission.guard.fence_radius_m is {fence_m:g} m"
             problems.add(rig.where(f"world.{key}"), what)
+    if config.slow is not None and rig.harness != CONFINES:
+        what = f"{rig.name} does not fly each role as a process in real time: leave it out, or fly --rig sitl"
+        problems.add(rig.where("world.slow"), what)
     problems.raise_any()

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED
 from missions.trials.real.corners import METHOD_TITLES
-from missions.trials.real.score import Figure95, SetScore
+from missions.trials.real.results import Figure95, SetScore
 
 DPI = 100
 SHOWN = {"subpix": FAULT, "apriltag": COUNT, "photometric": MARKER}
@@ -21,13 +21,15 @@ SHIFT = 0.18  # between the marks of one row
 
 
 def draw_sets(scores: Sequence[SetScore], path: Path) -> None:
-    figure = Figure(figsize=(12.0, 1.2 + 1.9 * len(scores)), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(13.0, 1.2 + 1.9 * len(scores)), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(len(scores), 3, width_ratios=(1.1, 1.6, 1.6))
+    grid = figure.add_gridspec(len(scores), 3, width_ratios=(1.6, 1.4, 1.4))
     for row, score in enumerate(scores):
         axes = figure.add_subplot(grid[row, 0])
-        axes.imshow(score.example, cmap="gray", vmin=0, vmax=255)
-        axes.set_title(f"{score.name}: {score.views} views", loc="left", fontsize=9)
+        both = [score.example] if score.twin is None else [score.example, score.twin.score.example]
+        axes.imshow(np.concatenate(both, axis=1), cmap="gray", vmin=0, vmax=255)
+        twin = "" if score.twin is None else "; its twin"
+        axes.set_title(f"{score.name}: {score.views} views{twin}", loc="left", fontsize=9)
         axes.set_axis_off()
     corners, poses = figure.add_subplot(grid[:, 1]), figure.add_subplot(grid[:, 2])
     for number, (method, colour) in enumerate(SHOWN.items()):

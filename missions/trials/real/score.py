@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from flight.harness.renderer import FrameRenderer
 from missions.trials.real.board import SetSeen, look_at_set
 from missions.trials.real.corners import METHODS, corners_by
 from missions.trials.real.errors import MethodPoses, measure_set
 from missions.trials.real.poses import Poses, estimate_all, plate_tasks, single_tasks
+from missions.trials.real.results import CornerScore, Figure95, PoseScore, SetScore, TwinScore
 from missions.trials.real.set import RealSet, read_set
-from missions.trials.shared.statistics import Interval, bootstrap, mean, p95
+from missions.trials.real.twin import render_twin
+from missions.trials.shared.statistics import bootstrap, mean, p95
 from path.target import MAD_TO_SIGMA
 
 SCORE_STREAM = 2
@@ -32,125 +35,34 @@ Groups = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class SetTask:
-    """One set to measure: its file, and what its paths are relative to."""
+    """One set to measure: its file, and what its paths are relative to.
+
+    Attributes:
+        renderer: draws the set's twin into the folder ``twins``; None for no twin.
+    """
 
     file: Path
     photographs: Path | None
     seed: int
     quick: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Figure95:
-    """A figure with its 95 % interval; views are drawn together."""
-
-    value: float
-    interval: Interval
-
-    def summary(self, name: str) -> dict[str, Any]:
-        return {name: self.value, f"{name}_interval": list(self.interval)}
-
-    def text(self, digits: int, scale: float = 1.0) -> str:
-        low, high = (scale * end for end in self.interval)
-        return f"{scale * self.value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
-
-
-@dataclass(frozen=True, slots=True)
-class CornerScore:
-    """One method's corners: px per axis, with the print as the views show it, and with all markers printed alike."""
-
-    found: int
-    robust_px: Figure95
-    nominal_px: float
-    rms_px: float
-    stated_px: float | None = None
-    chi2: Figure95 | None = None
-
-    def summary(self) -> dict[str, Any]:
-        named = {"found": self.found, "nominal_px": self.nominal_px, "rms_px": self.rms_px}
-        return {**self.robust_px.summary("robust_px"), **named}
-
-
-@dataclass(frozen=True, slots=True)
-class PoseScore:
-    """Errors of D2's place in the marker's frame, of the rotation, and what was refused."""
-
-    poses: int
-    d2_mean_m: Figure95
-    d2_median_m: Figure95
-    d2_p95_m: Figure95
-    rotation_median_deg: Figure95
-    flips: int
-    refused: dict[str, int]
-    chi2: Figure95
-
-    def summary(self) -> dict[str, Any]:
-        return {
-            "poses": self.poses,
-            **self.d2_mean_m.summary("d2_mean_m"),
-            **self.d2_median_m.summary("d2_median_m"),
-            **self.d2_p95_m.summary("d2_p95_m"),
-            **self.rotation_median_deg.summary("rotation_median_deg"),
-            "flips": self.flips,
-            "refused": self.refused,
-            **self.chi2.summary("chi2_pose"),
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class SetScore:
-    """A set.
-
-    Attributes:
-        images, views: photographs, and those that show the board. ``markers``: seen in all of them.
-        board_px: residual of the board's own corners to pose and bend, median over views of the rms per axis.
-        print_m: rms by which the printed corners are off, as all views show it; None when that cannot be told.
-        poses: by what they rest on; empty on a chessboard. ``named``: what the fits called wrong, and how often.
-        example: the photograph in the middle, for the page.
-    """
-
-    name: str
-    images: int
-    views: int
-    markers: int
-    side_px: float
-    board_px: float
-    print_m: float | None
-    camera: tuple[float, float, float, float]
-    camera_sigmas: tuple[float, float, float, float] | None
-    corners: dict[str, CornerScore]
-    poses: dict[str, PoseScore]
-    named: dict[str, int]
-    example: NDArray[np.uint8]
-
-    def summary(self) -> dict[str, Any]:
-        """The figures of single markers at the top, as ``docs/real.md`` names them."""
-        own = self.corners.get("photometric")
-        single = self.poses["single"].summary() if "single" in self.poses else {}
-        chi2 = own.chi2.summary("chi2_corners") if own is not None and own.chi2 is not None else {}
-        return {
-            "images": self.images,
-            "views": self.views,
-            "markers": self.markers,
-            "side_px": self.side_px,
-            "board_px": self.board_px,
-            "print_m": self.print_m,
-            "camera": dict(zip(("fx", "fy", "cx", "cy"), self.camera, strict=True)),
-            "camera_sigmas": self.camera_sigmas,
-            **single,
-            **chi2,
-            "stated_px": None if own is None else own.stated_px,
-            "corners": {name: score.summary() for name, score in self.corners.items()},
-            "named_wrong": self.named,
-            **{name: score.summary() for name, score in self.poses.items() if name != "single"},
-        }
+    renderer: type[FrameRenderer] | None = None
+    twins: Path = Path("twins")
 
 
 def score_set(task: SetTask) -> SetScore:
-    """Measure one set. Raises PartError."""
+    """Measure one set and its rendered twin. Raises PartError."""
     own = read_set(task.file, task.photographs)
     images = own.images[:: max(1, len(own.images) // QUICK_IMAGES)] if task.quick else own.images
     seen = look_at_set(own, images)
+    score = _score(own, images, seen, task.seed)
+    twin = None if task.renderer is None else render_twin(own, seen, images, task.renderer, task.seed, task.twins)
+    if twin is None:
+        return score
+    rendered = _score(own, twin.images, look_at_set(own, twin.images), task.seed)
+    return replace(score, twin=TwinScore(twin.response, rendered))
+
+
+def _score(own: RealSet, images: Sequence[Path], seen: SetSeen, seed: int) -> SetScore:
     measured: dict[str, MethodPoses] = {}
     for method in METHODS if own.markers else ():
         found = [
@@ -159,7 +71,7 @@ def score_set(task: SetTask) -> SetScore:
         ]
         measured[method] = measure_set(own, seen, found)
     measured = {name: some for name, some in measured.items() if some.seen}
-    rng = np.random.default_rng([task.seed, SCORE_STREAM])
+    rng = np.random.default_rng([seed, SCORE_STREAM])
     camera = seen.camera
     best = measured.get("photometric")
     return SetScore(
@@ -173,7 +85,7 @@ def score_set(task: SetTask) -> SetScore:
         (camera.fx, camera.fy, camera.cx, camera.cy),
         seen.sigmas,
         {name: _corner_score(some, rng) for name, some in measured.items()},
-        {} if best is None else _pose_scores(own, seen, best, task.seed, rng),
+        {} if best is None else _pose_scores(own, seen, best, seed, rng),
         {} if best is None else dict(Counter(wrong for marker in best.seen for wrong in marker.found.wrong)),
         _thumbnail(seen),
     )

@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from drivers.interfaces import PartError
 from missions.trials.real.corners import METHOD_TITLES, METHODS
 from missions.trials.real.pictures import draw_sets
-from missions.trials.real.score import Figure95, SetScore, SetTask, score_set
+from missions.trials.real.results import Figure95, SetScore, TwinScore
+from missions.trials.real.score import SetTask, score_set
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 
+NEEDS = ("renderer",)
 TITLE = "Photographs of boards: corners and poses of single markers against the whole board"
 PAPER = ""
 
@@ -17,7 +19,15 @@ LARGE_PX = 40.0  # side from which on the goals of large markers hold
 GOAL_CORNERS_PX = 0.10
 GOAL_HONEST = (0.7, 1.5)
 GOAL_PLATE_M = 0.005
+GOAL_TWIN = (0.8, 1.25)
 PICTURE = "real.png"
+TWIN_TITLES = {
+    "corners_px": ("corners, px robust per axis", 3, 1.0),
+    "chi2_corners": ("honesty of corners", 2, 1.0),
+    "d2_mean_m": ("D2, mean, mm", 1, 1e3),
+    "chi2_pose": ("honesty of poses", 2, 1.0),
+}
+"""Of each figure that is compared: its title, digits and scale."""
 POSE_TITLES = {
     "single": "one marker, gravity",
     "without_gravity": "one marker, no gravity",
@@ -33,15 +43,21 @@ def run(request: TrialRequest) -> TrialResult:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise PartError(f"--set: {twice[0]} is named twice", "sets are told apart by the names of their files")
-    tasks = [SetTask(file, request.photographs, request.seed, request.quick) for file in request.sets]
+    renderer = request.part("renderer")
+    tasks = [
+        SetTask(file, request.photographs, request.seed, request.quick, renderer, request.out / "twins" / file.stem)
+        for file in request.sets
+    ]
     scores = request.work.map("sets", score_set, tasks)
     draw_sets(scores, request.out / PICTURE)
     return TrialResult(
         summary={"sets": {score.name: score.summary() for score in scores}},
         findings=tuple(finding for score in scores for finding in _findings(score)),
-        tables=(_corner_table(scores), _pose_table(scores), _set_table(scores)),
+        tables=(_corner_table(scores), _pose_table(scores), _twin_table(scores), _set_table(scores)),
         pictures=(
-            TrialPicture(PICTURE, "A view of each set, corners by method, D2's error by what the pose rests on."),
+            TrialPicture(
+                PICTURE, "A view of each set and its twin, corners by method, D2's error by what the pose rests on."
+            ),
         ),
         notes=(
             "The board's pose comes from all its corners; what all views of a marker agree on is the print's, not an "
@@ -84,9 +100,24 @@ def _findings(score: SetScore) -> list[TrialFinding]:
         )  # fmt: skip
         if corners.chi2 is not None:
             found.append(_honesty(score, "honesty of corners", corners.chi2))
+    found += _twin_findings(score)
     if not found:
         found.append(TrialFinding(f"{score.name}: corners of the board, px rms per axis", f"{score.board_px:.3f}"))
     return found
+
+
+def _twin_findings(score: SetScore) -> list[TrialFinding]:
+    """The twin's figures over the photographs': 1 when simulation promises what photographs keep."""
+    if score.twin is None:
+        return []
+    low, high = GOAL_TWIN
+    return [
+        TrialFinding(
+            f"{score.name}: twin over photographs, {TWIN_TITLES[name][0]}", f"{ratio:.2f}", goal=f"{low:g} to {high:g}",
+            verdict=verdict(low <= ratio <= high),
+        )
+        for name, ratio in score.twin.ratios(score).items()
+    ]  # fmt: skip
 
 
 def _length(score: SetScore, what: str, figure: Figure95, goal_m: float) -> TrialFinding:
@@ -153,6 +184,41 @@ def _pose_table(scores: Sequence[SetScore]) -> TrialTable:
         "Poses against the board's, D2 in mm for a marker of the scaled side",
         ("set", "from", "poses", "D2 mean", "median", "p95", "rotation, median deg", "flips", "refused", "honesty"),
         tuple(rows),
+    )
+
+
+def _twin_table(scores: Sequence[SetScore]) -> TrialTable:
+    rows = [
+        (
+            score.name,
+            TWIN_TITLES[name][0],
+            figure.text(*TWIN_TITLES[name][1:]),
+            twin[name].text(*TWIN_TITLES[name][1:]),
+            f"{score.twin.ratios(score)[name]:.2f}",
+        )
+        for score in scores
+        if score.twin is not None
+        for twin in (score.twin.score.compared(),)
+        for name, figure in score.compared().items()
+        if name in twin
+    ]
+    cameras = "; ".join(_camera_of(score.name, score.twin) for score in scores if score.twin is not None)
+    return TrialTable(
+        "Photographs and their rendered twins",
+        ("set", "", "photographs", "twin", "twin over photographs"),
+        tuple(rows),
+        "A twin is the same flat and perfectly printed board, drawn at the same places by the harness's renderer, with "
+        "the camera's response as straight edges of the photographs show it: " + cameras + ".",
+    )
+
+
+def _camera_of(name: str, twin: TwinScore) -> str:
+    own = twin.response.imaging
+    jpeg = "none" if own.jpeg_quality is None else str(own.jpeg_quality)
+    return (
+        f"{name}: blur {own.blur_sigma_px:.2f} px, sharpening {own.sharpen:.2f} over {own.sharpen_sigma_px:.1f} px, "
+        f"gamma {own.gamma:.2f}, noise of the light {own.read_sigma:.1f} grey levels, JPEG {jpeg}, "
+        f"{100.0 * twin.response.misfit:.1f} % of an edge unexplained"
     )
 
 

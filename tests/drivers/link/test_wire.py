@@ -534,3 +534,22 @@ def test_a_packet_of_nothing_but_zeros_may_be_sent_without_a_payload() -> None:
     assert Codec(Role.RECEIVER, None).decode(packet[:11]) is Drop.TRUNCATED
     assert Codec(Role.RECEIVER, None).decode(packet[:3]) is Drop.TRUNCATED
     assert Codec(Role.RECEIVER, None).decode(packet[:2]) is Drop.TRUNCATED
+
+
+def test_what_was_heard_a_moment_ago_is_not_authentic_again_and_what_comes_next_is() -> None:
+    sender, receiver = pair()
+    first = sender.encode(STATUS)
+    assert receiver.authentic(first)
+    assert isinstance(receiver.decode(first), Status)
+    assert not receiver.authentic(first)
+    assert receiver.authentic(sender.encode(STATUS))
+
+
+def test_where_nothing_is_signed_everything_is_authentic() -> None:
+    assert Codec(Role.RECEIVER, None).authentic(b"")
+
+
+def test_a_flag_nobody_defined_is_seen_as_soon_as_it_is_there() -> None:
+    receiver = Codec(Role.RECEIVER, KEY)
+    assert receiver.decode(b"\xfd\x00\x03") is Drop.NOT_MAVLINK
+    assert receiver.decode(b"\xfd\x00\x01") is Drop.TRUNCATED

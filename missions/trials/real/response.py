@@ -1,0 +1,243 @@
+"""A camera's response, measured on photographs of a board: how it draws an edge, how bright, and with what noise.
+
+Straight edges of the print are long and their places are known to a tenth of a pixel. So thousands of pixels beside
+them show one edge at every fraction of a pixel. A model of the imaging (``flight.harness.renderer.Imaging``) is fitted
+to that curve. The corners of markers, which a twin is made to predict, have no part in it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.optimize import least_squares
+
+from flight.harness.renderer import Imaging
+from missions.trials.real.board import BoardSeen, Photograph, SetSeen
+from missions.trials.real.set import RealSet
+from path.target import MAD_TO_SIGMA
+
+ENDS = 0.22  # of an edge's length that is left out at each end: corners look otherwise
+REACH_PX, FLAT_PX = 3.4, 1.9  # from an edge: how far its pixels count; and from where on they show noise alone
+BIN_PX = 0.125
+LEAST_PIXELS, LEAST_CONTRAST = 20, 25.0
+FEWEST_EDGES = 12
+PHASES, MODEL_REACH_PX = 16, 12  # of the modelled edge: places of it in a pixel; pixels each way
+BLUR_REACH = 3.3  # deviations
+STANDARD_FIRST = 16.0  # first entry of JPEG's luminance table at quality 50
+TOP = 255.0
+PLACES = np.arange(-REACH_PX + 0.5 * BIN_PX, REACH_PX, BIN_PX)
+"""Distances from an edge at which it is measured, px: the middles of bins."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenEdge:
+    """Pixels beside one straight edge of the print, in one photograph.
+
+    Attributes:
+        middle_o: (2,) m, of the edge on the board.
+        across_px, along: of each pixel: distance, white side positive; 0..1 from one end to the other.
+        levels: grey, 0..255. ``black``, ``white``: at both sides.
+    """
+
+    middle_o: Array
+    across_px: Array
+    along: Array
+    levels: Array
+    black: float
+    white: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraResponse:
+    """What a set of photographs says of its camera.
+
+    Attributes:
+        imaging: the fitted blur, sharpening, gamma and noise, and the files' compression.
+        edge: the mean edge at ``PLACES``, 0 black and 1 white. ``misfit``: rms of what the imaging leaves of it.
+        noise: standard deviations on black and on white, grey levels. ``edges``: how many were seen.
+    """
+
+    imaging: Imaging
+    edge: Array
+    misfit: float
+    noise: tuple[float, float]
+    edges: int
+
+
+def edges_of(own: RealSet) -> Iterator[tuple[Array, Array]]:
+    """The two ends (2,) on the board, in metres, of every straight edge between black and white."""
+    if own.board is None:
+        for marker in own.markers.values():
+            corners = marker.corners_o[:, :2]
+            yield from zip(corners, np.roll(corners, -1, axis=0), strict=True)
+        return
+    side = own.board.square_m
+    for row in range(1, own.board.rows):
+        for column in range(own.board.columns):
+            yield np.array([column, row]) * side, np.array([column + 1, row]) * side
+    for column in range(1, own.board.columns):
+        for row in range(own.board.rows):
+            yield np.array([column, row]) * side, np.array([column, row + 1]) * side
+
+
+def see_edges(own: RealSet, shot: Photograph, board: BoardSeen) -> list[SeenEdge]:
+    """Every edge of the board that a photograph shows well."""
+    ends = [np.column_stack([np.stack(pair), np.zeros(2)]) for pair in edges_of(own)]
+    pixels = board.pixels(np.concatenate(ends)).reshape(-1, 2, 2) if ends else np.empty((0, 2, 2))
+    found = [
+        _seen(shot.grey, pair_px, pair_o[:, :2].mean(axis=0)) for pair_px, pair_o in zip(pixels, ends, strict=True)
+    ]
+    return [edge for edge in found if edge is not None]
+
+
+def _seen(grey: NDArray[np.uint8], ends_px: Array, middle_o: Array) -> SeenEdge | None:
+    start, end = ends_px
+    way = end - start
+    length = float(np.hypot(*way))
+    low = np.floor(ends_px.min(axis=0) - REACH_PX).astype(int)
+    high = np.ceil(ends_px.max(axis=0) + REACH_PX).astype(int)
+    if length < 1.0 or low.min() < 0 or high[0] >= grey.shape[1] or high[1] >= grey.shape[0]:
+        return None
+    v, u = np.mgrid[low[1] : high[1] + 1, low[0] : high[0] + 1]
+    du, dv = u - start[0], v - start[1]
+    along, across = (du * way[0] + dv * way[1]) / length**2, (dv * way[0] - du * way[1]) / length
+    near = (along > ENDS) & (along < 1.0 - ENDS) & (np.abs(across) < REACH_PX)
+    across, along, levels = across[near], along[near], grey[v[near], u[near]].astype(float)
+    left, right = levels[across < -FLAT_PX], levels[across > FLAT_PX]
+    if min(len(left), len(right)) < LEAST_PIXELS:
+        return None
+    if np.median(left) > np.median(right):
+        across, left, right = -across, right, left
+    black, white = float(np.median(left)), float(np.median(right))
+    if white - black < LEAST_CONTRAST:
+        return None
+    return SeenEdge(middle_o, across - _offset(across, (levels - black) / (white - black)), along, levels, black, white)
+
+
+def _offset(across: Array, share: Array) -> float:
+    """Where the edge is, from the share of it that is white: the curve is symmetric enough."""
+    sums, counts = (np.histogram(across, _bins(0.5), weights=w)[0] for w in (share, None))
+    there = counts > 0
+    return float(np.clip(REACH_PX * (1.0 - 2.0 * np.mean(sums[there] / counts[there])), -1.0, 1.0))
+
+
+def _bins(step_px: float) -> Array:
+    return np.arange(-REACH_PX, REACH_PX + 0.5 * step_px, step_px)
+
+
+def measure_response(own: RealSet, seen: SetSeen, images: Sequence[Path]) -> CameraResponse | None:
+    """The response of a set's camera; None when too few edges are seen.
+
+    Args:
+        images: the files, whose compression is taken over.
+    """
+    pairs = zip(seen.photographs, seen.boards, strict=True)
+    edges = [edge for shot, board in pairs for edge in see_edges(own, shot, board)]
+    if len(edges) < FEWEST_EDGES:
+        return None
+    curve, noise, (black, white) = mean_edge(edges), noise_beside(edges), levels_of(edges)
+    imaging, misfit = fitted(curve, black, white)
+    light = [_slope_of_light(level, imaging.gamma) * sd for level, sd in zip((black, white), noise, strict=True)]
+    imaging = replace(imaging, jpeg_quality=jpeg_quality(images[0]))
+    return CameraResponse(with_noise(imaging, (black, white), light), curve, misfit, noise, len(edges))
+
+
+def mean_edge(edges: Sequence[SeenEdge]) -> Array:
+    """The share of white at the middles of ``PLACES``; nan where too few pixels lie."""
+    across = np.concatenate([edge.across_px for edge in edges])
+    share = np.concatenate([(e.levels - e.black) / (e.white - e.black) for e in edges])
+    bins = np.digitize(across, _bins(BIN_PX)) - 1
+    own = [share[bins == k] for k in range(len(PLACES))]
+    return np.array([float(np.median(some)) if len(some) >= LEAST_PIXELS else math.nan for some in own])
+
+
+def levels_of(edges: Sequence[SeenEdge]) -> tuple[float, float]:
+    """Black and white beside edges, medians, grey levels."""
+    return float(np.median([edge.black for edge in edges])), float(np.median([edge.white for edge in edges]))
+
+
+def noise_beside(edges: Sequence[SeenEdge]) -> tuple[float, float]:
+    """Standard deviations of what is left beside edges, on black and on white, after a slope both ways."""
+    left: tuple[list[Array], list[Array]] = ([], [])
+    for edge in edges:
+        for side, sign in enumerate((-1.0, 1.0)):
+            flat = sign * edge.across_px > FLAT_PX
+            if np.count_nonzero(flat) >= LEAST_PIXELS:
+                x, y = edge.along[flat] - 0.5, sign * edge.across_px[flat] - FLAT_PX
+                design = np.column_stack([np.ones_like(x), x, y, y * y, x * x])
+                solution = np.linalg.lstsq(design, edge.levels[flat], rcond=None)[0]
+                free = len(x) / (len(x) - design.shape[1])
+                left[side].append((edge.levels[flat] - design @ solution) * math.sqrt(free))
+    black, white = (MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(some)))) if some else 0.0 for some in left)
+    return black, white
+
+
+def fitted(curve: Array, black: float, white: float) -> tuple[Imaging, float]:
+    """Blur, sharpening and gamma whose edge is most like the one seen, and the rms of what is left."""
+    there = ~np.isnan(curve)
+
+    def off(x: Array) -> Array:
+        return (np.interp(PLACES - x[4], PLACES, edge_of(_optics(x), black, white)) - curve)[there]
+
+    bounds = ([0.3, 0.0, 0.7, 1.0, -0.5], [1.8, 4.0, 2.5, 2.6, 0.5])
+    starts = [np.array([0.6, sharpen, 1.1, gamma, 0.0]) for sharpen in (0.2, 1.2) for gamma in (1.05, 2.2)]
+    found = [least_squares(off, start, bounds=bounds) for start in starts]
+    best = found[int(np.argmin([float(one.cost) for one in found]))]
+    return _optics(best.x), float(np.sqrt(np.mean(best.fun**2)))
+
+
+def _optics(x: Array) -> Imaging:
+    blur, sharpen, sigma, gamma = (float(value) for value in x[:4])
+    return Imaging(blur_sigma_px=blur, gamma=gamma, sharpen=sharpen, sharpen_sigma_px=sigma)
+
+
+def edge_of(imaging: Imaging, black: float, white: float) -> Array:
+    """The share of white at the middles of ``PLACES`` that a camera with this imaging draws.
+
+    Pixels are whole ones, in rows that meet the edge at every phase: blur and sharpening are sums over pixels.
+    """
+    whole = np.arange(-MODEL_REACH_PX, MODEL_REACH_PX + 1)
+    x = whole[None, :] - (np.arange(PHASES)[:, None] + 0.5) / PHASES
+    dark, bright = (TOP * (level / TOP) ** imaging.gamma for level in (max(black, 1.0), white))
+    light = dark + (bright - dark) * np.clip(x + 0.5, 0.0, 1.0)
+    image = TOP * (np.maximum(_blurred(light, imaging.blur_sigma_px), 0.0) / TOP) ** (1.0 / imaging.gamma)
+    sharp = np.clip(image + imaging.sharpen * (image - _blurred(image, imaging.sharpen_sigma_px)), 0.0, TOP)
+    order = np.argsort(x, axis=None)
+    share = (sharp.ravel()[order] - sharp[0, 0]) / (sharp[0, -1] - sharp[0, 0])
+    return np.interp(PLACES, x.ravel()[order], share)
+
+
+def _blurred(rows: Array, sigma_px: float) -> Array:
+    return np.asarray(gaussian_filter1d(rows, sigma_px, axis=1, mode="nearest", truncate=BLUR_REACH), np.float64)
+
+
+def _slope_of_light(level: float, gamma: float) -> float:
+    """Light per grey level of the image, at a grey level."""
+    return gamma * (max(level, 1.0) / TOP) ** (gamma - 1.0)
+
+
+def with_noise(imaging: Imaging, levels: tuple[float, float], sigmas: Sequence[float]) -> Imaging:
+    """The same with noise of the light that has these deviations at two grey levels, black and white."""
+    dark, bright = (TOP * (level / TOP) ** imaging.gamma for level in levels)
+    gain = max(0.0, (sigmas[1] ** 2 - sigmas[0] ** 2) / (bright - dark))
+    read = math.sqrt(max(0.0, sigmas[0] ** 2 - gain * dark))
+    return replace(imaging, read_sigma=read, shot_gain=gain)
+
+
+def jpeg_quality(file: Path) -> int | None:
+    """The quality, 1..100, whose table of luminance a JPEG file has; None for other files."""
+    content = file.read_bytes()
+    table = content.find(b"\xff\xdb")
+    if not content.startswith(b"\xff\xd8") or table < 0:
+        return None
+    first = max(1, content[table + 5])
+    scale = 100.0 * first / STANDARD_FIRST
+    return round(np.clip(100.0 - scale / 2.0 if scale <= 100.0 else 5000.0 / scale, 1.0, 100.0))

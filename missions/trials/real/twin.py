@@ -1,0 +1,193 @@
+"""A set's rendered twin: the same board before the same camera, at the same places, in the same light.
+
+The harness's own renderer draws it. Its imaging is what edges of the board say of the camera
+(``missions.trials.real.response``), its light what they say of black and white. Nothing is taken from the errors of
+markers: those the twin is to predict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from flight.harness.renderer import FrameRenderer, Imaging, PlacedBoard, RenderedInstant, RendererSetup
+from missions.trials.real.board import BoardSeen, SetSeen
+from missions.trials.real.response import (
+    TOP,
+    CameraResponse,
+    SeenEdge,
+    edge_of,
+    fitted,
+    levels_of,
+    mean_edge,
+    measure_response,
+    noise_beside,
+    see_edges,
+    with_noise,
+)
+from missions.trials.real.set import RealSet
+from path.calibration.board import print_cells
+from path.geometry import Pose
+from path.marker.layout import single_marker
+from path.messages import Role
+
+T_W_C = Pose(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]), np.array([0.0, 0.0, 1.5]))
+HERE = Pose(np.eye(3), np.zeros(3))
+GRID_CELLS = 800  # a grid's pitch: its markers' side is what it is, and fits no coarser print
+BORDER = 0.6  # of the pitch, white around a grid
+PLAIN = Imaging(read_sigma=0.0, shot_gain=0.0)
+PASSES, PASS_VIEWS = 4, 4
+LEAST_LIGHT = 0.5
+
+Array = NDArray[np.float64]
+Shades = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Twin:
+    """Rendered photographs of a set: their files, and the camera that they were taken with."""
+
+    images: tuple[Path, ...]
+    response: CameraResponse
+
+
+def render_twin(
+    own: RealSet, seen: SetSeen, images: Sequence[Path], renderer: type[FrameRenderer], seed: int, out: Path
+) -> Twin | None:
+    """Draw every photograph of a set again, into files; None when its camera's response cannot be measured.
+
+    Args:
+        images: the set's files. ``out``: a folder for the twin's.
+    """
+    response = measure_response(own, seen, images)
+    if response is None:
+        return None
+    drawing = _Drawing(own, _print_of(own, seen), renderer, seed)
+    drawing = replace(drawing, turned=drawing.measure_turned(seen))
+    imaging = _like_it(drawing, seen, response)
+    out.mkdir(parents=True, exist_ok=True)
+    files: list[Path] = []
+    for shot, image in zip(seen.photographs, drawing.images(seen, imaging), strict=True):
+        files.append(out / f"{Path(shot.name).stem}.png")
+        cv2.imwrite(str(files[-1]), image)
+    return Twin(tuple(files), replace(response, imaging=imaging))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Drawing:
+    """The drawing of a set's twin.
+
+    Attributes:
+        printed: shades, the side of a cell in metres, the place of the print's corner on the board.
+        turned: by photograph, the share of its light that a board has which is turned away from the renderer's sun.
+    """
+
+    own: RealSet
+    printed: tuple[Shades, float, Array]
+    renderer: type[FrameRenderer]
+    seed: int
+    turned: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    def measure_turned(self, seen: SetSeen) -> dict[str, float]:
+        """Draw the boards in plain light, and see how much of it their paper has."""
+        shares: dict[str, float] = {}
+        for shot, board, image in zip(seen.photographs, seen.boards, self.images(seen, PLAIN), strict=True):
+            wanted, got = (see_edges(self.own, one, board) for one in (shot, replace(shot, grey=image)))
+            shares[shot.name] = levels_of(got)[1] / levels_of(wanted)[1] if wanted and got else 1.0
+        return shares
+
+    def images(self, seen: SetSeen, imaging: Imaging) -> list[Shades]:
+        """Every photograph of ``seen`` again, in its own light."""
+        made = self.renderer(RendererSetup(seen.camera, HERE, HERE, single_marker(), imaging=imaging), self.seed)
+        drawn: list[Shades] = []
+        for number, (shot, board) in enumerate(zip(seen.photographs, seen.boards, strict=True)):
+            lit = _placed(board, *self.printed, see_edges(self.own, shot, board), imaging.gamma)
+            share = self.turned.get(shot.name, 1.0)
+            placed = replace(lit, light=(lit.light[0] / share, lit.light[1] / share))
+            color = made.shoot(RenderedInstant({Role.SENDER: T_W_C}, boards=(placed,)), Role.SENDER, number).color
+            drawn.append(np.asarray(cv2.cvtColor(color, cv2.COLOR_BGR2GRAY), np.uint8))
+        return drawn
+
+
+def _like_it(drawing: _Drawing, seen: SetSeen, response: CameraResponse) -> Imaging:
+    """The imaging with which the twin's edges and noise, measured alike, are the photographs'.
+
+    What the measurement itself does to an edge is seen on the twin, whose imaging is known, and taken off; so is what
+    sharpening and compression do to noise.
+    """
+    few = slice(None, None, max(1, len(seen.boards) // PASS_VIEWS))
+    some = replace(seen, photographs=seen.photographs[few], boards=seen.boards[few])
+    imaging = response.imaging
+    for _ in range(PASSES):
+        pairs = zip(drawing.images(some, imaging), some.photographs, some.boards, strict=True)
+        edges = [e for image, shot, board in pairs for e in see_edges(drawing.own, replace(shot, grey=image), board)]
+        if not edges:
+            break
+        levels, got = levels_of(edges), noise_beside(edges)
+        wanted = response.edge + edge_of(imaging, *levels) - mean_edge(edges)
+        light = [
+            _light_sigma(imaging, level) * w / max(g, 0.1)
+            for level, w, g in zip(levels, response.noise, got, strict=True)
+        ]
+        optics, _ = fitted(wanted, *levels)
+        imaging = with_noise(replace(optics, jpeg_quality=imaging.jpeg_quality), levels, light)
+    return imaging
+
+
+def _light_sigma(imaging: Imaging, level: float) -> float:
+    """Deviation of the light at a grey level."""
+    light = TOP * (level / TOP) ** imaging.gamma
+    return float(np.sqrt(imaging.read_sigma**2 + imaging.shot_gain * light))
+
+
+def _placed(
+    board: BoardSeen, shades: Shades, cell_m: float, corner_o: Array, edges: Sequence[SeenEdge], gamma: float
+) -> PlacedBoard:
+    """The print in the light of one photograph: black and white change evenly across the board."""
+    rows, columns = shades.shape
+    x = corner_o[0] + (np.arange(columns) + 0.5) * cell_m
+    y = corner_o[1] + (np.arange(rows) + 0.5) * cell_m
+    dark, bright = (_light(edges, name, x, y, gamma) for name in ("black", "white"))
+    low, high = float(dark.min()), float(bright.max())
+    lit = np.where(shades > 127, bright, dark)
+    levels = np.round(TOP * (lit - low) / (high - low)).astype(np.uint8)
+    T_w_o = T_W_C @ board.T_c_o @ Pose(np.eye(3), np.array([*corner_o, 0.0]))
+    return PlacedBoard(T_w_o, cell_m, levels, (low, high))
+
+
+def _light(edges: Sequence[SeenEdge], name: str, x: Array, y: Array, gamma: float) -> Array:
+    """Light of one side of the edges over the board, (rows, columns): a plane through all that were seen."""
+    middles, levels = np.stack([e.middle_o for e in edges]), np.array([getattr(e, name) for e in edges])
+    design = np.column_stack([np.ones(len(edges)), middles])
+    plane = np.linalg.lstsq(design, levels, rcond=None)[0]
+    seen = np.clip(plane[0] + plane[1] * x[None, :] + plane[2] * y[:, None], levels.min(), levels.max())
+    return np.maximum(TOP * (seen / TOP) ** gamma, LEAST_LIGHT)
+
+
+def _print_of(own: RealSet, seen: SetSeen) -> tuple[Shades, float, Array]:
+    """Shades of the print, the side of a cell in metres, and the place of its top left corner on the board."""
+    if own.board is not None:
+        shades, cell_m = print_cells(own.board)
+        return shades, cell_m, np.array([-own.board.square_m, -own.board.square_m])
+    cell_m = own.file.pitch_m / GRID_CELLS
+    side_m = float(np.median([_side(shot.points_o) for shot in seen.photographs]))
+    columns, rows = (round((n - 1 + 2.0 * BORDER) * GRID_CELLS) + GRID_CELLS for n in (own.file.columns, own.file.rows))
+    shades = np.full((rows, columns), 255, np.uint8)
+    corner_o = np.array([-1.0, -1.0]) * (BORDER + 0.5) * own.file.pitch_m
+    for marker in own.markers.values():
+        inner = marker.pattern[1:-1, 1:-1]
+        first = marker.corners_o[:, :2].mean(axis=0) - 0.5 * side_m - corner_o
+        size, (column, row) = round(side_m / cell_m), np.round(first / cell_m).astype(int)
+        big = cv2.resize(255 * inner.astype(np.uint8), (size, size), interpolation=cv2.INTER_NEAREST_EXACT)
+        shades[row : row + size, column : column + size] = big
+    return shades, cell_m, corner_o
+
+
+def _side(points_o: Array) -> float:
+    quads = points_o.reshape(-1, 4, 3)
+    return float(np.median(np.linalg.norm(quads[:, 1] - quads[:, 0], axis=1)))

@@ -1,0 +1,98 @@
+"""A camera's response and a set's twin, where the camera is known: photographs that are rendered themselves."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from flight.harness.renderer import Imaging
+from hil.camera.pictures import CameraRenderer
+from missions.options.proofs import TrialOptions
+from missions.trials.real.board import SetSeen, look_at_set
+from missions.trials.real.response import edge_of, jpeg_quality, levels_of, mean_edge, measure_response, see_edges
+from missions.trials.real.set import RealSet, read_set
+from missions.trials.real.twin import render_twin
+from missions.trials.run import run
+from path.calibration.board import Board
+from tests.missions.trials.real.test_trial import TEXT
+from tests.path.calibration.rendered import Held, photographs, poses
+
+PRINTED = Board("charuco", 8, 6, 0.030, 0.0225)
+CAMERA = Imaging(blur_sigma_px=0.7, read_sigma=3.0, shot_gain=0.03, sharpen=0.9, sharpen_sigma_px=1.0, gamma=1.3)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("twin")
+    (folder / "views").mkdir()
+    for number, color in enumerate(photographs(PRINTED, list(poses(PRINTED, Held(), 4, 87)), 3, CAMERA)):
+        cv2.imwrite(str(folder / "views" / f"{number}.jpg"), color, (cv2.IMWRITE_JPEG_QUALITY, 85))
+    (folder / "known.toml").write_text(TEXT.format(more=""))
+    return folder / "known.toml"
+
+
+@pytest.fixture(scope="module")
+def seen(file: Path) -> tuple[RealSet, SetSeen]:
+    own = read_set(file)
+    return own, look_at_set(own, own.images)
+
+
+def test_edges_of_a_known_camera_are_measured(seen: tuple[RealSet, SetSeen]) -> None:
+    own, views = seen
+    response = measure_response(own, views, own.images)
+    assert response is not None
+    pairs = zip(views.photographs, views.boards, strict=True)
+    levels = levels_of([edge for shot, board in pairs for edge in see_edges(own, shot, board)])
+    true, plain, fitted = (edge_of(imaging, *levels) for imaging in (CAMERA, Imaging(), response.imaging))
+    assert np.max(np.abs(fitted - true)) < 0.04 < 0.5 * np.max(np.abs(plain - true))
+    assert response.misfit < 0.02
+    assert response.imaging.jpeg_quality == pytest.approx(85, abs=1)
+
+
+def test_a_twin_draws_edges_and_noise_as_its_photographs_do(seen: tuple[RealSet, SetSeen], tmp_path: Path) -> None:
+    own, views = seen
+    twin = render_twin(own, views, own.images, CameraRenderer, 0, tmp_path)
+    assert twin is not None
+    assert [path.stem for path in twin.images] == [path.stem for path in own.images]
+    again = look_at_set(own, twin.images)
+    pairs = zip(again.photographs, again.boards, strict=True)
+    edges = [edge for shot, board in pairs for edge in see_edges(own, shot, board)]
+    assert np.nanmax(np.abs(mean_edge(edges) - twin.response.edge)) < 0.04
+    response = measure_response(own, again, twin.images)
+    assert response is not None
+    assert response.noise == pytest.approx(twin.response.noise, rel=0.15)
+    pairs = zip(views.photographs, views.boards, strict=True)
+    assert levels_of(edges) == pytest.approx(
+        levels_of([edge for shot, board in pairs for edge in see_edges(own, shot, board)]), rel=0.06, abs=4.0
+    )
+
+
+def test_what_shows_no_edges_has_no_twin(seen: tuple[RealSet, SetSeen], tmp_path: Path) -> None:
+    own, views = seen
+    flat = [replace(shot, grey=np.full_like(shot.grey, 128)) for shot in views.photographs]
+    assert render_twin(own, replace(views, photographs=tuple(flat)), own.images, CameraRenderer, 0, tmp_path) is None
+
+
+@pytest.mark.parametrize("quality", [40, 75, 95])
+def test_the_quality_of_a_jpeg_is_read_from_its_table(tmp_path: Path, quality: int) -> None:
+    noise = np.random.default_rng(1).integers(0, 255, (64, 64), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "a.jpg"), noise, (cv2.IMWRITE_JPEG_QUALITY, quality))
+    cv2.imwrite(str(tmp_path / "a.png"), noise)
+    assert jpeg_quality(tmp_path / "a.jpg") == pytest.approx(quality, abs=2)
+    assert jpeg_quality(tmp_path / "a.png") is None
+
+
+def test_page_and_summary_hold_the_twin_against_its_photographs(file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run(TrialOptions("real", out=out, set=((file,),), jobs=1)) == 0
+    own = json.loads((out / "summary.json").read_text())["sets"]["known"]["twin"]
+    assert own["ratios"]["corners_px"] == pytest.approx(1.0, abs=0.3)
+    assert own["ratios"]["d2_mean_m"] == pytest.approx(1.0, abs=0.35)
+    assert own["imaging"]["jpeg_quality"] == pytest.approx(85, abs=1)
+    assert "twin over photographs" in (out / "index.html").read_text()
+    assert len(list((out / "twins" / "known").glob("*.png"))) == 4
