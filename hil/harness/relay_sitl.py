@@ -174,6 +174,7 @@ class LiveField:
 
 def report_of(request: RelayRequest, run: RealTimeRun, ending: Ending) -> RelayReport:
     finished, wall_s, out = ending.finished, ending.wall_s, request.out
+    unseen = [TargetWatch(None, 0.0, 0.0)] * max(1, len(request.targets))
     aloft, closest_m = finished.get("aloft", ()), finished.get("closest_m", None)
     failed = [drone.result.log_failure for drone in run.drones.values() if drone.result is not None]
     return RelayReport(
@@ -187,7 +188,7 @@ def report_of(request: RelayRequest, run: RealTimeRun, ending: Ending) -> RelayR
         simulated_s=finished.get("simulated_s", wall_s),
         wall_s=wall_s,
         cpu_s=ending.cpu_s,
-        watched=msgspec.convert(finished.get("watched", []), list[TargetWatch]),
+        watched=msgspec.convert(finished["watched"], list[TargetWatch]) if finished else unseen,
         bytes_sent=finished.get("bytes_sent", {}),
         aloft_s=finished.get("aloft_s", {}),
         interrupted=run.interrupted,

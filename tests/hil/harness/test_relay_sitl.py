@@ -17,8 +17,8 @@ from flight.harness.relay import DroneProcesses, RelayRequest
 from hil.harness.children import end, spawn
 from hil.harness.leg_faults import LegFaults
 from hil.harness.live_programs import RECORD
-from hil.harness.realtime import RealTimeRun
-from hil.harness.relay_sitl import RelaySitl, check_drones, orders_of
+from hil.harness.realtime import Ending, RealTimeRun
+from hil.harness.relay_sitl import RelaySitl, check_drones, orders_of, report_of
 from hil.harness.relay_sitl_world import field_of
 from hil.monitors.hindsight import Hindsight
 from hil.world.faults import Fault, parse_fault
@@ -106,6 +106,8 @@ def test_the_faults_of_a_leg_are_its_own_and_follow_its_roles() -> None:
     assert (legs.end_of(2, Role.RECEIVER), legs.end_of(1, Role.RECEIVER)) == ("D3", "D2")
 
 
+NOBODY: Any = None
+NO_PROCESSES = DroneProcesses(NOBODY, NOBODY, NOBODY, NOBODY)
 WRITES_DOWN = """
 import sys
 with open({file!r}, "w") as file:
@@ -144,6 +146,15 @@ def test_what_a_killed_program_did_not_finish_saying_is_not_passed_on(rig: Rig, 
     assert asyncio.run(main()) is None
     assert (tmp_path / "told").read_text() == record + "\n"
     assert said == [("D1", "ask")]
+
+
+def test_a_run_without_findings_is_reported_too(rig: Rig, tmp_path: Path) -> None:
+    nothing: Any = None
+    request = RelayRequest(rig, field_of(rig, 3, 0), tmp_path, 1, {}, nothing, nothing, NO_PROCESSES)
+    run = RealTimeRun(orders_of(request), ("D1", "D2", "D3"), {})
+    report = report_of(request, run, Ending({}, "the world's process ended", "", 3.0, 1.0))
+    assert report.failure == "the world's process ended"
+    assert [watched.first_s for watched in report.watched] == [None]
 
 
 def test_the_parent_knows_a_record_from_other_lines(capsys: pytest.CaptureFixture[str]) -> None:
