@@ -13,6 +13,7 @@ from drivers.log.mcap_log import LogRecord, parts, read_log
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from flight.harness.flights import FlightReport, FlightRequest
+from hil.harness.inject import need_radios
 from hil.harness.live_programs import Command, Orders
 from hil.harness.pace import frame_age_s, overload_of
 from hil.harness.preparation import prepare
@@ -50,6 +51,7 @@ class SitlHarness:
         faults = parse_faults(request.faults, request.rig.level)
         if any(fault.name == "attack" for fault in faults):
             _need_keys(request.rig)
+        need_radios(request.rig, faults)
         with ExitStack() as stack:
             shares: dict[str, CpuShare] = {}
             if config.slow is not None:
