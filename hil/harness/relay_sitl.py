@@ -36,6 +36,7 @@ from hil.harness.pace import frame_age_s, overload_of
 from hil.harness.realtime import Ending, RealTimeRun
 from hil.harness.realtime_world import world_command
 from hil.harness.relay_sitl_world import run_of
+from hil.world.check import refuse_slow
 from hil.world.errors import reported
 from hil.world.faults import Fault, FaultError, parse_faults
 from path.messages import Role
@@ -51,6 +52,7 @@ class RelaySitl:
     def fly(self, request: RelayRequest) -> RelayReport:
         """Raises PartError for a rig whose drones are not told apart, and for faults that there are not."""
         check_drones(request.rig, request.config)
+        refuse_slow(request.rig)
         faults = {leg: [_parse(text, request.rig.level) for text in texts] for leg, texts in request.faults.items()}
         return asyncio.run(_fly(request, faults))
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from drivers.rig.parts import Rig
+from drivers.rig.parts import Rig, with_slow
 from drivers.rig.tables import RigError
 from flight.harness.flights import Progress
 from flight.harness.relay import DroneProcesses, RelayRequest
@@ -18,7 +18,7 @@ from hil.harness.children import end, spawn
 from hil.harness.leg_faults import LegFaults
 from hil.harness.live_programs import RECORD
 from hil.harness.realtime import Ending, RealTimeRun
-from hil.harness.relay_sitl import check_drones, orders_of, report_of
+from hil.harness.relay_sitl import RelaySitl, check_drones, orders_of, report_of
 from hil.harness.relay_sitl_world import field_of
 from hil.monitors.hindsight import Hindsight
 from hil.world.faults import Fault, parse_fault
@@ -167,3 +167,10 @@ def test_the_parent_knows_a_record_from_other_lines(capsys: pytest.CaptureFixtur
 
     RelayedLog(NoLog(), "D1", whole=False).write("/phase", 1, {"phase": "follow"})
     assert capsys.readouterr().out.encode().startswith(RECORD)
+
+
+def test_a_share_of_a_core_is_refused_by_a_relay_which_confines_nobody(rig: Rig, tmp_path: Path) -> None:
+    nothing: Any = None
+    request = RelayRequest(with_slow(rig, 0.2), field_of(rig, 3, 0), tmp_path, 1, {}, nothing, nothing, nothing)
+    with pytest.raises(RigError, match="confines no program"):
+        RelaySitl().fly(request)
