@@ -76,6 +76,7 @@ class MarkerView:
         self._fixes: list[int] = []
         self._searched_ns = 0
         self._search_period_ns = round(1e9 / mission.search_hz)
+        self.search_every = 1  # times as rarely as the mission says, on a computer that does not keep up
         self.target_n_m: Vec3 | None = None
         self.R_n_v: Matrix | None = None  # the marker's attitude at the newest look, as its drone reports it
 
@@ -109,7 +110,7 @@ class MarkerView:
         region, expected = self._where(view.stamp_ns, R_n_c, R_n_v)
         if region is None:
             # a search of the whole image costs ten times a look at the right place
-            if view.stamp_ns - self._searched_ns < self._search_period_ns:
+            if view.stamp_ns - self._searched_ns < self.search_every * self._search_period_ns:
                 return Missed(MissReason.NO_MARKER)
             self._searched_ns = view.stamp_ns
         detections = view.markers(region, expected)

@@ -142,6 +142,14 @@ TOPICS: dict[str, Topic] = {
         "processor time, once a second, in real time only",
         {"spent_ns": _table("ns since the start by stage; thread: the main thread; program: all threads")},
     ),
+    "/shed": Topic(
+        "something is given up because the computer does not keep up, or taken up again; in real time only",
+        {
+            "what": _text("of flight.shedding.IN_ORDER"),
+            "gone": _flag("given up, not taken up again"),
+            "busy": _number("share of the time at work before, 0 to 1"),
+        },
+    ),
     "/phase": Topic("a phase of the course begins", {"phase": _text("its name"), "note": _text("for the crew")}),
     "/note": Topic("a line for the crew", {"note": _text("the line")}),
     "/state": Topic(

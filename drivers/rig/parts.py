@@ -206,6 +206,18 @@ def with_errors(rig: Rig, level: str | None) -> Rig:
     return dataclasses.replace(rig, world={**rig.world, "errors": {"level": level}})
 
 
+def with_slow(rig: Rig, share: float | None) -> Rig:
+    """The rig with another share of a core for each role's program (``world.slow``), if one is given.
+
+    Raises RigError for a rig whose programs nobody starts but their crews.
+    """
+    if share is None:
+        return rig
+    if rig.harness is None:
+        raise RigError([f"rig {rig.name} has no harness that could slow its programs down"], "leave out --slow")
+    return dataclasses.replace(rig, world={**rig.world, "slow": share})
+
+
 def import_factory(factory: str, where: str) -> Any:
     """The class named ``module:Class``. Raises RigError naming ``where``."""
     if not _FACTORY.fullmatch(factory):

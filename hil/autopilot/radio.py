@@ -153,7 +153,7 @@ class Radio:
         there = own.on and config.fitted and now_s >= own.away_until_s
         if not there and not overridden:
             return
-        heard = _channels_of(own, config)
+        heard = channels_of(own, config)
         if overridden:
             pairs = zip(forced, heard, strict=False)
             heard = tuple(usual if us in (RELEASED, UNCHANGED) else us for us, usual in pairs)
@@ -163,7 +163,8 @@ class Radio:
         return self.channels[number - 1] if 0 < number <= len(self.channels) else LOW_US
 
 
-def _channels_of(own: Transmitter, config: RadioConfig) -> tuple[int, ...]:
+def channels_of(own: Transmitter, config: RadioConfig) -> tuple[int, ...]:
+    """Returns the pulse widths in µs that a transmitter sends."""
     channels = [round(MIDDLE_US + 500.0 * min(1.0, max(-1.0, stick))) for stick in own.sticks]
     channels += [LOW_US] * (CHANNELS - len(channels))
     if config.mode_channel:

@@ -134,7 +134,11 @@ class Sensor:
         self.setup = setup
         self.noise = noise
         self.errors = errors or SensorErrors()
-        self.boxes = noise.targets.shifted(self.errors.edges_px)
+        self.boxes = {
+            "car": noise.targets.shifted(self.errors.edges_px),
+            "person": noise.targets.shifted(self.errors.edges_px),
+            "drone": noise.drones.shifted(self.errors.edges_px),
+        }
         self.seed = fold(fold(seed, 7), list(Role).index(setup.role))
         self.spells = Spells(int(fold(self.seed, 6)))
         self.depth = DepthSettings(
@@ -187,7 +191,7 @@ class GeometricView:
     def targets(self, region: Region | None) -> Sequence[Detection]:
         """The cars a detector would find, with box centre in ``region``, best score first."""
         sensor, seen = self._sensor, self._outlines
-        boxes, off_px = sensor.boxes, self._snapshot.detector.edge_px
+        boxes, off_px = sensor.boxes[self._snapshot.kind], self._snapshot.detector.edge_px
         if off_px:
             boxes = boxes.shifted((off_px, off_px, off_px, off_px))
         if self._missed:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
 from drivers.interfaces import FlightMode
+from drivers.rig.parts import Rig
 from hil.autopilot.radio import STICKS_SLOT, Transmitter
 from hil.harness.drone import DroneHarness, present_s
 from hil.harness.programs import Programs
 from hil.link.faulty import LinkFaults
-from hil.world.faults import Fault
+from hil.world.faults import Fault, FaultError
 from hil.world.world import Fleet, Name
 
 SAGGED = 0.15
@@ -46,6 +48,19 @@ class FaultyLink(Protocol):
     def faults(self, faults: LinkFaults, /) -> None: ...
 
     def interrupt(self, seconds: float) -> None: ...
+
+
+def need_radios(rig: Rig, faults: Sequence[Fault]) -> None:
+    """Raises FaultError when a pilot without a transmitter is to use one."""
+    for fault in faults:
+        role = fault.kind.role
+        if role is None or not (fault.name.startswith(RC) or fault.name == "motor_kill"):
+            continue
+        if "sender_simulator" in rig.world and rig.role(role).vehicle.options.get("rc") == "none":
+            raise FaultError(
+                f'fault {fault.name}: {rig.where(f"{role.value}.vehicle")} says rc = "none"',
+                "name a rig whose pilots have radios: sitl-px4-field, sitl-ardupilot-field",
+            )
 
 
 def inject_in_world(name: str, role: Name | None, world: Fleet[Name], value: float | None = None) -> None:

@@ -61,6 +61,7 @@ class Orders:
         news: what a drone's program has to know at present; it is told on its stdin whenever that changes.
         heard: takes any other line of JSON that a program prints.
         attack: the command of a program that floods the link with so many packets a second, once the world said where.
+        begun: takes the process number of a drone's program that has just been started.
         awaited: the world's traffic stands until the programs of all these drones have reported.
     """
 
@@ -73,6 +74,7 @@ class Orders:
     news: Callable[[str], Mapping[str, Any]] = no_news
     heard: Callable[[str, Mapping[str, Any]], None] = lambda _name, _word: None
     attack: Callable[[float, Mapping[str, Any]], Command] = lambda _rate, _ready: ()
+    begun: Callable[[str, int], None] = lambda _name, _pid: None
     awaited: frozenset[str] = frozenset()
 
 
@@ -129,6 +131,7 @@ class LivePrograms:
         while True:
             drone.killed, drone.told, drone.restart_s, drone.result = False, {}, None, None
             drone.program = await self.spawn(self._orders.program(name), name, self._orders.shares(name))
+            self._orders.begun(name, drone.program.pid)
             if self.stop.is_set():
                 send_signal(drone.program, signal.SIGTERM)
             await self._listen(drone, drone.program)

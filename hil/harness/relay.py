@@ -40,6 +40,7 @@ from hil.harness.sim import mission_config
 from hil.harness.virtual_time import run_virtual
 from hil.link.faulty import MemoryHub
 from hil.monitors.relay import RelayLog, RelayMonitors
+from hil.world.check import refuse_slow
 from hil.world.errors import Built, as_built, reported
 from hil.world.faults import Fault, FaultError, parse_faults
 from hil.world.world import WorldConfig
@@ -56,6 +57,7 @@ class RelaySim:
     """Flies a relay or a team of level ``sim``."""
 
     def fly(self, request: RelayRequest) -> RelayReport:
+        refuse_slow(request.rig)
         faults = {leg: [_parse(text, request.rig.level) for text in texts] for leg, texts in request.faults.items()}
         prepare(request.rig, lambda what: request.emit(starting(Role.SENDER, what)))
         start_s, cpu_s = time.perf_counter(), time.process_time()

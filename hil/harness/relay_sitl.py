@@ -36,6 +36,7 @@ from hil.harness.pace import frame_age_s, overload_of
 from hil.harness.realtime import Ending, RealTimeRun
 from hil.harness.realtime_world import world_command
 from hil.harness.relay_sitl_world import run_of
+from hil.world.check import refuse_slow
 from hil.world.errors import reported
 from hil.world.faults import Fault, FaultError, parse_faults
 from path.messages import Role
@@ -51,6 +52,7 @@ class RelaySitl:
     def fly(self, request: RelayRequest) -> RelayReport:
         """Raises PartError for a rig whose drones are not told apart, and for faults that there are not."""
         check_drones(request.rig, request.config)
+        refuse_slow(request.rig)
         faults = {leg: [_parse(text, request.rig.level) for text in texts] for leg, texts in request.faults.items()}
         return asyncio.run(_fly(request, faults))
 
@@ -172,6 +174,7 @@ class LiveField:
 
 def report_of(request: RelayRequest, run: RealTimeRun, ending: Ending) -> RelayReport:
     finished, wall_s, out = ending.finished, ending.wall_s, request.out
+    unseen = [TargetWatch(None, 0.0, 0.0)] * max(1, len(request.targets))
     aloft, closest_m = finished.get("aloft", ()), finished.get("closest_m", None)
     failed = [drone.result.log_failure for drone in run.drones.values() if drone.result is not None]
     return RelayReport(
@@ -185,7 +188,7 @@ def report_of(request: RelayRequest, run: RealTimeRun, ending: Ending) -> RelayR
         simulated_s=finished.get("simulated_s", wall_s),
         wall_s=wall_s,
         cpu_s=ending.cpu_s,
-        watched=msgspec.convert(finished.get("watched", []), list[TargetWatch]),
+        watched=msgspec.convert(finished["watched"], list[TargetWatch]) if finished else unseen,
         bytes_sent=finished.get("bytes_sent", {}),
         aloft_s=finished.get("aloft_s", {}),
         interrupted=run.interrupted,

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
+from drivers.cpu_share import CpuShare
 from drivers.log.mcap_log import LogRecord, parts, read_log
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from flight.harness.flights import FlightReport, FlightRequest
+from hil.harness.inject import need_radios
 from hil.harness.live_programs import Command, Orders
 from hil.harness.pace import frame_age_s, overload_of
 from hil.harness.preparation import prepare
@@ -36,7 +40,7 @@ class SitlHarness:
     prepare = staticmethod(prepare)
 
     def fly(self, request: FlightRequest) -> FlightReport:
-        """Raises PartError when the rig needs an autopilot that was not named."""
+        """Raises PartError when the rig needs an autopilot that was not named, or a share of a core it cannot have."""
         config = decode_table(request.rig.world, WorldConfig, request.rig.where("[world]"))
         for role in Role:
             simulator = config.simulator(role)
@@ -47,7 +51,15 @@ class SitlHarness:
         faults = parse_faults(request.faults, request.rig.level)
         if any(fault.name == "attack" for fault in faults):
             _need_keys(request.rig)
-        return asyncio.run(_fly(request, faults))
+        need_radios(request.rig, faults)
+        with ExitStack() as stack:
+            shares: dict[str, CpuShare] = {}
+            if config.slow is not None:
+                shares = {name: stack.enter_context(CpuShare(name, config.slow)) for name in ENDS}
+            report = asyncio.run(_fly(request, faults, shares))
+            share = {} if config.slow is None else {"share": config.slow}
+            stopped = {f"{name}_stopped_s": round(each.stopped_s(), 3) for name, each in shares.items()}
+            return replace(report, slow={**share, **stopped})
 
 
 def _need_keys(rig: Rig) -> None:
@@ -61,8 +73,8 @@ def _need_keys(rig: Rig) -> None:
             )
 
 
-async def _fly(request: FlightRequest, faults: list[Fault]) -> FlightReport:
-    run = RealTimeRun(orders_of(request), ENDS, {LEG: faults})
+async def _fly(request: FlightRequest, faults: list[Fault], shares: Mapping[str, CpuShare]) -> FlightReport:
+    run = RealTimeRun(orders_of(request, shares), ENDS, {LEG: faults})
     mission = mission_config(request.rig)
 
     limit_s = RUN_LIMIT_S + mission.deadlines.verify_s + mission.follow_after_s
@@ -77,8 +89,12 @@ async def one_leg(run: RealTimeRun) -> None:
     await asyncio.gather(*(run.fly(name) for name in ENDS))
 
 
-def orders_of(request: FlightRequest) -> Orders:
+def orders_of(request: FlightRequest, shares: Mapping[str, CpuShare]) -> Orders:
     rig = request.rig
+
+    def begun(name: str, pid: int) -> None:
+        if name in shares:
+            shares[name].add(pid)
 
     def guard(name: str) -> Command | None:
         return (
@@ -100,6 +116,7 @@ def orders_of(request: FlightRequest) -> Orders:
         out=request.out,
         emit=request.emit,
         attack=attack,
+        begun=begun,
         awaited=frozenset(ENDS),
     )
 

@@ -16,10 +16,13 @@ Vec3 = tuple[float, float, float]
 Boxes = tuple[tuple[Vec3, Vec3, Color], ...]
 
 _ARM_M, _HULL_M = 0.12, (0.16, 0.11, 0.05)
-_DRONE_BOXES: Boxes = (
-    # centre, size, colour: a quadrotor whose arms point ahead, back and to its sides
+DRONE_HULL: Boxes = (
+    # centre, size, colour
     ((0.0, 0.0, 0.0), _HULL_M, ORANGE),
     ((0.0, 0.0, 0.037), (0.09, 0.06, 0.020), ORANGE),
+)
+DRONE_LIMBS: Boxes = (
+    # arms point ahead, back and to the sides
     *(
         ((sign * (0.5 * (_HULL_M[0] / 2 + GAP_M + _ARM_M)), 0.0, 0.0), (_ARM_M - _HULL_M[0] / 2 - GAP_M, 0.02, 0.012),
          FRAME)
@@ -39,8 +42,10 @@ _DRONE_BOXES: Boxes = (
 BOXES: Mapping[TargetKind, Boxes] = {
     "car": CAR_BOXES,
     "person": tuple((part.center, part.size, part.colors[0]) for part in PARTS),
-    "drone": _DRONE_BOXES,
+    "drone": DRONE_HULL,
 }
+"""What the geometry reckons with. A drone's arms and motors are not in it: they are of another colour than its hull,
+and the colour detector hardly ever has them in its box."""
 
 
 @cache
@@ -50,4 +55,4 @@ def model_of_kind(kind: TargetKind, number: int = 0) -> Model:
         return car()
     if kind == "person":
         return person(number % VARIANTS)
-    return model_of([face for center, size, color in _DRONE_BOXES for face in box(center, size, color)])
+    return model_of([face for center, size, color in (*DRONE_HULL, *DRONE_LIMBS) for face in box(center, size, color)])

@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import cast
 from urllib.parse import urlsplit
 
-from drivers.interfaces import FlightMode, PartError
+from drivers.interfaces import PartError
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.rig.parts import Rig
 from hil.autopilot.autopilot import Autopilot
 from hil.autopilot.simulator import Kind, SimulatorConfig
-from hil.autopilot.values import AutopilotConfig, OffboardSession
 from hil.vehicle.relay import MavlinkRelay
+from hil.vehicle.remote_autopilot import RemoteAutopilot
+from hil.vehicle.simulated_radio import SET_UP, SimulatedRadio
 from hil.vehicle.simulator_link import SimulatorLink
 from hil.vehicle.simulator_process import (
     FIRST_PORT,
@@ -40,69 +41,6 @@ PLACED_M = 1.0  # from where the rig says that it stands
 SILENT_S = 2.0  # without truth for this long there is no world any more
 
 
-class RemoteAutopilot:
-    """Answers for a real autopilot what the harness asks of an embedded one (``hil.autopilot.autopilot.Autopilot``).
-
-    Without a relay in the cable, as with a flight controller, nobody hears the setpoints: no session is ever shown.
-    """
-
-    killed = False  # nobody has its kill switch
-    failsafe = ""  # its modes say no more than that they changed
-    config = AutopilotConfig()  # of which the monitors ask at what battery it may land by itself
-
-    def __init__(self, relay: MavlinkRelay | None, link: SimulatorLink) -> None:
-        self._link = link
-        self._cable = link if relay is None else relay
-        self._taken = False
-
-    @property
-    def armed(self) -> bool:
-        return self._cable.watch.armed
-
-    @property
-    def powered(self) -> bool:
-        return self.armed
-
-    @property
-    def mode(self) -> FlightMode:
-        return self._cable.watch.mode
-
-    @property
-    def pilot_in_control(self) -> bool:
-        """Returns whether somebody else selects its mode.
-
-        The harness does, as a second ground station, or it flies in a mode that no script selects.
-        """
-        return self.armed and (self._taken or self.mode is FlightMode.OTHER)
-
-    @property
-    def battery(self) -> float:
-        return self._link.battery
-
-    @property
-    def newest_setpoint_s(self) -> float:
-        return self._cable.watch.newest_setpoint_s
-
-    @property
-    def offboard_sessions(self) -> list[OffboardSession]:
-        return self._cable.watch.offboard_sessions
-
-    @property
-    def setpoint_gap_s(self) -> float:
-        return self._cable.watch.setpoint_gap_s
-
-    def request_mode(self, now_s: float, mode: FlightMode, by_pilot: bool = False) -> None:
-        """Changes the mode as a pilot; nobody else's change can be asked for."""
-        del now_s, mode
-        assert by_pilot
-        self._taken = True
-        self._cable.pilot_takes_over()
-
-    def set_battery(self, fraction: float) -> None:
-        """Let the simulated battery sag."""
-        self._link.sag_battery(fraction)
-
-
 class SimulatedVehicle:
     """One drone's simulator with both of its connections. In a ``sitl`` world it stands where MavlinkVehicle does."""
 
@@ -117,14 +55,18 @@ class SimulatedVehicle:
         self.sysid = int(options["sysid"])
         self.config = config
         origin, home = rig.origin, world.home(role)
-        tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+        # All of the simulation is as much higher as its GPS says too much: what is true is reckoned from there.
+        altitude_m = origin.altitude_m + world.altitude.error_m(ROLES.index(role), 0.0)
+        tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, altitude_m)
         east, north = home.position_m
         off_n_m = receiver_off(world.position_offset, seed) if role is Role.RECEIVER else (0.0, 0.0, 0.0)
         place = Home(*tangent.to_global(north + off_n_m[0], east + off_n_m[1], 0.0), home.heading_deg)
         self.follower = TruthFollower(world.airframe.leg_m, off_n_m)
         self._process: AutopilotProcess | None = None
+        with_radio = options.get("rc", "required") != "none" and not config.on_board
         if config.to_start:
-            parameters = {**_numbers(options.get("parameters", {})), **config.parameters}
+            set_up = SET_UP[config.kind] if with_radio else {}
+            parameters = {**set_up, **_numbers(options.get("parameters", {})), **config.parameters}
             own = folder / f"{role.value}-{config.kind}"
             self._process = AutopilotProcess(config.kind, self.sysid, place, parameters, own, config.speedup)
         self.relay: MavlinkRelay | None = None
@@ -136,6 +78,7 @@ class SimulatedVehicle:
             self.relay = MavlinkRelay(config.kind, self.sysid, vehicle, companion)
             truth = _address(config.truth_url, FIRST_TRUTH_PORT + self.sysid - 1)
         self.link = SimulatorLink(config.kind, self.sysid, truth, tangent, self.follower, "vision" in options)
+        self.radio = SimulatedRadio(config.kind, self.sysid, self.link) if with_radio else None
         self._home, self._home_n_m = place, (north, east)
         self._at_speed = config.speedup == 1.0
         self.epoch_s = time.monotonic()
@@ -162,6 +105,8 @@ class SimulatedVehicle:
     def start(self) -> None:
         if self._process is not None:
             self._process.start()
+        if self.radio is not None:
+            self.radio.start()
 
     def listen(self) -> None:
         """Take packets as they come, from now on."""
@@ -178,17 +123,24 @@ class SimulatedVehicle:
             for each in relay.sockets:
                 loop.remove_reader(each)
             relay.close()
+        if self.radio is not None:
+            self.radio.close()
         self.link.close()
         if self._process is not None:
             self._process.stop()
 
-    def pump(self, _now_s: float) -> None:
-        """Raises SimulatorBroken when it has died or says nothing any more."""
+    def pump(self, world_s: float) -> None:
+        """Takes what came in, and sends what the pilot's radio says. ``world_s``: the world's clock.
+
+        Raises SimulatorBroken when it has died or says nothing any more.
+        """
         if self._process is not None:
             self._process.check()
         self.link.receive()  # what waits while this process was busy is no silence
         now_s = time.monotonic()
         self.link.ask(now_s)
+        if self.radio is not None:
+            self.radio.pump(world_s)
         silent_s = now_s - self.follower.newest_s
         if math.isfinite(silent_s) and silent_s > SILENT_S:
             raise SimulatorBroken(f"{self.config.kind} of vehicle {self.sysid} told no truth for {silent_s:.1f} s")
@@ -241,7 +193,7 @@ class FollowedWorld(World):
         super().__init__(config, seed)
         self._vehicles = {role: vehicles[role] for role in ROLES}
         self._drones = {
-            role: SimDrone(cast("Autopilot", RemoteAutopilot(each.relay, each.link)), self._states[i])
+            role: SimDrone(cast("Autopilot", RemoteAutopilot(each.relay, each.link, each.radio)), self._states[i])
             for i, (role, each) in enumerate((role, vehicles[role]) for role in ROLES)
         }
 

@@ -69,6 +69,7 @@ class SimulatorLink:
         self.watch = FlightWatch(next(known for known in KINDS if known.name == kind))
         self.epoch_s = 0.0  # of the world's clock, for ``watch``
         self._mav: Any = mavlink.MAVLink(None, srcSystem=OWN_SYSID, srcComponent=OWN_COMPONENT)
+        self._radio_mav: Any = mavlink.MAVLink(None, srcSystem=OWN_SYSID, srcComponent=OWN_COMPONENT)
         self._asked_s = -math.inf
         self._heard: dict[int, float] = {}
         self.armable = False
@@ -140,6 +141,11 @@ class SimulatorLink:
                 self._sysid, AUTOPILOT, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32
             )
         )
+
+    def send_channels(self, channels: tuple[int, ...]) -> None:
+        """Sends pulse widths in µs of channels 1 to 8, as of a receiver on board. Another thread may do so."""
+        message: Any = mavlink.MAVLink_rc_channels_override_message(self._sysid, AUTOPILOT, *channels)
+        self.wire.write(message.pack(self._radio_mav))
 
     # --- inside ---
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 from drivers.rig.parts import Rig
-from drivers.rig.tables import Problems, decode_table
+from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
 from hil.world.world import WorldConfig
+
+CONFINES = "hil.harness.sitl:SitlHarness"
 
 
 def check_world(rig: Rig) -> None:
@@ -24,4 +26,15 @@ def check_world(rig: Rig) -> None:
         if away_m > fence_m:
             what = f"{away_m:g} m from the origin; mission.guard.fence_radius_m is {fence_m:g} m"
             problems.add(rig.where(f"world.{key}"), what)
+    if config.slow is not None and rig.harness != CONFINES:
+        what = f"{rig.name} does not fly each role as a process in real time: leave it out, or fly --rig sitl"
+        problems.add(rig.where("world.slow"), what)
     problems.raise_any()
+
+
+def refuse_slow(rig: Rig) -> None:
+    """Raises RigError for a share of a core in a rig that is flown by a harness which confines nobody."""
+    if rig.world.get("slow") is not None:
+        raise RigError(
+            [f"{rig.where('world.slow')}: {rig.name} confines no program here"], "leave it out, or use handoff"
+        )

@@ -101,6 +101,8 @@ class AltitudeConfig:
 class WorldConfig:
     """The ``[world]`` table of a rig."""
 
+    # of a core, for each role's program: on a computer that much slower (docs/compute.md)
+    slow: Annotated[float | None, Bounds(0.02, 1.0, "of a core")] = None
     errors: ErrorsConfig = field(default_factory=ErrorsConfig)
     wind: WindConfig = field(default_factory=WindConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)

@@ -16,9 +16,11 @@ from drivers.realsense.library_import import import_realsense
 from drivers.rig.check import local_ports
 from drivers.rig.computer_check import clock_finding, write_finding
 from drivers.rig.part_check import Finding
+from drivers.rig.parts import Rig
 from drivers.rig.tables import RigError
 from flight.command_end import CommandEnd
 from missions import rig_library
+from missions.doctor.computer import computer_findings
 from missions.doctor.parts import part_tests, run_test
 from missions.doctor.room import check_room
 from missions.doctor.table import open_findings
@@ -60,6 +62,8 @@ def asked(options: DoctorOptions, doing: Callable[[str], None]) -> Iterator[Find
     Args:
         doing: told what is measured now, before anything that takes seconds.
     """
+    if options.slow is not None and options.role == "none":
+        raise PartError("--slow: whose computer?", "add --role sender or --role receiver")
     if options.set_parameters and options.vehicle == "none":
         raise PartError("whose parameters?", "add --vehicle sender or --vehicle receiver")
     readable = True
@@ -72,13 +76,24 @@ def asked(options: DoctorOptions, doing: Callable[[str], None]) -> Iterator[Find
         doing("this computer: its disk and clock")
         yield write_finding(Path("runs"))
         yield clock_finding()
-        for test in part_tests(rig_library.load(options.rig), Role(options.role)):
+        rig, role = rig_library.load(options.rig), Role(options.role)
+        doing("this computer: its time for a frame of several sizes, up to half a minute")
+        yield from of_computer(rig, role, options.slow or 1.0)
+        for test in part_tests(rig, role):
             doing(f"{test.name}: {test.doing}")
             yield from run_test(test)
     if options.vehicle != "none":
         doing(f"{options.vehicle} vehicle: its parameters")
         rig = rig_library.load(options.rig)
         yield from check_vehicle(rig, Role(options.vehicle), options.set_parameters, Path("runs") / "parameters")
+
+
+def of_computer(rig: Rig, role: Role, share: float) -> Iterator[Finding]:
+    """The computer's time for this role's frames; what kept it from being measured is a fault too."""
+    try:
+        yield from computer_findings(rig, role, share)
+    except PartError as error:
+        yield Finding("fault", f"{role.value} computer", str(error), error.remedy)
 
 
 def findings(rig: str) -> Iterator[Finding]:

@@ -87,7 +87,7 @@ def guard_of(rig: Rig, role: Role) -> PartSpec:
     return spec
 
 
-def _as_flown(rig: Rig, role: Role, spec: PartSpec) -> PartSpec:
+def as_flown(rig: Rig, role: Role, spec: PartSpec) -> PartSpec:
     """Returns the guard with the source of heights that the script's vehicle has: two of them would be two fences."""
     height_from = rig.role(role).vehicle.options.get("height_from")
     return spec if height_from is None else replace(spec, options={**spec.options, "height_from": height_from})
@@ -105,7 +105,7 @@ async def watch_vehicles(
         vehicles: list[Watched] = []
         for role, spec in specs.items():
             context = part_context(rig, role)
-            vehicle: Watched = await stack.enter_async_context(create(_as_flown(rig, role, spec), context))
+            vehicle: Watched = await stack.enter_async_context(create(as_flown(rig, role, spec), context))
             line = await stack.enter_async_context(UdpBeatLine(str(spec.options["bind"]), context.clock))
             log: Log = stack.enter_context(McapLog(logs[role], role.value))
             tell = Teller(role)

@@ -126,9 +126,10 @@ def with_patient_failsafe(rig: Rig, folder: Path) -> Rig:
 
 
 def kinds_of(rig: Rig) -> tuple[str, ...]:
-    """Returns what can be tried on a rig: programs of their own can hang, an embedded vehicle has a transmitter."""
+    """Returns what can be tried on a rig: programs of their own can hang; pilots have radios unless it says not."""
     own = OF_PROGRAM if rig.level not in ("sim", "sim-rendered") else ()
-    radio = RADIO if "sender_simulator" not in rig.world else ()
+    simulated = "sender_simulator" in rig.world
+    radio = () if simulated and any(rig.role(role).vehicle.options.get("rc") == "none" for role in Role) else RADIO
     return (*own, TAKEOVER, *radio)
 
 

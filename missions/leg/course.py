@@ -46,6 +46,7 @@ async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
         session.report,
         session.log_state,
         session.log_cpu,
+        session.keep_up,
         session.stopped,
         session.keep_guard,
     ):

@@ -274,6 +274,7 @@ class Receiver:
         T_n_c = self._camera_pose.T_n_c(stamp_ns, R_n_b)
         motion = self._motion()
         self._marker.note_motion(motion)
+        self._marker.search_every = session.shedding.search_every
         with session.stage("marker"):
             fix = self._marker.look(view, T_n_c.R, gravity_v, self._camera_pose.gravity_c(R_n_b))
         with session.stage("log"):

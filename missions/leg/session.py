@@ -42,6 +42,7 @@ from flight.harness.flights import Emit, InProcess, Progress
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
+from flight.shedding import BEAT_S, Shedding
 from flight.under_guard import UnderGuard
 from missions.leg.link_alarm import LinkAlarm
 from path.marker.warm_up import warm_up
@@ -103,6 +104,7 @@ class RoleSession:
     ) -> None:
         self.guard = guard
         self._stages = stages  # None in virtual time, in which logs tell nothing of the machine
+        self.shedding = Shedding()
         self.script = Script.IDLE
         self._measured_m = math.nan
         self.rig = rig
@@ -225,6 +227,21 @@ class RoleSession:
             self.log.write("/cpu", self.now_ns(), {"spent_ns": self._stages.spent_ns()})
             await asyncio.sleep(_CPU_PERIOD_S)
 
+    async def keep_up(self) -> None:
+        """Give things up in order while the program is busy all the time, and take them up again, for ever.
+
+        In virtual time nothing is late.
+        """
+        loop = asyncio.get_running_loop()
+        while self._stages is not None:
+            due_s = loop.time() + BEAT_S
+            await asyncio.sleep(BEAT_S)
+            changed = self.shedding.beat(loop.time() - due_s)
+            if changed is not None:
+                record = {"what": changed.what, "gone": changed.gone, "busy": changed.busy}
+                self.log.write("/shed", self.now_ns(), record)
+                self.say(f"this computer is busy: {'gives up' if changed.gone else 'takes up again'} {changed.what}")
+
     # --- what the others see -------------------------------------------------------------------------------------
 
     def enter(self, phase: Phase, note: str = "") -> None:
@@ -289,8 +306,15 @@ class RoleSession:
         return self._frames is not None
 
     async def view(self, timeout_s: float) -> View:
-        """The newest view not yet given, recorded if the rig says so. Raises CameraError when none came in time."""
+        """The newest view not yet given, recorded if the rig says so. Raises CameraError when none came in time.
+
+        On a computer that does not keep up frames are left out before it.
+        """
+        wait_s = self.shedding.until_next_s(self.now_ns())
+        if wait_s > 0.0:
+            await asyncio.sleep(wait_s)
         view = await self.perception.view(timeout_s)
+        self.shedding.took(view.frame_id, view.stamp_ns, self.now_ns())
         if self._frames is not None and isinstance(view, Framed):
             self._frames.frame(view.frame)
         return view
@@ -303,7 +327,7 @@ class RoleSession:
         if self.config.record == "none":
             return
         period_ns = round(1e9 / self.config.image_hz) if self.config.image_hz > 0.0 else 1 << 63
-        if view.stamp_ns - self._image_ns < (1 if wanted else period_ns):
+        if view.stamp_ns - self._image_ns < (1 if wanted else period_ns) or not (wanted or self.shedding.pictures):
             return
         image = view.image()
         if image is not None:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from missions.options.words import AnyRig, FileName, Live, LogFolder, OutFolder, RigName
+from missions.options.words import AnyRig, FileName, Live, LogFolder, OutFolder, RigName, Slow
 from path.bounds import Bounds
 
 
@@ -82,6 +82,9 @@ class DoctorOptions:
 
     vehicle: Literal["none", "sender", "receiver"] = "none"
     """Connect to this role's vehicle as well, and compare its parameters with the rig's. Nothing moves."""
+
+    slow: Slow = None
+    """With --role: what this computer would hold if each role had this share of one core (docs/compute.md)."""
 
     set_parameters: bool = False
     """Set the vehicle's parameters to what the rig wants; what they were is kept in runs/parameters."""

@@ -25,6 +25,7 @@ from missions.options.words import (
     RunFolder,
     RunSeed,
     Seed,
+    Slow,
 )
 from path.bounds import Bounds
 
@@ -54,6 +55,10 @@ class HandoffOptions:
 
     junit: FileName = None
     """With --seeds: write a JUnit file too, a test case a run, failed unless it committed."""
+
+    slow: Slow = None
+    """At `sitl`: confine each role's program to this share of one core, 0.2 for a fifth, by a control group
+    (docs/compute.md)."""
 
     picture: bool = True
     """Draw run.png at the end."""

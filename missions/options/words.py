@@ -58,6 +58,7 @@ GroundStation = Annotated[
     ),
 ]
 ErrorLevel = Literal["exact", "careful", "careless"] | None
+Slow = Annotated[float | None, Bounds(0.02, 1.0, "of a core")]
 Errors = Annotated[
     ErrorLevel,
     tyro.conf.arg(

@@ -142,6 +142,8 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
     ]
     link = [f"{name} {figure(rate, '', 0)}" for name, rate in s["link_sent_bytes_per_s"].items()]
     wrong = {True: "YES", False: "no", None: "-"}[s["wrong_handover"]]
+    slow = [("each role's share of a core", f"{s['slow']['share']:g}")] if s["slow"] else []
+    shed = [f"{name}: {_seconds(gone)}" for name, gone in s["shed"].items() if gone]
     return [
         ("committed after", figure(s["t_commit_s"], "s", 2)),
         ("agreement took", figure(s["agreement_s"], "s", 2)),
@@ -149,6 +151,8 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
         ("IoU, median", f"{figure(s['iou_median'], '', 3)} (needed {figure(s['tau_median'], '', 3)})"),
         ("misses", _counts(s["misses"])),
         ("frames", "; ".join(frames)),
+        *slow,
+        *([("given up", "; ".join(shed))] if shed else []),
         ("error of D2", _error(s, "d2_error")),
         ("error of target", _error(s, "target_error")),
         ("wrong object handed over", wrong),
@@ -157,6 +161,10 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
         ("monitors", violations(s["monitors"])),
         ("speed", f"{figure(s['realtime_factor'], '', 1)} x real time ({figure(s['wall_s'], 's', 1)})"),
     ]
+
+
+def _seconds(gone: Mapping[str, float]) -> str:
+    return ", ".join(f"{what} for {seconds:.0f} s" for what, seconds in gone.items())
 
 
 def _pairs(summary: Mapping[str, Any]) -> str:

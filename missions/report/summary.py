@@ -37,6 +37,8 @@ def summarize(run: RunRecords) -> dict[str, Any]:
         **_separation(run, truth),
         **_link(run, span),
         "frames": {role.value: _frames(run.role(role), span) for role in Role},
+        "slow": dict(run.facts.slow) if run.facts else {},
+        "shed": {role.value: shed_s(run.role(role)) for role in Role},
         "setpoint_gap_s": {r.record["role"]: _rounded(r.record["gap_s"]) for r in run.world.get("/setpoint_gap", ())},
         "monitors": dict(run.facts.violations) if run.facts else {},
         "phases": {role.value: phases(run, role) for role in Role},
@@ -266,6 +268,23 @@ def _frames(records: Records, span: Verification | None) -> dict[str, Any]:
     ids = [r.record["frame_id"] for r in frames]
     seconds = (frames[-1].stamp_ns - frames[0].stamp_ns) * 1e-9
     return {"hz": _rounded((len(frames) - 1) / seconds), "missed": ids[-1] - ids[0] + 1 - len(ids)}
+
+
+def shed_s(records: Records) -> dict[str, float]:
+    """Returns for how long each thing was given up because the computer did not keep up, s, in the order it went."""
+    gone_ns: dict[str, int] = {}
+    total_s: dict[str, float] = {}
+    for r in records.get("/shed", ()):
+        what = r.record["what"]
+        total_s.setdefault(what, 0.0)
+        if r.record["gone"]:
+            gone_ns[what] = r.stamp_ns
+        elif what in gone_ns:
+            total_s[what] += (r.stamp_ns - gone_ns.pop(what)) * 1e-9
+    end_ns = _end_ns(records)
+    for what, since_ns in gone_ns.items():
+        total_s[what] += (end_ns - since_ns) * 1e-9
+    return {what: _rounded(seconds, 1) for what, seconds in total_s.items()}
 
 
 def _median(values: Iterable[float | None]) -> float | None:

@@ -26,7 +26,8 @@ def test_it_is_handed_over(kind: str, tmp_path: Path) -> None:
 
 def test_the_follower_climbs_with_what_it_follows(tmp_path: Path) -> None:
     rig = rig_library.load("sim-drone")
-    rig = replace(rig, mission={**rig.mission, "follow_after_s": 0.5})
+    # by count both verify for long enough to see it climb
+    rig = replace(rig, method=replace(rig.method, gate="count"), mission={**rig.mission, "follow_after_s": 0.5})
     fly_once(rig, 2, (), tmp_path, lambda _: None)
     run = load_run(tmp_path)
     verify = [r.stamp_ns for r in run.sender["/phase"] if r.record["phase"] == "verify"]

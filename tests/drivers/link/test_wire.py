@@ -553,3 +553,8 @@ def test_a_flag_nobody_defined_is_seen_as_soon_as_it_is_there() -> None:
     receiver = Codec(Role.RECEIVER, KEY)
     assert receiver.decode(b"\xfd\x00\x03") is Drop.NOT_MAVLINK
     assert receiver.decode(b"\xfd\x00\x01") is Drop.TRUNCATED
+
+
+def test_a_link_that_nobody_gave_a_number_is_number_zero() -> None:
+    packet = Codec(Role.SENDER, KEY).encode(STATUS)
+    assert packet[-13] == 0 and stamp_of(packet) == 0

@@ -241,3 +241,29 @@ def test_what_the_disk_is_asked_to_keep_has_left_the_program_before(
 def test_a_person_can_read_it_a_line_for_each_thing(path: Path) -> None:
     StateFile(path, Role.SENDER).save(RELEASED)
     assert any(line.strip().startswith('"duty"') for line in path.read_text().splitlines())
+
+
+KEPT_BY_A_FORMER_PROGRAM = """{
+  "format": "path-handoff state 1",
+  "role": "receiver",
+  "boot": "a boot",
+  "record": {
+    "epoch": 3,
+    "duty": "holding",
+    "live": {"handoff_id": 7, "epoch": 3, "target_id": 1, "instance": 0},
+    "nonce": 99,
+    "lease_end_ns": 0,
+    "sure_ns": 0
+  },
+  "check": "4b44ed8e5dc4e1b2"
+}
+"""
+
+
+def test_what_a_former_program_wrote_down_is_still_read(path: Path) -> None:
+    """The check sum is of the content, however it is laid out: a newer program must not take it for damaged."""
+    path.write_text(KEPT_BY_A_FORMER_PROGRAM)
+    assert StateFile(path, Role.RECEIVER, boot="a boot").load() == Kept(HOLDING, same_clock=True)
+    content = json.loads(KEPT_BY_A_FORMER_PROGRAM)
+    path.write_text(json.dumps(dict(reversed(content.items()))))
+    assert StateFile(path, Role.RECEIVER, boot="another").load() == Kept(HOLDING, same_clock=False)

@@ -87,6 +87,15 @@ def test_boxes_are_as_noisy_as_the_detector_s() -> None:
     assert sim.score == pytest.approx(real.score, abs=0.03)
 
 
+def test_boxes_of_what_flies_are_as_noisy_as_the_detector_s() -> None:
+    sim, real = (collect(perceive, scenes(22, 45, "drone")) for perceive in (geometric(5), rendered(5)))
+    edges, seen = (np.array(residuals.edges_px) for residuals in (sim, real))
+    assert np.abs(np.median(edges, axis=0) - np.median(seen, axis=0)).max() < 1.0
+    assert alike(float(spread(edges).mean()), float(spread(seen).mean()), 1.5)
+    assert abs(len(edges) / sim.cars - len(seen) / real.cars) < 0.03
+    assert np.median(sim.scores) == pytest.approx(np.median(real.scores), abs=0.03)
+
+
 def test_corners_are_as_noisy_as_the_marker_finder_s() -> None:
     sim, real = figures(of_sim()), figures(of_rendered())
     assert alike(sim.corner_px, real.corner_px, 1.5)

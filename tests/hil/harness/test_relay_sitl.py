@@ -10,15 +10,15 @@ from typing import Any
 
 import pytest
 
-from drivers.rig.parts import Rig
+from drivers.rig.parts import Rig, with_slow
 from drivers.rig.tables import RigError
 from flight.harness.flights import Progress
 from flight.harness.relay import DroneProcesses, RelayRequest
 from hil.harness.children import end, spawn
 from hil.harness.leg_faults import LegFaults
 from hil.harness.live_programs import RECORD
-from hil.harness.realtime import RealTimeRun
-from hil.harness.relay_sitl import check_drones, orders_of
+from hil.harness.realtime import Ending, RealTimeRun
+from hil.harness.relay_sitl import RelaySitl, check_drones, orders_of, report_of
 from hil.harness.relay_sitl_world import field_of
 from hil.monitors.hindsight import Hindsight
 from hil.world.faults import Fault, parse_fault
@@ -106,6 +106,8 @@ def test_the_faults_of_a_leg_are_its_own_and_follow_its_roles() -> None:
     assert (legs.end_of(2, Role.RECEIVER), legs.end_of(1, Role.RECEIVER)) == ("D3", "D2")
 
 
+NOBODY: Any = None
+NO_PROCESSES = DroneProcesses(NOBODY, NOBODY, NOBODY, NOBODY)
 WRITES_DOWN = """
 import sys
 with open({file!r}, "w") as file:
@@ -146,6 +148,15 @@ def test_what_a_killed_program_did_not_finish_saying_is_not_passed_on(rig: Rig, 
     assert said == [("D1", "ask")]
 
 
+def test_a_run_without_findings_is_reported_too(rig: Rig, tmp_path: Path) -> None:
+    nothing: Any = None
+    request = RelayRequest(rig, field_of(rig, 3, 0), tmp_path, 1, {}, nothing, nothing, NO_PROCESSES)
+    run = RealTimeRun(orders_of(request), ("D1", "D2", "D3"), {})
+    report = report_of(request, run, Ending({}, "the world's process ended", "", 3.0, 1.0))
+    assert report.failure == "the world's process ended"
+    assert [watched.first_s for watched in report.watched] == [None]
+
+
 def test_the_parent_knows_a_record_from_other_lines(capsys: pytest.CaptureFixture[str]) -> None:
     from missions.relay.process import RelayedLog  # noqa: PLC0415 (what it says is all that is asked for)
 
@@ -156,3 +167,10 @@ def test_the_parent_knows_a_record_from_other_lines(capsys: pytest.CaptureFixtur
 
     RelayedLog(NoLog(), "D1", whole=False).write("/phase", 1, {"phase": "follow"})
     assert capsys.readouterr().out.encode().startswith(RECORD)
+
+
+def test_a_share_of_a_core_is_refused_by_a_relay_which_confines_nobody(rig: Rig, tmp_path: Path) -> None:
+    nothing: Any = None
+    request = RelayRequest(with_slow(rig, 0.2), field_of(rig, 3, 0), tmp_path, 1, {}, nothing, nothing, nothing)
+    with pytest.raises(RigError, match="confines no program"):
+        RelaySitl().fly(request)

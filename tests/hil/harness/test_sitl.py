@@ -16,9 +16,12 @@ from typing import Any
 
 import pytest
 
+from drivers.cpu_share import CpuShare
+from drivers.interfaces import PartError
 from drivers.link.udp import address_of
 from drivers.log.mcap_log import McapLog, new_part
 from drivers.log.state_file import StateFile
+from drivers.rig.parts import with_slow
 from flight.harness.flights import FlightReport, FlightRequest, Progress, RoleResult, encode_event
 from flight.outcome import Outcome
 from hil.harness import children, sitl
@@ -74,6 +77,7 @@ class Stage:
     processes: list[asyncio.subprocess.Process] = field(default_factory=list[asyncio.subprocess.Process])
     on_progress: Any = None
     ending: Any = None
+    shares: Mapping[str, CpuShare] = field(default_factory=dict[str, CpuShare])
 
     @property
     def request(self) -> FlightRequest:
@@ -102,7 +106,7 @@ class Stage:
             return python(next(left[Role(name)]))
 
         orders = replace(
-            sitl.orders_of(self.request),
+            sitl.orders_of(self.request, self.shares),
             world=python(READY + (world or WRITES_DOWN.format(file=str(self.out / "told")))),
             program=command,
             awaited=frozenset(),
@@ -320,7 +324,7 @@ FOUND = {"landed": {"sender": True, "receiver": True}, "violations": {}, "detail
 def report(
     stage: Stage, finished: Mapping[str, Any] = FOUND, failure: str = "", dead: Sequence[Role] = ()
 ) -> FlightReport:
-    run = RealTimeRun(sitl.orders_of(stage.request), sitl.ENDS, {})
+    run = RealTimeRun(sitl.orders_of(stage.request, {}), sitl.ENDS, {})
     for role in Role:
         run.drones[role.value].result = None if role in dead else result(role)
     return sitl.report_of(stage.request, run, Ending(finished, failure, "", 50.0, 0.0))
@@ -403,3 +407,45 @@ def test_no_two_ends_of_a_run_share_a_port(rig: Any) -> None:
     sides = [proxy_side(rig.role(role)) for role in Role]
     ends = [end for side in sides for end in (side.listen, side.end)]
     assert len(set(ends)) == 4
+
+
+UNTIL_CONFINED = """
+import time
+end = time.monotonic() + 20.0
+while "path-handoff-share" not in open("/proc/self/cgroup").read() and time.monotonic() < end:
+    time.sleep(0.01)
+assert "-{}\\n" in open("/proc/self/cgroup").read()
+"""
+
+
+def test_each_roles_program_gets_a_group_of_its_own_also_when_it_is_started_again(stage: Stage) -> None:
+    """It goes on only when it finds itself in it."""
+    try:
+        with CpuShare("test", 0.5):
+            pass
+    except PartError as error:
+        pytest.skip(str(error))
+    of_sender, of_receiver = (UNTIL_CONFINED.format(name) for name in sitl.ENDS)
+    programs = {
+        Role.SENDER: [
+            of_sender + saying(progress(Role.SENDER, AT_COUNT), then="import time; time.sleep(600)"),
+            of_sender + saying(progress(Role.SENDER, AT_COUNT), result(Role.SENDER, Outcome.RESTARTED)),
+        ],
+        Role.RECEIVER: of_receiver + saying(result(Role.RECEIVER)),
+    }
+    with CpuShare("sender", 0.5) as one, CpuShare("receiver", 0.5) as other:
+        stage.shares = {"sender": one, "receiver": other}
+        run = stage.fly(programs, ["kill_sender=0.05"])
+    assert {role: each.outcome for role, each in results(run).items()} == {
+        Role.SENDER: Outcome.RESTARTED, Role.RECEIVER: Outcome.COMMITTED
+    }  # fmt: skip
+
+
+def test_a_share_that_cannot_be_had_ends_before_anything_starts(
+    rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.cpu_share.hierarchies", lambda: iter(()))
+    request = FlightRequest(with_slow(rig, 0.2), tmp_path, 1, (), None, lambda role: [], lambda _: None)  # type: ignore[arg-type]
+    with pytest.raises(PartError, match="control group"):
+        sitl.SitlHarness().fly(request)
+    assert not list(tmp_path.iterdir())

@@ -146,6 +146,7 @@ def test_doctor_tests_the_parts_of_the_role_and_a_fault_among_them_is_its_exit_c
         yield PartTest(f"{role.value} perception", "frames", Part(CameraError("it fell silent")).findings)
 
     monkeypatch.setattr(doctor, "part_tests", tests)
+    monkeypatch.setattr(doctor, "computer_findings", lambda *_: [Finding("ok", "computer", "is quick")])  # type: ignore[misc]
     monkeypatch.setattr(doctor, "findings", lambda _: [Finding("ok", "rig", "is read")])  # type: ignore[misc]
     out = io.StringIO()
     assert doctor.run(DoctorOptions("sitl", role="receiver"), out) == doctor.EXIT_UNFIT

@@ -13,11 +13,13 @@ import pytest
 
 import missions.handoff.command
 from drivers.interfaces import PartError
-from drivers.rig.parts import Rig
+from drivers.rig.parts import Rig, with_slow
 from flight.harness.flights import FlightReport, FlightRequest, RoleResult
 from flight.outcome import Outcome
+from hil.world.check import check_world
 from missions import rig_library
 from missions.handoff.command import fly_once, harness_of, judge
+from missions.options.flights import HandoffOptions
 from missions.report.records import FACTS
 from missions.run_folder import new_folder
 from path.messages import Role
@@ -200,3 +202,19 @@ def test_a_folder_that_cannot_be_made_names_the_remedy(tmp_path: Path) -> None:
     with pytest.raises(PartError) as caught:
         new_folder(tmp_path / "file" / "run")
     assert "--out" in caught.value.remedy
+
+
+@pytest.mark.parametrize("rig", ["sim", "sim-rendered"])
+def test_programs_that_are_no_processes_of_their_own_cannot_be_slowed_down(rig: str, tmp_path: Path) -> None:
+    with pytest.raises(PartError, match=r"world\.slow"):
+        missions.handoff.command.run(HandoffOptions(rig, slow=0.2, out=tmp_path / "run"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_share_of_a_core_is_asked_for_by_the_option_or_the_rig() -> None:
+    rig = with_slow(rig_library.load("sitl"), 0.2)
+    check_world(rig)
+    assert rig.world["slow"] == 0.2
+    assert with_slow(rig, None).world["slow"] == 0.2
+    with pytest.raises(PartError, match="no harness"):
+        with_slow(replace(rig, harness=None), 0.2)

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import asyncio
 import random
+import time
 from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -24,6 +26,7 @@ from drivers.interfaces import (
     VehicleError,
     VehicleState,
 )
+from drivers.stages import Stages
 from flight.config import MissionConfig
 from flight.harness.flights import Progress, RoleResult
 from flight.outcome import MissionEnd, Outcome
@@ -97,13 +100,23 @@ class Recorder:
 class Bench:
     """A session on fakes, and what it was seen to do."""
 
-    def __init__(self, rig: Any, config: MissionConfig | None = None, role: Role = Role.SENDER) -> None:
+    def __init__(
+        self, rig: Any, config: MissionConfig | None = None, role: Role = Role.SENDER, stages: Stages | None = None
+    ) -> None:
         self.link, self.log, self.vehicle = FakeLink(), Recorder(), FakeVehicle()
         self.shown: list[Progress] = []
         self.stop = asyncio.Event()
         parts = cast(Any, (Clock(), self.vehicle, None, self.link))
         self.session = RoleSession(
-            rig, role, config or MissionConfig(), self.log, self.shown.append, self.stop, parts, random.Random(1)
+            rig,
+            role,
+            config or MissionConfig(),
+            self.log,
+            self.shown.append,
+            self.stop,
+            parts,
+            random.Random(1),
+            stages=stages,
         )
         self.recovered: list[MissionEnd | None] = []
         self.landed = True
@@ -481,3 +494,47 @@ def test_without_a_rate_only_wanted_images_are_logged(rig: Any) -> None:
         assert bench.log.images == [1_000_000_000]
 
     virtual(main())
+
+
+# --- a computer that does not keep up ----------------------------------------------------------------------------
+
+
+def test_pictures_go_first_but_not_the_wanted_ones(rig: Any) -> None:
+    view = cast(Any, SimpleNamespace(stamp_ns=5_000_000_000, image=lambda: np.zeros((2, 2, 3), np.uint8)))
+
+    async def look() -> list[int]:
+        bench = Bench(rig)
+        bench.session.shedding.gone = 1
+        bench.session.log_image(view)
+        bench.session.log_image(view, wanted=True)
+        return bench.log.images
+
+    assert asyncio.run(look()) == [view.stamp_ns]
+
+
+def test_a_program_that_is_always_at_work_says_what_it_gives_up(rig: Any) -> None:
+    """In real time: the loop is kept busy, as by frames that take too long."""
+
+    async def busy() -> Bench:
+        bench = Bench(rig, stages=Stages())
+        beside = asyncio.create_task(bench.session.keep_up())
+        async with asyncio.timeout(30.0):
+            while not bench.log.of("/shed"):
+                time.sleep(0.02)  # noqa: ASYNC251 (that is what is tried)
+                await asyncio.sleep(0)
+        beside.cancel()
+        return bench
+
+    bench = asyncio.run(busy())
+    (shed,) = bench.log.of("/shed")
+    assert (shed["what"], shed["gone"]) == ("picture log", True)
+    assert "gives up picture log" in bench.session.shown.note
+
+
+def test_in_virtual_time_nothing_is_late(rig: Any) -> None:
+    async def fly() -> Bench:
+        bench = Bench(rig)
+        await asyncio.wait_for(bench.session.keep_up(), 1.0)  # returns at once
+        return bench
+
+    assert run_virtual(fly()).log.of("/shed") == []

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.log.mcap_log import LogRecord
 from missions.report.command import make_report, series_table, show, summarize_many
 from missions.report.records import RunFacts, RunFolderError, load_run, write_facts
-from missions.report.summary import summarize
+from missions.report.summary import shed_s, summarize
 from missions.report.truth import first_hit, truth_of
 from path.messages import Role
 
@@ -71,6 +72,17 @@ def test_times_counts_and_rates(make_run: MakeRun) -> None:
     assert summary["frames"]["receiver"] == {"hz": 50.0, "missed": 0}
     assert summary["frames"]["sender"]["missed"] == 1
     json.dumps(summary, allow_nan=False)
+
+
+def test_what_was_given_up_is_told_with_its_time() -> None:
+    def shed(at_s: float, what: str, gone: bool) -> LogRecord:
+        return LogRecord("/shed", round(at_s * 1e9), {"what": what, "gone": gone, "busy": 0.9})
+
+    changes = [shed(1.0, "picture log", True), shed(2.0, "redetection", True), shed(4.5, "redetection", False)]
+    changes += [shed(8.0, "redetection", True)]
+    records = {"/shed": changes, "/phase": [LogRecord("/phase", round(10e9), {"phase": "done"})]}
+    assert shed_s(records) == {"picture log": 9.0, "redetection": 4.5}
+    assert shed_s({}) == {}
 
 
 def test_phases_have_starts_and_durations(make_run: MakeRun) -> None:

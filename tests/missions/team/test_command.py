@@ -58,3 +58,13 @@ def test_a_drone_that_dies_with_its_target_is_replaced(rig: Rig, tmp_path: Path)
     assert 1.0 < spell[1] - spell[0] < 60.0  # until another one has come and found it
     assert summary["observed_percent"]["A"] < 100.0
     assert record["spells"][-1]["drone"] not in (record["legs"][0]["sender"], record["legs"][0]["receiver"])
+
+
+@pytest.mark.parametrize("fault", ["depth_holes", "marker_hidden"])
+def test_what_goes_wrong_in_one_leg_fails_it_and_not_the_next(rig: Rig, tmp_path: Path, fault: str) -> None:
+    summary, record, told = fly(rig, tmp_path, 3, 1, 0.65, 0.65, 0.65, hours=0.07, fault=(f"1:{fault}@follow",))
+    assert (summary["monitors"], summary["wrong"], summary["lost"]) == ({}, 0, 0)
+    first, second, *_ = (leg["outcome"] for leg in record["legs"])
+    assert first != "committed" and second == "committed"
+    assert summary["observed_percent"]["A"] == 100.0
+    assert "lost" not in [event.what for event in told]
