@@ -37,6 +37,7 @@ FRAME_LOCAL_NED = 1
 MASK_VELOCITY_YAW = 2503  # ignore position, acceleration and yaw rate (POSITION_TARGET_TYPEMASK)
 SETTLED_MPS = 0.3
 STOPPED_SHORT_M = 2.0  # PX4 ends a take-off up to 0.8 m before the height (NAV_MC_ALT_RAD), which it may have wrong
+PARAMETER_TAKES_S = 0.3  # PX4 has acknowledged a height and climbed to the one it had before
 DISARM_NEWS_S = 1.5  # PX4 beats once a second
 MODE_HZ = 20.0  # a pilot who takes the vehicle must not wait for the next heartbeat
 TEXT_WAIT_S = 0.5  # STATUSTEXT may come before or after the refusal it explains
@@ -287,6 +288,7 @@ class MavsdkVehicle:
             raise VehicleError(f"take-off refused: height {height_m} m", "give a height above zero")
         if self._kind is PX4:  # which takes the height from this parameter only
             await self._session.set_float_parameter("MIS_TAKEOFF_ALT", height_m)
+            await asyncio.sleep(PARAMETER_TAKES_S)
             await self._do("take off", NAV_TAKEOFF, ())
             there = FlightMode.HOLD
         else:

@@ -162,6 +162,27 @@ def test_when_python_hangs_the_setpoints_stop_and_the_vehicle_lands() -> None:
     assert "No offboard setpoints, landing" in texts
 
 
+def test_a_take_off_waits_until_its_height_is_known() -> None:
+    came_s: dict[str, float] = {}
+
+    def note(_: float, message: Any) -> None:
+        if message.get_type() == "PARAM_SET":
+            came_s["height"] = time.monotonic()
+        elif message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_NAV_TAKEOFF:
+            came_s["take-off"] = time.monotonic()
+
+    async def fly(bench: Bench) -> None:
+        bench.endpoint.tap = note
+        async with bench.vehicle() as vehicle:
+            await vehicle.wait_armable(LIMIT_S)
+            await vehicle.arm()
+            await vehicle.take_off(HEIGHT_M, LIMIT_S)
+
+    with px4(FAST, SPEED) as bench:
+        asyncio.run(fly(bench))
+    assert came_s["take-off"] - came_s["height"] > 0.25
+
+
 def test_a_kill_switch_during_the_take_off_is_a_pilots() -> None:
     async def fly(bench: Bench) -> None:
         async with bench.vehicle() as vehicle:
