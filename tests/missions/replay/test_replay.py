@@ -21,7 +21,7 @@ from missions.report.records import REPLAY, drone_logs
 RECORDED = "sim-rendered, every frame recorded"
 RECORDS = (
     ("[mission]\n", '[mission]\nrecord = "all"\n'),
-    ("hold_frames = 350\nhold_s = 7.0\n", "hold_frames = 60\nhold_s = 1.5\n"),
+    ("hold_frames = 350\nhold_s = 7.0\n", "hold_frames = 100\nhold_s = 2.5\n"),
     ("rate_hz = 50.0\n", "rate_hz = 20.0\n"),
 )
 SETTINGS = ("method.tau_min=0.3", "method.tau_max=0.55", "method.hold_s=5.0", "method.hold_frames=240")
@@ -62,7 +62,7 @@ def decided(records: list[LogRecord]) -> list[DecisionPair]:
         ("sim", 3, ()),
         ("sim", 8, ("link_loss=0.3",)),
         ("sim", 5, ("kill_sender=2@verify+2",)),
-        (RECORDED, 2, ("kill_receiver@verify+1",)),
+        (RECORDED, 2, ("kill_receiver@verify+3",)),
     ],
 )
 def test_every_decision_comes_out_again(
@@ -121,7 +121,7 @@ def test_perception_runs_again_on_the_recorded_frames(
     flown: Callable[..., Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """H.264 loses a little, depth nothing: the boxes are the same ones, about a pixel off."""
-    folder = flown(RECORDED, 2, "kill_receiver@verify+1")
+    folder = flown(RECORDED, 2, "kill_receiver@verify+3")
     logs = drone_logs(folder)
     eyes = {name: eyes_of(folder, name, PerceptionChange()) for name in logs}
     again = {each.drone: each for each in replay_changed(logs, lambda method: method, eyes)}
@@ -130,7 +130,7 @@ def test_perception_runs_again_on_the_recorded_frames(
         assert len(pairs) > enough
         both = [(each.logged["box"], each.again["box"]) for each in pairs if each.logged and each.again]
         seen = [(was, now) for was, now in both if was is not None and now is not None]
-        assert len(seen) >= 0.97 * sum(was is not None for was, _ in both) > 0.5 * enough
+        assert len(seen) >= 0.9 * sum(was is not None for was, _ in both) > 0.5 * enough
         off_px = sorted(max(abs(a - b) for a, b in zip(was, now, strict=True)) for was, now in seen)
         assert 0.0 < off_px[len(off_px) // 2] < 2.0
     capsys.readouterr()
