@@ -22,7 +22,7 @@ from hil.vehicle.channel import Address, UdpChannel
 from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, FlightInstant, MavlinkDrone
 from hil.vehicle.parameters import Parameters
 from path.messages import Vec3
-from path.rotation import yaw_of
+from path.rotation import wrapped, yaw_of
 
 ACCEPTED, DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
 UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
@@ -37,7 +37,9 @@ MISSION_ANSWERS: dict[str, Callable[[Any], Any]] = {
 """It has no mission, fence points or rally points, and takes none; a ground station waits for answers yet."""
 
 # POSITION_TARGET_TYPEMASK
-IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW = 0b111, 0b111000, 1 << 10
+IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW, IGNORE_YAW_RATE = 0b111, 0b111000, 1 << 10, 1 << 11
+TURN_LEAD_RAD = 0.5  # how far ahead of the nose a rate commands the heading, at most
+TURN_PAUSE_S = 0.5  # after so long without one a rate begins from the heading as it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +88,8 @@ class MavlinkVehicle:
         self._parameters = Parameters(drone.autopilot)
         self._shown: tuple[FlightMode, bool] | None = None
         self._texts_sent = 0
+        self._turning = 0.0, -math.inf  # heading that a rate has led to, and when
+        self._refused_s = -math.inf
         beat_hz = drone.autopilot.config.heartbeat_hz
         self._own_beat_s = 1.0 / beat_hz if beat_hz > 0.0 else None
         for channel in self._channels:
@@ -216,20 +220,56 @@ class MavlinkVehicle:
                 self._send(channel, answer, sender)
 
     def _setpoint(self, flight: FlightInstant, message: Any) -> None:
-        """Velocity, position by a proportional loop, or both, in MAV_FRAME_LOCAL_NED; the rest is ignored."""
-        mask = message.type_mask
-        by_velocity, by_position = not mask & IGNORE_VELOCITY, not mask & IGNORE_POSITION
-        if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or not (by_velocity or by_position):
+        """Velocity, position by a proportional loop, or both, in MAV_FRAME_LOCAL_NED.
+
+        In MAV_FRAME_BODY_NED velocity alone, ahead, right and down of the heading, as PX4 has it. The rest is not
+        followed; of another frame a status text says so.
+        """
+        mask, frame = message.type_mask, message.coordinate_frame
+        if frame not in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_NED):
+            self._refuse_frame(flight, frame)
+            return
+        own = frame == mavlink.MAV_FRAME_BODY_NED
+        by_velocity, by_position = not mask & IGNORE_VELOCITY, not own and not mask & IGNORE_POSITION
+        if not (by_velocity or by_position):
             return
         north, east, down = (message.vx, message.vy, message.vz) if by_velocity else (0.0, 0.0, 0.0)
+        if own:
+            heading = yaw_of(flight.estimate.q_n_b)
+            c, s = math.cos(heading), math.sin(heading)
+            north, east = c * north - s * east, s * north + c * east
         if by_position:
             gain_hz, (n, e, d) = flight.autopilot.config.hold_gain_hz, flight.local_n_m
             north += gain_hz * (message.x - n)
             east += gain_hz * (message.y - e)
             down += gain_hz * (message.z - d)
-        yaw = yaw_of(flight.estimate.q_n_b) if mask & IGNORE_YAW else message.yaw
-        if not flight.autopilot.setpoint(flight.now_s, VelocitySetpoint((north, east, down), yaw)):
+        if not flight.autopilot.setpoint(
+            flight.now_s, VelocitySetpoint((north, east, down), self._yaw(flight, message))
+        ):
             self.malformed += 1
+
+    def _yaw(self, flight: FlightInstant, message: Any) -> float:
+        """The heading that a setpoint asks for: itself, by a rate from the one before, or as it is."""
+        mask, yaw = message.type_mask, yaw_of(flight.estimate.q_n_b)
+        if not mask & IGNORE_YAW:
+            return message.yaw
+        if mask & IGNORE_YAW_RATE or not math.isfinite(message.yaw_rate):
+            return yaw
+        goal, since_s = self._turning
+        passed_s = flight.now_s - since_s
+        ahead = wrapped(goal + message.yaw_rate * passed_s - yaw) if passed_s < TURN_PAUSE_S else 0.0
+        goal = yaw + max(-TURN_LEAD_RAD, min(TURN_LEAD_RAD, ahead))
+        self._turning = goal, flight.now_s
+        return goal
+
+    def _refuse_frame(self, flight: FlightInstant, frame: int) -> None:
+        """Says once a second that setpoints in a frame are not followed: they have no answer of their own."""
+        if flight.now_s - self._refused_s < 1.0:
+            return
+        self._refused_s = flight.now_s
+        text = f"SET_POSITION_TARGET_LOCAL_NED frame {frame} unsupported"
+        for channel in self._channels:
+            self._send(channel, mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, text.encode()[:50]))
 
     def _command(self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address) -> None:
         command = message.command

@@ -14,7 +14,7 @@
 #
 # Needs: Debian's debootstrap and qemu-user-static, root (for chroot and binfmt_misc).
 # QEMU_CPU names the processor (default: the Jetson Nano's cortex-a57), SUITE another release, MIRROR another mirror.
-# Nothing is left mounted; the emulator's registration goes again when this script made it.
+# Nothing is left mounted but the kernel's own binfmt_misc; the emulator's registration goes again when this script made it.
 set -euo pipefail
 
 tree=$(cd "$(dirname "$0")/../.." && pwd)
@@ -87,14 +87,12 @@ TIMEFORMAT='%R s, %U s of processor time'
 run() {
     local took code
     code=0
-    exec 4>&2
     took=$( { time ("step_$1" > "$results/$1.txt" 2>&1) || exit $?; } 2>&1 ) || code=$?
-    exec 4>&-
     echo "$1: exit code $code, $took" | tee -a "$results/steps.txt"
     return $code
 }
 
-declare -F | grep -q . && steps=("$@")
+steps=("$@")
 [ ${#steps[@]} -gt 0 ] || steps=(root setup doctor prepare sim tests)
 worst=0
 for step in "${steps[@]}"; do

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import json
 import os
 import shlex
@@ -16,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from drivers.interfaces import PartError
-from drivers.link.udp import address_of
 from drivers.rig.check import check_rig
 from drivers.rig.parts import Rig, import_factory, with_errors, with_slow
 from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleMain, RoleResult
 from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
+from missions.ground_station import name_ground_station
+from missions.handoff.served import check_served, tell_commands, waiting_for
 from missions.lateness import for_lateness
 from missions.leg.process import fly_role, load_programs
 from missions.live.start import live
@@ -50,14 +50,20 @@ def run(options: HandoffOptions) -> int:
     if options.slow is not None:
         check_rig(rig)
     harness_of(rig)
-    name_ground_station(rig, options)
+    name_ground_station(rig, options.gcs)
+    if options.serve_world:
+        check_served(rig, options)
     with unless_refused(options.out) as folder:
         if options.seeds > 1:
             if options.live is not None:
                 raise PartError("--live shows one flight, and --seeds flies many", "leave one of them out")
             return fly_many(rig, options, folder)
         with live(options.live, folder), open_console(sys.stdout) as console:
-            facts = fly_once(rig, options.seed, options.fault, folder, console.show)
+            programs = HANDOFF
+            if options.serve_world:
+                tell_commands(rig, folder)
+                programs = replace(HANDOFF, elsewhere=True)
+            facts = fly_once(rig, options.seed, options.fault, folder, console.show, programs)
     try:
         make_report(folder, options.picture, sys.stdout)
     except OSError as error:
@@ -73,28 +79,6 @@ def name_simulators(options: HandoffOptions | FlyOptions | ConformanceOptions) -
             if not binary.is_file():
                 raise PartError(f"{binary}: no such file", "name the simulator's binary, or leave the option out")
             os.environ[variable] = str(binary.resolve())
-
-
-def name_ground_station(rig: Rig, options: HandoffOptions | FlyOptions) -> None:
-    """For the harness: where a ground station listens. Raises PartError at levels that have no MAVLink of ours."""
-    if options.gcs is None:
-        return
-    embedded = all("sysid" in rig.role(role).vehicle.options for role in Role) and "sender_simulator" not in rig.world
-    if rig.level != "sitl" or not embedded:
-        raise PartError(
-            f"--gcs: rig {rig.name} has no embedded MAVLink vehicles in real time",
-            "a real autopilot has a port for its ground station already; at the sim levels there is no MAVLink: "
-            "take --rig sitl",
-        )
-    try:
-        host, _ = address_of(options.gcs, "--gcs")
-    except ValueError as error:
-        raise PartError(str(error), "write it as 127.0.0.1:14550") from error
-    if not ipaddress.ip_address(host).is_loopback:
-        raise PartError(
-            f"--gcs {options.gcs}: another computer", "let the ground station run on this one: the port is not signed"
-        )
-    os.environ["PATH_GCS"] = options.gcs
 
 
 def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
@@ -193,11 +177,13 @@ class FlightPrograms:
         main: one role's program, in the harness's process.
         arguments: what ``path-handoff`` is told to fly it in a process of its own, before what all such are told.
         good: how both end when all goes well.
+        elsewhere: processes of their own are started by a person, in other shells.
     """
 
     main: RoleMain
     arguments: Callable[[Role], Sequence[str]]
     good: Outcome
+    elsewhere: bool = False
 
 
 HANDOFF = FlightPrograms(fly_role, lambda role: (role.value,), Outcome.COMMITTED)
@@ -212,6 +198,9 @@ def fly_once(
         load_programs()  # not while the run's time is measured
 
     def command(role: Role) -> Sequence[str]:
+        if programs.elsewhere:
+            emit(waiting_for(role, "start it now"))
+            return [sys.executable, "-m", "missions.handoff.elsewhere", role.value, str(out)]
         return [
             sys.executable, "-m", "missions.cli", *programs.arguments(role), "--rig", str(rig.file), "--out", str(out),
             "--console", "events", "--guard", "expect" if rig.role(role).guard else "none",

@@ -67,6 +67,10 @@ class HandoffOptions:
 
     gcs: GroundStation = None
 
+    serve_world: bool = False
+    """At `sitl`: run the world alone, and wait for `path-handoff sender` and `receiver` from two other shells, as on
+    two companions. What to type is printed (docs/field.md)."""
+
     px4: Px4Binary = None
 
     ardupilot: ArduPilotBinary = None
@@ -100,6 +104,8 @@ class RelayOptions:
     """Log everything, frame by frame, and not only what is decided: some 40 MB an hour."""
 
     live: Live = None
+
+    gcs: GroundStation = None
 
     picture: bool = True
     """Draw relay.png at the end."""

@@ -15,7 +15,8 @@ from drivers.rig.parts import Rig, with_errors
 from flight.harness.flights import Emit
 from flight.outcome import Outcome
 from missions import rig_library
-from missions.handoff.command import FlightPrograms, fly_once, name_ground_station, name_simulators, unwritten
+from missions.ground_station import name_ground_station
+from missions.handoff.command import FlightPrograms, fly_once, name_simulators, unwritten
 from missions.leg.command import fly_from_drone
 from missions.live.start import live
 from missions.options.field import RoleOptions
@@ -45,7 +46,7 @@ def run(options: FlyOptions) -> int:
         return fly_from_drone(asked, Role(options.drone), OwnMission(load_mission(options.mission)))
     name_simulators(options)
     rig = with_errors(rig_library.load(options.rig), options.errors)
-    name_ground_station(rig, options)
+    name_ground_station(rig, options.gcs)
     programs = programs_of(options.mission)
     with unless_refused(options.out) as folder, live(options.live, folder), open_console(sys.stdout) as console:
         facts = fly_once(rig, options.seed, options.fault, folder, console.show, programs)

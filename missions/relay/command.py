@@ -14,6 +14,7 @@ from flight.harness.flights import Emit, Progress
 from flight.harness.relay import RelayConfig, RelayField, RelayHarness, RelayReport, RelayRequest
 from flight.outcome import Outcome
 from missions import rig_library
+from missions.ground_station import name_ground_station
 from missions.lateness import for_lateness
 from missions.live.start import live
 from missions.options.flights import RelayOptions
@@ -33,6 +34,7 @@ RELAY, PICTURE = "relay.json", "relay.png"
 def run(options: RelayOptions) -> int:
     """``path-handoff relay``; returns the relay's exit code. Raises PartError for what was asked wrongly."""
     rig = with_errors(rig_library.load(options.rig), options.errors)
+    name_ground_station(rig, options.gcs)
     config = relay_of(rig, options.drones)
     hours = hours_of(config, options)
     if not hours > 0.0:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +14,12 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+import rerun
 from mcap.reader import McapReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from drivers.log.mcap_log import VIRTUAL_EPOCH_NS, McapLog
+from drivers.interfaces import Frame
+from drivers.log.mcap_log import VIRTUAL_EPOCH_NS, McapLog, virtual_log
 from drivers.log.topics import TOPICS, schema_of
 from missions import rig_library
 from missions.handoff.command import fly_once
@@ -140,3 +145,35 @@ def test_an_image_is_there_with_what_is_drawn_over_it(tmp_path: Path) -> None:
     *_, drawn = (m for m in messages if m.topic == "/annotations")
     assert drawn.utc_ns == shown.utc_ns
     assert [(p.x, p.y) for p in drawn.content.points[0].points] == [(2.0, 2.0), (5.0, 2.0), (5.0, 6.0), (2.0, 6.0)]
+
+
+def imported_by_rerun(log: Path, folder: Path) -> set[str]:
+    """The components that Rerun's own importer of MCAP makes of a log, as ``archetype:component``."""
+    recording = rerun.RecordingStream("contract", recording_id=log.stem)
+    recording.save(folder / "imported.rrd")
+    recording.log_file_from_path(log)
+    recording.flush()
+    recording.disconnect()
+    printed = subprocess.run(
+        [str(Path(sys.executable).with_name("rerun")), "rrd", "print", "-vv", str(folder / "imported.rrd")],
+        capture_output=True, text=True, timeout=120.0, check=True,
+    )  # fmt: skip
+    return set(re.findall(r"\b[A-Z]\w+:[a-z]\w+", printed.stdout))
+
+
+def test_reruns_importer_reads_poses_calibration_place_and_words(folder: Path, tmp_path: Path) -> None:
+    assert imported_by_rerun(folder / "receiver.mcap", tmp_path) >= {
+        "Pinhole:image_from_camera", "Transform3D:translation", "Transform3D:quaternion", "GeoPoints:positions",
+        "TextLog:text",
+    }  # fmt: skip
+
+
+def test_reruns_importer_reads_every_frame_as_video_and_depth(tmp_path: Path) -> None:
+    with virtual_log(tmp_path / "sender.mcap", "sender") as log:
+        for number in range(3):
+            color, depth_mm = np.full((48, 64, 3), 90, np.uint8), np.full((48, 64), 1500, np.uint16)
+            log.frame(Frame(1_000_000_000 + number, number, color, depth_mm))
+        log.image("/image", 1_000_000_000, np.full((48, 64, 3), 90, np.uint8))
+    frames = imported_by_rerun(tmp_path / "sender.frames.mcap", tmp_path)
+    assert frames >= {"VideoStream:codec", "VideoStream:sample", "Image:buffer"}
+    assert imported_by_rerun(tmp_path / "sender.mcap", tmp_path) >= {"EncodedImage:blob"}

@@ -94,12 +94,13 @@ class Bench:
         return next((ack.result for ack in self.of("COMMAND_ACK") if ack.command == command), None)
 
     def setpoint(self, velocity: tuple[float, float, float], mask: int = 2503, **fields: float) -> None:
-        at = {"x": 0.0, "y": 0.0, "z": 0.0, "yaw": 0.0, **fields}
+        at = {"x": 0.0, "y": 0.0, "z": 0.0, "yaw": 0.0, "yaw_rate": 0.0, "frame": 1, **fields}
         self.send(
             mavlink.MAVLink_set_position_target_local_ned_message(
-                0, SYSID, 1, 1, mask, at["x"], at["y"], at["z"], *velocity, 0.0, 0.0, 0.0, at["yaw"], 0.0
+                0, SYSID, 1, int(at["frame"]), mask, at["x"], at["y"], at["z"], *velocity, 0.0, 0.0, 0.0, at["yaw"],
+                at["yaw_rate"],
             )
-        )
+        )  # fmt: skip
 
     def fly_at(self, height_m: float = 0.8) -> None:
         self.run(0.5)
@@ -324,8 +325,44 @@ def test_commands_of_nothing_but_nan_are_refused(bench: Bench, command: int) -> 
     assert bench.command(command) == mavlink.MAV_RESULT_DENIED
 
 
-def test_unknown_commands_are_unsupported(bench: Bench) -> None:
-    assert bench.command(mavlink.MAV_CMD_DO_ORBIT) == mavlink.MAV_RESULT_UNSUPPORTED
+@pytest.mark.parametrize(
+    "command",
+    [
+        mavlink.MAV_CMD_DO_ORBIT,
+        mavlink.MAV_CMD_DO_REPOSITION,
+        mavlink.MAV_CMD_MISSION_START,
+        mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN,
+    ],
+)
+def test_unknown_commands_are_unsupported(bench: Bench, command: int) -> None:
+    assert bench.command(command) == mavlink.MAV_RESULT_UNSUPPORTED
+
+
+def test_velocity_in_the_body_s_frame_is_ahead_and_right_of_the_heading(bench: Bench) -> None:
+    """MAVSDK's set_velocity_body: the yaw is ignored, its rate is not. It was accepted and not followed."""
+    bench.fly_at(1.5)
+    body, mask = mavlink.MAV_FRAME_BODY_NED, 0b010111000111
+    bench.setpoint((0.0, 0.0, 0.0), mask, frame=body)
+    bench.run(0.1)
+    assert bench.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0) == mavlink.MAV_RESULT_ACCEPTED
+    bench.run(3.0, lambda: bench.setpoint((0.0, 0.0, 0.0), mask, frame=body, yaw_rate=0.5))
+    assert bench.of("ATTITUDE")[-1].yaw == pytest.approx(1.5, abs=0.3)
+    yaw = bench.of("ATTITUDE")[-1].yaw
+    bench.run(3.0, lambda: bench.setpoint((0.5, 0.2, 0.0), mask, frame=body))
+    north, east, _ = bench.drone.estimate.velocity_n_mps
+    heading = bench.of("ATTITUDE")[-1].yaw
+    assert heading == pytest.approx(yaw, abs=0.3)
+    ahead, right = 0.5, 0.2
+    assert north == pytest.approx(math.cos(heading) * ahead - math.sin(heading) * right, abs=0.06)
+    assert east == pytest.approx(math.sin(heading) * ahead + math.cos(heading) * right, abs=0.06)
+
+
+def test_a_setpoint_in_a_frame_that_is_not_followed_is_told_of(bench: Bench) -> None:
+    bench.run(0.5)
+    bench.run(1.5, lambda: bench.setpoint((0.5, 0.0, 0.0), frame=mavlink.MAV_FRAME_BODY_OFFSET_NED))
+    texts = [text.text for text in bench.of("STATUSTEXT") if "unsupported" in text.text]
+    assert len(texts) == 2
+    assert texts[0].startswith("SET_POSITION_TARGET_LOCAL_NED frame 9")
 
 
 def test_a_silent_vehicle_neither_sends_nor_hears(bench: Bench) -> None:
