@@ -18,11 +18,16 @@ from xdist.scheduler import LoadScopeScheduling
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in missions, and before any test loads numpy
 
+
 # Signals that whoever began the tests ignores (nohup, a shell's `&`) would be ignored by the programs under test too:
 # a handler keeps the tests running as before, and does not pass on to programs that they start.
-for _number in (signal.SIGINT, signal.SIGHUP):
-    if signal.getsignal(_number) is signal.SIG_IGN:
-        signal.signal(_number, lambda *_: None)
+def _go_on(_number: int, _frame: object) -> None:
+    """Does nothing, as a signal that is ignored."""
+
+
+for _ignored in (signal.SIGINT, signal.SIGHUP):
+    if signal.getsignal(_ignored) is signal.SIG_IGN:
+        signal.signal(_ignored, _go_on)
 
 # What has sockets, threads, processes and limits of its own: one at a time, and only what computes is run beside it.
 REAL_TIME = (
