@@ -32,6 +32,7 @@ from drivers.mavlink.port_lock import PortLock
 from drivers.mavlink.telemetry import AUTOPILOT_COMPONENT, TelemetrySlots
 
 POLL_S = 0.01
+SECOND_LOOK_S = 0.3  # in which a heartbeat that waits to be read must come
 CLOSE_S = 5.0
 FORCE_DISARM_MAGIC = 21196.0
 ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
@@ -136,24 +137,32 @@ class MavsdkSession:
         """Wait for a condition; False when it did not come. Raises when the vehicle falls silent."""
         end_s = time.monotonic() + timeout_s
         while not condition():
-            self.check_alive()
+            await self.check_alive()
             if time.monotonic() >= end_s:
                 return False
             await asyncio.sleep(POLL_S)
         return True
 
-    def check_alive(self) -> None:
-        """Raises when closed, when telemetry could not be understood or the newest heartbeat is too old."""
+    async def check_alive(self) -> None:
+        """Raises when closed, when telemetry could not be understood or the newest heartbeat is too old.
+
+        A program that stood still finds old heartbeats first: those that wait for it are read before it judges.
+        """
+        limit_s, end_s = self._config.heartbeat_timeout_s, time.monotonic() + SECOND_LOOK_S
+        while (age_s := self._heartbeat_age_s()) > limit_s:
+            if time.monotonic() >= end_s:
+                raise VehicleError(
+                    f"heartbeat of vehicle {self._config.sysid} lost on {self._config.url} ({age_s:.1f} s old)",
+                    "the autopilot now flies on its own failsafe; check cable or radio",
+                )
+            await asyncio.sleep(POLL_S)
+
+    def _heartbeat_age_s(self) -> float:
         self._telemetry.check()
         heartbeat = self._telemetry.heartbeat
         if self._direct is None or heartbeat is None:
             raise VehicleError(f"{self._config.url} is not open", "enter the vehicle with `async with` first")
-        age_s = (self._clock.now_ns() - heartbeat.arrival_ns) * 1e-9
-        if age_s > self._config.heartbeat_timeout_s:
-            raise VehicleError(
-                f"heartbeat of vehicle {self._config.sysid} lost on {self._config.url} ({age_s:.1f} s old)",
-                "the autopilot now flies on its own failsafe; check cable or radio",
-            )
+        return (self._clock.now_ns() - heartbeat.arrival_ns) * 1e-9
 
     def send(self, name: str, fields: dict[str, Any]) -> None:
         """Send one message once, addressed to the autopilot. None becomes NaN."""
@@ -195,7 +204,7 @@ class MavsdkSession:
             self.send("COMMAND_LONG", {"command": command, "confirmation": confirmation, **fields})
             end_s = time.monotonic() + self._config.command_timeout_s
             while time.monotonic() < end_s:
-                self.check_alive()
+                await self.check_alive()
                 ack = telemetry.acks.get(command)
                 if ack is not None and ack.result != IN_PROGRESS:
                     return ack.result

@@ -236,7 +236,7 @@ class MavsdkVehicle:
         return access_of(self._session, self._config.url)
 
     async def wait_armable(self, timeout_s: float) -> None:
-        self._session.check_alive()  # what it said before it fell silent counts no more
+        await self._session.check_alive()  # what it said before it fell silent counts no more
         wrong = await self.parameter_differences()
         if wrong:
             raise VehicleError(
@@ -281,7 +281,7 @@ class MavsdkVehicle:
             raise VehicleError("arming was accepted, but the vehicle is not armed", "see its ground station")
 
     async def take_off(self, height_m: float, timeout_s: float) -> None:
-        self._session.check_alive()
+        await self._session.check_alive()
         if not self.state.armed:
             raise VehicleError("take-off refused: the vehicle is not armed", "arm first")
         if not (math.isfinite(height_m) and height_m > 0.0):
@@ -329,7 +329,7 @@ class MavsdkVehicle:
         await self._change_mode(FlightMode.HOLD, "hold", SAFE_TRIES)
 
     async def land(self, timeout_s: float) -> None:
-        self._session.check_alive()  # "not armed" must be news
+        await self._session.check_alive()  # "not armed" must be news
         if not self.state.armed:
             return
         sent_ns = self._clock.now_ns()

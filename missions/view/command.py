@@ -120,7 +120,8 @@ def _watch(options: ViewOptions) -> int:
     recording = rr.RecordingStream("path-handoff")
     if options.save is not None:
         recording.save(options.save)
-    with nullcontext((None, "")) if options.save else page(options.port) if options.web else viewer() as (server, at):
+    shown = nullcontext((None, "")) if options.save else page(options.port) if options.web else viewer()
+    with suppress(KeyboardInterrupt), shown as (server, at):
         if server is not None:
             recording.connect_grpc(at)
         drawing, watcher, names = Drawing(recording), Watcher(*options.live), set[str]()

@@ -28,7 +28,7 @@ def window(rrd: Path) -> int:
 
 def serve(rrd: Path, port: int) -> int:
     """Serve the page until Ctrl-C. Raises PartError when the port is taken."""
-    with page(port, str(rrd)) as (server, _), suppress(KeyboardInterrupt):
+    with suppress(KeyboardInterrupt), page(port, str(rrd)) as (server, _):
         return server.wait()
     return 0
 

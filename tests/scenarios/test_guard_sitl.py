@@ -11,7 +11,7 @@ from missions.handoff.command import fly_once
 
 def test_a_program_that_stalls_in_the_air_finds_its_vehicle_in_the_guards_hand(tmp_path: Path) -> None:
     """Whatever it had been about to do, it does not do: the vehicle was held, and is landed."""
-    faults = ("no_failsafe", "stall_sender=3@take-off+1")
+    faults = ("no_failsafe", "stall_sender=3@take-off+2.5")
     facts = fly_once(rig_library.load("sitl-light"), 0, faults, tmp_path, lambda _: None)
     assert facts.outcome == "guard", facts.detail
     assert "the guard took the vehicle: no sign of life" in facts.detail

@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode, VehicleError, Wary
-from drivers.mavlink.frames import SIGNED, V2
+from drivers.mavlink.frames import SIGNED, V2, take_frames
 from drivers.mavlink.mavsdk_line import MavsdkLine, needs_line
 from drivers.mavlink.port import extras
 from drivers.mavlink.signing import SignatureCheck, Signer
@@ -139,9 +139,9 @@ def signing_router(to_script: int, key: bytes) -> Generator[tuple[int, list[bool
         while not stop.is_set():
             try:
                 packet, vehicle = vehicle_side.recvfrom(4096)
-                signed = signer.sign(packet)
-                assert signed is not None
-                script_side.sendto(signed, ("127.0.0.1", to_script))
+                signed = [signer.sign(frame) for frame in take_frames(bytearray(packet))]
+                assert signed and None not in signed
+                script_side.sendto(b"".join(frame for frame in signed if frame), ("127.0.0.1", to_script))
             except TimeoutError:
                 pass
             script_side.setblocking(False)

@@ -123,7 +123,7 @@ def test_it_flies_over_serial_ports_and_a_pulled_cable_is_told(tmp_path: Path) -
                     await flight(vehicle, simulated, drone)
                     pull()
                     with pytest.raises(VehicleError, match=r"heartbeat of vehicle 1 lost on serial://"):
-                        await until(lambda: False, vehicle._session.check_alive)
+                        await vehicle._session.until(lambda: False, LIMIT_S)
             finally:
                 simulated.close()
 
