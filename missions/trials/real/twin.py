@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flight.harness.renderer import FrameRenderer, Imaging, PlacedBoard, RenderedInstant, RendererSetup
+from missions.trials.calibration.views import HERE, T_W_C, grey
 from missions.trials.real.board import BoardSeen, SetSeen
 from missions.trials.real.response import (
     TOP,
@@ -36,8 +37,6 @@ from path.geometry import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 
-T_W_C = Pose(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]), np.array([0.0, 0.0, 1.5]))
-HERE = Pose(np.eye(3), np.zeros(3))
 GRID_CELLS = 800  # a grid's pitch: its markers' side is what it is, and fits no coarser print
 BORDER = 0.6  # of the pitch, white around a grid
 PLAIN = Imaging(read_sigma=0.0, shot_gain=0.0)
@@ -67,7 +66,9 @@ def render_twin(
     response = measure_response(own, seen, images)
     if response is None:
         return None
-    drawing = _Drawing(own, _print_of(own, seen), renderer, seed)
+    pairs = zip(seen.photographs, seen.boards, strict=True)
+    edges = {shot.name: see_edges(own, shot, board) for shot, board in pairs}
+    drawing = _Drawing(own, _print_of(own, seen), edges, renderer, seed)
     drawing = replace(drawing, turned=drawing.measure_turned(seen))
     imaging = _like_it(drawing, seen, response)
     out.mkdir(parents=True, exist_ok=True)
@@ -84,11 +85,13 @@ class _Drawing:
 
     Attributes:
         printed: shades, the side of a cell in metres, the place of the print's corner on the board.
+        edges: of each photograph, by its name.
         turned: by photograph, the share of its light that a board has which is turned away from the renderer's sun.
     """
 
     own: RealSet
     printed: tuple[Shades, float, Array]
+    edges: Mapping[str, Sequence[SeenEdge]]
     renderer: type[FrameRenderer]
     seed: int
     turned: Mapping[str, float] = field(default_factory=dict[str, float])
@@ -97,7 +100,7 @@ class _Drawing:
         """Draw the boards in plain light, and see how much of it their paper has."""
         shares: dict[str, float] = {}
         for shot, board, image in zip(seen.photographs, seen.boards, self.images(seen, PLAIN), strict=True):
-            wanted, got = (see_edges(self.own, one, board) for one in (shot, replace(shot, grey=image)))
+            wanted, got = self.edges[shot.name], see_edges(self.own, replace(shot, grey=image), board)
             shares[shot.name] = levels_of(got)[1] / levels_of(wanted)[1] if wanted and got else 1.0
         return shares
 
@@ -106,11 +109,11 @@ class _Drawing:
         made = self.renderer(RendererSetup(seen.camera, HERE, HERE, single_marker(), imaging=imaging), self.seed)
         drawn: list[Shades] = []
         for number, (shot, board) in enumerate(zip(seen.photographs, seen.boards, strict=True)):
-            lit = _placed(board, *self.printed, see_edges(self.own, shot, board), imaging.gamma)
+            lit = _placed(board, *self.printed, self.edges[shot.name], imaging.gamma)
             share = self.turned.get(shot.name, 1.0)
             placed = replace(lit, light=(lit.light[0] / share, lit.light[1] / share))
             color = made.shoot(RenderedInstant({Role.SENDER: T_W_C}, boards=(placed,)), Role.SENDER, number).color
-            drawn.append(np.asarray(cv2.cvtColor(color, cv2.COLOR_BGR2GRAY), np.uint8))
+            drawn.append(grey(color))
         return drawn
 
 
