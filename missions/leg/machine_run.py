@@ -61,10 +61,11 @@ class Carrier:
         session = self.session
         match action:
             case Send(message):
+                begun_ns = session.now_ns()  # what it causes is stamped later, also by a peer that is quicker than this
                 session.link.send(message)
                 if isinstance(message, Commit):
-                    self._log("/commit", target_id=message.target_id, epoch=message.epoch, nonce=message.nonce,
-                              lease_end_ns=message.lease_end_ns)  # fmt: skip
+                    record = {"target_id": message.target_id, "epoch": message.epoch, "nonce": message.nonce}
+                    session.log.write("/commit", begun_ns, {**record, "lease_end_ns": message.lease_end_ns})
             case Persist(record):
                 self._log("/epoch", epoch=record.epoch, duty=record.duty)
             case TakeResponsibility():

@@ -8,6 +8,7 @@ import random
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -19,9 +20,9 @@ from flight.outcome import MissionEnd, Outcome
 from missions import rig_library
 from missions.leg import machine_run
 from missions.leg.handover import protocol_config
-from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Pong, Role, Status
+from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Message, Pong, Role, Status
 from path.protocol.receiver import LetGo, Provisional
-from path.protocol.values import PeerStatus, TakeResponsibility
+from path.protocol.values import PeerStatus, Send, TakeResponsibility
 from tests.missions.leg.handover_pair import CONFIG, NO_END, OffsetClock, Pair, fly, kinds, until
 
 RECEIVER_AHEAD_NS = 3_200_000_000  # of the sender's clock
@@ -604,3 +605,24 @@ def test_time_is_told_to_a_machine_by_one_task_however_often_it_is_started(rig: 
         assert 18 <= len(asked) <= 24
 
     fly(rig, course)
+
+
+def test_a_commit_is_stamped_before_anything_it_causes() -> None:
+    """A receiver that is quicker than the sender's own log must not seem to have taken over before the COMMIT."""
+    now_ns = 1_000
+    written: list[tuple[str, int]] = []
+
+    class SlowLink:
+        def send(self, message: Message) -> None:
+            nonlocal now_ns
+            now_ns += 5_000_000
+
+    class Log:
+        def write(self, topic: str, stamp_ns: int, record: object) -> None:
+            written.append((topic, stamp_ns))
+
+    session = SimpleNamespace(link=SlowLink(), log=Log(), now_ns=lambda: now_ns)
+    carrier = machine_run.Carrier(cast(Any, session))
+    commit = Commit(1, epoch=1, target_id=1, nonce=7, lease_end_ns=2_000_000_000, stamp_ns=1_000, instance=5)
+    carrier.carry_out(Send(commit))
+    assert written == [("/commit", 1_000)]
