@@ -23,8 +23,8 @@ from missions.relay.base import Base, Event
 from missions.relay.battery import Gauge
 from missions.relay.command import faults_of, fly_relay, judge, relay_of
 from missions.relay.guidance import keep_clear
-from missions.relay.records import as_first, as_holder, as_relief
-from path.protocol.values import Handoff, ReceiverRecord, SenderRecord
+from missions.relay.records import EPOCHS, as_first, as_holder, as_relief, for_leg
+from path.protocol.values import LAST_EPOCH, Handoff, ReceiverRecord, SenderRecord
 
 LIVE = Handoff(7, 7, 1)
 
@@ -134,6 +134,18 @@ def test_a_record_changes_its_role_and_its_epoch_only_grows() -> None:
     for duty in ("observing", "provisional", "let_go"):
         with pytest.raises(ValueError, match=duty):
             as_holder(kept(ReceiverRecord(7, duty)))
+
+
+def test_the_epochs_of_a_leg_are_above_those_of_the_leg_before_whoever_flew_in_it() -> None:
+    held = Kept(ReceiverRecord(EPOCHS + 1, "holding", LIVE, 5), same_clock=True)
+    gave_away = Kept(SenderRecord(EPOCHS, "handed_over", LIVE, 5), same_clock=True)  # in the last attempt of leg 1
+    found = Kept(SenderRecord(0, "mine"), same_clock=True)  # another target, just now
+    assert for_leg(found, 1) == SenderRecord(0, "mine")
+    assert for_leg(found, 2).epoch + 1 >= as_relief(gave_away).epoch
+    assert for_leg(held, 2) == SenderRecord(EPOCHS + 1, "mine")  # never back
+    assert for_leg(found, 60_000).epoch == LAST_EPOCH - EPOCHS
+    with pytest.raises(ValueError, match="observing"):
+        for_leg(Kept(ReceiverRecord(7), same_clock=True), 2)
 
 
 def test_the_gauge_believes_what_it_sees_but_no_single_drop() -> None:
