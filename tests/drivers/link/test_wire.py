@@ -558,3 +558,9 @@ def test_a_flag_nobody_defined_is_seen_as_soon_as_it_is_there() -> None:
 def test_a_link_that_nobody_gave_a_number_is_number_zero() -> None:
     packet = Codec(Role.SENDER, KEY).encode(STATUS)
     assert packet[-13] == 0 and stamp_of(packet) == 0
+
+
+def test_a_peers_clock_at_the_last_stamp_that_may_be_said_is_heard() -> None:
+    sender, receiver = pair()
+    sender.decode(receiver.encode(CANDIDATE))
+    assert receiver.decode(raw(raw_target(), stamp=LAST_STAMP)) is not Drop.CLOCK_AT_END
