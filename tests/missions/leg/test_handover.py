@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.interfaces import Received
+from drivers.interfaces import Received, StateError
 from drivers.log.state_file import MemoryStore
 from flight.clocks import ClockAlignment, PingResult
 from flight.outcome import MissionEnd, Outcome
@@ -23,7 +23,7 @@ from missions.leg import machine_run
 from missions.leg.handover import protocol_config
 from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Message, Pong, Role, Status
 from path.protocol.receiver import LetGo, Provisional
-from path.protocol.values import PeerStatus, Send, TakeResponsibility
+from path.protocol.values import AbortRequested, PeerStatus, Send, TakeResponsibility
 from tests.missions.leg.handover_pair import CONFIG, NO_END, OffsetClock, Pair, fly, kinds, until
 
 RECEIVER_AHEAD_NS = 3_200_000_000  # of the sender's clock
@@ -693,3 +693,43 @@ def test_what_is_said_while_the_disk_writes_is_done_in_the_order_in_which_it_was
 
     fly(rig, course)
     assert done[:2] == ["a message", "an own decision"]
+
+
+def test_the_clocks_must_be_known_well_enough_still_at_the_end_of_a_lease_that_is_taken(
+    rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def course(pair: Pair) -> None:
+        session = pair.session[Role.RECEIVER]
+        limit_ns = round(protocol_config(session).max_uncertainty_s * 1e9)
+        begun_ns = session.now_ns()
+        monkeypatch.setattr(
+            session.alignment, "uncertainty_at", lambda at_ns: limit_ns + (1 if at_ns > begun_ns + 10**9 else -1)
+        )
+        pair.sender.agreed(1)
+        await asyncio.sleep(0.1)
+        assert pair.sender.released and not pair.receiver.holds
+        assert pair.log[Role.RECEIVER].of("/refused")[-1]["why"] == "no_clock"
+
+    fly(rig, course)
+
+
+def test_what_was_let_go_of_stays_so_when_the_disk_cannot_take_the_record_of_it(
+    rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The release came before the record: the machine does not go back to holding what its session let go of."""
+
+    async def course(pair: Pair) -> None:
+        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+
+        def full(_: object) -> Future[None]:
+            failed = Future[None]()
+            failed.set_exception(StateError("cannot write: No space left on device", "make room"))
+            return failed
+
+        monkeypatch.setattr(pair.store[Role.RECEIVER], "begin_save", full)
+        with pytest.raises(StateError):
+            pair.receiver._step(AbortRequested(AbortReason.SHUTDOWN))
+        assert not pair.session[Role.RECEIVER].responsible
+        assert not pair.receiver.holds
+
+    fly(rig, course)
