@@ -27,7 +27,8 @@ from flight.phases import Phase
 from flight.pilot import Pilot
 from flight.target_track import TargetTrack
 from flight.under_guard import UnderGuard
-from missions.leg.session import RoleSession, entropy_of, guard_line_of
+from missions.leg.opening import entropy_of, guard_line_of
+from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, may_manoeuvre
 from missions.relay.base import Ground, Leg
 from missions.relay.battery import Gauge

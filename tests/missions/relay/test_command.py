@@ -10,13 +10,11 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import Kept, PartError, StateError
-from drivers.log.mcap_log import McapLog, read_log
+from drivers.log.mcap_log import read_log
 from drivers.log.state_file import MemoryStore
 from drivers.rig.parts import Rig
 from flight.harness.relay import RelayConfig, RelayReport
 from flight.outcome import Outcome
-from hil.harness.pace import overload_of
-from hil.harness.relay_sitl import frame_ages_s
 from missions import rig_library
 from missions.options.flights import RelayOptions
 from missions.relay.base import Base, Event
@@ -191,12 +189,3 @@ def test_a_relay_on_a_computer_that_is_too_slow_is_blamed_on_nobody(rig: Rig, tm
     assert judge(base, replace(report, overload=""))[0] is Outcome.TARGET_LOST
     assert judge(base, replace(report, failure="the world did not come up"))[0] is Outcome.OVERLOADED
     assert judge(base, replace(report, violations={"S1": 1}))[0] is Outcome.MONITOR_VIOLATED
-
-
-def test_late_programs_are_read_from_their_logs(tmp_path: Path) -> None:
-    for name, age_s in (("D1", 0.5), ("D2", 0.05)):
-        with McapLog(tmp_path / f"{name}.mcap") as log:
-            for number in range(60):
-                log.write("/frame", number + 1, {"number": number, "age_ns": round(age_s * 1e9), "bytes": 1})
-    said = overload_of(frame_ages_s(tmp_path, ("D1", "D2", "D3")), {})
-    assert said == "D1's program: 60 of 60 frames were late, a tenth by 0.50 s"
