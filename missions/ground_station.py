@@ -20,7 +20,7 @@ def name_ground_station(rig: Rig, asked: str | None) -> None:
         raise PartError(
             f"--gcs: rig {rig.name} has no embedded MAVLink vehicles in real time",
             "a real autopilot has a port for its ground station already; at the sim levels there is no MAVLink: "
-            "take --rig sitl, or relay-sitl",
+            "take --rig sitl, relay-sitl, or team-sitl",
         )
     try:
         host, _ = address_of(asked, "--gcs")

@@ -139,6 +139,10 @@ class TeamOptions:
     logs: bool = False
     """Log everything, frame by frame, and not only what is decided: some 40 MB an hour and drone."""
 
+    live: Live = None
+
+    gcs: GroundStation = None
+
     picture: bool = True
     """Draw team.png at the end."""
 

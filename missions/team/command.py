@@ -12,7 +12,9 @@ from flight.harness.flights import Emit
 from flight.harness.relay import RelayField, RelayHarness, RelayRequest, TeamField
 from flight.harness.team import TeamConfig
 from missions import rig_library
+from missions.ground_station import name_ground_station
 from missions.lateness import for_lateness
+from missions.live.start import live
 from missions.options.flights import TeamOptions
 from missions.relay.base import Event, Tell
 from missions.relay.command import faults_of
@@ -33,13 +35,15 @@ TEAM, PICTURE = "team.json", "team.png"
 def run(options: TeamOptions) -> int:
     """``path-handoff team``; returns the exit code. Raises PartError for what was asked wrongly."""
     rig = with_errors(rig_library.load(options.rig), options.errors)
+    name_ground_station(rig, options.gcs)
     config = team_of(rig, options.drones, options.targets)
     rig, hours = fenced(rig, config), config.hours if options.hours is None else options.hours
     if not hours > 0.0:
         raise PartError(f"--hours {hours:g} is not above 0", "give the hours that it is to last, such as 2")
     with unless_refused(options.out) as folder:
         tell_line(f"{len(config.drones)} drones, {len(config.targets)} targets, {hours:g} h: {folder}")
-        summary, record = fly_team(rig, config, options, folder, tell)
+        with live(options.live, folder):
+            summary, record = fly_team(rig, config, options, folder, tell)
     draw = _draw if options.picture else None
     return leave(summary, record, folder, Showing(TEAM, PICTURE, draw, _page_of, team_table))
 
