@@ -75,7 +75,7 @@ class FaultyFrames:
     false: tuple[Flags, Flags]
 
     def longest_clear(self, first: int = 0) -> int:
-        """Frames of the longest stretch, from some frame on, in which both detectors see the target and nothing else."""
+        """Frames of the longest stretch from one on in which both detectors see the target and nothing else."""
         begin = min(max(0, first), len(self.missed[0]))
         faulty = np.flatnonzero(np.any((*self.missed, *self.false), axis=0)[begin:])
         edges = np.concatenate(([-1], faulty, [len(self.missed[0]) - begin]))

@@ -75,8 +75,8 @@ def _judged(request: TrialRequest, asked: Sequence[AttemptOrder]) -> list[Attemp
     """Attempts are kept as they are judged: the same command with the same ``--out`` goes on with what is left."""
     rig, runner = request.rig, request.part("montecarlo")
     head = {
-        "format": "path-handoff recall 1", "rig": str(rig.file), "seed": request.seed, "errors": rig.world.get("errors"),
-        "detectors": len(DETECTORS), "method": repr(rig.method),
+        "format": "path-handoff recall 1", "rig": str(rig.file), "seed": request.seed,
+        "errors": rig.world.get("errors"), "detectors": len(DETECTORS), "method": repr(rig.method),
     }  # fmt: skip
     by_index = {order.attempt.index: order for order in asked}
     with ResumableLines(request.out / KEPT, JudgedLine, head) as kept:
