@@ -176,10 +176,8 @@ class EvidenceGate:
 
     def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
         refusal = self._run.skip(peer_sequence, capture_ns)
-        if refusal is None and by is not None:
-            self._agreed = False
-            if self._run.count:
-                self._compared(capture_ns, by if by < 0.0 else -math.inf)
+        if refusal is None and by is not None and self._run.count:
+            self._compared(capture_ns, by if by < 0.0 else -math.inf)
         return refusal
 
     def restart(self, stamp_ns: int) -> None:

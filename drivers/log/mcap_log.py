@@ -119,7 +119,7 @@ class McapLog:
             return
         jpeg = _jpeg(image)
         if jpeg is None:
-            self._failed = self._failed or f"{topic}: the image could not be encoded"
+            self._failed = self._failed or f"{topic}: the image could not be encoded as JPEG, of 8 bits"
             return
         from drivers.log.foxglove import compressed_image  # noqa: PLC0415
 
@@ -237,8 +237,11 @@ class LooseFile:
 
 
 def _jpeg(image: NDArray[np.uint8]) -> bytes | None:
+    """None for what is no image of 8 bits: OpenCV would cut the bits of others off, and only print a warning."""
     import cv2  # noqa: PLC0415 (a log without images does not need it)
 
+    if image.dtype != np.uint8:
+        return None
     try:
         done, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     except cv2.error:

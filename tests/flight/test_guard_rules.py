@@ -499,3 +499,13 @@ def test_the_reason_of_a_let_go_names_what_it_was_taken_for_only_if_it_was() -> 
     assert at(taken, pilot)[0].reason == "a pilot changed the mode (taken before: battery at 10 %)"
     home = replace(VIEW, mode=FlightMode.RETURN)
     assert at(view=home, heard=dead(for_s=9.0))[0].reason == "somebody else selected return"
+
+
+def test_a_vehicle_that_holds_already_is_held_for_its_time_though_nothing_was_sent() -> None:
+    """No answer is awaited: it is not landed early for want of one, by a guard that hears no newer heartbeat."""
+    holding = replace(VIEW, mode=FlightMode.HOLD)
+    state, act = step(view=holding, heard=dead())
+    assert (state.stage, act) == (GuardStage.HOLDING, Act.NOTHING)
+    acts = [step(state, holding, None, NOW + ns(after_s))[1] for after_s in (RULES.ack_s + 0.1, RULES.hold_s - 0.1)]
+    assert acts == [Act.NOTHING, Act.NOTHING]
+    assert step(state, holding, None, NOW + ns(RULES.hold_s))[1] is Act.LAND

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,8 @@ def decorated(node: ast.AST, names: tuple[str, ...]) -> bool:
 
 def inner_of(source: str) -> set[str]:
     """Names of a module's kernels that only kernels call."""
+    if "@inner" not in source:  # most modules are not worth parsing
+        return set()
     return {
         node.name
         for node in ast.parse(source).body
@@ -39,8 +42,12 @@ def asked_by_python(tree: ast.Module) -> Iterator[str]:
 def calls_of_inner(sources: dict[str, str]) -> list[str]:
     """``module: name`` of each use from Python of a kernel for kernels only; ``sources`` by module name."""
     inner = {module: inner_of(source) for module, source in sources.items()}
+    of_them = "|".join(re.escape(module) for module, names in inner.items() if names)
+    may_call = re.compile(rf"@inner|from\s+({of_them})\s+import")
     wrong: list[str] = []
     for module, source in sources.items():
+        if not may_call.search(source):
+            continue
         tree = ast.parse(source)
         known = {name: name for name in inner[module]}
         for node in ast.walk(tree):

@@ -477,3 +477,24 @@ def test_a_block_in_which_exactly_the_share_agrees_does(agreeing: int) -> None:
 def test_what_is_within_reach_is_never_safe_however_small_the_error_is_held_to_be() -> None:
     assert persistent_bound(0.5, 0.5, 0.0, 148) == 1.0
     assert persistent_bound(0.5, 0.4999, 0.0, 148) == 0.0
+
+
+def test_a_pair_exactly_at_the_threshold_counts_into_the_share() -> None:
+    own = replace(OWN, block_share=1.0, block_pairs=8, block_s=7 * PERIOD * 1e-9)
+    gate = EvidenceGate(replace(METHOD, evidence=own))
+    for index in range(8):
+        gate.agree(pair_of(index), TAU if index == 3 else CLEAR, TAU)
+    assert gate.judged.first == [1, 1]
+
+
+def test_another_run_is_not_held_against_where_the_boxes_of_the_last_one_lay() -> None:
+    """Nor does it profit from them: what speaks for the target is of the pairs of this run alone."""
+    aside = Offsets((OWN.apart_m, OWN.apart_m))
+    fresh, again = EvidenceGate(METHOD), EvidenceGate(METHOD)
+    for index in range(200):
+        again.agree(replace(pair_of(index), offsets=aside), CLEAR, TAU)
+    assert again.expire(pair_of(400).capture_ns)
+    for index in range(401, 600):
+        for gate in (fresh, again):
+            gate.agree(pair_of(index), CLEAR, TAU)
+    assert again._identity == fresh._identity

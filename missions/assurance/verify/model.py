@@ -121,6 +121,32 @@ class ModelWorld(NamedTuple):
     agreed: int
     alone: int
 
+    def stepped(
+        self,
+        sent: int,
+        *,
+        sender: int | None = None,
+        receiver: int | None = None,
+        sender_kept: int | None = None,
+        receiver_kept: int | None = None,
+        second: int | None = None,
+    ) -> ModelWorld:
+        """The world with more packets on its link, and with what else is told: ``_replace``, in half of its time."""
+        return ModelWorld(
+            self.sender if sender is None else sender,
+            self.receiver if receiver is None else receiver,
+            self.skew,
+            self.packets | sent,
+            self.crashes,
+            self.aborts,
+            self.attempts,
+            self.sender_kept if sender_kept is None else sender_kept,
+            self.receiver_kept if receiver_kept is None else receiver_kept,
+            self.second if second is None else second,
+            self.agreed,
+            self.alone,
+        )
+
 
 def packet_later(packet: ModelPacket, past: int) -> ModelPacket | None:
     """A tick later; only instants that a machine looks at age. None for a Status that is too old to be told apart."""

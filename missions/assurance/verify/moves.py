@@ -63,6 +63,9 @@ class Moves:
         self.effects = Effects(scope)
         self._senders = self.effects.senders.values
         self._receivers = self.effects.receivers.values
+        self._across: dict[tuple[int, int, int, int], str] = {}
+        self._giving: dict[int, bool] = {}
+        self._taking: dict[tuple[int, int], bool] = {}
 
     def start(self, skew: int) -> ModelWorld:
         """Returns the world in which nothing has begun; the receiver observes."""
@@ -160,10 +163,19 @@ class Moves:
         """Programs are awake in time, and each gap and wait may be held against its bound."""
         return not self.scope.stalls and self.scope.receivers == 1
 
-    def _holders(self, world: ModelWorld) -> int:
-        second = False if world.second == NOBODY else responsible_receiver(self._second_of(world), world.skew)
-        first = responsible_receiver(self.receiver_of(world), world.skew)
-        return responsible_sender(self.sender_of(world)) + first + second
+    def _gives(self, state: int) -> bool:
+        """Returns whether a sender in this state is responsible."""
+        found = self._giving.get(state)
+        if found is None:
+            found = self._giving[state] = responsible_sender(self._senders[state])
+        return found
+
+    def _takes(self, held: int, skew: int) -> bool:
+        """Returns whether a receiver in this state is responsible."""
+        found = self._taking.get((held, skew))
+        if found is None:
+            found = self._taking[held, skew] = responsible_receiver(self._receivers[held], skew)
+        return found
 
     def _second_of(self, world: ModelWorld) -> receiver.ReceiverState:
         second = self._receivers[world.second]
@@ -312,41 +324,48 @@ class Moves:
         if any(commit != (world.agreed, TARGET_ID) for commit in effect.commits):
             broken = broken or "S5"
         kept = world.sender_kept if effect.kept < 0 else effect.kept
-        after = world._replace(sender=effect.state, sender_kept=kept, packets=world.packets | effect.sent)
+        after = world.stepped(effect.sent, sender=effect.state, sender_kept=kept)
         yield self._checked(world, after, effect.what, broken)
         if world.crashes:
             for sent, half_kept in effect.halves:
-                half = world._replace(packets=world.packets | sent)
+                half = world.stepped(sent)
                 dead = self._sender_killed(half, world.sender_kept if half_kept < 0 else half_kept)
                 yield ModelStep(f"{effect.what}; it is killed half-way", dead)
 
     def _receiver_does(self, world: ModelWorld, effect: Effect) -> Iterator[ModelStep]:
         kept = world.receiver_kept if effect.kept < 0 else effect.kept
-        after = world._replace(receiver=effect.state, receiver_kept=kept, packets=world.packets | effect.sent)
+        after = world.stepped(effect.sent, receiver=effect.state, receiver_kept=kept)
         yield self._checked(world, after, effect.what, effect.broken)
         if world.crashes:
             for sent, half_kept in effect.halves:
-                half = world._replace(packets=world.packets | sent)
+                half = world.stepped(sent)
                 dead = self._receiver_killed(half, world.receiver_kept if half_kept < 0 else half_kept)
                 yield ModelStep(f"{effect.what}; it is killed half-way", dead)
 
     def _second_does(self, world: ModelWorld, effect: Effect) -> ModelStep:
-        after = world._replace(second=effect.state, packets=world.packets | effect.sent)
+        after = world.stepped(effect.sent, second=effect.state)
         return self._checked(world, after, effect.what, effect.broken)
 
     def _checked(self, before: ModelWorld, after: ModelWorld, what: str, broken: str) -> ModelStep:
-        now, holds = self.sender_of(after), self.receiver_of(after)
-        gives, takes = responsible_sender(now), responsible_receiver(holds, after.skew)
-        broken = broken or across_rules(self.sender_of(before), now, self.receiver_of(before), holds)
-        if self._holders(after) > 1:
+        state, held, skew, packets, crashes, aborts, attempts, sender_kept, receiver_kept, second, agreed, alone = after
+        gives, takes = self._gives(state), self._takes(held, skew)
+        key = before.sender, state, before.receiver, held
+        across = self._across.get(key)
+        if across is None:
+            senders, receivers = self._senders, self._receivers
+            across = across_rules(senders[key[0]], senders[state], receivers[key[2]], receivers[held])
+            self._across[key] = across
+        broken = broken or across
+        if gives + takes + (second != NOBODY and self._takes(second, skew)) > 1:
             broken = broken or "S1"
-        alone = 0 if gives or takes else after.alone
-        sender_kept, receiver_kept = after.sender_kept, after.receiver_kept
-        if not after.crashes:  # nobody will ever read it
-            sender_kept = sender_kept if isinstance(now, Dead) else UNREAD
-            receiver_kept = receiver_kept if isinstance(holds, Dead) else UNREAD
-        packets = after.packets | self.effects.said(after.sender, after.receiver, after.skew, after.second)
-        world = after._replace(packets=packets, alone=alone, sender_kept=sender_kept, receiver_kept=receiver_kept)
+        if not crashes:  # nobody will ever read it
+            sender_kept = sender_kept if isinstance(self._senders[state], Dead) else UNREAD
+            receiver_kept = receiver_kept if isinstance(self._receivers[held], Dead) else UNREAD
+        packets |= self.effects.said(state, held, skew, second)
+        alone = 0 if gives or takes else alone
+        world = ModelWorld(
+            state, held, skew, packets, crashes, aborts, attempts, sender_kept, receiver_kept, second, agreed, alone
+        )
         return ModelStep(what, world, broken)
 
 

@@ -25,7 +25,8 @@ from typing import IO, Any
 
 _HEAVY = ("cv2", "msgspec", "numba", "numpy", "pytest", "pymavlink.mavutil", "rich.console", "tyro")
 _POLL_S = 0.02
-_MISUSED = (3, 4, 5)  # pytest's exit codes, when it ran no test; 2 is a module that cannot even be imported
+_MISUSED = (3, 4, 5)  # pytest's exit codes, when it ran no test
+_NOT_IMPORTED = 2  # also pytest's, of tests that cannot import it
 _SHOWN = 2000
 
 
@@ -51,6 +52,11 @@ def run_tests(order: dict[str, Any]) -> int:
 
     if order["source"] is not None:
         sys.meta_path.insert(0, Wrong(order["module"], order["source"]))
+        try:  # now: pytest loads the modules of its plugins' packages by itself, and would take this one from its file
+            importlib.import_module(order["module"])
+        except Exception:
+            traceback.print_exc()
+            return _NOT_IMPORTED
     quiet = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--no-header", "--tb=line"]
     quiet += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # this module's own package is imported already
     return int(pytest.main([*quiet, *order["tests"]]))

@@ -320,6 +320,13 @@ def test_our_own_packets_reflected_are_not_the_peers() -> None:
     assert Codec(Role.RECEIVER, KEY).decode(raw(raw_target(), component=1)) is Drop.WRONG_SYSTEM
 
 
+@pytest.mark.parametrize("system", [0, 3, 255])
+def test_a_third_system_is_nobody_even_with_the_key(system: int) -> None:
+    sender, receiver = pair()
+    assert isinstance(receiver.decode(sender.encode(TARGET)), Target)
+    assert receiver.decode(raw(raw_target(), stamp=10**6, system=system)) is Drop.WRONG_SYSTEM
+
+
 def test_a_recording_tells_a_restarted_side_nothing() -> None:
     sender, receiver = pair()
     recorded = [sender.encode(message) for message in (TARGET, Ping(7, 70), Pong(0, 0, 1, 2), *FROM_SENDER[4:])]
@@ -558,3 +565,9 @@ def test_a_flag_nobody_defined_is_seen_as_soon_as_it_is_there() -> None:
 def test_a_link_that_nobody_gave_a_number_is_number_zero() -> None:
     packet = Codec(Role.SENDER, KEY).encode(STATUS)
     assert packet[-13] == 0 and stamp_of(packet) == 0
+
+
+def test_a_peers_clock_at_the_last_stamp_that_may_be_said_is_heard() -> None:
+    sender, receiver = pair()
+    sender.decode(receiver.encode(CANDIDATE))
+    assert receiver.decode(raw(raw_target(), stamp=LAST_STAMP)) is not Drop.CLOCK_AT_END

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -96,6 +97,15 @@ def test_images_are_foxglove_jpegs(tmp_path: Path) -> None:
     assert only.stamp_ns == 2_000_000_003
     assert (only.record["frame_id"], only.record["format"]) == ("D1/camera", "jpeg")
     assert np.abs(decode_image(only.record).astype(int) - image).mean() < 2.0
+
+
+@pytest.mark.parametrize("bits", [np.uint16, np.float32, np.float64])
+def test_an_image_of_more_than_8_bits_is_refused_by_name_and_none_of_it_is_cut_off(tmp_path: Path, bits: type) -> None:
+    image: Any = np.full((48, 64, 3), 300, bits)
+    with McapLog(tmp_path / "a.mcap", "D1") as log:
+        log.image("/depth", 1, image)
+    assert log.failed == "/depth: the image could not be encoded as JPEG, of 8 bits"
+    assert list(read_log(tmp_path / "a.mcap")) == []
 
 
 def test_a_full_disk_is_remembered_and_stops_nothing() -> None:

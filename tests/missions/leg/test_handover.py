@@ -13,16 +13,17 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.interfaces import Received
+from drivers.interfaces import Received, StateError
 from drivers.log.state_file import MemoryStore
 from flight.clocks import ClockAlignment, PingResult
 from flight.outcome import MissionEnd, Outcome
+from hil.harness.virtual_time import run_virtual
 from missions import rig_library
 from missions.leg import machine_run
 from missions.leg.handover import protocol_config
 from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Message, Pong, Role, Status
 from path.protocol.receiver import LetGo, Provisional
-from path.protocol.values import PeerStatus, Send, TakeResponsibility
+from path.protocol.values import AbortRequested, PeerStatus, Send, TakeResponsibility
 from tests.missions.leg.handover_pair import CONFIG, NO_END, OffsetClock, Pair, fly, kinds, until
 
 RECEIVER_AHEAD_NS = 3_200_000_000  # of the sender's clock
@@ -626,3 +627,109 @@ def test_a_commit_is_stamped_before_anything_it_causes() -> None:
     commit = Commit(1, epoch=1, target_id=1, nonce=7, lease_end_ns=2_000_000_000, stamp_ns=1_000, instance=5)
     carrier.carry_out(Send(commit))
     assert written == [("/commit", 1_000)]
+
+
+def test_the_clocks_must_be_known_well_enough_still_at_the_leases_end(
+    rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bound that is good now and wider than allowed when the lease ends gives no COMMIT."""
+
+    async def course(pair: Pair) -> None:
+        session = pair.session[Role.SENDER]
+        limit_ns = round(protocol_config(session).max_uncertainty_s * 1e9)
+        begun_ns = session.now_ns()
+        monkeypatch.setattr(
+            session.alignment, "uncertainty_at", lambda at_ns: limit_ns + (1 if at_ns > begun_ns + 10**9 else -1)
+        )
+        pair.sender.agreed(1)
+        assert not pair.sender.released and not kinds(pair.link[Role.SENDER].sent, Commit)
+        monkeypatch.setattr(session.alignment, "uncertainty_at", lambda _: limit_ns)
+        pair.sender.agreed(1)
+        assert pair.sender.released
+
+    fly(rig, course)
+
+
+def test_a_receiver_counts_for_two_seconds_after_its_status_and_not_longer(
+    rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def course(pair: Pair) -> None:
+        session = pair.session[Role.SENDER]
+        (heard_ns, _) = next(iter(pair.sender._words.values()))
+        instance = pair.receiver.instance
+        for after_ns, expected in ((2 * 10**9 - 1, (instance,)), (2 * 10**9, ())):
+            monkeypatch.setattr(session, "now_ns", lambda at_ns=heard_ns + after_ns: at_ns)
+            assert pair.sender.receivers == expected
+        monkeypatch.undo()
+
+    fly(rig, course)
+
+
+def test_a_sender_without_an_attempt_names_no_receiver(rig: Any) -> None:
+    """0 stands for none, here and in its Status."""
+
+    async def main() -> int:
+        return Pair(rig).session[Role.SENDER].instance()
+
+    assert run_virtual(main()) == 0
+
+
+def test_what_is_said_while_the_disk_writes_is_done_in_the_order_in_which_it_was_said(
+    rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An own decision does not overtake a message that waits: what was accepted before it was accepted."""
+    done: list[object] = []
+
+    async def course(pair: Pair) -> None:
+        run = pair.receiver
+        await pair.session[Role.RECEIVER].cancel_spawned()
+        monkeypatch.setattr(run._machine, "step", lambda event, _: done.append(event) or ())
+        run._writing = asyncio.create_task(asyncio.sleep(0.0))
+        run._hear(lambda: "a message")
+        run._step(cast(Any, "an own decision"))
+        assert done == []
+        run._writing = None
+        run._go_through_waiting()
+
+    fly(rig, course)
+    assert done[:2] == ["a message", "an own decision"]
+
+
+def test_the_clocks_must_be_known_well_enough_still_at_the_end_of_a_lease_that_is_taken(
+    rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def course(pair: Pair) -> None:
+        session = pair.session[Role.RECEIVER]
+        limit_ns = round(protocol_config(session).max_uncertainty_s * 1e9)
+        begun_ns = session.now_ns()
+        monkeypatch.setattr(
+            session.alignment, "uncertainty_at", lambda at_ns: limit_ns + (1 if at_ns > begun_ns + 10**9 else -1)
+        )
+        pair.sender.agreed(1)
+        await asyncio.sleep(0.1)
+        assert pair.sender.released and not pair.receiver.holds
+        assert pair.log[Role.RECEIVER].of("/refused")[-1]["why"] == "no_clock"
+
+    fly(rig, course)
+
+
+def test_what_was_let_go_of_stays_so_when_the_disk_cannot_take_the_record_of_it(
+    rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The release came before the record: the machine does not go back to holding what its session let go of."""
+
+    async def course(pair: Pair) -> None:
+        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+
+        def full(_: object) -> Future[None]:
+            failed = Future[None]()
+            failed.set_exception(StateError("cannot write: No space left on device", "make room"))
+            return failed
+
+        monkeypatch.setattr(pair.store[Role.RECEIVER], "begin_save", full)
+        with pytest.raises(StateError):
+            pair.receiver._step(AbortRequested(AbortReason.SHUTDOWN))
+        assert not pair.session[Role.RECEIVER].responsible
+        assert not pair.receiver.holds
+
+    fly(rig, course)

@@ -127,6 +127,7 @@ def test_it_takes_over_only_on_the_live_commit(heard: CommitHeard, why: Refusal)
 
 def test_a_commit_without_any_target_heard_is_refused() -> None:
     assert ReceiverMachine(CONFIG).step(HEARD, T0) == (Refused(Refusal.UNKNOWN_EPOCH),)
+    assert ReceiverMachine(CONFIG, Observing(5)).step(HEARD, T0) == (Refused(Refusal.UNKNOWN_EPOCH),)
     assert ReceiverMachine(CONFIG, Observing(6)).step(HEARD, T0) == (Refused(Refusal.LOWER_EPOCH),)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
@@ -16,6 +18,12 @@ from path.protocol import sender
 INVARIANTS = {"S1", "S2", "S3", "S4", "S5", "S6", "L1", "L2"}
 
 
+@cache
+def of_small() -> Exploration:
+    """Several tests ask for something of it."""
+    return explore(SMALL)
+
+
 def said_of(found: Exploration) -> str:
     return f"{dict(found.broken)} in {found.states} worlds:\n" + "\n".join(found.example)
 
@@ -25,7 +33,7 @@ def said_of(found: Exploration) -> str:
     [(SMALL, 9000), (replace(SMALL, aborts=1), 30_000), (replace(SMALL, guard=0, uncertainty=2, lease=5), 15_000)],
 )
 def test_the_machines_keep_every_invariant_in_every_reachable_world(scope: Scope, states: int) -> None:
-    found = explore(scope)
+    found = of_small() if scope == SMALL else explore(scope)
     assert found.complete and not found.broken, said_of(found)
     assert found.states > states
     assert found.in_flight >= 4
@@ -63,7 +71,7 @@ def test_what_the_page_calls_an_assumption_is_needed(scope: Scope, breaks: set[s
 
 def test_all_that_can_come_of_a_handover_is_reached() -> None:
     """And nobody is responsible for good only when the sender handed over and the receiver let go: the orphan."""
-    pairs = explore(SMALL).pairs
+    pairs = of_small().pairs
     assert ("HandedOver", "Holding") in pairs
     assert ("HandedOver", "LetGo") in pairs
     assert ("TakenBack", "LetGo") in pairs and ("TakenBack", "Observing") in pairs
@@ -101,6 +109,24 @@ def test_the_limit_ends_it_and_says_so() -> None:
     found = explore(SMALL, limit=500, advance=lambda depth, worlds: told.append((depth, worlds)))
     assert not found.complete and 500 <= found.states < 5000
     assert [worlds for _, worlds in told] == sorted(worlds for _, worlds in told)
+
+
+@pytest.mark.parametrize("collected", [True, False])
+def test_the_collector_is_as_it_was_however_it_ends(collected: bool) -> None:
+    def stop(_depth: int, _worlds: int) -> None:
+        assert not gc.isenabled()
+        raise KeyboardInterrupt
+
+    was_on = gc.isenabled()
+    (gc.enable if collected else gc.disable)()
+    try:
+        explore(SMALL, limit=1)
+        assert gc.isenabled() is collected
+        with pytest.raises(KeyboardInterrupt):
+            explore(SMALL, advance=stop)
+        assert gc.isenabled() is collected
+    finally:
+        (gc.enable if was_on else gc.disable)()
 
 
 def test_bits() -> None:

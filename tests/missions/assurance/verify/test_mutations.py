@@ -140,6 +140,19 @@ def test_what_is_noticed_only_at_import_is_tried_from_the_first_import_on(projec
         assert not came["passed"] and not came["broken"]
 
 
+def test_a_module_that_pytest_would_load_by_itself_is_the_wrong_one_all_the_same(project: Path) -> None:
+    """pytest rewrites the asserts of its plugins' packages, and ``missions`` is one: it loads them from their files."""
+    (project / "conftest.py").write_text('import pytest\n\npytest.register_assert_rewrite("sums")\n')
+    (project / "sums.py").write_text("class Base:\n    def f(self):\n        return 1\n\n\nclass Sums(Base):\n"
+                                     "    def f(self):\n        return super().f()\n")  # fmt: skip
+    (project / "test_sums.py").write_text("from sums import Sums\n\n\ndef test_it():\n    assert Sums().f() == 1\n")
+    suite = FileTests("sums.py", ("test_sums.py",))
+    wrong = (project / "sums.py").read_text().replace("return super().f()", "pass")  # no living function can take it
+    with Trials(project, 1, suite.tests) as trials:
+        came = trials.trial(suite, wrong, 60.0)
+    assert not came["passed"] and "test_it" in came["what"]
+
+
 def test_a_module_gets_the_code_of_another_source_in_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = """
 from dataclasses import dataclass
