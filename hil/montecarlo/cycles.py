@@ -96,14 +96,15 @@ def run_cycles(
     """Both cycles from the attempt's beginning until it is decided, or over.
 
     Args:
-        until: asked twice a second with what the gate was told so far; True ends the attempt.
+        until: asked four times a second with what the gate was told so far; True ends the attempt.
     """
     cycles = _Cycles(setup, believed, method)
     kinds, which, now = setup.events
     events = list(zip(kinds.tolist(), which.tolist(), now.tolist(), strict=True))
     limit_ns, until_s, first = _ns(attempt.limit_s), 0.0, 0
+    step_s = BLOCK_S if until is None else 0.5 * BLOCK_S
     while first < len(events) and until_s < attempt.limit_s:
-        until_s = min(until_s + BLOCK_S, attempt.limit_s)
+        until_s = min(until_s + step_s, attempt.limit_s)
         setup.fill(until_s)
         last = int(np.searchsorted(now, _ns(until_s)))
         if cycles.run(events[first:last], attempt.whole):
@@ -231,12 +232,13 @@ class _Record:
         self.own_whose: dict[int, float] = {}
         self._views = views
         self._other: BoxMapping = BOTH[1 - BOTH.index(mapping)]
-        self._rows: list[tuple[int, ...]] = []
+        self._rows: list[tuple[int, ...]] = []  # that are in no array yet
         self._values: list[tuple[float, ...]] = []
+        self._ints, self._floats = np.empty((0, 11), np.int64), np.empty((0, 4))
         self._offsets: dict[int, Offsets] = {}
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(self._ints) + len(self._rows)
 
     def own_miss(self, reason: MissReason, number: int, stamp_ns: int, now_ns: int) -> None:
         self._rows.append((OWN_MISS, REASONS.index(reason), now_ns, 0, stamp_ns, number, stamp_ns, 0, 0, 0, 0))
@@ -259,7 +261,7 @@ class _Record:
         center, corner = scores if self._other == "corner" else scores[::-1]
         self._values.append((center, corner, at.values[7], candidate.sigma_m))
         if pair.offsets is not None:
-            self._offsets[len(self._rows) - 1] = pair.offsets
+            self._offsets[len(self) - 1] = pair.offsets
 
     def _by_other(self, candidate: Candidate, values: tuple[float, ...], box: Box, own_box: Box) -> float:
         """The overlap by the mapping that the method does not use."""
@@ -270,8 +272,12 @@ class _Record:
 
     @property
     def series(self) -> Series:
-        ints = np.array(self._rows, np.int64).reshape(-1, 11)
-        floats = np.array(self._values, float).reshape(-1, 4)
+        """All entries so far."""
+        if self._rows:
+            self._ints = np.concatenate((self._ints, np.array(self._rows, np.int64)))
+            self._floats = np.concatenate((self._floats, np.array(self._values, float)))
+            self._rows, self._values = [], []
+        ints, floats = self._ints, self._floats
         return Series(
             kind=ints[:, 0], reason=ints[:, 1], now_ns=ints[:, 2], sequence=ints[:, 3], capture_ns=ints[:, 4],
             own=ints[:, 5:9], iou=floats[:, :2], z_m=floats[:, 2], pose_sigma_m=floats[:, 3], right=ints[:, 9] != 0,

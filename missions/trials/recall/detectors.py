@@ -74,11 +74,11 @@ class FaultyFrames:
     missed: tuple[Flags, Flags]
     false: tuple[Flags, Flags]
 
-    @property
-    def longest_clear(self) -> int:
-        """Frames of the longest stretch in which both detectors see the target and nothing else."""
-        faulty = np.flatnonzero(np.any((*self.missed, *self.false), axis=0))
-        edges = np.concatenate(([-1], faulty, [len(self.missed[0])]))
+    def longest_clear(self, first: int = 0) -> int:
+        """Frames of the longest stretch from one on in which both detectors see the target and nothing else."""
+        begin = min(max(0, first), len(self.missed[0]))
+        faulty = np.flatnonzero(np.any((*self.missed, *self.false), axis=0)[begin:])
+        edges = np.concatenate(([-1], faulty, [len(self.missed[0]) - begin]))
         return int(np.diff(edges).max()) - 1
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,18 +11,20 @@ from typing import Literal
 import numpy as np
 
 from drivers.rig.parts import Rig
-from flight.harness.montecarlo import Attempt, HandoverRunner, Series, Telling, WrongAssociation, tell
-from missions.trials.recall.detectors import DetectorFaults, faulty_frames, with_detector
+from flight.harness.montecarlo import Attempt, HandoverRunner, Series, Telling, WrongAssociation, agreeing, tell
+from missions.trials.recall.detectors import DetectorFaults, FaultyFrames, faulty_frames, with_detector
 from path.config import GateKind, MethodConfig
 from path.evidence import evidence_needed, evidence_of, make_gate
+from path.window import Gate
 
 Group = Literal["true", "look-alike", "wrong object"]
 
 GATES: tuple[GateKind, ...] = ("count", "evidence")
 LIMIT_S = 10.0
+FRAME_S = 0.02  # from one frame to the next, of both cameras
 FRAMES = 520  # more than any camera takes in that time
 FAR_M, FAR_S = 0.15, 1.0
-LATE_S = 0.5  # by that much, what was captured is judged later
+LATE_S = 0.5  # by less than that, what was captured is judged later
 LOCKED_M = (0.3, 0.4, 0.6, 1.0)  # from the target to the object that D2 sees instead of it, all the time
 
 
@@ -65,6 +68,15 @@ class AttemptCommits:
     commits: tuple[GateCommit | None, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class JudgedLine:
+    """One attempt as it is kept: its index, and the commits of both gates."""
+
+    index: int
+    count: GateCommit | None
+    evidence: GateCommit | None
+
+
 def orders(seed: int, detectors: int, of_each: int) -> list[AttemptOrder]:
     """Returns the attempts, each with a hand-over of its own.
 
@@ -85,12 +97,18 @@ def orders(seed: int, detectors: int, of_each: int) -> list[AttemptOrder]:
 
 
 def run_pieces(pieces: Pieces) -> list[AttemptCommits]:
-    runner = pieces.runner(pieces.rig).warmed()
-    method = pieces.rig.method
-    return [_judged(runner, order, pieces.detectors[order.cell], method) for order in pieces.orders]
+    """Judges attempts one after another. Garbage is looked for after them: they leave next to none."""
+    runner, method = pieces.runner(pieces.rig).warmed(), pieces.rig.method
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        return [judged(runner, order, pieces.detectors[order.cell], method) for order in pieces.orders]
+    finally:
+        if collecting:
+            gc.enable()
 
 
-def _judged(
+def judged(
     runner: HandoverRunner, order: AttemptOrder, detector: DetectorFaults, method: MethodConfig
 ) -> AttemptCommits:
     """One attempt, run for as long as either gate can still commit."""
@@ -98,23 +116,36 @@ def _judged(
     faults = faulty_frames(detector, FRAMES, rng)
     methods = [replace(method, gate=gate) for gate in GATES]
     telling = [Telling(make_gate(own), own) for own in methods]
-    countable = faults.longest_clear >= method.hold_frames
 
     def decided(series: Series) -> bool:
         """Returns whether each gate has committed, or cannot any more."""
         seen = with_detector(series, faults, method)
         far = order.group == "wrong object" and stays_far(series)
-        left_s = LIMIT_S - int(series.now_ns[-1] - series.capture_ns[0]) * 1e-9
         return all(
             told.on(seen) is not None
-            or (own.gate == "count" and not countable)
-            or (own.gate == "evidence" and far)
-            or (not told.gate.count and left_s + LATE_S < shortest_s(own))
+            or not can_complete(told.gate, own, seen, faults)
+            or (far and (own.gate == "evidence" or not agreeing(series, own).any()))
             for told, own in zip(telling, methods, strict=True)
         )
 
     seen = with_detector(runner.run(order.attempt, decided).series, faults, method)
     return AttemptCommits(order, tuple(_commit(seen, own) for own in methods))
+
+
+def can_complete(gate: Gate, method: MethodConfig, series: Series, faults: FaultyFrames) -> bool:
+    """Returns whether a gate that was told a series may be complete before the attempt's limit.
+
+    The run under way may go on, or another begin with what is captured next. "count" needs a stretch of frames for it
+    in which both detectors see the target and nothing else.
+    """
+    span_s, first_ns = gate.span_s, int(series.capture_ns[0])
+    left_s = LIMIT_S - (int(series.now_ns[-1]) - first_ns) * 1e-9
+    if left_s + LATE_S < shortest_s(method) - span_s:
+        return False
+    if method.gate == "evidence":
+        return True
+    begins_s = (int(series.capture_ns[-1]) - first_ns) * 1e-9 - span_s - LATE_S
+    return faults.longest_clear(int(begins_s / FRAME_S)) >= method.hold_frames
 
 
 def stays_far(series: Series) -> bool:

@@ -9,8 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from missions.resumable_lines import ResumableLines
 from missions.trials.recall.detectors import DetectorFaults
-from missions.trials.recall.handovers import GATES, LIMIT_S, LOCKED_M, AttemptCommits, Pieces, orders, run_pieces
+from missions.trials.recall.handovers import (
+    GATES,
+    LIMIT_S,
+    LOCKED_M,
+    AttemptCommits,
+    AttemptOrder,
+    JudgedLine,
+    Pieces,
+    orders,
+    run_pieces,
+)
 from missions.trials.shared.statistics import upper_bound
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, TrialTable, Verdict, verdict
 from path.config import GateKind
@@ -21,7 +32,8 @@ PAPER = "Mutual Agreement Handshake"
 RECALLS, MISS_FRAMES, FALSE_POSITIVES = (1.0, 0.99, 0.97, 0.9, 0.7), (1.0, 5.0, 15.0), (0.0, 0.01, 0.05)
 DETECTORS = tuple(DetectorFaults(*each) for each in product(RECALLS, MISS_FRAMES, FALSE_POSITIVES))
 OF_EACH, QUICK = 672, 2  # attempts
-BATCH = 90
+BATCH = 45
+KEPT = "attempts.jsonl"
 WRONG_LIMIT = 1e-4
 EASY, HARD = DetectorFaults(0.9, 5.0), DetectorFaults(0.7, 5.0)
 EASY_RATE, EASY_S, HARD_RATE = 0.95, 4.0, 0.80
@@ -56,10 +68,25 @@ class Cell:
 
 def run(request: TrialRequest) -> TrialResult:
     asked = orders(request.seed, len(DETECTORS), QUICK if request.quick else OF_EACH)
-    runner = request.part("montecarlo")
-    pieces = [Pieces(runner, request.rig, DETECTORS, asked[k : k + BATCH]) for k in range(0, len(asked), BATCH)]
-    judged = [each for part in request.work.map("Monte-Carlo hand-overs", run_pieces, pieces) for each in part]
-    return result(judged, short=request.quick)
+    return result(_judged(request, asked), short=request.quick)
+
+
+def _judged(request: TrialRequest, asked: Sequence[AttemptOrder]) -> list[AttemptCommits]:
+    """Attempts are kept as they are judged: the same command with the same ``--out`` goes on with what is left."""
+    rig, runner = request.rig, request.part("montecarlo")
+    head = {
+        "format": "path-handoff recall 1", "rig": str(rig.file), "seed": request.seed,
+        "errors": rig.world.get("errors"), "detectors": len(DETECTORS), "method": repr(rig.method),
+    }  # fmt: skip
+    by_index = {order.attempt.index: order for order in asked}
+    with ResumableLines(request.out / KEPT, JudgedLine, head) as kept:
+        done = {line.index for line in kept.lines}
+        left = [order for order in asked if order.attempt.index not in done]
+        pieces = [Pieces(runner, rig, DETECTORS, left[k : k + BATCH]) for k in range(0, len(left), BATCH)]
+        for judged in request.work.stream("Monte-Carlo hand-overs", run_pieces, pieces):
+            kept.add(JudgedLine(each.order.attempt.index, *each.commits) for each in judged)
+        lines = sorted((line for line in kept.lines if line.index in by_index), key=lambda line: line.index)
+    return [AttemptCommits(by_index[line.index], (line.count, line.evidence)) for line in lines]
 
 
 def cell_of(judged: Sequence[AttemptCommits], number: int, gate: GateKind) -> Cell:
@@ -167,6 +194,7 @@ def _distance(judged: AttemptCommits) -> float:
 
 
 NOTES = (
+    f"Each attempt is a line of {KEPT}: the same command goes on with a folder that was begun.",
     "Every attempt is a hand-over of its own; both gates judge the same one. Errors that last are drawn for each, as "
     "in the trial of the handshake.",
     "Misses and inventions are laid over hand-overs whose boxes were found in every frame: a missed frame of D1 takes "

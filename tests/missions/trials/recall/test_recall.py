@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from flight.harness.montecarlo import MISS, PAIR, Series, Telling, tell
 from missions import rig_library
@@ -21,11 +22,13 @@ from missions.trials.recall.detectors import (
     with_detector,
 )
 from missions.trials.recall.handovers import (
+    FRAMES,
     GATES,
     LOCKED_M,
     AttemptCommits,
     AttemptOrder,
     GateCommit,
+    can_complete,
     orders,
     shortest_s,
     stays_far,
@@ -61,9 +64,38 @@ def test_the_longest_clear_stretch_is_of_both_drones_and_of_inventions_too() -> 
     none = np.zeros(20, bool)
     at_5, at_12 = none.copy(), none.copy()
     at_5[5], at_12[12] = True, True
-    assert FaultyFrames((none, none), (none, none)).longest_clear == 20
-    assert FaultyFrames((at_5, none), (none, none)).longest_clear == 14
-    assert FaultyFrames((at_5, none), (none, at_12)).longest_clear == 7
+    assert FaultyFrames((none, none), (none, none)).longest_clear() == 20
+    assert FaultyFrames((at_5, none), (none, none)).longest_clear() == 14
+    assert FaultyFrames((at_5, none), (none, at_12)).longest_clear() == 7
+    assert FaultyFrames((at_5, none), (none, none)).longest_clear(10) == 10
+
+
+def told(series: Series, faults: FaultyFrames) -> tuple[bool, bool]:
+    """Whether either gate may be complete after it was told a series."""
+    seen, may = with_detector(series, faults, METHOD), list[bool]()
+    for kind in GATES:
+        own = replace(METHOD, gate=kind)
+        telling = Telling(make_gate(own), own)
+        telling.on(seen)
+        may.append(can_complete(telling.gate, own, seen, faults))
+    return may[0], may[1]
+
+
+def test_a_gate_is_given_up_when_no_run_can_be_long_enough() -> None:
+    none = np.zeros(FRAMES, bool)
+    at_200, at_400 = none.copy(), none.copy()
+    at_200[200], at_400[400] = True, True
+
+    def missed(flags: NDArray[np.bool_]) -> FaultyFrames:
+        return FaultyFrames((flags, none), (none, none))
+
+    assert told(series_of(300), missed(none)) == (True, True)  # a run of 6 s goes on
+    assert told(series_of(300), missed(at_200)) == (False, True)  # another cannot begin in time
+    assert told(series_of(20), missed(at_400)) == (True, True)
+    assert told(series_of(100), missed(at_400)) == (True, True)
+    assert told(series_of(500), missed(none))[0]
+    assert told(series_of(20), missed(at_200 | at_400)) == (False, True)  # no stretch of frames is long enough
+    assert not told(series_of(490), missed(at_400))[0]
 
 
 @pytest.mark.parametrize(("share", "frames"), [(0.1, 5.0), (0.3, 15.0), (0.3, 1.0), (0.01, 1.0)])
@@ -190,7 +222,13 @@ def test_its_short_form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(trial, "DETECTORS", (trial.EASY, trial.HARD))
     monkeypatch.setattr(trial, "QUICK", 4)
     with open_work(1) as work:
-        found = trial.run(TrialRequest(rig_library.load("sim-rendered"), tmp_path, 5, True, work))
+        request = TrialRequest(rig_library.load("sim-rendered"), tmp_path, 5, True, work)
+        found = trial.run(request)
+        kept = tmp_path / trial.KEPT
+        whole = kept.read_text()
+        kept.write_text("".join(whole.splitlines(keepends=True)[:-2]))
+        assert trial.run(request).summary == found.summary  # what an interrupt left out is run again, and nothing else
+        assert kept.read_text() == whole
     assert found.summary["attempts"] == 8
     assert [cell["gate"] for cell in found.summary["cells"]] == [*GATES, *GATES]
     assert found.summary["cells"][1]["commit_rate"] == 1.0
