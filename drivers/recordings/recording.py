@@ -6,11 +6,10 @@ asked. Nothing is decoded before a frame is loaded.
 
 from __future__ import annotations
 
-import csv
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Protocol
 
@@ -18,23 +17,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces import CameraError
 from drivers.log.frames import is_frames
 from drivers.log.mcap_log import LogRecord, decode_image, read_log
 from drivers.log.video import recorded_frames
+from drivers.recordings.stamps import RecordingError, frame_stamps, natural, stamped_files
 from drivers.recordings.video_file import VIDEO_SUFFIXES, VideoError, video_frames
 
 Image = NDArray[np.uint8]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
-STAMPS_FILE = "stamps.csv"
-NS_DIGITS = 16  # file names of at least as many digits are nanoseconds
 SEARCHED = 5000  # records of a log in which its kinds of images are looked for
 REMEDY = "name a video file, a folder of images, or an .mcap log with images"
-
-
-class RecordingError(CameraError):
-    """A recording cannot be opened, or is damaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +67,10 @@ class RecordingOptions:
     Attributes:
         rate_hz: of images without stamps; None: they are refused.
         stamps: CSV with columns ``file`` and ``stamp_ns`` or ``stamp_s``; None: ``stamps.csv`` in the folder if there
-            is one, or else the names of the files when they are times.
-        depth: folder with a 16-bit image in mm of the same name for each image; None: no depth.
+            is one, or else the names of the files when they are times. Of a video file: one of the latter columns, and
+            a line for each frame; None: its presentation times.
+        depth: folder with a 16-bit image in mm of the same name for each image; None: no depth. Of a video file: with
+            one for each frame, in the order of their names.
         topic: of a log, which images; "" when it has only one kind.
     """
 
@@ -105,7 +100,7 @@ def open_recording(file: Path, options: RecordingOptions | None = None) -> Recor
     elif file.suffix.lower() == ".mcap":
         recording = RecordedLog(file, options.topic)
     elif file.suffix.lower() in VIDEO_SUFFIXES:
-        recording = Video(file)
+        recording = Video(file, options)
     else:
         raise RecordingError(f"{file}: a recording of kind '{file.suffix}' is not known", REMEDY)
     first = next(recording.frames(), None)
@@ -116,25 +111,49 @@ def open_recording(file: Path, options: RecordingOptions | None = None) -> Recor
 
 
 class Video:
-    """A video file, read with FFmpeg; its stamps are the presentation times of the frames."""
+    """A video file, read with FFmpeg; its stamps are the presentation times of the frames, or those of a table.
+
+    Depth images, if there are any, and the table's lines are one for each frame.
+    """
 
     count: int | None = None
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file: Path, options: RecordingOptions) -> None:
         self.name = str(file)
-        self._file = file
+        self._file, self._options = file, options
+        self._stamps = None if options.stamps is None else frame_stamps(options.stamps)
+        self._depth = None if options.depth is None else _images(options.depth)
 
     def frames(self) -> Iterator[RecordedFrame]:
         number = 0
+        stamps, depth = self._stamps, self._depth
         try:
-            for stamp_ns, pixels in video_frames(self._file):
-                yield RecordedFrame(f"frame {number}", stamp_ns, lambda pixels=pixels: Loaded(pixels()))
+            for shown_ns, pixels in video_frames(self._file):
+                if any(given is not None and number >= len(given) for given in (stamps, depth)):
+                    self._check_counts(number + 1)
+                stamp_ns = shown_ns if stamps is None else stamps[number]
+                behind = None if depth is None else depth[number]
+                yield RecordedFrame(f"frame {number}", stamp_ns, partial(_with_depth, pixels, behind))
                 number += 1
         except VideoError as error:
             raise RecordingError(
                 f"{self._file}: {error}" + (f" after {number} frames" if number else ""),
                 "is the file whole? `ffmpeg -i FILE -c copy OUT.mkv` often mends one",
             ) from error
+        self._check_counts(number)
+
+    def _check_counts(self, frames: int) -> None:
+        """Raises RecordingError when there are not as many stamps or depth images as frames."""
+        for given, where, what in (
+            (self._stamps, self._options.stamps, "stamps"),
+            (self._depth, self._options.depth, "depth images"),
+        ):
+            if given is not None and len(given) != frames:
+                has = "more" if len(given) < frames else frames
+                raise RecordingError(
+                    f"{where}: {len(given)} {what} for {self._file}, which has {has}",
+                    "there must be one for each frame",
+                )
 
 
 class Folder:
@@ -143,8 +162,8 @@ class Folder:
     def __init__(self, folder: Path, options: RecordingOptions) -> None:
         self.name = str(folder)
         self._folder, self._depth = folder, options.depth
-        files = sorted((f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=_natural)
-        self._stamped = _stamped(folder, files, options) if files else []
+        files = sorted((f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=natural)
+        self._stamped = stamped_files(folder, files, options.stamps, options.rate_hz) if files else []
 
     @property
     def count(self) -> int | None:
@@ -230,6 +249,18 @@ def read_image(file: Path) -> Image:
     return np.asarray(pixels, np.uint8)
 
 
+def _with_depth(pixels: Callable[[], Image], depth: Path | None) -> Loaded:
+    color = pixels()
+    return Loaded(color, None if depth is None else _read_depth(depth, color))
+
+
+def _images(folder: Path) -> list[Path]:
+    """The images of a folder in the order of their names. Raises RecordingError."""
+    if not folder.is_dir():
+        raise RecordingError(f"{folder}: there is no such folder", "name the folder of the depth images")
+    return sorted((f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=natural)
+
+
 def _read_depth(file: Path, color: Image) -> NDArray[np.uint16]:
     pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
     if pixels is None:
@@ -241,56 +272,3 @@ def _read_depth(file: Path, color: Image) -> NDArray[np.uint16]:
             "write depth registered to the colour image, in millimetres, as 16-bit PNG",
         )
     return np.asarray(pixels, np.uint16)
-
-
-def _natural(file: Path) -> list[tuple[int, str]]:
-    """Sorts img2 before img10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
-
-
-def _stamped(folder: Path, files: Sequence[Path], options: RecordingOptions) -> list[tuple[int, Path]]:
-    """Files with their stamps, in order. Raises RecordingError."""
-    table = options.stamps or (folder / STAMPS_FILE if (folder / STAMPS_FILE).exists() else None)
-    if table is not None:
-        stamps = _read_stamps(table)
-        missing = [file.name for file in files if file.name not in stamps]
-        if missing:
-            raise RecordingError(f"{table}: there is no stamp for {missing[0]} ({len(missing)} in all)",
-                                 "add a line for each image, or remove the images")  # fmt: skip
-        stamped = sorted(((stamps[file.name], file) for file in files), key=lambda pair: pair[0])
-    elif options.rate_hz is not None:
-        stamped = [(round(1e9 * number / options.rate_hz), file) for number, file in enumerate(files)]
-    else:
-        stamped = sorted(((_time_of(file, folder), file) for file in files), key=lambda pair: pair[0])
-    for (before, _), (stamp_ns, file) in pairwise(stamped):
-        if stamp_ns <= before:
-            raise RecordingError(f"{folder}: {file.name} has the stamp of another image", "correct the stamps")
-    return stamped
-
-
-def _time_of(file: Path, folder: Path) -> int:
-    """A stamp from a file's name: nanoseconds when it has as many digits, seconds when it has a decimal point."""
-    if file.stem.isdigit() and len(file.stem) >= NS_DIGITS:
-        return int(file.stem)
-    if re.fullmatch(r"\d+\.\d+", file.stem):
-        return round(float(file.stem) * 1e9)
-    raise RecordingError(
-        f"{folder}: the name of {file.name} is no time, and there is no {STAMPS_FILE}",
-        f"give rate_hz, or write {STAMPS_FILE} with the columns file and stamp_ns (or stamp_s)",
-    )
-
-
-def _read_stamps(file: Path) -> Mapping[str, int]:
-    remedy = "the columns are file and stamp_ns, or file and stamp_s"
-    try:
-        rows = list(csv.DictReader(file.read_text("utf-8-sig").splitlines()))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f"{file}: {error}", remedy) from error
-    stamps: dict[str, int] = {}
-    for number, row in enumerate(rows, 2):
-        try:
-            stamp = row.get("stamp_ns")
-            stamps[row["file"].strip()] = round(float(row["stamp_s"]) * 1e9) if stamp is None else int(stamp)
-        except (KeyError, ValueError, AttributeError, OverflowError, TypeError) as error:
-            raise RecordingError(f"{file}: line {number}: {dict(row)} has no file and stamp", remedy) from error
-    return stamps

@@ -31,7 +31,8 @@ from missions.leg.journal import (
     target_record,
     track_record,
 )
-from missions.leg.session import RoleSession, open_session
+from missions.leg.opening import open_session
+from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, preflight, take_off
 from missions.rig_library import mission_of
 from path.geometry import Matrix

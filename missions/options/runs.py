@@ -25,10 +25,12 @@ class ReportOptions:
 
 @dataclass(frozen=True, slots=True)
 class ReplayOptions:
-    """Decide again, from a run's logs, what its drones decided; or what they would have, with other settings."""
+    """Decide again, from a run's logs, what its drones decided; or what they would have, with other settings; or over
+    two films that were made without PATH."""
 
-    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR ...")]
-    """The folder of the run. With several, what was decided is decided again in each, and counted."""
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR ...|FILMS.toml")]
+    """The folder of the run. With several, what was decided is decided again in each, and counted. Or the file that
+    names two films (docs/films.md)."""
 
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="method.NAME=VALUE"), tyro.conf.UseAppendAction] = ()
     """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4, or of its detector, such as
@@ -47,8 +49,11 @@ class ReplayOptions:
     gate: Literal["count", "evidence"] | None = None
     """The gate to decide with instead."""
 
+    out: OutFolder = None
+    """Of films: the folder for logs, table and picture; runs/<time> by default."""
+
     picture: bool = True
-    """Draw replay.png when something is decided otherwise."""
+    """Draw replay.png when something is decided otherwise, or films were looked at."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from drivers.log.mcap_log import LogRecord
 from drivers.rig.tables import RigError, decode_table
 from missions.options.runs import ReplayOptions
 from missions.replay.perceive import PerceptionChange, detector_settings, eyes_of
-from missions.replay.redecide import Complete, DecisionPair, Open, other_answers, redecide
+from missions.replay.redecide import Change, Complete, DecisionPair, Open, other_answers, redecide
 from missions.report.command import show
 from missions.report.records import REPLAY, drone_logs, load_facts
 from path.config import MethodConfig
@@ -52,29 +52,50 @@ def run(options: ReplayOptions) -> int:
     if len(options.folders) != 1:
         return run_many(options)
     (folder,) = options.folders
+    if folder.suffix == ".toml":
+        from missions.replay.films.command import replay_films  # noqa: PLC0415 (cameras, which a run needs not)
+
+        return replay_films(options, folder)
+    if options.out is not None:
+        raise PartError("--out is for films, whose logs have no folder yet", "a run's replay.png goes into its own")
     logs = logs_of(folder)
-    before = [_replay(name, records) for name, records in logs.items()]
+    before = replay_logs(logs)
     show(_same_table(before), sys.stdout)
     differ = [each for drone in before for each in drone.different]
     if not any(drone.decided for drone in before):
         raise PartError(f"{folder}: nothing was decided in it", "name the folder of a run that reached a handoff")
     for each in differ[:1]:
         sys.stdout.write(f"first difference, {each.topic} at {each.stamp_ns}:\n{_difference(each)}")
-    method = [text for text in options.set if not text.startswith("detector.")]
-    detector = [text for text in options.set if text.startswith("detector.")]
-    change = change_of(method, options.gate)
-    looks = options.frames or options.detector is not None or bool(detector)
+    change, seen_with = asked_of(options)
+    looks = options.frames or seen_with != PerceptionChange(options.rig)
     if change is not None or looks:
-        seen_with = PerceptionChange(options.rig, options.detector, detector_settings(detector))
         eyes = {name: eyes_of(folder, name, seen_with) for name in logs} if looks else {}
         after = replay_changed(logs, change or (lambda method: method), eyes)
-        show(_other_table(before, after), sys.stdout)
-        if options.picture:
-            from missions.replay.picture import draw_replay  # noqa: PLC0415 (matplotlib takes a second to import)
-
-            draw_replay(before, after, _title(options), folder / REPLAY)
-            sys.stdout.write(f"\n{folder / REPLAY}\n")
+        show_columns({"as flown": before, _title(options): after}, options.picture, folder)
     return EXIT_DIFFERENT if differ else 0
+
+
+def asked_of(options: ReplayOptions) -> tuple[Change | None, PerceptionChange]:
+    """What else to decide with, None: nothing; and what to look with. Raises PartError."""
+    method = [text for text in options.set if not text.startswith("detector.")]
+    detector = [text for text in options.set if text.startswith("detector.")]
+    seen_with = PerceptionChange(options.rig, options.detector, detector_settings(detector) or None)
+    return change_of(method, options.gate), seen_with
+
+
+def show_columns(columns: Mapping[str, Sequence[Replayed]], picture: bool, folder: Path) -> None:
+    """What came of it by title, side by side: a table, and replay.png in a folder."""
+    show(_figures_table(columns), sys.stdout)
+    if picture:
+        from missions.replay.picture import draw_replay  # noqa: PLC0415 (matplotlib takes a second to import)
+
+        draw_replay(columns, folder / REPLAY)
+        sys.stdout.write(f"\n{folder / REPLAY}\n")
+
+
+def replay_logs(logs: Mapping[str, Sequence[LogRecord]]) -> list[Replayed]:
+    """Every drone's decisions again, as they were."""
+    return [_replay(name, records) for name, records in logs.items()]
 
 
 def logs_of(folder: Path) -> dict[str, Sequence[LogRecord]]:
@@ -110,10 +131,10 @@ def kind_of(folder: Path) -> str:
 
 def _title(options: ReplayOptions) -> str:
     looked = options.frames or options.detector
-    return " ".join(("seen again" if looked else "", options.detector or "", *options.set, options.gate or ""))
+    return " ".join(("seen again" if looked else "", options.detector or "", *options.set, options.gate or "")).strip()
 
 
-def change_of(settings: Sequence[str], gate: str | None) -> Callable[[MethodConfig], MethodConfig] | None:
+def change_of(settings: Sequence[str], gate: str | None) -> Change | None:
     """Returns the change that ``--set`` and ``--gate`` ask for; None: nothing. Raises PartError."""
     named = [_setting(text) for text in settings] + ([(["gate"], gate)] if gate else [])
     if not named:
@@ -137,7 +158,7 @@ def change_of(settings: Sequence[str], gate: str | None) -> Callable[[MethodConf
 
 def replay_changed(
     logs: Mapping[str, Sequence[LogRecord]],
-    change: Callable[[MethodConfig], MethodConfig],
+    change: Change,
     eyes: Mapping[str, Open] | None = None,
 ) -> list[Replayed]:
     """Replays with other settings on both drones: D1 judges what D2 would have answered to what D1 sent.
@@ -160,7 +181,7 @@ def replay_changed(
 def _replay(
     drone: str,
     records: Sequence[LogRecord],
-    change: Callable[[MethodConfig], MethodConfig] = lambda method: method,
+    change: Change = lambda method: method,
     answers: Mapping[tuple[int, int], Mapping[str, Any]] | None = None,
     open_eyes: Open | None = None,
 ) -> Replayed:
@@ -211,12 +232,13 @@ def _same_table(replayed: Sequence[Replayed]) -> RenderableType:
     return Group(Text(), table)
 
 
-def _other_table(before: Sequence[Replayed], after: Sequence[Replayed]) -> RenderableType:
-    table = _table("", "as flown", "otherwise")
-    for was, would in zip(before, after, strict=True):
-        rows = _figures(was), _figures(would)
-        for name in dict.fromkeys((*rows[0], *rows[1])):
-            table.add_row(f"{was.drone}: {name}", rows[0].get(name, "-"), rows[1].get(name, "-"))
+def _figures_table(columns: Mapping[str, Sequence[Replayed]]) -> RenderableType:
+    first, *others = columns
+    table = _table("", first, *("otherwise" for _ in others))
+    for drones in zip(*columns.values(), strict=True):
+        rows = [_figures(drone) for drone in drones]
+        for name in dict.fromkeys(name for row in rows for name in row):
+            table.add_row(f"{drones[0].drone}: {name}", *(row.get(name, "-") for row in rows))
     return Group(Text(), table)
 
 

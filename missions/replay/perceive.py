@@ -67,7 +67,7 @@ def eyes_of(folder: Path, drone: str, change: PerceptionChange) -> Open:
         own = rig.role(role)
         mission = decode_table(setup["mission"], MissionConfig, "/setup: mission")
         camera = camera_of(setup["camera"])
-        views = RecordedViews(frames, _perception(rig, role, camera, change).view_of)
+        views = RecordedViews(frames, perception_of(rig, role, camera, change).view_of)
         if role is Role.SENDER:
             return SenderEyes(views, own, camera, mission, begun_ns)
         return ReceiverEyes(views, own, camera, rig.layout, method, mission)
@@ -94,7 +94,7 @@ def _frames(files: Sequence[Path]) -> Iterator[Frame]:
         raise PartError(str(error), "the file is damaged") from error
 
 
-def _perception(rig: Rig, role: Role, camera: CameraModel, change: PerceptionChange) -> PixelPerception:
+def perception_of(rig: Rig, role: Role, camera: CameraModel, change: PerceptionChange) -> PixelPerception:
     """A role's perception, whose camera is never opened. Raises PartError."""
     own = rig.role(role)
     if own.perception.factory != PIXELS:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from missions.replay.command import Replayed
 
 
-def draw_replay(before: Sequence[Replayed], after: Sequence[Replayed], change: str, path: Path) -> None:
-    """One row for each drone that judged answers. Raises OSError when it cannot be written."""
-    rows = [pair for pair in zip(before, after, strict=True) if pair[0].verdicts or pair[1].verdicts]
+def draw_replay(columns: Mapping[str, Sequence[Replayed]], path: Path) -> None:
+    """A row for each drone that judged answers, a column by its title. Raises OSError when it cannot be written."""
+    rows = [row for row in zip(*columns.values(), strict=True) if any(drone.verdicts for drone in row)]
     figure = Figure(figsize=(12.0, 1.0 + 3.2 * max(1, len(rows))), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(max(1, len(rows)), 2, squeeze=False, sharey=True)
-    for row, pair in zip(axes, rows, strict=False):
-        for panel, drone, title in zip(row, pair, ("as flown", change.strip()), strict=True):
+    axes = figure.subplots(max(1, len(rows)), len(columns), squeeze=False, sharey=True)
+    for panels, row in zip(axes, rows, strict=False):
+        for panel, drone, title in zip(panels, row, columns, strict=True):
             _draw(panel, drone, f"{drone.drone}, {title}")
     figure.savefig(path, format="png", metadata={"Software": None})
 

@@ -34,7 +34,8 @@ from flight.phases import Phase
 from hil.harness.virtual_time import run_virtual
 from missions import rig_library
 from missions.leg.course import fly_course
-from missions.leg.session import RoleSession, as_end
+from missions.leg.ends import as_end
+from missions.leg.session import RoleSession
 from path.messages import Message, Ping, Pong, Role, Status, Target
 from path.protocol.values import TakeResponsibility
 

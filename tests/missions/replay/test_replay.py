@@ -17,6 +17,7 @@ from missions.replay.command import EXIT_DIFFERENT, change_of, replay_changed, r
 from missions.replay.perceive import PerceptionChange, eyes_of
 from missions.replay.redecide import Complete, DecisionPair, redecide
 from missions.report.records import REPLAY, drone_logs
+from tests.missions.replay.filmed import make_films
 
 RECORDED = "sim-rendered, every frame recorded"
 RECORDS = (
@@ -170,3 +171,95 @@ def test_many_runs_are_counted(flown: Callable[..., Path], tmp_path: Path, capsy
 def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PartError, match="no drone's log"):
         run(ReplayOptions((tmp_path,)))
+
+
+# --- films that were made without PATH ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def films(flown: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What two cameras filmed of that run, for a second and a half while both looked at the target."""
+    return make_films(flown(RECORDED, 2, "kill_receiver@verify+3"), tmp_path_factory.mktemp("films"), (15.0, 16.5))
+
+
+def test_films_decide_as_the_flight_that_they_were_made_of(
+    flown: Callable[..., Path], films: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From pixels, stamps and trajectories alone: the same verdicts, boxes as far off as the coding puts them."""
+    out = tmp_path / "out"
+    assert run(ReplayOptions((films,), gate="evidence", out=out)) == 0
+    assert "evidence" in capsys.readouterr().out or (out / REPLAY).stat().st_size > 10_000
+    as_flown, as_filmed = drone_logs(flown(RECORDED, 2, "kill_receiver@verify+3")), drone_logs(out)
+    for drone, topic in (("sender", "/target"), ("receiver", "/candidate")):
+        was = {each.record["capture_ns"]: each.record for each in as_flown[drone] if each.topic == topic}
+        now = [
+            each.record for each in as_filmed[drone] if each.topic == topic and each.record["reason"] != "link_silent"
+        ]
+        ahead_ns = 0 if drone == "sender" else clock_ahead_ns(as_flown["receiver"])
+        pairs = [(was[nearest(was, each["capture_ns"] + ahead_ns)], each) for each in now]
+        assert len(pairs) >= 20
+        both = [(a["box"], b["box"]) for a, b in pairs if a["box"] is not None and b["box"] is not None]
+        assert len(both) >= 0.9 * len(pairs)
+        off_px = sorted(max(abs(x - y) for x, y in zip(a, b, strict=True)) for a, b in both)
+        assert off_px[len(off_px) // 2] < 2.0
+    judged = [
+        each.record for each in as_filmed["sender"] if each.topic == "/agreement" and each.record["iou"] is not None
+    ]
+    assert sum(each["agreed"] for each in judged) >= 0.9 * len(judged) >= 15
+    assert run(ReplayOptions((out,))) == 0
+
+
+def clock_ahead_ns(records: list[LogRecord]) -> int:
+    """D2's clock less D1's, as D2 has measured it."""
+    heard = next(each.record for each in records if each.topic == "/heard_target")
+    return heard["capture_ns"] - heard["peer_capture_ns"]
+
+
+def nearest(stamps: Mapping[int, Any], stamp_ns: int) -> int:
+    return min(stamps, key=lambda each: abs(each - stamp_ns))
+
+
+def test_drones_without_a_trajectory_are_taken_to_hang_level(films: Path, tmp_path: Path) -> None:
+    level = films.parent / "level.toml"
+    lines = films.read_text("utf-8").splitlines()
+    level.write_text("\n".join(line for line in lines if not line.startswith("trajectory")), "utf-8")
+    assert run(ReplayOptions((level,), out=tmp_path / "out", picture=False)) == 0
+    judged = [each.record for each in drone_logs(tmp_path / "out")["sender"] if each.topic == "/agreement"]
+    assert sum(each["agreed"] for each in judged) >= 0.8 * len(judged) >= 15
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ('film = "d1.mkv"', 'film = "gone.mkv"', r"gone\.mkv: there is no such file"),
+        ('film = "d2"', 'film = "films.toml"', r"films\.toml: a recording of kind '\.toml' is not known"),
+        ('calibration = "receiver.camera.toml"\n', "", "receiver: missing key 'calibration'"),
+        ('calibration = "receiver.camera.toml"', 'calibration = "gone.toml"', r"gone\.toml: No such file"),
+        ('calibration = "receiver.camera.toml"', 'calibration = "small.toml"', "d2 by small.toml: .* 320x240 px"),
+        ('depth = "d1-depth"', 'depth = "d2"', "d2/0.png: expected 16-bit depth"),
+        ('stamps = "d1.csv"', 'stamps = "short.csv"', r"short\.csv: 3 stamps for .*d1\.mkv, which has more"),
+        ('depth = "d1-depth"\n', "", "d1.mkv: there is no depth with it"),
+        ('stamps = "d1.csv"', 'stamps = "receiver.tum"', r"receiver\.tum: line 2: .* has no stamp"),
+        ("offset_s = -", "offset_s = 9", "the films do not overlap on one clock: d1.mkv from"),
+        ('trajectory = "sender.tum"', 'trajectory = "d1.csv"', r"d1\.csv: line 1: 'stamp_ns' is no pose"),
+        ("pixel = [", "pixels = [", "unknown key 'pixels'.*did you mean 'pixel'"),
+        ("pixel = [", "pixel = [9", "the target is not there at"),
+        ("[target]\n", "[target]\nat_s = 900.0\n", "target.at_s = 900 is after the end"),
+        ("[target]\n", "begin_s = 900.0\n[target]\n", "nothing is left between begin_s and end_s"),
+    ],
+)
+def test_films_that_cannot_be_are_refused_by_name(films: Path, tmp_path: Path, old: str, new: str, what: str) -> None:
+    text, bad = films.read_text("utf-8"), films.parent / "bad.toml"
+    assert text.count(old) == 1
+    bad.write_text(text.replace(old, new), "utf-8")
+    with pytest.raises(PartError, match=what) as caught:
+        run(ReplayOptions((bad,), out=tmp_path / "out"))
+    assert caught.value.remedy
+    assert not (tmp_path / "out").exists() or not any((tmp_path / "out").glob("films.json"))
+
+
+def test_settings_of_a_runs_replay_are_none_of_films(films: Path, flown: Callable[..., Path]) -> None:
+    with pytest.raises(PartError, match="names its films and its rig itself"):
+        run(ReplayOptions((films,), rig="sim-rendered"))
+    with pytest.raises(PartError, match="--out is for films"):
+        run(ReplayOptions((flown("sim", 3),), out=films.parent / "out"))

@@ -1,0 +1,1 @@
+"""The method over recordings that were made without PATH (``path-handoff replay films.toml``)."""
