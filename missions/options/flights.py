@@ -51,6 +51,9 @@ class HandoffOptions:
     """Errors of the simulated world against the rig (docs/errors.md): as a careful crew leaves it, three times
     that, or not at all; careful unless the rig says otherwise."""
 
+    scene: str | None = None
+    """At `sim-rendered`: the scene that the cameras see, such as outdoor-sun or dusk (docs/scenes.md)."""
+
     out: RunFolder = None
 
     junit: FileName = None
