@@ -12,7 +12,6 @@ index (``drivers.log.index``). Nothing in the log of a run in virtual time depen
 from __future__ import annotations
 
 import dataclasses
-import struct
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -20,20 +19,19 @@ from io import FileIO
 from itertools import count
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Footer, Header, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, DataEnd, Footer, Header, Metadata, Schema
 from numpy.typing import NDArray
 
 from drivers.clock import wall_offset_ns
 from drivers.log.index import ABOUT, MAGIC, OFFSET, ChunkedFile, built, index_log, message_record
 from drivers.log.protobuf import fields
-from drivers.log.topics import blank, schema_of
+from drivers.log.scan import messages
+from drivers.log.topics import schema_of
 
 if TYPE_CHECKING:
     from drivers.interfaces import Frame
@@ -318,52 +316,6 @@ def read_log(path: Path) -> Iterator[LogRecord]:
                     yield LogRecord(found.channel.topic, found.utc_ns - offset_ns, image_record(found.data))
         except (UnicodeDecodeError, msgspec.DecodeError):
             return  # the process that wrote it was killed here
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class LoggedChannel:
-    """A topic as it is in the file. ``blank``: what a JSON record of it leaves out."""
-
-    topic: str
-    encoding: str
-    schema: Schema
-    blank: dict[str, Any]
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class LoggedMessage:
-    channel: LoggedChannel
-    utc_ns: int
-    data: bytes
-
-
-def messages(file: IO[bytes]) -> Iterator[LoggedMessage | Metadata]:
-    """Yields the messages and metadata of a log after its magic, in the order it was written, up to where it ends."""
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, LoggedChannel] = {}
-    records = StreamReader(file, skip_magic=True).records
-    while True:
-        try:
-            record = next(records)
-        except StopIteration:
-            return
-        except (McapError, struct.error, UnicodeDecodeError):
-            return  # the process that wrote it was killed here
-        match record:
-            case Message():
-                yield LoggedMessage(channels[record.channel_id], record.log_time, record.data)
-            case Schema():
-                schemas[record.id] = record
-            case Channel():
-                channels[record.id] = LoggedChannel(
-                    record.topic, record.message_encoding, schemas[record.schema_id], blank(record.topic)
-                )
-            case Metadata():
-                yield record
-            case DataEnd():
-                return  # what follows is said again
-            case _:
-                pass
 
 
 def image_record(data: bytes) -> dict[str, Any]:

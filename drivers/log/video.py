@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from drivers.interfaces import Frame
 from drivers.log.frames import DEPTH_SCHEMA, VIDEO_SCHEMA
 from drivers.log.index import MAGIC, OFFSET
-from drivers.log.mcap_log import messages
 from drivers.log.protobuf import fields
+from drivers.log.scan import messages
 
 
 def recorded_frames(file: Path, count: int | None = None) -> Iterator[Frame]:

@@ -206,6 +206,18 @@ def with_errors(rig: Rig, level: str | None) -> Rig:
     return dataclasses.replace(rig, world={**rig.world, "errors": {"level": level}})
 
 
+def with_scene(rig: Rig, name: str | None) -> Rig:
+    """The rig with another scene (``[world.scene]``), if one is given.
+
+    Raises RigError for a rig that flies in the real world.
+    """
+    if name is None:
+        return rig
+    if rig.harness is None:
+        raise RigError([f"rig {rig.name} has no world of its own that could look otherwise"], "leave out --scene")
+    return dataclasses.replace(rig, world={**rig.world, "scene": {"name": name}})
+
+
 def with_slow(rig: Rig, share: float | None) -> Rig:
     """The rig with another share of a core for each role's program (``world.slow``), if one is given.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from drivers.interfaces import FlightMode
@@ -114,6 +114,8 @@ class Radio:
         self._switches: tuple[int, bool] | None = None  # None: not known since it was last lost
         self._slow: Sticks = CENTRED
         self._stepped_s = -math.inf
+        self._sent: tuple[RadioConfig, Transmitter, tuple[int, ...]] | None = None  # as both were, and what came then
+        self._steady: tuple[tuple[int, ...], PilotInput] | None = None  # while nothing moves, step after step
 
     def override(self, now_s: float, channels: Sequence[int]) -> None:
         """Channels from a ground station, in the transmitter's place where they say something."""
@@ -124,8 +126,10 @@ class Radio:
         dt_s, self._stepped_s = min(1.0, now_s - self._stepped_s), now_s
         self._hear(now_s, config)
         if not config.hears or now_s - self.heard_s > config.loss_s:
-            self._switches = None
+            self._switches = self._steady = None
             return SILENT
+        if self._steady is not None and self._steady[0] is self.channels:
+            return self._steady[1]
         roll, pitch, throttle, yaw = (_stick(us) for us in self.channels[:4])
         sticks = roll, pitch, throttle, yaw
         slot = _slot(self._channel(config.mode_channel))
@@ -138,13 +142,16 @@ class Radio:
         r, p, t, y = (slow + share * (now - slow) for now, slow in zip(sticks, self._slow, strict=True))
         self._slow = r, p, t, y
         known = before or (slot, kill)
-        return PilotInput(
+        heard = PilotInput(
             heard=True,
             mode=SLOTS[slot] if slot != known[0] else None,
             kill=kill if kill != known[1] else None,
             moved=moved,
             sticks=sticks,
         )
+        rests = known == (slot, kill) and not moved and self._slow == sticks
+        self._steady = (self.channels, heard) if rests else None
+        return heard
 
     def _hear(self, now_s: float, config: RadioConfig) -> None:
         own = self.transmitter
@@ -153,7 +160,9 @@ class Radio:
         there = own.on and config.fitted and now_s >= own.away_until_s
         if not there and not overridden:
             return
-        heard = channels_of(own, config)
+        if self._sent is None or self._sent[0] is not config or self._sent[1] != own:
+            self._sent = config, replace(own), channels_of(own, config)
+        heard = self._sent[2]
         if overridden:
             pairs = zip(forced, heard, strict=False)
             heard = tuple(usual if us in (RELEASED, UNCHANGED) else us for us, usual in pairs)

@@ -16,6 +16,7 @@ from typing import Generic, Protocol, TypeVar
 from drivers.interfaces import CameraError, Clock
 from drivers.rig.parts import PartContext
 from hil.world.errors import Built, SensorErrors, StampErrors
+from hil.world.scenes import SceneName, scene_of
 from hil.world.snapshot import Snapshot
 from path.camera import CameraModel
 from path.geometry import Pose
@@ -69,6 +70,7 @@ class TrueCamera:
     T_b_v: Pose
     layout: MarkerLayout
     errors: SensorErrors
+    scene: SceneName = "plain"
 
 
 def true_camera(context: PartContext, built: Built | None) -> TrueCamera:
@@ -77,7 +79,8 @@ def true_camera(context: PartContext, built: Built | None) -> TrueCamera:
         mount = context.mount
         return TrueCamera(context.camera, mount.T_b_c, mount.T_b_v, context.layout, SensorErrors())
     own = built.rig.role(context.role)
-    return TrueCamera(own.camera, own.mount.T_b_c, own.mount.T_b_v, built.rig.layout, built.sensors[context.role])
+    mounts, sensors = own.mount, built.sensors[context.role]
+    return TrueCamera(own.camera, mounts.T_b_c, mounts.T_b_v, built.rig.layout, sensors, scene_of(built.rig))
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,7 +58,9 @@ class RenderedCamera:
         self._role = context.role
         true = true_camera(context, harness.built)
         self._errors = true.errors
-        self._renderer = Renderer(true.camera, true.T_b_c, true.T_b_v, true.layout, config.noise, harness.seed)
+        self._renderer = Renderer(
+            true.camera, true.T_b_c, true.T_b_v, true.layout, config.noise, harness.seed, true.scene
+        )
         name = f"the {context.role.value}'s rendered camera"
         self._ticker: CaptureTicker[Future[_Image]] = CaptureTicker(
             name, config.timing(context), context.role, context.clock, harness, self._draw

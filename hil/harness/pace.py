@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from drivers.log.mcap_log import LogRecord
-
 LEFT_OUT = 0.5  # of the pictures
 OLD_S, OLD_SHARE = 0.25, 0.2  # of the frames, when a program took them up
 ENOUGH = 50  # frames
@@ -30,9 +28,9 @@ def overload_of(ages_s: Mapping[str, Sequence[float]], pictures: Mapping[str, An
     return "; ".join(late)
 
 
-def frame_age_s(record: LogRecord) -> list[float]:
+def frame_age_s(topic: str, record: Mapping[str, Any]) -> list[float]:
     """Returns how old a frame was when it was taken up; nothing for a record that is of none."""
-    return [float(record.record["age_ns"]) * 1e-9] if record.topic == "/frame" else []
+    return [float(record["age_ns"]) * 1e-9] if topic == "/frame" else []
 
 
 def late_program(name: str, ages_s: Sequence[float]) -> list[str]:

@@ -5,14 +5,11 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Iterable
 from itertools import combinations
-from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from drivers.log.mcap_log import parts, read_log
 from drivers.rig.check import check_rig
 from drivers.rig.parts import Rig
 from drivers.rig.tables import RigError
@@ -32,7 +29,6 @@ from flight.harness.relay import (
 from flight.outcome import Outcome
 from hil.harness.children import run_name
 from hil.harness.live_programs import Command, Orders
-from hil.harness.pace import frame_age_s, overload_of
 from hil.harness.realtime import Ending, RealTimeRun
 from hil.harness.realtime_world import world_command
 from hil.harness.relay_sitl_world import run_of
@@ -173,7 +169,7 @@ class LiveField:
 
 
 def report_of(request: RelayRequest, run: RealTimeRun, ending: Ending) -> RelayReport:
-    finished, wall_s, out = ending.finished, ending.wall_s, request.out
+    finished, wall_s = ending.finished, ending.wall_s
     unseen = [TargetWatch(None, 0.0, 0.0)] * max(1, len(request.targets))
     aloft, closest_m = finished.get("aloft", ()), finished.get("closest_m", None)
     failed = [drone.result.log_failure for drone in run.drones.values() if drone.result is not None]
@@ -194,14 +190,6 @@ def report_of(request: RelayRequest, run: RealTimeRun, ending: Ending) -> RelayR
         interrupted=run.interrupted,
         log_failure=next(filter(None, failed), ""),
         errors=reported(request.rig),
-        overload=ending.slow or overload_of(frame_ages_s(out, run.drones), finished.get("frames", {})),
+        overload=ending.slow or finished.get("overload", ""),
         failure=ending.failure or (f"not landed at the end: {', '.join(aloft)}" if aloft else ""),
     )
-
-
-def frame_ages_s(out: Path, drones: Iterable[str]) -> dict[str, list[float]]:
-    """Returns how old each frame was when a drone's program took it up, by the drones' logs."""
-    return {
-        name: [age_s for part in parts(out, name) for record in read_log(part) for age_s in frame_age_s(record)]
-        for name in drones
-    }

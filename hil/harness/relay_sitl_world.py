@@ -15,6 +15,7 @@ import asyncio
 import math
 import os
 import time
+from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import AsyncExitStack
 from dataclasses import asdict, replace
@@ -26,6 +27,7 @@ from flight.harness.relay import RelayConfig, pair_of
 from flight.harness.team import TeamConfig
 from hil.camera.shared import RUN_VARIABLE
 from hil.harness.live_world import CameraView, camera_config, embedded_vehicle, proxy_side, say, shared_camera
+from hil.harness.pace import frame_age_s, overload_of
 from hil.harness.realtime_world import TRUTH_STEPS, RealTimeWorld, main
 from hil.harness.relay_world import OTHER, OWN, RelayWorld
 from hil.harness.sim import mission_config
@@ -70,6 +72,7 @@ class RelaySitlWorld(RealTimeWorld):
         self._ends: dict[int, tuple[str, str]] = {}  # of the legs that have a link
         self._others: dict[str, str] = {}  # who is in whose picture: the other drone of its leg
         self._landed: dict[str, bool] = {}
+        self._ages_s: defaultdict[str, list[float]] = defaultdict(list)  # of some frames, when a program took them up
 
     @property
     def fleet(self) -> RelayWorld:
@@ -117,6 +120,7 @@ class RelaySitlWorld(RealTimeWorld):
 
     def record(self, name: str, topic: str, stamp_ns: int, record: dict[str, Any]) -> None:
         epoch_ns = round(self.start_s * 1e9)
+        self._ages_s[name] += frame_age_s(topic, record)
         seen = in_world_time(record, epoch_ns) if topic in LEASES else record
         stamp_w_ns = stamp_ns - epoch_ns
         self._hindsight.put(stamp_w_ns * 1e-9, "on_record", name, topic, stamp_w_ns, seen)
@@ -206,7 +210,8 @@ class RelaySitlWorld(RealTimeWorld):
         monitors.close()
         found = monitors.findings()
         many = {name: [asdict(each) for each in found[name]] for name in ("flown", "samples", "watched")}
-        return {**found, **many, "simulated_s": now_s, "aloft": aloft}
+        late = overload_of(self._ages_s, {name: drone.frames for name, drone in self.drones.items()})
+        return {**found, **many, "simulated_s": now_s, "aloft": aloft, "overload": late}
 
 
 def field_of(rig: Rig, drones: int, targets: int) -> RelayConfig:

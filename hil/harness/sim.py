@@ -34,6 +34,7 @@ from hil.world.check import check_world
 from hil.world.clearance import clearance
 from hil.world.errors import Built, as_built, reported
 from hil.world.faults import Fault, FaultError, parse_faults
+from hil.world.scenes import scene_of
 from hil.world.world import World, WorldConfig
 from path.messages import Role
 
@@ -223,6 +224,7 @@ class _Flight:
             "notes": tuple(self._monitors.details),
             "figures": self._monitors.leases.figures,
             "errors": reported(self._rig),
+            "scene": "" if (scene := scene_of(self._rig)) == "plain" else scene,
         }
 
 

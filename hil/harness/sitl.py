@@ -146,7 +146,7 @@ def report_of(request: FlightRequest, run: RealTimeRun, ending: Ending) -> Fligh
             monitors.on_death(role)
         else:
             monitors.on_record(role, record.topic, stamp_ns, record.record)
-            ages_s[role.value] += frame_age_s(record)
+            ages_s[role.value] += frame_age_s(record.topic, record.record)
     violations = dict(monitors.violations)
     for name, count in finished.get("violations", {}).items():
         violations[name] = violations.get(name, 0) + count

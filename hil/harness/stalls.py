@@ -10,11 +10,14 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from contextvars import Context, ContextVar, copy_context
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 from hil.harness.virtual_time import VirtualTimeLoop
 
 PROGRAM: ContextVar[str] = ContextVar("program", default="")
+
+AnyHandle = TypeVar("AnyHandle", bound=asyncio.Handle)
 
 
 class _Held:
@@ -72,19 +75,20 @@ class StallingLoop(VirtualTimeLoop):
             self.wake(program)
 
     def call_soon(self, callback: Any, *args: Any, context: Context | None = None) -> asyncio.Handle:
-        context = copy_context() if context is None else context
-        program = context.get(PROGRAM, "")
-        if not program:
-            return super().call_soon(callback, *args, context=context)
-        held = _Held(self, program, callback, args, context)
-        held.handle = super().call_soon(held, context=context)
-        return held.handle
+        return self._begin(super().call_soon, callback, args, context)
 
     def call_at(self, when: float, callback: Any, *args: Any, context: Context | None = None) -> asyncio.TimerHandle:
+        return self._begin(partial(super().call_at, when), callback, args, context)
+
+    def _begin(
+        self, schedule: Callable[..., AnyHandle], callback: Any, args: tuple[Any, ...], context: Context | None
+    ) -> AnyHandle:
+        """Schedules what a program has begun so that it can be kept, and what is nobody's as it is."""
         context = copy_context() if context is None else context
         program = context.get(PROGRAM, "")
         if not program:
-            return super().call_at(when, callback, *args, context=context)
+            return schedule(callback, *args, context=context)
         held = _Held(self, program, callback, args, context)
-        held.handle = timer = super().call_at(when, held, context=context)
-        return timer
+        handle = schedule(held, context=context)
+        held.handle = handle
+        return handle

@@ -26,11 +26,6 @@ COARSE_FINER = 3  # log2(COARSE): levels by which the enlarged texture is finer
 LOWEST_M = 0.01  # a camera on or below the ground sees it from here
 FARTHEST_M = F(400.0)
 HAZE_M = F(60.0)  # from here on the ground fades into the sky
-SKY = (F(206.0), F(196.0), F(184.0))
-# colour of the ground: base + fine grey level + coarse grey level (grey to green)
-BASE = (F(24.0), F(34.0), F(38.0))
-FINE = (F(0.42), F(0.46), F(0.42))
-ROUGH = (F(0.12), F(0.20), F(0.08))
 SCRATCH_ROWS = 9
 
 
@@ -109,11 +104,11 @@ def _stretch(texture, level, rows, words, c0, c1):
 
 
 @kernel
-def draw_ground(plane, light, pixel, ray_x, ray_y, texture, rows, words, image, inverse_z):
+def draw_ground(plane, light, pixel, ray_x, ray_y, texture, tints, rows, words, image, inverse_z):
     """Ground and sky everywhere, and the ground's 1/z.
 
-    plane: of ``ground_plane``. light: shading factor. pixel: size of a pixel on z = 1. rows: float32 scratch
-    (SCRATCH_ROWS, >= w); words: int32 scratch (w,).
+    plane: of ``ground_plane``. light: shading factor. pixel: size of a pixel on z = 1. tints: as ``looks.Tints.rows``.
+    rows: float32 scratch (SCRATCH_ROWS, >= w); words: int32 scratch (w,).
     """
     height, width = ray_x.shape
     lit = F(light)
@@ -132,7 +127,8 @@ def draw_ground(plane, light, pixel, ray_x, ray_y, texture, rows, words, image, 
                 start, current = c0, level
         _stretch(texture, current, rows, words, start, width)
         for k in range(3):
-            _tint(BASE[k], FINE[k], ROUGH[k], SKY[k], lit, inverse_z[r], rows[6], rows[8], image[k, r])
+            base, fine, rough, sky = tints[0, k], tints[1, k], tints[2, k], tints[3, k]
+            _tint(base, fine, rough, sky, lit, inverse_z[r], rows[6], rows[8], image[k, r])
 
 
 @inner

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,9 +15,12 @@ from hil.render import kernels, primitives, sensor
 from hil.render.bodies import Body, flying, standing
 from hil.render.ground import SCRATCH_ROWS, draw_ground, ground_plane
 from hil.render.kinds import model_of_kind
+from hil.render.looks import LOOKS
+from hil.render.overlay import Overlay
 from hil.render.scene import MARKER, drone, marked_drone
 from hil.render.sensor import SensorNoise
 from hil.render.textures import ground_pyramid
+from hil.world.scenes import SceneName
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.camera import CameraModel
 from path.geometry import Pose
@@ -27,7 +29,7 @@ from path.messages import Role
 
 Array = NDArray[np.float64]
 
-SUN_W = np.array([0.36, -0.30, 0.88]) / math.sqrt(0.36**2 + 0.30**2 + 0.88**2)
+SUN_W = LOOKS["plain"].sun_w
 SAMPLES = (edge_pass.hammersley(16), edge_pass.hammersley(64))
 STAGES = 8
 
@@ -61,18 +63,24 @@ class Renderer:
         layout: MarkerLayout,
         noise: SensorNoise | None = None,
         seed: int = 0,
+        scene: SceneName = "plain",
     ) -> None:
         """``T_b_c``: mount of this camera on its drone; ``T_b_v``, ``layout``: the markers on the sender.
+
+        The seed is of the noise, and of what lies about in the scene.
 
         Raises:
             ValueError: the camera has pixels without a ray.
         """
-        noise = SensorNoise() if noise is None else noise
+        look = LOOKS[scene]
+        noise = look.noise(SensorNoise() if noise is None else noise)
         height, width = camera.height, camera.width
         self._T_b_c = T_b_c
         self.seed = seed
         self.noise = noise
         self._lens = lens_of(camera)
+        self._sun_w, self._tints, self._ground = look.sun_w, look.tints.rows, ground_pyramid(look.ground)
+        self._overlay = None if scene == "plain" else Overlay(look, camera, self._lens.rays[:2], seed)
         self._plain = drone()
         self._marked = {hidden: marked_drone(T_b_v, layout, hidden=hidden) for hidden in (False, True)}
         self._taps = sensor.blur_taps(noise.blur_sigma_px)
@@ -97,14 +105,19 @@ class Renderer:
         """
         key = self.key(role, frame_seed)
         light, depth = self.draw(
-            snapshot.drones[role].T_w_b, self.bodies(snapshot, role), key, depth_holes=snapshot.depth_holes
+            snapshot.drones[role].T_w_b,
+            self.bodies(snapshot, role),
+            key,
+            depth_holes=snapshot.depth_holes,
+            unseen=self._unseen(snapshot, role),
         )
         return self.expose(light, key), depth
 
     def render_color(self, snapshot: Snapshot, role: Role, frame_seed: int) -> NDArray[np.uint8]:
         """The colour of ``render`` alone."""
         key = self.key(role, frame_seed)
-        for _ in self._stages(self.T_w_c(snapshot, role), self.bodies(snapshot, role), key, None, False):
+        bodies, unseen = self.bodies(snapshot, role), self._unseen(snapshot, role)
+        for _ in self._stages(self.T_w_c(snapshot, role), bodies, key, None, False, unseen):
             pass
         return self.expose(self._image, key)
 
@@ -125,16 +138,18 @@ class Renderer:
         return sensor.mixed(self.seed, list(Role).index(role), frame_seed)
 
     def draw(
-        self, T_w_b: Pose, bodies: Sequence[Body], key: int, *, depth_holes: bool = False
+        self, T_w_b: Pose, bodies: Sequence[Body], key: int, *, depth_holes: bool = False, unseen: Sequence[Body] = ()
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         """Bodies as the camera of the drone at ``T_w_b`` sees them; at most one of them carries ideal markers.
+
+        ``unseen``: bodies of which there is only a shadow, in a scene that has shadows.
 
         Returns:
             Light before optics and sensor, shape (3, h, w), in the order B, G, R, valid until the next call; and depth
             with its noise.
         """
         depth = np.empty(self._inverse_z.shape, np.uint16)
-        for _ in self._stages(T_w_b @ self._T_b_c, bodies, key, depth, depth_holes):
+        for _ in self._stages(T_w_b @ self._T_b_c, bodies, key, depth, depth_holes, unseen):
             pass
         return self._image, depth
 
@@ -155,18 +170,26 @@ class Renderer:
         return cv2.merge(tuple(self._exposed))  # pyright: ignore[reportReturnType]
 
     def _stages(
-        self, T_w_c: Pose, bodies: Sequence[Body], key: int, depth: NDArray[np.uint16] | None, depth_holes: bool
+        self,
+        T_w_c: Pose,
+        bodies: Sequence[Body],
+        key: int,
+        depth: NDArray[np.uint16] | None,
+        depth_holes: bool,
+        unseen: Sequence[Body] = (),
     ) -> Iterator[str]:
         """Draw, naming every stage before it starts; leaves the light in ``_image``. No depth where it is None."""
         rays, view, pixel = self._lens.rays, self._lens.view, self._lens.pixel
         x, y, inverse_z, owner, edges, image = *rays[:2], self._inverse_z, self._owner, self._edges, self._image
-        sun_c = T_w_c.R.T @ SUN_W
+        sun_c = T_w_c.R.T @ self._sun_w
         owner.fill(-1)
         edges.fill(kernels.INTERIOR)
         yield "ground"
         plane = ground_plane(T_w_c)
-        light = primitives.AMBIENT + primitives.DIFFUSE * SUN_W[2]
-        draw_ground(plane, light, pixel, x, y, ground_pyramid(), self._rows, self._words, image, inverse_z)
+        light = primitives.AMBIENT + primitives.DIFFUSE * self._sun_w[2]
+        draw_ground(plane, light, pixel, x, y, self._ground, self._tints, self._rows, self._words, image, inverse_z)
+        if self._overlay is not None:
+            self._overlay.on_ground(T_w_c, [*bodies, *unseen], image)
         yield "primitives"
         faces, tags, count, looks = set_up(bodies, T_w_c.inverse(), sun_c, view)
         order = np.empty(count, np.int64)
@@ -179,9 +202,19 @@ class Renderer:
         kernels.draw_rotors(faces, order, rotors, tags, x, y, inverse_z, edges, image)
         yield "edges"
         edge_pass.draw_edges(faces, tags, count, order, rotors, looks, plane[2], rays, SAMPLES, edges, image)
+        if self._overlay is not None:
+            self._overlay.over_all(T_w_c, image)
         if depth is not None:
             yield "depth"
             sense_depth(inverse_z, owner, tags, edges, depth_holes, self.noise, self._depth_pool, key, depth)
+
+    def _unseen(self, snapshot: Snapshot, role: Role) -> list[Body]:
+        """The drone of ``role`` itself: its camera sees its shadow."""
+        if self._overlay is None:
+            return []
+        own, marked = snapshot.drones[role], self._marked[snapshot.marker_hidden]
+        model = marked if role is Role.SENDER else self._plain
+        return [flying(model, own.T_w_b, own.rotor_phase_rad, own.armed)]
 
     def bodies(self, snapshot: Snapshot, role: Role) -> list[Body]:
         """Everything that the camera of ``role`` may see: all but its own drone."""

@@ -9,6 +9,7 @@ from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
 from hil.world.world import WorldConfig
 
+DRAWN = "sim-rendered"
 CONFINES = "hil.harness.sitl:SitlHarness"
 
 
@@ -29,6 +30,9 @@ def check_world(rig: Rig) -> None:
     if config.slow is not None and rig.harness != CONFINES:
         what = f"{rig.name} does not fly each role as a process in real time: leave it out, or fly --rig sitl"
         problems.add(rig.where("world.slow"), what)
+    if config.scene.name != "plain" and rig.level != DRAWN:
+        what = f"scenes are drawn at level {DRAWN}, and {rig.name} is of level {rig.level}: leave it out"
+        problems.add(rig.where("world.scene"), what)
     problems.raise_any()
 
 

@@ -34,6 +34,7 @@ from hil.world.dynamics import (
 )
 from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, Sensors, WindConfig
+from hil.world.scenes import SceneConfig
 from hil.world.snapshot import DroneTruth, Snapshot
 from hil.world.targets import GroundVehicles, LookAlikeConfig, Point, TargetConfig
 from path.bounds import Bounds
@@ -104,6 +105,7 @@ class WorldConfig:
     # of a core, for each role's program: on a computer that much slower (docs/compute.md)
     slow: Annotated[float | None, Bounds(0.02, 1.0, "of a core")] = None
     errors: ErrorsConfig = field(default_factory=ErrorsConfig)
+    scene: SceneConfig = field(default_factory=SceneConfig)
     wind: WindConfig = field(default_factory=WindConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     position_offset: PositionOffsetConfig = field(default_factory=PositionOffsetConfig)

@@ -16,14 +16,14 @@ from typing import Any
 
 from drivers.interfaces import PartError
 from drivers.rig.check import check_rig
-from drivers.rig.parts import Rig, import_factory, with_errors, with_slow
+from drivers.rig.parts import Rig, import_factory, with_errors, with_scene, with_slow
 from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleMain, RoleResult
 from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
 from missions.ground_station import name_ground_station
 from missions.handoff.served import check_served, tell_commands, waiting_for
 from missions.lateness import for_lateness
-from missions.leg.process import fly_role, load_programs
+from missions.leg.process import fly_role, load_program
 from missions.live.start import live
 from missions.options.flights import FlyOptions, HandoffOptions
 from missions.options.proofs import ConformanceOptions
@@ -46,8 +46,8 @@ _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
 def run(options: HandoffOptions) -> int:
     """``path-handoff handoff``; returns the run's exit code. Raises PartError for what was asked wrongly."""
     name_simulators(options)
-    rig = with_slow(with_errors(rig_library.load(options.rig), options.errors), options.slow)
-    if options.slow is not None:
+    rig = _as_asked(options.rig, options.errors, options.scene, options.slow)
+    if options.slow is not None or options.scene is not None:
         check_rig(rig)
     harness_of(rig)
     name_ground_station(rig, options.gcs)
@@ -97,7 +97,7 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_leave_signals_to_the_parent)
     try:
         with open_tally(sys.stdout, len(seeds)) as tally:
-            asked = str(rig.file), options.errors, options.slow
+            asked = str(rig.file), options.errors, options.scene, options.slow
             runs = [pool.submit(_fly_seed, *asked, seed, options.fault, folder) for seed in seeds]
             for done in as_completed(runs):
                 summary = done.result()
@@ -118,9 +118,10 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
 def junit_case(options: HandoffOptions, summary: Mapping[str, Any]) -> JUnitCase:
     """One run of many as a test case: it fails unless it committed."""
     errors = [] if options.errors is None else ["--errors", options.errors]
+    scene = [] if options.scene is None else ["--scene", options.scene]
     slow = [] if options.slow is None else ["--slow", f"{options.slow:g}"]
     faults = [word for fault in options.fault for word in ("--fault", fault)]
-    asked = ["--rig", options.rig, "--seed", str(summary["seed"]), *errors, *slow, *faults]
+    asked = ["--rig", options.rig, "--seed", str(summary["seed"]), *errors, *scene, *slow, *faults]
     outcome = str(summary["outcome"])
     failures = () if summary["exit_code"] == 0 else (summary["detail"] or outcome, *summary["notes"])
     replay = f"path-handoff handoff {shlex.join(asked)}"
@@ -141,15 +142,26 @@ def _folder_of(folder: Path, seed: int) -> Path:
 
 
 def _fly_seed(
-    rig_file: str, errors: str | None, slow: float | None, seed: int, faults: Sequence[str], folder: Path
+    rig_file: str,
+    errors: str | None,
+    scene: str | None,
+    slow: float | None,
+    seed: int,
+    faults: Sequence[str],
+    folder: Path,
 ) -> dict[str, Any]:
     """One run of many, in a worker process."""
     own = new_folder(_folder_of(folder, seed))
-    rig = with_slow(with_errors(rig_library.load(rig_file), errors), slow)
+    rig = _as_asked(rig_file, errors, scene, slow)
     fly_once(rig, seed, faults, own, lambda _: None)
     summary = summarize(load_run(own))
     (own / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
     return summary
+
+
+def _as_asked(rig: str, errors: str | None, scene: str | None, slow: float | None) -> Rig:
+    """The rig of this name or file with what was asked for otherwise. Raises PartError."""
+    return with_slow(with_scene(with_errors(rig_library.load(rig), errors), scene), slow)
 
 
 def harness_of(rig: Rig) -> Harness:
@@ -195,7 +207,7 @@ def fly_once(
     """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was asked wrongly."""
     harness = harness_of(rig)
     if rig.level in IN_PROCESS:
-        load_programs()  # not while the run's time is measured
+        load_program()  # not while the run's time is measured
 
     def command(role: Role) -> Sequence[str]:
         if programs.elsewhere:
@@ -230,6 +242,7 @@ def fly_once(
         violations=dict(report.violations),
         notes=tuple(report.notes),
         errors=dict(report.errors),
+        scene=report.scene,
         slow=dict(report.slow),
     )
     try:

@@ -8,8 +8,9 @@ from collections.abc import Awaitable, Callable
 from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
+from missions.leg.ends import as_end
 from missions.leg.journal import setup_record
-from missions.leg.session import RoleSession, as_end
+from missions.leg.session import RoleSession
 
 Course = Callable[[], Awaitable[None]]
 Recovery = Callable[[MissionEnd | None], Awaitable[bool]]

@@ -3,62 +3,42 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import math
 import random
-import sys
-import traceback
 from collections.abc import Callable, Coroutine
-from contextlib import AbstractContextManager, AsyncExitStack, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
-
 from drivers.interfaces import (
-    CameraError,
     Clock,
-    Framed,
-    FrameLog,
     Link,
-    LinkError,
     Log,
     Perception,
     Received,
-    StateError,
-    TakenOver,
     Vehicle,
-    VehicleError,
-    View,
     Wary,
 )
-from drivers.mavlink.guard_interfaces import NOWHERE, Beat, GuardLine, Script
-from drivers.mavlink.guard_line import UdpGuardLine
-from drivers.rig.parts import PartSpec, Rig, RoleRig, create, part_context
+from drivers.mavlink.guard_interfaces import NOWHERE, Beat, Script
+from drivers.rig.parts import Rig, RoleRig
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, answer
 from flight.config import MissionConfig
-from flight.harness.flights import Emit, InProcess, Progress
+from flight.harness.flights import Emit, Progress
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
-from flight.shedding import BEAT_S, Shedding
+from flight.shedding import BEAT_S
 from flight.under_guard import UnderGuard
+from missions.leg.ends import as_end
+from missions.leg.frames import Frames
 from missions.leg.link_alarm import LinkAlarm
-from path.marker.warm_up import warm_up
 from path.messages import Ping, Pong, Role, Status
 from path.protocol.values import TakeResponsibility
 from path.rotation import yaw_of
 from path.window import Evidence
 
 _POLL_S = 0.05
-_ENDS = (
-    (CameraError, Outcome.CAMERA_LOST),
-    (TakenOver, Outcome.PILOT_OVERRIDE),  # before what it is a kind of
-    (VehicleError, Outcome.VEHICLE_REFUSED),
-    (LinkError, Outcome.PEER_LOST),
-    (StateError, Outcome.STATE_LOST),
-)
 _PROGRESS_PERIOD_S = 0.2
 _STATE_PERIOD_S = 0.1
 _BEAT_PERIOD_S = 0.05
@@ -104,7 +84,6 @@ class RoleSession:
     ) -> None:
         self.guard = guard
         self._stages = stages  # None in virtual time, in which logs tell nothing of the machine
-        self.shedding = Shedding()
         self.script = Script.IDLE
         self._measured_m = math.nan
         self.rig = rig
@@ -115,8 +94,10 @@ class RoleSession:
         self.stop = stop
         self.entropy = entropy
         self._link_alarm = LinkAlarm()
+        self._wary = parts[1] if isinstance(parts[1], Wary) else None
         self._ignored: set[str] = set()  # kinds of what the crew was told not to be believed
         self.clock, self.vehicle, self.perception, self.link = parts
+        self.frames = Frames(self.perception, self.clock, config, log)
         self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
         self.alignment = ClockAlignment()
         self.phase = Phase.PREFLIGHT
@@ -132,8 +113,6 @@ class RoleSession:
         self._spawned: list[asyncio.Task[None]] = []
         self._emit = emit
         self._pings = 0
-        self._image_ns = -(1 << 62)
-        self._frames = log if config.record == "all" and isinstance(log, FrameLog) else None
         self._traffic: list[tuple[float, int]] = []
 
     # --- time and waiting ---------------------------------------------------------------------------------------
@@ -236,7 +215,7 @@ class RoleSession:
         while self._stages is not None:
             due_s = loop.time() + BEAT_S
             await asyncio.sleep(BEAT_S)
-            changed = self.shedding.beat(loop.time() - due_s)
+            changed = self.frames.shedding.beat(loop.time() - due_s)
             if changed is not None:
                 record = {"what": changed.what, "gone": changed.gone, "busy": changed.busy}
                 self.log.write("/shed", self.now_ns(), record)
@@ -300,40 +279,6 @@ class RoleSession:
         first_s, first = self._traffic[0]
         return (total - first) / (now_s - first_s) if now_s > first_s else 0.0
 
-    @property
-    def records_frames(self) -> bool:
-        """Returns whether every frame is recorded, so that perception can be run again."""
-        return self._frames is not None
-
-    async def view(self, timeout_s: float) -> View:
-        """The newest view not yet given, recorded if the rig says so. Raises CameraError when none came in time.
-
-        On a computer that does not keep up frames are left out before it.
-        """
-        wait_s = self.shedding.until_next_s(self.now_ns())
-        if wait_s > 0.0:
-            await asyncio.sleep(wait_s)
-        view = await self.perception.view(timeout_s)
-        self.shedding.took(view.frame_id, view.stamp_ns, self.now_ns())
-        if self._frames is not None and isinstance(view, Framed):
-            self._frames.frame(view.frame)
-        return view
-
-    def log_image(self, view: View, wanted: bool = False) -> None:
-        """Log the camera's image, ``image_hz`` times a second at the most, unless this one is ``wanted``.
-
-        At 0 those alone are logged, and none when the rig records none.
-        """
-        if self.config.record == "none":
-            return
-        period_ns = round(1e9 / self.config.image_hz) if self.config.image_hz > 0.0 else 1 << 63
-        if view.stamp_ns - self._image_ns < (1 if wanted else period_ns) or not (wanted or self.shedding.pictures):
-            return
-        image = view.image()
-        if image is not None:
-            self._image_ns = view.stamp_ns
-            self.log.image("/image", view.stamp_ns, image)
-
     # --- background tasks ----------------------------------------------------------------------------------------
 
     async def pump(self) -> None:
@@ -375,8 +320,7 @@ class RoleSession:
 
     def _newly_ignored(self) -> list[str]:
         """Returns what the vehicle's driver does not believe, each kind once."""
-        vehicle = self.vehicle
-        new = [what for what in vehicle.ignored if what not in self._ignored] if isinstance(vehicle, Wary) else []
+        new = [] if self._wary is None else [what for what in self._wary.ignored if what not in self._ignored]
         self._ignored.update(new)
         return new
 
@@ -455,53 +399,3 @@ class RoleSession:
     async def stopped(self) -> None:
         await self.stop.wait()
         raise MissionEnd(Outcome.INTERRUPTED, "told to stop")
-
-
-async def open_session(
-    stack: AsyncExitStack,
-    rig: Rig,
-    role: Role,
-    config: MissionConfig,
-    log: Log,
-    emit: Emit,
-    stop: asyncio.Event,
-    harness: InProcess | None,
-) -> RoleSession:
-    """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after. Raises PartError."""
-    cv2.setNumThreads(1)  # frames are small: more threads cost more than they gain, and take the other processes' cores
-    warm_up(images=harness is None or "camera" in rig.role(role).perception.options)
-    if harness is None:
-        gc.freeze()  # what is loaded by now stays: collections in flight need not walk it, for 0.1 s each
-    context = part_context(rig, role, harness)
-    own = rig.role(role)
-    link: Link = await stack.enter_async_context(create(own.link, context))
-    perception: Perception = await stack.enter_async_context(create(own.perception, context))
-    vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
-    entropy = entropy_of(role.value, context.clock, harness)
-    guard: UnderGuard | None = None
-    if own.guard is not None:
-        line = guard_line_of(own.guard, role, context.clock, harness)
-        guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
-    parts = (context.clock, vehicle, perception, link)
-    return RoleSession(rig, role, config, log, emit, stop, parts, entropy, guard, Stages() if harness is None else None)
-
-
-def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Random:
-    """Returns a program's source of chance; in virtual time from the seed, and after a restart not the same again."""
-    return random.SystemRandom() if harness is None else random.Random(f"{name} {clock.now_ns()} {harness.seed}")
-
-
-def guard_line_of(guard: PartSpec, role: Role, clock: Clock, harness: InProcess | None) -> GuardLine:
-    """A program's way to its role's guard."""
-    return UdpGuardLine(str(guard.options.get("bind", "")), clock) if harness is None else harness.guard_line(role)
-
-
-def as_end(error: BaseException) -> MissionEnd:
-    """Any error as the named end it means. Errors nobody foresaw are printed: they are bugs."""
-    if isinstance(error, MissionEnd):
-        return error
-    for kind, outcome in _ENDS:
-        if isinstance(error, kind):
-            return MissionEnd(outcome, str(error))
-    traceback.print_exception(error, file=sys.stderr)
-    return MissionEnd(Outcome.CRASHED, f"{type(error).__name__}: {error}")

@@ -23,12 +23,11 @@ from drivers.log.index import MAGIC
 from drivers.log.mcap_log import (
     ABOUT,
     OFFSET,
-    LoggedMessage,
     LogRecord,
-    messages,
     parts,
     read_log,
 )
+from drivers.log.scan import LoggedMessage, messages
 from missions.options.runs import MergeOptions
 from missions.report.records import MERGED
 

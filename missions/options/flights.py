@@ -51,6 +51,9 @@ class HandoffOptions:
     """Errors of the simulated world against the rig (docs/errors.md): as a careful crew leaves it, three times
     that, or not at all; careful unless the rig says otherwise."""
 
+    scene: str | None = None
+    """At `sim-rendered`: the scene that the cameras see, such as outdoor-sun or dusk (docs/scenes.md)."""
+
     out: RunFolder = None
 
     junit: FileName = None
@@ -77,7 +80,35 @@ class HandoffOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class RelayOptions:
+class HoursOptions:
+    """The options of what many drones fly for hours."""
+
+    hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
+    """For how long; then everybody comes home. By default as the rig says: hours in simulated time, minutes in real
+    time."""
+
+    seed: Seed = 0
+    """Seed of the world and of every noise: in simulated time the same seed is the same flight."""
+
+    fault: LegFaults = ()
+
+    out: RunFolder = None
+
+    errors: Errors = None
+
+    logs: bool = False
+    """Log everything, frame by frame, and not only what is decided: some 40 MB for each hour of a drone."""
+
+    live: Live = None
+
+    gcs: GroundStation = None
+
+    picture: bool = True
+    """Draw relay.png or team.png at the end."""
+
+
+@dataclass(frozen=True, slots=True)
+class RelayOptions(HoursOptions):
     """Hand one target from drone to drone as batteries run down: hours in simulated time, or minutes in real time."""
 
     rig: RigName = "relay-sim"
@@ -87,32 +118,9 @@ class RelayOptions:
     drones: Annotated[int, Bounds(2, 100, "drones")] = 3
     """The number of the rig's drones that take part, from its first one on."""
 
-    hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
-    """For how long; then the responsible drone comes home. By default as the rig says: 8 h in relay-sim, minutes in
-    relay-sitl."""
-
-    seed: Seed = 0
-    """Seed of the world and of every noise: in simulated time the same seed is the same relay."""
-
-    fault: LegFaults = ()
-
-    out: RunFolder = None
-
-    errors: Errors = None
-
-    logs: bool = False
-    """Log everything, frame by frame, and not only what is decided: some 40 MB an hour."""
-
-    live: Live = None
-
-    gcs: GroundStation = None
-
-    picture: bool = True
-    """Draw relay.png at the end."""
-
 
 @dataclass(frozen=True, slots=True)
-class TeamOptions:
+class TeamOptions(HoursOptions):
     """Keep many targets observed by many drones for hours, which relieve each other as batteries run down."""
 
     rig: RigName = "team-sim"
@@ -123,28 +131,6 @@ class TeamOptions:
 
     targets: Annotated[int | None, Bounds(1, 1000, "targets")] = None
     """The number of targets; those of the rig by default, and a field laid out like it for more than it names."""
-
-    hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
-    """For how long; then everybody comes home. By default as the rig says: 2 h in team-sim."""
-
-    seed: Seed = 0
-    """Seed of the world and of every noise: in simulated time the same seed is the same flight of the team."""
-
-    fault: LegFaults = ()
-
-    out: RunFolder = None
-
-    errors: Errors = None
-
-    logs: bool = False
-    """Log everything, frame by frame, and not only what is decided: some 40 MB an hour and drone."""
-
-    live: Live = None
-
-    gcs: GroundStation = None
-
-    picture: bool = True
-    """Draw team.png at the end."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ TrialName = Literal[
     "rendezvous",
     "beacon",
     "soak",
+    "fleet",
     "real",
 ]
 
@@ -39,7 +40,7 @@ class TrialOptions:
 
     name: Annotated[TrialName, tyro.conf.Positional]
     """Which trial; `all` runs those of the paper and makes one page, in about a quarter of an hour on two cores.
-    `processes`, `rendezvous`, `beacon`, `soak` and, without --set, `real` are asked for by name."""
+    `processes`, `rendezvous`, `beacon`, `soak`, `fleet` and, without --set, `real` are asked for by name."""
 
     out: OutFolder = None
     """Folder for the page, summary.json and the pictures; trials/<time>-<name> by default."""
@@ -54,7 +55,7 @@ class TrialOptions:
 
     rig: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
     """The rig; by default sim-rendered, whose harness knows the truth; `dynamic` for `beacon`, `sim-field` for
-    `rendezvous`, `sitl` for `soak`."""
+    `rendezvous`, `sitl` for `soak`, `team-sim` for `fleet`."""
 
     errors: ErrorLevel = None
     """Errors of the world of flights and Monte-Carlo hand-overs against what the rig says (docs/errors.md); careful

@@ -14,7 +14,8 @@ from flight.harness.flights import Emit, InProcess, RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from missions.leg.course import fly_course
-from missions.leg.session import RoleSession, open_session
+from missions.leg.opening import open_session
+from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, preflight
 from missions.own.drone import Drone
 from missions.own.load import Mission

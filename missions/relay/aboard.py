@@ -27,11 +27,13 @@ from flight.phases import Phase
 from flight.pilot import Pilot
 from flight.target_track import TargetTrack
 from flight.under_guard import UnderGuard
-from missions.leg.session import RoleSession, entropy_of, guard_line_of
+from missions.leg.opening import entropy_of, guard_line_of
+from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, may_manoeuvre
 from missions.relay.base import Ground, Leg
 from missions.relay.battery import Gauge
 from missions.relay.guidance import keep_clear, way_home
+from missions.relay.records import for_leg, write
 from missions.relay.stages import Holder, Relief
 from missions.rig_library import mission_of
 from path.marker.warm_up import warm_up
@@ -117,6 +119,8 @@ class Aboard:
         Raises StateError; then the one before goes on.
         """
         assert track is not None, "what is held is tracked"
+        if leg is not None:
+            await write(self._store, for_leg(self._store.load(), leg.number))
         session = self._session(Role.SENDER, leg, link)
         pilot: Pilot = before.pilot
         script = before.script

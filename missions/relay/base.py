@@ -16,7 +16,7 @@ from flight.guidance import Vec3
 from flight.harness.flights import RoleResult
 from flight.harness.relay import DroneProgram, Pointed, RelayConfig, RelayField
 from flight.outcome import MissionEnd, Outcome
-from missions.leg.session import as_end
+from missions.leg.ends import as_end
 from path.messages import Role
 
 POLL_S = 0.5

@@ -17,7 +17,7 @@ from missions import rig_library
 from missions.ground_station import name_ground_station
 from missions.lateness import for_lateness
 from missions.live.start import live
-from missions.options.flights import RelayOptions
+from missions.options.flights import HoursOptions, RelayOptions
 from missions.relay.base import Base, Event, Tell
 from missions.relay.config import relay_of
 from missions.relay.drone import DroneFlight, program_of
@@ -37,8 +37,6 @@ def run(options: RelayOptions) -> int:
     name_ground_station(rig, options.gcs)
     config = relay_of(rig, options.drones)
     hours = hours_of(config, options)
-    if not hours > 0.0:
-        raise PartError(f"--hours {hours:g} is not above 0", "give the hours that it is to last, such as 8")
     with unless_refused(options.out) as folder:
         tell_line(f"{options.drones} drones, {hours:g} h: {folder}")
         with live(options.live, folder):
@@ -66,8 +64,12 @@ def _page_of(summary: dict[str, Any], folder: Path) -> PageOf:
     )
 
 
-def hours_of(config: RelayConfig, options: RelayOptions) -> float:
-    return config.hours if options.hours is None else options.hours
+def hours_of(config: RelayConfig, options: HoursOptions) -> float:
+    """Returns how long it is to last. Raises PartError."""
+    hours = config.hours if options.hours is None else options.hours
+    if not hours > 0.0:
+        raise PartError(f"--hours {hours:g} is not above 0", "give the hours that it is to last, such as 8")
+    return hours
 
 
 def faults_of(texts: Sequence[str]) -> dict[int, list[str]]:

@@ -21,7 +21,8 @@ from flight.harness.flights import Emit, InProcess, RoleResult
 from flight.harness.relay import DroneProgram
 from flight.outcome import MissionEnd, Outcome
 from missions.leg.course import close_session, conclude, run_course, run_recovery
-from missions.leg.session import RoleSession, as_end
+from missions.leg.ends import as_end
+from missions.leg.session import RoleSession
 from missions.relay.aboard import Aboard
 from missions.relay.base import TakeOffOrder
 from missions.relay.records import as_first, as_holder, as_relief, write

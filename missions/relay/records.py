@@ -2,6 +2,9 @@
 
 One record is on it at any time, of the role it is in; epochs only grow, whichever role wrote them. So a program that
 dies between two roles finds either the one or the other, and both say the same: who is responsible.
+
+A drone goes from one target of a team to another, and takes its epoch with it. So the epochs of a leg begin above all
+that any drone can have seen before: by the leg's number, not by what its sender held.
 """
 
 from __future__ import annotations
@@ -9,9 +12,10 @@ from __future__ import annotations
 import asyncio
 
 from drivers.interfaces import Kept, RecordStore
-from path.protocol.values import ReceiverRecord, SenderRecord
+from path.protocol.values import LAST_EPOCH, ReceiverRecord, SenderRecord
 
 Record = SenderRecord | ReceiverRecord
+EPOCHS = 8  # of a leg: as often can its target be taken back and offered once more before it meets the next leg's
 
 
 def as_holder(kept: Kept | None) -> SenderRecord:
@@ -25,6 +29,15 @@ def as_holder(kept: Kept | None) -> SenderRecord:
     if isinstance(record, ReceiverRecord) and record.duty != "holding":
         raise ValueError(f"a drone that is {record.duty} has nothing to hand over")
     return SenderRecord(0 if record is None else record.epoch, "mine")
+
+
+def for_leg(kept: Kept | None, number: int) -> SenderRecord:
+    """Returns the record of a responsible drone whose relief has been called, before anything is said to it.
+
+    Raises ValueError for a record of a drone that has nothing to hand over.
+    """
+    own = as_holder(kept)
+    return SenderRecord(max(own.epoch, min(EPOCHS * (number - 1), LAST_EPOCH - EPOCHS)), own.duty)
 
 
 def as_relief(kept: Kept | None) -> ReceiverRecord:

@@ -80,7 +80,8 @@ def _command(facts: RunFacts | None) -> str:
         return "path-handoff sender, or receiver, on the drone"
     faults = "".join(f" --fault {fault}" for fault in facts.faults)
     level = facts.errors.get("level", "")
-    return f"path-handoff handoff --rig {facts.rig} --seed {facts.seed}{f' --errors {level}' if level else ''}{faults}"
+    said = (f" --errors {level}" if level else "") + (f" --scene {facts.scene}" if facts.scene else "")
+    return f"path-handoff handoff --rig {facts.rig} --seed {facts.seed}{said}{faults}"
 
 
 def show(content: RenderableType, stream: TextIO) -> None:
@@ -102,6 +103,8 @@ def outcome_line(summary: Mapping[str, Any]) -> list[Text]:
     head.append(f"  rig {summary['rig']}, seed {summary['seed']}")
     if summary["errors"]:
         head.append(f", errors: {summary['errors']['level']}")
+    if summary.get("scene"):
+        head.append(f", scene: {summary['scene']}")
     if summary["faults"]:
         head.append(f", faults: {', '.join(summary['faults'])}", "yellow")
     lines = [head]

@@ -49,7 +49,7 @@ class RunFacts:
         simulated_s, wall_s: duration on the mission's clock and on the wall.
         violations: number of violations by monitor name.
         notes: lines for the crew, details of violations.
-        errors, slow: of the world, as ``flight.harness.flights.FlightReport`` has them.
+        errors, scene, slow: of the world, as ``flight.harness.flights.FlightReport`` has them.
     """
 
     rig: str
@@ -64,6 +64,7 @@ class RunFacts:
     violations: dict[str, int] = field(default_factory=dict[str, int])
     notes: tuple[str, ...] = ()
     errors: dict[str, str | float] = field(default_factory=dict[str, str | float])
+    scene: str = ""
     slow: dict[str, float] = field(default_factory=dict[str, float])
 
 

@@ -112,6 +112,7 @@ def _outcome(run: RunRecords) -> dict[str, Any]:
         "faults": list(facts.faults) if facts else [],
         "notes": list(facts.notes) if facts else [],
         "errors": dict(facts.errors) if facts else {},
+        "scene": facts.scene if facts else "",
         "roles": roles,
     }
 

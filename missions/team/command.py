@@ -6,7 +6,6 @@ import asyncio
 from pathlib import Path
 from typing import Any, cast
 
-from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, import_factory, with_errors
 from flight.harness.flights import Emit
 from flight.harness.relay import RelayField, RelayHarness, RelayRequest, TeamField
@@ -17,7 +16,7 @@ from missions.lateness import for_lateness
 from missions.live.start import live
 from missions.options.flights import TeamOptions
 from missions.relay.base import Event, Tell
-from missions.relay.command import faults_of
+from missions.relay.command import faults_of, hours_of
 from missions.relay.drone import program_of
 from missions.relay.ending import PAGE, SUMMARY, Showing, Values, cause_of, leave
 from missions.report.page import PageOf
@@ -37,9 +36,7 @@ def run(options: TeamOptions) -> int:
     rig = with_errors(rig_library.load(options.rig), options.errors)
     name_ground_station(rig, options.gcs)
     config = team_of(rig, options.drones, options.targets)
-    rig, hours = fenced(rig, config), config.hours if options.hours is None else options.hours
-    if not hours > 0.0:
-        raise PartError(f"--hours {hours:g} is not above 0", "give the hours that it is to last, such as 2")
+    rig, hours = fenced(rig, config), hours_of(config, options)
     with unless_refused(options.out) as folder:
         tell_line(f"{len(config.drones)} drones, {len(config.targets)} targets, {hours:g} h: {folder}")
         with live(options.live, folder):
@@ -74,7 +71,7 @@ def fly_team(
     """A team's flights to their end; the logs are in ``out``. Returns summary and record."""
     harness: RelayHarness = import_factory(config.harness, rig.where("[team] harness"))()
     kind = RunKind(TEAM, (SUMMARY, PICTURE, PAGE), ("world", *(drone.name for drone in config.drones)))
-    base = TeamBase(config, say, config.hours if options.hours is None else options.hours)
+    base = TeamBase(config, say, hours_of(config, options))
 
     async def main(ground: RelayField, stop: asyncio.Event, emit: Emit) -> None:
         del emit

@@ -31,14 +31,16 @@ from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult
 from missions.work import open_work
 
 NAMES: tuple[str, ...] = tuple(
-    name for name in get_args(TrialName) if name not in ("all", "processes", "rendezvous", "beacon", "soak", "real")
+    name
+    for name in get_args(TrialName)
+    if name not in ("all", "processes", "rendezvous", "beacon", "soak", "fleet", "real")
 )
-"""All that ``all`` runs: ``processes``, ``rendezvous`` and ``soak`` take half an hour each, ``beacon`` is
+"""All that ``all`` runs: ``processes``, ``rendezvous``, ``soak`` and ``fleet`` take half an hour each, ``beacon`` is
 ``dynamic``'s; ``real`` runs when sets are named."""
 SHORT_IN_ALL = ("recall",)
 """Of these ``all`` runs the short form, which shows no goal as met; whole they are asked for by name."""
 RIG = "sim-rendered"
-RIGS = {"beacon": "dynamic", "rendezvous": "sim-field", "soak": "sitl"}
+RIGS = {"beacon": "dynamic", "rendezvous": "sim-field", "soak": "sitl", "fleet": "team-sim"}
 EXIT_FAILED = CommandEnd.FAILED.exit_code
 STYLE: dict[Verdict, str] = {"met": "green", "short": "red", "measured": ""}
 

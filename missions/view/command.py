@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from drivers.interfaces import PartError
 from drivers.log.index import MAGIC
-from drivers.log.mcap_log import LoggedMessage, messages
+from drivers.log.scan import LoggedMessage, messages
 from missions.logs.merge import merge, named_logs
 from missions.options.runs import ViewOptions
 from missions.report.records import MERGED

@@ -55,10 +55,12 @@ def test_all_options_of_a_handoff(monkeypatch: pytest.MonkeyPatch) -> None:
         *faults,
         "--errors",
         "exact",
+        "--scene",
+        "dusk",
         "--out",
         "a/b",
     )
-    assert command == HandoffOptions("sim", 7, 100, 0, ("lookalike", "link_loss=0.3"), "exact", Path("a/b"))
+    assert command == HandoffOptions("sim", 7, 100, 0, ("lookalike", "link_loss=0.3"), "exact", "dusk", Path("a/b"))
 
 
 @pytest.mark.parametrize(

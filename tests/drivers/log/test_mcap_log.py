@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -106,6 +107,22 @@ def test_an_image_of_more_than_8_bits_is_refused_by_name_and_none_of_it_is_cut_o
         log.image("/depth", 1, image)
     assert log.failed == "/depth: the image could not be encoded as JPEG, of 8 bits"
     assert list(read_log(tmp_path / "a.mcap")) == []
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_log_with_a_bit_turned_over_is_read_up_to_there_or_refused(tmp_path: Path, closed: bool) -> None:
+    """Whatever a disk did to it, nothing but ValueError is raised."""
+    log, copy = McapLog(tmp_path / "a.mcap", "D1"), tmp_path / "damaged.mcap"
+    for k in range(12):
+        log.write("/odd" if k % 2 else "/even", k, {"k": k})
+    if closed:
+        log.close()
+    whole = (tmp_path / "a.mcap").read_bytes()
+    log.close()
+    for place in range(0, len(whole), 41):
+        copy.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << place % 8]) + whole[place + 1 :])
+        with suppress(ValueError):
+            assert len(list(read_log(copy))) <= 12
 
 
 def test_a_full_disk_is_remembered_and_stops_nothing() -> None:

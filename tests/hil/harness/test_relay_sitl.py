@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,13 +14,13 @@ import pytest
 from drivers.rig.parts import Rig, with_slow
 from drivers.rig.tables import RigError
 from flight.harness.flights import Progress
-from flight.harness.relay import DroneProcesses, RelayRequest
+from flight.harness.relay import OFTEN, WATCHED, DroneProcesses, RelayRequest
 from hil.harness.children import end, spawn
 from hil.harness.leg_faults import LegFaults
 from hil.harness.live_programs import RECORD
 from hil.harness.realtime import Ending, RealTimeRun
 from hil.harness.relay_sitl import RelaySitl, check_drones, orders_of, report_of
-from hil.harness.relay_sitl_world import field_of
+from hil.harness.relay_sitl_world import RelaySitlWorld, field_of
 from hil.monitors.hindsight import Hindsight
 from hil.world.faults import Fault, parse_fault
 from missions import rig_library
@@ -67,6 +68,17 @@ def test_a_record_is_judged_by_the_truth_of_its_time() -> None:
         hindsight.remember(k * 0.02, truth)
     assert judge.seen(19.0)[0] == {"at": 950}
     assert len(hindsight._truth) < 250
+
+
+def test_programs_that_take_their_frames_up_late_are_found_in_what_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "/frame" in WATCHED and "/frame" in OFTEN  # so that it reaches the world, and is in no log
+    with Path(os.devnull).open() as nothing:
+        monkeypatch.setattr(sys, "stdin", nothing)
+        world = RelaySitlWorld(rig_library.load("team-sitl"), 0, "3", "2", "0.1")
+    for number in range(60):
+        for name, age_s in (("D1", 0.5), ("D2", 0.05)):
+            world.record(name, "/frame", number, {"number": number, "age_ns": round(age_s * 1e9), "bytes": 1})
+    assert world.findings()["overload"] == "D1's program: 60 of 60 frames were late, a tenth by 0.50 s"
 
 
 def test_each_drone_is_its_own_on_the_wire(rig: Rig) -> None:

@@ -10,21 +10,19 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import Kept, PartError, StateError
-from drivers.log.mcap_log import McapLog, read_log
+from drivers.log.mcap_log import read_log
 from drivers.log.state_file import MemoryStore
 from drivers.rig.parts import Rig
 from flight.harness.relay import RelayConfig, RelayReport
 from flight.outcome import Outcome
-from hil.harness.pace import overload_of
-from hil.harness.relay_sitl import frame_ages_s
 from missions import rig_library
 from missions.options.flights import RelayOptions
 from missions.relay.base import Base, Event
 from missions.relay.battery import Gauge
 from missions.relay.command import faults_of, fly_relay, judge, relay_of
 from missions.relay.guidance import keep_clear
-from missions.relay.records import as_first, as_holder, as_relief
-from path.protocol.values import Handoff, ReceiverRecord, SenderRecord
+from missions.relay.records import EPOCHS, as_first, as_holder, as_relief, for_leg
+from path.protocol.values import LAST_EPOCH, Handoff, ReceiverRecord, SenderRecord
 
 LIVE = Handoff(7, 7, 1)
 
@@ -136,6 +134,18 @@ def test_a_record_changes_its_role_and_its_epoch_only_grows() -> None:
             as_holder(kept(ReceiverRecord(7, duty)))
 
 
+def test_the_epochs_of_a_leg_are_above_those_of_the_leg_before_whoever_flew_in_it() -> None:
+    held = Kept(ReceiverRecord(EPOCHS + 1, "holding", LIVE, 5), same_clock=True)
+    gave_away = Kept(SenderRecord(EPOCHS, "handed_over", LIVE, 5), same_clock=True)  # in the last attempt of leg 1
+    found = Kept(SenderRecord(0, "mine"), same_clock=True)  # another target, just now
+    assert for_leg(found, 1) == SenderRecord(0, "mine")
+    assert for_leg(found, 2).epoch + 1 >= as_relief(gave_away).epoch
+    assert for_leg(held, 2) == SenderRecord(EPOCHS + 1, "mine")  # never back
+    assert for_leg(found, 60_000).epoch == LAST_EPOCH - EPOCHS
+    with pytest.raises(ValueError, match="observing"):
+        for_leg(Kept(ReceiverRecord(7), same_clock=True), 2)
+
+
 def test_the_gauge_believes_what_it_sees_but_no_single_drop() -> None:
     gauge = Gauge(1000.0, 0.25)
     gauge.note(0.0, 1.0)
@@ -179,12 +189,3 @@ def test_a_relay_on_a_computer_that_is_too_slow_is_blamed_on_nobody(rig: Rig, tm
     assert judge(base, replace(report, overload=""))[0] is Outcome.TARGET_LOST
     assert judge(base, replace(report, failure="the world did not come up"))[0] is Outcome.OVERLOADED
     assert judge(base, replace(report, violations={"S1": 1}))[0] is Outcome.MONITOR_VIOLATED
-
-
-def test_late_programs_are_read_from_their_logs(tmp_path: Path) -> None:
-    for name, age_s in (("D1", 0.5), ("D2", 0.05)):
-        with McapLog(tmp_path / f"{name}.mcap") as log:
-            for number in range(60):
-                log.write("/frame", number + 1, {"number": number, "age_ns": round(age_s * 1e9), "bytes": 1})
-    said = overload_of(frame_ages_s(tmp_path, ("D1", "D2", "D3")), {})
-    assert said == "D1's program: 60 of 60 frames were late, a tenth by 0.50 s"

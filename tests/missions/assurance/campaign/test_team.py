@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from hil.world.faults import parse_fault
 from missions import rig_library
 from missions.assurance.campaign.run import RunOrder
-from missions.assurance.campaign.team_runs import HOSTILE, draw, fly
+from missions.assurance.campaign.team_runs import HOSTILE, draw, fly, named
 from missions.options.words import LevelName
 from missions.team.config import team_of
 
@@ -23,7 +25,7 @@ def test_every_drawn_fault_can_be_ordered_and_teams_differ(level: LevelName) -> 
         assert 2 * plan.targets <= plan.drones <= len(CONFIG.drones) and len(plan.moved_m) == plan.targets
         kinds |= {parse_fault(fault.rpartition(":")[2]).name for fault in plan.faults}
     assert {plan.targets for plan in plans} == {1, 2, 3}
-    links = {"link_loss", "link_jitter"}
+    links = {"link_loss", "link_jitter", "link_duplicate", "link_corrupt", "link_reorder"}
     assert (
         kinds
         == {
@@ -33,6 +35,16 @@ def test_every_drawn_fault_can_be_ordered_and_teams_differ(level: LevelName) -> 
             "hostile": links | {*HOSTILE, "link_out"},
         }[level]
     )
+
+
+def test_the_target_that_was_observed_least_counts() -> None:
+    def summary(**observed: float | None) -> dict[str, Any]:
+        return {"outcome": "committed", "observed_percent": observed}
+
+    assert named(summary(A=100.0, B=99.0, C=None, all=99.6)) == "committed"  # C was never named
+    assert named(summary(A=100.0, B=98.9, all=99.5)) == "observed < 99 %"
+    assert named(summary(A=None, all=None)) == "observed < 99 %"
+    assert named({"outcome": "wrong_object"}) == "violated"
 
 
 def test_a_team_of_a_campaign_flies() -> None:

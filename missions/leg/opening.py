@@ -1,0 +1,61 @@
+"""The opening of a role's parts, and the session that is made of them."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import random
+from contextlib import AsyncExitStack
+
+import cv2
+
+from drivers.interfaces import Clock, Link, Log, Perception, Vehicle
+from drivers.mavlink.guard_interfaces import GuardLine
+from drivers.mavlink.guard_line import UdpGuardLine
+from drivers.rig.parts import PartSpec, Rig, create, part_context
+from drivers.stages import Stages
+from flight.config import MissionConfig
+from flight.harness.flights import Emit, InProcess
+from flight.under_guard import UnderGuard
+from missions.leg.session import RoleSession
+from path.marker.warm_up import warm_up
+from path.messages import Role
+
+
+async def open_session(
+    stack: AsyncExitStack,
+    rig: Rig,
+    role: Role,
+    config: MissionConfig,
+    log: Log,
+    emit: Emit,
+    stop: asyncio.Event,
+    harness: InProcess | None,
+) -> RoleSession:
+    """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after. Raises PartError."""
+    cv2.setNumThreads(1)  # frames are small: more threads cost more than they gain, and take the other processes' cores
+    warm_up(images=harness is None or "camera" in rig.role(role).perception.options)
+    if harness is None:
+        gc.freeze()  # what is loaded by now stays: collections in flight need not walk it, for 0.1 s each
+    context = part_context(rig, role, harness)
+    own = rig.role(role)
+    link: Link = await stack.enter_async_context(create(own.link, context))
+    perception: Perception = await stack.enter_async_context(create(own.perception, context))
+    vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
+    entropy = entropy_of(role.value, context.clock, harness)
+    guard: UnderGuard | None = None
+    if own.guard is not None:
+        line = guard_line_of(own.guard, role, context.clock, harness)
+        guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
+    parts = (context.clock, vehicle, perception, link)
+    return RoleSession(rig, role, config, log, emit, stop, parts, entropy, guard, Stages() if harness is None else None)
+
+
+def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Random:
+    """Returns a program's source of chance; in virtual time from the seed, and after a restart not the same again."""
+    return random.SystemRandom() if harness is None else random.Random(f"{name} {clock.now_ns()} {harness.seed}")
+
+
+def guard_line_of(guard: PartSpec, role: Role, clock: Clock, harness: InProcess | None) -> GuardLine:
+    """A program's way to its role's guard."""
+    return UdpGuardLine(str(guard.options.get("bind", "")), clock) if harness is None else harness.guard_line(role)

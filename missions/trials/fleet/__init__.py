@@ -1,0 +1,1 @@
+"""The cost of a team by its size."""
