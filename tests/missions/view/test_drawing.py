@@ -15,7 +15,7 @@ from mcap.records import Schema
 
 from drivers.interfaces import PartError
 from drivers.log.index import MAGIC
-from drivers.log.mcap_log import LoggedMessage, messages
+from drivers.log.scan import LoggedMessage, messages
 from missions.options.runs import ViewOptions
 from missions.view import command
 from missions.view.command import run as run_view
