@@ -23,7 +23,7 @@ from missions import rig_library
 from missions.ground_station import name_ground_station
 from missions.handoff.served import check_served, tell_commands, waiting_for
 from missions.lateness import for_lateness
-from missions.leg.process import fly_role, load_programs
+from missions.leg.process import fly_role, load_program
 from missions.live.start import live
 from missions.options.flights import FlyOptions, HandoffOptions
 from missions.options.proofs import ConformanceOptions
@@ -207,7 +207,7 @@ def fly_once(
     """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was asked wrongly."""
     harness = harness_of(rig)
     if rig.level in IN_PROCESS:
-        load_programs()  # not while the run's time is measured
+        load_program()  # not while the run's time is measured
 
     def command(role: Role) -> Sequence[str]:
         if programs.elsewhere:

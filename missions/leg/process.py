@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
 from pathlib import Path
 
 from drivers.interfaces import Log, RecordStore
@@ -16,24 +15,17 @@ from path.messages import Role
 
 
 async def fly_role(
-    rig: Rig,
-    role: Role,
-    log: Log,
-    emit: Emit,
-    stop: asyncio.Event,
-    harness: InProcess | None,
-    store: RecordStore,
+    rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None, store: RecordStore
 ) -> RoleResult:
     """The program of either role in the world's own process (``flight.harness.flights.RoleMain``)."""
-    return await load_programs()[role](rig, role, log, emit, stop, harness, store)
+    return await load_program()(rig, role, log, emit, stop, harness, store)
 
 
-def load_programs() -> Mapping[Role, RoleMain]:
-    """Import both roles' programs, which takes a while: who only starts processes does without."""
-    from missions.leg.receiver import run_receiver  # noqa: PLC0415
-    from missions.leg.sender import run_sender  # noqa: PLC0415
+def load_program() -> RoleMain:
+    """Imports the roles' program, which takes a while: who only starts processes does without."""
+    from missions.leg.role import fly  # noqa: PLC0415
 
-    return {Role.SENDER: run_sender, Role.RECEIVER: run_receiver}
+    return fly
 
 
 def run_role(
@@ -47,7 +39,7 @@ def run_role(
         parent: events go to stdout as lines of JSON, and a closed stdin means that the parent is gone: stop.
         main: the role's program.
     """
-    load_programs()
+    load_program()
     with McapLog(new_part(out, role.value), role.value) as log:
         store, told = StateFile(state, role), _to_parent if parent else emit
         result = asyncio.run(_run(rig, role, log, store, told, parent, main))

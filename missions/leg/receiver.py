@@ -5,18 +5,15 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from contextlib import AsyncExitStack
 from typing import Any
 
 import numpy as np
 
-from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
-from drivers.rig.parts import Rig
+from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
 from flight.camera_pose import CameraPose
 from flight.config import MissionConfig
 from flight.guard import check_separation
 from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, norm, subtract
-from flight.harness.flights import Emit, InProcess, RoleResult
 from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
@@ -24,7 +21,6 @@ from flight.rendezvous import Rendezvous
 from flight.target_track import TargetTrack
 from flight.tracking import follow, place
 from flight.viewpoint import NoViewpoint
-from missions.leg.course import fly_course
 from missions.leg.handover import ReceiverHandover
 from missions.leg.journal import (
     attempt_record,
@@ -36,12 +32,10 @@ from missions.leg.journal import (
     motion_record,
     track_record,
 )
-from missions.leg.opening import open_session
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, preflight, take_off
-from missions.rig_library import mission_of
 from path.geometry import Matrix, Pose
-from path.messages import Candidate, Role, Status, Target
+from path.messages import Candidate, Status, Target
 from path.observations import Depth, Missed
 from path.prior import Prior
 from path.protocol.values import Handoff
@@ -57,23 +51,6 @@ _REPLAN_S = 0.5
 _PEER_POLL_S = 0.25
 _LOOK_S = 0.05
 _FINDING = (Phase.STAND_OFF, Phase.SEARCH, Phase.APPROACH)
-
-
-async def run_receiver(
-    rig: Rig,
-    role: Role,
-    log: Log,
-    emit: Emit,
-    stop: asyncio.Event,
-    harness: InProcess | None,
-    store: RecordStore,
-) -> RoleResult:
-    """The receiver's whole program. ``store`` keeps what it has to know after a restart. Raises PartError."""
-    config = mission_of(rig)
-    async with AsyncExitStack() as stack:
-        session = await open_session(stack, rig, role, config, log, emit, stop, harness)
-        receiver = Receiver(session, store)
-        return await fly_course(session, receiver.course, receiver.recover)
 
 
 class Receiver:
@@ -242,7 +219,7 @@ class Receiver:
         """Look at every frame, at some once the target is held. Raises CameraError when the camera stops."""
         session, guard = self._session, self._config.guard
         while self._watching:
-            view = await session.view(guard.frame_age_s)
+            view = await session.frames.view(guard.frame_age_s)
             session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._rendezvous.tilt.note(R_n_b)
@@ -250,7 +227,7 @@ class Receiver:
                 self._follow_once(view, R_n_b)
             else:
                 self._cycle_once(view, R_n_b)
-            session.log_image(view)
+            session.frames.log_image(view)
             self._seen = view
             if session.phase is Phase.FOLLOW:
                 await session.skip_frames()
@@ -275,7 +252,7 @@ class Receiver:
         T_n_c = self._camera_pose.T_n_c(stamp_ns, R_n_b)
         motion = self._motion()
         self._marker.note_motion(motion)
-        self._marker.search_every = session.shedding.search_every
+        self._marker.search_every = session.frames.shedding.search_every
         with session.stage("marker"):
             fix = self._marker.look(view, T_n_c.R, gravity_v, self._camera_pose.gravity_c(R_n_b))
         with session.stage("log"):
@@ -352,7 +329,7 @@ class Receiver:
         held = self._handover.holds
         self._handover.on_message(received)
         if self._handover.holds and not held and self._seen is not None:
-            self._session.log_image(self._seen, wanted=True)
+            self._session.frames.log_image(self._seen, wanted=True)
         if isinstance(received.message, Target):
             self._on_target(received.message)
 

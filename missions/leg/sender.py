@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import math
-from contextlib import AsyncExitStack
 from dataclasses import replace
 
-from drivers.interfaces import Log, Received, RecordStore, VehicleState, VelocitySetpoint, View
-from drivers.rig.parts import Rig
+from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
 from flight.acquisition import Acquisition
 from flight.camera_pose import CameraPose
 from flight.config import Designated, MissionConfig
 from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, subtract
-from flight.harness.flights import Emit, InProcess, RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.target_track import TargetTrack
 from flight.tilt import Tilt
 from flight.tracking import Sighting, follow
-from missions.leg.course import fly_course
 from missions.leg.handover import SenderHandover
 from missions.leg.journal import (
     agreement_record,
@@ -31,12 +27,10 @@ from missions.leg.journal import (
     target_record,
     track_record,
 )
-from missions.leg.opening import open_session
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, preflight, take_off
-from missions.rig_library import mission_of
 from path.geometry import Matrix
-from path.messages import Candidate, Role, Target
+from path.messages import Candidate, Target
 from path.observations import Missed, MissReason
 from path.rotation import yaw_of
 from path.sender import PairVerdict, SenderCycle
@@ -44,23 +38,6 @@ from path.window import Gate
 
 _PEER_POLL_S = 0.25
 _WIDER = 1.4  # times the distance, to see it again
-
-
-async def run_sender(
-    rig: Rig,
-    role: Role,
-    log: Log,
-    emit: Emit,
-    stop: asyncio.Event,
-    harness: InProcess | None,
-    store: RecordStore,
-) -> RoleResult:
-    """The sender's whole program. ``store`` keeps what it has to know after a restart. Raises PartError."""
-    config = mission_of(rig)
-    async with AsyncExitStack() as stack:
-        session = await open_session(stack, rig, role, config, log, emit, stop, harness)
-        sender = Sender(session, store)
-        return await fly_course(session, sender.course, sender.recover)
 
 
 class Sender:
@@ -231,11 +208,11 @@ class Sender:
         """Look at every frame while the receiver is near, else at some. Raises CameraError when the camera stops."""
         session = self._session
         while self._watching:
-            view = await session.view(self._config.guard.frame_age_s)
+            view = await session.frames.view(self._config.guard.frame_age_s)
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._tilt.note(R_n_b)
             if self._track is None:
-                if session.records_frames:
+                if session.frames.recorded:
                     self._log_view(view, R_n_b)
                 self._try_to_acquire(view, R_n_b)
             else:
@@ -294,7 +271,7 @@ class Sender:
             for pair in pairs:
                 self._note_pair(pair, cycle.gate)
         if cycle.gate.complete and not self._handover.released:
-            session.log_image(view, wanted=True)
+            session.frames.log_image(view, wanted=True)
             self._handover.agreed(self._config.target_id)
 
     # --- messages and records ------------------------------------------------------------------------------------
@@ -330,7 +307,7 @@ class Sender:
 
     def _log_view(self, view: View, R_n_b: Matrix) -> None:
         session = self._session
-        T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b) if session.records_frames else None
+        T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b) if session.frames.recorded else None
         session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns(), T_n_c))
 
     def _log_frame(self, view: View, seen: Sighting | MissReason, message: Target | Missed, now_ns: int) -> None:
@@ -345,4 +322,4 @@ class Sender:
         if isinstance(seen, MissReason):
             record["reason"] = seen.value
         session.log.write("/target", view.stamp_ns, record)
-        session.log_image(view)
+        session.frames.log_image(view)

@@ -12,14 +12,11 @@ from typing import Any
 
 from drivers.interfaces import (
     Clock,
-    Framed,
-    FrameLog,
     Link,
     Log,
     Perception,
     Received,
     Vehicle,
-    View,
     Wary,
 )
 from drivers.mavlink.guard_interfaces import NOWHERE, Beat, Script
@@ -31,9 +28,10 @@ from flight.harness.flights import Emit, Progress
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
-from flight.shedding import BEAT_S, Shedding
+from flight.shedding import BEAT_S
 from flight.under_guard import UnderGuard
 from missions.leg.ends import as_end
+from missions.leg.frames import Frames
 from missions.leg.link_alarm import LinkAlarm
 from path.messages import Ping, Pong, Role, Status
 from path.protocol.values import TakeResponsibility
@@ -86,7 +84,6 @@ class RoleSession:
     ) -> None:
         self.guard = guard
         self._stages = stages  # None in virtual time, in which logs tell nothing of the machine
-        self.shedding = Shedding()
         self.script = Script.IDLE
         self._measured_m = math.nan
         self.rig = rig
@@ -100,6 +97,7 @@ class RoleSession:
         self._wary = parts[1] if isinstance(parts[1], Wary) else None
         self._ignored: set[str] = set()  # kinds of what the crew was told not to be believed
         self.clock, self.vehicle, self.perception, self.link = parts
+        self.frames = Frames(self.perception, self.clock, config, log)
         self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
         self.alignment = ClockAlignment()
         self.phase = Phase.PREFLIGHT
@@ -115,8 +113,6 @@ class RoleSession:
         self._spawned: list[asyncio.Task[None]] = []
         self._emit = emit
         self._pings = 0
-        self._image_ns = -(1 << 62)
-        self._frames = log if config.record == "all" and isinstance(log, FrameLog) else None
         self._traffic: list[tuple[float, int]] = []
 
     # --- time and waiting ---------------------------------------------------------------------------------------
@@ -219,7 +215,7 @@ class RoleSession:
         while self._stages is not None:
             due_s = loop.time() + BEAT_S
             await asyncio.sleep(BEAT_S)
-            changed = self.shedding.beat(loop.time() - due_s)
+            changed = self.frames.shedding.beat(loop.time() - due_s)
             if changed is not None:
                 record = {"what": changed.what, "gone": changed.gone, "busy": changed.busy}
                 self.log.write("/shed", self.now_ns(), record)
@@ -282,40 +278,6 @@ class RoleSession:
             self._traffic.pop(0)
         first_s, first = self._traffic[0]
         return (total - first) / (now_s - first_s) if now_s > first_s else 0.0
-
-    @property
-    def records_frames(self) -> bool:
-        """Returns whether every frame is recorded, so that perception can be run again."""
-        return self._frames is not None
-
-    async def view(self, timeout_s: float) -> View:
-        """The newest view not yet given, recorded if the rig says so. Raises CameraError when none came in time.
-
-        On a computer that does not keep up frames are left out before it.
-        """
-        wait_s = self.shedding.until_next_s(self.now_ns())
-        if wait_s > 0.0:
-            await asyncio.sleep(wait_s)
-        view = await self.perception.view(timeout_s)
-        self.shedding.took(view.frame_id, view.stamp_ns, self.now_ns())
-        if self._frames is not None and isinstance(view, Framed):
-            self._frames.frame(view.frame)
-        return view
-
-    def log_image(self, view: View, wanted: bool = False) -> None:
-        """Log the camera's image, ``image_hz`` times a second at the most, unless this one is ``wanted``.
-
-        At 0 those alone are logged, and none when the rig records none.
-        """
-        if self.config.record == "none":
-            return
-        period_ns = round(1e9 / self.config.image_hz) if self.config.image_hz > 0.0 else 1 << 63
-        if view.stamp_ns - self._image_ns < (1 if wanted else period_ns) or not (wanted or self.shedding.pictures):
-            return
-        image = view.image()
-        if image is not None:
-            self._image_ns = view.stamp_ns
-            self.log.image("/image", view.stamp_ns, image)
 
     # --- background tasks ----------------------------------------------------------------------------------------
 

@@ -114,9 +114,9 @@ class Drone:
     async def look(self, within_s: float | None = None) -> View:
         """The newest camera frame not yet looked at, logged. Ends the mission as ``camera_lost`` when none comes."""
         session = self._session
-        view = await session.view(session.config.guard.frame_age_s if within_s is None else within_s)
+        view = await session.frames.view(session.config.guard.frame_age_s if within_s is None else within_s)
         session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
-        session.log_image(view)
+        session.frames.log_image(view)
         return view
 
     def camera_pose(self, view: View) -> Pose:

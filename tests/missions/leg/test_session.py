@@ -470,11 +470,11 @@ def test_images_are_logged_at_their_rate_and_when_wanted(rig: Any) -> None:
         bench = Bench(rig, MissionConfig(image_hz=2.0))
         pixels = np.zeros((2, 2, 3), np.uint8)
         for k in range(101):
-            bench.session.log_image(cast(Any, FakeView(k * 20_000_000, pixels)))
+            bench.session.frames.log_image(cast(Any, FakeView(k * 20_000_000, pixels)))
         assert bench.log.images == [0, 500_000_000, 1_000_000_000, 1_500_000_000, 2_000_000_000]
-        bench.session.log_image(cast(Any, FakeView(2_020_000_000, pixels)), wanted=True)
-        bench.session.log_image(cast(Any, FakeView(2_020_000_000, pixels)), wanted=True)  # the same frame
-        bench.session.log_image(cast(Any, FakeView(2_040_000_000, None)), wanted=True)
+        bench.session.frames.log_image(cast(Any, FakeView(2_020_000_000, pixels)), wanted=True)
+        bench.session.frames.log_image(cast(Any, FakeView(2_020_000_000, pixels)), wanted=True)  # the same frame
+        bench.session.frames.log_image(cast(Any, FakeView(2_040_000_000, None)), wanted=True)
         assert bench.log.images[5:] == [2_020_000_000]
 
     virtual(main())
@@ -491,7 +491,7 @@ def test_without_a_rate_only_wanted_images_are_logged(rig: Any) -> None:
     async def main() -> None:
         bench = Bench(rig, MissionConfig(image_hz=0.0))
         for k in range(3):
-            bench.session.log_image(cast(Any, FakeView(k * 1_000_000_000)), wanted=k == 1)
+            bench.session.frames.log_image(cast(Any, FakeView(k * 1_000_000_000)), wanted=k == 1)
         assert bench.log.images == [1_000_000_000]
 
     virtual(main())
@@ -505,9 +505,9 @@ def test_pictures_go_first_but_not_the_wanted_ones(rig: Any) -> None:
 
     async def look() -> list[int]:
         bench = Bench(rig)
-        bench.session.shedding.gone = 1
-        bench.session.log_image(view)
-        bench.session.log_image(view, wanted=True)
+        bench.session.frames.shedding.gone = 1
+        bench.session.frames.log_image(view)
+        bench.session.frames.log_image(view, wanted=True)
         return bench.log.images
 
     assert asyncio.run(look()) == [view.stamp_ns]
