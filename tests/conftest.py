@@ -35,13 +35,14 @@ REAL_TIME = (
     "drivers/",
     "hil/",
     "missions/assurance/conformance/",
+    "missions/test_bad_inputs.py::test_a_signal",
     "missions/test_cli",
     "missions/doctor/",
     "missions/guard/test_command",
     "missions/leg/test_restart",
     "missions/leg/test_session",
     "missions/test_work",
-    "missions/trials/beacon/test_trial",
+    "missions/trials/beacon/test_trial.py::test_a_listener_on",
     "missions/trials/link/test_trial",
     "missions/assurance/verify/test_attack",
     "missions/assurance/verify/test_run",
@@ -50,6 +51,19 @@ REAL_TIME = (
     "scenarios/test_relay_sitl",
     "scenarios/test_sitl",
     "scenarios/test_unplugged",
+)
+# What of these only computes.
+COMPUTES = (
+    "contracts/test_log_for_strangers",
+    "drivers/detectors/",
+    "hil/autopilot/",
+    "hil/camera/test_pictures",
+    "hil/camera/test_pipeline",
+    "hil/geometric/",
+    "hil/monitors/",
+    "hil/montecarlo/",
+    "hil/render/",
+    "hil/world/",
 )
 IN_REAL_TIME = "real time"
 BEGUN = pytest.StashKey[bool]()
@@ -61,8 +75,11 @@ settings.load_profile("steady")
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """All tests on two cores; some of them without workers, which take seconds to start and cannot show output."""
-    return 2 if config.args_source is config.ArgsSource.TESTPATHS else 0
+    """All tests on two cores: what is in real time waits half of its time, and two other workers compute meanwhile.
+
+    Some of the tests are run without workers, which take seconds to start and cannot show output.
+    """
+    return 3 if config.args_source is config.ArgsSource.TESTPATHS else 0
 
 
 class Groups(LoadScopeScheduling):
@@ -76,10 +93,12 @@ class Groups(LoadScopeScheduling):
 
 
 def group_of(nodeid: str) -> str:
-    name = nodeid.split("::", maxsplit=1)[0].removeprefix("tests/")
-    if name.startswith(APART):
+    test = nodeid.removeprefix("tests/")
+    if test.startswith(APART):
         return nodeid
-    return IN_REAL_TIME if name.startswith(REAL_TIME) else name
+    if test.startswith(REAL_TIME) and not test.startswith(COMPUTES):
+        return IN_REAL_TIME
+    return test.split("::", maxsplit=1)[0]
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:
@@ -87,7 +106,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """The worker that begins with what only computes lets the other one go first: its limits are in seconds."""
+    """A worker that begins with what only computes lets the other go first whose limits are in seconds."""
     if "PYTEST_XDIST_WORKER" in os.environ and not item.config.stash.get(BEGUN, False):
         item.config.stash[BEGUN] = True
         if group_of(item.nodeid) != IN_REAL_TIME:
