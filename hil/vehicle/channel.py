@@ -65,6 +65,13 @@ class UdpChannel:
             self._due_s[message] = (at_s if late else due_s) + interval_s
             yield message
 
+    def interval_us(self, message: int) -> int:
+        """A stream's interval as MESSAGE_INTERVAL tells it: -1 when it is not sent, 0 when it is not known."""
+        if message not in STREAMS:
+            return 0
+        interval_s = self._intervals_s.get(message)
+        return -1 if interval_s is None else round(interval_s * 1e6)
+
     def set_interval(self, message: int, interval_us: int, at_s: float) -> bool:
         """Sets a stream's interval as MAV_CMD_SET_MESSAGE_INTERVAL asks: 0 is the default rate, -1 ends it.
 

@@ -17,7 +17,7 @@ from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.link.key import signing_time
 from drivers.mavlink.geodesy import LocalTangent
 from hil.autopilot.autopilot import Ack
-from hil.autopilot.radio import CHANNELS
+from hil.vehicle.answers import NOT_FOLLOWED, OLDER_REQUESTS, STICKS, answer, height_above_sea_m, is_meant, sticks_of
 from hil.vehicle.channel import Address, UdpChannel
 from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, FlightInstant, MavlinkDrone
 from hil.vehicle.parameters import Parameters
@@ -29,15 +29,9 @@ UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
 NOT_NOW = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 FORCE_MAGIC = 21196.0
 
-MISSION_ANSWERS: dict[str, Callable[[Any], Any]] = {
-    "MISSION_REQUEST_LIST": lambda asked: mavlink.MAVLink_mission_count_message(*_from(asked), 0, asked.mission_type),
-    "MISSION_COUNT": lambda asked: _mission_ack(asked, mavlink.MAV_MISSION_UNSUPPORTED),
-    "MISSION_CLEAR_ALL": lambda asked: _mission_ack(asked, mavlink.MAV_MISSION_ACCEPTED),
-}
-"""It has no mission, fence points or rally points, and takes none; a ground station waits for answers yet."""
-
 # POSITION_TARGET_TYPEMASK
 IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW, IGNORE_YAW_RATE = 0b111, 0b111000, 1 << 10, 1 << 11
+LARGEST_ID = 0xFFFF  # of a message, in MESSAGE_INTERVAL
 TURN_LEAD_RAD = 0.5  # how far ahead of the nose a rate commands the heading, at most
 TURN_PAUSE_S = 0.5  # after so long without one a rate begins from the heading as it is
 
@@ -198,7 +192,7 @@ class MavlinkVehicle:
     def _take(self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address) -> None:
         if self.tap is not None:
             self.tap(flight.now_s, message)
-        if getattr(message, "target_system", self._config.sysid) not in (0, self._config.sysid):
+        if not is_meant(message, self._config.sysid):
             return
         kind = message.get_type()
         self.received[kind] += 1
@@ -210,14 +204,17 @@ class MavlinkVehicle:
             flight.autopilot.companion_heard(flight.now_s)
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self._send(channel, mavlink.MAVLink_timesync_message(round(flight.now_s * 1e9) + 1, message.ts1), sender)
-        elif kind == "RC_CHANNELS_OVERRIDE":
-            channels = [getattr(message, f"chan{number}_raw") for number in range(1, CHANNELS + 1)]
-            flight.autopilot.radio.override(flight.now_s, channels)
-        elif kind in MISSION_ANSWERS:
-            self._send(channel, MISSION_ANSWERS[kind](message), sender)
+        elif kind in STICKS:
+            flight.autopilot.radio.override(flight.now_s, sticks_of(message))
+        elif kind == "SET_MODE":
+            self._set_old_mode(flight, message, channel, sender)
+        elif kind in NOT_FOLLOWED:
+            self._refuse_setpoint(flight, kind)
         elif kind.startswith("PARAM_"):
-            for answer in self._parameters.answer(message):
-                self._send(channel, answer, sender)
+            for value in self._parameters.answer(message):
+                self._send(channel, value, sender)
+        elif (said := answer(message)) is not None:
+            self._send(channel, said, sender)
 
     def _setpoint(self, flight: FlightInstant, message: Any) -> None:
         """Velocity, position by a proportional loop, or both, in MAV_FRAME_LOCAL_NED.
@@ -227,7 +224,7 @@ class MavlinkVehicle:
         """
         mask, frame = message.type_mask, message.coordinate_frame
         if frame not in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_NED):
-            self._refuse_frame(flight, frame)
+            self._refuse_setpoint(flight, f"SET_POSITION_TARGET_LOCAL_NED frame {frame}")
             return
         own = frame == mavlink.MAV_FRAME_BODY_NED
         by_velocity, by_position = not mask & IGNORE_VELOCITY, not own and not mask & IGNORE_POSITION
@@ -262,21 +259,23 @@ class MavlinkVehicle:
         self._turning = goal, flight.now_s
         return goal
 
-    def _refuse_frame(self, flight: FlightInstant, frame: int) -> None:
-        """Says once a second that setpoints in a frame are not followed: they have no answer of their own."""
+    def _refuse_setpoint(self, flight: FlightInstant, what: str) -> None:
+        """Says once a second that such setpoints are not followed: they have no answer of their own."""
         if flight.now_s - self._refused_s < 1.0:
             return
         self._refused_s = flight.now_s
-        text = f"SET_POSITION_TARGET_LOCAL_NED frame {frame} unsupported"
+        text = f"{what} unsupported".encode()[:50]
         for channel in self._channels:
-            self._send(channel, mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, text.encode()[:50]))
+            self._send(channel, mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, text))
 
     def _command(self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address) -> None:
         command = message.command
         after: int | None = None
-        if command == mavlink.MAV_CMD_REQUEST_MESSAGE:
-            after = _whole(message.param1)
+        if command == mavlink.MAV_CMD_REQUEST_MESSAGE or command in OLDER_REQUESTS:
+            after = OLDER_REQUESTS.get(command, _whole(message.param1))
             result = DENIED if after not in STREAMS else ACCEPTED
+        elif command == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
+            result = self._tell_interval(channel, message, sender)
         elif command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             result = self._set_interval(flight, channel, message)
         elif command in self._commands:
@@ -285,10 +284,13 @@ class MavlinkVehicle:
             result = UNSUPPORTED
         if after is not None and result == ACCEPTED and STREAMS[after][0](flight) is None:
             result = NOT_NOW
-        to = message.get_srcSystem(), message.get_srcComponent()
-        self._send(channel, mavlink.MAVLink_command_ack_message(command, result, 255, 0, *to), sender)
+        self._acknowledge(channel, message, command, result, sender)
         if after is not None and result == ACCEPTED:
             self._send_message(flight, channel, after)
+
+    def _acknowledge(self, channel: UdpChannel, message: Any, command: int, result: int, sender: Address) -> None:
+        to = message.get_srcSystem(), message.get_srcComponent()
+        self._send(channel, mavlink.MAVLink_command_ack_message(command, result, 255, 0, *to), sender)
 
     def _set_interval(self, flight: FlightInstant, channel: UdpChannel, message: Any) -> int:
         which, interval_us = _whole(message.param1), _whole(message.param2)
@@ -298,6 +300,14 @@ class MavlinkVehicle:
             return ACCEPTED  # and goes on as it did
         return ACCEPTED if channel.set_interval(which, interval_us, flight.estimate.time_s) else DENIED
 
+    def _tell_interval(self, channel: UdpChannel, message: Any, sender: Address) -> int:
+        which = _whole(message.param1)
+        if which is None or not 0 <= which <= LARGEST_ID:
+            return DENIED
+        interval_us = channel.interval_us(which)
+        self._send(channel, mavlink.MAVLink_message_interval_message(which, interval_us), sender)
+        return ACCEPTED
+
     def _arm(self, flight: FlightInstant, message: Any) -> int:
         arm = _whole(message.param1)
         if arm not in (0, 1):
@@ -306,14 +316,23 @@ class MavlinkVehicle:
 
     def _take_off(self, flight: FlightInstant, message: Any) -> int:
         """Takes off. Without an altitude, and MAVSDK gives none, the height is MIS_TAKEOFF_ALT over home."""
-        home, altitude_m = flight.autopilot.home_n_m, float(getattr(message, "param7", math.nan))
+        home, altitude_m = flight.autopilot.home_n_m, height_above_sea_m(message)
+        if altitude_m is None:
+            return DENIED
         height_m = self._parameters.take_off_m
         if home is not None and math.isfinite(altitude_m):
             height_m = altitude_m - self._tangent.to_global(*home)[2]
         return _result(flight.autopilot.request_takeoff(flight.now_s, height_m))
 
+    def _set_old_mode(self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address) -> None:
+        """SET_MODE, which DO_SET_MODE has followed: PX4 takes it, and answers as if it had been that command."""
+        result = self._select(flight, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24 & 0xFF)
+        self._acknowledge(channel, message, mavlink.MAV_CMD_DO_SET_MODE, result, sender)
+
     def _set_mode(self, flight: FlightInstant, message: Any) -> int:
-        main, sub = _whole(message.param2), _whole(message.param3)
+        return self._select(flight, _whole(message.param2), _whole(message.param3))
+
+    def _select(self, flight: FlightInstant, main: int | None, sub: int | None) -> int:
         if main in PILOT_MODES:
             return self._request(flight, FlightMode.OTHER, by_pilot=True)
         if main == OFFBOARD:
@@ -326,14 +345,6 @@ class MavlinkVehicle:
 
     def _request(self, flight: FlightInstant, mode: FlightMode, by_pilot: bool = False) -> int:
         return _not_now(flight.autopilot.request_mode(flight.now_s, mode, by_pilot))
-
-
-def _from(message: Any) -> tuple[int, int]:
-    return message.get_srcSystem(), message.get_srcComponent()
-
-
-def _mission_ack(asked: Any, result: int) -> Any:
-    return mavlink.MAVLink_mission_ack_message(*_from(asked), result, asked.mission_type)
 
 
 def _frames(packet: bytes) -> Iterator[bytearray]:

@@ -35,8 +35,8 @@ NAMES: tuple[str, ...] = tuple(
     for name in get_args(TrialName)
     if name not in ("all", "processes", "rendezvous", "beacon", "soak", "fleet", "real")
 )
-"""All that ``all`` runs: ``processes``, ``rendezvous``, ``soak`` and ``fleet`` take half an hour each, ``beacon`` is
-``dynamic``'s; ``real`` runs when sets are named."""
+"""All that ``all`` runs: ``processes``, ``rendezvous`` and ``soak`` take half an hour each, ``fleet`` a quarter,
+``beacon`` is ``dynamic``'s; ``real`` runs when sets are named."""
 SHORT_IN_ALL = ("recall",)
 """Of these ``all`` runs the short form, which shows no goal as met; whole they are asked for by name."""
 RIG = "sim-rendered"

