@@ -67,6 +67,7 @@ class Autopilot:
         self.landed = True
         self.battery = 1.0
         self.pilot_in_control = False
+        self.pilots_mode: FlightMode | None = None  # the newest that a pilot selected
         self.altitude_error_m = 0.0  # of what it takes for its altitude above the sea; its local frame has none of it
         self._home_error_m = 0.0  # as it was when home was set
         self.failsafe = ""  # which of its own holds it or brings it down, until somebody changes the mode
@@ -188,7 +189,7 @@ class Autopilot:
             return self._refuse(now_s, "Mode denied: battery low, landing")
         self.failsafe = "" if by_pilot or mode is not self.mode else self.failsafe
         if by_pilot:
-            self.pilot_in_control = True
+            self.pilot_in_control, self.pilots_mode = True, mode
             self._say(now_s, Severity.INFO, f"Pilot selected {mode.value}")
         if mode is not self.mode or self._offboard_lost_s is not None:
             self._enter(now_s, mode)
@@ -233,7 +234,7 @@ class Autopilot:
 
     def _arm(self, now_s: float) -> None:
         self.armed, self._armed_s, self._landed_s = True, now_s, None
-        self.pilot_in_control = False
+        self.pilot_in_control, self.pilots_mode = False, None
         self._radio_optional = not self._pilot.heard
         self.home_n_m, self._home_error_m = self._estimate.position_n_m, self.altitude_error_m
         if self.mode is not FlightMode.OFFBOARD:

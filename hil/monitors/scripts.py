@@ -48,6 +48,7 @@ class VehicleTruth:
         setpoint_s: when the newest setpoint arrived, world's clock.
         position_n_m: true, north, east, down.
         sees_target: the target's middle is in its camera's image.
+        pilots_mode: the newest that the pilot selected, where that is known.
     """
 
     mode: FlightMode
@@ -60,6 +61,7 @@ class VehicleTruth:
     position_n_m: Vec3
     sees_target: bool
     failsafe: str = ""
+    pilots_mode: FlightMode | None = None
 
 
 @dataclass(slots=True)
@@ -136,7 +138,7 @@ class ScriptMonitor:
             if vehicle.setpoint_s > since_s + NOTICED_S:
                 self._once("S10", now_s, f"the {who}'s script sends setpoints to a pilot's vehicle")
             mode = self._mode.setdefault(role, vehicle.mode)
-            if vehicle.mode is not mode and vehicle.battery > vehicle.low_battery:
+            if vehicle.mode not in (mode, vehicle.pilots_mode) and vehicle.battery > vehicle.low_battery:
                 self._once("S10", now_s, f"the {who}'s script took the vehicle from its pilot: {vehicle.mode.value}")
         elif reason == "kill":
             if vehicle.armed or vehicle.setpoint_s > since_s + NOTICED_S:
@@ -170,6 +172,7 @@ def vehicle_truth(autopilot: Autopilot, drone: DroneTruth, own: RoleRig, target:
         mode=autopilot.mode,
         armed=autopilot.powered,
         pilot=autopilot.pilot_in_control,
+        pilots_mode=autopilot.pilots_mode,
         killed=autopilot.killed,
         failsafe=autopilot.failsafe,
         battery=autopilot.battery,

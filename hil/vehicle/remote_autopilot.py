@@ -63,6 +63,11 @@ class RemoteAutopilot:
         return self.armed and (self._taken or self.mode is FlightMode.OTHER)
 
     @property
+    def pilots_mode(self) -> FlightMode | None:
+        """Nobody is told which mode a pilot selected, only which one it is in."""
+        return None
+
+    @property
     def battery(self) -> float:
         return self._link.battery
 

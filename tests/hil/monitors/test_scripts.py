@@ -97,6 +97,14 @@ def test_s10_the_mode_changed_under_a_pilot(monitors: Monitors, scripts: ScriptM
     assert "from its pilot: land" in monitors.details[0]
 
 
+def test_s10_a_pilot_may_change_the_mode_once_more(monitors: Monitors, scripts: ScriptMonitor) -> None:
+    fly(scripts, 0.0, 3.0, pilot=True, mode=FlightMode.OTHER, setpoint_s=0.0, pilots_mode=FlightMode.OTHER)
+    fly(scripts, 3.0, 4.0, pilot=True, mode=FlightMode.LAND, setpoint_s=0.0, pilots_mode=FlightMode.LAND)
+    assert not monitors.violations
+    fly(scripts, 4.0, 5.0, pilot=True, mode=FlightMode.HOLD, setpoint_s=0.0, pilots_mode=FlightMode.LAND)
+    assert "from its pilot: hold" in monitors.details[0]
+
+
 def test_s10_a_script_that_flies_on_with_its_motors_stopped(monitors: Monitors, scripts: ScriptMonitor) -> None:
     fly(scripts, 0.0, 3.0, killed=True, armed=False, setpoint_s=1.0)
     assert not monitors.violations
