@@ -498,3 +498,9 @@ def test_another_run_is_not_held_against_where_the_boxes_of_the_last_one_lay() -
         for gate in (fresh, again):
             gate.agree(pair_of(index), CLEAR, TAU)
     assert again._identity == fresh._identity
+
+
+def test_a_run_without_setbacks_has_the_evidence_of_its_first_block() -> None:
+    first = -math.log10(OWN.first_rate)
+    assert (evidence_of(0, OWN), evidence_of(1, OWN)) == (0.0, pytest.approx(first))
+    assert evidence_of(1, OWN, 1) == pytest.approx(first + math.log10(OWN.setback))

@@ -267,3 +267,14 @@ def test_what_a_former_program_wrote_down_is_still_read(path: Path) -> None:
     content = json.loads(KEPT_BY_A_FORMER_PROGRAM)
     path.write_text(json.dumps(dict(reversed(content.items()))))
     assert StateFile(path, Role.RECEIVER, boot="another").load() == Kept(HOLDING, same_clock=False)
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="counts open files in /proc")
+def test_many_records_leave_no_file_open(path: Path) -> None:
+    """A drone that hands over for hours must not run out of them."""
+    kept = StateFile(path, Role.SENDER)
+    kept.save(RELEASED)
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(5):
+        kept.save(RELEASED)
+    assert len(list(Path("/proc/self/fd").iterdir())) <= before
