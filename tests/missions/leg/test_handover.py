@@ -21,6 +21,7 @@ from hil.harness.virtual_time import run_virtual
 from missions import rig_library
 from missions.leg import machine_run
 from missions.leg.handover import protocol_config
+from missions.leg.session import RoleSession
 from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Message, Pong, Role, Status
 from path.protocol.receiver import LetGo, Provisional
 from path.protocol.values import AbortRequested, PeerStatus, Send, TakeResponsibility
@@ -629,6 +630,16 @@ def test_a_commit_is_stamped_before_anything_it_causes() -> None:
     assert written == [("/commit", 1_000)]
 
 
+def widening(session: RoleSession) -> Callable[[int], int]:
+    """A bound on the clocks that is as wide as may be for a second from now, and then a little wider."""
+    limit_ns, begun_ns = round(protocol_config(session).max_uncertainty_s * 1e9), session.now_ns()
+
+    def uncertainty_at(at_ns: int) -> int:
+        return limit_ns + (at_ns > begun_ns + 10**9)
+
+    return uncertainty_at
+
+
 def test_the_clocks_must_be_known_well_enough_still_at_the_leases_end(
     rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -636,14 +647,10 @@ def test_the_clocks_must_be_known_well_enough_still_at_the_leases_end(
 
     async def course(pair: Pair) -> None:
         session = pair.session[Role.SENDER]
-        limit_ns = round(protocol_config(session).max_uncertainty_s * 1e9)
-        begun_ns = session.now_ns()
-        monkeypatch.setattr(
-            session.alignment, "uncertainty_at", lambda at_ns: limit_ns + (1 if at_ns > begun_ns + 10**9 else -1)
-        )
+        monkeypatch.setattr(session.alignment, "uncertainty_at", widening(session))
         pair.sender.agreed(1)
         assert not pair.sender.released and not kinds(pair.link[Role.SENDER].sent, Commit)
-        monkeypatch.setattr(session.alignment, "uncertainty_at", lambda _: limit_ns)
+        monkeypatch.undo()
         pair.sender.agreed(1)
         assert pair.sender.released
 
@@ -683,7 +690,12 @@ def test_what_is_said_while_the_disk_writes_is_done_in_the_order_in_which_it_was
     async def course(pair: Pair) -> None:
         run = pair.receiver
         await pair.session[Role.RECEIVER].cancel_spawned()
-        monkeypatch.setattr(run._machine, "step", lambda event, _: done.append(event) or ())
+
+        def step(event: object, _: int) -> tuple[()]:
+            done.append(event)
+            return ()
+
+        monkeypatch.setattr(run._machine, "step", step)
         run._writing = asyncio.create_task(asyncio.sleep(0.0))
         run._hear(lambda: "a message")
         run._step(cast(Any, "an own decision"))
@@ -700,11 +712,7 @@ def test_the_clocks_must_be_known_well_enough_still_at_the_end_of_a_lease_that_i
 ) -> None:
     async def course(pair: Pair) -> None:
         session = pair.session[Role.RECEIVER]
-        limit_ns = round(protocol_config(session).max_uncertainty_s * 1e9)
-        begun_ns = session.now_ns()
-        monkeypatch.setattr(
-            session.alignment, "uncertainty_at", lambda at_ns: limit_ns + (1 if at_ns > begun_ns + 10**9 else -1)
-        )
+        monkeypatch.setattr(session.alignment, "uncertainty_at", widening(session))
         pair.sender.agreed(1)
         await asyncio.sleep(0.1)
         assert pair.sender.released and not pair.receiver.holds
