@@ -25,6 +25,7 @@ from typing import Any
 from pymavlink import mavutil
 
 FLIGHT_S = 600.0  # and the compiling before it
+FETCH_S = 15.0
 POSCTL = "long DO_SET_MODE 1 3"
 
 
@@ -86,13 +87,18 @@ def _accompany(flight: subprocess.Popen[str], proxy: subprocess.Popen[str], pilo
         sys.stdout.flush()
         if "take-off" in line and not asked:
             asked = True
-            for system in (1, 2):
-                _type(proxy, f"vehicle {system}", "param fetch")
+            threading.Thread(target=_fetch, args=(proxy,), daemon=True).start()
         if pilot and "sender" in line and "verify" in line:
             pilot = False
-            time.sleep(2.0)
             _type(proxy, "vehicle 1", POSCTL)
     flight.wait()
+
+
+def _fetch(proxy: subprocess.Popen[str]) -> None:
+    """Asks both vehicles for all parameters, one after the other: MAVProxy tries MAVFTP first, which they have not."""
+    for system in (1, 2):
+        _type(proxy, f"vehicle {system}", "param fetch")
+        time.sleep(FETCH_S)
 
 
 def _type(proxy: subprocess.Popen[str], *commands: str) -> None:
