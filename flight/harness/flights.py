@@ -152,6 +152,7 @@ class FlightReport:
             the longest time with nobody responsible; without what did not happen.
         errors: what the world was drawn with: the level's name, and standard deviations by what they are of; empty in
             the real one.
+        late: what was later than the bounds in time of programs that run, as a program was made to stand still.
         scene: what its cameras saw, by name; empty for the plain one, and where no frames were drawn.
         slow: of a run whose programs were confined: "share" of a core of each, and by role for how long they had work
             to do and were stopped, s.
@@ -168,6 +169,7 @@ class FlightReport:
     notes: Sequence[str] = field(default_factory=tuple)
     figures: Mapping[str, float] = field(default_factory=dict[str, float])
     errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])
+    late: Sequence[str] = field(default_factory=tuple)
     scene: str = ""
     slow: Mapping[str, float] = field(default_factory=dict[str, float])
 

@@ -95,6 +95,7 @@ class _Flight:
         self._true_rig = built.rig
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
+        self._monitors.stalls = isinstance(asyncio.get_running_loop(), StallingLoop)
         self._hub = MemoryHub(request.seed)
         self._drones = {role: self._new(role, built) for role in Role}
         stop_on_signals(self._programs.interrupt)
@@ -222,6 +223,7 @@ class _Flight:
             "simulated_s": self._world.time_s,
             "interrupted": self._programs.interrupted,
             "notes": tuple(self._monitors.details),
+            "late": tuple(self._monitors.late),
             "figures": self._monitors.leases.figures,
             "errors": reported(self._rig),
             "scene": "" if (scene := scene_of(self._rig)) == "plain" else scene,

@@ -25,6 +25,7 @@ from path.messages import Role
 MAX_SETPOINT_GAP_S = 0.2
 MAX_FAILSAFE_S = 1.0
 LEASES = frozenset({"/responsibility", "/commit", "/epoch", "/decision"})
+OF_THE_AWAKE = frozenset({"S7", "L1", "L2"})  # bounds in time, of programs that run
 
 
 @dataclass(slots=True)
@@ -32,6 +33,10 @@ class Monitors:
     """S1 to S10, L1 and L2. Stamps are of the world's clock.
 
     S1, S5, S6, S8 and S9 are here; S2, S3, S4, L1 and L2 in ``leases``; S7 and S10 in ``scripts``.
+
+    Attributes:
+        stalls: a program is made to stand still: the bounds in time of programs that run are then not violated, and
+            what was later than they say is in ``late``.
     """
 
     method: MethodConfig
@@ -40,6 +45,8 @@ class Monitors:
     violations: Counter[str] = field(default_factory=Counter[str])
     details: list[str] = field(default_factory=list[str])
     closest_m: float = math.inf
+    stalls: bool = False
+    late: list[str] = field(default_factory=list[str])
     _claims: Claims[Role] = field(default_factory=Claims[Role])
     _too_close: bool = False
     _too_close_to_target: bool = False
@@ -109,8 +116,12 @@ class Monitors:
                 self._violated("S8", session.start_s, f"{role.value}: no failsafe after the setpoints stopped")
 
     def _violated(self, name: str, time_s: float, what: str) -> None:
+        told = f"{name} at {time_s:.2f} s: {what}"
+        if self.stalls and name in OF_THE_AWAKE:
+            self.late.append(told)
+            return
         self.violations[name] += 1
-        self.details.append(f"{name} at {time_s:.2f} s: {what}")
+        self.details.append(told)
 
     def _on_responsibility(self, role: Role, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
         self._claims.note(role, record)

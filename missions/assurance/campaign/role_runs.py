@@ -47,7 +47,6 @@ CONCERNS = {
 }
 """The faults that the hostile level adds, and whose course says when."""
 STALL = 0.3  # chance that a program stands still, drawn twice
-OF_THE_AWAKE = ("S7", "L1", "L2")  # bounds in time, of programs that run
 
 
 def draw(seed: int, level: LevelName, number: int) -> tuple[int, tuple[str, ...]]:
@@ -158,11 +157,9 @@ def _fly(rig: Rig, seed: int, level: LevelName, number: int, folder: Path, emit:
     figures = {**report.figures, "simulated_s": report.simulated_s}
     violations = tuple(note for note in report.notes if note[:1] in "SL" and note[1:2].isdigit())
     stalled = any(fault.startswith("stall_") for fault in faults)
-    late = tuple(what for what in violations if stalled and what.partition(" ")[0] in OF_THE_AWAKE)
     rounded = {name: round(value, 4) for name, value in figures.items()}
     name = "commit" if outcome is Outcome.COMMITTED else outcome.label.replace("_", " ")
-    safe = tuple(what for what in violations if what not in late)
-    return RunLine(number, level, name, safe, late, rounded, ("stall",) if stalled else ())
+    return RunLine(number, level, name, violations, tuple(report.late), rounded, ("stall",) if stalled else ())
 
 
 def _no_process(role: Role) -> Sequence[str]:

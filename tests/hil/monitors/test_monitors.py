@@ -402,3 +402,13 @@ def test_a_watched_log_passes_everything_on_and_tells_the_monitors_world_time(mo
     watched.image("/image", 7, None)  # type: ignore[arg-type]
     assert log.records == [("/responsibility", 6_500_000_000, record), ("/image", 7, None)]
     assert monitors.details == ["S1 at 2.50 s: two responsible drones"]
+
+
+def test_bounds_in_time_of_programs_that_run_do_not_bind_one_that_is_made_to_stand_still(monitors: Monitors) -> None:
+    """Whoever is responsible, and until when, is not excused."""
+    monitors.stalls = True
+    for name in ("S7", "L1", "L2", "S1"):
+        monitors._violated(name, 1.0, "so it is")
+    assert dict(monitors.violations) == {"S1": 1}
+    assert [told[:2] for told in monitors.late] == ["S7", "L1", "L2"]
+    assert monitors.details == ["S1 at 1.00 s: so it is"]

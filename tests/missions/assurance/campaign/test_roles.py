@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from hil.monitors.monitors import OF_THE_AWAKE
 from hil.world.faults import parse_fault
 from missions.assurance.campaign import role_runs
 from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.results import RunLine
-from missions.assurance.campaign.role_runs import CONCERNS, OF_THE_AWAKE, draw, fly
+from missions.assurance.campaign.role_runs import CONCERNS, draw, fly
 from missions.assurance.campaign.run import RunOrder
 from missions.options.words import LevelName
 
