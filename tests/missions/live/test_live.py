@@ -9,6 +9,7 @@ import struct
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -99,17 +100,11 @@ def test_a_stranger_sees_a_flight_as_it_goes(tmp_path: Path, flight: McapLog) ->
 
 def test_a_stranger_decodes_what_is_seen_during_a_flight_in_virtual_time(tmp_path: Path) -> None:
     port = free_port()
-    seen: dict[str, tuple[int, bytes]] = {}
-
-    def watch() -> None:
-        with dial(f"ws://{LOOPBACK}:{port}") as client:
-            seen.update(heard(client, "/sender/state", "/receiver/3d", "/world/truth"))
-
-    with live(f"{LOOPBACK}:{port}", tmp_path):
-        watcher = threading.Thread(target=watch)
-        watcher.start()
-        facts = fly_once(rig_library.load("sim"), 11, (), tmp_path, lambda _: None)
-    watcher.join(30.0)
+    with live(f"{LOOPBACK}:{port}", tmp_path), dial(f"ws://{LOOPBACK}:{port}") as client:
+        with ThreadPoolExecutor(1) as pool:  # the client dials before anything flies and leaves before the stream ends
+            watched = pool.submit(heard, client, "/sender/state", "/receiver/3d", "/world/truth")
+            facts = fly_once(rig_library.load("sim"), 11, (), tmp_path, lambda _: None)
+            seen = watched.result()
     assert facts.outcome == "committed"
     assert json.loads(seen["/sender/state"][1])["armed"] in (True, False)
     scene = SceneUpdate.get_schema()
