@@ -72,6 +72,10 @@ class RelaySim:
 
 def _parse(text: str, level: str) -> Fault:
     (fault,) = parse_faults([text], level)
+    if fault.kind.virtual:
+        raise FaultError(
+            f"fault {fault.name} is one of a single hand-over", "fly it with handoff, on a rig of level sim"
+        )
     if fault.name == "attack" or fault.kind.own:
         raise FaultError(
             f"fault {fault.name} needs programs of their own", "fly it with handoff, on a rig of level sitl"

@@ -100,11 +100,14 @@ def test_a_stranger_sees_a_flight_as_it_goes(tmp_path: Path, flight: McapLog) ->
 
 def test_a_stranger_decodes_what_is_seen_during_a_flight_in_virtual_time(tmp_path: Path) -> None:
     port = free_port()
-    with live(f"{LOOPBACK}:{port}", tmp_path), dial(f"ws://{LOOPBACK}:{port}") as client:
-        with ThreadPoolExecutor(1) as pool:  # the client dials before anything flies and leaves before the stream ends
-            watched = pool.submit(heard, client, "/sender/state", "/receiver/3d", "/world/truth")
-            facts = fly_once(rig_library.load("sim"), 11, (), tmp_path, lambda _: None)
-            seen = watched.result()
+    with ExitStack() as stack:  # the client dials before anything flies and leaves before the stream ends
+        stack.enter_context(live(f"{LOOPBACK}:{port}", tmp_path))
+        client = stack.enter_context(dial(f"ws://{LOOPBACK}:{port}"))
+        watched = stack.enter_context(ThreadPoolExecutor(1)).submit(
+            heard, client, "/sender/state", "/receiver/3d", "/world/truth"
+        )
+        facts = fly_once(rig_library.load("sim"), 11, (), tmp_path, lambda _: None)
+        seen = watched.result()
     assert facts.outcome == "committed"
     assert json.loads(seen["/sender/state"][1])["armed"] in (True, False)
     scene = SceneUpdate.get_schema()
