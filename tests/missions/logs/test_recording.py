@@ -67,16 +67,20 @@ def test_every_frame_with_depth_is_written_once_with_its_stamp(
     assert calibration.serial
 
 
+def measured(file: Path) -> int:
+    """Pixels that have a depth."""
+    depth_mm = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    assert depth_mm is not None
+    return int((depth_mm > 0).sum())
+
+
 def test_a_calibration_of_ones_own_is_taken_instead(film: Path, tmp_path: Path) -> None:
     export(film, tmp_path / "a")
     own = tmp_path / "own.toml"
     own.write_text((tmp_path / "a.camera.toml").read_text().replace("fx = 92.0", "fx = 60.0"))
     export(film, tmp_path / "b", calibration=own)
     assert not (tmp_path / "b.camera.toml").exists()
-    wide, narrow = (
-        int((cv2.imread(str(tmp_path / name / "depth" / "000001.png"), cv2.IMREAD_UNCHANGED) > 0).sum())
-        for name in ("a", "b")
-    )
+    wide, narrow = (measured(tmp_path / name / "depth" / "000001.png") for name in ("a", "b"))
     assert narrow < 0.9 * wide  # the same wall falls on fewer columns of a wider lens
 
 
