@@ -112,7 +112,6 @@ class MissReason(Enum):
     NO_TRACK = "no_track"
     LINK_SILENT = "link_silent"
     NON_FINITE = "non_finite"
-    OVERSIZE = "oversize"
 
 
 @dataclass(frozen=True, slots=True)

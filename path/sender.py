@@ -251,7 +251,7 @@ class SenderCycle:
             own = (at.before.frame, at.before.stamp_ns), (at.after.frame, at.after.stamp_ns)
             pair = FramePair(sequence, capture_ns, own, offsets, oversize)
             refusal = self.gate.agree(pair, verdict.iou, verdict.tau)
-        if refusal is MissReason.OVERSIZE:
+        if refusal is MissReason.AMBIGUOUS_TARGET:
             return self._missed(Missed(refusal, verdict.iou))
         if refusal is not None:
             return self._missed(Missed(refusal, verdict.iou, ignored=True))

@@ -101,7 +101,8 @@ class Gate(Protocol):
     def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
         """An agreeing pair, ``iou >= tau``. Returns why it does not count, None when it does.
 
-        DUPLICATE and STALE say that it is no new evidence. OVERSIZE says that it was taken as one that disagrees.
+        DUPLICATE and STALE say that it is no new evidence. AMBIGUOUS_TARGET says that a box is of more than the target:
+        the pair was taken as one that disagrees.
         """
         ...
 

@@ -108,8 +108,8 @@ def test_boxes_larger_than_the_target_disagree_though_they_overlap(gate: GateKin
     assert pair.oversize > sized.size_sigmas
     assert isinstance(pair.verdict, Agreed) == agrees
     if not agrees:
-        assert pair.verdict == Missed(MissReason.OVERSIZE, pair.verdict.iou)
-        assert bench.sender.misses == {MissReason.OVERSIZE: 1}
+        assert pair.verdict == Missed(MissReason.AMBIGUOUS_TARGET, pair.verdict.iou)
+        assert bench.sender.misses == {MissReason.AMBIGUOUS_TARGET: 1}
         assert bench.offer(candidate(1, 13.0)) == Missed(MissReason.DUPLICATE, ignored=True)  # it was an answer
 
 
@@ -120,13 +120,13 @@ def test_a_box_that_grows_at_once_in_either_camera_disagrees() -> None:
     assert box is not None
     (theirs,) = bench.step(21, box=Box(box.x - 0.2 * box.w, box.y, 1.4 * box.w, box.h))
     (after,) = bench.step(22)
-    assert theirs.verdict == Missed(MissReason.OVERSIZE, theirs.verdict.iou)
+    assert theirs.verdict == Missed(MissReason.AMBIGUOUS_TARGET, theirs.verdict.iou)
     assert isinstance(after.verdict, Agreed)
     bench.offer(candidate(23, 459.0))
     own = own_box(460.0)
     bench.see(23, box=Box(own.x - 0.2 * own.w, own.y, 1.4 * own.w, own.h))
     (own_verdict,) = bench.sender.evaluate_ready(23 * PERIOD)
-    assert own_verdict.verdict == Missed(MissReason.OVERSIZE, own_verdict.verdict.iou)
+    assert own_verdict.verdict == Missed(MissReason.AMBIGUOUS_TARGET, own_verdict.verdict.iou)
 
 
 def test_the_papers_corner_would_not() -> None:

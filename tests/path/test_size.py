@@ -172,7 +172,7 @@ def told(
 
 def test_pairs_that_are_too_large_are_no_evidence_however_many() -> None:
     gate = EvidenceGate(UNKNOWN)
-    assert told(gate, 2000, 1) == {MissReason.OVERSIZE}
+    assert told(gate, 2000, 1) == {MissReason.AMBIGUOUS_TARGET}
     assert (gate.count, gate.evidence.reached, gate.complete) == (0, 0.0, False)
 
 

@@ -207,7 +207,7 @@ class Stream:
         own = (index, capture_ns), (index + 1, capture_ns + 20_000_000)
         refusal = self.gate.agree(FramePair(index, capture_ns, own, self.offsets, self.oversize), iou, 0.4)
         evidence = self.gate.evidence.reached
-        counted = refusal in (None, MissReason.OVERSIZE)
+        counted = refusal in (None, MissReason.AMBIGUOUS_TARGET)
         record = {"agreed": refusal is None, "counted": counted, "iou": iou, "tau": 0.4, "target_id": 1}
         record |= {"count": self.gate.count, "evidence": evidence, "epoch": self.epoch, "capture_ns": capture_ns}
         record |= {"offset_m": self.offsets.target_m, "rival_offset_m": nearest_rival(self.offsets)}
