@@ -215,10 +215,9 @@ class SenderCycle:
             verdict, mapped_box = compare(self._views, T_v_c2, own_box, z1, point_v, candidate.box, self._config)
             tau = None if verdict.iou is None else threshold(z1, self._config)
             offsets = self._rivals.offsets(T_v_c2, candidate.box, own_box, z1, point_v)
-            if isinstance(verdict, Agreed):  # else it is of something else
-                sigma_m = math.hypot(candidate.sigma_m, z_sigma)
-                theirs = self._sizes.theirs(capture_ns, T_v_c2, candidate.box, sigma_m, point_v, (gx, gy, gz))
-                oversize = max(oversize, theirs)
+            sigma_m = math.hypot(candidate.sigma_m, z_sigma)
+            theirs = self._sizes.theirs(capture_ns, T_v_c2, candidate.box, sigma_m, point_v, (gx, gy, gz))
+            oversize = max(oversize, theirs)
         verdict = self._count(candidate.sequence, capture_ns, at, verdict, tau, offsets, oversize)
         return PairVerdict(candidate, capture_ns, verdict, own_box, mapped_box, tau, used, offsets, oversize)
 

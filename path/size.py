@@ -93,6 +93,8 @@ class Sizes:
     ) -> float:
         """The same of D2's, at the range at which its camera has the target's point."""
         depth, camera = Depth(depth_in(T_v_c2, point_v), range_sigma_m), self._views.camera2
+        if not depth.z_m > 0.0:
+            return FITS
         return self._above(self._theirs, stamp_ns, camera, T_v_c2, box, depth, point_v, gravity_v)
 
     def _above(
