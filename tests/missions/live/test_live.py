@@ -29,19 +29,14 @@ from missions.handoff.command import fly_once
 from missions.live.follow import FolderFollower
 from missions.live.gate import LOOPBACK, TOKEN, TokenGate, knows
 from missions.live.start import address_of, live
+from tests.free_ports import free_port
 
 PROTOCOL = Subprotocol("foxglove.sdk.v1")
 SECRET = "0123456789abcdef"
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        return int(probe.getsockname()[1])
-
-
 def dial(url: str) -> ClientConnection:
-    return connect(url, subprotocols=[PROTOCOL], open_timeout=20, proxy=None, max_size=None)
+    return connect(url, subprotocols=[PROTOCOL], open_timeout=60, proxy=None, max_size=None)
 
 
 def heard(client: ClientConnection, *topics: str) -> dict[str, tuple[int, bytes]]:
@@ -89,7 +84,7 @@ def flight(tmp_path: Path) -> Iterator[McapLog]:
 
 
 def test_a_stranger_sees_a_flight_as_it_goes(tmp_path: Path, flight: McapLog) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     with live(f"{LOOPBACK}:{port}", tmp_path), dial(f"ws://{LOOPBACK}:{port}") as client:
         seen = heard(client, "/sender/phase", "/sender/log")
     stamp_ns, content = seen["/sender/phase"]
@@ -99,12 +94,15 @@ def test_a_stranger_sees_a_flight_as_it_goes(tmp_path: Path, flight: McapLog) ->
 
 
 def test_a_stranger_decodes_what_is_seen_during_a_flight_in_virtual_time(tmp_path: Path) -> None:
-    port = free_port()
-    with live(f"{LOOPBACK}:{port}", tmp_path), dial(f"ws://{LOOPBACK}:{port}") as client:
-        with ThreadPoolExecutor(1) as pool:  # the client dials before anything flies and leaves before the stream ends
-            watched = pool.submit(heard, client, "/sender/state", "/receiver/3d", "/world/truth")
-            facts = fly_once(rig_library.load("sim"), 11, (), tmp_path, lambda _: None)
-            seen = watched.result()
+    port = free_port(socket.SOCK_STREAM)
+    with (  # the client dials before anything flies and leaves before the stream ends
+        live(f"{LOOPBACK}:{port}", tmp_path),
+        dial(f"ws://{LOOPBACK}:{port}") as client,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        watched = pool.submit(heard, client, "/sender/state", "/receiver/3d", "/world/truth")
+        facts = fly_once(rig_library.load("sim"), 11, (), tmp_path, lambda _: None)
+        seen = watched.result()
     assert facts.outcome == "committed"
     assert json.loads(seen["/sender/state"][1])["armed"] in (True, False)
     scene = SceneUpdate.get_schema()
@@ -123,7 +121,7 @@ def test_a_port_that_is_taken_is_said(tmp_path: Path) -> None:
 
 
 def test_whoever_has_no_token_is_refused(tmp_path: Path, flight: McapLog, token: str) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     with live(f"127.0.0.2:{port}", tmp_path):
         for query in ("", "?token=", "?token=0123456789abcdeF", f"?other={token}"):
             with pytest.raises(InvalidStatus, match="401"):
