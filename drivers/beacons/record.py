@@ -12,6 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from drivers.beacons.dashboard_log import is_dashboard_log, read_dashboard_log
 from drivers.beacons.log import read_beacons
 from drivers.beacons.stream import MarvelmindStream
 from drivers.interfaces import BeaconError, BeaconFix
@@ -61,18 +62,20 @@ def _records(file: Path):
 
 
 def read_any(file: Path) -> list[BeaconFix]:
-    """All positions of a session: a record of its ports (``.mcap``) or a list of positions (``.csv``).
+    """All positions of a session: a record of its ports (``.mcap``), a list of positions, or the Dashboard's own log.
 
     Raises:
-        BeaconError: for a file that is neither.
+        BeaconError: for a file that is none of them.
         OSError: it cannot be read.
     """
-    return list(replay(file)) if file.suffix == ".mcap" else read_beacons(file)
+    if file.suffix == ".mcap":
+        return list(replay(file))
+    return read_dashboard_log(file) if is_dashboard_log(file) else read_beacons(file)
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedBeaconsConfig:
-    """``file``: a record of ports (``.mcap``) or a list of positions (``.csv``)."""
+    """``file``: a record of ports (``.mcap``), a list of positions or the Dashboard's own log (``.csv``)."""
 
     file: Path
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from io import FileIO
 from itertools import count
@@ -288,10 +288,11 @@ class LogRecord:
     record: dict[str, Any]
 
 
-def read_log(path: Path) -> Iterator[LogRecord]:
+def read_log(path: Path, topics: Collection[str] | None = None) -> Iterator[LogRecord]:
     """PATH's own records and the images of a log in the order they were written, up to where the file ends.
 
     That may be in the middle of one. Stamps are those they were written with; what a record leaves out is null.
+    ``topics``: those that are read; None: all.
 
     Raises:
         OSError: when the file cannot be read.
@@ -309,6 +310,8 @@ def read_log(path: Path) -> Iterator[LogRecord]:
             for found in messages(file):
                 if isinstance(found, Metadata):
                     offset_ns = int(found.metadata.get(OFFSET, offset_ns)) if found.name == ABOUT else offset_ns
+                elif topics is not None and found.channel.topic not in topics:
+                    continue
                 elif found.channel.encoding == "json":
                     record = {**found.channel.blank, **decode(found.data)}
                     yield LogRecord(found.channel.topic, found.utc_ns - offset_ns, record)

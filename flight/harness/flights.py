@@ -152,7 +152,8 @@ class FlightReport:
             the longest time with nobody responsible; without what did not happen.
         errors: what the world was drawn with: the level's name, and standard deviations by what they are of; empty in
             the real one.
-        late: what was later than the bounds in time of programs that run, as a program was made to stand still.
+        broken: the assumptions that were: "stall" (a program was made to stand still), "disk" (one lost a record).
+        beyond: what broke after that, which the promises do not bear.
         scene: what its cameras saw, by name; empty for the plain one, and where no frames were drawn.
         slow: of a run whose programs were confined: "share" of a core of each, and by role for how long they had work
             to do and were stopped, s.
@@ -169,7 +170,8 @@ class FlightReport:
     notes: Sequence[str] = field(default_factory=tuple)
     figures: Mapping[str, float] = field(default_factory=dict[str, float])
     errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])
-    late: Sequence[str] = field(default_factory=tuple)
+    broken: Sequence[str] = field(default_factory=tuple)
+    beyond: Sequence[str] = field(default_factory=tuple)
     scene: str = ""
     slow: Mapping[str, float] = field(default_factory=dict[str, float])
 

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 EPOCH_S = 3600.0  # of all clocks: they have been on for a while
 PORT = "modem"
+STATIONARY_M: dict[int, Vec3] = {k: (4.0 * (k % 2), 4.0 * (k // 2), 2.0) for k in range(1, 5)}  # in the system's frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +141,7 @@ class BeaconSystem:
     ) -> None:
         """``surveyed``: the frame, where it was laid out with care; drawn by seed when None."""
         self._config, self._rng = config, np.random.default_rng([seed, 0xBEAC])
+        self._distances_rng = np.random.default_rng([seed, 0xBEAC, 1])  # positions are the same with and without them
         self._addresses = dict(addresses)
         rng = self._rng
         self._clock_s, self.listener_offset_s = EPOCH_S + rng.uniform(-1.0, 1.0, 2) * config.clock_offset_s
@@ -175,7 +177,7 @@ class BeaconSystem:
         """
         config, rng = self._config, self._rng
         latency_s = max(0.0, config.latency_s + config.jitter_s * rng.standard_normal())
-        data = b"".join(self._damaged(each) for each in self._frames(name, time_s, place_w, latency_s))
+        data = b"".join(self._frames(name, time_s, place_w, latency_s))
         late_s = rng.uniform(0.0, config.late_s) if rng.random() < config.late_rate else 0.0
         way_s = config.wire_s + rng.exponential(config.wire_jitter_s) + late_s
         self._line_free_s = max(self._line_free_s, time_s + latency_s + way_s)  # bytes do not overtake each other
@@ -187,15 +189,17 @@ class BeaconSystem:
         stamp_ms = math.floor(1e3 * (shown_s + self._config.stamp_jitter_s * self._rng.standard_normal()))
         age_ms = math.floor(1e3 * (shown_s + latency_s)) - stamp_ms  # of the stamp: what the system itself can know
         self._turns += 1
-        shown = self._shown(self._beacons[name], time_s, place_w)
+        shown, rng = self._shown(self._beacons[name], time_s, place_w), self._rng
         if shown is not None:
             place, quality = shown
-            yield sent.quality(address, round(quality))
-            yield sent.position(stamp_ms, address, place, max(1, age_ms))
-        yield sent.imu(stamp_ms, self._rng.bytes(18))
+            yield self._damaged(sent.quality(address, round(quality)), rng)
+            yield self._damaged(sent.position(stamp_ms, address, place, max(1, age_ms)), rng)
+            ranges_m = {beacon: math.dist(place, stands_m) for beacon, stands_m in STATIONARY_M.items()}
+            yield self._damaged(sent.distances(stamp_ms, address, ranges_m), self._distances_rng)
+        yield self._damaged(sent.imu(stamp_ms, rng.bytes(18)), rng)
         if self._turns % 24 == 1:
-            yield sent.telemetry(3.9, -60)
-            yield sent.stationary({k: (4.0 * (k % 2), 4.0 * (k // 2), 2.0) for k in range(1, 5)})
+            yield self._damaged(sent.telemetry(3.9, -60), rng)
+            yield self._damaged(sent.stationary(STATIONARY_M), rng)
 
     def _shown(self, beacon: _Beacon, time_s: float, place_w: Array) -> tuple[Vec3, float] | None:
         """The position as the system has it, and its quality; None when it has none."""
@@ -214,8 +218,7 @@ class BeaconSystem:
         x, y, z = (self._R @ place + self.origin_m).tolist()
         return (x, y, z), quality if math.isnan(poor) else poor
 
-    def _damaged(self, frame: bytes) -> bytes:
-        rng = self._rng
+    def _damaged(self, frame: bytes, rng: np.random.Generator) -> bytes:
         what = int(rng.random() / self._config.damage_rate) if self._config.damage_rate > 0.0 else 3
         if what == 0:
             return frame[: int(rng.integers(1, len(frame)))]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Protocol
 
+from drivers.interfaces import Kept
 from drivers.log.state_file import MemoryStore
 from drivers.mavlink.guard_interfaces import GuardLine
 from hil.camera.capture import Freeze
@@ -32,18 +33,32 @@ class PairWorld(Protocol):
 
 
 class Disk(MemoryStore):
-    """The disk of one drone. It outlives the drone's programs; ``saved`` is told each duty that was written."""
+    """The disk of one drone. It outlives the drone's programs; ``saved`` is told each duty that was written.
+
+    Attributes:
+        loses: how many of the newest records are gone when a program is started again.
+    """
 
     def __init__(self, saved: Callable[[str], None]) -> None:
         super().__init__()
         self._saved = saved
+        self._earlier: list[Kept | None] = []
+        self.loses = 0
         self.writable = True  # not by a program that was killed
         self.stands_until_s = -math.inf  # of its program, which is told of what is on the disk no sooner
 
     def save(self, record: SenderRecord | ReceiverRecord) -> None:
         if self.writable:
+            self._earlier.append(self.kept)
             super().save(record)
             self._saved(record.duty)
+
+    def lose(self) -> bool:
+        """Loses the newest records, once; returns whether there were any to lose."""
+        gone, self.loses = min(self.loses, len(self._earlier)), 0
+        for _ in range(gone):
+            self.kept = self._earlier.pop()
+        return gone > 0
 
     def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
         saved, loop = super().begin_save(record), asyncio.get_running_loop()

@@ -123,3 +123,5 @@ def inject_at_drone(fault: Fault, name: str, drone: DroneHarness, programs: Prog
         programs.kill(name, fault.value)
     elif fault.stalls:
         programs.stall(name, fault.value or 0.0)
+    elif fault.forgets:
+        programs.disk(name).loses = round(fault.value or 0.0)

@@ -51,14 +51,15 @@ class Programs:
 
     Args:
         died: told of a drone whose program was killed.
+        forgot: told of one whose program finds an older record than it had written, or none.
 
     Attributes:
         stop: tells all programs to land.
         interrupted: whether they were told; then nothing is started again.
     """
 
-    def __init__(self, died: Callable[[str], None]) -> None:
-        self._died = died
+    def __init__(self, died: Callable[[str], None], forgot: Callable[[str], None] = lambda _: None) -> None:
+        self._died, self._forgot = died, forgot
         self._slots: dict[str, _Slot] = {}
         self.stop = asyncio.Event()
         self.interrupted = False
@@ -137,6 +138,8 @@ class Programs:
         await asyncio.wait([dead])
         slot.harness.hub.mend(slot.harness.role)
         slot.again = True
+        if slot.disk.lose():
+            self._forgot(slot.name)
         self._start(slot)
 
 

@@ -27,11 +27,11 @@ from flight.harness.relay import (
     pair_of,
 )
 from flight.outcome import Outcome
-from hil.harness.children import run_name
-from hil.harness.live_programs import Command, Orders
-from hil.harness.realtime import Ending, RealTimeRun
-from hil.harness.realtime_world import world_command
-from hil.harness.relay_sitl_world import run_of
+from hil.harness.realtime.children import run_name
+from hil.harness.realtime.programs import Command, Orders
+from hil.harness.realtime.relay_world import run_of
+from hil.harness.realtime.run import Ending, RealTimeRun
+from hil.harness.realtime.world import world_command
 from hil.world.check import refuse_slow
 from hil.world.errors import reported
 from hil.world.faults import Fault, FaultError, parse_faults
@@ -90,7 +90,7 @@ def orders_of(request: RelayRequest) -> Orders:
         return None if request.rig.sender.guard is None else processes.guard_command(name)
 
     return Orders(
-        world=world_command("hil.harness.relay_sitl_world", request.rig, request.seed, *more),
+        world=world_command("hil.harness.realtime.relay_world", request.rig, request.seed, *more),
         program=processes.command,
         guard=guard,
         out=request.out,

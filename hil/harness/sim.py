@@ -82,7 +82,7 @@ class _Flight:
         self._request = request
         self._rig = request.rig
         self._faults = LegFaults({LEG: faults}, self._inject)
-        self._programs = Programs(self._died)
+        self._programs = Programs(self._died, self._forgot)
         self._offsets_ns = clock_offsets(request.rig)
         self._logs: list[McapLog] = []
 
@@ -163,6 +163,9 @@ class _Flight:
     def _died(self, name: str) -> None:
         self._monitors.on_death(Role(name))
 
+    def _forgot(self, name: str) -> None:
+        self._monitors.on_forgotten(self._world.time_s, Role(name))
+
     def _result(self, role: Role, end: asyncio.Future[RoleResult | None]) -> RoleResult | None:
         """None for a program that died, or could not begin once more. Raises what ended it otherwise."""
         error = end.exception()
@@ -222,8 +225,12 @@ class _Flight:
             "violations": dict(self._monitors.violations),
             "simulated_s": self._world.time_s,
             "interrupted": self._programs.interrupted,
-            "notes": tuple(self._monitors.details),
-            "late": tuple(self._monitors.late),
+            "notes": (
+                *self._monitors.details,
+                *(f"beyond what is promised then: {told}" for told in self._monitors.beyond),
+            ),
+            "beyond": tuple(self._monitors.beyond),
+            "broken": tuple(self._monitors.broken),
             "figures": self._monitors.leases.figures,
             "errors": reported(self._rig),
             "scene": "" if (scene := scene_of(self._rig)) == "plain" else scene,

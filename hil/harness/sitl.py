@@ -14,11 +14,11 @@ from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from flight.harness.flights import FlightReport, FlightRequest
 from hil.harness.inject import need_radios
-from hil.harness.live_programs import Command, Orders
-from hil.harness.pace import frame_age_s, overload_of
 from hil.harness.preparation import prepare
-from hil.harness.realtime import Ending, RealTimeRun
-from hil.harness.realtime_world import world_command
+from hil.harness.realtime.pace import frame_age_s, overload_of
+from hil.harness.realtime.programs import Command, Orders
+from hil.harness.realtime.run import Ending, RealTimeRun
+from hil.harness.realtime.world import world_command
 from hil.harness.sim import LEG, mission_config
 from hil.monitors.monitors import Monitors
 from hil.vehicle.simulator_process import binary_of
@@ -110,7 +110,7 @@ def orders_of(request: FlightRequest, shares: Mapping[str, CpuShare]) -> Orders:
         return [*request.attack_command, f"{rate:g}", str(ready["air"]), *ends, str(request.seed), str(request.out)]
 
     return Orders(
-        world=world_command("hil.harness.sitl_world", rig, request.seed, str(request.out)),
+        world=world_command("hil.harness.realtime.handoff_world", rig, request.seed, str(request.out)),
         program=lambda name: request.role_command(Role(name)),
         guard=guard,
         out=request.out,

@@ -26,6 +26,7 @@ MAX_SETPOINT_GAP_S = 0.2
 MAX_FAILSAFE_S = 1.0
 LEASES = frozenset({"/responsibility", "/commit", "/epoch", "/decision"})
 OF_THE_AWAKE = frozenset({"S7", "L1", "L2"})  # bounds in time, of programs that run
+OF_THE_RECORD = frozenset({"S1", "S2", "S3", "S4", "S5", "L1", "L2"})  # of programs that find what they wrote down
 
 
 @dataclass(slots=True)
@@ -35,8 +36,10 @@ class Monitors:
     S1, S5, S6, S8 and S9 are here; S2, S3, S4, L1 and L2 in ``leases``; S7 and S10 in ``scripts``.
 
     Attributes:
-        stalls: a program is made to stand still: the bounds in time of programs that run are then not violated, and
-            what was later than they say is in ``late``.
+        stalls: a program is made to stand still: the bounds in time of programs that run are then not violated.
+        forgotten: a disk has lost a record that it said it had: what was promised of responsibility is since then not
+            violated.
+        beyond: what broke after one of these.
     """
 
     method: MethodConfig
@@ -46,7 +49,8 @@ class Monitors:
     details: list[str] = field(default_factory=list[str])
     closest_m: float = math.inf
     stalls: bool = False
-    late: list[str] = field(default_factory=list[str])
+    forgotten: bool = False
+    beyond: list[str] = field(default_factory=list[str])
     _claims: Claims[Role] = field(default_factory=Claims[Role])
     _too_close: bool = False
     _too_close_to_target: bool = False
@@ -115,10 +119,20 @@ class Monitors:
             elif cut_off and session.max_gap_s > MAX_SETPOINT_GAP_S and session.end_s is None:
                 self._violated("S8", session.start_s, f"{role.value}: no failsafe after the setpoints stopped")
 
+    def on_forgotten(self, time_s: float, role: Role) -> None:
+        """A program that is started again finds an older record than it had written, or none."""
+        self.forgotten = True
+        self.details.append(f"at {time_s:.2f} s the {role.value}'s disk had lost what it said it had")
+
+    @property
+    def broken(self) -> tuple[str, ...]:
+        """The assumptions that were."""
+        return (*(("stall",) if self.stalls else ()), *(("disk",) if self.forgotten else ()))
+
     def _violated(self, name: str, time_s: float, what: str) -> None:
         told = f"{name} at {time_s:.2f} s: {what}"
-        if self.stalls and name in OF_THE_AWAKE:
-            self.late.append(told)
+        if (self.stalls and name in OF_THE_AWAKE) or (self.forgotten and name in OF_THE_RECORD):
+            self.beyond.append(told)
             return
         self.violations[name] += 1
         self.details.append(told)

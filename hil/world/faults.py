@@ -14,6 +14,7 @@ from path.protocol.values import ReceiverDuty, SenderDuty
 
 AT_COUNT = 50
 LONGEST_S = 600.0
+VIRTUAL = ("sim", "sim-rendered")
 
 DUTIES: dict[Role, tuple[str, ...]] = {Role.SENDER: get_args(SenderDuty), Role.RECEIVER: get_args(ReceiverDuty)}
 
@@ -32,6 +33,7 @@ class FaultKind:
         role: whom it concerns; None for both, and then "when" is of the sender's course.
         own: only where programs are processes of their own; what stalls, in a single hand-over in virtual time too.
         least: the smallest value.
+        virtual: only in a single hand-over in virtual time.
         geometric: only at level ``sim``, where observations come from geometry: elsewhere there are real detectors.
         value: whether it is a quantity (``link_loss=0.3``), and whether that may be left out.
     """
@@ -45,6 +47,7 @@ class FaultKind:
     own: bool = False
     least: float = 0.0
     geometric: bool = False
+    virtual: bool = False
 
     @property
     def followed(self) -> Role:
@@ -118,6 +121,14 @@ FAULTS: dict[str, FaultKind] = {
             "stall_sender", Role.SENDER, "must", "the sender's program stands still for so many seconds",
             most=LONGEST_S, own=True,
         ),
+        *(
+            FaultKind(
+                f"disk_{role.value}", role, "must",
+                f"the {role.value}'s disk has lost so many of its newest records when the program is started again",
+                most=100.0, least=1.0, virtual=True,
+            )
+            for role in Role
+        ),
         FaultKind("guard_death", Role.SENDER, "no", "the sender's guard dies without a word", own=True),
         FaultKind("no_failsafe", None, "no", "the autopilots fly on when setpoints stop, as some are delivered", True),
         FaultKind("fc_link_loss", Role.RECEIVER, "no", "the receiver's flight controller falls silent"),
@@ -169,6 +180,11 @@ class Fault:
     def stalls(self) -> bool:
         """Whether a program stands still for a while, which the plain simulation can do too."""
         return self.name.startswith("stall_")
+
+    @property
+    def forgets(self) -> bool:
+        """Whether a disk loses what it had said that it has."""
+        return self.name.startswith("disk_")
 
     @property
     def cuts_off(self) -> Role | None:
@@ -223,6 +239,10 @@ def parse_faults(texts: Sequence[str], level: str) -> list[Fault]:
     for fault in faults:
         if fault.kind.geometric and level != "sim":
             raise FaultError(f"fault {fault.name}: level {level} has real detectors", "use a rig of level sim")
+        if fault.kind.virtual and level not in VIRTUAL:
+            raise FaultError(
+                f"fault {fault.name} needs a disk in virtual time", "use a rig of level sim or sim-rendered"
+            )
     return faults
 
 

@@ -109,7 +109,7 @@ def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) ->
                               "put the images of one stream into a folder of their own")])  # fmt: skip
     seen = [look for look in collected.looks if look.view is not None]
     if not seen:
-        found, fix = what_else(collected.sample, board)
+        found, fix = what_else(collected.others, board)
         raise BadViews([SetFault(BadSet.NO_BOARD, found, fix)])
     views = [look.view for look in seen if look.view is not None]
     sharp = sharp_enough(views, limits)

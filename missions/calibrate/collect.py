@@ -21,6 +21,7 @@ Image = NDArray[np.uint8]
 
 SAMPLE_NS = 200_000_000  # frames of a recording closer than this are not looked at
 STILL = 0.004  # of the image's diagonal: the board moved less since the frame before, so it is held still
+MOST_OTHERS = 5  # images that are no views and are kept
 DIFFERENT = 0.04  # of the diagonal: a new view differs from each other one by more
 
 
@@ -35,16 +36,28 @@ class CollectedImage:
 
 @dataclass(slots=True)
 class Collected:
-    """The views that a source gave. ``sample``: an image for pictures and for telling what else is in it."""
+    """The views that a source gave.
+
+    ``sample``: an image for pictures. ``others``: the first images that are no views, for telling what else is in them.
+    """
 
     looks: list[CollectedImage] = field(default_factory=list[CollectedImage])
     sample: Image | None = None
+    others: list[Image] = field(default_factory=list[Image])
     serial: str = ""
 
     def add(self, name: str, grey: Image, view: BoardView | None) -> None:
         self.looks.append(CollectedImage(name, (grey.shape[1], grey.shape[0]), view))
-        if self.sample is None or view is not None:
+        if view is None:
+            self.add_other(grey)
+        else:
             self.sample = grey
+
+    def add_other(self, grey: Image) -> None:
+        """Keep an image that is no view; beyond a few there is nothing new in them."""
+        self.sample = grey if self.sample is None else self.sample
+        if len(self.others) < MOST_OTHERS:
+            self.others.append(grey)
 
 
 def from_images(folder: Path, board: Board, bars: Bars) -> Collected:
@@ -118,8 +131,8 @@ def from_recording(file: Path, board: Board, wanted: int, bars: Bars) -> Collect
             if view is not None:
                 collected.add(frame.name, grey, view)
                 advance()
-            elif collected.sample is None:
-                collected.sample = grey
+            else:
+                collected.add_other(grey)
             if chooser.done:
                 break
     return collected
@@ -148,7 +161,7 @@ async def from_camera(
             grey = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_BGR2GRAY), np.uint8)
             view = await asyncio.to_thread(chooser.offer, grey)
             if view is None:
-                collected.sample = grey if collected.sample is None else collected.sample
+                collected.add_other(grey)
                 continue
             name = f"view-{len(chooser.chosen):03d}.png"
             _keep(folder / name, frame.color)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +25,14 @@ FEWEST = 4  # markers that are no coincidence
 LIGHT = "is the whole board in the image, lit evenly, sharp, with a white border around it?"
 
 
-def what_else(grey: NDArray[np.uint8] | None, board: Board) -> tuple[str, str]:
-    """Returns what was found in place of the board, and what to do."""
+def what_else(greys: Sequence[NDArray[np.uint8]], board: Board) -> tuple[str, str]:
+    """Returns what was found in place of the board in some images, and what to do. Markers: of the first image."""
     nothing = f"no image shows the board ({board.text})"
-    if grey is None:
+    if not greys:
         return nothing, "name images of the board"
-    found = _markers(grey)
+    found = _markers(greys[0])
     if found is None:
-        size = other_size(grey) if board.pattern == "chessboard" else None
+        size = _most_seen(greys) if board.pattern == "chessboard" else None
         if size is not None and size not in {(board.columns, board.rows), (board.rows, board.columns)}:
             squares = f"{size[0]}x{size[1]}"
             return f"{nothing}; there is a chessboard of about {squares} squares", "count them again, for --squares"
@@ -43,6 +46,15 @@ def what_else(grey: NDArray[np.uint8] | None, board: Board) -> tuple[str, str]:
         f"{nothing}; there are markers of {name} with ids up to {max(ids)}, but they do not lie as on this board",
         f"count the squares: a board with marker {max(ids)} has at least {2 * max(ids) + 1} of them",
     )
+
+
+def _most_seen(greys: Sequence[NDArray[np.uint8]]) -> tuple[int, int] | None:
+    """The size that most images say a chessboard is of, the longer side first; of equals the larger one.
+
+    A board that is cut off or badly lit is a smaller one.
+    """
+    seen = Counter((max(size), min(size)) for grey in greys if (size := other_size(grey)) is not None)
+    return max(seen, key=lambda size: (seen[size], size[0] * size[1])) if seen else None
 
 
 def _markers(grey: NDArray[np.uint8]) -> tuple[str, list[int]] | None:

@@ -9,6 +9,7 @@ the token in ``PATH_LIVE_TOKEN``.
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 import os
 import sys
@@ -54,6 +55,7 @@ def main() -> None:
     folder, host, port = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
     with suppress(OSError):
         os.nice(10)  # the flight comes first
+    log_to_stderr()
     stream = Stream()
     inner = port if host == LOOPBACK else 0
     server = foxglove.start_server(
@@ -63,6 +65,18 @@ def main() -> None:
         asyncio.run(_serve(FolderFollower(folder), stream, host, port, server.port))
     finally:
         server.stop()
+
+
+def log_to_stderr() -> None:
+    """What the server warns of, among the lines of the flight, but for what nobody has to do anything about.
+
+    On a busy computer foxglove-sdk advertises a channel before it takes subscriptions to it, and says so of the client
+    that was quicker: that one asks again (``missions.view.watch``).
+    """
+    handler = logging.StreamHandler()
+    handler.addFilter(lambda record: "subscribe to unknown channel" not in record.getMessage())
+    logging.basicConfig(format="live: %(message)s", handlers=[handler])
+    foxglove.set_log_level("WARNING")
 
 
 async def _serve(follower: FolderFollower, stream: Stream, host: str, port: int, inner: int) -> None:

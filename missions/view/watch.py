@@ -5,9 +5,12 @@ from __future__ import annotations
 import base64
 import json
 import queue
+import re
 import struct
 import threading
 import time
+from collections import Counter
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -22,6 +25,8 @@ MESSAGE_BYTES = 1 << 24
 AGAIN_S = 1.0
 _HEAD = struct.Struct("<BIQ")
 _IS_MESSAGE = 1
+UNKNOWN = re.compile(r"Unknown channel ID: (\d+)")
+ASK_AGAIN, ASK_AGAIN_S = 20, 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,18 +61,27 @@ class Watcher:
             time.sleep(AGAIN_S)
 
     def _listen(self, stream: ClientConnection) -> None:
+        """Takes all that is said, until the stream ends."""
         topics: dict[int, tuple[str, Schema]] = {}
+        refused: Counter[int] = Counter()
         for word in stream:
-            if isinstance(word, str):
-                told = json.loads(word)
-                if told.get("op") == "advertise":
-                    new = {each["id"]: (each["topic"], _schema(each)) for each in told["channels"]}
-                    topics |= new
-                    wanted = [{"id": number, "channelId": number} for number in new]
-                    stream.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
-            elif len(word) >= _HEAD.size and word[0] == _IS_MESSAGE:
-                _, number, utc_ns = _HEAD.unpack_from(word)
-                self._put(StreamMessage(*topics[number], utc_ns, word[_HEAD.size :]))
+            if not isinstance(word, str):
+                if len(word) >= _HEAD.size and word[0] == _IS_MESSAGE:
+                    _, number, utc_ns = _HEAD.unpack_from(word)
+                    self._put(StreamMessage(*topics[number], utc_ns, word[_HEAD.size :]))
+                continue
+            told = json.loads(word)
+            if told.get("op") == "advertise":
+                new = {each["id"]: (each["topic"], _schema(each)) for each in told["channels"]}
+                topics |= new
+                _subscribe(stream, new)
+            elif told.get("op") == "status" and (unknown := UNKNOWN.search(told["message"])):
+                # a busy server advertises a channel a moment before it takes subscriptions to it
+                number = int(unknown[1])
+                refused[number] += 1
+                if number in topics and refused[number] <= ASK_AGAIN:
+                    time.sleep(ASK_AGAIN_S)
+                    _subscribe(stream, [number])
 
     def _put(self, heard: StreamMessage) -> None:
         while True:
@@ -77,6 +91,11 @@ class Watcher:
             except queue.Full:
                 with suppress(queue.Empty):
                     self._heard.get_nowait()
+
+
+def _subscribe(stream: ClientConnection, channels: Iterable[int]) -> None:
+    wanted = [{"id": number, "channelId": number} for number in channels]
+    stream.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
 
 
 def _dialled(address: str) -> ClientConnection:

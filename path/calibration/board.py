@@ -25,6 +25,7 @@ Pattern = Literal["charuco", "chessboard"]
 FINEST_SQUARE = 64  # cells that a square of a print may be divided into
 CLEAR = 0.85  # share of the distance to the next thing printed that the fit of a corner may look at
 FEWEST_CORNERS = 6  # on a board below it there is nothing to find
+LEAST_SADDLES = 0.3  # share of the corners of a line that are saddles, where it is of the print
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,10 +164,36 @@ def find_corners(grey: Image, board: Board) -> FoundCorners | None:
 
 
 def other_size(grey: Image) -> tuple[int, int] | None:
-    """Returns about how many columns and rows of squares a chessboard in an image has; None when there is none."""
+    """Returns about how many columns and rows of squares a chessboard in an image has; None when there is none.
+
+    OpenCV grows the grid beyond the print, where a dark square's outer corner lies where an inner one would. Only inner
+    corners are saddles: outermost lines that have few of them are taken off again.
+    """
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
-    found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
-    return (int(meta.shape[1]) + 1, int(meta.shape[0]) + 1) if found else None
+    found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
+    if not found:
+        return None
+    grid = np.asarray(corners, np.float64).reshape(*meta.shape[:2], 2)
+    points = grid.reshape(-1, 2)
+    ways = np.stack((np.gradient(grid, axis=1), np.gradient(grid, axis=0)), axis=2).reshape(-1, 2, 2)
+    steps = np.linalg.norm(ways, axis=2)
+    sound = np.isfinite(steps).all(axis=1) & (steps > 1.0).all(axis=1)
+    sound[sound] &= ((points[sound] >= 0.0) & (points[sound] <= np.array(grey.shape[::-1]) - 1.0)).all(axis=1)
+    edges, clear_px = ways[sound] / steps[sound][:, :, None], CLEAR * 0.5 * steps[sound].min(axis=1)
+    sound[sound] &= refine_saddles(grey, points[sound], edges, clear_px).good
+    rows, columns = _within_print(sound.reshape(grid.shape[:2])).shape
+    return columns + 1, rows + 1
+
+
+def _within_print(good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The part of a grid of corners that is left when outermost lines of which few are good are taken off."""
+    while min(good.shape) > 2:
+        sides = [(good[0], good[1:]), (good[-1], good[:-1]), (good[:, 0], good[:, 1:]), (good[:, -1], good[:, :-1])]
+        line, rest = min(sides, key=lambda side: float(side[0].mean()))
+        if line.mean() >= LEAST_SADDLES:
+            break
+        good = rest
+    return good
 
 
 def print_cells(board: Board) -> tuple[Image, float]:

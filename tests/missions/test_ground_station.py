@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import PartError
 from flight.harness.relay import pair_of
-from hil.harness.live_world import embedded_vehicle
-from hil.harness.relay_sitl_world import field_of
+from hil.harness.realtime.parts import embedded_vehicle
+from hil.harness.realtime.relay_world import field_of
 from hil.world.world import World, WorldConfig
 from missions import rig_library
 from missions.ground_station import name_ground_station

@@ -47,6 +47,7 @@ CONCERNS = {
 }
 """The faults that the hostile level adds, and whose course says when."""
 STALL = 0.3  # chance that a program stands still, drawn twice
+FORGET = 0.3  # chance, at the hostile level, that a program started again finds an older record, or none
 
 
 def draw(seed: int, level: LevelName, number: int) -> tuple[int, tuple[str, ...]]:
@@ -68,6 +69,8 @@ def draw(seed: int, level: LevelName, number: int) -> tuple[int, tuple[str, ...]
             again = f"={rng.uniform(0.1, 6.0):.2f}" if rng.random() < 0.7 else ""
             faults.append(f"kill_{role.value}{again}@{_moment(rng, role)}")
         faults += _stalls(random.Random(seed_of("roles' stalls", seed, level, number)))
+    if level == "hostile":
+        faults += _disks(random.Random(seed_of("roles' disks", seed, level, number)), faults)
     return rng.getrandbits(31), tuple(faults)
 
 
@@ -84,6 +87,12 @@ def _stalls(rng: random.Random) -> list[str]:
                 for_s, moment = rng.uniform(0.05, 2.0), _moment(rng, role)
             faults.append(f"stall_{role.value}={for_s:.2f}@{moment}")
     return faults
+
+
+def _disks(rng: random.Random, faults: Sequence[str]) -> list[str]:
+    """The disks of programs that are killed and started again; from the beginning, so that they are in time."""
+    again = [role for role in Role if any(fault.startswith(f"kill_{role.value}=") for fault in faults)]
+    return [f"disk_{role.value}={rng.choice((1, 2, 100))}@preflight" for role in again if rng.random() < FORGET]
 
 
 def _link(
@@ -156,10 +165,9 @@ def _fly(rig: Rig, seed: int, level: LevelName, number: int, folder: Path, emit:
     outcome, _ = judge(replace(report, violations={}))
     figures = {**report.figures, "simulated_s": report.simulated_s}
     violations = tuple(note for note in report.notes if note[:1] in "SL" and note[1:2].isdigit())
-    stalled = any(fault.startswith("stall_") for fault in faults)
     rounded = {name: round(value, 4) for name, value in figures.items()}
     name = "commit" if outcome is Outcome.COMMITTED else outcome.label.replace("_", " ")
-    return RunLine(number, level, name, violations, tuple(report.late), rounded, ("stall",) if stalled else ())
+    return RunLine(number, level, name, violations, tuple(report.beyond), rounded, tuple(report.broken))
 
 
 def _no_process(role: Role) -> Sequence[str]:

@@ -1,7 +1,8 @@
 """A session with beacons: they are listened to while the drones fly, and everything is kept as it came.
 
-A session's folder has the logs of both roles and the beacons' record, ``beacons.mcap`` (or ``beacons.csv``, a list from
-another program); ``world.mcap`` and ``beacons.truth.json`` only where a harness knows them.
+A session's folder has the logs of both roles and the beacons' record, ``beacons.mcap`` (or ``beacons.csv``, the
+Dashboard's own log or a list from another program); ``world.mcap`` and ``beacons.truth.json`` only where a harness
+knows them.
 """
 
 from __future__ import annotations

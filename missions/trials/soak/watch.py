@@ -106,7 +106,7 @@ def _name(process: int) -> str:
         return ""
     if any(word.endswith("mavsdk_server") for word in words[:1]):
         return "mavsdk_server"
-    if "hil.harness.sitl_world" in words:
+    if "hil.harness.realtime.handoff_world" in words:
         return "world"
     role = next((role for role in _ROLES if role in words), "")
     return f"guard of the {role}" if role and "guard" in words else role

@@ -18,7 +18,7 @@ from drivers.rig.parts import PartSpec
 from hil.camera.segment import folder
 from hil.camera.shared import RUN_VARIABLE, SharedCameraWriter
 from hil.camera.software_d415 import SoftwareD415, SoftwareD415Config
-from hil.harness.live_world import camera_config, depth_size
+from hil.harness.realtime.parts import camera_config, depth_size
 from missions import rig_library
 from path.messages import Role
 from tests.drivers.realsense.software_d415 import COLOR, FPS, context

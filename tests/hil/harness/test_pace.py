@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.harness.pace import overload_of
+from hil.harness.realtime.pace import overload_of
 
 NAMES = "sender", "receiver"
 QUICK = {name: [0.03] * 500 for name in NAMES}

@@ -15,12 +15,12 @@ from drivers.rig.parts import Rig, with_slow
 from drivers.rig.tables import RigError
 from flight.harness.flights import Progress
 from flight.harness.relay import OFTEN, WATCHED, DroneProcesses, RelayRequest
-from hil.harness.children import end, spawn
 from hil.harness.leg_faults import LegFaults
-from hil.harness.live_programs import RECORD
-from hil.harness.realtime import Ending, RealTimeRun
+from hil.harness.realtime.children import end, spawn
+from hil.harness.realtime.programs import RECORD
+from hil.harness.realtime.relay_world import RelaySitlWorld, field_of
+from hil.harness.realtime.run import Ending, RealTimeRun
 from hil.harness.relay_sitl import RelaySitl, check_drones, orders_of, report_of
-from hil.harness.relay_sitl_world import RelaySitlWorld, field_of
 from hil.monitors.hindsight import Hindsight
 from hil.world.faults import Fault, parse_fault
 from missions import rig_library

@@ -24,9 +24,10 @@ from drivers.log.state_file import StateFile
 from drivers.rig.parts import with_slow
 from flight.harness.flights import FlightReport, FlightRequest, Progress, RoleResult, encode_event
 from flight.outcome import Outcome
-from hil.harness import children, sitl
-from hil.harness.live_world import proxy_side
-from hil.harness.realtime import Ending, RealTimeRun
+from hil.harness import sitl
+from hil.harness.realtime import children
+from hil.harness.realtime.parts import proxy_side
+from hil.harness.realtime.run import Ending, RealTimeRun
 from hil.harness.sim import LEG
 from hil.world.faults import AT_COUNT, parse_fault
 from missions import rig_library

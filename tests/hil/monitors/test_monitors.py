@@ -410,5 +410,17 @@ def test_bounds_in_time_of_programs_that_run_do_not_bind_one_that_is_made_to_sta
     for name in ("S7", "L1", "L2", "S1"):
         monitors._violated(name, 1.0, "so it is")
     assert dict(monitors.violations) == {"S1": 1}
-    assert [told[:2] for told in monitors.late] == ["S7", "L1", "L2"]
+    assert [told[:2] for told in monitors.beyond] == ["S7", "L1", "L2"]
     assert monitors.details == ["S1 at 1.00 s: so it is"]
+    assert monitors.broken == ("stall",)
+
+
+def test_what_was_promised_of_records_is_not_after_a_disk_has_lost_one(monitors: Monitors) -> None:
+    """Vehicles, distances and agreements are not excused, and nothing is from before."""
+    monitors._violated("S4", 0.5, "so it is")
+    monitors.on_forgotten(1.0, Role.SENDER)
+    for name in ("S1", "S4", "S6", "S8", "S9"):
+        monitors._violated(name, 2.0, "so it is")
+    assert dict(monitors.violations) == {"S4": 1, "S6": 1, "S8": 1, "S9": 1}
+    assert [told[:2] for told in monitors.beyond] == ["S1", "S4"]
+    assert monitors.broken == ("disk",)

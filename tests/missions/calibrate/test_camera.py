@@ -186,10 +186,24 @@ def test_every_reason_is_given_at_once() -> None:
 def test_another_board_than_named_is_told_by_what_is_there(shown: Board, named: Board, words: str) -> None:
     pose = next(poses(shown, Held((0.6, 0.6), (5.0, 5.0), 0.0), 1, 0))
     image = grey(next(photographs(shown, [pose], 0)))
-    views = Collected([CollectedImage("one.png", (640, 480), None)], image)
+    views = Collected()
+    views.add("one.png", image, None)
     with pytest.raises(BadViews, match=words) as caught:
         calibrate(views, named)
     assert caught.value.faults[0].reason is BadSet.NO_BOARD
+
+
+def test_a_board_is_told_by_most_of_the_images_that_show_it() -> None:
+    """The first one shows a part of it only."""
+    shown = Board("chessboard", 9, 7, 0.030)
+    held = Held((0.6, 0.7), (5.0, 10.0), 0.05)
+    images = [grey(color) for color in photographs(shown, list(poses(shown, held, 3, 2)), 0)]
+    views = Collected()
+    for number, image in enumerate([np.ascontiguousarray(images[0][:, :330]), *images]):
+        views.add(f"{number}.png", image, None)
+    views.looks.pop(0)
+    with pytest.raises(BadViews, match="a chessboard of about 9x7 squares"):
+        calibrate(views, replace(shown, columns=10, rows=8))
 
 
 @pytest.mark.parametrize(

@@ -39,8 +39,16 @@ def dial(url: str) -> ClientConnection:
     return connect(url, subprotocols=[PROTOCOL], open_timeout=60, proxy=None, max_size=None)
 
 
+def ask(client: ClientConnection, *channels: int) -> None:
+    asked = [{"id": number, "channelId": number} for number in channels]
+    client.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+
+
 def heard(client: ClientConnection, *topics: str) -> dict[str, tuple[int, bytes]]:
-    """The first message of each topic: stamp and content."""
+    """The first message of each topic: stamp and content.
+
+    A server on a busy computer advertises a channel before it takes subscriptions to it: it is asked again.
+    """
     named: dict[int, str] = {}
     found: dict[str, tuple[int, bytes]] = {}
     while found.keys() != set(topics):
@@ -54,8 +62,10 @@ def heard(client: ClientConnection, *topics: str) -> dict[str, tuple[int, bytes]
         if told["op"] == "advertise":
             wanted = {each["id"]: each["topic"] for each in told["channels"] if each["topic"] in topics}
             named |= wanted
-            asked = [{"id": number, "channelId": number} for number in wanted]
-            client.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+            ask(client, *wanted)
+        elif told["op"] == "status":
+            time.sleep(0.01)
+            ask(client, int(told["message"].removeprefix("Unknown channel ID: ")))
     return found
 
 
@@ -95,12 +105,12 @@ def test_a_stranger_sees_a_flight_as_it_goes(tmp_path: Path, flight: McapLog) ->
 
 def test_a_stranger_decodes_what_is_seen_during_a_flight_in_virtual_time(tmp_path: Path) -> None:
     port = free_port(socket.SOCK_STREAM)
-    with (  # the client dials before anything flies and leaves before the stream ends
-        live(f"{LOOPBACK}:{port}", tmp_path),
-        dial(f"ws://{LOOPBACK}:{port}") as client,
-        ThreadPoolExecutor(1) as pool,
-    ):
-        watched = pool.submit(heard, client, "/sender/state", "/receiver/3d", "/world/truth")
+    with ExitStack() as stack:  # the client dials before anything flies and leaves before the stream ends
+        stack.enter_context(live(f"{LOOPBACK}:{port}", tmp_path))
+        client = stack.enter_context(dial(f"ws://{LOOPBACK}:{port}"))
+        watched = stack.enter_context(ThreadPoolExecutor(1)).submit(
+            heard, client, "/sender/state", "/receiver/3d", "/world/truth"
+        )
         facts = fly_once(rig_library.load("sim"), 11, (), tmp_path, lambda _: None)
         seen = watched.result()
     assert facts.outcome == "committed"
@@ -109,6 +119,18 @@ def test_a_stranger_decodes_what_is_seen_during_a_flight_in_virtual_time(tmp_pat
     decode = DecoderFactory().decoder_for("protobuf", Schema(1, scene.data, scene.encoding, scene.name))
     assert decode is not None
     assert decode(seen["/receiver/3d"][1]).entities[0].id.startswith("receiver/")
+
+
+def test_nothing_is_said_among_the_flights_lines_of_a_client_that_asks_too_early(
+    tmp_path: Path, flight: McapLog, capfd: pytest.CaptureFixture[str]
+) -> None:
+    port = free_port(socket.SOCK_STREAM)
+    with live(f"{LOOPBACK}:{port}", tmp_path), dial(f"ws://{LOOPBACK}:{port}") as client:
+        ask(client, 999)
+        while json.loads(client.recv(timeout=60)).get("message") != "Unknown channel ID: 999":
+            pass
+    said = capfd.readouterr()
+    assert "unknown channel" not in said.out + said.err
 
 
 def test_a_port_that_is_taken_is_said(tmp_path: Path) -> None:

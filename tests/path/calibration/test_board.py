@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from flight.harness.renderer import IDEAL, REALISTIC, Imaging
+from hil.camera.pictures import CameraRenderer
+from missions.trials.calibration.views import board_poses
+from missions.trials.calibration.views import photographs as shoot
 from path.calibration.board import Board, find_board, other_size, print_cells
+from path.camera import CameraModel
 from tests.path.calibration.rendered import CAMERA, CHARUCO, CHESSBOARD, Held, grey, photographs, poses
 
 MOTION = replace(IDEAL, motion_px=(4.0, 2.0))
@@ -59,6 +63,18 @@ def test_another_chessboard_is_told_by_its_size() -> None:
     assert size is not None
     assert np.abs(np.sort(size) - [6, 9]).max() <= 1
     assert other_size(np.full((48, 64), 128, np.uint8)) is None
+
+
+@pytest.mark.parametrize(("height", "number"), [(720, 5), (540, 0)])
+def test_corners_of_the_outermost_squares_are_not_counted(height: int, number: int) -> None:
+    """OpenCV takes the outer corners of a dark row for another row of inner ones: of 9x7 squares it makes 9x8 here."""
+    camera = CameraModel(960, height, 922.5, 922.5, 480.0, height / 2, CAMERA.distortion)
+    board = Board("chessboard", 9, 7, 0.030)
+    where = list(board_poses(camera, board, Held(reach=0.2), 6, 3))[number]
+    image = grey(next(shoot(CameraRenderer, camera, board, [where], 1, REALISTIC)))
+    size = other_size(image)
+    assert size is not None
+    assert sorted(size) == [7, 9]
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,28 @@ def test_programs_stand_still_at_the_levels_where_programs_die() -> None:
         assert any(fault.startswith("stall_") for fault in faults) is (level in ("harsh", "hostile"))
 
 
+def test_some_disks_of_the_hostile_level_lose_records_of_programs_that_begin_again() -> None:
+    runs = [draw(0, "hostile", number)[1] for number in range(300)]
+    forgetful = [faults for faults in runs if any(fault.startswith("disk_") for fault in faults)]
+    assert 5 < len(forgetful) < 60
+    for faults in forgetful:
+        (loses,) = (fault for fault in faults if fault.startswith("disk_"))
+        assert any(fault.startswith(loses.partition("=")[0].replace("disk_", "kill_") + "=") for fault in faults)
+
+
+@pytest.mark.parametrize(("lost", "end"), [(1, "restarted"), (100, "guard")])
+def test_a_sender_whose_disk_forgot_its_commit_lands_and_it_is_told(
+    lost: int, end: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def asked(*_: object) -> tuple[int, tuple[str, ...]]:
+        return 5, ("kill_sender=0.5@released", f"disk_sender={lost}@preflight")
+
+    monkeypatch.setattr(role_runs, "draw", asked)
+    (line,) = fly(RunOrder("sim", 0, (("hostile", 0),)))
+    assert (line.violations, line.broken) == ((), ("disk",))
+    assert line.outcome == end
+
+
 def test_a_receiver_that_sleeps_over_its_lease_in_flight_takes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its record is on the disk, and it goes on half a second after the sender took back."""
 

@@ -25,6 +25,7 @@ from missions.trials.shared.trial import TrialRequest, TrialResult
 from missions.work import open_work
 
 SHIFT_NS = 300_000_000
+UNIX_MS = 1_763_898_305_000
 
 
 def judged(out: Path, logs: Path | None) -> TrialResult:
@@ -94,6 +95,21 @@ def test_a_list_of_positions_is_judged_without_truth(live: tuple[Path, TrialResu
     assert found.summary["time_offset_error_s"] is None
     assert found.summary["time_offset_s"] == pytest.approx(live[1].summary["time_offset_s"], abs=1e-3)
     assert found.noise is None
+
+
+def test_a_session_may_have_the_dashboards_own_log(live: tuple[Path, TrialResult], tmp_path: Path) -> None:
+    """By another clock, in whole milliseconds, and without a rating of the positions."""
+    folder = session(tmp_path / "dashboard", live[0], beacons="none")
+    heard = read_any(live[0] / "beacons.mcap")
+    rows = (
+        f"{UNIX_MS + (fix.host_ns or 0) // 1_000_000},20,900,{fix.address},{x:.3f},{y:.3f},{z:.3f},1,3.9,2,4.8\n"
+        for fix in heard
+        for x, y, z in [fix.position_m]
+    )
+    (folder / "beacons.csv").write_text(f"T2025_11_23__114505_120,1\n{''.join(rows)}", "utf-8")
+    for read, was in zip(load_session(folder).fixes, heard, strict=True):
+        assert (read.address, read.position_m) == (was.address, pytest.approx(was.position_m, abs=1e-9))
+        assert read.stamp_ns - UNIX_MS * 1_000_000 == pytest.approx(was.host_ns, abs=1_000_000)
 
 
 def test_a_folder_that_is_no_session_is_refused(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """The world of a relay or a team in real time: drones that are switched on and off by name, and links leg by leg.
 
-    python -m hil.harness.relay_sitl_world RIG_FILE SEED ERRORS DRONES TARGETS HOURS -- [FOLDER ...]
+    python -m hil.harness.realtime.relay_world RIG_FILE SEED ERRORS DRONES TARGETS HOURS -- [FOLDER ...]
 
 Besides what every world is told: ``{"on": NAME}``, ``{"camera_off": NAME}``, ``{"off": NAME}``, ``{"open": N, "sender":
 NAME, "receiver": NAME}``, ``{"close": N, "sender": ..., "receiver": ...}``, ``{"died": NAME, "at_ns": T}``, ``{"over":
@@ -26,9 +26,9 @@ from drivers.rig.tables import decode_table
 from flight.harness.relay import RelayConfig, pair_of
 from flight.harness.team import TeamConfig
 from hil.camera.shared import RUN_VARIABLE
-from hil.harness.live_world import CameraView, camera_config, embedded_vehicle, proxy_side, say, shared_camera
-from hil.harness.pace import frame_age_s, overload_of
-from hil.harness.realtime_world import TRUTH_STEPS, RealTimeWorld, main
+from hil.harness.realtime.pace import frame_age_s, overload_of
+from hil.harness.realtime.parts import CameraView, camera_config, embedded_vehicle, proxy_side, say, shared_camera
+from hil.harness.realtime.world import TRUTH_STEPS, RealTimeWorld, main
 from hil.harness.relay_world import OTHER, OWN, RelayWorld
 from hil.harness.sim import mission_config
 from hil.link.faulty import LinkFaults, UdpFaultProxy

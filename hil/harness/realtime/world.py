@@ -28,8 +28,8 @@ from drivers.log.json_lines import JsonLines
 from drivers.rig.file import load_rig
 from drivers.rig.parts import Rig, with_errors
 from hil.harness.inject import inject_on_link
-from hil.harness.live_world import CameraThread, CameraView, FrameWriter, at_pace, running, say
 from hil.harness.preparation import prepare
+from hil.harness.realtime.parts import CameraThread, CameraView, FrameWriter, at_pace, running, say
 from hil.link.faulty import UdpFaultProxy
 from hil.vehicle.simulator_process import SimulatorBroken
 from hil.world.errors import level_of
@@ -232,7 +232,7 @@ class RealTimeWorld:
 
 @dataclass(frozen=True, slots=True)
 class _Scene:
-    """A ``hil.harness.live_world.CameraScene``: the world as one drone's camera sees it."""
+    """A ``hil.harness.realtime.parts.CameraScene``: the world as one drone's camera sees it."""
 
     live: RealTimeWorld
     name: str

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from flight.harness.flights import Emit, Progress, RoleResult, decode_event
-from hil.harness.children import (
+from hil.harness.leg_faults import LegFaults
+from hil.harness.realtime.children import (
     Child,
     drain,
     duty_of,
@@ -30,7 +31,6 @@ from hil.harness.children import (
     spawn,
     write,
 )
-from hil.harness.leg_faults import LegFaults
 from hil.world.faults import Fault
 from path.messages import Role
 

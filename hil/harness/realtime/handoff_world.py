@@ -1,6 +1,6 @@
 """The world of a handoff in real time: two drones that are on from the start, the link between them, and its log.
 
-    python -m hil.harness.sitl_world RIG_FILE SEED ERRORS RUN_FOLDER -- [FOLDER ...]
+    python -m hil.harness.realtime.handoff_world RIG_FILE SEED ERRORS RUN_FOLDER -- [FOLDER ...]
 
 Its vehicles are embedded, Tellos, or real autopilots.
 """
@@ -20,7 +20,7 @@ from drivers.rig.tables import decode_table
 from hil.beacons.pty import open_beacons, open_hedges
 from hil.camera.shared import RUN_VARIABLE
 from hil.harness.inject import inject_in_world
-from hil.harness.live_world import (
+from hil.harness.realtime.parts import (
     CameraView,
     camera_config,
     embedded_vehicle,
@@ -28,7 +28,7 @@ from hil.harness.live_world import (
     say,
     shared_camera,
 )
-from hil.harness.realtime_world import TRUTH_STEPS, RealTimeWorld, VehicleOnTheWire, main
+from hil.harness.realtime.world import TRUTH_STEPS, RealTimeWorld, VehicleOnTheWire, main
 from hil.harness.sim import LEG, VEHICLES_EVERY, mission_config
 from hil.link.air import Air
 from hil.link.faulty import UdpFaultProxy

@@ -4,7 +4,7 @@ One harness for every mission, which it knows nothing of. ``RealTimeRun.run`` is
 is started, the mission is flown, the world lands everybody and says what it found, and nothing is left behind. The
 mission begins programs by their drones' names (``fly``) and opens legs (``legs.open_leg``); faults begin in their legs
 by themselves. What is flown is said by ``Orders``: a handoff's are in ``hil.harness.sitl``, those of a relay or a team
-in ``hil.harness.relay_sitl``. The world's side is ``hil.harness.realtime_world``.
+in ``hil.harness.relay_sitl``. The world's side is ``hil.harness.realtime.world``.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.stop_signals import leave_signals, stop_on_signals
-from hil.harness.children import HarnessFailure, WorldTooSlow, finish_world, read_world, until_ready
-from hil.harness.live_programs import PROGRAM_END_S, LivePrograms, no_news
 from hil.harness.preparation import starting
+from hil.harness.realtime.children import HarnessFailure, WorldTooSlow, finish_world, read_world, until_ready
+from hil.harness.realtime.programs import PROGRAM_END_S, LivePrograms, no_news
 from path.messages import Role
 
 

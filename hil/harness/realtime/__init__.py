@@ -1,0 +1,1 @@
+"""Runs in real time: processes of programs and of the world, and what the world does."""

@@ -1,0 +1,201 @@
+"""The field of a relay or a team in virtual time: drones switched on by name, their programs, the links of their legs.
+
+It is what the ground of a mission acts on (``flight.harness.relay.TeamField``), and where faults take effect.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from drivers.log.mcap_log import McapLog, virtual_log
+from drivers.rig.parts import RoleRig, part_context
+from drivers.rig.tables import decode_table
+from flight.config import MissionConfig
+from flight.harness.flights import Progress, RoleResult
+from flight.harness.relay import POINTING_M, DroneProgram, Pointed, RelayRequest, pair_of
+from hil.harness.drone import Disk, DroneHarness, present_s
+from hil.harness.guard import MemoryBeatLine, keep_watch
+from hil.harness.inject import inject_at_drone, inject_on_link
+from hil.harness.leg_faults import LegFaults
+from hil.harness.programs import Programs, Started
+from hil.harness.relay_world import OTHER, OWN, PairView, RelayWorld
+from hil.link.faulty import MemoryHub
+from hil.monitors.relay import RelayLog, RelayMonitors
+from hil.world.errors import Built, as_built
+from hil.world.faults import Fault
+from hil.world.world import WorldConfig
+from path.messages import Role
+
+
+@dataclass(slots=True)
+class VirtualDrone:
+    """One drone: what its parts are connected to, its log, and its guard while it is on."""
+
+    name: str
+    own: RoleRig
+    view: PairView
+    harness: DroneHarness
+    log: McapLog
+    offset_ns: int
+    guard: asyncio.Task[None] | None = None
+
+
+class VirtualField:
+    """
+    Args:
+        faults: by the number of their leg; of 0 those of all legs.
+    """
+
+    def __init__(self, request: RelayRequest, mission: MissionConfig, faults: Mapping[int, Sequence[Fault]]) -> None:
+        rig, config = request.rig, request.config
+        self._request, self._mission = request, mission
+        self.programs = Programs(self._died)
+        self.legs = LegFaults(faults, self._inject)
+        self._hubs: dict[int, MemoryHub] = {}
+        self._pointing = np.random.default_rng([request.seed, 0x706F696E74])
+        world_config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
+        self.world = RelayWorld(world_config, request.seed, config.drones, request.targets)
+        self._pairs = {drone.name: pair_of(rig, drone, drone) for drone in config.drones}
+        built = {
+            name: as_built(pair, request.seed, {OTHER: 0, OWN: k}) for k, (name, pair) in enumerate(self._pairs.items())
+        }
+        owns = {name: each.rig.receiver for name, each in built.items()}
+        targets = max(1, len(request.targets))
+        self.monitors = RelayMonitors(rig, config, mission, self.world, owns, targets=targets)
+        if request.targets:
+            self.monitors.watched_until_s = 3600.0 * request.hours
+        self.drones = {name: self._new(name, pair.receiver, built[name]) for name, pair in self._pairs.items()}
+
+    def close(self) -> None:
+        """Ends guards and logs, and tells the monitors of the last flights."""
+        self.legs.close()
+        for drone in self.drones.values():
+            self._close_flight(drone)
+            drone.log.close()
+        self.monitors.close()
+
+    def _new(self, name: str, own: RoleRig, built: Built) -> VirtualDrone:
+        """Makes a drone.
+
+        To its own parts it is always the receiver, with a link to nobody until it is called to a leg.
+        """
+        view = PairView(self.world, name)
+        seed = self._request.seed * 64 + self.world.names.index(name)
+        harness = DroneHarness(view, self.world.advance, seed, built, OWN, MemoryHub(seed))
+        self.programs.add(name, harness, Disk(lambda duty: self.legs.on_duty(name, duty)))
+        offset_ns = round(float(own.clock.options.get("offset_s", 0.0)) * 1e9)
+        log = virtual_log(self._request.out / f"{name}.mcap", name, offset_ns)
+        return VirtualDrone(name, own, view, harness, log, offset_ns)
+
+    def begin(self, name: str, program: DroneProgram) -> Awaitable[RoleResult | None]:
+        drone = self.drones[name]
+        self._switch_on(drone)
+        return self._until_over(name, self.programs.begin(name, lambda: self._start(drone, program)))
+
+    async def _until_over(self, name: str, program: Awaitable[RoleResult | None]) -> RoleResult | None:
+        try:
+            return await program
+        finally:
+            self.monitors.on_over(name)
+
+    def assign(self, name: str, target: int) -> None:
+        self.monitors.on_assigned(name, target)
+
+    def given_up(self, target: int) -> None:
+        self.monitors.on_given_up(target)
+
+    def point_at(self, target: int) -> Pointed:
+        """A person points: off by some centimetres, and knows how it drives."""
+        now_s, world = present_s(), self.world
+        if now_s != world.time_s:
+            world.advance(now_s)
+        thing = world.target(target)
+        east, north, _ = thing.position_w_m
+        off_n_m, off_e_m = (POINTING_M * self._pointing.standard_normal(2)).tolist()
+        velocity = thing.speed_mps * math.sin(thing.yaw_rad), thing.speed_mps * math.cos(thing.yaw_rad), 0.0
+        return Pointed((north + off_n_m, east + off_e_m, 0.0), velocity, now_s)
+
+    def open_leg(self, number: int, sender: str, receiver: str) -> None:
+        hub = self._hubs[number] = MemoryHub(self._request.seed * 4096 + number)
+        for role, name, other in ((Role.SENDER, sender, receiver), (Role.RECEIVER, receiver, sender)):
+            drone = self.drones[name]
+            drone.harness.role, drone.harness.hub, drone.view.other = role, hub, other
+        self.monitors.on_leg(number, sender, receiver)
+        self.legs.open_leg(number, sender, receiver)
+
+    def close_leg(self, number: int) -> None:
+        self.world.close_leg(*self._ends_of(number))
+
+    def _ends_of(self, leg: int) -> tuple[str, str]:
+        return self.legs.end_of(leg, Role.SENDER), self.legs.end_of(leg, Role.RECEIVER)
+
+    def landed(self, name: str) -> bool:
+        return self.world.landed(name)
+
+    def swap(self, name: str) -> None:
+        drone = self.drones[name]
+        self._close_flight(drone)
+        self.world.swap(name)
+        drone.harness.silent = drone.harness.lost = drone.harness.frozen = False
+        drone.view.other = None
+
+    def _switch_on(self, drone: VirtualDrone) -> None:
+        if drone.name not in self.world.on:
+            self.world.switch_on(drone.name)
+            self.monitors.on_switched_on(drone.name, present_s())
+            if drone.own.guard is not None and drone.guard is None:
+                context = part_context(self._pairs[drone.name], OWN, drone.harness)
+                beats = drone.harness.beats = MemoryBeatLine(context.clock)
+                drone.guard = asyncio.create_task(keep_watch(drone.own.guard, context, beats, self._mission, _NoLog()))
+
+    def _start(self, drone: VirtualDrone, program: DroneProgram) -> Started:
+        log = RelayLog(drone.log, drone.name, self.monitors, drone.offset_ns, self._request.whole_log)
+        emit, stop, disk = self._emit_of(drone), self.programs.stop, self.programs.disk(drone.name)
+        return Started(log, program(drone.name, log, emit, stop, drone.harness, disk))
+
+    def _died(self, name: str) -> None:
+        self.monitors.on_death(name)
+
+    def _emit_of(self, drone: VirtualDrone) -> Callable[[Progress], None]:
+        def emit(progress: Progress) -> None:
+            if not self.programs.killed(drone.name):
+                self._request.emit(progress)
+                self.legs.on_progress(drone.name, progress)
+
+        return emit
+
+    def _inject(self, leg: int, fault: Fault) -> None:
+        """Injects a fault at the drone that has, or had, its role in the leg."""
+        role = fault.kind.role
+        name = None if role is None else self.legs.end_of(leg, role)
+        inject_on_link(fault.name, fault.value or 0.0, self._hubs[leg])
+        ends = self._ends_of(leg)
+        if fault.name == "lookalike":
+            self.world.send_lookalike(self.monitors.on_target(ends[0]))
+        else:
+            self.world.inject(fault.name, name, fault.value, ends)
+        if name is not None:
+            inject_at_drone(fault, name, self.drones[name].harness, self.programs)
+
+    def _close_flight(self, drone: VirtualDrone) -> None:
+        """Closes one flight: its autopilot's record goes to the monitors before it is started anew."""
+        self.monitors.on_offboard(drone.name, drone.harness.cut_off_s)
+        self.monitors.on_swap(drone.name, present_s())
+        drone.harness.cut_off_s = []
+        if drone.guard is not None:
+            drone.guard.cancel()
+            drone.guard = None
+
+
+class _NoLog:
+    """A log that nobody reads."""
+
+    def write(self, topic: str, stamp_ns: int, record: Any) -> None: ...
+
+    def image(self, topic: str, stamp_ns: int, image: Any) -> None: ...
