@@ -69,7 +69,7 @@ class McapLog:
         self._utc_ns = wall_offset_ns(time.monotonic_ns) if utc_minus_stamp_ns is None else utc_minus_stamp_ns
         self._channels: dict[str, int] = {}
         self._count = 0
-        self._encoder = msgspec.json.Encoder(enc_hook=encode_other)
+        self._encode = msgspec.json.Encoder(enc_hook=encode_other).encode
         self._file: LooseFile | ChunkedFile | None = None
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -99,8 +99,7 @@ class McapLog:
             return
         try:
             utc_ns = self._utc(stamp_ns)
-            known = {name: value for name, value in record.items() if value is not None}
-            data = self._encoder.encode(known)
+            data = self._encode({name: value for name, value in record.items() if value is not None})
             if topic not in self._channels:
                 self._register(topic, "json", "path" + topic.replace("/", "."), "jsonschema", schema_of(topic))
             self._write(topic, utc_ns, data)
@@ -223,9 +222,9 @@ class LooseFile:
         self._write(record)
 
     def _write(self, data: bytes) -> None:
-        left = memoryview(data)
-        while left:
-            left = left[self._raw.write(left) :]
+        written = self._raw.write(data)
+        while written < len(data):  # a full disk takes a part of it before it takes nothing
+            written += self._raw.write(memoryview(data)[written:])
 
     def close(self) -> None:
         """Put what was written into chunks."""
