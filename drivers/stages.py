@@ -3,26 +3,42 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator
-from contextlib import contextmanager
+from types import TracebackType
 
 from drivers.clock import busy_ns
+
+
+class _Stage:
+    """A context that adds up what its body spends. Written out: a generator takes three times as long."""
+
+    __slots__ = ("_began_ns", "spent_ns")
+
+    def __init__(self) -> None:
+        self._began_ns = self.spent_ns = 0
+
+    def __enter__(self) -> None:
+        self._began_ns = busy_ns()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None:
+        self.spent_ns += busy_ns() - self._began_ns
 
 
 class Stages:
     """Processor time of one thread by stage of its work. Stages do not contain one another; the rest is in none."""
 
     def __init__(self) -> None:
-        self._spent_ns: dict[str, int] = {}
+        self._stages: dict[str, _Stage] = {}
 
-    @contextmanager
-    def __call__(self, stage: str) -> Generator[None, None, None]:
-        began_ns = busy_ns()
-        try:
-            yield
-        finally:
-            self._spent_ns[stage] = self._spent_ns.get(stage, 0) + busy_ns() - began_ns
+    def __call__(self, stage: str) -> _Stage:
+        """Returns the context whose body is the stage: the same one every time."""
+        found = self._stages.get(stage)
+        if found is None:
+            found = self._stages[stage] = _Stage()
+        return found
 
     def spent_ns(self) -> dict[str, int]:
         """Since the start: of each stage, of the calling thread as ``thread``, and of all threads as ``program``."""
-        return {**self._spent_ns, "thread": busy_ns(), "program": time.process_time_ns()}
+        spent_ns = {name: stage.spent_ns for name, stage in self._stages.items()}
+        return {**spent_ns, "thread": busy_ns(), "program": time.process_time_ns()}

@@ -31,16 +31,12 @@ class CameraPose:
         offset[2] += down
         return Pose(R_n_b @ self._mount.T_b_c.R, offset)
 
-    def gravity_c(self, R_n_b: Matrix) -> Vec3:
-        """Unit gravity in the camera frame."""
-        return _third_row(R_n_b @ self._mount.T_b_c.R)
-
     def gravity_v(self, R_n_b: Matrix) -> Vec3:
         """Unit gravity in the frame of the marker this vehicle carries."""
-        return _third_row(R_n_b @ self._mount.T_b_v.R)
+        return gravity_in(R_n_b @ self._mount.T_b_v.R)
 
 
-def _third_row(R_n_x: Matrix) -> Vec3:
-    """Down, (0, 0, 1) in ``n``, seen from frame ``x``."""
+def gravity_in(R_n_x: Matrix) -> Vec3:
+    """Unit gravity, (0, 0, 1) in ``n``, in a frame of this attitude."""
     x, y, z = R_n_x[2].tolist()
     return x, y, z

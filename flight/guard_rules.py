@@ -202,7 +202,8 @@ def _watch(
     state: GuardState, view: GuardView, heard: ProgramBeat, now_ns: int, rules: GuardRules, limits: Limits
 ) -> tuple[GuardState, Act]:
     odd_ns = None if view.mode in _EXPECTED[heard.script] else _since(state.odd_ns, now_ns)
-    state = replace(state, odd_ns=odd_ns)
+    if odd_ns != state.odd_ns:
+        state = replace(state, odd_ns=odd_ns)
     dead_s = _s(now_ns - heard.beat_ns)
     if _somebody_else(state, view, heard, now_ns, rules):
         return _let_go(state, view)
@@ -218,7 +219,8 @@ def _watch(
         reason = f"no setpoint for {gap_s:.2f} s"
     elif broken_ns is not None and _s(now_ns - broken_ns) >= rules.patience_s:
         reason = broken
-    state = replace(state, broken_ns=broken_ns)
+    if broken_ns != state.broken_ns:
+        state = replace(state, broken_ns=broken_ns)
     return _take(view, now_ns, reason) if reason else (state, Act.NOTHING)
 
 

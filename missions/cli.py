@@ -7,54 +7,44 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
-from importlib.metadata import version
-from typing import Annotated
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from functools import reduce
+from io import StringIO
+from operator import or_
+from typing import Annotated, Any
 
 import tyro
 
 from flight.command_end import CommandEnd
+from missions.collector import collector_off
 from missions.kernel_cache import have_kernel_cache
-from missions.options.calibrate import CalibrateOptions
-from missions.options.field import (
-    DetectOptions,
-    DoctorOptions,
-    GuardOptions,
-    PrepareOptions,
-    ReceiverOptions,
-    RigsOptions,
-    SenderOptions,
-)
-from missions.options.flights import FlyOptions, HandoffOptions, RelayOptions, TeamOptions
-from missions.options.proofs import CampaignOptions, ConformanceOptions, TrialOptions, VerifyOptions
-from missions.options.runs import ExportOptions, MergeOptions, ReplayOptions, ReportOptions, ViewOptions
 from missions.shown import drop, flush_or_drop, say_unwritten
 from path.bounds import out_of_bounds
 
-MODULES: dict[type[object], str] = {
-    HandoffOptions: "handoff.command",
-    RelayOptions: "relay.command",
-    TeamOptions: "team.command",
-    FlyOptions: "own.command",
-    SenderOptions: "leg.command",
-    ReceiverOptions: "leg.command",
-    GuardOptions: "guard.command",
-    DoctorOptions: "doctor.command",
-    PrepareOptions: "prepare",
-    RigsOptions: "rig_list",
-    ReportOptions: "report.command",
-    ReplayOptions: "replay.command",
-    ViewOptions: "view.command",
-    MergeOptions: "logs.merge",
-    ExportOptions: "logs.export",
-    TrialOptions: "trials.run",
-    VerifyOptions: "assurance.verify.run",
-    CampaignOptions: "assurance.campaign.run",
-    ConformanceOptions: "assurance.conformance.run",
-    CalibrateOptions: "calibrate.run",
-    DetectOptions: "detect",
+COMMANDS: dict[str, tuple[str, str]] = {
+    "handoff": ("flights:HandoffOptions", "handoff.command"),
+    "relay": ("flights:RelayOptions", "relay.command"),
+    "team": ("flights:TeamOptions", "team.command"),
+    "fly": ("flights:FlyOptions", "own.command"),
+    "sender": ("field:SenderOptions", "leg.command"),
+    "receiver": ("field:ReceiverOptions", "leg.command"),
+    "guard": ("field:GuardOptions", "guard.command"),
+    "doctor": ("field:DoctorOptions", "doctor.command"),
+    "prepare": ("field:PrepareOptions", "prepare"),
+    "rigs": ("field:RigsOptions", "rig_list"),
+    "report": ("runs:ReportOptions", "report.command"),
+    "replay": ("runs:ReplayOptions", "replay.command"),
+    "view": ("runs:ViewOptions", "view.command"),
+    "merge": ("runs:MergeOptions", "logs.merge"),
+    "export": ("runs:ExportOptions", "logs.export"),
+    "trial": ("proofs:TrialOptions", "trials.run"),
+    "verify": ("proofs:VerifyOptions", "assurance.verify.run"),
+    "campaign": ("proofs:CampaignOptions", "assurance.campaign.run"),
+    "conformance": ("proofs:ConformanceOptions", "assurance.conformance.run"),
+    "calibrate": ("calibrate:CalibrateOptions", "calibrate.run"),
+    "detect": ("field:DetectOptions", "detect"),
 }
-"""Each has ``run(options) -> exit code``."""
+"""Each command's options, in ``missions.options``, and the module that has its ``run(options) -> exit code``."""
 
 EXIT_REFUSED = CommandEnd.REFUSED.exit_code
 EXIT_CTRL_C = CommandEnd.STOPPED.exit_code
@@ -86,30 +76,6 @@ examples:
   path-handoff conformance --px4 PATH         where the embedded vehicle differs from a real autopilot
 """
 
-Command = (
-    Annotated[HandoffOptions, tyro.conf.subcommand("handoff")]
-    | Annotated[RelayOptions, tyro.conf.subcommand("relay")]
-    | Annotated[TeamOptions, tyro.conf.subcommand("team")]
-    | Annotated[FlyOptions, tyro.conf.subcommand("fly")]
-    | Annotated[SenderOptions, tyro.conf.subcommand("sender")]
-    | Annotated[ReceiverOptions, tyro.conf.subcommand("receiver")]
-    | Annotated[GuardOptions, tyro.conf.subcommand("guard")]
-    | Annotated[DoctorOptions, tyro.conf.subcommand("doctor")]
-    | Annotated[PrepareOptions, tyro.conf.subcommand("prepare")]
-    | Annotated[RigsOptions, tyro.conf.subcommand("rigs")]
-    | Annotated[ReportOptions, tyro.conf.subcommand("report")]
-    | Annotated[ReplayOptions, tyro.conf.subcommand("replay")]
-    | Annotated[ViewOptions, tyro.conf.subcommand("view")]
-    | Annotated[MergeOptions, tyro.conf.subcommand("merge")]
-    | Annotated[ExportOptions, tyro.conf.subcommand("export")]
-    | Annotated[TrialOptions, tyro.conf.subcommand("trial")]
-    | Annotated[VerifyOptions, tyro.conf.subcommand("verify")]
-    | Annotated[CampaignOptions, tyro.conf.subcommand("campaign")]
-    | Annotated[ConformanceOptions, tyro.conf.subcommand("conformance")]
-    | Annotated[CalibrateOptions, tyro.conf.subcommand("calibrate")]
-    | Annotated[DetectOptions, tyro.conf.subcommand("detect")]
-)
-
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """The console script; ends the process with the command's exit code."""
@@ -131,17 +97,12 @@ def _have_streams() -> None:
 def _carry_out(arguments: Sequence[str] | None) -> int:
     """The exit code of a command line. Raises SystemExit for one that was not understood, or asked for help."""
     if (sys.argv[1:] if arguments is None else list(arguments)) == ["--version"]:
+        from importlib.metadata import version  # noqa: PLC0415 (brings e-mail's parser along)
+
         sys.stdout.write(f"path-handoff {version('path-handoff')}\n")
         sys.exit(0)
     try:
-        command = tyro.cli(
-            Command,  # type: ignore[arg-type]  # a union of options, one for each command
-            args=_spelled_out(sys.argv[1:] if arguments is None else arguments),
-            prog="path-handoff",
-            description=DESCRIPTION,
-            config=(tyro.conf.OmitSubcommandPrefixes,),
-        )
-        return run(command)
+        return run(_understood(_spelled_out(sys.argv[1:] if arguments is None else arguments)))
     except KeyboardInterrupt:
         return EXIT_CTRL_C
     except BrokenPipeError:  # as in `path-handoff --help | head`
@@ -164,6 +125,25 @@ def _carry_out(arguments: Sequence[str] | None) -> int:
         return EXIT_REFUSED
 
 
+def _understood(arguments: list[str]) -> object:
+    """The options of the command that is asked for. Raises SystemExit when help is, or what it says is not understood.
+
+    Only the command that is named is made, which takes half as long. What is not understood is told, and help given,
+    by all of them together, which know what else may have been meant.
+    """
+    known, name = (tyro.conf.OmitSubcommandPrefixes,), arguments[0] if arguments else ""
+    if name in COMMANDS:
+        with suppress(SystemExit), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+            return tyro.cli(_options_of(name), args=arguments[1:], config=known)
+    every: Any = reduce(or_, (Annotated[_options_of(name), tyro.conf.subcommand(name)] for name in COMMANDS))
+    return tyro.cli(every, args=arguments, prog="path-handoff", description=DESCRIPTION, config=known)
+
+
+def _options_of(name: str) -> Any:
+    module, _, options = COMMANDS[name][0].partition(":")
+    return getattr(importlib.import_module(f"missions.options.{module}"), options)
+
+
 def _spelled_out(arguments: Sequence[str]) -> list[str]:
     """``--live`` and ``--gcs`` without an address have the usual one."""
     spelled: list[str] = []
@@ -178,7 +158,7 @@ def error_text(what: str, remedy: str) -> str:
     return f"error: {lines}\n" + (f"  fix: {remedy}\n" if remedy else "")
 
 
-def run(command: Command) -> int:
+def run(command: object) -> int:
     """Carry out a command; returns its exit code. Raises PartError when it is refused."""
     wrong = out_of_bounds(command)
     if wrong:
@@ -187,7 +167,9 @@ def run(command: Command) -> int:
         lines = [f"--{name.replace('_', '-')}: {what}" for name, what in wrong]
         raise PartError("\n".join(lines), "give a number that is within these bounds")
     have_kernel_cache()
-    module = importlib.import_module(f"missions.{MODULES[type(command)]}")
+    of = {options.partition(":")[2]: module for options, module in COMMANDS.values()}
+    with collector_off():  # of cycles: a module's classes and functions are kept, and are walked for nothing
+        module = importlib.import_module(f"missions.{of[type(command).__name__]}")
     return module.run(command)
 
 

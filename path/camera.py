@@ -8,7 +8,9 @@ Pixel centres are at integer coordinates, as in OpenCV.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -170,8 +172,7 @@ class CameraModel:
 
     def ray(self, u: float, v: float) -> tuple[float, float]:
         """Undistorted normalised coordinates of one pixel, by Newton's method to 1e-12; NaN where there are none."""
-        from path.camera_kernels import lens_of, ray  # noqa: PLC0415 (numba: not for those who only read a rig)
-
+        lens_of, ray = _compiled()
         return ray(lens_of(self), float(u), float(v))
 
     def rays(self, pixels: Array) -> Array:
@@ -195,6 +196,14 @@ class CameraModel:
         x[bad] = np.nan
         y[bad] = np.nan
         return np.stack((x, y), axis=1)
+
+
+@cache
+def _compiled() -> tuple[Callable[[CameraModel], Array], Callable[[Array, float, float], tuple[float, float]]]:
+    """``lens_of`` and ``ray``: looked for once, for an import in ``CameraModel.ray`` takes as long as all of it."""
+    from path.camera_kernels import lens_of, ray  # noqa: PLC0415 (numba: not for those who only read a rig)
+
+    return lens_of, ray
 
 
 def _one_to_one_radius(coefficients: Coefficients) -> float:

@@ -92,14 +92,14 @@ def propagate(
     x, y, z = point_c[0] - tx, point_c[1] - ty, point_c[2] - tz
     jacobian = np.array(
         (
-            (a, b, c, c * y - b * z, a * z - c * x, b * x - a * y),
-            (d, e, f, f * y - e * z, d * z - f * x, e * x - d * y),
+            a, b, c, c * y - b * z, a * z - c * x, b * x - a * y,
+            d, e, f, f * y - e * z, d * z - f * x, e * x - d * y,
             # D2's position is -R^T t, in D2's own axes it moves by -(dt - dw x t)
-            (1.0, 0.0, 0.0, 0.0, -tz, ty),
-            (0.0, 1.0, 0.0, tz, 0.0, -tx),
-            (0.0, 0.0, 1.0, -ty, tx, 0.0),
+            1.0, 0.0, 0.0, 0.0, -tz, ty,
+            0.0, 1.0, 0.0, tz, 0.0, -tx,
+            0.0, 0.0, 1.0, -ty, tx, 0.0,
         )
-    )
+    ).reshape(5, 6)  # fmt: skip
     rows = (jacobian @ covariance @ jacobian.T).tolist()
     point, along, pixel = point_sigma_m * point_sigma_m, 0.0, pixel_sigma_px * pixel_sigma_px
     du = dv = 0.0

@@ -85,6 +85,14 @@ GHOST, BACK = Color(r=0.3, g=0.9, b=0.3, a=0.35), Color(a=0.6)
 AS_IT_IS = (1.0, 0.0, 0.0, 0.0)
 ENU_OF_NED = Quaternion(w=0.0, x=math.sqrt(0.5), y=math.sqrt(0.5))
 VIDEO, RAW = CompressedVideo.get_schema(), RawImage.get_schema()
+OF_A_FRAME: Mapping[str, tuple[str, ...]] = {
+    "/target": ("/3d", "/annotations"),
+    "/track": ("/3d target", "/annotations"),
+    "/candidate": ("/3d target", "/annotations"),
+    "/marker": ("/3d", "/annotations"),
+    "/agreement": (),
+}
+"""Topics that come with every frame, and what they are told in, when it is due."""
 LEVELS = {
     "/violation": LogLevel.Error,
     "/fault": LogLevel.Warning,
@@ -136,7 +144,6 @@ class Standards:
             "/state": self._on_state,
             "/target": self._on_target,
             "/track": self._on_frame,
-            "/agreement": self._on_agreement,
             "/marker": self._on_marker,
             "/candidate": self._on_frame,
             "/scene": self._on_scene,
@@ -145,6 +152,11 @@ class Standards:
 
     def of(self, topic: str, stamp_ns: int, record: Record) -> Iterable[Standard]:
         """Returns a viewer's messages for a record."""
+        told_in = OF_A_FRAME.get(topic)
+        if told_in is not None:
+            self._newest[topic] = stamp_ns, record
+            if not any(self._is_due(each, stamp_ns) for each in told_in):
+                return ()
         if topic in _LINES:
             return (self._line(topic, stamp_ns, {**blank(topic), **record}),)
         make = self._of.get(topic)
@@ -155,10 +167,13 @@ class Standards:
         return () if self._said_ns.get("/annotations") == stamp_ns else (self._annotations(stamp_ns),)
 
     def _due(self, topic: str, stamp_ns: int, period_ns: int = PERIOD_NS) -> bool:
-        if stamp_ns - self._said_ns.get(topic, -AGAIN_NS) < period_ns:
+        if not self._is_due(topic, stamp_ns, period_ns):
             return False
         self._said_ns[topic] = stamp_ns
         return True
+
+    def _is_due(self, topic: str, stamp_ns: int, period_ns: int = PERIOD_NS) -> bool:
+        return stamp_ns - self._said_ns.get(topic, -AGAIN_NS) >= period_ns
 
     def _line(self, topic: str, stamp_ns: int, record: Record) -> Standard:
         level = LEVELS.get(topic, LogLevel.Info)
@@ -236,7 +251,6 @@ class Standards:
             yield "/position", _fix(stamp_ns, self._setup["origin"], position)
 
     def _on_target(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
-        self._newest["/target"] = stamp_ns, record
         point = record["point_v_m"]
         if point is not None and self._due("/3d", stamp_ns):
             target = self._entity(
@@ -247,7 +261,6 @@ class Standards:
 
     def _on_frame(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
         """``/track`` or ``/candidate``: the last word on a frame."""
-        self._newest["/candidate" if "prior_px" in record else "/track"] = stamp_ns, record
         point = record.get("point_v_m")
         if point is not None and self._due("/3d target", stamp_ns):
             sphere = _sphere(point, record["sigma_m"], PALE_ORANGE)
@@ -255,12 +268,7 @@ class Standards:
             yield "/3d", SceneUpdate(entities=[target])
         yield from self._draw(stamp_ns)
 
-    def _on_agreement(self, stamp_ns: int, record: Record) -> Iterable[Standard]:
-        self._newest["/agreement"] = stamp_ns, record
-        return ()
-
     def _on_marker(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
-        self._newest["/marker"] = stamp_ns, record
         position = record["position_v_m"]
         if position is not None and self._due("/3d", stamp_ns):
             w, x, y, z = record["rotation_v_c2"]
@@ -320,7 +328,7 @@ class Standards:
     def _lately(self, topic: str, stamp_ns: int) -> Record:
         """The newest record of a topic, when it is of about this instant."""
         newest = self._newest.get(topic)
-        return newest[1] if newest is not None and abs(stamp_ns - newest[0]) < 3 * PERIOD_NS else {}
+        return {**blank(topic), **newest[1]} if newest is not None and abs(stamp_ns - newest[0]) < 3 * PERIOD_NS else {}
 
     # --- the world -----------------------------------------------------------------------------------------------
 

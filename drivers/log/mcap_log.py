@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from io import FileIO
 from itertools import count
@@ -69,7 +69,7 @@ class McapLog:
         self._utc_ns = wall_offset_ns(time.monotonic_ns) if utc_minus_stamp_ns is None else utc_minus_stamp_ns
         self._channels: dict[str, int] = {}
         self._count = 0
-        self._encoder = msgspec.json.Encoder(enc_hook=encode_other)
+        self._encode = msgspec.json.Encoder(enc_hook=encode_other).encode
         self._file: LooseFile | ChunkedFile | None = None
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -99,8 +99,7 @@ class McapLog:
             return
         try:
             utc_ns = self._utc(stamp_ns)
-            known = {name: value for name, value in record.items() if value is not None}
-            data = self._encoder.encode(known)
+            data = self._encode({name: value for name, value in record.items() if value is not None})
             if topic not in self._channels:
                 self._register(topic, "json", "path" + topic.replace("/", "."), "jsonschema", schema_of(topic))
             self._write(topic, utc_ns, data)
@@ -223,9 +222,9 @@ class LooseFile:
         self._write(record)
 
     def _write(self, data: bytes) -> None:
-        left = memoryview(data)
-        while left:
-            left = left[self._raw.write(left) :]
+        written = self._raw.write(data)
+        while written < len(data):  # a full disk takes a part of it before it takes nothing
+            written += self._raw.write(memoryview(data)[written:])
 
     def close(self) -> None:
         """Put what was written into chunks."""
@@ -288,10 +287,11 @@ class LogRecord:
     record: dict[str, Any]
 
 
-def read_log(path: Path) -> Iterator[LogRecord]:
+def read_log(path: Path, topics: Collection[str] | None = None) -> Iterator[LogRecord]:
     """PATH's own records and the images of a log in the order they were written, up to where the file ends.
 
     That may be in the middle of one. Stamps are those they were written with; what a record leaves out is null.
+    ``topics``: those that are read; None: all.
 
     Raises:
         OSError: when the file cannot be read.
@@ -309,6 +309,8 @@ def read_log(path: Path) -> Iterator[LogRecord]:
             for found in messages(file):
                 if isinstance(found, Metadata):
                     offset_ns = int(found.metadata.get(OFFSET, offset_ns)) if found.name == ABOUT else offset_ns
+                elif topics is not None and found.channel.topic not in topics:
+                    continue
                 elif found.channel.encoding == "json":
                     record = {**found.channel.blank, **decode(found.data)}
                     yield LogRecord(found.channel.topic, found.utc_ns - offset_ns, record)

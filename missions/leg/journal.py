@@ -53,9 +53,11 @@ def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
     }
 
 
-def _rows(pose: Pose) -> Any:
+def _rows(pose: Pose) -> list[float]:
     """The upper three rows of its matrix, one after another."""
-    return np.column_stack((pose.R, pose.t)).ravel()
+    (a, b, c), (d, e, f), (g, h, i) = pose.R.tolist()
+    x, y, z = pose.t.tolist()
+    return [a, b, c, x, d, e, f, y, g, h, i, z]
 
 
 def attempt_record(handoff_id: int, epoch: int, target_id: int) -> dict[str, Any]:
@@ -168,6 +170,7 @@ def agreement_record(
         "mapped_box": box_record(pair.mapped_box),
         "offset_m": None if offsets is None else offsets.target_m,
         "rival_offset_m": None if offsets is None else nearest_rival(offsets),
+        "oversize": None if pair.own_box is None else pair.oversize,
     }
 
 
@@ -187,7 +190,7 @@ def marker_record(
         "rotation_v_c2": rotation_v_c2,
         "sigma_m": sigma_m,
         "side_px": side_px,
-        "corners_px": found.corners_px.reshape(-1),
+        "corners_px": found.corners_px.reshape(-1).tolist(),
         "reason": None,
     }
 
@@ -210,7 +213,7 @@ def motion_record(
         "q_n_c": quat_from_R(R_n_c),
         "q_n_v": None if R_n_v is None else quat_from_R(R_n_v),
         "T_c_v": _rows(fix.T_c_v) if isinstance(fix, MarkerFix) else None,
-        "covariance": fix.covariance.ravel() if isinstance(fix, MarkerFix) else None,
+        "covariance": fix.covariance.ravel().tolist() if isinstance(fix, MarkerFix) else None,
     }
 
 

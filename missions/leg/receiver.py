@@ -7,10 +7,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
-from flight.camera_pose import CameraPose
+from flight.camera_pose import CameraPose, gravity_in
 from flight.config import MissionConfig
 from flight.guard import check_separation
 from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, norm, subtract
@@ -254,7 +252,7 @@ class Receiver:
         self._marker.note_motion(motion)
         self._marker.search_every = session.frames.shedding.search_every
         with session.stage("marker"):
-            fix = self._marker.look(view, T_n_c.R, gravity_v, self._camera_pose.gravity_c(R_n_b))
+            fix = self._marker.look(view, T_n_c.R, gravity_v, gravity_in(T_n_c.R))
         with session.stage("log"):
             session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
             session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, fix))
@@ -366,5 +364,6 @@ class Receiver:
         if isinstance(fix, Missed):
             return marker_miss_record(stamp_ns, fix)
         rotation, position = inverse_as_quat(rigid(fix.T_c_v))
-        sigma_m = math.sqrt(float(np.trace(fix.covariance[:3, :3])) / 3.0)
+        xx, yy, zz, *_ = fix.covariance.diagonal().tolist()
+        sigma_m = math.sqrt((xx + yy + zz) / 3.0)
         return marker_record(stamp_ns, position, rotation, sigma_m, fix.side_px, fix.detections[0])

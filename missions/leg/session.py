@@ -38,6 +38,7 @@ from path.protocol.values import TakeResponsibility
 from path.rotation import yaw_of
 from path.window import Evidence
 
+_NO_STAGE = nullcontext()
 _POLL_S = 0.05
 _PROGRESS_PERIOD_S = 0.2
 _STATE_PERIOD_S = 0.1
@@ -198,7 +199,7 @@ class RoleSession:
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Returns a context whose body is a stage of a frame's cycle; stages do not contain one another."""
-        return nullcontext() if self._stages is None else self._stages(name)
+        return _NO_STAGE if self._stages is None else self._stages(name)
 
     async def log_cpu(self) -> None:
         """Log what processor time went to, for ever."""

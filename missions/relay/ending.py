@@ -11,11 +11,12 @@ from typing import Any
 
 from rich.console import RenderableType
 
+from drivers.log.mcap_log import parts
 from flight.harness.relay import RelayReport
 from flight.outcome import Outcome, violated_outcome
 from missions.report.command import show
 from missions.report.page import PageOf, write_page
-from missions.report.records import drone_logs
+from missions.report.records import by_topic, drone_names
 from missions.shown import say_unwritten
 
 Values = dict[str, Any]
@@ -64,7 +65,8 @@ def leave(summary: Values, record: Values, folder: Path, showing: Showing) -> in
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
         if showing.draw is not None:
             showing.draw(record, summary, folder / showing.picture)
-        write_page(folder / PAGE, showing.page(summary, folder), drone_logs(folder))
+        logs = {name: by_topic(*parts(folder, name)) for name in drone_names(folder)}
+        write_page(folder / PAGE, showing.page(summary, folder), logs)
         show(showing.table(summary), sys.stdout)
         names = (SUMMARY, showing.record, showing.picture, PAGE)
         sys.stdout.write(f"\n{folder}: {', '.join(name for name in names if (folder / name).exists())}\n")

@@ -133,12 +133,11 @@ def _draw_objects(axes: Axes, truth: Truth, role: Role, stamp_ns: int) -> None:
     """The true edges of every object, through the lens."""
     T_c_w = truth.T_w_c(role, stamp_ns).inverse()
     camera = truth.scene.cameras[role]
+    edges = [edge for box in truth.scene.boxes for edge in _edges(box)]
     for object_id in truth.object_ids:
         T_c_o = T_c_w @ truth.T_w_o(object_id, role, stamp_ns)
         color = "#f5a03c" if object_id == truth.scene.target_id else "#9a7a4a"
-        for box in truth.scene.boxes:
-            for edge in _edges(box):
-                _draw_edge(axes, camera, T_c_o.apply(edge), color)
+        _draw_edges(axes, camera, [T_c_o.apply(edge) for edge in edges], color)
 
 
 def _edges(box: NDArray[np.float64]) -> list[NDArray[np.float64]]:
@@ -149,7 +148,9 @@ def _edges(box: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     return [a + shares * (b - a) for a, b in pairs]
 
 
-def _draw_edge(axes: Axes, camera: CameraModel, points_c: NDArray[np.float64], color: str) -> None:
-    if points_c[:, 2].min() > 0.05:
-        pixels = camera.project(points_c)
-        axes.plot(pixels[:, 0], pixels[:, 1], color=color, lw=1.0)
+def _draw_edges(axes: Axes, camera: CameraModel, edges: Sequence[NDArray[np.float64]], color: str) -> None:
+    """The edges in front of the camera, all in one line with gaps, which is drawn much faster than a line for each."""
+    gap = np.full((1, 2), np.nan)
+    seen = [np.vstack([camera.project(edge_c), gap]) for edge_c in edges if edge_c[:, 2].min() > 0.05]
+    if seen:
+        axes.plot(*np.vstack(seen).T, color=color, lw=1.0)

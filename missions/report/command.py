@@ -13,10 +13,23 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from drivers.log.mcap_log import parts
 from flight.outcome import Outcome
+from missions.collector import collector_off
 from missions.options.runs import ReportOptions
 from missions.report.page import PageOf, write_page
-from missions.report.records import PAGE, PICTURE, SUMMARY, RunFacts, RunRecords, drone_logs, last, load_run
+from missions.report.records import (
+    PAGE,
+    PICTURE,
+    SUMMARY,
+    Records,
+    RunFacts,
+    RunRecords,
+    by_topic,
+    drone_names,
+    last,
+    load_run,
+)
 from missions.report.summary import summarize
 from path.messages import Role
 
@@ -36,6 +49,15 @@ def make_report(folder: Path, picture: bool, stream: TextIO) -> dict[str, Any]:
         RunFolderError: when the folder is no run's.
         OSError: when it cannot be written to.
     """
+    with collector_off():  # of cycles: tens of thousands of records stay to the end
+        summary = _write_report(folder, picture)
+    show(summary_table(summary), stream)
+    written = [name for name in (SUMMARY, PICTURE, PAGE) if (folder / name).exists()]
+    stream.write(f"\n{folder}: {', '.join(written)}\n")
+    return summary
+
+
+def _write_report(folder: Path, picture: bool) -> dict[str, Any]:
     recorded = load_run(folder)
     summary = summarize(recorded)
     (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
@@ -43,11 +65,14 @@ def make_report(folder: Path, picture: bool, stream: TextIO) -> dict[str, Any]:
         from missions.report.picture import draw_run  # noqa: PLC0415 (matplotlib takes a second to import)
 
         draw_run(recorded, summary, folder / PICTURE)
-    write_page(folder / PAGE, _page_of(recorded, summary, folder), drone_logs(folder))
-    show(summary_table(summary), stream)
-    written = [name for name in (SUMMARY, PICTURE, PAGE) if (folder / name).exists()]
-    stream.write(f"\n{folder}: {', '.join(written)}\n")
+    write_page(folder / PAGE, _page_of(recorded, summary, folder), _logs(recorded, folder))
     return summary
+
+
+def _logs(recorded: RunRecords, folder: Path) -> dict[str, Records]:
+    """The records of all drones' logs: of the two roles as they were read, whoever else there is from the folder."""
+    known = {role.value: recorded.role(role) for role in Role}
+    return {name: known.get(name) or by_topic(*parts(folder, name)) for name in drone_names(folder)}
 
 
 def _page_of(recorded: RunRecords, summary: Mapping[str, Any], folder: Path) -> PageOf:
@@ -91,9 +116,9 @@ def show(content: RenderableType, stream: TextIO) -> None:
 
 def summary_table(summary: Mapping[str, Any]) -> RenderableType:
     """Returns the table of one run for a person."""
-    parts: list[RenderableType] = [Text(), *outcome_line(summary)]
-    parts += [Text(), phase_table(summary["phases"]), Text(), _figures(summary)]
-    return Group(*parts)
+    shown: list[RenderableType] = [Text(), *outcome_line(summary)]
+    shown += [Text(), phase_table(summary["phases"]), Text(), _figures(summary)]
+    return Group(*shown)
 
 
 def outcome_line(summary: Mapping[str, Any]) -> list[Text]:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from drivers.log.mcap_log import LogRecord
 from missions.report.advice import advice
+from missions.report.records import Records
 
 MAX_IMAGES = 16  # of one drone: the page stays below some megabytes
 NEAR_S = 1.0  # an image is of a phase when it is no farther from its beginning
@@ -43,8 +44,8 @@ class PageOf:
     pictures: Sequence[Path]
 
 
-def write_page(path: Path, run: PageOf, logs: Mapping[str, Sequence[LogRecord]]) -> None:
-    """Raises OSError."""
+def write_page(path: Path, run: PageOf, logs: Mapping[str, Records]) -> None:
+    """``logs``: of each drone, by its name. Raises OSError."""
     good = run.outcome == "committed"
     parts = [
         f"<h1><span class='badge {'good' if good else 'bad'}'>{escape(run.outcome)}</span> {escape(run.why)}</h1>",
@@ -64,13 +65,13 @@ def write_page(path: Path, run: PageOf, logs: Mapping[str, Sequence[LogRecord]])
     path.write_text(f"<!doctype html>\n<html lang='en'><head>{head}</head><body>\n{body}\n</body></html>\n", "utf-8")
 
 
-def _drone(name: str, records: Sequence[LogRecord]) -> Iterator[str]:
-    begin_ns = next((record.stamp_ns for record in records if record.topic == "/phase"), 0)
+def _drone(name: str, records: Records) -> Iterator[str]:
+    begin_ns = next((record.stamp_ns for record in records.get("/phase", ())), 0)
     yield f"<h2>{escape(name)}</h2>"
     yield "<div class='phases'>"
-    images = [record for record in records if record.topic == "/image"]
+    images = records.get("/image", ())
     shown = 0
-    for phase in _phases(records):
+    for phase in _phases(records.get("/phase", ())):
         image = min(images, key=lambda each: abs(each.stamp_ns - phase.stamp_ns), default=None)
         picture = ""
         if image is not None and abs(image.stamp_ns - phase.stamp_ns) < NEAR_S * 1e9 and shown < MAX_IMAGES:
@@ -87,13 +88,13 @@ def _phases(records: Sequence[LogRecord]) -> Iterator[LogRecord]:
     """Yields the records with which a phase begins."""
     before = ""
     for record in records:
-        if record.topic == "/phase" and record.record["phase"] != before:
+        if record.record["phase"] != before:
             before = record.record["phase"]
             yield record
 
 
-def _link_and_load(records: Sequence[LogRecord]) -> Iterator[tuple[str, str]]:
-    of = {topic: [record for record in records if record.topic == topic] for topic in ("/link", "/cpu", "/frame")}
+def _link_and_load(records: Records) -> Iterator[tuple[str, str]]:
+    of = {topic: records.get(topic, ()) for topic in ("/link", "/cpu", "/frame")}
     if of["/link"]:
         end = of["/link"][-1].record
         dropped = ", ".join(f"{reason} {count}" for reason, count in end["dropped"].items()) or "nothing"

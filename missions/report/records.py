@@ -13,7 +13,7 @@ Topics and their fields: ``drivers.log.topics``; what viewers draw: ``drivers.lo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -86,8 +86,11 @@ def write_facts(folder: Path, facts: RunFacts) -> None:
     (folder / FACTS).write_bytes(msgspec.json.format(msgspec.json.encode(facts), indent=2) + b"\n")
 
 
-def load_run(folder: Path) -> RunRecords:
-    """Read a run folder; what is missing in it is empty. Raises RunFolderError when it holds neither log nor facts."""
+def load_run(folder: Path, topics: Collection[str] | None = None) -> RunRecords:
+    """Read a run folder; what is missing in it is empty. ``topics``: those that are read; None: all.
+
+    Raises RunFolderError when it holds neither log nor facts.
+    """
     names = (SENDER_LOG, RECEIVER_LOG, WORLD_LOG)
     logs = [parts(folder, Path(name).stem) for name in names]
     if not any(logs) and load_facts(folder) is None:
@@ -95,7 +98,7 @@ def load_run(folder: Path) -> RunRecords:
             f"{folder} is not the folder of a run: it holds none of {', '.join(names)}",
             "name the folder that `path-handoff handoff` printed, such as runs/20261104-101500",
         )
-    return RunRecords(load_facts(folder), *(by_topic(*files) for files in logs))
+    return RunRecords(load_facts(folder), *(by_topic(*files, topics=topics) for files in logs))
 
 
 def drone_logs(folder: Path) -> dict[str, list[LogRecord]]:
@@ -103,15 +106,19 @@ def drone_logs(folder: Path) -> dict[str, list[LogRecord]]:
 
     Raises RunFolderError when there is none.
     """
+    return {name: read_parts(*parts(folder, name)) for name in drone_names(folder)}
+
+
+def drone_names(folder: Path) -> list[str]:
+    """The names of the drones' logs in a run's folder. Raises RunFolderError when there is none."""
     others = (Path(WORLD_LOG).stem, Path(MERGED).stem, "attack")
     names = sorted(path.stem for path in folder.glob("*.mcap") if "." not in path.stem and path.stem not in others)
-    logs = {name: read_parts(*parts(folder, name)) for name in names}
-    if not logs and load_facts(folder) is None:
+    if not names and load_facts(folder) is None:
         raise RunFolderError(
             f"{folder} is not the folder of a run: it holds no drone's log",
             "name the folder that `path-handoff handoff` printed, such as runs/20261104-101500",
         )
-    return logs
+    return names
 
 
 def read_parts(*paths: Path) -> list[LogRecord]:
@@ -130,21 +137,21 @@ def load_facts(folder: Path) -> RunFacts | None:
         return None
 
 
-def by_topic(*paths: Path) -> dict[str, list[LogRecord]]:
-    """Returns all records of a log's parts by topic; empty when there is no such file.
+def by_topic(*paths: Path, topics: Collection[str] | None = None) -> dict[str, list[LogRecord]]:
+    """Returns the records of a log's parts by topic, of all topics or of some; empty when there is no such file.
 
     Raises RunFolderError for what is no log.
     """
-    topics: dict[str, list[LogRecord]] = {}
+    found: dict[str, list[LogRecord]] = {}
     try:
         for path in paths:
-            for record in read_log(path):
-                topics.setdefault(record.topic, []).append(record)
+            for record in read_log(path, topics):
+                found.setdefault(record.topic, []).append(record)
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
         raise RunFolderError(str(error), "the file is damaged; fly again") from error
-    return topics
+    return found
 
 
 def first(records: Records, topic: str) -> dict[str, Any] | None:

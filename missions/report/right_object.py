@@ -11,6 +11,9 @@ from missions.report.records import RunFolderError, last, load_run
 from missions.report.truth import handed_over, truth_of
 from path.messages import Role
 
+NEEDED = ("/scene", "/truth", "/commit", "/agreement", "/candidate")
+"""Topics by which the object that was handed over is known."""
+
 
 def fly_watched(harness: Harness, request: FlightRequest) -> FlightReport:
     """A run, and what it handed over held against what was designated."""
@@ -20,7 +23,7 @@ def fly_watched(harness: Harness, request: FlightRequest) -> FlightReport:
 def watch_object(report: FlightReport, out: Path) -> FlightReport:
     """The report, with S12 among its violations when another object was handed over than the one designated."""
     try:
-        run = load_run(out)
+        run = load_run(out, NEEDED)
     except RunFolderError:
         return report  # no logs, or damaged ones, which the outcome says
     truth = truth_of(run.world)

@@ -106,7 +106,7 @@ class Truth:
     def _at(self, values: Array, clock: Role, stamp_ns: int) -> list[float]:
         """Values of shape (n, k), interpolated."""
         instant = self.to_world_ns(clock, stamp_ns) - self._start_ns
-        k = int(np.clip(np.searchsorted(self._since_ns, instant), 1, len(self._since_ns) - 1))
+        k = min(max(int(self._since_ns.searchsorted(instant)), 1), len(self._since_ns) - 1)
         before, after = int(self._since_ns[k - 1]), int(self._since_ns[k])
         share = (instant - before) / (after - before)
         return (values[k - 1] + share * (values[k] - values[k - 1])).tolist()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Literal
 
@@ -101,7 +101,11 @@ class Handoff:
 
     def follows(self, other: Handoff | None) -> bool:
         """Returns whether it is another attempt than ``other``."""
-        return other is None or replace(self, instance=0) != replace(other, instance=0)
+        return other is None or self._attempt != other._attempt
+
+    @property
+    def _attempt(self) -> tuple[int, int, int]:
+        return self.handoff_id, self.epoch, self.target_id
 
 
 Bound = Target | Candidate | Commit | Accept | Confirm

@@ -85,8 +85,46 @@ def test_the_other_commands(monkeypatch: pytest.MonkeyPatch, arguments: tuple[st
 
 
 def test_every_command_has_a_module_that_runs_it() -> None:
-    for module in cli.MODULES.values():
+    for _, module in cli.COMMANDS.values():
         assert importlib.util.find_spec(f"missions.{module}") is not None, module
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["handoff", "--seed", "x"], ["Error parsing --seed", "path-handoff --help"]),
+        (["handoff", "--sed", "3"], ["Unrecognized options: --sed, 3", "in path-handoff campaign --help"]),
+        (["calibrate", "camra"], ["Available subcommands: camera, mount, board"]),
+        (["hand", "--seed", "3"], ["Available subcommands: handoff, relay"]),
+    ],
+)
+def test_what_is_not_understood_is_told_once_by_all_commands(
+    arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(arguments)
+    error = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert [error.count(word) for word in words] == [1] * len(words)
+
+
+def test_help_of_a_command_is_of_all_its_options(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["relay", "--help"])
+    assert ended.value.code == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith("usage: path-handoff relay")
+    assert all(f"--{option}" in shown for option in ("rig", "drones", "hours", "seed", "fault"))
+
+
+def test_a_command_that_is_named_brings_only_its_own_options() -> None:
+    program = (
+        "import sys\nfrom missions import cli\ncli.run = lambda command: 0\n"
+        "try:\n    cli.main(['rigs'])\n"
+        "except SystemExit:\n    print(sorted(m for m in sys.modules if m.startswith('missions.options.')))"
+    )
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ran.stdout == "['missions.options.field', 'missions.options.words']\n"
 
 
 def test_a_refusal_names_problem_and_fix_and_has_its_own_exit_code(

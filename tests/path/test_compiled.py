@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from path.marker.fit_kernels import tones
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("path", "drivers", "flight", "missions", "hil", "tests")
@@ -74,6 +79,33 @@ def test_a_call_from_python_is_found(call: str) -> None:
     kernels = "from path.compiled import inner\n@inner\ndef turned(x):\n    return x\n"
     assert calls_of_inner({"a": kernels + call}) == ["a: turned"]
     assert calls_of_inner({"a": kernels, "b": "from a import turned\n" + call}) == ["b: turned"]
+
+
+LOADED = """
+import sys
+import numpy as np
+from path.compiled import kernel
+from path.marker.fit_kernels import tones
+
+tones(np.zeros((1, 6)))
+assert tones.stats.cache_hits and "numba.np.linalg" not in sys.modules, "what only compiling needs was imported"
+
+
+def turned(x):
+    return np.sort(x)[::-1] + 1.0
+
+
+print(kernel(turned)(np.array([1.0, 3.0, 2.0])))
+"""
+
+
+def test_what_is_compiled_is_loaded_without_the_compiler_which_is_there_when_it_is_needed(tmp_path: Path) -> None:
+    tones(np.zeros((1, 6)))  # from here on it is on disk
+    program = tmp_path / "loads.py"
+    program.write_text(LOADED, "utf-8")
+    ran = subprocess.run([sys.executable, str(program)], capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout == "[4. 3. 2.]\n"
 
 
 def test_a_kernel_may_call_it() -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from drivers.interfaces import Log, View
 from flight.marker_view import MarkerFix, VehicleMotions
 from missions.leg.journal import (
@@ -78,7 +76,8 @@ class Journals:
         log.write("/frame", stamp_ns, frame_record(view, stamp_ns))
         log.write("/heard_target", stamp_ns, heard_target_record(heard, heard.capture_ns))
         rotation, position = inverse_as_quat(rigid(fix.T_c_v))
-        sigma_m = math.sqrt(float(np.trace(fix.covariance[:3, :3])) / 3.0)
+        xx, yy, zz, *_ = fix.covariance.diagonal().tolist()
+        sigma_m = math.sqrt((xx + yy + zz) / 3.0)
         marker = marker_record(stamp_ns, position, rotation, sigma_m, fix.side_px, fix.detections[0])
         log.write("/marker", stamp_ns, marker)
         log.write("/motion", stamp_ns, motion_record(motion, *attitudes, fix))
