@@ -29,7 +29,8 @@ from missions.guard.command import guard_of
 from missions.guard.start import with_guard
 from missions.rig_list import FOLDER
 from path.messages import Role
-from tests.guard_bench import LIMIT_S, Bench, bench, free_port, until
+from tests.free_ports import free_port
+from tests.guard_bench import LIMIT_S, Bench, bench, until
 
 HOLD_OR_LAND = (176, 21)
 
@@ -71,7 +72,7 @@ def rig_file(folder: Path, own: Bench, beat_port: int) -> Path:
     """The rig ``sitl`` with the sender's guard on free ports, patient enough for a busy machine."""
     text = (FOLDER / "sitl.toml").read_text()
     text = text.replace("127.0.0.1:14551", f"127.0.0.1:{own.port}").replace("127.0.0.1:14561", f"127.0.0.1:{beat_port}")
-    rules = "[mission.guard_process]\nbeat_age_s = 1.0\nsetpoint_gap_s = 1.0\n"
+    rules = "[mission.guard_process]\nbeat_age_s = 2.5\nsetpoint_gap_s = 2.5\n"
     text = text.replace("[mission.target]", rules + "[mission.target]")
     file = folder / "rig.toml"
     file.write_text(text)
