@@ -69,10 +69,11 @@ class MergeOptions:
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """Write what a run's logs hold in forms that other programs read."""
+    """Write what a run's logs hold in forms that other programs read; or a RealSense recording as images."""
 
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-    """The folder of the run."""
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE.db3")]
+    """The folder of the run; or a RealSense recording (.db3, .bag), of which colour, depth, stamps and calibration are
+    written (docs/films.md)."""
 
     tum: bool = False
     """Trajectories, as evo reads them."""
@@ -80,8 +81,11 @@ class ExportOptions:
     csv: bool = False
     """A table for each topic of each log."""
 
+    calibration: FileName = None
+    """Of a RealSense recording: the colour camera's, instead of its maker's; depth is registered by it."""
+
     out: OutFolder = None
-    """The folder to write to; `export` in the run's folder by default."""
+    """The folder to write to; by default `export` in the run's folder, and one beside a recording with its name."""
 
 
 @dataclass(frozen=True, slots=True)
