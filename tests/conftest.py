@@ -33,6 +33,7 @@ for _ignored in (signal.SIGINT, signal.SIGHUP):
 REAL_TIME = (
     "contracts/",
     "drivers/",
+    "flight/test_ceiling",
     "hil/",
     "missions/assurance/conformance/",
     "missions/test_bad_inputs.py::test_a_signal",

@@ -114,7 +114,7 @@ def test_evo_says_what_the_report_prints(make_run: Callable[..., Path], tmp_path
     files = [str(folder / "export" / f"{name}.tum") for name in ("truth-marker", "marker")]
     evo = [str(Path(sys.executable).with_name("evo_ape")), "tum", *files]
     done = subprocess.run(
-        evo, capture_output=True, text=True, timeout=120.0, env={**os.environ, "HOME": str(tmp_path)}, check=False
+        evo, capture_output=True, text=True, timeout=600.0, env={**os.environ, "HOME": str(tmp_path)}, check=False
     )
     assert done.returncode == 0, done.stderr
     (median,) = (float(line.split()[1]) for line in done.stdout.splitlines() if line.split()[:1] == ["median"])
