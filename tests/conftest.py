@@ -42,6 +42,7 @@ REAL_TIME = (
     "missions/guard/test_command",
     "missions/leg/test_restart",
     "missions/leg/test_session",
+    "missions/test_ground_station",
     "missions/test_work",
     "missions/trials/beacon/test_trial.py::test_a_listener_on",
     "missions/trials/link/test_trial",

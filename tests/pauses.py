@@ -34,10 +34,18 @@ def pauses() -> Generator[list[float]]:
 
 
 def undisturbed(measure: Callable[[], _T], longest_s: float, tries: int = 4) -> _T:
-    """Returns what is measured without a longer pause; where there is one each time, the last."""
+    """Returns what is measured without a longer pause, or raises what is raised then.
+
+    Where there is one each time the last counts.
+    """
     for _ in range(tries - 1):
         with pauses() as found:
-            measured = measure()
+            try:
+                measured = measure()
+            except Exception:
+                if max(found, default=0.0) < longest_s:
+                    raise
+                continue
         if max(found, default=0.0) < longest_s:
             return measured
     return measure()
