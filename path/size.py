@@ -7,8 +7,9 @@ those of one body, and both are upper limits: what hides a part of it makes its 
   heads. Along a direction ``a`` of the image that reaches over ``height |a.g| + span sqrt(a.a - (a.g)^2)``, where ``g``
   is gravity. A car that turns, or a person who does, stays within it.
 - What it was a moment ago: a body that turns does so steadily, but two that are taken for one make the box larger from
-  one frame to the next. Each camera's box is held against its own running mean. What has outgrown that teaches nothing,
-  for ``LEARNED_S`` at most: then it is what the target looks like.
+  one frame to the next. Each camera's box is held against its own running mean, once that is ``SURE_S`` old: an object
+  that comes into view grows too. What has outgrown it teaches nothing, for ``LEARNED_S`` at most: then it is what the
+  target looks like.
 
 How far a box is above a limit is counted in standard deviations of the logarithm of its size, and both cameras', both
 sides' and both limits' largest number is that of a pair. One that is above ``size_sigmas`` is of something else, as far
@@ -28,6 +29,7 @@ from path.rigid import Rigid, transform_back
 
 SETTLE_S = 0.15
 """Time constant of the running mean: so long a turning target may have changed since."""
+SURE_S = 0.5
 LEARNED_S = 3.0
 FITS = 0.0
 """Of a pair of which no limit is known."""
@@ -59,16 +61,17 @@ class _RunningSize:
 
     def __init__(self) -> None:
         self._mean: tuple[float, float] | None = None
-        self._stamp_ns = 0  # of the newest box that fitted
+        self._first_ns = self._stamp_ns = 0  # of the first and the newest box that fitted
 
     def note(self, stamp_ns: int, sides_m: tuple[float, float], sigma: float, most_sigmas: float) -> float:
         """By how many standard deviations a box is larger than those before it; learns from it when it fits."""
         logs = math.log(sides_m[0]), math.log(sides_m[1])
         mean, since_s = self._mean, max(0.0, (stamp_ns - self._stamp_ns) * 1e-9)
-        if mean is None or since_s > LEARNED_S:
-            self._mean, self._stamp_ns = logs, stamp_ns
+        grown = FITS if mean is None else max(logs[0] - mean[0], logs[1] - mean[1]) / sigma
+        unsure = grown > most_sigmas and self._stamp_ns - self._first_ns < SURE_S * 1e9
+        if mean is None or unsure or since_s > LEARNED_S:
+            self._mean, self._first_ns, self._stamp_ns = logs, stamp_ns, stamp_ns
             return FITS
-        grown = max(logs[0] - mean[0], logs[1] - mean[1]) / sigma
         if grown <= most_sigmas:
             share = -math.expm1(-since_s / SETTLE_S)
             self._mean = mean[0] + share * (logs[0] - mean[0]), mean[1] + share * (logs[1] - mean[1])

@@ -2,31 +2,42 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import socket
+import tempfile
 from contextlib import suppress
+from functools import cache
 from itertools import count
+from pathlib import Path
 
 FIRST, EACH, SLOTS = 20_000, 500, 25  # below those that the system gives to whoever asks for any
 _next = count()
 
 
-def _slot() -> int:
-    """Of this process: another one for each worker of a run, and mostly for another run's."""
-    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
-    number = int(worker.removeprefix("gw")) if worker else os.getpid()
-    return (number % 5 + 5 * (os.getppid() % 5)) % SLOTS
+@cache
+def _first() -> int:
+    """The first of this process's ports: nobody else's on this computer as long as it lives."""
+    for slot in range(SLOTS):
+        lock = Path(tempfile.gettempdir()) / f"path-handoff-{os.getuid()}-tests-{slot}.lock"
+        file = os.open(lock, os.O_CREAT | os.O_RDWR, 0o600)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(file)
+            continue
+        return FIRST + EACH * slot
+    raise OSError(f"{SLOTS} runs of tests are under way")
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM, family: socket.AddressFamily = socket.AF_INET) -> int:
-    """Returns a port that is free, and stays it until it is used: no other worker of a run is given it."""
-    first = FIRST + EACH * _slot()
+    """Returns a port that is free, and stays it until it is used: no other run, nor worker of it, is given it."""
     for _ in range(EACH):
-        port = first + next(_next) % EACH
+        port = _first() + next(_next) % EACH
         with socket.socket(family, kind) as probe, suppress(OSError):
             probe.bind(("", port))
             return port
-    raise OSError(f"no free port within {first}..{first + EACH - 1}")
+    raise OSError(f"no free port within {_first()}..{_first() + EACH - 1}")
 
 
 def free_ports(

@@ -60,8 +60,9 @@ class ReplayOptions:
 class MergeOptions:
     """Put the logs of a run, or of two companions, into one on one clock."""
 
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE ...")]
-    """Folders of runs, or logs (.mcap). A log's name goes before its topics."""
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE|HOST:DIR ...")]
+    """Folders of runs, or logs (.mcap). A log's name goes before its topics. What is on another computer, such as
+    d1:flights/runs/20261121-114500, is fetched first, with scp, into a folder of this one (d1-20261121-114500)."""
 
     out: FileName = None
     """The merged log; merged.mcap beside the first one by default."""

@@ -115,17 +115,17 @@ def test_boxes_larger_than_the_target_disagree_though_they_overlap(gate: GateKin
 
 def test_a_box_that_grows_at_once_in_either_camera_disagrees() -> None:
     bench = Bench(replace(CONFIG, gate="evidence"))
-    assert all(isinstance(pair.verdict, Agreed) for pair in bench.run(20))
-    box = candidate(21, 413.0).box
+    assert all(isinstance(pair.verdict, Agreed) for pair in bench.run(40))
+    box = candidate(41, 813.0).box
     assert box is not None
-    (theirs,) = bench.step(21, box=Box(box.x - 0.2 * box.w, box.y, 1.4 * box.w, box.h))
-    (after,) = bench.step(22)
+    (theirs,) = bench.step(41, box=Box(box.x - 0.2 * box.w, box.y, 1.4 * box.w, box.h))
+    (after,) = bench.step(42)
     assert theirs.verdict == Missed(MissReason.AMBIGUOUS_TARGET, theirs.verdict.iou)
     assert isinstance(after.verdict, Agreed)
-    bench.offer(candidate(23, 459.0))
-    own = own_box(460.0)
-    bench.see(23, box=Box(own.x - 0.2 * own.w, own.y, 1.4 * own.w, own.h))
-    (own_verdict,) = bench.sender.evaluate_ready(23 * PERIOD)
+    bench.offer(candidate(43, 859.0))
+    own = own_box(860.0)
+    bench.see(43, box=Box(own.x - 0.2 * own.w, own.y, 1.4 * own.w, own.h))
+    (own_verdict,) = bench.sender.evaluate_ready(43 * PERIOD)
     assert own_verdict.verdict == Missed(MissReason.AMBIGUOUS_TARGET, own_verdict.verdict.iou)
 
 

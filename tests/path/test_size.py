@@ -149,14 +149,27 @@ def test_two_that_are_taken_for_one_from_some_frame_on_teach_nothing_until_it_ha
     assert frames.above(one, two) > MOST
 
 
+def test_what_comes_into_view_and_grows_is_not_held_up() -> None:
+    frames = Frames()
+    box = box_of(frames.T_v_c, corners((0.0, 0.0), 0.5))
+    half = Box(box.x, box.y, 0.5 * box.w, box.h)
+    for k in range(5):
+        assert frames.sizes.own(20 * k * MS, half, DEPTH, (0.0, 0.0, 0.0), DOWN) < MOST
+    for k in range(5, 100):
+        assert frames.sizes.own(20 * k * MS, box, DEPTH, (0.0, 0.0, 0.0), DOWN) < MOST
+    two = box_of(frames.T_v_c, corners((0.0, 0.0), 0.5), corners((0.0, 0.36), 0.0))
+    assert frames.sizes.own(2000 * MS, two, DEPTH, (0.0, 0.0, 0.0), DOWN) > MOST
+
+
 def test_d2s_box_is_judged_at_its_own_range_and_by_its_own_history() -> None:
     T_v_c1, T_v_c2 = looking(45.0, 1.9), looking(30.0, 3.0)
-    both, origin = sizes(T_v_c1, STATED), (0.0, 0.0, 0.0)
+    both, origin = sizes(T_v_c1, UNKNOWN), (0.0, 0.0, 0.0)
     one, two = corners((0.0, 0.0), 0.5), corners((0.0, 0.36), 0.0)
-    assert both.own(0, box_of(T_v_c1, one), DEPTH, origin, DOWN) < MOST
-    assert both.theirs(0, rigid(T_v_c2), box_of(T_v_c2, one), 0.01, origin, DOWN) < MOST
-    assert both.theirs(20 * MS, rigid(T_v_c2), box_of(T_v_c2, one, two), 0.01, origin, DOWN) > MOST
-    assert both.own(20 * MS, box_of(T_v_c1, one), DEPTH, origin, DOWN) < MOST
+    for k in range(30):
+        assert both.own(20 * k * MS, box_of(T_v_c1, one), DEPTH, origin, DOWN) < MOST
+        assert both.theirs(20 * k * MS, rigid(T_v_c2), box_of(T_v_c2, one), 0.01, origin, DOWN) < MOST
+    assert both.theirs(600 * MS, rigid(T_v_c2), box_of(T_v_c2, one, two), 0.01, origin, DOWN) > MOST
+    assert both.own(600 * MS, box_of(T_v_c1, one), DEPTH, origin, DOWN) < MOST
 
 
 def told(

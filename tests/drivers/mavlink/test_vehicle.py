@@ -377,7 +377,7 @@ def test_a_refused_arm_says_why() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"sysid": SYSID + 1, "connect_timeout_s": 2.0}, rf"vehicle {SYSID + 1} is not on .*heard only {SYSID}"),
+        ({"sysid": SYSID + 1, "connect_timeout_s": 4.0}, rf"vehicle {SYSID + 1} is not on .*heard only {SYSID}"),
         ({"autopilot": "ardupilot"}, "is px4, the rig says ardupilot"),
     ],
 )

@@ -36,7 +36,7 @@ SECRET = "0123456789abcdef"
 
 
 def dial(url: str) -> ClientConnection:
-    return connect(url, subprotocols=[PROTOCOL], open_timeout=60, proxy=None, max_size=None)
+    return connect(url, subprotocols=[PROTOCOL], open_timeout=120, proxy=None, max_size=None)
 
 
 def ask(client: ClientConnection, *channels: int) -> None:
@@ -52,7 +52,7 @@ def heard(client: ClientConnection, *topics: str) -> dict[str, tuple[int, bytes]
     named: dict[int, str] = {}
     found: dict[str, tuple[int, bytes]] = {}
     while found.keys() != set(topics):
-        word = client.recv(timeout=60)
+        word = client.recv(timeout=180)
         if isinstance(word, bytes):
             opcode, number, stamp_ns = struct.unpack_from("<BIQ", word)
             assert opcode == 1
@@ -127,7 +127,7 @@ def test_nothing_is_said_among_the_flights_lines_of_a_client_that_asks_too_early
     port = free_port(socket.SOCK_STREAM)
     with live(f"{LOOPBACK}:{port}", tmp_path), dial(f"ws://{LOOPBACK}:{port}") as client:
         ask(client, 999)
-        while json.loads(client.recv(timeout=60)).get("message") != "Unknown channel ID: 999":
+        while json.loads(client.recv(timeout=180)).get("message") != "Unknown channel ID: 999":
             pass
     said = capfd.readouterr()
     assert "unknown channel" not in said.out + said.err
