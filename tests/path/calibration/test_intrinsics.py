@@ -18,6 +18,7 @@ from path.calibration.judge import (
     judge_solution,
     judge_views,
     sharp_enough,
+    uneven_pixels,
 )
 from path.camera import CameraModel
 from tests.path.calibration.rendered import CAMERA, CHARUCO, Held, grey, photographs, poses, seen
@@ -137,6 +138,20 @@ def test_a_board_other_than_said_is_seen_in_the_residual() -> None:
         for view in views(Held(), 14, 2)
     ]
     assert BadSet.WRONG_BOARD in reasons(bent)
+
+
+def test_a_camera_that_leaves_out_pixels_is_named() -> None:
+    """Of every three columns one is where it should be, and two are off by some; corners follow them by halves."""
+    even = views(Held(), 15, 2)
+    off = np.array([0.1, -0.1, 0.0])
+    uneven = [
+        replace(view, corners_px=view.corners_px - off[np.round(view.corners_px).astype(int) % 3]) for view in even
+    ]
+    period, off_px = uneven_pixels(solve_intrinsics(uneven, CHARUCO, SIZE))
+    assert period == 3
+    assert 0.05 < off_px < 0.12
+    assert uneven_pixels(solve_intrinsics(even, CHARUCO, SIZE))[1] == 0.0
+    assert reasons(uneven) == reasons(even) | {BadSet.UNEVEN_PIXELS}
 
 
 def test_views_that_do_not_predict_each_other_are_refused() -> None:
