@@ -34,6 +34,11 @@ class EvidenceConfig:
         rival_s: for so long an object that D1 saw beside the target is taken to be there still.
         apart_m, swap: D1 itself may have gone over to an object that is nearer to the target than that in its image, in
             so many of the hand-overs with one.
+        span_m, height_m: of the target: no box is of it alone that is larger than an upright cylinder of this diameter
+            and height (``path.size``); 0 when its size is not known.
+        size_sigmas, size_sigma, growth_sigma: a pair disagrees when a box is more than so many standard deviations
+            larger than the target can be; the standard deviation of a box's size against such a cylinder's, and of what
+            a box grows by within ``SETTLE_S``, both of its logarithm and besides noise of box and range.
     """
 
     alpha: Annotated[float, Bounds(0.0, 0.5, "of 1", above=True)] = 1e-3
@@ -54,6 +59,11 @@ class EvidenceConfig:
     rival_s: Annotated[float, Bounds(0.0, 30.0)] = 3.0
     apart_m: Annotated[float, Bounds(0.0, 10.0)] = 0.45
     swap: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.05
+    span_m: Annotated[float, Bounds(0.0, 20.0)] = 0.0
+    height_m: Annotated[float, Bounds(0.0, 20.0)] = 0.0
+    size_sigmas: Annotated[float, Bounds(0.5, 1000.0, "sigmas")] = 3.0
+    size_sigma: Annotated[float, Bounds(0.001, 1.0, "of 1")] = 0.03
+    growth_sigma: Annotated[float, Bounds(0.001, 1.0, "of 1")] = 0.08
 
     def __post_init__(self) -> None:
         """Raises ValueError naming the first field that cannot be right, and what is allowed."""

@@ -161,6 +161,8 @@ class EvidenceGate:
     def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
         if not iou >= tau:  # no pair that agrees: whoever says so is wrong, and gains nothing
             return self.disagree(pair.peer_sequence, pair.capture_ns, strength(iou, tau))
+        if pair.oversize > self._config.size_sigmas:
+            return self.disagree(pair.peer_sequence, pair.capture_ns, -math.inf) or MissReason.AMBIGUOUS_TARGET
         refusal = self._run.agree(pair)
         if refusal is not None:
             return refusal

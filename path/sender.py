@@ -18,6 +18,7 @@ from path.observations import Box, Depth, Missed, MissReason
 from path.rigid import rigid, rigid_from_quat
 from path.rivals import Rival, Rivals
 from path.rotation import normalized
+from path.size import FITS, Sizes
 from path.target import TargetPoint, locate
 from path.timeline import Between, Sample, Track
 from path.window import FramePair, Gate, Offsets, serial_difference
@@ -38,6 +39,7 @@ class PairVerdict:
         tau: what the overlap had to be; None when nothing was compared.
         own: D1's samples around that instant, box, point and depth; None as ``own_box``.
         offsets: of D2's box from the target and from what D1 sees beside it; None when nothing was compared.
+        oversize: by how many standard deviations a box is larger than the target can be (``path.size``).
     """
 
     candidate: Candidate | None
@@ -48,6 +50,7 @@ class PairVerdict:
     tau: float | None = None
     own: Between | None = None
     offsets: Offsets | None = None
+    oversize: float = FITS
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +92,7 @@ class SenderCycle:
         self._identity = (handoff_id, epoch, target_id)
         self._track = Track(config.track_length, config.max_bracket_s)
         self._rivals = Rivals(self._views, config)
+        self._sizes = Sizes(self._views, config)
         self._pending: list[_Pending] = []
         self._max_age_ns = round(config.max_age_s * 1e9)
         self._max_future_ns = round(config.max_future_s * 1e9)
@@ -123,7 +127,12 @@ class SenderCycle:
             self.gate.restart(stamp_ns)
             return self._missed(point)
         assert box is not None
-        self._track.add(Sample(stamp_ns, frame_id, (box.x, box.y, box.w, box.h, *point.point_v_m, point.z_m)))
+        assert depth is not None
+        above = self._sizes.own(stamp_ns, box, depth, point.point_v_m, gravity_v)
+        place = *point.point_v_m, point.z_m
+        self._track.add(
+            Sample(stamp_ns, frame_id, (box.x, box.y, box.w, box.h, *place, depth.sigma_m, *gravity_v, above))
+        )
         self._rivals.note(stamp_ns, box, point.z_m, point.point_v_m, gravity_v, rivals)
         handoff_id, epoch, target_id = self._identity
         sequence = frame_id & 0xFFFF
@@ -198,15 +207,19 @@ class SenderCycle:
         if reason is not None or at is None or candidate.box is None:
             verdict, own_box, mapped_box = Missed(reason or MissReason.NO_TRACK), None, None
             tau = used = offsets = None
+            oversize = FITS
         else:
-            x, y, w, h, *point, z1 = at.values
-            own_box, point_v, used = Box(x, y, w, h), (point[0], point[1], point[2]), at
+            x, y, w, h, px, py, pz, z1, z_sigma, gx, gy, gz, oversize = at.values
+            own_box, point_v, used = Box(x, y, w, h), (px, py, pz), at
             T_v_c2 = rigid_from_quat(normalized(candidate.rotation_v_c2), candidate.position_v_m)
             verdict, mapped_box = compare(self._views, T_v_c2, own_box, z1, point_v, candidate.box, self._config)
             tau = None if verdict.iou is None else threshold(z1, self._config)
             offsets = self._rivals.offsets(T_v_c2, candidate.box, own_box, z1, point_v)
-        verdict = self._count(candidate.sequence, capture_ns, at, verdict, tau, offsets)
-        return PairVerdict(candidate, capture_ns, verdict, own_box, mapped_box, tau, used, offsets)
+            sigma_m = math.hypot(candidate.sigma_m, z_sigma)
+            theirs = self._sizes.theirs(capture_ns, T_v_c2, candidate.box, sigma_m, point_v, (gx, gy, gz))
+            oversize = max(oversize, theirs)
+        verdict = self._count(candidate.sequence, capture_ns, at, verdict, tau, offsets, oversize)
+        return PairVerdict(candidate, capture_ns, verdict, own_box, mapped_box, tau, used, offsets, oversize)
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
         """Returns why a fresh candidate cannot even be compared, whatever D1 saw at that instant; None when it can."""
@@ -227,6 +240,7 @@ class SenderCycle:
         verdict: Verdict,
         tau: float | None,
         offsets: Offsets | None,
+        oversize: float,
     ) -> Verdict:
         """Let the gate count a verdict; what it refuses becomes an ``ignored`` miss."""
         if isinstance(verdict, Missed) or at is None:
@@ -234,7 +248,10 @@ class SenderCycle:
             refusal = self.gate.disagree(sequence, capture_ns, by)
         else:
             own = (at.before.frame, at.before.stamp_ns), (at.after.frame, at.after.stamp_ns)
-            refusal = self.gate.agree(FramePair(sequence, capture_ns, own, offsets), verdict.iou, verdict.tau)
+            pair = FramePair(sequence, capture_ns, own, offsets, oversize)
+            refusal = self.gate.agree(pair, verdict.iou, verdict.tau)
+        if refusal is MissReason.AMBIGUOUS_TARGET:
+            return self._missed(Missed(refusal, verdict.iou))
         if refusal is not None:
             return self._missed(Missed(refusal, verdict.iou, ignored=True))
         if isinstance(verdict, Missed):

@@ -54,12 +54,14 @@ class FramePair:
         own_frames: D1's frames before and after that instant, ``(frame number, stamp)`` each; the same one twice when
             the instants coincide.
         offsets: of D2's box from the target and from what is beside it; None when nobody looked.
+        oversize: by how many standard deviations a box is larger than the target can be; 0 when nobody looked.
     """
 
     peer_sequence: int
     capture_ns: int
     own_frames: tuple[tuple[int, int], tuple[int, int]]
     offsets: Offsets | None = None
+    oversize: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +99,11 @@ class Gate(Protocol):
         ...
 
     def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
-        """An agreeing pair, ``iou >= tau``. Returns why it does not count (DUPLICATE or STALE), None when it does."""
+        """An agreeing pair, ``iou >= tau``. Returns why it does not count, None when it does.
+
+        DUPLICATE and STALE say that it is no new evidence. AMBIGUOUS_TARGET says that a box is of more than the target:
+        the pair was taken as one that disagrees.
+        """
         ...
 
     def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:

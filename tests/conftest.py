@@ -33,6 +33,7 @@ for _ignored in (signal.SIGINT, signal.SIGHUP):
 REAL_TIME = (
     "contracts/",
     "drivers/",
+    "flight/test_ceiling",
     "hil/",
     "missions/assurance/conformance/",
     "missions/test_bad_inputs.py::test_a_signal",
@@ -41,6 +42,7 @@ REAL_TIME = (
     "missions/guard/test_command",
     "missions/leg/test_restart",
     "missions/leg/test_session",
+    "missions/test_ground_station",
     "missions/test_work",
     "missions/trials/beacon/test_trial.py::test_a_listener_on",
     "missions/trials/link/test_trial",

@@ -19,6 +19,8 @@ from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.world import AltitudeConfig, World, WorldConfig
 from path.messages import Role
+from tests.free_ports import free_port
+from tests.steady_time import SteadyTime
 
 SYSID = 1
 ORIGIN = Origin(47.3977, 8.5456, 488.0)
@@ -26,7 +28,7 @@ ORIGIN = Origin(47.3977, 8.5456, 488.0)
 QUICK = AutopilotConfig(
     settle_s=0.2, spool_s=0.1, climb_mps=1.5, land_mps=1.0, touchdown_mps=0.8, land_disarm_s=0.2, offboard_loss_s=300.0
 )
-LIMIT_S = 30.0
+LIMIT_S = 60.0
 STEP_S = 0.005
 SETPOINT_STEPS = 10  # 20 Hz
 RIGHT = AltitudeConfig()
@@ -67,11 +69,11 @@ class Bench:
         return self.drone.autopilot
 
     def run(self, stop: threading.Event) -> None:
-        start_s, steps = time.monotonic(), 0
+        passed, steps = SteadyTime(self._speed), 0
         while not stop.wait(STEP_S):
             steps += 1
             with self.lock:
-                self.world.advance(self._speed * (time.monotonic() - start_s))
+                self.world.advance(passed.now_s())
                 self.vehicle.pump(self.world.time_s)
             if self.repeating and steps % SETPOINT_STEPS == 0:
                 self._setpoint()
@@ -139,9 +141,3 @@ def until(condition: Callable[[], bool]) -> None:
     while not condition():
         assert time.monotonic() < end_s, "a condition did not come true"
         time.sleep(0.005)
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]

@@ -22,6 +22,14 @@ def processes_of(name: str) -> list[str]:
     return found
 
 
+def left_of(name: str, within_s: float = 30.0) -> list[str]:
+    """Those that are still there after a while, in which one that was ended may be on its way out."""
+    end_s = time.monotonic() + within_s
+    while (found := processes_of(name)) and time.monotonic() < end_s:
+        time.sleep(0.05)
+    return found
+
+
 def wait_for_line(process: subprocess.Popen[str], wanted: str, seen: list[str], within_s: float) -> None:
     """Read what it says, into ``seen``, up to a line with ``wanted`` in it."""
     assert process.stdout is not None

@@ -282,6 +282,7 @@ TOPICS: dict[str, Topic] = {
             "mapped_box": _box("D2's, mapped into D1's image"),
             "offset_m": _numbers("of D2's box from D1's, in D1's image at the target's depth, m"),
             "rival_offset_m": _numbers("the same from the nearest other object that D1 sees, m"),
+            "oversize": _number("by how much a box is larger than the target can be, standard deviations"),
         },
     ),
     # --- D2 ---

@@ -32,6 +32,7 @@ from drivers.mavlink.port_lock import PortLock
 from drivers.mavlink.telemetry import AUTOPILOT_COMPONENT, TelemetrySlots
 
 POLL_S = 0.01
+LONGEST_POLL_S = 0.1  # a longer one is a program that stood still
 SECOND_LOOK_S = 0.3  # in which a heartbeat that waits to be read must come
 CLOSE_S = 5.0
 FORCE_DISARM_MAGIC = 21196.0
@@ -134,13 +135,16 @@ class MavsdkSession:
         return {} if self._line is None else self._line.ignored
 
     async def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait for a condition; False when it did not come. Raises when the vehicle falls silent."""
-        end_s = time.monotonic() + timeout_s
+        """Wait for a condition; False when it did not come. Raises when the vehicle falls silent.
+
+        Time in which this program stood still is not counted: what came meanwhile waits to be read.
+        """
+        waited_s = 0.0
         while not condition():
             await self.check_alive()
-            if time.monotonic() >= end_s:
+            if waited_s >= timeout_s:
                 return False
-            await asyncio.sleep(POLL_S)
+            waited_s += await _polled()
         return True
 
     async def check_alive(self) -> None:
@@ -202,15 +206,15 @@ class MavsdkSession:
         for confirmation in range(tries):
             telemetry.acks.pop(command, None)
             self.send("COMMAND_LONG", {"command": command, "confirmation": confirmation, **fields})
-            end_s = time.monotonic() + self._config.command_timeout_s
-            while time.monotonic() < end_s:
+            left_s = self._config.command_timeout_s  # not counting time in which this program stood still
+            while left_s > 0.0:
                 await self.check_alive()
                 ack = telemetry.acks.get(command)
                 if ack is not None and ack.result != IN_PROGRESS:
                     return ack.result
                 if ack is not None:  # the vehicle is at it: it has until three seconds after saying so
-                    end_s = max(end_s, time.monotonic() + 3.0 - (self._clock.now_ns() - ack.arrival_ns) * 1e-9)
-                await asyncio.sleep(POLL_S)
+                    left_s = max(left_s, 3.0 - (self._clock.now_ns() - ack.arrival_ns) * 1e-9)
+                left_s -= await _polled()
         return None
 
     async def set_float_parameter(self, name: str, value: float) -> None:
@@ -269,6 +273,13 @@ class MavsdkSession:
                 f'set autopilot = "{kind.name}" (or "auto"), or connect the other vehicle',
             )
         return kind
+
+
+async def _polled() -> float:
+    """Waits for POLL_S; returns how long that was, s, as far as this program did not stand still."""
+    begun_s = time.monotonic()
+    await asyncio.sleep(POLL_S)
+    return min(time.monotonic() - begun_s, LONGEST_POLL_S)
 
 
 async def _destroy(parts: Sequence[Any]) -> None:

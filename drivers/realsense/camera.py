@@ -25,6 +25,7 @@ from path.bounds import Bounds
 from path.camera import CameraModel
 
 CLOSE_S = 5.0
+WARM_UP_S = 300.0  # to compile what the first frame needs, where nobody has yet
 MANY_USELESS = 0.05  # of the images
 
 
@@ -46,7 +47,7 @@ class RealSenseConfig:
         latency_s: shortest time from the middle of an exposure to its arrival, for stamps of ``hardware_clock``.
         record: folder to write a recording into.
         silence_s, reopen_s: no frame for so long: open it again; for so long: give up.
-        open_timeout_s: to the first frame.
+        open_timeout_s: to the first frame, when there is nothing left to compile.
     """
 
     serial: str = ""
@@ -165,6 +166,10 @@ class RealSense:
 
     async def _first(self, stream: PairStream) -> None:
         try:
+            async with asyncio.timeout(WARM_UP_S):
+                while not (stream.warm or stream.ended):
+                    self._news.clear()
+                    await self._news.wait()
             async with asyncio.timeout(self._config.open_timeout_s):
                 while not stream.counters.pairs:
                     if stream.trouble is not None:

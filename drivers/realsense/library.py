@@ -100,8 +100,8 @@ class RealSenseDevice:
         depth_sensor, depth = found["depth"]
         color_sensor, color = found["color"]
         self.unit_m = float(depth_sensor.get_option(self._rs.option.depth_units))
-        self.depth = _intrinsics(self._rs, depth)
-        self.T_color_depth = _extrinsics(depth, color)
+        self.depth = intrinsics_of(self._rs, depth, "depth")
+        self.T_color_depth = extrinsics_of(depth, color)
         if self._playback is None:
             _set_up(self._rs, depth_sensor, color_sensor, streams)
         for sensor, profile in found.values():
@@ -132,7 +132,7 @@ class RealSenseDevice:
             for each in self._filters:
                 frame = each.process(frame)
         domain = Domain(frame.get_frame_timestamp_domain().name)
-        stamp_ns = _mid_exposure_ns(self._rs, frame, domain)
+        stamp_ns = mid_exposure_ns(self._rs, frame, domain)
         return RawImage(kind, frame.get_frame_number(), stamp_ns, domain, np.asanyarray(frame.get_data()), frame)
 
     def close(self) -> None:
@@ -216,16 +216,20 @@ def _find(device: Any, kind: Kind, streams: Streams) -> tuple[Any, Any]:
     )
 
 
-def _intrinsics(rs: Any, profile: Any) -> CameraModel:
+def intrinsics_of(rs: Any, profile: Any, kind: Kind) -> CameraModel:
+    """Of a stream, by the device. Raises CameraError for a lens that cannot be described."""
     it = profile.get_intrinsics()
     coefficients = tuple(float(k) for k in it.coeffs)
     if any(coefficients) and it.model not in (rs.distortion.brown_conrady, rs.distortion.none):
-        raise CameraError(f"the depth stream has a lens of another kind: {it.model}", "use a camera of the D400 family")
+        raise CameraError(
+            f"the {kind} stream has a lens of another kind: {it.model}", "use a camera of the D400 family"
+        )
     k1, k2, p1, p2, k3 = coefficients
     return CameraModel(it.width, it.height, it.fx, it.fy, it.ppx, it.ppy, (k1, k2, p1, p2, k3))
 
 
-def _extrinsics(depth: Any, color: Any) -> Pose:
+def extrinsics_of(depth: Any, color: Any) -> Pose:
+    """Maps points of the depth camera to the colour camera."""
     it = depth.get_extrinsics_to(color)
     R = np.array(it.rotation, float).reshape(3, 3).T  # column by column
     return Pose(R, np.array(it.translation, float))
@@ -249,7 +253,7 @@ def _set_up(rs: Any, depth_sensor: Any, color_sensor: Any, streams: Streams) -> 
             raise CameraError(f"{option.name} cannot be set to {value:g}: {error}", "leave that option out") from error
 
 
-def _mid_exposure_ns(rs: Any, frame: Any, domain: Domain) -> int:
+def mid_exposure_ns(rs: Any, frame: Any, domain: Domain) -> int:
     """The frame's stamp is taken when its transfer begins; where the metadata tell, go back to the exposure."""
     stamp_us = frame.get_timestamp() * 1000.0
     keys = rs.frame_metadata_value

@@ -141,6 +141,7 @@ class PairStream(threading.Thread):
         self._stamps = config.stamps if source.live else StampConfig(PLAYBACK_AGE_NS, follow=False)
         self.counters = StreamCounters()
         self.trouble: CameraError | None = None
+        self.warm = False  # what has to be compiled is
         self.ended = False
         self.identity: DeviceIdentity | None = None  # of the device that was opened last
 
@@ -165,6 +166,8 @@ class PairStream(threading.Thread):
     def run(self) -> None:
         try:
             warm_up()
+            self.warm = True
+            self._on_news()
             self._started_ns = busy_ns()
             self._run()
         except Exception as error:

@@ -26,6 +26,7 @@ from drivers.recordings.video_file import VIDEO_SUFFIXES, VideoError, video_fram
 Image = NDArray[np.uint8]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+REALSENSE_SUFFIXES = (".db3", ".bag")
 SEARCHED = 5000  # records of a log in which its kinds of images are looked for
 REMEDY = "name a video file, a folder of images, or an .mcap log with images"
 
@@ -101,6 +102,11 @@ def open_recording(file: Path, options: RecordingOptions | None = None) -> Recor
         recording = RecordedLog(file, options.topic)
     elif file.suffix.lower() in VIDEO_SUFFIXES:
         recording = Video(file, options)
+    elif file.suffix.lower() in REALSENSE_SUFFIXES:
+        raise RecordingError(
+            f"{file} is a RealSense recording, and these are looked at as images",
+            f"write it out with `path-handoff export {file}`, and name the folder that it makes",
+        )
     else:
         raise RecordingError(f"{file}: a recording of kind '{file.suffix}' is not known", REMEDY)
     first = next(recording.frames(), None)

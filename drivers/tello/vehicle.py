@@ -28,6 +28,7 @@ RC_PERIOD_S = 0.05
 MOTORS_OFF_S = 1.6  # its clock of running motors counts whole seconds: not for so long, and they stand
 ON_GROUND_M = 0.25
 STATE_AGE_S = 1.0  # older, and any wait ends with an error
+SECOND_LOOK_S = 0.3  # in which a packet that waits to be read must come
 TAKE_OFF_ANSWER_S = 20.0  # it answers once it hovers
 OFF_GROUND_M = 0.35
 CLIMB_GAIN_HZ, CLIMB_MPS = 1.0, 0.5
@@ -153,17 +154,28 @@ class TelloVehicle:
             raise VehicleError("the drone is not connected", "open it first")
         return self._link
 
-    def _check_alive(self) -> None:
-        age_s = self._open_link().report_age_s()
-        if age_s > STATE_AGE_S:
-            raise VehicleError(
-                f"no state packet from the drone for {age_s:.1f} s", "take it by hand; it lands by itself after 15 s"
-            )
+    async def _check_alive(self) -> None:
+        """Raises when the newest state packet is too old.
+
+        A program that stood still finds an old one first: those that wait for it are read before it judges.
+        """
+        end_s = time.monotonic() + SECOND_LOOK_S
+        while not self._heard():
+            if time.monotonic() >= end_s:
+                age_s = self._open_link().report_age_s()
+                raise VehicleError(
+                    f"no state packet from the drone for {age_s:.1f} s",
+                    "take it by hand; it lands by itself after 15 s",
+                )
+            await asyncio.sleep(POLL_S)
+
+    def _heard(self) -> bool:
+        return self._open_link().report_age_s() <= STATE_AGE_S
 
     # --- commands ---
 
     async def wait_armable(self, timeout_s: float) -> None:
-        self._check_alive()  # what it said before it fell silent counts no more
+        await self._check_alive()  # what it said before it fell silent counts no more
         if await self._until(lambda: self.state.armable, timeout_s):
             return
         raise VehicleError(
@@ -173,13 +185,13 @@ class TelloVehicle:
 
     async def arm(self) -> None:
         """Arms by a flag alone: its motors start with the take-off, which is refused until this was called."""
-        self._check_alive()
+        await self._check_alive()
         if self._flying:
             raise VehicleError("the drone is in the air already", "land it first")
         self._armed = True
 
     async def take_off(self, height_m: float, timeout_s: float) -> None:
-        self._check_alive()
+        await self._check_alive()
         if not self._armed:
             raise VehicleError("take-off refused: the drone is not armed", "arm first")
         if not (math.isfinite(height_m) and height_m > 0.0):
@@ -207,7 +219,7 @@ class TelloVehicle:
 
     async def start_offboard(self, first: VelocitySetpoint) -> None:
         """The sticks are taken: there is no mode to ask for."""
-        self._check_alive()
+        await self._check_alive()
         if not self._flying:
             raise VehicleError("offboard control refused: the drone is not in the air", "take off first")
         self._set_mode(FlightMode.OFFBOARD)
@@ -228,14 +240,14 @@ class TelloVehicle:
             self._open_link().send(CENTRE)
             await asyncio.sleep(RC_PERIOD_S)
         while self.state.stamp_ns <= sent_ns:
-            self._check_alive()
+            await self._check_alive()
             await asyncio.sleep(POLL_S)
         self._set_mode(FlightMode.HOLD)
 
     async def land(self, timeout_s: float) -> None:
         """Said again when nothing comes of it, and said blindly when the drone is not heard any more."""
         if not self._flying:
-            self._check_alive()  # that it is not flying must be news
+            await self._check_alive()  # that it is not flying must be news
             return
         self._open_link().send(CENTRE)
         self._set_mode(FlightMode.LAND)
@@ -298,7 +310,7 @@ class TelloVehicle:
         tolerance = self._config.take_off_tolerance_m
         steady_since: float | None = None
         while True:
-            self._check_alive()
+            await self._check_alive()
             off = height_m - self._reckoning.height_m
             climb = max(-CLIMB_MPS, min(CLIMB_MPS, CLIMB_GAIN_HZ * off))
             self._sticks((0.0, 0.0, -climb), 0.0)
@@ -317,8 +329,7 @@ class TelloVehicle:
 
     def _landed(self) -> bool:
         """Returns whether it landed, by news: the motors' clock stands, low above the ground."""
-        self._check_alive()
-        return not self._motors_run() and self._reckoning.height_m < ON_GROUND_M
+        return self._heard() and not self._motors_run() and self._reckoning.height_m < ON_GROUND_M
 
     def _sinking(self) -> bool:
         return self.state.velocity_n_mps[2] > 0.15 or self._reckoning.height_m < ON_GROUND_M
@@ -326,7 +337,7 @@ class TelloVehicle:
     async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         end_s = time.monotonic() + timeout_s
         while not condition():
-            self._check_alive()
+            await self._check_alive()
             if time.monotonic() >= end_s:
                 return False
             await asyncio.sleep(POLL_S)

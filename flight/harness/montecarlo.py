@@ -101,6 +101,7 @@ class Series:
         right: (n,) whether D2's box is of the object that D1 was told to hand over.
         same: (n,) whether both boxes are of one object: D1 may have gone over to another one itself.
         offsets: of D2's box from the target and from what D1 saw beside it, by entry; of a ``PAIR`` only.
+        oversize: by how many standard deviations a box is larger than the target can be, by entry of a ``PAIR``.
     """
 
     kind: NDArray[np.int64]
@@ -115,6 +116,7 @@ class Series:
     right: NDArray[np.bool_]
     same: NDArray[np.bool_]
     offsets: Mapping[int, Offsets] = field(default_factory=dict[int, Offsets])
+    oversize: Mapping[int, float] = field(default_factory=dict[int, float])
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -215,7 +217,9 @@ class Telling:
                 continue
             gate.expire(capture_ns)
             if agreed:
-                pair = FramePair(sequence, capture_ns, ((own[0], own[1]), (own[2], own[3])), series.offsets.get(k))
+                frames = (own[0], own[1]), (own[2], own[3])
+                offsets, oversize = series.offsets.get(k), series.oversize.get(k, 0.0)
+                pair = FramePair(sequence, capture_ns, frames, offsets, oversize)
                 gate.agree(pair, iou, threshold(z_m, method))
             else:
                 compared = kind == PAIR and sigma_m <= method.pose_sigma_limit_m

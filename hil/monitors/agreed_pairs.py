@@ -94,14 +94,16 @@ class AgreedPairs:
         if iou is None or tau is None:
             return
         self.agrees = False
-        if self.pairs:
-            self._compare(int(record["capture_ns"]), iou, tau)
+        if self.pairs:  # boxes that overlap and are too large for the target disagree as much as any
+            self._compare(int(record["capture_ns"]), iou if iou < tau else -math.inf, tau)
 
     def agreed(self, record: Mapping[str, Any]) -> str | None:
         """An agreeing pair that the role counted; what is wrong with that, None when nothing is."""
         capture_ns, iou, tau = int(record["capture_ns"]), record["iou"], record["tau"]
         if capture_ns <= self.last_ns or iou is None or tau is None or not iou >= tau:
             return f"a pair counted that must not: {dict(record)}"
+        if self.method.gate == "evidence" and (record.get("oversize") or 0.0) > self.method.evidence.size_sigmas:
+            return f"a box larger than the target counted: {dict(record)}"
         gap_ns = capture_ns - self.last_ns
         if record["epoch"] != self.epoch:
             self.epoch, self.runs, self.pairs = record["epoch"], 0, 0

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 from hil.autopilot.values import OffboardSession
 from hil.tello.flight import TelloFlight
+from hil.tello.moves import MOVES
 from hil.tello.sensors import TelloSensors
 from hil.tello.video import TelloVideo
 from hil.world.world import SimDrone
@@ -190,13 +191,22 @@ class TelloEmulator:
         return self.flight.move(word, arguments)
 
     def _query(self, word: str) -> str:
-        known = {
+        return self.queries().get(word) or f"unknown command: {word}"
+
+    def queries(self) -> dict[str, str]:
+        """Returns what it answers to each query that it knows."""
+        return {
             "speed?": f"{self.flight.speed_cm:.1f}",
             "sdk?": "30" if self.config.sdk3 else "20",
             "sn?": self.config.serial,
             "hardware?": "TELLO",  # without the expansion board, whose EXT is not known
+            **self._sensors.answers(),
         }
-        return known.get(word) or self._sensors.answer(word) or f"unknown command: {word}"
+
+    @property
+    def words(self) -> set[str]:
+        """Returns the first words of all commands that it knows, queries left out."""
+        return {"rc", *self._commands, *self._settings, *MOVES}
 
     def _take_sticks(self, arguments: list[str]) -> None:
         """No answer, whatever it says. What is beyond 100 is not taken."""

@@ -18,6 +18,7 @@ AXES: dict[str, Vec3] = {  # forward, right, down
 }  # fmt: skip
 TURNS = {"cw": 1.0, "ccw": -1.0}
 NUMBERS = {"go": 4, "curve": 7}
+MOVES = (*AXES, *TURNS, *NUMBERS, "jump", "flip")
 FLIPS = ("l", "r", "f", "b")
 FLIP_S = 1.0
 THERE_M, THERE_RAD = 0.08, math.radians(3.0)
@@ -60,6 +61,8 @@ def move_of(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float)
     """
     if word == "flip":
         return TelloMove(position_n_m, yaw_rad, wait_s=FLIP_S) if arguments in [[each] for each in FLIPS] else "error"
+    if word == "jump":  # from pad to pad
+        return "error No valid marker" if len(arguments) == 7 else "error"
     if word in NUMBERS:
         return _to_places(word, arguments, position_n_m, yaw_rad)
     return _straight(word, arguments, position_n_m, yaw_rad) if word in AXES or word in TURNS else None

@@ -39,10 +39,10 @@ class TelloSensors:
             f"baro:{self._baro_m():.2f};time:{int(self.motors_s)};agx:0.00;agy:0.00;agz:-1000.00;\r\n"
         )
 
-    def answer(self, query: str) -> str | None:
-        """Returns the answer to a query about the drone itself; None for one that is none of these."""
+    def answers(self) -> dict[str, str]:
+        """Returns the answers to the queries about the drone itself."""
         roll, pitch, yaw = self.attitude_deg()
-        answers = {
+        return {
             "battery?": f"{self._battery()}",
             "time?": f"{int(self.motors_s)}s",
             "height?": f"{self._height_dm()}dm",
@@ -52,7 +52,6 @@ class TelloSensors:
             "tof?": f"{10 * self._tof_cm()}mm",
             "wifi?": "90",
         }
-        return answers.get(query)
 
     def attitude_deg(self) -> tuple[int, int, int]:
         """Roll, pitch and yaw in whole degrees; yaw from where the nose was when it was switched on."""

@@ -8,6 +8,8 @@ import struct
 import time
 from collections.abc import Iterator
 
+from drivers.clock import wall_offset_ns
+
 Address = tuple[str, int]
 SO_TIMESTAMPNS = 35  # Linux's; the socket module does not name it
 
@@ -42,6 +44,6 @@ def _arrival_s(extra: list[tuple[int, int, bytes]]) -> float:
     for level, kind, data in extra:
         if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS:
             seconds, nanoseconds = struct.unpack("@ll", data[:16])
-            age_ns = time.time_ns() - (seconds * 1_000_000_000 + nanoseconds)
-            return (time.monotonic_ns() - max(0, age_ns)) * 1e-9
+            arrival_ns = seconds * 1_000_000_000 + nanoseconds - wall_offset_ns(time.monotonic_ns)
+            return min(arrival_ns, time.monotonic_ns()) * 1e-9
     return time.monotonic()

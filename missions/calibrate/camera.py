@@ -235,6 +235,8 @@ def _report(done: Calibrated, calibration: CameraCalibration, out: TextIO) -> No
         f"\nrms {quality.rms_px:.3f} px; of views that were left out {quality.held_out_px:.3f} px "
         f"({quality.corners} corners in {quality.views} views, {100 * quality.coverage:.0f} % of the image)\n"
     )
+    out.write(f"the board's ends are {1e3 * solution.curl_m[0]:+.2f} mm (along its rows) and "
+              f"{1e3 * solution.curl_m[2]:+.2f} mm (along its columns) out of its middle's plane\n")  # fmt: skip
     out.write(f"\ngrade: {done.grade}\n")
     for fault in done.faults:
         out.write(f"{fault.reason.value}: {fault.found}\n    next: {fault.fix}\n")

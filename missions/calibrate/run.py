@@ -7,8 +7,14 @@ from typing import TextIO
 
 from missions.calibrate.board import draw_print
 from missions.calibrate.camera import calibrate_camera
+from missions.calibrate.marker_print import draw_marker
 from missions.calibrate.mount import calibrate_mount
-from missions.options.calibrate import CalibrateCameraOptions, CalibrateMountOptions, CalibrateOptions
+from missions.options.calibrate import (
+    CalibrateCameraOptions,
+    CalibrateMarkerOptions,
+    CalibrateMountOptions,
+    CalibrateOptions,
+)
 
 
 def run(options: CalibrateOptions, out: TextIO | None = None) -> int:
@@ -19,4 +25,6 @@ def run(options: CalibrateOptions, out: TextIO | None = None) -> int:
         return calibrate_camera(what, stream)
     if isinstance(what, CalibrateMountOptions):
         return calibrate_mount(what, stream)
+    if isinstance(what, CalibrateMarkerOptions):
+        return draw_marker(what, stream)
     return draw_print(what, stream)

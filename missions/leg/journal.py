@@ -170,6 +170,7 @@ def agreement_record(
         "mapped_box": box_record(pair.mapped_box),
         "offset_m": None if offsets is None else offsets.target_m,
         "rival_offset_m": None if offsets is None else nearest_rival(offsets),
+        "oversize": None if pair.own_box is None else pair.oversize,
     }
 
 

@@ -13,7 +13,7 @@ from urllib.parse import parse_qs, urlsplit
 
 LOOPBACK = "127.0.0.1"
 TOKEN = "PATH_LIVE_TOKEN"  # the variable of the environment that has it
-HEAD_BYTES, HEAD_S = 8192, 5.0
+HEAD_BYTES, HEAD_S = 8192, 15.0
 CLIENTS = 16
 REFUSED = b"HTTP/1.1 401 Unauthorized\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 _PIECE = 1 << 16

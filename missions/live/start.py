@@ -17,7 +17,7 @@ from missions.shown import tell_line
 
 EXAMPLE = "127.0.0.1:8765"
 MIN_TOKEN = 16
-UP_S, END_S = 20.0, 8.0
+UP_S, END_S = 120.0, 8.0  # a busy computer begins a program slowly; one that dies is told at once
 
 
 @contextmanager

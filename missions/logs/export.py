@@ -4,6 +4,8 @@
         is the vehicle's own place, north-east-down; D2's camera in D1's marker's frame is marker.tum; and at
         levels with a world what was true of both: truth-DRONE.tum, the body in the world, and truth-marker.tum.
 --csv   one table a topic and log: utc_ns, stamp_ns, then every field; lists have a column for each number.
+
+A RealSense recording becomes images (``missions.logs.recording``).
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ from typing import Any
 
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord, parts
+from drivers.recordings.recording import REALSENSE_SUFFIXES
 from missions.logs.merge import utc_minus_stamp
+from missions.logs.recording import export_recording
 from missions.options.runs import ExportOptions
 from missions.report.records import WORLD_LOG, RunRecords, drone_logs, load_run, read_parts
 from missions.report.truth import Truth, truth_of
@@ -29,8 +33,14 @@ Row = tuple[int, Sequence[float], Sequence[float]]
 
 def run(options: ExportOptions) -> int:
     """``path-handoff export``. Raises PartError."""
+    if options.folder.suffix.lower() in REALSENSE_SUFFIXES:
+        return export_recording(options)
+    if options.calibration is not None:
+        raise PartError("--calibration is of a RealSense recording", f"leave it out for the run {options.folder}")
     if not (options.tum or options.csv):
         raise PartError("nothing is asked for", "say --tum, --csv, or both")
+    if not options.folder.is_dir():
+        raise PartError(f"{options.folder} is no folder", "name the folder of a run, or a RealSense recording (.db3)")
     out = options.out or options.folder / "export"
     out.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []

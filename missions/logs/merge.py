@@ -28,6 +28,7 @@ from drivers.log.mcap_log import (
     read_log,
 )
 from drivers.log.scan import LoggedMessage, messages
+from missions.logs.fetch import fetched
 from missions.options.runs import MergeOptions
 from missions.report.records import MERGED
 
@@ -51,8 +52,9 @@ class Aligned:
 
 def run(options: MergeOptions) -> int:
     """``path-handoff merge``. Raises PartError."""
-    logs = named_logs(options.logs)
-    out = options.out or (options.logs[0] if options.logs[0].is_dir() else options.logs[0].parent) / MERGED
+    there = [fetched(each) for each in options.logs]
+    logs = named_logs(there)
+    out = options.out or (there[0] if there[0].is_dir() else there[0].parent) / MERGED
     for each in merge(logs, out):
         sys.stdout.write(f"{each.name}: {_told(each)}\n")
     sys.stdout.write(f"{out}\n")

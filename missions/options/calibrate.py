@@ -99,11 +99,32 @@ class CalibrateBoardOptions(BoardOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class CalibrateMarkerOptions:
+    """Draw D1's marker to print, or a plate of several in a row, and what a rig says of it."""
+
+    ids: tuple[Annotated[int, Bounds(0, 1023, "(an id)")], ...] = (0,)
+    """From left to right; their ids in the dictionary."""
+
+    side_m: Annotated[float, Bounds(0.005, 1.0)] = 0.04
+    """Side of the black frame."""
+
+    gap_m: Annotated[float, Bounds(0.0, 1.0)] = 0.02
+    """White between two black frames; the quiet zone takes a cell of each at least."""
+
+    dictionary: str = "DICT_4X4_50"
+    """OpenCV's dictionary; the rig's `marker_dictionary`."""
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("marker.svg")
+    """The drawing, in millimetres, SVG: a browser prints it at its size."""
+
+
+@dataclass(frozen=True, slots=True)
 class CalibrateOptions:
-    """Calibrate a camera, or where it sits relative to the marker; or draw a board to print."""
+    """Calibrate a camera, or where it sits relative to the marker; or draw a board, or the marker, to print."""
 
     what: (
         Annotated[CalibrateCameraOptions, tyro.conf.subcommand("camera")]
         | Annotated[CalibrateMountOptions, tyro.conf.subcommand("mount")]
         | Annotated[CalibrateBoardOptions, tyro.conf.subcommand("board")]
+        | Annotated[CalibrateMarkerOptions, tyro.conf.subcommand("marker")]
     )

@@ -60,8 +60,9 @@ class ReplayOptions:
 class MergeOptions:
     """Put the logs of a run, or of two companions, into one on one clock."""
 
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE ...")]
-    """Folders of runs, or logs (.mcap). A log's name goes before its topics."""
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE|HOST:DIR ...")]
+    """Folders of runs, or logs (.mcap). A log's name goes before its topics. What is on another computer, such as
+    d1:flights/runs/20261121-114500, is fetched first, with scp, into a folder of this one (d1-20261121-114500)."""
 
     out: FileName = None
     """The merged log; merged.mcap beside the first one by default."""
@@ -69,10 +70,11 @@ class MergeOptions:
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """Write what a run's logs hold in forms that other programs read."""
+    """Write what a run's logs hold in forms that other programs read; or a RealSense recording as images."""
 
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-    """The folder of the run."""
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE.db3")]
+    """The folder of the run; or a RealSense recording (.db3, .bag), of which colour, depth, stamps and calibration are
+    written (docs/films.md)."""
 
     tum: bool = False
     """Trajectories, as evo reads them."""
@@ -80,8 +82,11 @@ class ExportOptions:
     csv: bool = False
     """A table for each topic of each log."""
 
+    calibration: FileName = None
+    """Of a RealSense recording: the colour camera's, instead of its maker's; depth is registered by it."""
+
     out: OutFolder = None
-    """The folder to write to; `export` in the run's folder by default."""
+    """The folder to write to; by default `export` in the run's folder, and one beside a recording with its name."""
 
 
 @dataclass(frozen=True, slots=True)

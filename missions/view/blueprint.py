@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import rerun.blueprint as rrb
 
 from missions.view.drawing import RUN
+from missions.view.eye import SceneEye
 
 PLOTS = (
     ("overlap", "IoU against what it needs (τ)"),
@@ -19,14 +20,20 @@ PLOTS = (
 )
 
 
-def blueprint(names: Sequence[str], drones: Sequence[str], plots: Sequence[str]) -> rrb.Blueprint:
-    """For logs by name, those ``drones`` among them that have images; ``plots``: those above with something to show."""
+def blueprint(
+    names: Sequence[str], drones: Sequence[str], plots: Sequence[str], eye: SceneEye | None = None
+) -> rrb.Blueprint:
+    """The window for logs by name, those ``drones`` among them that have images.
+
+    ``plots``: those above with something to show. Without an ``eye`` all of the scene is seen, the fence's box with it.
+    """
     scene = rrb.Spatial3DView(
         origin="/",
         name="scene",
         contents=["/tf/**", *(f"/{name}/{each}" for name in names for each in ("3d/**", "pinhole", "image"))],
         spatial_information=rrb.SpatialInformation(target_frame="world", show_axes=False),
         background=[24, 26, 30],
+        eye_controls=None if eye is None else rrb.EyeControls3D(position=eye.position, look_target=eye.target),
     )
     images = [
         rrb.Spatial2DView(

@@ -22,6 +22,7 @@ from drivers.log.scan import LoggedMessage, messages
 from missions.logs.merge import merge, named_logs
 from missions.options.runs import ViewOptions
 from missions.report.records import MERGED
+from missions.view.eye import eye_of
 from missions.view.viewer import page, serve, viewer, window
 
 if TYPE_CHECKING:
@@ -87,7 +88,8 @@ def write_rrd(logs: Sequence[Path], rrd: Path, folder: Path) -> None:
                 topics.add(each.channel.topic)
                 drawing.message(each.channel.topic, each.channel.schema, each.utc_ns, each.data)
     names = sorted({topic.split("/")[1] for topic in topics}, reverse=True)
-    recording.send_blueprint(blueprint(names, [name for name in names if f"/{name}/image" in topics], drawing.plots))
+    drones = [name for name in names if f"/{name}/image" in topics]
+    recording.send_blueprint(blueprint(names, drones, drawing.plots, eye_of(drawing.paths.values())))
     recording.flush()
     recording.disconnect()
 
@@ -124,7 +126,7 @@ def _watch(options: ViewOptions) -> int:
     with suppress(KeyboardInterrupt), shown as (server, at):
         if server is not None:
             recording.connect_grpc(at)
-        drawing, watcher, names = Drawing(recording), Watcher(*options.live), set[str]()
+        drawing, watcher, names, flying = Drawing(recording), Watcher(*options.live), set[str](), 0
         with suppress(KeyboardInterrupt):
             while server is None or server.poll() is None:
                 heard = watcher.next(0.5)
@@ -132,11 +134,14 @@ def _watch(options: ViewOptions) -> int:
                     continue
                 drawing.message(heard.topic, heard.schema, heard.utc_ns, heard.data)
                 name = heard.topic.split("/")[1]
-                if name not in names:
+                if name not in names or len(drawing.paths) > flying:
                     names.add(name)
+                    flying = len(drawing.paths)
                     known = sorted(names, reverse=True)
                     drones = [name for name in known if name not in ("world", "attack") and "guard" not in name]
-                    recording.send_blueprint(blueprint(known, drones, [kind for kind, _ in PLOTS]))
+                    recording.send_blueprint(
+                        blueprint(known, drones, [kind for kind, _ in PLOTS], eye_of(drawing.paths.values()))
+                    )
         recording.flush()
         recording.disconnect()
     return 0

@@ -22,9 +22,12 @@ import numpy as np
 import rerun as rr
 from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory
+from numpy.typing import NDArray
 
 from drivers.log.topics import blank
 from missions.view.figures import PlottedValues
+from path.messages import Vec3
+from path.rotation import R_from_quat
 
 UTC, RUN = "utc", "run"
 _LINE_LOOP, _LINE_LIST = 2, 4  # of foxglove.PointsAnnotation; LinePrimitive has 1 and 2
@@ -32,7 +35,11 @@ _LEVELS = {1: "DEBUG", 2: "INFO", 3: "WARN", 4: "ERROR", 5: "CRITICAL"}
 
 
 class Drawing:
-    """Draws one log, or one flight as it goes, into a recording."""
+    """Draws one log, or one flight as it goes, into a recording.
+
+    Attributes:
+        paths: where each drone was so far, in the world's frame, by its name.
+    """
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
@@ -43,6 +50,8 @@ class Drawing:
         self._images: dict[str, tuple[int, int]] = {}
         self._newest_boxes: dict[str, Any] = {}
         self._plots: set[str] = set()
+        self._R_world_n: NDArray[np.float64] | None = None
+        self.paths: dict[str, list[Vec3]] = {}
         self._draw: dict[str, Callable[[str, Any], None]] = {
             "foxglove.FrameTransforms": self._transforms,
             "foxglove.CameraCalibration": self._calibration,
@@ -103,9 +112,13 @@ class Drawing:
     # --- where things are ----------------------------------------------------------------------------------------
 
     def _transforms(self, name: str, message: Any) -> None:
-        del name
         for each in message.transforms:
             t, q = each.translation, each.rotation
+            if (each.parent_frame_id, each.child_frame_id) == ("world", "n"):
+                self._R_world_n = R_from_quat((q.w, q.x, q.y, q.z))
+            elif each.child_frame_id == f"{name}/body" and self._R_world_n is not None:
+                x, y, z = (self._R_world_n @ _xyz(t)).tolist()
+                self.paths.setdefault(name, []).append((x, y, z))
             transform = rr.Transform3D(
                 translation=(t.x, t.y, t.z), quaternion=rr.Quaternion(xyzw=(q.x, q.y, q.z, q.w)),
                 parent_frame=each.parent_frame_id, child_frame=each.child_frame_id,

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from path.calibration.saddles import refine_saddles
+from path.calibration.saddles import REACH_PX, refine_saddles
 from path.marker.layout import DICTIONARIES
 from path.marker.texture import dictionary_of
 
@@ -132,7 +132,7 @@ def find_board(grey: Image, board: Board) -> BoardView | None:
         return None
     saddles = refine_saddles(grey, found.corners_px, edges, found.clear_px)
     good = saddles.good
-    if int(good.sum()) < FEWEST_CORNERS:
+    if int(good.sum()) < FEWEST_CORNERS or (board.pattern == "chessboard" and not _all_print(grey, found, good, board)):
         return None
     return BoardView(
         found.ids[good], saddles.corners_px[good], saddles.sigma_px[good], float(np.median(saddles.blur_px[good]))
@@ -183,6 +183,14 @@ def other_size(grey: Image) -> tuple[int, int] | None:
     sound[sound] &= refine_saddles(grey, points[sound], edges, clear_px).good
     rows, columns = _within_print(sound.reshape(grid.shape[:2])).shape
     return columns + 1, rows + 1
+
+
+def _all_print(grey: Image, found: FoundCorners, good: NDArray[np.bool_], board: Board) -> bool:
+    """Whether every outermost line of a chessboard is of the print. Near the image's border nothing can be told."""
+    inside = np.array(grey.shape[::-1]) - 1.0 - REACH_PX[1]
+    near = ((found.corners_px < REACH_PX[1]) | (found.corners_px > inside)).any(axis=1)
+    grid = (good | near).reshape(board.rows - 1, board.columns - 1)
+    return _within_print(grid).shape == grid.shape
 
 
 def _within_print(good: NDArray[np.bool_]) -> NDArray[np.bool_]:

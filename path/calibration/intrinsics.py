@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.calibration.board import Board, BoardView
+from path.calibration.bundle import CURL, Bundle, BundleView, curled, solve_bundle
 from path.camera import CameraModel, Coefficients, Nine
 from path.geometry import Pose
 
@@ -67,6 +68,8 @@ class Intrinsics:
         doubts: the same with what errs together, as ``CameraModel.doubts``: of views as were left out by turns, scaled
             to ``sigmas`` of focal lengths and centre where these are larger.
         rms_px, held_out_px: over all corners; held out: as ``SolvedView.held_out_px``.
+        curl_m: of the board, as ``path.calibration.bundle``: by how much the ends of its x axis, its corners, and the
+            ends of its y axis leave the plane, over half lengths of its longer side.
     """
 
     size: tuple[int, int]
@@ -78,6 +81,7 @@ class Intrinsics:
     views: tuple[SolvedView, ...]
     rms_px: float
     held_out_px: float
+    curl_m: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
 def rms(errors_px: Array) -> float:
@@ -100,23 +104,25 @@ def solve_intrinsics(
     """
     ids, corners = [view.ids for view in views], [view.corners_px for view in views]
     fixed = _fixed(radial)
-    matrix, lens, _, _ = _solve(ids, corners, board, size, fixed)
+    matrix, lens = _solve(ids, corners, board, size, fixed)
     errors = [_refit(matrix, lens, board.corners_o[i], c)[1] for i, c in zip(ids, corners, strict=True)]
     lengths = np.linalg.norm(np.concatenate(errors), axis=1)
     limit = OUTLIER * MAD_TO_SIGMA * float(np.median(lengths))
     kept = [_near(matrix, lens, board.corners_o[i], c, limit) for i, c in zip(ids, corners, strict=True)]
     ids = [i[k] for i, k in zip(ids, kept, strict=True)]
     corners = [c[k] for c, k in zip(corners, kept, strict=True)]
-    matrix, lens, stated, _ = _solve(ids, corners, board, size, fixed, (matrix, lens))
-    held_out, turns = _folds(ids, corners, board, size, fixed, (matrix, lens))
+    matrix, lens = _solve(ids, corners, board, size, fixed, (matrix, lens))
+    bundle = _bundle(ids, corners, board, radial, _values(matrix, lens), np.zeros(CURL))
+    matrix, lens = _matrices(bundle.camera)
+    held_out, turns = _folds(ids, corners, board, radial, bundle)
     solved: list[SolvedView] = []
     for i, c, k, out in zip(ids, corners, kept, held_out, strict=True):
-        pose, left = _refit(matrix, lens, board.corners_o[i], c)
+        pose, left = _refit(matrix, lens, board.corners_o[i], c, _surface(board, i, bundle.curl))
         distance_m = float(pose.apply(board.corners_o[i]).mean(axis=0)[2])
         solved.append(SolvedView(pose, i, c, left, int((~k).sum()), rms(out), distance_m))
     jackknife = np.sqrt((turns**2).sum(axis=0)) if len(turns) else np.full(len(PARAMETERS), np.nan)
-    sigmas = np.fmax(stated, jackknife)
-    values = _values(matrix, lens)
+    sigmas = np.fmax(bundle.sigmas, jackknife)
+    values = bundle.camera
     camera, problem = _model(values, size)
     return Intrinsics(
         size,
@@ -128,6 +134,7 @@ def solve_intrinsics(
         tuple(solved),
         rms(np.concatenate([view.errors_px for view in solved])),
         rms(np.concatenate(held_out)),
+        tuple(float(c) * 0.5 * max(_size_m(board)) for c in bundle.curl),
     )
 
 
@@ -180,8 +187,36 @@ def pose_of_points(camera: CameraModel, points_o: Array, corners_px: Array) -> t
 
 def matrices_of(camera: CameraModel) -> tuple[Array, Array]:
     """Camera matrix (3, 3) and distortion (5,), as OpenCV takes them."""
-    matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
-    return matrix, np.array(camera.distortion)
+    return _matrices(np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion]))
+
+
+def _matrices(values: Array) -> tuple[Array, Array]:
+    """The same of the values of ``PARAMETERS``."""
+    fx, fy, cx, cy = values[:4]
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), values[4:]
+
+
+def _size_m(board: Board) -> tuple[float, float]:
+    return board.columns * board.square_m, board.rows * board.square_m
+
+
+def _surface(board: Board, ids: NDArray[np.int64], curl: Array) -> Array:
+    return curled(board.corners_o[ids], _size_m(board), curl)
+
+
+def _bundle(
+    ids: Sequence[NDArray[np.int64]], corners: Sequence[Array], board: Board, radial: int, values: Array, curl: Array
+) -> Bundle:
+    """Camera and curl together, from a camera that is near."""
+    matrix, lens = _matrices(values)
+    poses: list[tuple[Array, Array]] = []
+    for i, c in zip(ids, corners, strict=True):
+        pose, _ = _refit(matrix, lens, board.corners_o[i], c, _surface(board, i, curl))
+        turn, _ = cv2.Rodrigues(pose.R)
+        poses.append((np.asarray(turn, np.float64).ravel(), pose.t))
+    views = [BundleView(board.corners_o[i], c) for i, c in zip(ids, corners, strict=True)]
+    free = np.array([True] * 4 + [True, radial > 1, True, True, radial > 2])
+    return solve_bundle(views, _size_m(board), values, poses, free, curl)
 
 
 def _solve(
@@ -191,31 +226,24 @@ def _solve(
     size: tuple[int, int],
     fixed: int,
     guess: tuple[Array, Array] | None = None,
-) -> tuple[Array, Array, Array, float]:
-    """Camera matrix, distortion (5,), standard errors of ``PARAMETERS``, rms."""
+) -> tuple[Array, Array]:
+    """Camera matrix and distortion (5,) of a flat board."""
     points = [board.corners_o[i].astype(np.float32) for i in ids]
     images = [c.astype(np.float32) for c in corners]
     flags = fixed if guess is None else fixed | cv2.CALIB_USE_INTRINSIC_GUESS
     matrix, lens = (np.eye(3), np.zeros(5)) if guess is None else (guess[0].copy(), guess[1].copy())
     try:
-        left, matrix, lens, _, _, sigmas, _, _ = cv2.calibrateCameraExtended(
-            points, images, size, matrix, lens, flags=flags, criteria=PRECISE
-        )
+        _, matrix, lens, _, _ = cv2.calibrateCamera(points, images, size, matrix, lens, flags=flags, criteria=PRECISE)
     except cv2.error as error:
         raise NotSolvable(str(error).strip()) from error
     matrix, lens = np.asarray(matrix, np.float64), np.asarray(lens, np.float64).ravel()[:5]
     if not (np.isfinite(matrix).all() and np.isfinite(lens).all() and min(matrix[0, 0], matrix[1, 1]) > 0.0):
         raise NotSolvable("the solution is not finite")
-    return matrix, lens, np.asarray(sigmas, np.float64).ravel()[: len(PARAMETERS)], float(left)
+    return matrix, lens
 
 
 def _folds(
-    ids: Sequence[NDArray[np.int64]],
-    corners: Sequence[Array],
-    board: Board,
-    size: tuple[int, int],
-    fixed: int,
-    guess: tuple[Array, Array],
+    ids: Sequence[NDArray[np.int64]], corners: Sequence[Array], board: Board, radial: int, whole: Bundle
 ) -> tuple[list[Array], Array]:
     """Errors of each view under a camera solved without it; deviations of ``PARAMETERS`` by each fold, (k, 9).
 
@@ -229,10 +257,11 @@ def _folds(
         rest = [k for k in range(count) if k % folds != fold]
         if len(rest) < 3:
             continue
-        matrix, lens, _, _ = _solve([ids[k] for k in rest], [corners[k] for k in rest], board, size, fixed, guess)
-        found.append(_values(matrix, lens))
+        own = _bundle([ids[k] for k in rest], [corners[k] for k in rest], board, radial, whole.camera, whole.curl)
+        found.append(own.camera)
         for k in range(fold, count, folds):
-            held_out[k] = _refit(matrix, lens, board.corners_o[ids[k]], corners[k])[1]
+            surface = _surface(board, ids[k], own.curl)
+            held_out[k] = _refit(*_matrices(own.camera), board.corners_o[ids[k]], corners[k], surface)[1]
     if len(found) < 2:
         return held_out, np.empty((0, len(PARAMETERS)))
     spread = np.stack(found) - np.mean(found, axis=0)
@@ -256,19 +285,24 @@ def _near(matrix: Array, lens: Array, points_o: Array, corners_px: Array, limit_
     return kept
 
 
-def _refit(matrix: Array, lens: Array, points_o: Array, corners_px: Array) -> tuple[Pose, Array]:
-    """Pose of a view under a given camera, and its residuals. Raises NotSolvable."""
+def _refit(
+    matrix: Array, lens: Array, points_o: Array, corners_px: Array, surface_o: Array | None = None
+) -> tuple[Pose, Array]:
+    """Pose of a view under a given camera, and its residuals. Raises NotSolvable.
+
+    Args:
+        points_o: as printed, in a plane. ``surface_o``: where they are, when the board is curled.
+    """
+    at = points_o if surface_o is None else surface_o
     try:
         done, rotation, translation = cv2.solvePnP(points_o, corners_px, matrix, lens, flags=cv2.SOLVEPNP_IPPE)
         if done:
-            rotation, translation = cv2.solvePnPRefineLM(
-                points_o, corners_px, matrix, lens, rotation, translation, PRECISE
-            )
+            rotation, translation = cv2.solvePnPRefineLM(at, corners_px, matrix, lens, rotation, translation, PRECISE)
     except cv2.error as error:
         raise NotSolvable(str(error).strip()) from error
     if not done:
         raise NotSolvable("a view has no pose")
-    seen, _ = cv2.projectPoints(points_o, rotation, translation, matrix, lens)
+    seen, _ = cv2.projectPoints(at, rotation, translation, matrix, lens)
     R, _ = cv2.Rodrigues(rotation)
     pose = Pose(np.asarray(R, np.float64), np.asarray(translation, np.float64).ravel())
     return pose, corners_px - np.asarray(seen, np.float64).reshape(-1, 2)

@@ -19,6 +19,8 @@ from path.calibration.intrinsics import Intrinsics
 Array = NDArray[np.float64]
 Grade = Literal["good", "fair", "weak"]
 
+PERIODS = (2, 3, 4, 5)  # px, of a camera that leaves out pixels
+NO_CHANCE = 20.0
 GRID = (8, 6)  # cells of the coverage map, across and down
 PLACES = (("top left", "top", "top right"), ("left", "middle", "right"), ("bottom left", "bottom", "bottom right"))
 
@@ -37,6 +39,7 @@ class BadSet(Enum):
     UNCERTAIN = "uncertain"
     WRONG_BOARD = "wrong_board"
     NOT_PREDICTIVE = "not_predictive"
+    UNEVEN_PIXELS = "uneven_pixels"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,7 @@ class SetLimits:
             ``most_focal_sigma``: above it a set says nothing.
         max_rms_px: residual of the solution.
         max_held_out_ratio: rms of views that were left out over rms of the solution.
+        max_uneven_px: by how much corners may be off in step with their place in the image.
     """
 
     min_views: int = 12
@@ -77,6 +81,7 @@ class SetLimits:
     most_focal_sigma: float = 0.1
     max_rms_px: float = 1.0
     max_held_out_ratio: float = 1.3
+    max_uneven_px: float = 0.04
 
 
 def sharp_enough(views: Sequence[BoardView], limits: SetLimits) -> list[bool]:
@@ -152,6 +157,16 @@ def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
                 "take more views, different ones; leave out views in which the board or the camera moved",
             )
         )
+    period, off_px = uneven_pixels(solution)
+    if off_px > limits.max_uneven_px:
+        faults.append(
+            SetFault(
+                BadSet.UNEVEN_PIXELS,
+                f"corners are off by {off_px:.2f} px in step with every {period} pixels: the camera makes this image "
+                "out of a larger one by leaving out pixels",
+                "take a stream of the sensor's own size: in this one markers are off as well",
+            )
+        )
     if solution.camera is None:
         faults.append(
             SetFault(
@@ -161,6 +176,24 @@ def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
             )
         )
     return faults
+
+
+def uneven_pixels(solution: Intrinsics) -> tuple[int, float]:
+    """Returns the period, in pixels, and the amplitude in px by which corners are off most in step with their place.
+
+    0 px where it may be chance: noise has a power of ``NO_CHANCE`` times its mean in one of 10^8 sets.
+    """
+    places = np.concatenate([view.corners_px for view in solution.views])
+    errors = np.concatenate([view.errors_px for view in solution.views])
+    best = (0, 0.0)
+    for period in PERIODS:
+        for axis in (0, 1):
+            wave = np.exp(-2j * np.pi * places[:, axis] / period)
+            size = float(np.abs(wave @ errors[:, axis]))
+            power = size**2 / max(float((errors[:, axis] ** 2).sum()), 1e-12)
+            if power > NO_CHANCE:
+                best = max(best, (period, 2.0 * size / len(places)), key=lambda found: found[1])
+    return best
 
 
 def focal_sigma(solution: Intrinsics) -> float:

@@ -42,8 +42,11 @@ from tests.drivers.realsense.software_d415 import COLOR, FPS, Feed, context, rec
 from tests.drivers.tello import tello_stand
 from tests.repeating import repeating
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
+QUICK_S = 20.0  # of what takes no time, on a machine that may be busy
 FRAMES = 8
+RECORDED = 100  # frames: whoever is late gets the newest one, and enough are left
+_recording: list[Path] = []  # made once
 
 
 @dataclass
@@ -114,14 +117,16 @@ async def tello(folder: Path) -> AsyncGenerator[Stage]:
 
 @asynccontextmanager
 async def recording(folder: Path) -> AsyncGenerator[Stage]:
-    feed = Feed()
-    recorder = RealSense(RealSenseConfig(fps=FPS, record=folder), context())
-    recorder.source = feed
-    with feed.running(rate_hz=FPS):
-        async with recorder:
-            for _ in range(3 * FRAMES):
-                await recorder.read(PATIENCE_S)
-    camera = RealSense(RealSenseConfig(fps=FPS, recording=recordings(folder)[0]), context())
+    if not _recording:
+        feed = Feed()
+        recorder = RealSense(RealSenseConfig(fps=FPS, record=folder), context())
+        recorder.source = feed
+        with feed.running(rate_hz=FPS):
+            async with recorder:
+                for _ in range(RECORDED):
+                    await recorder.read(PATIENCE_S)
+        _recording.extend(recordings(folder))
+    camera = RealSense(RealSenseConfig(fps=FPS, recording=_recording[0]), context())
     yield Stage(camera, lambda: None)  # it ends by itself
 
 
@@ -129,9 +134,9 @@ async def recording(folder: Path) -> AsyncGenerator[Stage]:
 async def images(folder: Path) -> AsyncGenerator[Stage]:
     depth = folder / "depth"
     depth.mkdir()
-    for number in range(3 * FRAMES):
+    for number in range(RECORDED):
         name = f"{10.0 + number / FPS:.6f}.png"
-        cv2.imwrite(str(folder / name), np.full((COLOR.height, COLOR.width, 3), 9 * number, np.uint8))
+        cv2.imwrite(str(folder / name), np.full((COLOR.height, COLOR.width, 3), 2 * number, np.uint8))
         cv2.imwrite(str(depth / name), np.full((COLOR.height, COLOR.width), 1000 + number, np.uint16))
     camera = RecordedCamera(RecordedCameraConfig(folder, depth=depth), context())
     yield Stage(camera, lambda: None)  # it ends by itself
@@ -186,7 +191,7 @@ async def check_silence(stage: Stage) -> None:
         while error is None:  # what was under way may still come
             start_s = loop.time()
             error = await _error_of(stage.camera, 0.15)
-    assert loop.time() - start_s < 5.0  # of a read of 0.15 s, on a machine that may be busy
+    assert loop.time() - start_s < QUICK_S  # of a read of 0.15 s
     assert stage.unplugged in str(error)
     assert error.remedy
 
@@ -196,7 +201,7 @@ async def check_closed(stage: Stage) -> None:
     with pytest.raises(CameraError, match="not open") as caught:
         await stage.camera.read(PATIENCE_S)
     assert caught.value.remedy
-    assert asyncio.get_running_loop().time() - start_s < 1.0
+    assert asyncio.get_running_loop().time() - start_s < QUICK_S
 
 
 async def _error_of(camera: Camera, timeout_s: float) -> CameraError | None:
@@ -233,7 +238,7 @@ def test_all_of_it_for_a_tello_whose_video_takes_seconds_to_open(tmp_path: Path)
         async with camera:  # it can be opened again
             await check_owner(stage)
             await check_silence(stage)
-            waiting = asyncio.create_task(_error_of(camera, 60.0))
+            waiting = asyncio.create_task(_error_of(camera, 4.0 * PATIENCE_S))
             await asyncio.sleep(0)
         async with asyncio.timeout(PATIENCE_S):
             assert await waiting is not None  # closing ends a wait
@@ -281,7 +286,7 @@ def test_closing_ends_a_wait(stage_of: StageOf, tmp_path: Path) -> None:
             stage.unplug()
             while await _error_of(camera, 0.15) is None:
                 pass
-            waiting = asyncio.create_task(_error_of(camera, 1.0))
+            waiting = asyncio.create_task(_error_of(camera, 4.0 * PATIENCE_S))
             await asyncio.sleep(0)
         async with asyncio.timeout(PATIENCE_S):
             assert await waiting is not None

@@ -24,12 +24,12 @@ from tests.drivers.link.link_ends import (
     Cable,
     Context,
     WallClock,
-    free_ports,
     introduce,
     run,
     serial_links,
     until,
 )
+from tests.free_ports import free_ports
 
 WORDS: list[Message] = [
     Commit(1, 2, 3, 4, 5, 6, 9),

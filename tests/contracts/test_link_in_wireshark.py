@@ -32,7 +32,7 @@ def capture(file: Path, *messages: Message) -> None:
 
 
 def tshark(*arguments: str) -> str:
-    done = subprocess.run(["tshark", *arguments], capture_output=True, text=True, timeout=60.0, check=False)
+    done = subprocess.run(["tshark", *arguments], capture_output=True, text=True, timeout=300.0, check=False)
     assert done.returncode == 0, done.stderr
     assert "Lua: Error" not in done.stderr, done.stderr
     return done.stdout

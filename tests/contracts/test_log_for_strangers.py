@@ -156,7 +156,7 @@ def imported_by_rerun(log: Path, folder: Path) -> set[str]:
     recording.disconnect()
     printed = subprocess.run(
         [str(Path(sys.executable).with_name("rerun")), "rrd", "print", "-vv", str(folder / "imported.rrd")],
-        capture_output=True, text=True, timeout=120.0, check=True,
+        capture_output=True, text=True, timeout=600.0, check=True,
     )  # fmt: skip
     return set(re.findall(r"\b[A-Z]\w+:[a-z]\w+", printed.stdout))
 

@@ -55,7 +55,7 @@ def test_a_save_that_nobody_waits_for_is_done_when_it_says_so(store_of: StoreOf,
     for record in (FIRST, SECOND):
         saving = store.begin_save(record)
         assert not saving.cancel()  # nobody can take it back
-        assert saving.result(timeout=10.0) is None
+        assert saving.result(timeout=60.0) is None
         assert store.load() == Kept(record, same_clock=True)
 
 
@@ -135,14 +135,15 @@ def test_a_clock_counts_whole_nanoseconds_forwards_as_fast_as_the_loop(
 ) -> None:
     async def main() -> None:
         clock, loop = clock_of(), asyncio.get_running_loop()
-        begin_ns, begin_s = clock.now_ns(), loop.time()
+        before_s, begin_ns, begin_s = loop.time(), clock.now_ns(), loop.time()
         stamps: list[int] = []
         for _ in range(20):
             stamps.append(clock.now_ns())
             await asyncio.sleep(0.002)
-        end_ns, end_s = clock.now_ns(), loop.time()
+        end_s, end_ns, after_s = loop.time(), clock.now_ns(), loop.time()
         assert all(type(stamp) is int and stamp >= 0 for stamp in stamps)
         assert all(later > earlier for earlier, later in pairwise(stamps))
-        assert (end_ns - begin_ns) * 1e-9 == pytest.approx(end_s - begin_s, rel=0.3)
+        passed_s = (end_ns - begin_ns) * 1e-9  # between what was looked at just before and just after
+        assert 0.7 * (end_s - begin_s) <= passed_s <= 1.3 * (after_s - before_s)
 
     runner(main())

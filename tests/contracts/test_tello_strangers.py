@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -15,15 +14,10 @@ from tello_asyncio import Direction, Vector
 from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
 from hil.world.world import SimDrone, World, WorldConfig
 from path.messages import Role
+from tests.free_ports import free_port
 
 HOST = "127.0.79.2"
 STEP_S = 0.005
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class OneComputer:

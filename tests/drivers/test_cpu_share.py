@@ -15,6 +15,7 @@ from drivers.cpu_share import PREFIX, CpuShare, Hierarchy, hierarchies
 from drivers.interfaces import PartError
 
 BURN_S = 1.0
+TRIES = 5
 BURN = f"""
 import time
 end, begin = time.monotonic() + {BURN_S}, time.process_time()
@@ -43,15 +44,18 @@ def groups() -> None:
 
 @pytest.mark.usefixtures("groups")
 def test_a_process_and_what_it_starts_get_their_share_together() -> None:
-    with CpuShare("test", 0.2) as share:
-        program = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {BURN!r}])"
-        waits = f"import sys; sys.stdin.readline(); {program}"
-        pipe = subprocess.PIPE
-        process = subprocess.Popen([sys.executable, "-c", waits], stdin=pipe, stdout=pipe, text=True)
-        share.add(process.pid)
-        told, _ = process.communicate("go\n")
-        assert 0.05 * BURN_S < float(told) < 0.35 * BURN_S
-        assert share.stopped_s() > 0.1 * BURN_S
+    for _ in range(TRIES):
+        with CpuShare("test", 0.2) as share:
+            program = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {BURN!r}])"
+            waits = f"import sys; sys.stdin.readline(); {program}"
+            pipe = subprocess.PIPE
+            process = subprocess.Popen([sys.executable, "-c", waits], stdin=pipe, stdout=pipe, text=True)
+            share.add(process.pid)
+            told, _ = process.communicate("go\n")
+            assert float(told) < 0.35 * BURN_S
+            if float(told) > 0.05 * BURN_S and share.stopped_s() > 0.1 * BURN_S:
+                return
+    pytest.fail("it was never given its share, nor held to it")  # others may have had the core, but not each time
 
 
 @pytest.mark.usefixtures("groups")

@@ -235,7 +235,7 @@ def test_a_signal_lands_a_flight_and_ends_it_by_name(tmp_path: Path, number: sig
         try:
             assert any("take-off" in line for line in process.stdout)
             process.send_signal(number)
-            _, errors = process.communicate(timeout=120.0)
+            _, errors = process.communicate(timeout=300.0)
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)

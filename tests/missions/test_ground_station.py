@@ -54,7 +54,7 @@ def test_it_hears_every_vehicle_of_a_relay_and_of_a_team(name: str, targets: int
     mav: Any = mavlink.MAVLink(None)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
         ground.bind(("127.0.0.1", 0))
-        ground.settimeout(10.0)
+        ground.settimeout(60.0)
         name_ground_station(rig, f"127.0.0.1:{ground.getsockname()[1]}")
         for drone in field_of(rig, 3, targets).drones:
             own = pair_of(rig, drone, drone).receiver

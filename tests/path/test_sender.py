@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from path.agreement import Agreed
 from path.camera import CameraModel
-from path.config import MethodConfig
+from path.config import GateKind, MethodConfig
 from path.evidence import EvidenceGate, SideBySide
 from path.geometry import Pose
 from path.messages import Candidate, Target
@@ -98,6 +98,35 @@ def test_a_true_pair_agrees_with_full_overlap_whatever_the_relative_roll() -> No
     assert isinstance(pair.verdict, Agreed)
     assert pair.verdict.iou > 0.97
     assert pair.verdict.count == 1
+
+
+@pytest.mark.parametrize(("gate", "agrees"), [("evidence", False), ("count", True)])
+def test_boxes_larger_than_the_target_disagree_though_they_overlap(gate: GateKind, agrees: bool) -> None:
+    sized = replace(CONFIG.evidence, span_m=0.5 * SIZE_M, height_m=0.5 * SIZE_M)
+    bench = Bench(replace(CONFIG, gate=gate, evidence=sized))
+    (pair,) = bench.run(1)
+    assert pair.oversize > sized.size_sigmas
+    assert isinstance(pair.verdict, Agreed) == agrees
+    if not agrees:
+        assert pair.verdict == Missed(MissReason.AMBIGUOUS_TARGET, pair.verdict.iou)
+        assert bench.sender.misses == {MissReason.AMBIGUOUS_TARGET: 1}
+        assert bench.offer(candidate(1, 13.0)) == Missed(MissReason.DUPLICATE, ignored=True)  # it was an answer
+
+
+def test_a_box_that_grows_at_once_in_either_camera_disagrees() -> None:
+    bench = Bench(replace(CONFIG, gate="evidence"))
+    assert all(isinstance(pair.verdict, Agreed) for pair in bench.run(40))
+    box = candidate(41, 813.0).box
+    assert box is not None
+    (theirs,) = bench.step(41, box=Box(box.x - 0.2 * box.w, box.y, 1.4 * box.w, box.h))
+    (after,) = bench.step(42)
+    assert theirs.verdict == Missed(MissReason.AMBIGUOUS_TARGET, theirs.verdict.iou)
+    assert isinstance(after.verdict, Agreed)
+    bench.offer(candidate(43, 859.0))
+    own = own_box(860.0)
+    bench.see(43, box=Box(own.x - 0.2 * own.w, own.y, 1.4 * own.w, own.h))
+    (own_verdict,) = bench.sender.evaluate_ready(43 * PERIOD)
+    assert own_verdict.verdict == Missed(MissReason.AMBIGUOUS_TARGET, own_verdict.verdict.iou)
 
 
 def test_the_papers_corner_would_not() -> None:

@@ -41,12 +41,16 @@ from tests.drivers.mavlink.mavsdk_bench import CONTEXT, QUICK, SYSID, px4
 from tests.drivers.realsense import software_d415
 from tests.drivers.tello import tello_stand
 from tests.missions.leg.test_session import Recorder
+from tests.pauses import undisturbed
 
 NO_CONTEXT: Any = None
 CLOCK = SystemClock(SystemClockConfig(), NO_CONTEXT)
 HEIGHT_M = 0.9
 VIDEO_HZ = 15
-LIMIT_S = 60.0  # for a whole flight, on a machine that is busy with others
+PATIENT = {"connect_timeout_s": 60.0, "command_timeout_s": 10.0}
+PAUSE_S = 0.3  # longer ones are an end of their own: a camera that gives no frame
+BUSY_S = 5.0  # that a machine may stand still; what is not noticed is not noticed at all
+LIMIT_S = 180.0  # for a whole flight, on a machine that is busy with others
 
 
 @dataclass
@@ -79,7 +83,14 @@ def d415() -> Generator[tuple[Perception, software_d415.Feed]]:
 @contextmanager
 def autopilot_and_d415() -> Generator[Stage]:
     with d415() as (seeing, feed), px4(replace(QUICK, offboard_loss_s=1.5), speed=3.0) as bench:
-        config = MavsdkVehicleConfig(url=f"udpin://127.0.0.1:{bench.port}", sysid=SYSID, heartbeat_timeout_s=1.0)
+        config = MavsdkVehicleConfig(
+            url=f"udpin://127.0.0.1:{bench.port}",
+            sysid=SYSID,
+            heartbeat_timeout_s=1.0,
+            connect_timeout_s=60.0,
+            command_timeout_s=10.0,
+            mode_timeout_s=30.0,
+        )
         yield Stage(
             MavsdkVehicle(config, replace(CONTEXT, clock=CLOCK)),
             seeing,
@@ -132,7 +143,7 @@ class Flight:
 
     async def course(self) -> None:
         session = self.session
-        await session.vehicle.wait_armable(20.0)
+        await session.vehicle.wait_armable(60.0)
         await take_off(session, HEIGHT_M)
         session.enter(Phase.FOLLOW)
         while True:
@@ -176,7 +187,7 @@ async def fly(stage: Stage, folder: Path, unplug: Callable[[Stage, Cable], objec
             unplug(stage, cable)
             result = await flown
             saying.cancel()
-            async with asyncio.timeout(20.0):
+            async with asyncio.timeout(60.0):
                 while not stage.on_ground():  # noqa: ASYNC110 (it has no event)
                     await asyncio.sleep(0.02)
             return result, flight.ended_s - unplugged_s
@@ -214,7 +225,10 @@ def garbled(stage: Stage, cable: Cable) -> None:
 def test_what_is_unplugged_in_the_air_has_its_name_and_the_vehicle_comes_down(
     stage_of: Any, unplug: Any, outcome: Outcome, landed: bool, within_s: float, tmp_path: Path
 ) -> None:
-    with stage_of() as stage:
-        result, after_s = asyncio.run(fly(stage, tmp_path, unplug))
+    def flown() -> tuple[RoleResult, float]:
+        with stage_of() as stage:
+            return asyncio.run(fly(stage, tmp_path, unplug))
+
+    result, after_s = undisturbed(flown, PAUSE_S)
     assert (result.outcome, result.landed) == (outcome, landed), result.detail
-    assert after_s < within_s + 1.5  # a machine that is busy
+    assert after_s < within_s + BUSY_S

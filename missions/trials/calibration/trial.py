@@ -11,6 +11,7 @@ import numpy as np
 from flight.harness.renderer import IDEAL, REALISTIC, REALISTIC_VIDEO, FrameRenderer, Imaging
 from missions.calibrate.camera import BadViews, calibrate
 from missions.calibrate.collect import Collected, CollectedImage
+from missions.trials.calibration.kinds import KINDS, QUICK, calibrate_kind, kind_findings, kind_table
 from missions.trials.calibration.views import Held, board_poses, grey, photographs
 from missions.trials.shared.statistics import bootstrap, mean
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, TrialTable, verdict
@@ -80,6 +81,7 @@ def run(request: TrialRequest) -> TrialResult:
     sets, views = (QUICK_SETS, QUICK_VIEWS) if request.quick else (SETS, VIEWS)
     renderer = request.part("renderer")
     conditions = ("ideal", "realistic") if request.quick else tuple(CONDITIONS)
+    kinds = QUICK if request.quick else tuple(KINDS)
     pieces = [
         Set(renderer, camera, board, condition, 1000 * request.seed + number, views)
         for condition in conditions
@@ -88,8 +90,9 @@ def run(request: TrialRequest) -> TrialResult:
     ]
     outcomes = request.work.map("sets of views", calibrate_set, pieces)
     refused = request.work.map("bad sets", refuse_set, [(renderer, name) for name in BAD])
+    ends = request.work.map("kinds of sets", calibrate_kind, [(renderer, kind, request.seed) for kind in kinds])
     groups = {(c, b): [o for o in outcomes if (o.condition, o.board) == (c, b)] for c in conditions for b in BOARDS}
-    findings = [*_focal_findings(outcomes, groups), _refusals(refused)]
+    findings = [*_focal_findings(outcomes, groups), _refusals(refused), *kind_findings(ends)]
     return TrialResult(
         summary={
             "camera": [camera.width, camera.height],
@@ -97,13 +100,14 @@ def run(request: TrialRequest) -> TrialResult:
             "views": views,
             "by_condition": {f"{c}/{b}": _summary(own) for (c, b), own in groups.items()},
             "refused": dict(zip(BAD, refused, strict=True)),
+            "kinds": {end.name: end.summary() for end in ends},
         },
         findings=tuple(findings),
         noise=_noise(),
-        tables=(_table(groups, camera, sets, views),),
+        tables=(_table(groups, camera, sets, views), kind_table(ends)),
         notes=(
-            "The lens that is calibrated is of the model that is fitted, and the board is flat: what a real lens and "
-            "glued paper add is not in these figures.",
+            "The lens that is calibrated is of the model that is fitted: what a real lens adds is not in these "
+            "figures. Boards are flat, but in the sets of every kind.",
             "Held-out: each view's error when the camera was solved without it and only its pose was fitted; the noise "
             "floor is the same with the true camera.",
         ),

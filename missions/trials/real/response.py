@@ -20,6 +20,7 @@ from scipy.optimize import least_squares
 from flight.harness.renderer import Imaging
 from missions.trials.real.board import BoardSeen, Photograph, SetSeen
 from missions.trials.real.set import RealSet
+from missions.trials.real.thinning import Thinning, measure_thinning
 from path.target import MAD_TO_SIGMA
 
 ENDS = 0.22  # of an edge's length that is left out at each end: corners look otherwise
@@ -45,6 +46,7 @@ class SeenEdge:
         middle_o: (2,) m, of the edge on the board.
         across_px, along: of each pixel: distance, white side positive; 0..1 from one end to the other.
         levels: grey, 0..255. ``black``, ``white``: at both sides.
+        pixels: (n, 2) columns and rows. ``normal``: (2,) towards the white side, in the image.
     """
 
     middle_o: Array
@@ -53,6 +55,8 @@ class SeenEdge:
     levels: Array
     black: float
     white: float
+    pixels: NDArray[np.int64]
+    normal: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +67,7 @@ class CameraResponse:
         imaging: the fitted blur, sharpening, gamma and noise, and the files' compression.
         edge: the mean edge at ``PLACES``, 0 black and 1 white. ``misfit``: rms of what the imaging leaves of it.
         noise: standard deviations on black and on white, grey levels. ``edges``: how many were seen.
+        thinning: how the camera leaves out pixels; None where it does not.
     """
 
     imaging: Imaging
@@ -70,6 +75,7 @@ class CameraResponse:
     misfit: float
     noise: tuple[float, float]
     edges: int
+    thinning: Thinning | None = None
 
 
 def edges_of(own: RealSet) -> Iterator[tuple[Array, Array]]:
@@ -111,15 +117,18 @@ def _seen(grey: NDArray[np.uint8], ends_px: Array, middle_o: Array) -> SeenEdge 
     along, across = (du * way[0] + dv * way[1]) / length**2, (dv * way[0] - du * way[1]) / length
     near = (along > ENDS) & (along < 1.0 - ENDS) & (np.abs(across) < REACH_PX)
     across, along, levels = across[near], along[near], grey[v[near], u[near]].astype(float)
+    normal = np.array([-way[1], way[0]]) / length
     left, right = levels[across < -FLAT_PX], levels[across > FLAT_PX]
     if min(len(left), len(right)) < LEAST_PIXELS:
         return None
     if np.median(left) > np.median(right):
-        across, left, right = -across, right, left
+        across, normal, left, right = -across, -normal, right, left
     black, white = float(np.median(left)), float(np.median(right))
     if white - black < LEAST_CONTRAST:
         return None
-    return SeenEdge(middle_o, across - _offset(across, (levels - black) / (white - black)), along, levels, black, white)
+    across = across - _offset(across, (levels - black) / (white - black))
+    pixels = np.column_stack([u[near], v[near]]).astype(np.int64)
+    return SeenEdge(middle_o, across, along, levels, black, white, pixels, normal)
 
 
 def _offset(across: Array, share: Array) -> float:
@@ -147,7 +156,8 @@ def measure_response(own: RealSet, seen: SetSeen, images: Sequence[Path]) -> Cam
     imaging, misfit = fitted(curve, black, white)
     light = [_slope_of_light(level, imaging.gamma) * sd for level, sd in zip((black, white), noise, strict=True)]
     imaging = replace(imaging, jpeg_quality=jpeg_quality(images[0]))
-    return CameraResponse(with_noise(imaging, (black, white), light), curve, misfit, noise, len(edges))
+    thinning = measure_thinning(edges, PLACES, curve)
+    return CameraResponse(with_noise(imaging, (black, white), light), curve, misfit, noise, len(edges), thinning)
 
 
 def mean_edge(edges: Sequence[SeenEdge]) -> Array:

@@ -80,6 +80,7 @@ class SetScore:
         poses: by what they rest on; empty on a chessboard. ``named``: what the fits called wrong, and how often.
         example: the photograph in the middle, for the page.
         twin: the same of the set's rendered twin; None without one.
+        evened: the same of photographs whose pixels were put where they belong; None where none are left out.
     """
 
     name: str
@@ -96,6 +97,7 @@ class SetScore:
     named: dict[str, int]
     example: NDArray[np.uint8]
     twin: TwinScore | None = None
+    evened: SetScore | None = None
 
     def summary(self) -> dict[str, Any]:
         """The figures of single markers at the top, as ``docs/real.md`` names them."""
@@ -118,6 +120,7 @@ class SetScore:
             "named_wrong": self.named,
             **{name: score.summary() for name, score in self.poses.items() if name != "single"},
             **({} if self.twin is None else {"twin": self.twin.summary(self)}),
+            **({} if self.evened is None else {"evened": self.evened.summary()}),
         }
 
     def compared(self) -> dict[str, Figure95]:
@@ -143,5 +146,10 @@ class TwinScore:
         }
 
     def summary(self, real: SetScore) -> dict[str, Any]:
-        camera = {"imaging": asdict(self.response.imaging), "edge_misfit": self.response.misfit}
+        thinning = None if self.response.thinning is None else asdict(self.response.thinning)
+        camera = {
+            "imaging": asdict(self.response.imaging),
+            "edge_misfit": self.response.misfit,
+            "thinning": thinning,
+        }
         return {**self.score.summary(), **camera, "ratios": self.ratios(real)}

@@ -32,7 +32,9 @@ from missions.trials.real.response import (
     with_noise,
 )
 from missions.trials.real.set import RealSet
+from missions.trials.real.thinning import Thinning
 from path.calibration.board import print_cells
+from path.camera import CameraModel
 from path.geometry import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
@@ -68,7 +70,7 @@ def render_twin(
         return None
     pairs = zip(seen.photographs, seen.boards, strict=True)
     edges = {shot.name: see_edges(own, shot, board) for shot, board in pairs}
-    drawing = _Drawing(own, _print_of(own, seen), edges, renderer, seed)
+    drawing = _Drawing(own, _print_of(own, seen), edges, renderer, seed, response.thinning)
     drawing = replace(drawing, turned=drawing.measure_turned(seen))
     imaging = _like_it(drawing, seen, response)
     out.mkdir(parents=True, exist_ok=True)
@@ -86,6 +88,7 @@ class _Drawing:
     Attributes:
         printed: shades, the side of a cell in metres, the place of the print's corner on the board.
         edges: of each photograph, by its name.
+        thinning: of the sensor's pixels, which are drawn then; the image is made of those that are kept.
         turned: by photograph, the share of its light that a board has which is turned away from the renderer's sun.
     """
 
@@ -94,6 +97,7 @@ class _Drawing:
     edges: Mapping[str, Sequence[SeenEdge]]
     renderer: type[FrameRenderer]
     seed: int
+    thinning: Thinning | None = None
     turned: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def measure_turned(self, seen: SetSeen) -> dict[str, float]:
@@ -106,15 +110,40 @@ class _Drawing:
 
     def images(self, seen: SetSeen, imaging: Imaging) -> list[Shades]:
         """Every photograph of ``seen`` again, in its own light."""
-        made = self.renderer(RendererSetup(seen.camera, HERE, HERE, single_marker(), imaging=imaging), self.seed)
+        camera, sensor_imaging = _sensor(seen.camera, imaging, self.thinning)
+        made = self.renderer(RendererSetup(camera, HERE, HERE, single_marker(), imaging=sensor_imaging), self.seed)
         drawn: list[Shades] = []
         for number, (shot, board) in enumerate(zip(seen.photographs, seen.boards, strict=True)):
             lit = _placed(board, *self.printed, self.edges[shot.name], imaging.gamma)
             share = self.turned.get(shot.name, 1.0)
             placed = replace(lit, light=(lit.light[0] / share, lit.light[1] / share))
             color = made.shoot(RenderedInstant({Role.SENDER: T_W_C}, boards=(placed,)), Role.SENDER, number).color
-            drawn.append(grey(color))
+            drawn.append(_image_of(grey(color), seen.camera, imaging, self.thinning))
         return drawn
+
+
+def _sensor(camera: CameraModel, imaging: Imaging, thinning: Thinning | None) -> tuple[CameraModel, Imaging]:
+    """What the renderer is to draw: the camera's image, or its sensor's, before pixels are left out and compressed."""
+    if thinning is None:
+        return camera, imaging
+    width, height = (int(thinning.sensor_pixels(n, k)[-1]) + 1 for k, n in enumerate((camera.width, camera.height)))
+    cx, cy = (thinning.sensor_place(c, k) for k, c in enumerate((camera.cx, camera.cy)))
+    finer = thinning.of / thinning.kept
+    sensor = CameraModel(width, height, finer * camera.fx, finer * camera.fy, cx, cy, camera.distortion)
+    blur_px, sharpen_px = finer * imaging.blur_sigma_px, finer * imaging.sharpen_sigma_px
+    return sensor, replace(imaging, blur_sigma_px=blur_px, sharpen_sigma_px=sharpen_px, jpeg_quality=None)
+
+
+def _image_of(drawn: Shades, camera: CameraModel, imaging: Imaging, thinning: Thinning | None) -> Shades:
+    """The camera's image of what the renderer drew."""
+    if thinning is None:
+        return drawn
+    columns, rows = (thinning.sensor_pixels(n, k) for k, n in enumerate((camera.width, camera.height)))
+    image = np.ascontiguousarray(drawn[np.ix_(rows, columns)])
+    if imaging.jpeg_quality is None:
+        return image
+    _, packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, imaging.jpeg_quality])
+    return np.asarray(cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE), np.uint8)
 
 
 def _like_it(drawing: _Drawing, seen: SetSeen, response: CameraResponse) -> Imaging:

@@ -34,13 +34,22 @@ def cable(tmp_path: Path, name: str = "hedge") -> SerialCable:
     return made
 
 
+async def refused(beacons: Marvelmind, said: str) -> BeaconError:
+    """The error that says this, once all is read that was sent."""
+    while True:
+        with pytest.raises(BeaconError) as error:
+            await beacons.read(0.1)
+        if said in str(error.value):
+            return error.value
+
+
 def test_positions_come_with_quality_and_the_instant_of_their_ultrasound(tmp_path: Path) -> None:
     async def test() -> None:
         port = cable(tmp_path)
         async with driver(port) as beacons:
             before_ns = time.monotonic_ns()
             port.send(sent.quality(5, 88) + sent.imu(1, bytes(18)) + sent.position(70_000, 5, (1.0, 2.0, 3.0), 60))
-            fix = await beacons.read(5.0)
+            fix = await beacons.read(60.0)
             after_ns = time.monotonic_ns()
             assert (fix.address, fix.position_m, fix.quality, fix.stamp_ns) == (5, (1.0, 2.0, 3.0), 88.0, 70_000 * MS)
             assert fix.host_ns is not None
@@ -56,7 +65,7 @@ def test_several_beacons_on_one_port_and_on_ports_of_their_own(tmp_path: Path) -
         async with driver(one, other) as beacons:
             one.send(sent.position(10, 5, (0.0, 0.0, 1.0), 1) + sent.position(10, 6, (0.0, 0.0, 2.0), 1))
             other.send(sent.position(999, 7, (0.0, 0.0, 3.0), 1))
-            fixes = [await beacons.read(5.0) for _ in range(3)]
+            fixes = [await beacons.read(60.0) for _ in range(3)]
             assert {fix.address: fix.position_m[2] for fix in fixes} == {5: 1.0, 6: 2.0, 7: 3.0}
             assert all(math.isnan(fix.quality) for fix in fixes)
         one.unplug()
@@ -79,9 +88,8 @@ def test_why_no_position_comes_is_said(tmp_path: Path, data: bytes, said: str) -
         port = cable(tmp_path)
         async with driver(port) as beacons:
             port.send(data)
-            with pytest.raises(BeaconError, match=said) as error:
-                await beacons.read(0.1)
-            assert "Dashboard" in error.value.remedy
+            error = await refused(beacons, said)
+            assert "Dashboard" in error.remedy
         port.unplug()
 
     run(test())
@@ -93,12 +101,11 @@ def test_a_port_that_is_unplugged_comes_back_and_what_was_cut_is_dropped(tmp_pat
         async with driver(port) as beacons:
             frame = sent.position(1, 5, (0.0, 0.0, 1.0), 0)
             port.send(frame + sent.position(2, 5, (0.0, 0.0, 2.0), 0)[:20])
-            assert (await beacons.read(5.0)).stamp_ns == MS
+            assert (await beacons.read(60.0)).stamp_ns == MS
             port.unplug()
-            with pytest.raises(BeaconError, match="was unplugged"):
-                await beacons.read(0.1)
+            await refused(beacons, "was unplugged")
             port.plug()
-            waiting = asyncio.ensure_future(beacons.read(5.0))
+            waiting = asyncio.ensure_future(beacons.read(60.0))
             while not waiting.done():
                 port.send(sent.position(3, 5, (0.0, 0.0, 3.0), 0))
                 await asyncio.sleep(0.02)
@@ -115,9 +122,9 @@ def test_a_port_that_stays_away_ends_reading_within_its_bound(tmp_path: Path) ->
         async with driver(port, reopen_s=0.3) as beacons:
             port.unplug()
             with pytest.raises(BeaconError, match="is gone for"):
-                await beacons.read(5.0)
+                await beacons.read(60.0)
 
-    run(test(), within_s=4.0)
+    run(test(), within_s=30.0)
 
 
 def test_a_port_that_cannot_be_opened_is_named(tmp_path: Path) -> None:

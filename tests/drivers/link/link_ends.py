@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import socket
 import time
 import tty
 from collections.abc import Callable, Coroutine
@@ -34,7 +33,7 @@ class Context:
     clock: WallClock
 
 
-def run(test: Coroutine[Any, Any, None], within_s: float = 10.0) -> None:
+def run(test: Coroutine[Any, Any, None], within_s: float = 60.0) -> None:
     async def bounded() -> None:
         async with asyncio.timeout(within_s):
             await test
@@ -54,18 +53,6 @@ async def introduce(one: Link, other: Link) -> None:
         assert (await answering.receive()).message == Ping(1, 5)
         answering.send(Pong(1, 5, 6, 7))
         assert (await asking.receive()).message == Pong(1, 5, 6, 7)
-
-
-def free_ports(number: int, family: int = socket.AF_INET) -> list[int]:
-    host = "127.0.0.1" if family == socket.AF_INET else "::1"
-    sockets = [socket.socket(family, socket.SOCK_DGRAM) for _ in range(number)]
-    try:
-        for one in sockets:
-            one.bind((host, 0))
-        return [one.getsockname()[1] for one in sockets]
-    finally:
-        for one in sockets:
-            one.close()
 
 
 class Cable:

@@ -29,7 +29,7 @@ def test_noise_on_the_radio_is_counted_and_costs_only_what_it_hit(tmp_path: Path
             assert receiver.counters.dropped["noise"] >= 1
         cable.unplug()
 
-    run(test(), within_s=20.0)
+    run(test())
 
 
 def test_a_slow_radio_carries_the_present(tmp_path: Path) -> None:
@@ -53,7 +53,7 @@ def test_a_slow_radio_carries_the_present(tmp_path: Path) -> None:
             assert sender.counters.dropped["superseded_unsent"] > 60
         cable.unplug()
 
-    run(test(), within_s=20.0)
+    run(test())
 
 
 def test_a_radio_that_is_unplugged_is_silence_and_may_come_back(tmp_path: Path, key_file: Path) -> None:
@@ -73,7 +73,7 @@ def test_a_radio_that_is_unplugged_is_silence_and_may_come_back(tmp_path: Path, 
             assert waiting.result().message == TARGET
         cable.unplug()
 
-    run(test(), within_s=20.0)
+    run(test())
 
 
 def _lost(link: SerialLink, message: Target | Accept) -> bool:
@@ -88,7 +88,7 @@ def test_a_port_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
             await link.__aenter__()
         assert "dialout" in error.value.remedy
 
-    run(test(), within_s=20.0)
+    run(test())
 
 
 @pytest.mark.parametrize(
@@ -121,11 +121,11 @@ def test_a_port_that_vanishes_again_while_it_is_opened_is_tried_again(
             await until(lambda: _lost(sender, TARGET) and _lost(receiver, Accept(1, 2, 3, 4, 5, 9)))
             monkeypatch.setattr("drivers.link.serial_radio.serial.Serial", flaps)
             cable.plug()
-            async with asyncio.timeout(5.0):
+            async with asyncio.timeout(30.0):
                 await introduce_at_last(sender, receiver)
         cable.unplug()
 
-    run(test(), within_s=20.0)
+    run(test())
     assert len(failed) == 2
 
 

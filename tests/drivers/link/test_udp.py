@@ -15,7 +15,8 @@ from drivers.link.key import read_key, signing_time
 from drivers.link.udp import UdpLink, address_of
 from drivers.link.wire import Codec
 from path.messages import Accept, Commit, Ping, Pong, Role
-from tests.drivers.link.link_ends import TARGET, Context, WallClock, free_ports, introduce, run, until
+from tests.drivers.link.link_ends import TARGET, Context, WallClock, introduce, run, until
+from tests.free_ports import free_ports
 
 
 def link(role: Role, bind: str, peer: str, key_file: Path | None = None) -> UdpLink:
@@ -23,7 +24,7 @@ def link(role: Role, bind: str, peer: str, key_file: Path | None = None) -> UdpL
 
 
 def pair(key_file: Path | None = None, host: str = "127.0.0.1") -> tuple[UdpLink, UdpLink]:
-    ports = free_ports(2, socket.AF_INET6 if ":" in host else socket.AF_INET)
+    ports = free_ports(2, family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     a, b = (f"{host}:{port}" for port in ports)
     return link(Role.SENDER, a, b, key_file), link(Role.RECEIVER, b, a, key_file)
 
@@ -159,9 +160,11 @@ def test_closing_frees_the_port_at_once_and_leaves_no_socket() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(sender._bind)
 
-    before = open_files()
+    before, end_s = open_files(), time.monotonic() + 20.0
     run(test())
-    assert open_files() == before
+    while open_files() > before and time.monotonic() < end_s:  # other tests' threads open and close some, too
+        time.sleep(0.05)
+    assert open_files() <= before
 
 
 def open_files() -> int:
@@ -236,7 +239,7 @@ def test_what_the_peer_says_in_a_flood_is_taken(key_file: Path) -> None:
                 assert dropped["bad_signature"] + dropped["flooded"] == 20_000
                 assert set(dropped) == {"bad_signature", "flooded"}
 
-    run(test(), 60.0)
+    run(test(), 120.0)
 
 
 def test_a_bad_key_opens_nothing(key_file: Path) -> None:

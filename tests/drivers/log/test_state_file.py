@@ -206,21 +206,21 @@ def test_what_is_saved_aside_is_on_the_disk_when_it_says_so(path: Path, monkeypa
     going, real = threading.Event(), os.fsync
 
     def slow(number: int) -> None:
-        assert going.wait(10.0)
+        assert going.wait(60.0)
         real(number)
 
     monkeypatch.setattr(os, "fsync", slow)
     saved = store.begin_save(RELEASED)
     assert not saved.done() and not path.exists()
     going.set()
-    saved.result(10.0)
+    saved.result(60.0)
     assert store.load() == Kept(RELEASED, same_clock=True)
 
 
 def test_a_disk_that_is_full_is_told_to_whoever_waits(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(StateError, match="No space left"):
-        StateFile(path, Role.SENDER).begin_save(RELEASED).result(10.0)
+        StateFile(path, Role.SENDER).begin_save(RELEASED).result(60.0)
 
 
 def test_what_the_disk_is_asked_to_keep_has_left_the_program_before(

@@ -1,9 +1,7 @@
 """The embedded PX4-like vehicle in a thread, in real time or faster, and the driver that reaches it over loopback."""
 
 import asyncio
-import socket
 import threading
-import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +20,8 @@ from hil.world.world import HomeConfig, SimDrone, World, WorldConfig
 from path.camera import CameraModel
 from path.geometry import Pose
 from path.messages import Role
+from tests.free_ports import free_port
+from tests.steady_time import SteadyTime
 
 SYSID = 7
 HOME = HomeConfig(position_m=(-2.0, 3.0))  # east, north: not the mission's origin
@@ -30,7 +30,7 @@ TANGENT = LocalTangent(ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.altitud
 QUICK = AutopilotConfig(settle_s=0.2, spool_s=0.1, climb_mps=1.5, land_mps=1.0, touchdown_mps=0.8, land_disarm_s=0.2)
 HEIGHT_M = 0.8
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
-LIMIT_S = 15.0
+LIMIT_S = 60.0
 
 
 AHEAD_NS = 10**12
@@ -80,9 +80,9 @@ def stepped(endpoint: Endpoint, world: World | None, wire: Wire, speed: float = 
     stop = threading.Event()
 
     def run() -> None:
-        start_s = time.monotonic()
+        passed = SteadyTime(speed)
         while not stop.wait(0.004):
-            now_s = speed * (time.monotonic() - start_s)
+            now_s = passed.now_s()
             if world is not None:
                 world.advance(now_s)
             endpoint.pump(now_s)
@@ -116,8 +116,9 @@ def vehicle_at(port: int, **options: Any) -> MavsdkVehicle:
     settings: dict[str, Any] = {
         "url": f"udpin://127.0.0.1:{port}",
         "sysid": SYSID,
-        "heartbeat_timeout_s": 1.0,
-        "connect_timeout_s": 60.0,  # of a machine that is busy with something else
+        "heartbeat_timeout_s": 3.0,  # this and all others: of a machine that is busy with something else
+        "connect_timeout_s": 60.0,
+        "command_timeout_s": 10.0,
         **options,
     }
     return MavsdkVehicle(MavsdkVehicleConfig(**settings), CONTEXT)
@@ -134,12 +135,6 @@ def px4(config: AutopilotConfig = QUICK, speed: float = 1.0, port: int | None = 
     endpoint.tap = wire.tap
     with stepped(endpoint, world, wire, speed):
         yield Bench(endpoint, drone, wire, port)
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 async def until(condition: Callable[[], bool], each: Callable[[], None] = lambda: None) -> None:

@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode, VehicleError
 from drivers.mavlink.session import ARM_DISARM
-from tests.drivers.mavlink.mavsdk_bench import LIMIT_S, STILL, SYSID, Wire, free_port, stepped, vehicle_at
+from tests.drivers.mavlink.mavsdk_bench import LIMIT_S, STILL, SYSID, Wire, stepped, vehicle_at
+from tests.free_ports import free_port
 
 
 class ArduCopter:
@@ -113,7 +114,7 @@ class ArduCopter:
 
 def test_arducopter_is_guided_before_it_arms_and_brakes_to_hold() -> None:
     async def fly(copter: ArduCopter, port: int, wire: Wire) -> None:
-        async with vehicle_at(port, command_timeout_s=0.3, rc="none") as vehicle:
+        async with vehicle_at(port, command_timeout_s=1.0, rc="none") as vehicle:
             await vehicle.wait_armable(LIMIT_S)
             assert vehicle.state.mode is FlightMode.OTHER
             assert vehicle.state.battery == pytest.approx(0.8)

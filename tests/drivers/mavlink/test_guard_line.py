@@ -25,7 +25,8 @@ from drivers.mavlink.guard_line import (
     is_taken,
 )
 from drivers.mavlink.guard_seal import KeyReader, Seals, key_path
-from tests.guard_bench import free_port, until
+from tests.free_ports import free_port
+from tests.guard_bench import until
 
 
 class WallClock:

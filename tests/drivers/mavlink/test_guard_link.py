@@ -25,7 +25,8 @@ from drivers.mavlink.guard_interfaces import GuardView
 from drivers.mavlink.guard_link import GuardMavlink, GuardMavlinkConfig
 from drivers.mavlink.port import UNSIGNED
 from drivers.rig.parts import PartContext
-from tests.guard_bench import LIMIT_S, ORIGIN, SYSID, Bench, bench, free_port
+from tests.free_ports import free_port
+from tests.guard_bench import LIMIT_S, ORIGIN, SYSID, Bench, bench
 
 BIND = "127.0.0.1:14561"
 HOLD_OR_LAND = (176, 21)

@@ -5,6 +5,8 @@ import socket
 import time
 from collections.abc import Generator
 from contextlib import contextmanager
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from threading import Event, Thread
 
@@ -19,15 +21,16 @@ from drivers.mavlink.signing import SignatureCheck, Signer
 from drivers.mavlink.vehicle import MavsdkVehicleConfig
 from tests.drivers.mavlink.mavsdk_bench import (
     LIMIT_S,
+    QUICK,
     STILL,
     SYSID,
     Bench,
-    free_port,
     into_the_air,
     px4,
     until,
     vehicle_at,
 )
+from tests.free_ports import free_port
 
 KEY = bytes(range(32))
 PILOTS = 1 << 16  # PX4's MANUAL
@@ -35,7 +38,7 @@ PILOTS = 1 << 16  # PX4's MANUAL
 
 def heartbeat(custom_mode: int = PILOTS, sequence: int = 0, sysid: int = SYSID) -> bytes:
     mav = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=1)
-    mav.seq = sequence
+    mav.seq = sequence % 256
     armed = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED
     return bytes(mavlink.MAVLink_heartbeat_message(2, 12, armed, custom_mode, 4, 3).pack(mav))
 
@@ -83,19 +86,16 @@ def test_heartbeats_in_a_pilots_mode_from_another_address_do_not_take_the_vehicl
         finally:
             forger.socket.close()
 
-    with px4() as bench:
+    with px4(replace(QUICK, offboard_loss_s=300.0)) as bench:  # however busy the computer is
         asyncio.run(fly(bench))
 
 
 def test_a_forger_that_comes_first_is_asked_and_is_not_the_vehicle() -> None:
     async def meet() -> None:
-        port = free_port()
+        port, numbers = free_port(), count()
         forger = Forger(port)
-        vehicle = vehicle_at(port, connect_timeout_s=0.6)
-        meeting = asyncio.ensure_future(vehicle.__aenter__())
-        for number in range(15):
-            forger.send(heartbeat(sequence=number))
-            await asyncio.sleep(0.04)
+        meeting = asyncio.ensure_future(vehicle_at(port, connect_timeout_s=1.0).__aenter__())
+        await until(meeting.done, lambda: forger.send(heartbeat(sequence=next(numbers))))
         with pytest.raises(VehicleError, match="no heartbeat"):
             await meeting
         asked = {packet[7] for packet in forger.heard()}
@@ -107,12 +107,10 @@ def test_a_forger_that_comes_first_is_asked_and_is_not_the_vehicle() -> None:
 
 def test_another_vehicle_on_the_port_is_named() -> None:
     async def meet() -> None:
-        port = free_port()
+        port, numbers = free_port(), count()
         other = Forger(port)
         meeting = asyncio.ensure_future(vehicle_at(port, connect_timeout_s=1.0).__aenter__())
-        for number in range(20):
-            other.send(heartbeat(sequence=number, sysid=9))
-            await asyncio.sleep(0.04)
+        await until(meeting.done, lambda: other.send(heartbeat(sequence=next(numbers), sysid=9)))
         with pytest.raises(VehicleError, match="heard only 9"):
             await meeting
         other.socket.close()
@@ -248,7 +246,7 @@ def test_it_ends_at_once_and_hands_on_nothing_after() -> None:
         time.sleep(0.01)
     begun_s = time.monotonic()
     line.stop()
-    assert time.monotonic() - begun_s < 1.0
+    assert time.monotonic() - begun_s < LIMIT_S / 2.0
     other.send(heartbeat(sysid=9, sequence=1))
     time.sleep(0.05)
     line.close()

@@ -35,13 +35,13 @@ from tests.drivers.mavlink.mavsdk_bench import (
     SYSID,
     Bench,
     LoopClock,
-    free_port,
     into_the_air,
     px4,
     threads,
     until,
     vehicle_at,
 )
+from tests.free_ports import free_port
 
 SPEED = 3.0
 
@@ -63,7 +63,7 @@ def test_a_flight_from_arming_to_landing() -> None:
         async with bench.vehicle() as vehicle:
             await vehicle.wait_armable(LIMIT_S)
             assert not vehicle.state.armed
-            assert abs(LoopClock().now_ns() - vehicle.state.stamp_ns) < 1_000_000_000
+            await until(lambda: abs(LoopClock().now_ns() - vehicle.state.stamp_ns) < 1_000_000_000)
             await vehicle.arm()
             assert vehicle.state.armed
             await vehicle.take_off(HEIGHT_M, LIMIT_S)
@@ -83,7 +83,7 @@ def test_a_flight_from_arming_to_landing() -> None:
             await vehicle.land(LIMIT_S)
             assert not vehicle.state.armed
             await vehicle.land(LIMIT_S)  # nothing to do
-        assert threads() == before
+        await until(lambda: threads() == before)  # one that has ended is counted for a moment
         with pytest.raises(VehicleError, match="not open"):
             vehicle.fly(STILL)
 
@@ -104,7 +104,7 @@ def test_a_mode_that_disarming_brings_back_is_no_pilots() -> None:
     """CURRENT_MODE shows it 20 times a second; that it was disarmed comes with a heartbeat, up to a second later."""
 
     async def fly(bench: Bench) -> None:
-        async with bench.vehicle(heartbeat_timeout_s=2.5) as vehicle:
+        async with bench.vehicle(heartbeat_timeout_s=5.0) as vehicle:
             for _ in range(3):
                 await into_the_air(vehicle)
                 await vehicle.land(LIMIT_S)
@@ -217,12 +217,11 @@ def test_the_pilot_and_a_lost_link_end_every_wait() -> None:
             with pytest.raises(TakenOver, match="landing ended by a change to mode other"):
                 await landing
             endpoint.silent = True
-            seen_ns = vehicle.state.stamp_ns
             with pytest.raises(VehicleError, match=rf"heartbeat of vehicle {SYSID} lost"):
                 await vehicle.hold()
             state = vehicle.state  # still answers, and shows its age
             assert LoopClock().now_ns() - state.heartbeat_ns > 1_000_000_000
-            assert state.stamp_ns - seen_ns < 500_000_000
+            assert LoopClock().now_ns() - state.stamp_ns > 1_000_000_000
             endpoint.silent = False
             await until(lambda: LoopClock().now_ns() - vehicle.state.heartbeat_ns < 300_000_000)
             await vehicle.land(LIMIT_S)
@@ -265,7 +264,7 @@ def test_a_hold_far_below_the_height_is_somebody_elses() -> None:
         async with bench.vehicle() as vehicle:
             await vehicle.wait_armable(LIMIT_S)
             await vehicle.arm()
-            climb = asyncio.create_task(vehicle.take_off(10.0, 30.0))
+            climb = asyncio.create_task(vehicle.take_off(10.0, LIMIT_S))
             await until(lambda: vehicle.state.in_air)
             bench.autopilot.request_mode(bench.drone.estimate.time_s, FlightMode.HOLD, by_pilot=True)
             with pytest.raises(TakenOver, match="take-off ended on the way: mode hold"):
@@ -378,7 +377,7 @@ def test_a_refused_arm_says_why() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"sysid": SYSID + 1, "connect_timeout_s": 0.8}, rf"vehicle {SYSID + 1} is not on .*heard only {SYSID}"),
+        ({"sysid": SYSID + 1, "connect_timeout_s": 4.0}, rf"vehicle {SYSID + 1} is not on .*heard only {SYSID}"),
         ({"autopilot": "ardupilot"}, "is px4, the rig says ardupilot"),
     ],
 )

@@ -8,6 +8,7 @@ import pytest
 
 from drivers.rig import part_check
 from drivers.rig.part_check import counted, examined, rate_finding
+from hil.harness.virtual_time import run_virtual
 
 
 @pytest.mark.parametrize(("hz", "state"), [(50.0, "ok"), (40.0, "note"), (20.0, "fault")])
@@ -28,7 +29,7 @@ def test_each_stamp_counts_once_and_a_silent_stream_not_at_all(monkeypatch: pyte
         assert silent.state == "fault"
         assert silent.detail.startswith("0.0 of 20")
 
-    asyncio.run(main())
+    run_virtual(main())
 
 
 def test_a_part_without_an_own_test_says_nothing() -> None:

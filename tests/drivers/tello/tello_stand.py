@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import socket
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
@@ -24,26 +22,13 @@ from path.camera import CameraModel
 from path.geometry import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
+from tests.free_ports import free_port
+from tests.steady_time import SteadyTime
 
 CAMERA = CameraModel(320, 240, 300.0, 300.0, 159.5, 119.5)
 LEVEL = Mount(Pose(np.eye(3), np.zeros(3)), Pose(np.eye(3), np.zeros(3)))
 STEP_S = 0.005
 _hosts = count(20)
-_ports = count(20_000 + os.getpid() % 10_000)
-
-
-def free_port() -> int:
-    """Returns a free port, handed out once, and below those that the system gives to whoever asks for any.
-
-    It stays free until it is used, be it by a later test.
-    """
-    for port in _ports:
-        if port >= 32_768:
-            break
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
-            probe.bind(("", port))
-            return port
-    raise OSError("no free port below 32768")
 
 
 STATE_PORT = free_port()
@@ -75,7 +60,7 @@ class Stand:
         return self.emulator.received[word]
 
 
-async def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:
+async def until(condition: Callable[[], bool], limit_s: float = 60.0) -> None:
     """Poll for a condition; TimeoutError when it does not come true."""
     end_s = time.monotonic() + limit_s
     while not condition():
@@ -95,13 +80,13 @@ def emulated(config: dict[str, Any] | None = None, rate_hz: float = 0.0, speed: 
     stand = Stand(emulator, camera, drone, {"host": host, "state_port": STATE_PORT, "video_port": free_port()})
     emulator.tap = lambda _, text: stand.heard.append(text)
     world.advance(3.0)  # its estimate has settled
-    start_s, ending = time.monotonic(), threading.Event()
+    start_s, ending, passed = time.monotonic(), threading.Event(), SteadyTime(speed, 3.0)
 
     def step() -> None:
         frames = 0
         while not ending.is_set():
             with stand.lock:
-                world.advance(max(3.0 + speed * (time.monotonic() - start_s), world.time_s))
+                world.advance(max(passed.now_s(), world.time_s))
                 emulator.pump(world.time_s)
             if rate_hz and time.monotonic() - start_s > frames / rate_hz:
                 frames += 1

@@ -20,9 +20,11 @@ from drivers.tello.commands import TelloLink
 from drivers.tello.config import TelloVehicleConfig
 from drivers.tello.vehicle import TelloVehicle
 from path.rotation import yaw_of
-from tests.drivers.tello.tello_stand import STATE_PORT, Stand, context, emulated, free_port, next_host, until
+from tests.drivers.tello.tello_stand import STATE_PORT, Stand, context, emulated, next_host, until
+from tests.free_ports import free_port
 
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
+RISING = VelocitySetpoint((0.0, 0.0, -0.1), 0.0)
 
 
 def vehicle(stand: Stand, **options: Any) -> TelloVehicle:
@@ -37,9 +39,9 @@ def test_a_flight_from_take_off_to_landing() -> None:
             assert state.position_n_m == pytest.approx((2.0, -1.0, 0.0))
             assert yaw_of(state.q_n_b) == pytest.approx(math.pi / 2.0, abs=0.02)
             assert not state.armed
-            await drone.wait_armable(2.0)
+            await drone.wait_armable(60.0)
             await drone.arm()
-            await drone.take_off(1.1, 15.0)
+            await drone.take_off(1.1, 60.0)
             assert drone.state.mode is FlightMode.HOLD
             assert drone.state.in_air
             assert -drone.state.position_n_m[2] == pytest.approx(1.1, abs=0.2)
@@ -52,8 +54,8 @@ def test_a_flight_from_take_off_to_landing() -> None:
             await until(lambda: drone.state.velocity_n_mps[0] > 0.2)
             await drone.hold()
             assert drone.state.mode is FlightMode.HOLD
-            assert stand.heard[-3:] == ["rc 0 0 0 0"] * 3
-            await drone.land(15.0)
+            await until(lambda: stand.heard[-3:] == ["rc 0 0 0 0"] * 3)
+            await drone.land(60.0)
             assert not drone.state.armed
             assert stand.drone.on_ground
         assert stand.count("takeoff") == 1
@@ -103,7 +105,7 @@ def test_a_take_off_without_an_answer_is_said_once_and_may_be_landed() -> None:
             with pytest.raises(VehicleError, match="no answer to the command to take off: it is in the air"):
                 await drone.take_off(1.0, 2.5)
             assert drone.state.armed
-            await drone.land(20.0)  # unanswered too: its state packets say that it is down
+            await drone.land(60.0)  # unanswered too: its state packets say that it is down
             assert stand.drone.on_ground
         assert stand.count("takeoff") == 1
 
@@ -144,17 +146,16 @@ def test_when_state_packets_stop_every_wait_ends_and_the_age_is_told() -> None:
     async def unplugged(stand: Stand) -> None:
         async with vehicle(stand) as drone:
             await drone.arm()
-            await drone.take_off(0.9, 15.0)
+            await drone.take_off(0.9, 60.0)
             stand.emulator.faults.no_state = True
-            stamp_ns = drone.state.stamp_ns
             start_s = time.monotonic()
             with pytest.raises(VehicleError, match=r"no state packet from the drone for \d\.\d s"):
-                await drone.land(60.0)
-            assert time.monotonic() - start_s < 30.0
-            assert drone.state.stamp_ns - stamp_ns < 3e8  # not made to look younger than it is
+                await drone.land(600.0)
+            assert time.monotonic() - start_s < 60.0
+            assert drone.link.clock.now_ns() - drone.state.stamp_ns > 1e9  # not made to look younger than it is
             assert drone.state.armed  # nobody has seen it land
         assert stand.count("land") >= 3  # it was told to, and does
-        await until(lambda: stand.drone.on_ground, 10.0)
+        await until(lambda: stand.drone.on_ground)
 
     with emulated(speed=4.0) as stand:
         asyncio.run(unplugged(stand))
@@ -165,9 +166,9 @@ def test_garbled_state_packets_are_counted_and_never_become_a_state() -> None:
         async with vehicle(stand) as drone:
             stand.emulator.faults.garbled_state = True
             link = drone.link
-            await until(lambda: link.report_age_s() > 0.25)
+            await until(lambda: link.bad_reports >= 1)  # what came before it is read
             before = drone.state
-            await until(lambda: link.bad_reports >= 3)
+            await until(lambda: link.bad_reports >= 4)
             assert drone.state == before
 
     with emulated() as stand:
@@ -178,15 +179,15 @@ def test_a_late_answer_does_not_satisfy_the_next_command() -> None:
     async def late(stand: Stand) -> None:
         link = TelloLink(TelloAddress(**stand.address), context().clock)
         await link.acquire()
-        stand.emulator.faults.late_s = 0.5
-        assert await link.ask("speed 33", 0.2) is None
+        stand.emulator.faults.late_s = 1.5
+        assert await link.ask("speed 33", 0.1) is None
         stand.emulator.faults.late_s = 0.0
-        assert await link.ask("battery?", 1.0) == "100"
+        assert await link.ask("battery?", 60.0) == "100"
         assert link.late == 1
-        stand.emulator.faults.late_s = 0.3
+        stand.emulator.faults.late_s = 1.0
         assert await link.ask("sdk?", 0.1) is None
         # what cannot wait goes at once, and does not take the other's answer for its own
-        assert await link.ask("speed?", 1.0, urgent=True) == "33.0"
+        assert await link.ask("speed?", 60.0, urgent=True) == "33.0"
         await link.release()
 
     with emulated() as stand:
@@ -200,14 +201,14 @@ def test_it_is_kept_awake_while_it_holds_and_not_while_a_script_flies_it(monkeyp
         async with vehicle(stand) as drone:
             await until(lambda: stand.count("command") >= 3)
             await drone.arm()
-            await drone.take_off(0.9, 15.0)
+            await drone.take_off(0.9, 60.0)
             await until(lambda: stand.heard[-2:] == ["rc 0 0 0 0"] * 2)
-            await drone.start_offboard(STILL)
+            await drone.start_offboard(RISING)
+            await until(lambda: stand.heard[-1] not in ("rc 0 0 0 0", "command"))  # and all that was said before it
             heard = len(stand.heard)
             await asyncio.sleep(0.5)  # nothing is to happen
-            assert len(stand.heard) == heard + 1 or stand.heard[-1].startswith("rc")
-            assert len(stand.heard) <= heard + 1
-            await drone.land(15.0)
+            assert len(stand.heard) == heard
+            await drone.land(60.0)
 
     with emulated(speed=4.0) as stand:
         asyncio.run(idle(stand))

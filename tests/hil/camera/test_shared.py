@@ -20,7 +20,7 @@ from hil.camera.shared import SharedCameraReader, SharedCameraWriter, SharedFram
 from path.messages import Role
 
 SIZE, DEPTH_SIZE, FPS = (64, 48), (40, 30), 50
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def writer(run: str, size: tuple[int, int] = SIZE) -> SharedCameraWriter:
     return SharedCameraWriter(run, Role.RECEIVER, size, DEPTH_SIZE, FPS)
 
 
-def reader(run: str, open_timeout_s: float = 5.0) -> SharedCameraReader:
+def reader(run: str, open_timeout_s: float = PATIENCE_S) -> SharedCameraReader:
     return SharedCameraReader(run, Role.RECEIVER, open_timeout_s)
 
 

@@ -24,7 +24,7 @@ from path.messages import Role
 from tests.drivers.realsense.software_d415 import COLOR, FPS, context
 
 DEPTH_SIZE = (80, 60)
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 @pytest.fixture

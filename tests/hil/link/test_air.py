@@ -7,6 +7,7 @@ import socket
 
 from hil.link.air import Air
 from hil.link.faulty import ProxySide, UdpFaultProxy
+from tests.free_ports import free_ports
 
 
 def udp() -> socket.socket:
@@ -19,12 +20,10 @@ def udp() -> socket.socket:
 def test_packets_are_overheard_and_sent_with_the_peer_s_address() -> None:
     async def main() -> None:
         loop = asyncio.get_running_loop()
-        with udp() as sender, udp() as receiver, udp() as stranger, udp() as free, udp() as other:
-            listens = free.getsockname(), other.getsockname()
-            free.close()
-            other.close()
+        with udp() as sender, udp() as receiver, udp() as stranger:
+            listens = tuple(("127.0.0.1", port) for port in free_ports(2))
             sides = ProxySide(listens[0], sender.getsockname()), ProxySide(listens[1], receiver.getsockname())
-            async with UdpFaultProxy(*sides, seed=1) as proxy, Air(proxy) as air, asyncio.timeout(10.0):
+            async with UdpFaultProxy(*sides, seed=1) as proxy, Air(proxy) as air, asyncio.timeout(60.0):
                 where = ("127.0.0.1", air.port)
                 await loop.sock_sendto(sender, b"before", listens[0])
                 assert await loop.sock_recv(receiver, 100) == b"before"

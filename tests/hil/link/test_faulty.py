@@ -16,8 +16,10 @@ from hil.harness.virtual_time import run_virtual
 from hil.link.faulty import FaultyChannel, LinkFaults, MemoryHub, MemoryLink, ProxySide, UdpFaultProxy
 from path.messages import Accept, Ping, Role
 from tests.drivers.link.link_ends import TARGET, introduce
+from tests.free_ports import free_port, free_ports
 
 CLEAN = LinkFaults()
+LOOPBACK = "127.0.0.1"
 
 
 @dataclass
@@ -208,17 +210,6 @@ class RealClock:
         return round(asyncio.get_running_loop().time() * 1e9)
 
 
-def free_ports(number: int) -> list[tuple[str, int]]:
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(number)]
-    try:
-        for one in sockets:
-            one.bind(("127.0.0.1", 0))
-        return [("127.0.0.1", one.getsockname()[1]) for one in sockets]
-    finally:
-        for one in sockets:
-            one.close()
-
-
 @dataclass(frozen=True)
 class UdpContext:
     role: Role
@@ -234,7 +225,7 @@ class CountingProxy(UdpFaultProxy):
 
 
 def through_proxy() -> tuple[CountingProxy, UdpLink, UdpLink]:
-    a, b, to_b, to_a = free_ports(4)
+    a, b, to_b, to_a = ((LOOPBACK, port) for port in free_ports(4))
     named = {end: f"{end[0]}:{end[1]}" for end in (a, b, to_b, to_a)}
     sender = UdpLink(UdpLink.Config(named[a], named[to_b]), UdpContext(Role.SENDER, RealClock()))
     receiver = UdpLink(UdpLink.Config(named[b], named[to_a]), UdpContext(Role.RECEIVER, RealClock()))
@@ -243,7 +234,7 @@ def through_proxy() -> tuple[CountingProxy, UdpLink, UdpLink]:
 
 def run(test: Coroutine[Any, Any, None]) -> None:
     async def bounded() -> None:
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(60.0):
             await test
 
     asyncio.run(bounded())
@@ -299,7 +290,7 @@ def test_the_proxy_ignores_strangers_and_names_a_used_port() -> None:
             assert (await receiver.receive()).message == TARGET
             await until(lambda: proxy.seen == 2)
             assert receiver.counters.packets_received == 1
-            second = UdpFaultProxy(ProxySide(free_ports(1)[0], ("127.0.0.1", 1)), proxy._sides[0], seed=1)
+            second = UdpFaultProxy(ProxySide((LOOPBACK, free_port()), ("127.0.0.1", 1)), proxy._sides[0], seed=1)
             with pytest.raises(LinkError, match=f"{listen[1]} is in use"):
                 await second.__aenter__()
             assert second._transports == []

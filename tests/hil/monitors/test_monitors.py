@@ -18,6 +18,7 @@ from path.config import MethodConfig
 from path.evidence import EvidenceGate
 from path.identity import nearest_rival
 from path.messages import Role
+from path.observations import MissReason
 from path.window import FramePair, Offsets
 
 METHOD = MethodConfig(hold_frames=5, hold_s=0.4, max_gap_s=0.2)
@@ -199,15 +200,18 @@ class Stream:
     gate: EvidenceGate = field(default_factory=lambda: EvidenceGate(EVIDENCE))
     epoch: int = 1
     offsets: Offsets = field(default_factory=lambda: Offsets((0.01, -0.005)))
+    oversize: float = 0.0
 
     def pair(self, index: int, iou: float = 0.8, **changes: Any) -> None:
         capture_ns = index * 20_000_000
         own = (index, capture_ns), (index + 1, capture_ns + 20_000_000)
-        refusal = self.gate.agree(FramePair(index, capture_ns, own, self.offsets), iou, 0.4)
+        refusal = self.gate.agree(FramePair(index, capture_ns, own, self.offsets, self.oversize), iou, 0.4)
         evidence = self.gate.evidence.reached
-        record = {"agreed": refusal is None, "counted": refusal is None, "iou": iou, "tau": 0.4, "target_id": 1}
+        counted = refusal in (None, MissReason.AMBIGUOUS_TARGET)
+        record = {"agreed": refusal is None, "counted": counted, "iou": iou, "tau": 0.4, "target_id": 1}
         record |= {"count": self.gate.count, "evidence": evidence, "epoch": self.epoch, "capture_ns": capture_ns}
         record |= {"offset_m": self.offsets.target_m, "rival_offset_m": nearest_rival(self.offsets)}
+        record |= {"oversize": self.oversize}
         judge(self.monitors, {**record, **changes})
 
     def pairs(self, first: int, number: int, iou: float = 0.8) -> None:
@@ -246,6 +250,24 @@ def test_s6_a_role_that_does_not_see_what_is_beside_the_target() -> None:
     stream.pairs(0, 2 * BLOCK)
     stream.offsets = Offsets((0.01, 0.0), ((0.02, 0.0),))
     stream.pair(2 * BLOCK, evidence=2.44)
+    assert dict(stream.monitors.violations) == {"S6": 1}
+
+
+def test_boxes_too_large_for_the_target_take_a_run_down_for_the_monitors_as_for_the_gate() -> None:
+    stream = Stream()
+    stream.pairs(0, 4 * BLOCK + 1)
+    stream.oversize = EVIDENCE.evidence.size_sigmas + 0.1
+    stream.pairs(4 * BLOCK + 1, BLOCK)
+    stream.oversize = 0.0
+    stream.pair(5 * BLOCK + 1)
+    assert not stream.gate.complete
+    assert stream.commit() == {"S5": 1}
+
+
+def test_s6_a_box_too_large_for_the_target_that_counts() -> None:
+    stream = Stream()
+    stream.pairs(0, BLOCK)
+    stream.pair(BLOCK, oversize=EVIDENCE.evidence.size_sigmas + 0.1)
     assert dict(stream.monitors.violations) == {"S6": 1}
 
 

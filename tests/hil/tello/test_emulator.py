@@ -138,6 +138,8 @@ def test_it_is_silent_until_it_is_put_into_sdk_mode(bench: Bench) -> None:
         ("go 10 10 10 30", "out of range"),
         ("go 50 0 30", "error"),
         ("go 50 0 0 30 m1", "error No valid marker"),
+        ("jump 50 0 80 30 0 m1 m2", "error No valid marker"),
+        ("jump 50 0 80", "error"),
         ("curve 50 0 0 100 0 0 30", "error Radius is too large!"),
         ("curve 50 50 0 100 0 0 61", "out of range"),
         ("flip x", "error"),

@@ -15,6 +15,7 @@ from drivers.mavlink.geodesy import LocalTangent
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.world.world import World, WorldConfig
 from path.messages import Role
+from tests.free_ports import free_port
 
 SYSID = 7
 STEP_S = 0.005
@@ -24,9 +25,7 @@ class Ground:
     """pymavlink's own link, as MAVProxy has it, listening as ground stations do; and a vehicle in simulated time."""
 
     def __init__(self) -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("127.0.0.1", 0))
-            address = probe.getsockname()
+        address = ("127.0.0.1", free_port())
         self.script = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.script.bind(("127.0.0.1", 0))
         self.link: Any = mavutil.mavlink_connection(f"udpin:{address[0]}:{address[1]}", source_system=255)

@@ -29,6 +29,7 @@ from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.world import HomeConfig, World, WorldConfig
 from path.messages import Role
+from tests.steady_time import SteadyTime
 
 SYSID = 7
 START = (3.0, -2.0, -0.1)  # not the mission's origin: local and mission frames must not be mixed up
@@ -303,7 +304,7 @@ def test_a_ground_stations_heartbeat_is_heard_and_a_companions_is_none(slow_beat
 def test_a_pilots_mode_from_a_second_ground_station_is_obeyed(bench: Bench) -> None:
     bench.fly_at()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as second:
-        second.settimeout(1.0)
+        second.settimeout(60.0)
         mav: Any = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
         message = mavlink.MAVLink_command_long_message(SYSID, 1, 176, 0, 1, 3, 0, 0, 0, 0, 0)
         second.sendto(message.pack(mav), bench.vehicle.address)
@@ -417,14 +418,14 @@ class RealTime:
         self._thread.join()
 
     def _run(self) -> None:
-        start_s = time.monotonic()
+        passed = SteadyTime()
         while not self._stop.wait(0.004):
-            now_s = time.monotonic() - start_s
+            now_s = passed.now_s()
             self.bench.world.advance(now_s)
             self.bench.vehicle.pump(now_s)
 
 
-def until(condition: Callable[[], bool], limit_s: float = 10.0) -> None:
+def until(condition: Callable[[], bool], limit_s: float = 60.0) -> None:
     end_s = time.monotonic() + limit_s
     while not condition():
         assert time.monotonic() < end_s, "the condition did not come"
@@ -438,7 +439,7 @@ def connected(bench: Bench) -> Generator[tuple[RealTime, Any]]:
     bench.ground.close()
     with RealTime(bench) as world, Mavsdk(Configuration.create_manual(245, 190, True)) as mavsdk:
         mavsdk.add_any_connection_with_handle(f"udpin://127.0.0.1:{port}")
-        system = mavsdk.first_autopilot(5.0)
+        system = mavsdk.first_autopilot(60.0)
         assert system is not None
         yield world, system
 

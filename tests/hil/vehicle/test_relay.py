@@ -18,7 +18,6 @@ from hil.vehicle.simulator_link import SimulatorLink
 ARMED, DISARMED = 0x81, 0x01
 OFFBOARD, HOLD = px4_custom_mode(6, 0), px4_custom_mode(4, 3)
 SYSID = 5
-LIMIT_S = 5.0
 CLOCKS_S = 0.005  # between the kernel's stamps and the monotonic clock
 
 

@@ -127,17 +127,18 @@ def test_it_is_ready_when_nothing_is_missing(simulator: Simulator) -> None:
 
 
 def test_it_asks_for_what_does_not_come_and_never_beats(simulator: Simulator) -> None:
-    simulator.link.ask(time.monotonic())
+    now_s = time.monotonic()
+    simulator.link.ask(now_s)
     assert simulator.heard() == []  # nobody to ask yet
     simulator.say(mavlink.MAVLink_heartbeat_message(2, 3, 0, 4, 4, 3))
-    simulator.link.ask(time.monotonic())
+    simulator.link.ask(now_s)
     asked = simulator.heard()
     truth = {"px4": {115}, "ardupilot": {108, 164}}[simulator.link._kind]  # type: ignore[reportPrivateUsage]
     assert truth < {int(message.param1) for message in asked}
     assert {(message.get_type(), message.command, message.get_srcSystem()) for message in asked} == {
         ("COMMAND_LONG", mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, OWN_SYSID)
     }
-    simulator.link.ask(time.monotonic())
+    simulator.link.ask(now_s + 0.01)
     assert simulator.heard() == []  # not again at once
 
 
@@ -210,7 +211,7 @@ def started(rig: Rig, folder: Path, ready_s: float) -> None:
     ("script", "said"),
     [
         ("echo cannot open the port; exit 7", r"ardupilot of vehicle [78] ended \(exit code 7\): cannot open the port"),
-        ("echo booting; exec sleep 60", "not ready after 1 s: waiting for heartbeat, local position.*booting"),
+        ("echo booting; exec sleep 60", "not ready after 3 s: waiting for heartbeat, local position.*booting"),
     ],
 )
 def test_simulators_that_fail_are_no_missions_failure(
@@ -221,7 +222,7 @@ def test_simulators_that_fail_are_no_missions_failure(
     binary.chmod(0o755)
     monkeypatch.setenv("PATH_ARDUPILOT", str(binary))
     with pytest.raises(SimulatorBroken, match=said):
-        started(rig, tmp_path, ready_s=1.0 if "sleep" in script else 10.0)
+        started(rig, tmp_path, ready_s=3.0 if "sleep" in script else 60.0)
 
 
 def test_the_world_is_where_the_simulators_say(rig: Rig, tmp_path: Path) -> None:

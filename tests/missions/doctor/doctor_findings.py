@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from drivers.rig.part_check import Finding
 from missions.doctor.parts import PartTest, run_test
 
-LIMIT_S = 12.0
+LIMIT_S = 60.0
 
 
 def found(findings: AsyncIterator[Finding]) -> dict[str, Finding]:

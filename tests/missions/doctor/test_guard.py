@@ -7,7 +7,8 @@ import pytest
 from missions.doctor import guard as doctor_guard
 from missions.doctor.guard import check_guard
 from tests.drivers.mavlink.test_guard_link import guard_at
-from tests.guard_bench import bench, free_port
+from tests.free_ports import free_port
+from tests.guard_bench import bench
 from tests.missions.doctor.doctor_findings import found
 
 

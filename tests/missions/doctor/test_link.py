@@ -16,6 +16,7 @@ from missions.doctor import link as doctor_link
 from missions.doctor.link import PingExchange, check_link, judged
 from path.messages import Pong, Role
 from tests.drivers.link.link_ends import Cable, Context, WallClock, serial_links
+from tests.free_ports import free_port
 from tests.missions.doctor.doctor_findings import LIMIT_S, both, found
 
 AHEAD_NS = 5_000_000_000
@@ -33,13 +34,7 @@ class AheadClock:
 
 
 def ports() -> tuple[int, int]:
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
-    ):
-        one.bind(("127.0.0.1", 0))
-        other.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1]), int(other.getsockname()[1])
+    return free_port(), free_port()
 
 
 def end(role: Role, own: int, peer: int, key: Path | None, clock: Any = None) -> UdpLink:
@@ -78,7 +73,7 @@ def test_another_key_at_the_other_end_is_a_fault(key_file: Path, tmp_path: Path)
     wrong.write_bytes(bytes(32))
     wrong.chmod(0o600)
     ends = end(Role.SENDER, one, other, key_file), end(Role.RECEIVER, other, one, wrong)
-    for findings in asyncio.run(both(*(check_link(each, WallClock(), wait_s=0.3) for each in ends))):
+    for findings in asyncio.run(both(*(check_link(each, WallClock(), wait_s=1.5) for each in ends))):
         every = named(findings)
         assert every["packets"].state == "fault"
         assert "bad_signature" in every["packets"].detail
@@ -112,7 +107,7 @@ def test_two_ends_of_a_pair_of_radios_measure_each_other(tmp_path: Path, key_fil
 def test_radios_that_bring_noise_are_a_fault_that_names_the_baud(tmp_path: Path, key_file: Path) -> None:
     def look(cable: Cable) -> list[AsyncIterator[Finding]]:
         cable.garble()
-        return [check_link(each, WallClock(), wait_s=0.3) for each in serial_links(cable, key_file)]
+        return [check_link(each, WallClock(), wait_s=1.5) for each in serial_links(cable, key_file)]
 
     for every in radios(tmp_path, look):
         assert every["packets"].state == "fault"

@@ -7,7 +7,6 @@ import io
 import os
 import signal
 import threading
-import time
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -95,13 +94,15 @@ class Part:
 
     def __init__(self, then: BaseException | None) -> None:
         self.then, self.closed = then, False
+        self.waits = threading.Event()
 
     async def findings(self) -> AsyncIterator[Finding]:
         try:
             yield Finding("ok", "opens", "at once")
             if self.then is not None:
                 raise self.then
-            await asyncio.sleep(60.0)
+            self.waits.set()
+            await asyncio.sleep(600.0)
         finally:
             self.closed = True
 
@@ -122,12 +123,12 @@ def test_ctrl_c_closes_the_part_and_shows_what_was_found() -> None:
     part, out = Part(None), io.StringIO()
 
     def press() -> None:
-        time.sleep(0.2)
+        assert part.waits.wait(60.0)
         os.kill(os.getpid(), signal.SIGINT)
 
     thread = threading.Thread(target=press)
-    thread.start()
     with pytest.raises(KeyboardInterrupt), open_findings(out) as shown:
+        thread.start()
         shown.add(Finding("ok", "Python", "is here"))
         shown.doing("perception: frames")
         run_test(PartTest("perception", "", part.findings))

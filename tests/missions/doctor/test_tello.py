@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from drivers.rig.part_check import Finding
 from drivers.rig.parts import PartSpec, create
 from drivers.tello.config import TelloVehicleConfig
 from drivers.tello.vehicle import TelloVehicle
@@ -11,9 +12,11 @@ from missions.doctor import perception as doctor_perception
 from missions.doctor import vehicle as doctor_vehicle
 from missions.doctor.perception import check_perception
 from missions.doctor.vehicle import check_flyer
-from tests.drivers.tello.tello_stand import CAMERA, STATE_PORT, context, emulated, free_port, next_host
+from tests.drivers.tello.tello_stand import CAMERA, STATE_PORT, context, emulated, next_host
+from tests.free_ports import free_port
 from tests.missions.doctor.doctor_findings import found
 
+TRIES = 5
 MOTION = ("takeoff", "land", "rc", "emergency")
 
 
@@ -24,6 +27,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor_perception, "SETTLE_S", 0.1)
     monkeypatch.setattr("drivers.tello.camera.PACE_S", 0.4)
     monkeypatch.setattr(doctor_perception, "SAMPLE_S", 0.5)
+    monkeypatch.setattr(doctor_perception, "FRAME_S", 30.0)
 
 
 def test_a_drone_that_is_well_answers_with_sdk_battery_and_state_packets_and_does_not_move() -> None:
@@ -45,16 +49,21 @@ def test_an_early_firmware_cannot_have_other_ports() -> None:
     assert "SDK 3" in every[""].fix
 
 
-def test_its_video_is_timed_from_the_first_frame_on() -> None:
+def video_findings() -> dict[str, Finding]:
     with emulated(rate_hz=30.0) as stand:
         camera = {"factory": "drivers.tello.camera:TelloCamera", "latency_s": 0.0, **stand.address}
         options = {"camera": camera, "detector": {"factory": "drivers.detectors.color:ColorDetector"}}
         here = context()
-        every = found(
-            check_perception(
-                create(PartSpec("drivers.perception.pixels:PixelPerception", options, "t"), here), here.clock, None
-            )
-        )
+        perception = create(PartSpec("drivers.perception.pixels:PixelPerception", options, "t"), here)
+        return found(check_perception(perception, here.clock, None))
+
+
+def test_its_video_is_timed_from_the_first_frame_on() -> None:
+    every = video_findings()
+    for _ in range(TRIES):
+        if every["damaged"].state == "ok":  # a busy computer loses packets
+            break
+        every = video_findings()
     assert every["opens"].detail.startswith("first frame after ")
     assert "of 30 a second" in every["rate"].detail
     assert every["size"].detail == f"{CAMERA.width}x{CAMERA.height}, as its calibration {CAMERA.width}x{CAMERA.height}"

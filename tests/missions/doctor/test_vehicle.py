@@ -9,7 +9,8 @@ import pytest
 from drivers.interfaces import FlightMode, VehicleState
 from missions.doctor import vehicle as doctor_vehicle
 from missions.doctor.vehicle import VehicleReport, check_flyer, condition, streams
-from tests.drivers.mavlink.mavsdk_bench import CONTEXT, SYSID, free_port, px4, vehicle_at
+from tests.drivers.mavlink.mavsdk_bench import CONTEXT, SYSID, px4, vehicle_at
+from tests.free_ports import free_port
 from tests.missions.doctor.doctor_findings import found, states
 
 STATE = VehicleState(
@@ -20,7 +21,7 @@ STATE = VehicleState(
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.rig.part_check.COUNT_S", 0.5)
-    for name, seconds in (("SAMPLE_S", 0.7), ("READY_S", 3.0)):
+    for name, seconds in (("SAMPLE_S", 0.7), ("READY_S", 30.0)):
         monkeypatch.setattr(doctor_vehicle, name, seconds)
 
 

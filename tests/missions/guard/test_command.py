@@ -29,7 +29,8 @@ from missions.guard.command import guard_of
 from missions.guard.start import with_guard
 from missions.rig_list import FOLDER
 from path.messages import Role
-from tests.guard_bench import LIMIT_S, Bench, bench, free_port, until
+from tests.free_ports import free_port
+from tests.guard_bench import LIMIT_S, Bench, bench, until
 
 HOLD_OR_LAND = (176, 21)
 
@@ -67,11 +68,12 @@ class FakeRole:
         return self.answers[-1].hand if self.answers and self.answers[-1].sees else None
 
 
-def rig_file(folder: Path, own: Bench, beat_port: int) -> Path:
+def rig_file(folder: Path, own: Bench, beat_port: int, hold_s: float = 2.0) -> Path:
     """The rig ``sitl`` with the sender's guard on free ports, patient enough for a busy machine."""
     text = (FOLDER / "sitl.toml").read_text()
     text = text.replace("127.0.0.1:14551", f"127.0.0.1:{own.port}").replace("127.0.0.1:14561", f"127.0.0.1:{beat_port}")
-    rules = "[mission.guard_process]\nbeat_age_s = 1.0\nsetpoint_gap_s = 1.0\n"
+    rules = f"[mission.guard_process]\nhold_s = {hold_s}\nbeat_age_s = 2.5\nsetpoint_gap_s = 2.5\n"
+    rules += "ack_s = 10.0\nconfirm_s = 10.0\nblind_s = 10.0\n"
     text = text.replace("[mission.target]", rules + "[mission.target]")
     file = folder / "rig.toml"
     file.write_text(text)
@@ -79,13 +81,13 @@ def rig_file(folder: Path, own: Bench, beat_port: int) -> Path:
 
 
 @contextmanager
-def guarded(folder: Path, *more: str) -> Generator[tuple[Bench, FakeRole, subprocess.Popen[str]]]:
+def guarded(folder: Path, *more: str, hold_s: float = 2.0) -> Generator[tuple[Bench, FakeRole, subprocess.Popen[str]]]:
     """A vehicle in offboard control, its guard's program, and a role that beats."""
     port, stop = free_port(), threading.Event()
     role = FakeRole(f"127.0.0.1:{port}")
     thread = threading.Thread(target=role.run, args=(stop,))
     with bench(speed=3.0) as own:
-        command = [sys.executable, "-m", "missions.cli", "guard", "--rig", str(rig_file(folder, own, port))]
+        command = [sys.executable, "-m", "missions.cli", "guard", "--rig", str(rig_file(folder, own, port, hold_s))]
         command += ["--role", "sender", "--out", str(folder), *more]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
             thread.start()
@@ -157,7 +159,7 @@ def test_another_program_s_beats_do_not_keep_a_guard_quiet(tmp_path: Path) -> No
 
 
 def test_a_guard_that_is_told_to_end_stays_until_the_vehicle_is_down_and_leaves_it_to_a_pilot(tmp_path: Path) -> None:
-    with guarded(tmp_path) as (own, role, process):
+    with guarded(tmp_path, hold_s=30.0) as (own, role, process):
         process.send_signal(signal.SIGTERM)
         process.send_signal(signal.SIGINT)
         role.stopped = True

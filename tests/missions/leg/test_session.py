@@ -519,7 +519,7 @@ def test_a_program_that_is_always_at_work_says_what_it_gives_up(rig: Any) -> Non
     async def busy() -> Bench:
         bench = Bench(rig, stages=Stages())
         beside = asyncio.create_task(bench.session.keep_up())
-        async with asyncio.timeout(30.0):
+        async with asyncio.timeout(120.0):
             while not bench.log.of("/shed"):
                 time.sleep(0.02)  # noqa: ASYNC251 (that is what is tried)
                 await asyncio.sleep(0)

@@ -29,19 +29,14 @@ from missions.handoff.command import fly_once
 from missions.live.follow import FolderFollower
 from missions.live.gate import LOOPBACK, TOKEN, TokenGate, knows
 from missions.live.start import address_of, live
+from tests.free_ports import free_port
 
 PROTOCOL = Subprotocol("foxglove.sdk.v1")
 SECRET = "0123456789abcdef"
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        return int(probe.getsockname()[1])
-
-
 def dial(url: str) -> ClientConnection:
-    return connect(url, subprotocols=[PROTOCOL], open_timeout=20, proxy=None, max_size=None)
+    return connect(url, subprotocols=[PROTOCOL], open_timeout=120, proxy=None, max_size=None)
 
 
 def ask(client: ClientConnection, *channels: int) -> None:
@@ -57,7 +52,7 @@ def heard(client: ClientConnection, *topics: str) -> dict[str, tuple[int, bytes]
     named: dict[int, str] = {}
     found: dict[str, tuple[int, bytes]] = {}
     while found.keys() != set(topics):
-        word = client.recv(timeout=60)
+        word = client.recv(timeout=180)
         if isinstance(word, bytes):
             opcode, number, stamp_ns = struct.unpack_from("<BIQ", word)
             assert opcode == 1
@@ -99,7 +94,7 @@ def flight(tmp_path: Path) -> Iterator[McapLog]:
 
 
 def test_a_stranger_sees_a_flight_as_it_goes(tmp_path: Path, flight: McapLog) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     with live(f"{LOOPBACK}:{port}", tmp_path), dial(f"ws://{LOOPBACK}:{port}") as client:
         seen = heard(client, "/sender/phase", "/sender/log")
     stamp_ns, content = seen["/sender/phase"]
@@ -109,7 +104,7 @@ def test_a_stranger_sees_a_flight_as_it_goes(tmp_path: Path, flight: McapLog) ->
 
 
 def test_a_stranger_decodes_what_is_seen_during_a_flight_in_virtual_time(tmp_path: Path) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     with ExitStack() as stack:  # the client dials before anything flies and leaves before the stream ends
         stack.enter_context(live(f"{LOOPBACK}:{port}", tmp_path))
         client = stack.enter_context(dial(f"ws://{LOOPBACK}:{port}"))
@@ -129,10 +124,10 @@ def test_a_stranger_decodes_what_is_seen_during_a_flight_in_virtual_time(tmp_pat
 def test_nothing_is_said_among_the_flights_lines_of_a_client_that_asks_too_early(
     tmp_path: Path, flight: McapLog, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     with live(f"{LOOPBACK}:{port}", tmp_path), dial(f"ws://{LOOPBACK}:{port}") as client:
         ask(client, 999)
-        while json.loads(client.recv(timeout=60)).get("message") != "Unknown channel ID: 999":
+        while json.loads(client.recv(timeout=180)).get("message") != "Unknown channel ID: 999":
             pass
     said = capfd.readouterr()
     assert "unknown channel" not in said.out + said.err
@@ -148,7 +143,7 @@ def test_a_port_that_is_taken_is_said(tmp_path: Path) -> None:
 
 
 def test_whoever_has_no_token_is_refused(tmp_path: Path, flight: McapLog, token: str) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     with live(f"127.0.0.2:{port}", tmp_path):
         for query in ("", "?token=", "?token=0123456789abcdeF", f"?other={token}"):
             with pytest.raises(InvalidStatus, match="401"):

@@ -114,7 +114,7 @@ def test_evo_says_what_the_report_prints(make_run: Callable[..., Path], tmp_path
     files = [str(folder / "export" / f"{name}.tum") for name in ("truth-marker", "marker")]
     evo = [str(Path(sys.executable).with_name("evo_ape")), "tum", *files]
     done = subprocess.run(
-        evo, capture_output=True, text=True, timeout=120.0, env={**os.environ, "HOME": str(tmp_path)}, check=False
+        evo, capture_output=True, text=True, timeout=600.0, env={**os.environ, "HOME": str(tmp_path)}, check=False
     )
     assert done.returncode == 0, done.stderr
     (median,) = (float(line.split()[1]) for line in done.stdout.splitlines() if line.split()[:1] == ["median"])
@@ -133,3 +133,53 @@ def test_tables_have_a_column_for_every_number(make_run: Callable[..., Path], tm
 def test_nothing_asked_for_is_refused(make_run: Callable[..., Path]) -> None:
     with pytest.raises(PartError, match="nothing is asked for"):
         run_export(ExportOptions(make_run()))
+
+
+@pytest.fixture
+def scp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two other computers, each a folder, an scp that copies from them, and an empty folder to be in."""
+    computers, laptop, programs = (tmp_path / name for name in ("computers", "laptop", "programs"))
+    for folder in (computers, laptop, programs):
+        folder.mkdir()
+    program = programs / "scp"
+    program.write_text(
+        '#!/bin/sh\n'
+        'for last; do from=$source; source=$last; done\n'
+        'host=${from%%:*}; host=${host#*@}; path=${from#*:}\n'
+        f'[ -d {computers}/"$host" ] || {{ echo "ssh: Could not resolve hostname $host" >&2; exit 255; }}\n'
+        f'exec cp -r {computers}/"$host"/"$path" "$last"\n'
+    )  # fmt: skip
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
+    monkeypatch.chdir(laptop)
+    return computers
+
+
+def test_logs_of_two_companions_are_fetched_and_merged_by_one_command(
+    scp: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = scp / "both"
+    both.mkdir()
+    write_logs(both)
+    for host, name in (("d1", "sender"), ("d2", "receiver")):
+        (scp / host / "runs" / "7").mkdir(parents=True)
+        (both / f"{name}.mcap").rename(scp / host / "runs" / "7" / f"{name}.mcap")
+    named = (Path("d1:runs/7"), Path("path@d2:runs/7"))
+    assert run_merge(MergeOptions(named, out=Path("flight.mcap"))) == 0
+    said = capsys.readouterr().out
+    assert "fetching d1:runs/7" in said
+    assert "known within" in said
+    assert Path("flight.mcap").stat().st_size > 0
+    assert {each.name for each in Path().iterdir()} == {"d1-7", "d2-7", "flight.mcap"}
+    with pytest.raises(PartError, match="d1-7 is there already") as caught:
+        run_merge(MergeOptions(named))
+    assert "name d1-7 instead" in caught.value.remedy
+
+
+def test_a_computer_that_is_not_there_is_said_in_its_words(scp: Path) -> None:
+    with pytest.raises(PartError, match=r"d3:runs/7 was not fetched: ssh: Could not resolve hostname d3") as caught:
+        run_merge(MergeOptions((Path("d3:runs/7"),)))
+    assert "scp -r d3:runs/7 d3-7" in caught.value.remedy
+    with pytest.raises(PartError, match="is a log on another computer"):
+        run_merge(MergeOptions((Path("d1:runs/7/sender.mcap"),)))
+    assert not list(Path().iterdir())

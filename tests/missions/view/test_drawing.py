@@ -59,7 +59,7 @@ def test_everything_that_is_drawn_is_in_reruns_file(
         [sys.executable, "-m", "rerun", "rrd", "stats", str(rrd)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=True,
     )
     entities = set(re.findall(r"^(/\S+):", stats.stdout, re.MULTILINE))

@@ -12,7 +12,9 @@ from pathlib import Path
 
 import pytest
 
-UP_S, DOWN_S = 120.0, 20.0
+from tests.free_ports import free_port
+
+UP_S, DOWN_S = 120.0, 60.0
 
 
 def is_up(port: int) -> bool:
@@ -22,9 +24,7 @@ def is_up(port: int) -> bool:
 
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_nothing_is_left_of_the_page(run_folder: Path, sign: signal.Signals) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
+    port = free_port(socket.SOCK_STREAM)
     command = [sys.executable, "-m", "missions.cli", "view", str(run_folder), "--web", "--port", str(port)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as view:
         try:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from path.calibration.board import BoardView, find_board
+from path.calibration.bundle import curled
 from path.calibration.intrinsics import Intrinsics, left_by, solve_intrinsics
 from path.calibration.judge import (
     BadSet,
@@ -17,6 +18,7 @@ from path.calibration.judge import (
     judge_solution,
     judge_views,
     sharp_enough,
+    uneven_pixels,
 )
 from path.camera import CameraModel
 from tests.path.calibration.rendered import CAMERA, CHARUCO, Held, grey, photographs, poses, seen
@@ -112,6 +114,23 @@ def test_a_good_set_is_not() -> None:
     assert reasons(views(Held(), 25, 1)) == set()
 
 
+def test_a_boards_curl_is_told_from_the_focal_length() -> None:
+    """0.3 mm over 330: taken as flat, the camera is off by more than is stated, and nothing shows it."""
+    rng = np.random.default_rng(5)
+    size_m = (CHARUCO.columns * CHARUCO.square_m, CHARUCO.rows * CHARUCO.square_m)
+    true_m = np.array([0.0003, 0.0, -0.0001])
+    surface = curled(CHARUCO.corners_o, size_m, true_m / (0.5 * size_m[0]))
+    bent: list[BoardView] = []
+    for pose, flat in zip(poses(CHARUCO, Held(), 15, 5), views(Held(), 15, 5), strict=True):
+        corners = CAMERA.project(pose.apply(surface))[flat.ids]
+        bent.append(replace(flat, corners_px=corners + rng.normal(0.0, NOISE_PX, corners.shape)))
+    solution = solve_intrinsics(bent, CHARUCO, SIZE)
+    off = (np.array(solution.values) - TRUE) / np.array(solution.sigmas)
+    assert np.abs(off[:4]).max() < 2.5
+    assert solution.rms_px == pytest.approx(NOISE_PX * np.sqrt(2.0), rel=0.1)
+    assert np.abs(np.array(solution.curl_m) - true_m).max() < 0.0001
+
+
 def test_a_board_other_than_said_is_seen_in_the_residual() -> None:
     rng = np.random.default_rng(0)
     bent = [
@@ -119,6 +138,20 @@ def test_a_board_other_than_said_is_seen_in_the_residual() -> None:
         for view in views(Held(), 14, 2)
     ]
     assert BadSet.WRONG_BOARD in reasons(bent)
+
+
+def test_a_camera_that_leaves_out_pixels_is_named() -> None:
+    """Of every three columns one is where it should be, and two are off by some; corners follow them by halves."""
+    even = views(Held(), 15, 2)
+    off = np.array([0.1, -0.1, 0.0])
+    uneven = [
+        replace(view, corners_px=view.corners_px - off[np.round(view.corners_px).astype(int) % 3]) for view in even
+    ]
+    period, off_px = uneven_pixels(solve_intrinsics(uneven, CHARUCO, SIZE))
+    assert period == 3
+    assert 0.05 < off_px < 0.12
+    assert uneven_pixels(solve_intrinsics(even, CHARUCO, SIZE))[1] == 0.0
+    assert reasons(uneven) == reasons(even) | {BadSet.UNEVEN_PIXELS}
 
 
 def test_views_that_do_not_predict_each_other_are_refused() -> None:

@@ -14,8 +14,10 @@ from hil.vehicle.bench import EmbeddedBench
 from missions import cli, rig_library
 from missions.assurance.conformance.measure import FlightSuite, VehicleMeasures, chosen
 from missions.assurance.conformance.run import BINARY, RIGS
+from tests.pauses import undisturbed
 
 SPEED = 4.0
+PAUSE_S = 0.1  # four times as much of the vehicle's time
 
 
 def flown(vehicle: str, folder: Path, words: list[str], speed: float = 1.0) -> VehicleMeasures:
@@ -25,7 +27,7 @@ def flown(vehicle: str, folder: Path, words: list[str], speed: float = 1.0) -> V
 
 
 def test_the_embedded_vehicle_as_it_starts_and_when_setpoints_stop(tmp_path: Path) -> None:
-    measured = flown("embedded", tmp_path, ["silent"], SPEED)
+    measured = undisturbed(lambda: flown("embedded", tmp_path, ["silent"], SPEED), PAUSE_S)
     values = measured.values
     assert (measured.failed, measured.restarts, measured.what) == ({}, 0, "embedded")
     assert values["early_arm"] == "temporarily rejected"

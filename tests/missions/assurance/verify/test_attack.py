@@ -25,19 +25,10 @@ from missions.assurance.verify.attack import RECORDING, Attacker, attack, earlie
 from missions.handoff.command import fly_once
 from path.messages import Message, Ping, Pong, Role, Status
 from tests.drivers.link.link_ends import Context, WallClock, until
+from tests.free_ports import free_ports
 
 RATE_HZ = 2000.0
 AIR = ("127.0.0.1", 9)
-
-
-def free_ports(count: int) -> list[int]:
-    ends = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    for end in ends:
-        end.bind(("127.0.0.1", 0))
-    ports = [int(end.getsockname()[1]) for end in ends]
-    for end in ends:
-        end.close()
-    return ports
 
 
 def status(role: Role, stamp_ns: int) -> Status:
@@ -81,7 +72,7 @@ def test_two_drones_that_are_flooded_from_the_start_hear_each_other_and_nobody_e
 
     async def main() -> Attacker:
         loop = asyncio.get_running_loop()
-        async with asyncio.timeout(30.0), UdpFaultProxy(*sides, seed=1) as proxy, Air(proxy) as air:
+        async with asyncio.timeout(120.0), UdpFaultProxy(*sides, seed=1) as proxy, Air(proxy) as air:
             attacker = Attacker(("127.0.0.1", air.port), ends, Random(1), [])
             transport, _ = await loop.create_datagram_endpoint(lambda: attacker, local_addr=("127.0.0.1", 0))
             tasks = [asyncio.create_task(attacker.flood(RATE_HZ))]

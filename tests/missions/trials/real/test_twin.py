@@ -52,6 +52,7 @@ def test_edges_of_a_known_camera_are_measured(seen: tuple[RealSet, SetSeen]) -> 
     assert np.max(np.abs(fitted - true)) < 0.04 < 0.5 * np.max(np.abs(plain - true))
     assert response.misfit < 0.02
     assert response.imaging.jpeg_quality == pytest.approx(85, abs=1)
+    assert response.thinning is None
 
 
 def test_a_twin_draws_edges_and_noise_as_its_photographs_do(seen: tuple[RealSet, SetSeen], tmp_path: Path) -> None:

@@ -28,12 +28,14 @@ from missions.trials.recall.handovers import (
     AttemptCommits,
     AttemptOrder,
     GateCommit,
+    Pieces,
     can_complete,
     orders,
+    run_pieces,
     shortest_s,
     stays_far,
 )
-from missions.trials.shared.trial import TrialRequest
+from missions.trials.shared.trial import TrialRequest, trial_part
 from missions.work import open_work
 from path.config import MethodConfig
 from path.evidence import make_gate
@@ -42,6 +44,7 @@ from path.window import Offsets
 
 METHOD = MethodConfig()
 PERIOD_NS = 20_000_000
+BY_ENTRY = ("offsets", "oversize")
 
 
 def series_of(count: int) -> Series:
@@ -154,7 +157,7 @@ def test_a_growing_series_is_told_as_the_whole_one() -> None:
 
 
 def first(series: Series, count: int) -> Series:
-    arrays = {name: getattr(series, name)[:count] for name in series.__dataclass_fields__ if name != "offsets"}
+    arrays = {name: getattr(series, name)[:count] for name in series.__dataclass_fields__ if name not in BY_ENTRY}
     return replace(series, **arrays)
 
 
@@ -187,6 +190,21 @@ def test_every_cell_has_every_kind_of_attempt_and_no_hand_over_comes_twice() -> 
 def judged(cell: int, group: str, *commits: GateCommit | None) -> AttemptCommits:
     template = next(o for o in orders(0, 1, 4) if o.group == group)
     return AttemptCommits(AttemptOrder(cell, template.group, template.attempt), commits)
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_one_box_around_two_objects_is_handed_over_only_where_no_size_is_stated(
+    stated: bool,
+) -> None:
+    """A look-alike 0.32 m beside the target: both detectors take the two for one object, from the first frame on."""
+    order = next(each for each in orders(9107, len(trial.DETECTORS), trial.OF_EACH) if each.attempt.index == 1188)
+    rig = rig_library.load("sim-rendered")
+    if not stated:
+        rig = replace(rig, method=replace(rig.method, evidence=replace(rig.method.evidence, span_m=0.0)))
+    (told,) = run_pieces(Pieces(trial_part(rig, "montecarlo"), rig, trial.DETECTORS, [order]))
+    count, evidence = told.commits
+    assert count is None
+    assert evidence is None if stated else evidence is not None and not evidence.right
 
 
 def test_a_cell_counts_true_commits_and_all_wrong_ones() -> None:

@@ -1,0 +1,158 @@
+"""A RealSense recording (``.db3``, ``.bag``) read to its end, frame by frame, as fast as they are taken.
+
+The driver plays a recording as the camera it was, in real time, and passes over what is late. Here nothing is passed
+over: playback waits while a frame is not taken. Whoever recorded it need not have known of PATH: colour may be RGB.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import CameraError
+from drivers.perception.stamp_clock import Domain
+from drivers.realsense.library import (
+    Kind,
+    RawImage,
+    extrinsics_of,
+    intrinsics_of,
+    load_recording,
+    mid_exposure_ns,
+    serial_of,
+)
+from drivers.realsense.library_import import import_realsense
+from drivers.realsense.stream import Pairing, Taken
+from path.camera import CameraModel
+from path.geometry import Pose
+
+READ = {("depth", "z16"): "depth", ("color", "bgr8"): "color", ("color", "rgb8"): "color"}
+WAITING = 8
+SILENT_S = 60.0  # without a frame before the end: the file is damaged
+POLL_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedPair:
+    """Colour (h, w, 3) BGR and depth (h, w) in the device's unit, taken together at ``stamp_ns`` of its ``domain``."""
+
+    stamp_ns: int
+    domain: Domain
+    color: NDArray[np.uint8]
+    depth: NDArray[np.uint16]
+
+
+class RealSenseRecording:
+    """A recording that has both streams.
+
+    Attributes:
+        serial: of the camera; "" when it does not say.
+        depth, T_color_depth, unit_m: as of ``RealSenseDevice``.
+        color_size: (width, height) in px.
+    """
+
+    def __init__(self, file: Path) -> None:
+        """Raises CameraError for a file that cannot be played, or has not both streams."""
+        self._file, rs = file, import_realsense()
+        self._device = load_recording(file)
+        self._playback = self._device.as_playback()
+        self._playback.set_real_time(False)
+        self._streams: dict[Kind, tuple[Any, Any]] = {}
+        offered = set[str]()
+        for sensor in self._device.query_sensors():
+            for profile in sensor.get_stream_profiles():
+                named = profile.stream_type().name, profile.format().name
+                offered.add(" ".join(named))
+                if (kind := READ.get(named)) is not None:
+                    self._streams.setdefault("depth" if kind == "depth" else "color", (sensor, profile))
+        if len(self._streams) < 2:
+            raise CameraError(
+                f"{file} has no {' and no '.join(sorted({'color', 'depth'} - set(self._streams)))} to be read; "
+                f"it has: {', '.join(sorted(offered)) or 'nothing'}",
+                "record depth (z16) and colour (bgr8 or rgb8)",
+            )
+        (depth_sensor, depth), (_, color) = self._streams["depth"], self._streams["color"]
+        self.serial = serial_of(self._device)
+        self.unit_m = float(depth_sensor.get_option(rs.option.depth_units))
+        self.depth: CameraModel = intrinsics_of(rs, depth.as_video_stream_profile(), "depth")
+        self._color = color.as_video_stream_profile()
+        self.color_size: tuple[int, int] = self._color.width(), self._color.height()
+        self.T_color_depth: Pose = extrinsics_of(depth, color)
+        self._is_rgb = color.format().name == "rgb8"
+        self._tolerance_ns = round(0.5e9 / color.fps())
+
+    def factory_color(self) -> CameraModel:
+        """The colour camera as its maker calibrated it. Raises CameraError for a lens that cannot be described."""
+        return intrinsics_of(import_realsense(), self._color, "color")
+
+    def pairs(self) -> Iterator[RecordedPair]:
+        """Yields all pairs from where it is to the end; images without their other half are left out.
+
+        Raises CameraError when nothing comes and it has not ended.
+        """
+        rs, waiting, ending = import_realsense(), queue.Queue[RawImage](WAITING), threading.Event()
+
+        def take(frame: Any) -> None:
+            """In librealsense's thread, which waits here while nobody takes what came."""
+            domain = Domain(frame.get_frame_timestamp_domain().name)
+            kind: Kind = "depth" if frame.is_depth_frame() else "color"
+            stamp_ns = mid_exposure_ns(rs, frame, domain)
+            image = RawImage(kind, frame.get_frame_number(), stamp_ns, domain, np.array(frame.get_data()), None)
+            while not ending.is_set():
+                try:
+                    waiting.put(image, timeout=POLL_S)
+                    return
+                except queue.Full:
+                    continue
+
+        self._playback.pause()
+        running: list[Any] = []
+        try:
+            for sensor, profile in self._streams.values():
+                sensor.open(profile)
+                running.append(sensor)
+                sensor.start(take)
+            self._playback.resume()
+            yield from self._paired(waiting)
+        except RuntimeError as error:  # all that librealsense ever raises
+            raise CameraError(f"{self._file} cannot be played: {error}", "is the file whole?") from error
+        finally:
+            ending.set()
+            for sensor in running:
+                with suppress(RuntimeError):
+                    sensor.stop()
+                with suppress(RuntimeError):
+                    sensor.close()
+
+    def _paired(self, waiting: queue.Queue[RawImage]) -> Iterator[RecordedPair]:
+        pairing, heard_s = Pairing(self._tolerance_ns), time.monotonic()
+        while True:
+            try:
+                image = waiting.get(timeout=POLL_S)
+            except queue.Empty:
+                if self._at_end and waiting.empty():
+                    return
+                if time.monotonic() - heard_s > SILENT_S:
+                    raise CameraError(
+                        f"{self._file}: nothing comes after {SILENT_S:g} s", "is the file whole?"
+                    ) from None
+                continue
+            heard_s = time.monotonic()
+            found = pairing.add(Taken(image.stamp_ns, 0, image))
+            if found is not None:
+                color, depth = (each.image for each in found)
+                pixels = np.asarray(color.pixels, np.uint8)
+                pixels = np.ascontiguousarray(pixels[..., ::-1]) if self._is_rgb else pixels
+                yield RecordedPair(color.stamp_ns, color.domain, pixels, np.asarray(depth.pixels, np.uint16))
+
+    @property
+    def _at_end(self) -> bool:
+        return self._playback.current_status() == import_realsense().playback_status.stopped

@@ -1,0 +1,46 @@
+"""Ports for parts that must be told theirs before they open it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import tempfile
+from contextlib import suppress
+from functools import cache
+from itertools import count
+from pathlib import Path
+
+FIRST, EACH, SLOTS = 20_000, 500, 25  # below those that the system gives to whoever asks for any
+_next = count()
+
+
+@cache
+def _first() -> int:
+    """The first of this process's ports: nobody else's on this computer as long as it lives."""
+    for slot in range(SLOTS):
+        lock = Path(tempfile.gettempdir()) / f"path-handoff-{os.getuid()}-tests-{slot}.lock"
+        file = os.open(lock, os.O_CREAT | os.O_RDWR, 0o600)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(file)
+            continue
+        return FIRST + EACH * slot
+    raise OSError(f"{SLOTS} runs of tests are under way")
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM, family: socket.AddressFamily = socket.AF_INET) -> int:
+    """Returns a port that is free, and stays it until it is used: no other run, nor worker of it, is given it."""
+    for _ in range(EACH):
+        port = _first() + next(_next) % EACH
+        with socket.socket(family, kind) as probe, suppress(OSError):
+            probe.bind(("", port))
+            return port
+    raise OSError(f"no free port within {_first()}..{_first() + EACH - 1}")
+
+
+def free_ports(
+    number: int, kind: socket.SocketKind = socket.SOCK_DGRAM, family: socket.AddressFamily = socket.AF_INET
+) -> list[int]:
+    return [free_port(kind, family) for _ in range(number)]

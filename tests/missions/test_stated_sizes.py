@@ -1,0 +1,27 @@
+"""The size that a rig states of its target is the size of what the harness draws for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.geometric.scene import parts_of
+from hil.world.kinds import TargetKind
+from missions import rig_library
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("sim", "car"), ("sitl-px4", "car"), ("sim-person", "person"), ("sim-drone", "drone")],
+)
+def test_what_a_rig_says_is_wide_and_high_enough_and_hardly_more(name: str, kind: TargetKind) -> None:
+    rig = rig_library.load_unchecked(name)
+    assert rig.world["target"].get("kind", "car") == kind
+    parts = parts_of(kind)
+    signs = np.array(np.meshgrid(*((-1.0, 1.0),) * 3)).reshape(3, -1).T
+    corners = (parts[:, None, :3] + signs * parts[:, None, 3:6]).reshape(-1, 3)
+    span_m = np.max(np.linalg.norm(corners[:, None, :2] - corners[None, :, :2], axis=2))
+    stated = rig.method.evidence
+    # of a drone only the hull is in a box as a rule; the arms may be
+    assert span_m <= stated.span_m <= (0.33 if kind == "drone" else 1.02 * span_m)
+    assert np.ptp(corners[:, 2]) <= stated.height_m + 0.001 <= 1.5 * np.ptp(corners[:, 2])
