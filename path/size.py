@@ -8,8 +8,9 @@ those of one body, and both are upper limits: what hides a part of it makes its 
   is gravity. A car that turns, or a person who does, stays within it.
 - What it was a moment ago: a body that turns does so steadily, but two that are taken for one make the box larger from
   one frame to the next. Each camera's box is held against its own running mean, once that is ``SURE_S`` old: an object
-  that comes into view grows too. What has outgrown it teaches nothing, for ``LEARNED_S`` at most: then it is what the
-  target looks like.
+  that comes into view grows too. The mean rises within ``SETTLE_S`` and falls within ``LEARNED_S``: what was hidden for
+  a moment is no larger afterwards than it was. A box that has outgrown it teaches nothing, for ``LEARNED_S`` at most:
+  then it is what the target looks like.
 
 How far a box is above a limit is counted in standard deviations of the logarithm of its size, and both cameras', both
 sides' and both limits' largest number is that of a pair. One that is above ``size_sigmas`` is of something else, as far
@@ -28,7 +29,7 @@ from path.observations import Box, Depth
 from path.rigid import Rigid, transform_back
 
 SETTLE_S = 0.15
-"""Time constant of the running mean: so long a turning target may have changed since."""
+"""Time constant of the running mean as it rises: so long a turning target may have changed since."""
 SURE_S = 0.5
 LEARNED_S = 3.0
 FITS = 0.0
@@ -73,10 +74,13 @@ class _RunningSize:
             self._mean, self._first_ns, self._stamp_ns = logs, stamp_ns, stamp_ns
             return FITS
         if grown <= most_sigmas:
-            share = -math.expm1(-since_s / SETTLE_S)
-            self._mean = mean[0] + share * (logs[0] - mean[0]), mean[1] + share * (logs[1] - mean[1])
+            self._mean = _followed(mean[0], logs[0], since_s), _followed(mean[1], logs[1], since_s)
             self._stamp_ns = max(stamp_ns, self._stamp_ns)
         return grown
+
+
+def _followed(mean: float, new: float, since_s: float) -> float:
+    return mean - math.expm1(-since_s / (SETTLE_S if new > mean else LEARNED_S)) * (new - mean)
 
 
 class Sizes:

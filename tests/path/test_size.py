@@ -17,7 +17,7 @@ from path.geometry import Pose
 from path.messages import Vec3
 from path.observations import Box, Depth, MissReason
 from path.rigid import rigid, transform
-from path.size import LEARNED_S, SETTLE_S, Sizes, reach_m
+from path.size import LEARNED_S, Sizes, reach_m
 from path.window import AgreementWindow, FramePair, Offsets
 
 MS = 1_000_000
@@ -144,7 +144,7 @@ def test_two_that_are_taken_for_one_from_some_frame_on_teach_nothing_until_it_ha
     for _ in range(round(LEARNED_S / 0.02)):
         assert frames.above(one, two) > MOST
     assert frames.above(one, two) < MOST  # now it is what the target looks like
-    for _ in range(round(10 * SETTLE_S / 0.02)):
+    for _ in range(round(3 * LEARNED_S / 0.02)):
         frames.above(one)
     assert frames.above(one, two) > MOST
 
@@ -159,6 +159,14 @@ def test_what_comes_into_view_and_grows_is_not_held_up() -> None:
         assert frames.sizes.own(20 * k * MS, box, DEPTH, (0.0, 0.0, 0.0), DOWN) < MOST
     two = box_of(frames.T_v_c, corners((0.0, 0.0), 0.5), corners((0.0, 0.36), 0.0))
     assert frames.sizes.own(2000 * MS, two, DEPTH, (0.0, 0.0, 0.0), DOWN) > MOST
+
+
+def test_what_was_hidden_in_part_for_a_moment_is_not_held_up_when_it_is_whole_again() -> None:
+    frames = Frames()
+    box = box_of(frames.T_v_c, corners((0.0, 0.0), 0.5))
+    part = Box(box.x, box.y, box.w, 0.4 * box.h)
+    for k in range(100):
+        assert frames.sizes.own(20 * k * MS, part if 70 <= k < 80 else box, DEPTH, (0.0, 0.0, 0.0), DOWN) < MOST
 
 
 def test_d2s_box_is_judged_at_its_own_range_and_by_its_own_history() -> None:
