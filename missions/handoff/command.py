@@ -8,11 +8,9 @@ import shlex
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from drivers.interfaces import PartError
 from drivers.rig.check import check_rig
@@ -28,7 +26,6 @@ from missions.live.start import live
 from missions.options.flights import FlyOptions, HandoffOptions
 from missions.options.proofs import ConformanceOptions
 from missions.report.command import make_report, series_table, show, summarize_many
-from missions.report.junit import JUnitCase, write_junit
 from missions.report.progress import open_console, open_tally
 from missions.report.records import RUN, SUMMARY, RunFacts, load_run, write_facts
 from missions.report.right_object import fly_watched
@@ -36,6 +33,9 @@ from missions.report.summary import summarize
 from missions.run_folder import claim_result, claimed, new_folder, refuse_foreign, unless_refused
 from missions.shown import say_unwritten
 from path.messages import Role
+
+if TYPE_CHECKING:
+    from missions.report.junit import JUnitCase
 
 IN_PROCESS = ("sim", "sim-rendered")
 """Levels at which both roles fly in this process."""
@@ -86,6 +86,12 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
 
     A run that ended in a named failure is counted, not an error; a wrong hand-over or a violated monitor is one.
     """
+    # one flight does without
+    from concurrent.futures import ProcessPoolExecutor, as_completed  # noqa: PLC0415
+    from multiprocessing import get_context  # noqa: PLC0415
+
+    from missions.report.junit import write_junit  # noqa: PLC0415
+
     jobs = 1 if rig.level not in IN_PROCESS else options.jobs or os.cpu_count() or 1
     seeds = range(options.seed, options.seed + options.seeds)
     claim_result(folder / SUMMARY, '"failed_seeds"')
@@ -124,6 +130,8 @@ def junit_case(options: HandoffOptions, summary: Mapping[str, Any]) -> JUnitCase
     asked = ["--rig", options.rig, "--seed", str(summary["seed"]), *errors, *scene, *slow, *faults]
     outcome = str(summary["outcome"])
     failures = () if summary["exit_code"] == 0 else (summary["detail"] or outcome, *summary["notes"])
+    from missions.report.junit import JUnitCase  # noqa: PLC0415
+
     replay = f"path-handoff handoff {shlex.join(asked)}"
     return JUnitCase(f"seed {summary['seed']}", outcome, replay, failures, summary["wall_s"] or 0.0)
 
