@@ -64,6 +64,9 @@ def run(options: ReplayOptions) -> int:
     differ = [each for drone in before for each in drone.different]
     if not any(drone.decided for drone in before):
         raise PartError(f"{folder}: nothing was decided in it", "name the folder of a run that reached a handoff")
+    unsaid = dict.fromkeys(name for drone in before for each in drone.decided for name in each.unsaid)
+    if unsaid:
+        sys.stdout.write(f"not compared, as an earlier version of PATH wrote this log: {', '.join(unsaid)}\n")
     for each in differ[:1]:
         sys.stdout.write(f"first difference, {each.topic} at {each.stamp_ns}:\n{_difference(each)}")
     change, seen_with = asked_of(options)
@@ -271,5 +274,5 @@ def _figures(drone: Replayed) -> dict[str, str]:
 def _difference(each: DecisionPair) -> str:
     if each.logged is None or each.again is None:
         return f"  {'only decided again' if each.logged is None else 'only in the log'}\n"
-    names = [name for name in each.again if each.logged.get(name) != each.again[name]]
-    return "".join(f"  {name}: {each.logged.get(name)} in the log, {each.again[name]} again\n" for name in names)
+    names = [name for name in each.logged if each.logged[name] != each.again.get(name)]
+    return "".join(f"  {name}: {each.logged[name]} in the log, {each.again.get(name)} again\n" for name in names)

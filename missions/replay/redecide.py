@@ -54,7 +54,15 @@ class DecisionPair:
 
     @property
     def same(self) -> bool:
-        return self.logged == self.again
+        """Returns whether all that the log says of it comes out again."""
+        if self.logged is None or self.again is None:
+            return False
+        return {name: value for name, value in self.again.items() if name in self.logged} == self.logged
+
+    @property
+    def unsaid(self) -> list[str]:
+        """What the log does not say of it: an earlier version of PATH wrote it."""
+        return [name for name in self.again or () if self.logged is not None and name not in self.logged]
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from drivers.log.mcap_log import LogRecord, read_log, virtual_log
 from missions import rig_library
 from missions.handoff.command import fly_once
 from missions.options.runs import ReplayOptions
+from missions.replay import command
 from missions.replay.command import EXIT_DIFFERENT, change_of, replay_changed, run
 from missions.replay.perceive import PerceptionChange, eyes_of
 from missions.replay.redecide import Complete, DecisionPair, redecide
@@ -75,7 +76,22 @@ def test_every_decision_comes_out_again(
         again = decided(records)
         logged = [r for r in records if r.topic in ("/candidate", "/agreement")]
         assert len(again) >= len(logged) > 30
-        assert [each for each in again if not each.same] == []
+        assert [each for each in again if not each.same or each.unsaid] == []
+
+
+def test_what_an_earlier_version_did_not_log_is_no_difference_and_is_named(
+    flown: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def earlier(folder: Path) -> dict[str, list[LogRecord]]:
+        return {name: [without(each) for each in records] for name, records in drone_logs(folder).items()}
+
+    def without(each: LogRecord) -> LogRecord:
+        kept = {name: value for name, value in each.record.items() if name != "oversize"}
+        return LogRecord(each.topic, each.stamp_ns, kept)
+
+    monkeypatch.setattr(command, "drone_logs", earlier)
+    assert run(ReplayOptions((flown("sim", 3),), picture=False)) == 0
+    assert "earlier version of PATH wrote this log: oversize" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_decision_that_was_another_one_is_found(flown: Callable[..., Path]) -> None:
