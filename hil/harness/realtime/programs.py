@@ -98,6 +98,11 @@ class LiveDrone:
     told: Mapping[str, Any] = field(default_factory=dict[str, Any])
     result: RoleResult | None = None
 
+    @property
+    def runs(self) -> bool:
+        """Whether its program has begun, as far as is known here, and has not ended."""
+        return self.program is not None and self.program.returncode is None
+
 
 class LivePrograms:
     """One program a drone at most, and its guard. They share the world's process, which is told what becomes of them.
@@ -227,11 +232,16 @@ class LivePrograms:
             await asyncio.sleep(NEWS_S)
 
     async def _watch_records(self) -> None:
-        """Watches what a drone writes down for a restart, as soon as it is there, while a fault waits for it."""
+        """Watches what a drone's program writes down for a restart, as soon as it is there, while a fault waits for it.
+
+        Nothing is looked at before that program can be told from outside: a fault then would miss it.
+        """
         seen: dict[str, str] = {}
         while True:
             waited_for = [name for name in self.drones if self.legs.waits_for_duty(name)]
             for name in waited_for:
+                if not self.drones[name].runs:
+                    continue
                 duty = duty_of(self._orders.out / f"{name}.state.json")
                 if duty != seen.get(name):
                     seen[name] = duty

@@ -114,10 +114,12 @@ class Stage:
         )
         return RealTimeRun(orders, sitl.ENDS, {LEG: [parse_fault(text) for text in faults]})
 
-    def fly(self, programs: Programs, faults: Sequence[str] = (), world: str = "") -> RealTimeRun:
+    def fly(
+        self, programs: Programs, faults: Sequence[str] = (), world: str = "", limit_s: float = 600.0
+    ) -> RealTimeRun:
         """One run to its end."""
         run = self.run_of(programs, faults, world)
-        self.ending = asyncio.run(run.run(lambda: sitl.one_leg(run), 600.0, 0.5))
+        self.ending = asyncio.run(run.run(lambda: sitl.one_leg(run), limit_s, 0.5))
         self.processes = run.children
         return run
 
@@ -194,14 +196,29 @@ def test_a_program_is_started_again_after_its_death(stage: Stage) -> None:
     assert stage.told() == [("kill_sender", "sender", 0.05)]
 
 
-def test_a_record_that_is_written_down_is_a_moment_too(stage: Stage) -> None:
-    """It is noticed on the disk: nobody but the file says so."""
+@pytest.mark.parametrize("late_s", [0.0, 0.3])
+def test_a_record_that_is_written_down_is_a_moment_too(
+    stage: Stage, late_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is noticed on the disk: nobody but the file says so, and a quick program writes it before it is known here."""
+
+    async def spawn(command: Sequence[str], errors: Path, run: str = "") -> asyncio.subprocess.Process:
+        process = await children.spawn(command, errors, run)
+        until_s = time.monotonic() + 30.0
+        if late_s and errors.name == "receiver.stderr.txt":
+            while not has_written.exists() and time.monotonic() < until_s:  # noqa: ASYNC110 (another process's)
+                await asyncio.sleep(0.01)
+            await asyncio.sleep(late_s)
+        return process
+
+    monkeypatch.setattr("hil.harness.realtime.programs.spawn", spawn)
     provisional = StateFile(stage.out / "x", Role.RECEIVER)
     provisional.save(ReceiverRecord(1, "provisional", Handoff(1, 1, 1)))
-    text, file = (stage.out / "x").read_text(), str(stage.out / "receiver.state.json")
-    writes = f"import time; open({file!r}, 'w').write({text!r}); time.sleep(600)"
+    text, has_written = (stage.out / "x").read_text(), stage.out / "receiver.state.json"
+    writes = f"import time; open({str(has_written)!r}, 'w').write({text!r}); time.sleep(600)"
     programs = {Role.SENDER: saying(result(Role.SENDER)), Role.RECEIVER: writes}
-    run = stage.fly(programs, ["kill_receiver@provisional"])
+    run = stage.fly(programs, ["kill_receiver@provisional"], limit_s=60.0)
+    assert stage.ending.failure == ""
     assert list(results(run)) == [Role.SENDER]
 
 
