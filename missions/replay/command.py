@@ -6,7 +6,7 @@ import sys
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -195,7 +195,23 @@ def _replay(
             decided.append(each)
         else:
             complete.append(each)
-    return Replayed(drone, decided, complete)
+    return Replayed(drone, _of_the_logs_version(decided), complete)
+
+
+def _of_the_logs_version(decided: Sequence[DecisionPair]) -> list[DecisionPair]:
+    """The same without what is null all through the log though it is decided again: an earlier version wrote it."""
+    said: set[tuple[str, str]] = set()
+    again: set[tuple[str, str]] = set()
+    for each in decided:
+        said |= {(each.topic, name) for name, value in (each.logged or {}).items() if value is not None}
+        again |= {(each.topic, name) for name, value in (each.again or {}).items() if value is not None}
+    unsaid = again - said
+    return [
+        replace(each, logged={k: v for k, v in each.logged.items() if (each.topic, k) not in unsaid})
+        if each.logged is not None
+        else each
+        for each in decided
+    ]
 
 
 def _of_a_leg(name: str, records: Sequence[LogRecord]) -> Sequence[LogRecord]:
