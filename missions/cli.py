@@ -15,8 +15,8 @@ from typing import Annotated, Any
 
 import tyro
 
+from drivers.collector import collector_off
 from flight.command_end import CommandEnd
-from missions.collector import collector_off
 from missions.kernel_cache import have_kernel_cache
 from missions.shown import drop, flush_or_drop, say_unwritten
 from path.bounds import out_of_bounds

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from drivers.collector import collector_off
 from drivers.interfaces import PartError
 from drivers.rig.check import check_rig
 from drivers.rig.file import load_rig
@@ -12,7 +13,6 @@ from drivers.rig.parts import Rig, import_factory
 from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
 from flight.plausible import check_plausible
-from missions.collector import collector_off
 from missions.rig_list import FOLDER
 from missions.team.config import checked_team
 

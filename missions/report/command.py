@@ -13,9 +13,9 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from drivers.collector import collector_off
 from drivers.log.mcap_log import parts
 from flight.outcome import Outcome
-from missions.collector import collector_off
 from missions.options.runs import ReportOptions
 from missions.report.page import PageOf, write_page
 from missions.report.records import (

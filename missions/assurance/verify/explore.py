@@ -11,13 +11,12 @@ Two ways of not walking in circles:
 
 from __future__ import annotations
 
-import gc
 from collections import Counter
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from drivers.collector import collector_off
 from missions.assurance.verify.model import UNREAD, ModelWorld, Scope
 from missions.assurance.verify.moves import TICK, ModelStep, Moves
 
@@ -173,19 +172,7 @@ class _Trail:
         return tuple(reversed(steps))
 
 
-@contextmanager
-def _uncollected() -> Generator[None]:
-    """Worlds refer to no one another: looking for cycles among so many would take an eighth of the time."""
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
-
-
-@_uncollected()
+@collector_off()  # worlds refer to no one another: looking for cycles among so many would take an eighth of the time
 def explore(
     scope: Scope,
     limit: int = 1 << 62,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from drivers.collector import collector_off
 from drivers.rig.parts import Rig
 from flight.harness.montecarlo import Attempt, HandoverRunner, Series, Telling, WrongAssociation, agreeing, tell
 from missions.trials.recall.detectors import DetectorFaults, FaultyFrames, faulty_frames, with_detector
@@ -99,13 +99,8 @@ def orders(seed: int, detectors: int, of_each: int) -> list[AttemptOrder]:
 def run_pieces(pieces: Pieces) -> list[AttemptCommits]:
     """Judges attempts one after another. Garbage is looked for after them: they leave next to none."""
     runner, method = pieces.runner(pieces.rig).warmed(), pieces.rig.method
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
+    with collector_off():
         return [judged(runner, order, pieces.detectors[order.cell], method) for order in pieces.orders]
-    finally:
-        if collecting:
-            gc.enable()
 
 
 def judged(
