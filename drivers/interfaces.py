@@ -17,8 +17,8 @@ from typing import Any, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.messages import Message, Vec3
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 from path.protocol.values import ReceiverRecord, SenderRecord

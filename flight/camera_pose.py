@@ -5,8 +5,8 @@ from __future__ import annotations
 from drivers.interfaces import Vehicle
 from drivers.rig.parts import Mount
 from flight.guidance import Vec3, add, scale
-from path.geometry import Matrix, Pose
-from path.rotation import R_from_quat
+from path.geometry.rotation import R_from_quat
+from path.geometry.transforms import Matrix, Pose
 
 
 class CameraPose:

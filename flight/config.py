@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from drivers.interfaces import Capability
-from flight.guard_rules import GuardRules
+from flight.guard.rules import GuardRules
 from flight.guidance import Answer, Vec3
 from path.bounds import Bounds
 

@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 from drivers.interfaces import Clock, FlightMode, Log, Vehicle, VehicleState, VelocitySetpoint
 from flight.config import MissionConfig
-from flight.guard import check_vehicle, in_doubt
+from flight.guard.limits import check_vehicle, in_doubt
+from flight.guard.under_guard import UnderGuard
 from flight.guidance import Anchor, slew
 from flight.outcome import MissionEnd, Outcome
-from flight.under_guard import UnderGuard
-from path.rotation import yaw_of
+from path.geometry.rotation import yaw_of
 
 DOUBT_S = 0.3  # below every failsafe for setpoints
 Guidance = Callable[[VehicleState], VelocitySetpoint]

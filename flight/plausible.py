@@ -16,7 +16,7 @@ from drivers.rig.parts import PartSpec, Rig, RoleRig, decode_part
 from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
 from flight.harness.relay import RelayConfig
-from flight.viewpoint import NoViewpoint, ViewpointScene, plan_viewpoint
+from flight.rendezvous.viewpoint import NoViewpoint, ViewpointScene, plan_viewpoint
 from path.messages import Role
 
 FAST_MPS = 1.0

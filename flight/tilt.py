@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flight.guidance import Vec3, add, from_heading, limit, scale, subtract
-from path.geometry import Matrix
+from path.geometry.transforms import Matrix
 
 _SHARE = 0.03  # of each frame
 _FARTHEST_M = 1.0

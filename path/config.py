@@ -14,7 +14,7 @@ TargetError = Literal["point", "ray"]
 
 @dataclass(frozen=True, slots=True)
 class EvidenceConfig:
-    """Settings of the gate "evidence" (``path.evidence``, which says what they mean and what they promise).
+    """Settings of the gate "evidence" (``path.gate.evidence``, which says what they mean and what they promise).
 
     Attributes:
         alpha: bound on the probability that one attempt is accepted although the boxes show different things, for what
@@ -35,7 +35,7 @@ class EvidenceConfig:
         apart_m, swap: D1 itself may have gone over to an object that is nearer to the target than that in its image, in
             so many of the hand-overs with one.
         span_m, height_m: of the target: no box is of it alone that is larger than an upright cylinder of this diameter
-            and height (``path.size``); 0 when its size is not known.
+            and height (``path.target.size``); 0 when its size is not known.
         size_sigmas, size_sigma, growth_sigma: a pair disagrees when a box is more than so many standard deviations
             larger than the target can be; the standard deviation of a box's size against such a cylinder's, and of what
             a box grows by within ``SETTLE_S``, both of its logarithm and besides noise of box and range.
@@ -85,7 +85,7 @@ class MethodConfig:
         tau_min, tau_max: IoU needed far away and at ``z0_m`` or nearer (eq. adaptive_threshold).
         z0_m: reference viewing distance (eq. scale_factor).
         gate: what decides that the views have agreed for long enough: all of the last ``hold_frames`` pairs, as the
-            paper has it ("count"), or the strength of the agreement as well ("evidence", ``path.evidence``).
+            paper has it ("count"), or the strength of the agreement as well ("evidence", ``path.gate.evidence``).
         hold_frames, hold_s: of the gate "count": distinct fresh agreeing frame pairs, and the time from the first
             to the last of them on capture stamps; both are needed.
         max_gap_s: longest time between two consecutive agreeing pairs; a longer one restarts the count.

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from path.camera import CameraModel
-from path.geometry import Pose, Vector
-from path.rotation import exp
+from path.camera.model import CameraModel
+from path.geometry.rotation import exp
+from path.geometry.transforms import Pose, Vector
 
 Array = NDArray[np.float64]
 

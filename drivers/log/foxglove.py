@@ -52,7 +52,7 @@ from foxglove.messages import Log as Line
 from numpy.typing import NDArray
 
 from drivers.log.topics import blank
-from path.rotation import quat_from_R
+from path.geometry.rotation import quat_from_R
 
 Record = Mapping[str, Any]
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 
 Schema = dict[str, Any]
 
@@ -321,7 +321,7 @@ TOPICS: dict[str, Topic] = {
             "q_n_c": _numbers("camera to north-east-down as reported, quaternion wxyz"),
             "q_n_v": _numbers("marker's frame to north-east-down as reported, quaternion wxyz"),
             "T_c_v": _numbers("the marker's pose in the camera: three rows of its matrix, one after another, m"),
-            "covariance": _numbers("of that pose, 6 x 6 by rows; convention of path.prior"),
+            "covariance": _numbers("of that pose, 6 x 6 by rows; convention of path.cycle.prior"),
         },
     ),
     "/candidate": Topic(

@@ -15,9 +15,9 @@ from drivers.interfaces import FlightMode
 from drivers.link.key import signing_key
 from drivers.link.udp import address_of
 from drivers.mavlink.geodesy import LocalTangent
-from drivers.mavlink.guard_interfaces import GuardView
+from drivers.mavlink.guard.interfaces import GuardView
 from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS, PX4, SAFETY_ARMED, AutopilotKind, powered
-from drivers.mavlink.port import URL, MavlinkPort
+from drivers.mavlink.transport.port import URL, MavlinkPort
 from drivers.rig.parts import PartContext
 from path.bounds import Bounds
 
@@ -76,7 +76,7 @@ class GuardMavlinkConfig:
 
 
 class GuardMavlink:
-    """A ``drivers.mavlink.guard_interfaces.Watched``. A command is one packet a call, never repeated here."""
+    """A ``drivers.mavlink.guard.interfaces.Watched``. A command is one packet a call, never repeated here."""
 
     Config = GuardMavlinkConfig
 

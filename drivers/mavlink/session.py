@@ -25,11 +25,11 @@ from mavsdk.plugins.telemetry import Telemetry as TelemetryPlugin
 
 from drivers.interfaces import LinkError, VehicleError
 from drivers.link.key import signing_key
-from drivers.mavlink.mavsdk_line import MavsdkLine, needs_line
 from drivers.mavlink.modes import KINDS, AutopilotKind
-from drivers.mavlink.parameters import ParameterAccess
-from drivers.mavlink.port_lock import PortLock
+from drivers.mavlink.preflight.parameters import ParameterAccess
 from drivers.mavlink.telemetry import AUTOPILOT_COMPONENT, TelemetrySlots
+from drivers.mavlink.transport.mavsdk_line import MavsdkLine, needs_line
+from drivers.mavlink.transport.port_lock import PortLock
 
 POLL_S = 0.01
 LONGEST_POLL_S = 0.1  # a longer one is a program that stood still

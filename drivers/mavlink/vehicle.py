@@ -12,15 +12,15 @@ from types import TracebackType
 from typing import Annotated, Literal, Self
 
 from drivers.interfaces import SURE, FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
-from drivers.mavlink.before_arming import BeforeArming, access_of
 from drivers.mavlink.geodesy import LocalTangent
-from drivers.mavlink.geofence import FencePlan, Geofence
 from drivers.mavlink.modes import ARDUPILOT, CUSTOM_MODE_ENABLED, PX4, AutopilotKind
-from drivers.mavlink.parameters import Difference, ParameterAccess, differences
-from drivers.mavlink.pilot_rules import silenced
-from drivers.mavlink.port import URL
+from drivers.mavlink.preflight.before_arming import BeforeArming, access_of
+from drivers.mavlink.preflight.geofence import FencePlan, Geofence
+from drivers.mavlink.preflight.parameters import Difference, ParameterAccess, differences
+from drivers.mavlink.preflight.pilot_rules import silenced
 from drivers.mavlink.session import ACCEPTED, ARM_DISARM, RESULTS, MavsdkSession, SessionConfig
 from drivers.mavlink.telemetry import TelemetrySlots
+from drivers.mavlink.transport.port import URL
 from drivers.mavlink.vision import VisionConfig, VisionFeed
 from drivers.rig.part_check import Finding, counted
 from drivers.rig.parts import PartContext

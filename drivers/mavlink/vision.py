@@ -15,8 +15,8 @@ from drivers.mavlink.session import MavsdkSession
 from drivers.mavlink.telemetry import TelemetrySlots
 from drivers.rig.parts import Origin, PartContext, PartSpec, create
 from path.bounds import Bounds
+from path.geometry.rotation import R_from_quat
 from path.messages import Vec3
-from path.rotation import R_from_quat
 
 READ_S = 1.0
 REST_S, REST_MPS = 3.0, 0.2  # for so long the estimator has to stand still

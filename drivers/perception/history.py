@@ -6,8 +6,8 @@ import threading
 from bisect import bisect_left
 
 from drivers.interfaces import VehicleError
+from path.geometry.rotation import slerp
 from path.messages import Quat
-from path.rotation import slerp
 
 
 class StateHistory:

@@ -19,16 +19,16 @@ from drivers.perception.freshness import Freshness
 from drivers.rig.calibration_file import check_serial, check_size
 from drivers.rig.part_check import Finding, examined, rate_of
 from drivers.rig.parts import PartContext, PartSpec, create
-from path.agreement import iou
 from path.bounds import Bounds
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry import Pose
+from path.gate.agreement import iou
+from path.geometry.transforms import Pose
 from path.marker.detect import detect_markers
 from path.marker.layout import MarkerLayout
-from path.monocular import TargetSize, monocular_range
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
-from path.target import depth_sigma, registered_depth
+from path.target.monocular import TargetSize, monocular_range
+from path.target.place import depth_sigma, registered_depth
 
 Corners = Literal["photometric", "subpix"]
 Ranging = Callable[[Box], Depth | None]
@@ -202,7 +202,7 @@ class PixelView:
         )  # fmt: skip
 
     def depth(self, box: Box) -> Depth | None:
-        """Robust depth over a box (``path.target.registered_depth``); without a depth stream, by the target's size."""
+        """Robust depth over a box (``path.target.place``); without a depth stream, by the target's size."""
         depth_mm = self._frame.depth_mm
         if depth_mm is not None:
             return registered_depth(depth_mm, box, self._method)

@@ -22,7 +22,7 @@ from drivers.rig.part_check import Finding
 from drivers.rig.parts import PartContext, PartSpec, create
 from drivers.wake import wake
 from path.bounds import Bounds
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 
 CLOSE_S = 5.0
 WARM_UP_S = 300.0  # to compile what the first frame needs, where nobody has yet

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from drivers.interfaces import CameraError
 from drivers.perception.stamp_clock import Domain
 from drivers.realsense.library_import import import_realsense
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 
 Kind = Literal["color", "depth"]
 Filter = Literal["spatial", "temporal", "hole_filling"]

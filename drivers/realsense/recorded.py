@@ -31,8 +31,8 @@ from drivers.realsense.library import (
 )
 from drivers.realsense.library_import import import_realsense
 from drivers.realsense.stream import Pairing, Taken
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 
 READ = {("depth", "z16"): "depth", ("color", "bgr8"): "color", ("color", "rgb8"): "color"}
 WAITING = 8

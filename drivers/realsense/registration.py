@@ -13,9 +13,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.compiled import inner, kernel
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 
 NOTHING = 65535  # while the nearest is sought; 0 when done
 F, INT = np.float32, np.int32

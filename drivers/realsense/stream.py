@@ -30,7 +30,7 @@ from drivers.realsense.library import (
 )
 from drivers.realsense.registration import DepthRegistration, warm_up
 from drivers.realsense.sources import DeviceSource
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 
 POLL_S = 0.1  # how soon the thread sees that it should end
 PLAYBACK_AGE_NS = 50_000_000  # of a recording's frames when they come

@@ -15,7 +15,7 @@ from drivers.recordings.recording import Loaded, RecordedFrame, Recording, Recor
 from drivers.rig.calibration_file import check_size
 from drivers.rig.parts import PartContext
 from path.bounds import Bounds
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 
 LOOP_GAP_NS = 33_000_000  # from the last frame to the first one again, where there is only one
 

@@ -19,9 +19,9 @@ from drivers.interfaces import CameraError
 from drivers.rig.tables import RigError, decode_table, read_toml
 from drivers.rig.toml_text import toml_text
 from path.bounds import Bounds
-from path.camera import CameraModel, Nine
-from path.geometry import Pose
-from path.rotation import R_from_quat, normalized, quat_from_R
+from path.camera.model import CameraModel, Nine
+from path.geometry.rotation import R_from_quat, normalized, quat_from_R
+from path.geometry.transforms import Pose
 
 VERSION = 1
 CAMERA_REMEDY = "make it again with `path-handoff calibrate camera`"

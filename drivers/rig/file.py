@@ -42,9 +42,9 @@ from drivers.rig.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, 
 from drivers.rig.parts import Level, Mount, Origin, PartSpec, Reference, Rig, RoleRig
 from drivers.rig.tables import RigError, decode_table, read_toml, suggestion
 from path.bounds import Bounds
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout
 
 _WHOLE = frozenset(("factory", "calibration"))

@@ -16,7 +16,7 @@ import numpy as np
 from drivers.rig.calibration_file import CalibrationError, MountCalibration, read_mount
 from drivers.rig.tables import RigError, decode_table
 from path.bounds import Bounds
-from path.geometry import Matrix, Pose
+from path.geometry.transforms import Matrix, Pose
 
 Vec3 = tuple[float, float, float]
 

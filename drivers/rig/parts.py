@@ -17,9 +17,9 @@ from drivers.beacons.log import Mounted
 from drivers.interfaces import Clock
 from drivers.rig.tables import RigError, decode_table, suggestion
 from path.bounds import Bounds
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role
 

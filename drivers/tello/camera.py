@@ -27,7 +27,7 @@ from drivers.tello.address import TelloAddress
 from drivers.tello.commands import TelloLink, link_to, said
 from drivers.wake import wake
 from path.bounds import Bounds
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 
 FPS_NAMES: dict[int, str] = {30: "high", 15: "middle", 5: "low"}
 PROBE_S = 12.0  # for djitellopy to recognise the stream, which takes some 40 frames; its own 5 s are too few at 5 Hz

@@ -20,8 +20,8 @@ from drivers.tello.commands import TelloLink, link_to, said
 from drivers.tello.config import TelloVehicleConfig
 from drivers.tello.state import DeadReckoning, Placement, TelloReport, quaternion
 from drivers.tello.words import CENTRE, refused, sticks
+from path.geometry.rotation import wrapped
 from path.messages import Vec3
-from path.rotation import wrapped
 
 POLL_S = 0.02
 RC_PERIOD_S = 0.05

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from drivers.interfaces import Log, RecordStore
-from drivers.mavlink.guard_interfaces import GuardLine
+from drivers.mavlink.guard.interfaces import GuardLine
 from drivers.rig.parts import Rig
 from flight.outcome import Outcome
 from path.messages import Role

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.rig.parts import Rig
-from path.agreement import threshold
 from path.config import MethodConfig
-from path.evidence import strength
-from path.window import FramePair, Gate, Offsets
+from path.gate.agreement import threshold
+from path.gate.evidence import strength
+from path.gate.window import FramePair, Gate, Offsets
 
 FaultName = Literal[
     "none",

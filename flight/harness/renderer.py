@@ -15,8 +15,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role, Vec3
 

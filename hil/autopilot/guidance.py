@@ -10,8 +10,8 @@ from enum import Enum
 
 from drivers.interfaces import FlightMode
 from hil.autopilot.values import AutopilotConfig, Estimate
+from path.geometry.rotation import yaw_of
 from path.messages import Vec3
-from path.rotation import yaw_of
 
 STOP_S = 0.4  # a drone told to hold comes to rest this much further along its velocity
 HOLD_MPS = 1.0

@@ -27,8 +27,8 @@ from drivers.rig.tables import RigError, decode_table
 from hil.beacons.system import BeaconConfig, BeaconFrame, BeaconSystem, ByteChunk, truth_of
 from hil.camera.shared import RUN_VARIABLE
 from hil.world.snapshot import Snapshot
+from path.geometry.rotation import R_from_rpy
 from path.messages import Role, Vec3
-from path.rotation import R_from_rpy
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from drivers.beacons.log import BeaconTruth, Mounted
 from drivers.log.mcap_log import read_log
 from hil.beacons import marvelmind_bytes as sent
+from path.geometry.rotation import R_from_quat, R_from_rpy, normalized
 from path.messages import Vec3
-from path.rotation import R_from_quat, R_from_rpy, normalized
 
 Array = NDArray[np.float64]
 

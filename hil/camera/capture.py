@@ -18,8 +18,8 @@ from drivers.rig.parts import PartContext
 from hil.world.errors import Built, SensorErrors, StampErrors
 from hil.world.scenes import SceneName, scene_of
 from hil.world.snapshot import Snapshot
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from path.camera import CameraModel
-from path.geometry import Pose
-from path.rotation import exp
+from path.camera.model import CameraModel
+from path.geometry.rotation import exp
+from path.geometry.transforms import Pose
 
 DEPTH_FOCAL = 910.0 / 720.0  # of the image's height
 CENTRE_OFFSET_PX = (-3.4, 1.7)  # of the principal point from the image's centre, at a height of 720 px

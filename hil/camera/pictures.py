@@ -27,8 +27,8 @@ from hil.render.prints import marker_print
 from hil.render.renderer import Renderer
 from hil.render.scene import ROTOR, Model, car, drone, marked_drone, printed_board
 from hil.render.sensor import SensorNoise, mixed
-from path.geometry import Pose
-from path.marker.texture import cells
+from path.geometry.transforms import Pose
+from path.marker.photometric.texture import cells
 from path.messages import Role
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from hil.render.renderer import Renderer
 from hil.render.sensor import SensorNoise
 from hil.world.snapshot import Snapshot
 from path.bounds import Bounds
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 
 _Image = tuple[NDArray[np.uint8], NDArray[np.uint16]]
 

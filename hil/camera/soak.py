@@ -27,8 +27,8 @@ from drivers.realsense.stream import StreamCounters
 from drivers.rig.parts import Mount, Origin, PartContext, PartSpec
 from hil.camera.d415 import T_COLOR_DEPTH, depth_camera
 from hil.camera.software_device import SoftwareDevice
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 

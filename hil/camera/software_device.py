@@ -13,8 +13,8 @@ from drivers.clock import wall_offset_ns
 from drivers.perception.stamp_clock import WRAP_NS, Domain
 from drivers.realsense.library import FORMATS, Kind
 from drivers.realsense.library_import import import_realsense
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 
 BYTES: dict[Kind, int] = {"color": 3, "depth": 2}
 SENSORS: dict[Kind, str] = {"depth": "Stereo Module", "color": "RGB Camera"}

@@ -23,15 +23,15 @@ from hil.geometric.targets import CONTACT, DEPTH_CELLS, SHARE
 from hil.render.renderer import Renderer
 from hil.world.kinds import TargetKind
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
-from path.agreement import iou
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry import Pose
+from path.gate.agreement import iou
+from path.geometry.rotation import R_from_rpy
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box, MarkerDetection, Region
-from path.rotation import R_from_rpy
-from path.target import MEDIAN_TO_MEAN
+from path.target.place import MEDIAN_TO_MEAN
 
 NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 SLANT = math.sqrt(0.5)

@@ -30,9 +30,9 @@ from hil.world.detector import PERFECT
 from hil.world.errors import SensorErrors
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.bounds import Bounds
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 from path.marker.detect import DETECTION_PIXELS
 from path.marker.layout import single_marker
 from path.messages import Role
@@ -239,7 +239,7 @@ class GeometricView:
         return detected
 
     def depth(self, box: Box) -> Depth | None:
-        """Returns the depth that ``path.target.registered_depth`` would make of the depth image."""
+        """Returns the depth that ``path.target.place.registered_depth`` would make of the depth image."""
         sensor, placed = self._sensor, self._placed_for_depth
         setup, errors = sensor.setup, sensor.errors
         key = fold(fold(self._key(DEPTH), int(16.0 * box.x)), int(16.0 * box.y))

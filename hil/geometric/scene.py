@@ -13,9 +13,9 @@ from hil.render.kinds import BOXES
 from hil.render.scene import SOLID, Model, drone, marked_drone
 from hil.world.kinds import TargetKind
 from hil.world.snapshot import Snapshot
-from path.camera import CameraModel
-from path.camera_kernels import lens_of
-from path.geometry import Pose
+from path.camera.kernels import lens_of
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from hil.geometric.kernels import fold
 from hil.world.detector import DetectorConfig
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.observations import Box, Detection
 
 LONG_AGO = 500  # frames after which a spell is drawn anew

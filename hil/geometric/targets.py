@@ -23,7 +23,7 @@ from hil.geometric.kernels import (
     uniform,
 )
 from path.compiled import inner, kernel
-from path.target import CORRELATED_PIXELS, MAD_TO_SIGMA, MEDIAN_TO_MEAN, OUTLIER_SIGMAS
+from path.target.place import CORRELATED_PIXELS, MAD_TO_SIGMA, MEDIAN_TO_MEAN, OUTLIER_SIGMAS
 
 
 class TargetNoise(NamedTuple):
@@ -290,7 +290,7 @@ def _median(values, count):
 
 @kernel
 def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, noise, key):
-    """Returns a registered depth camera's value over the middle of a box: ``path.target.registered_depth`` on rays.
+    """Returns a registered depth camera's value over the middle of a box, as ``path.target.place`` has it, on rays.
 
     Args:
         hidden: nothing is measured on cars.

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from drivers.interfaces import Kept
 from drivers.log.state_file import MemoryStore
-from drivers.mavlink.guard_interfaces import GuardLine
+from drivers.mavlink.guard.interfaces import GuardLine
 from hil.camera.capture import Freeze
 from hil.harness.guard import MemoryBeatLine
 from hil.link.faulty import MemoryHub

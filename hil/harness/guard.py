@@ -8,10 +8,10 @@ from types import TracebackType
 from typing import Protocol, Self, cast
 
 from drivers.interfaces import Clock, FlightMode, Log, VehicleError
-from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, GuardView, Watched
+from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, GuardView, Watched
 from drivers.rig.parts import PartContext, PartSpec, create
 from flight.config import MissionConfig
-from flight.guard_watch import GuardWatch, watch
+from flight.guard.watch import GuardWatch, watch
 from hil.world.world import SimDrone
 from path.messages import Role
 
@@ -43,7 +43,7 @@ class SimGuardConfig:
 
 
 class SimGuard:
-    """A ``drivers.mavlink.guard_interfaces.Watched`` on a drone of ``hil.world.world``."""
+    """A ``drivers.mavlink.guard.interfaces.Watched`` on a drone of ``hil.world.world``."""
 
     Config = SimGuardConfig
 

@@ -21,7 +21,7 @@ from hil.harness.realtime.run import Ending, RealTimeRun
 from hil.harness.realtime.world import world_command
 from hil.harness.sim import LEG, mission_config
 from hil.monitors.monitors import Monitors
-from hil.vehicle.simulator_process import binary_of
+from hil.vehicle.simulators.process import binary_of
 from hil.world.check import check_world
 from hil.world.errors import reported
 from hil.world.faults import Fault, FaultError, parse_faults

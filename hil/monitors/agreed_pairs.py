@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.config import MethodConfig
-from path.identity import REACH_M
+from path.gate.identity import REACH_M
 
 ROUNDING = 1e-9
 

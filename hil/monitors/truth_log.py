@@ -12,9 +12,9 @@ from drivers.rig.parts import Rig, RoleRig
 from hil.render.kinds import BOXES
 from hil.world.kinds import TargetKind
 from hil.world.world import World
-from path.geometry import Pose
+from path.geometry.rotation import quat_from_R
+from path.geometry.transforms import Pose
 from path.messages import Role
-from path.rotation import quat_from_R
 
 
 class TruthLog:

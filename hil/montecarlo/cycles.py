@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.rig.parts import Mount
 from flight.harness.montecarlo import MISS, OWN_MISS, PAIR, Attempt, Series
-from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
+from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
 from hil.montecarlo.perception import (
     CLAIMED,
     FOUND,
@@ -37,18 +37,18 @@ from hil.montecarlo.setup import (
     SENDER_FRAME,
     HandoverSetup,
 )
-from path.agreement import TwoViews, depth_in, iou, map_box
 from path.config import BoxMapping, MethodConfig
-from path.geometry import Pose
+from path.cycle.prior import Prior
+from path.cycle.receiver import ReceiverCycle
+from path.cycle.sender import PairVerdict, SenderCycle
+from path.gate.agreement import TwoViews, depth_in, iou, map_box
+from path.gate.window import AgreementWindow, Offsets
+from path.geometry.rigid import rigid, rigid_from_quat
+from path.geometry.rotation import normalized
+from path.geometry.transforms import Pose
 from path.messages import Candidate, Target, Vec3
 from path.observations import Box, Depth, Detection, MarkerDetection, MissReason, Region
-from path.prior import Prior
-from path.receiver import ReceiverCycle
-from path.rigid import rigid, rigid_from_quat
-from path.rivals import Rival
-from path.rotation import normalized
-from path.sender import PairVerdict, SenderCycle
-from path.window import AgreementWindow, Offsets
+from path.target.rivals import Rival
 
 Array = NDArray[np.float64]
 EYE8 = np.eye(8)

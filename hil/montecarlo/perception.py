@@ -1,6 +1,6 @@
 """The detections of both cameras, frame by frame: the kernels of the geometric perception in loops, and D1's follower.
 
-The same kernels, noise and rules as ``hil.geometric.perception`` and ``flight.tracking.follow``.
+The same kernels, noise and rules as ``hil.geometric.perception`` and ``flight.tracking.association.follow``.
 """
 
 # pyright: reportMissingParameterType=false
@@ -12,7 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flight.target_track import (
+from flight.tracking.association import (
+    _AMBIGUITY,
+    _DEPTH_FLOOR_M,
+    _DEPTH_SIGMAS,
+    _MIN_DESCENT,
+    _RIVAL_REACH_M,
+    _UNSEEN_S,
+    MIN_SCORE,
+)
+from flight.tracking.target_track import (
     _ACCELERATION_SIGMA_MPS2,
     _GATE_FLOOR_M,
     _GATE_LEAST_M,
@@ -21,15 +30,6 @@ from flight.target_track import (
     _RIVAL_S,
     _RIVAL_SHARE,
     _UNSEEN_REACH_M,
-)
-from flight.tracking import (
-    _AMBIGUITY,
-    _DEPTH_FLOOR_M,
-    _DEPTH_SIGMAS,
-    _MIN_DESCENT,
-    _RIVAL_REACH_M,
-    _UNSEEN_S,
-    MIN_SCORE,
 )
 from hil.geometric.kernels import BOX_COLUMNS, EXTENT_COLUMNS, FRAME_COLUMNS, distorted, fold, place
 from hil.geometric.markers import LARGEST_SCALE, MarkerNoise, marker

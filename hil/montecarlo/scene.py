@@ -15,14 +15,14 @@ from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from flight.config import MissionConfig
 from flight.harness.montecarlo import Attempt, FaultName
-from flight.viewpoint import Viewpoint, ViewpointScene, plan_viewpoint
+from flight.rendezvous.viewpoint import Viewpoint, ViewpointScene, plan_viewpoint
 from hil.geometric.noise import ObservationNoise
 from hil.geometric.targets import TargetNoise
 from hil.montecarlo.faults import HandoverFaults, direction, draw_faults
 from hil.world.errors import level_of, other_lens, other_mount, sizes_of
-from path.camera import CameraModel
-from path.geometry import Pose
-from path.rotation import exp
+from path.camera.model import CameraModel
+from path.geometry.rotation import exp
+from path.geometry.transforms import Pose
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator

@@ -36,9 +36,9 @@ from hil.montecarlo.perception import (
     with_lapses,
 )
 from hil.montecarlo.scene import TARGET_HEIGHT_M, Believed, Drawn, draw
-from path.camera import CameraModel
-from path.camera_kernels import lens_of
-from path.geometry import Pose
+from path.camera.kernels import lens_of
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.render.scene import Model
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from hil.render import kernels, sensor
 from hil.render.ground import ground_depth, ground_plane
 from hil.render.renderer import SUN_W, Renderer, lens_of, sense_depth, set_up
 from hil.world.snapshot import Snapshot
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.messages import Role
 
 

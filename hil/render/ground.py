@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hil.render.textures import GROUND_BITS, GROUND_LEVELS, GROUND_PERIOD_M, GROUND_SIZE
 from path.compiled import inner, kernel
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 
 F, INT = np.float32, np.int32
 ZERO, HALF, ONE = F(0.0), F(0.5), F(1.0)

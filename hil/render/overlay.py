@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from hil.render.bodies import Body
 from hil.render.looks import Look
 from hil.render.scene import ROTOR
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 
 Array = NDArray[np.float64]
 Planes = NDArray[np.uint8]

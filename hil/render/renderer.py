@@ -22,8 +22,8 @@ from hil.render.sensor import SensorNoise
 from hil.render.textures import ground_pyramid
 from hil.world.scenes import SceneName
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout, single_marker
 from path.messages import Role
 

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
-from path.marker.texture import cells as marker_cells
+from path.marker.photometric.texture import cells as marker_cells
 
 Array = NDArray[np.float64]
 Color = tuple[float, float, float]  # BGR under full light

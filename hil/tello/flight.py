@@ -9,7 +9,7 @@ from hil.autopilot.values import OffboardSession
 from hil.tello.moves import TelloMove, move_of
 from hil.tello.sensors import TelloSensors
 from hil.world.world import SimDrone
-from path.rotation import wrapped, yaw_of
+from path.geometry.rotation import wrapped, yaw_of
 
 HOVER_M = 0.8  # where an automatic take-off ends
 SILENCE_S = 15.0  # without a command for longer it lands

@@ -9,8 +9,8 @@ import numpy as np
 
 from hil.autopilot.guidance import toward
 from hil.autopilot.values import Estimate
+from path.geometry.rotation import wrapped, yaw_of
 from path.messages import Vec3
-from path.rotation import wrapped, yaw_of
 
 AXES: dict[str, Vec3] = {  # forward, right, down
     "up": (0.0, 0.0, -1.0), "down": (0.0, 0.0, 1.0), "left": (0.0, -1.0, 0.0), "right": (0.0, 1.0, 0.0),

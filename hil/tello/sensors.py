@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from hil.world.world import SimDrone
-from path.rotation import wrapped
+from path.geometry.rotation import wrapped
 
 STANDING_CM = 10  # what the rangefinder says on the ground
 BARO_M = 150.0  # above the sea, of the ground

@@ -20,10 +20,10 @@ from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.modes import KINDS, SAFETY_ARMED
 from drivers.rig.parts import PartSpec, Rig, create, part_context
 from drivers.rig.tables import decode_table
-from hil.vehicle.followed_world import SimulatedVehicle
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.vehicle.relay import AUTOPILOT, MavlinkRelay
-from hil.vehicle.simulator_process import SimulatorBroken
+from hil.vehicle.simulators.followed_world import SimulatedVehicle
+from hil.vehicle.simulators.process import SimulatorBroken
+from hil.vehicle.simulators.relay import AUTOPILOT, MavlinkRelay
 from hil.world.dynamics import ATTITUDE, POSITION, VELOCITY
 from hil.world.world import World, WorldConfig
 from path.messages import Quat, Role, Vec3

@@ -21,14 +21,14 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from drivers.mavlink.frames import take_frames
 from drivers.mavlink.geodesy import LocalTangent
+from drivers.mavlink.transport.frames import take_frames
 from drivers.rig.file import load_rig
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from hil.beacons.pty import SerialCable
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.vehicle.simulator_wire import SERIAL
+from hil.vehicle.simulators.wire import SERIAL
 from hil.world.world import SimDrone, World, WorldConfig
 from path.messages import Role
 

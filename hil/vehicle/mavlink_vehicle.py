@@ -21,8 +21,8 @@ from hil.vehicle.answers import NOT_FOLLOWED, OLDER_REQUESTS, STICKS, answer, he
 from hil.vehicle.channel import Address, UdpChannel
 from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, FlightInstant, MavlinkDrone
 from hil.vehicle.parameters import Parameters
+from path.geometry.rotation import wrapped, yaw_of
 from path.messages import Vec3
-from path.rotation import wrapped, yaw_of
 
 ACCEPTED, DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
 UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED

@@ -12,8 +12,8 @@ from pymavlink.dialects.v20 import all as mavlink
 from drivers.interfaces import FlightMode
 from drivers.mavlink.geodesy import LocalTangent
 from hil.autopilot.autopilot import Autopilot, Estimate
+from path.geometry.rotation import rpy_from_quat, yaw_of
 from path.messages import Vec3
-from path.rotation import rpy_from_quat, yaw_of
 
 # px4_custom_mode.h: main mode in bits 16-23, sub mode in bits 24-31. A pilot's mode shows as POSCTL.
 AUTO, OFFBOARD = 4, 6

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.rig.parts import Mount, Rig, RoleRig
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.rotation import exp
+from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout
 from path.messages import Role
-from path.rotation import exp
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator

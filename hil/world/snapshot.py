@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.world.detector import PERFECT, DetectorConfig
 from hil.world.kinds import TargetKind
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 from path.messages import Role
 
 

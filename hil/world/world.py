@@ -38,7 +38,7 @@ from hil.world.scenes import SceneConfig
 from hil.world.snapshot import DroneTruth, Snapshot
 from hil.world.targets import GroundVehicles, LookAlikeConfig, Point, TargetConfig
 from path.bounds import Bounds
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 from path.messages import Quat, Role, Vec3
 
 STEP_HZ = 200

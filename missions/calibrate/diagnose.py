@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from path.calibration.board import Board, other_size
 from path.marker.layout import DICTIONARIES
-from path.marker.texture import dictionary_of
+from path.marker.photometric.texture import dictionary_of
 
 FAMILIES = (
     "DICT_4X4_1000",

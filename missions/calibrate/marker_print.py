@@ -8,7 +8,7 @@ from typing import TextIO
 from drivers.interfaces import PartError
 from missions.options.calibrate import CalibrateMarkerOptions
 from path.marker.layout import DICTIONARIES, QUIET_CELLS
-from path.marker.texture import cells
+from path.marker.photometric.texture import cells
 
 BORDER_CELLS = 1.5  # white around the outermost black frames; the outline is cut along
 RULER_MM, BELOW_MM = 50.0, 12.0

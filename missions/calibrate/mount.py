@@ -39,8 +39,8 @@ from path.bounds import Bounds
 from path.calibration.board import Board, find_board
 from path.calibration.intrinsics import NotSolvable
 from path.calibration.mount import MountPair, MountSolution, solve_mount
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.detect import detect_markers
 
 FEWEST_PAIRS = 5

@@ -7,14 +7,14 @@ from collections.abc import AsyncIterator
 from typing import Protocol
 
 from drivers.interfaces import Part
-from drivers.mavlink.guard_interfaces import GuardView
+from drivers.mavlink.guard.interfaces import GuardView
 from drivers.rig.part_check import Finding
 
 WAIT_S, POLL_S = 5.0, 0.01
 
 
 class Watching(Part, Protocol):
-    """The part of a ``drivers.mavlink.guard_interfaces.Watched`` that the test needs."""
+    """The part of a ``drivers.mavlink.guard.interfaces.Watched`` that the test needs."""
 
     @property
     def name(self) -> str: ...

@@ -26,13 +26,13 @@ from drivers.log.mcap_log import McapLog
 from drivers.perception.pixels import PixelView
 from drivers.realsense.registration import DepthRegistration
 from drivers.rig.parts import Rig, create, part_context
-from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
+from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
 from missions import rig_library
 from missions.doctor.parts import detector_of
 from missions.leg.journal import frame_record, heard_candidate_record, heard_target_record, marker_record, target_record
 from missions.rig_library import mission_of
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.messages import Candidate, Role, Target
 from path.observations import Box, MarkerDetection, Missed, Region
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import Capability, Clock, Detector, Perception, View, lacking
 from drivers.rig.part_check import Enough, Finding, examined, rate_finding, rate_of
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.marker.layout import MarkerLayout
 from path.observations import Box, MarkerDetection
 

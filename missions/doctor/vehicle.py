@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from drivers.interfaces import Clock, PartError, Vehicle, VehicleError, VehicleState
-from drivers.mavlink.geofence import FencePlan, Geofence
-from drivers.mavlink.parameters import Difference
+from drivers.mavlink.preflight.geofence import FencePlan, Geofence
+from drivers.mavlink.preflight.parameters import Difference
 from drivers.rig.part_check import Finding, examined
 from drivers.rig.parts import Rig, create, part_context
 from flight.config import MissionConfig

@@ -15,14 +15,14 @@ from pathlib import Path
 
 from drivers.interfaces import Log, PartError
 from drivers.log.mcap_log import McapLog
-from drivers.mavlink.guard_interfaces import Watched
-from drivers.mavlink.guard_line import UdpBeatLine
+from drivers.mavlink.guard.interfaces import Watched
+from drivers.mavlink.guard.line import UdpBeatLine
 from drivers.rig.parts import PartSpec, Rig, create, part_context
 from drivers.stop_signals import stop_at_end_of_input, stop_on_signals
 from flight.command_end import CommandEnd
 from flight.config import MissionConfig
-from flight.guard_rules import Act, GuardStage, GuardState
-from flight.guard_watch import GuardWatch, watch
+from flight.guard.rules import Act, GuardStage, GuardState
+from flight.guard.watch import GuardWatch, watch
 from missions import rig_library
 from missions.live.start import live
 from missions.options.field import GuardOptions

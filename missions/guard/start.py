@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from drivers.interfaces import PartError
-from drivers.mavlink.guard_line import is_taken
+from drivers.mavlink.guard.line import is_taken
 from drivers.rig.parts import Rig
 from missions import rig_library
 from path.messages import Role

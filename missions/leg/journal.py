@@ -12,20 +12,20 @@ from drivers.interfaces import View
 from drivers.log.topics import camera_record
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
-from flight.marker_view import MarkerFix, VehicleMotions
-from flight.tracking import Sighting
-from path.agreement import Agreed
-from path.camera import CameraModel
-from path.geometry import Matrix, Pose
-from path.identity import nearest_rival
+from flight.rendezvous.marker_view import MarkerFix, VehicleMotions
+from flight.tracking.association import Sighting
+from path.camera.model import CameraModel
+from path.cycle.prior import Prior
+from path.cycle.sender import PairVerdict
+from path.gate.agreement import Agreed
+from path.gate.identity import nearest_rival
+from path.gate.window import Evidence, Gate
+from path.geometry.rigid import transform_back
+from path.geometry.rotation import quat_from_R
+from path.geometry.transforms import Matrix, Pose
 from path.messages import Candidate, Role, Target
 from path.observations import Box, Depth, Detection, MarkerDetection, Missed, MissReason
-from path.prior import Prior
-from path.rigid import transform_back
-from path.rivals import Rival
-from path.rotation import quat_from_R
-from path.sender import PairVerdict
-from path.window import Evidence, Gate
+from path.target.rivals import Rival
 
 RIVAL_NUMBERS = 6
 

@@ -10,13 +10,13 @@ from contextlib import AsyncExitStack
 import cv2
 
 from drivers.interfaces import Clock, Link, Log, Perception, Vehicle
-from drivers.mavlink.guard_interfaces import GuardLine
-from drivers.mavlink.guard_line import UdpGuardLine
+from drivers.mavlink.guard.interfaces import GuardLine
+from drivers.mavlink.guard.line import UdpGuardLine
 from drivers.rig.parts import PartSpec, Rig, create, part_context
 from drivers.stages import Stages
 from flight.config import MissionConfig
+from flight.guard.under_guard import UnderGuard
 from flight.harness.flights import Emit, InProcess
-from flight.under_guard import UnderGuard
 from missions.leg.session import RoleSession
 from path.marker.warm_up import warm_up
 from path.messages import Role

@@ -10,15 +10,15 @@ from typing import Any
 from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
 from flight.camera_pose import CameraPose, gravity_in
 from flight.config import MissionConfig
-from flight.guard import check_separation
+from flight.guard.limits import check_separation
 from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, norm, subtract
-from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
-from flight.rendezvous import Rendezvous
-from flight.target_track import TargetTrack
-from flight.tracking import follow, place
-from flight.viewpoint import NoViewpoint
+from flight.rendezvous.course import Rendezvous
+from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
+from flight.rendezvous.viewpoint import NoViewpoint
+from flight.tracking.association import follow, place
+from flight.tracking.target_track import TargetTrack
 from missions.leg.handover import ReceiverHandover
 from missions.leg.journal import (
     attempt_record,
@@ -32,14 +32,14 @@ from missions.leg.journal import (
 )
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, preflight, take_off
-from path.geometry import Matrix, Pose
+from path.cycle.prior import Prior
+from path.cycle.receiver import ReceiverCycle
+from path.geometry.rigid import inverse_as_quat, rigid
+from path.geometry.rotation import yaw_of
+from path.geometry.transforms import Matrix, Pose
 from path.messages import Candidate, Status, Target
 from path.observations import Depth, Missed
-from path.prior import Prior
 from path.protocol.values import Handoff
-from path.receiver import ReceiverCycle
-from path.rigid import inverse_as_quat, rigid
-from path.rotation import yaw_of
 
 _FIXES_TO_APPROACH = 5
 _ARRIVED_S = 0.6

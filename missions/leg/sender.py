@@ -7,15 +7,15 @@ import math
 from dataclasses import replace
 
 from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
-from flight.acquisition import Acquisition
 from flight.camera_pose import CameraPose
 from flight.config import Designated, MissionConfig
 from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
-from flight.target_track import TargetTrack
 from flight.tilt import Tilt
-from flight.tracking import Sighting, follow
+from flight.tracking.acquisition import Acquisition
+from flight.tracking.association import Sighting, follow
+from flight.tracking.target_track import TargetTrack
 from missions.leg.handover import SenderHandover
 from missions.leg.journal import (
     agreement_record,
@@ -29,12 +29,12 @@ from missions.leg.journal import (
 )
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, preflight, take_off
-from path.geometry import Matrix
+from path.cycle.sender import PairVerdict, SenderCycle
+from path.gate.window import Gate
+from path.geometry.rotation import yaw_of
+from path.geometry.transforms import Matrix
 from path.messages import Candidate, Target
 from path.observations import Missed, MissReason
-from path.rotation import yaw_of
-from path.sender import PairVerdict, SenderCycle
-from path.window import Gate
 
 _PEER_POLL_S = 0.25
 _WIDER = 1.4  # times the distance, to see it again

@@ -19,24 +19,24 @@ from drivers.interfaces import (
     Vehicle,
     Wary,
 )
-from drivers.mavlink.guard_interfaces import NOWHERE, Beat, Script
+from drivers.mavlink.guard.interfaces import NOWHERE, Beat, Script
 from drivers.rig.parts import Rig, RoleRig
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, answer
 from flight.config import MissionConfig
+from flight.guard.under_guard import UnderGuard
 from flight.harness.flights import Emit, Progress
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
 from flight.shedding import BEAT_S
-from flight.under_guard import UnderGuard
 from missions.leg.ends import as_end
 from missions.leg.frames import Frames
 from missions.leg.link_alarm import LinkAlarm
+from path.gate.window import Evidence
+from path.geometry.rotation import yaw_of
 from path.messages import Ping, Pong, Role, Status
 from path.protocol.values import TakeResponsibility
-from path.rotation import yaw_of
-from path.window import Evidence
 
 _NO_STAGE = nullcontext()
 _POLL_S = 0.05

@@ -5,14 +5,14 @@ from __future__ import annotations
 import asyncio
 
 from drivers.interfaces import SURE, Capability, FlightMode, TakenOver, VehicleError, VehicleState, lacking
-from drivers.mavlink.geofence import Geofence
-from drivers.mavlink.guard_interfaces import Script
-from flight.guard import in_doubt
+from drivers.mavlink.guard.interfaces import Script
+from drivers.mavlink.preflight.geofence import Geofence
+from flight.guard.limits import in_doubt
+from flight.guard.under_guard import UnderGuard
 from flight.guidance import Anchor, norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import DOUBT_S
-from flight.under_guard import UnderGuard
 from missions.leg.session import RoleSession
 from path.messages import Role
 

@@ -24,8 +24,8 @@ from missions.logs.recording import export_recording
 from missions.options.runs import ExportOptions
 from missions.report.records import WORLD_LOG, RunRecords, drone_logs, load_run, read_parts
 from missions.report.truth import Truth, truth_of
+from path.geometry.rotation import quat_from_R
 from path.messages import Role
-from path.rotation import quat_from_R
 
 Row = tuple[int, Sequence[float], Sequence[float]]
 """UTC in ns, position, quaternion wxyz."""

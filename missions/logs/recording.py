@@ -32,7 +32,7 @@ from drivers.rig.calibration_file import (
     write_calibration,
 )
 from missions.options.runs import ExportOptions
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 
 STAMPS = "stamps.csv"
 FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)

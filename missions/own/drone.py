@@ -14,15 +14,15 @@ from flight.guidance import Anchor, Vec3, norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Guidance
-from flight.tracking import MIN_SCORE, place
+from flight.tracking.association import MIN_SCORE, place
 from missions.leg.journal import frame_record
 from missions.leg.session import RoleSession
 from missions.leg.steps import take_off
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.rotation import yaw_of
+from path.geometry.transforms import Pose
 from path.messages import Message, Status
 from path.observations import Box
-from path.rotation import yaw_of
 
 _CLIMB_GAIN_PER_S = 0.8
 

@@ -20,8 +20,8 @@ from missions.leg.steps import bring_down, preflight
 from missions.own.drone import Drone
 from missions.own.load import Mission
 from missions.rig_library import mission_of
+from path.geometry.rotation import yaw_of
 from path.messages import Role
-from path.rotation import yaw_of
 
 
 @dataclass(frozen=True, slots=True)

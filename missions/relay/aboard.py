@@ -19,14 +19,14 @@ from drivers.interfaces import (
 )
 from drivers.rig.parts import PartContext, Rig, create, part_context
 from flight.config import MissionConfig
+from flight.guard.under_guard import UnderGuard
 from flight.guidance import Anchor, Vec3
 from flight.harness.flights import Emit, InProcess
 from flight.harness.relay import NamedDrone, RelayConfig, pair_of
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
-from flight.target_track import TargetTrack
-from flight.under_guard import UnderGuard
+from flight.tracking.target_track import TargetTrack
 from missions.leg.opening import entropy_of, guard_line_of
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, may_manoeuvre

@@ -15,7 +15,7 @@ from flight.config import Designated
 from flight.guidance import Anchor, Vec3, add, from_heading
 from flight.outcome import MissionEnd
 from flight.phases import Phase
-from flight.target_track import TargetTrack
+from flight.tracking.target_track import TargetTrack
 from missions.leg.receiver import Receiver
 from missions.leg.sender import Sender
 from missions.leg.session import RoleSession

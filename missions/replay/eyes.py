@@ -1,7 +1,7 @@
 """Perception again: what a drone sees in the frames that it recorded, in place of what its log says it saw.
 
-The same code looks as in flight: ``flight.acquisition`` and ``flight.tracking`` on D1, ``flight.marker_view`` on D2,
-over the perception of a rig, with its detector or another. What the camera could not tell is the log's: where the drone
+The same code looks as in flight: ``flight.tracking`` on D1, ``flight.rendezvous.marker_view`` on D2, over the
+perception of a rig, with its detector or another. What the camera could not tell is the log's: where the drone
 believed to be, and how the vehicles moved.
 """
 
@@ -13,20 +13,20 @@ from typing import Any
 
 from drivers.interfaces import Frame, View
 from drivers.rig.parts import RoleRig
-from flight.acquisition import Acquisition
 from flight.config import MissionConfig
 from flight.guidance import Vec3
-from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
-from flight.target_track import TargetTrack
-from flight.tracking import Sighting, follow
+from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
+from flight.tracking.acquisition import Acquisition
+from flight.tracking.association import Sighting, follow
+from flight.tracking.target_track import TargetTrack
 from missions.replay.logged import pose_of
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry import Matrix, Pose
+from path.cycle.prior import Prior
+from path.geometry.rotation import R_from_quat
+from path.geometry.transforms import Matrix, Pose
 from path.marker.layout import MarkerLayout
 from path.observations import Detection, Missed, MissReason
-from path.prior import Prior
-from path.rotation import R_from_quat
 
 Record = Mapping[str, Any]
 See = Callable[[Frame], View]

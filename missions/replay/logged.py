@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 
 from drivers.log.mcap_log import encode_other
-from path.camera import CameraModel
-from path.geometry import Matrix, Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Matrix, Pose
 from path.messages import Candidate, Target
 from path.observations import Box, MissReason
 

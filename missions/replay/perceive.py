@@ -21,7 +21,7 @@ from missions.replay.eyes import ReceiverEyes, RecordedViews, SenderEyes
 from missions.replay.logged import camera_of
 from missions.replay.redecide import Eyes, Open
 from missions.report.records import load_facts
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.messages import Role
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from drivers.log.mcap_log import LogRecord
 from drivers.rig.tables import decode_table
-from flight.tracking import Sighting
+from flight.tracking.association import Sighting
 from missions.leg.journal import (
     agreement_record,
     beside_of,
@@ -29,11 +29,11 @@ from missions.leg.journal import (
 from missions.replay.eyes import ReceiverEyes, SenderEyes
 from missions.replay.logged import NAN3, as_logged, box_of, camera_of, candidate_of, pose_of, target_of
 from path.config import MethodConfig
-from path.geometry import Matrix, Pose
+from path.cycle.receiver import ReceiverCycle
+from path.cycle.sender import SenderCycle
+from path.geometry.transforms import Matrix, Pose
 from path.messages import Role
 from path.observations import Box, Depth, Detection, Missed, MissReason
-from path.receiver import ReceiverCycle
-from path.sender import SenderCycle
 
 Record = Mapping[str, Any]
 Answers = Mapping[tuple[int, int], Record]

@@ -15,7 +15,7 @@ from drivers.log.mcap_log import LogRecord, decode_image
 from missions.report.palette import DIM, MAPPED_BOX, MARKER, OWN_BOX, PRIOR, ROLE
 from missions.report.records import RunRecords, judged_pairs, last
 from missions.report.truth import Truth
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.messages import Role
 
 FAR_NS = 150_000_000

@@ -24,7 +24,7 @@ class LongestRow:
 
 
 def longest_row(run: RunRecords) -> LongestRow | None:
-    """The same rules as ``path.window``, from the sender's records; None when it judged nothing."""
+    """The same rules as ``path.gate.window``, from the sender's records; None when it judged nothing."""
     setup, pairs = last(run.sender, "/setup"), judged_pairs(run)
     if setup is None or not pairs:
         return None

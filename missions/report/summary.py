@@ -15,9 +15,9 @@ from missions.report.in_a_row import longest_row
 from missions.report.link_shares import link_shares
 from missions.report.records import Records, RunRecords, judged_pairs, last
 from missions.report.truth import Truth, box_center, handed_over, truth_of
-from path.geometry import Pose
+from path.geometry.rotation import R_from_quat
+from path.geometry.transforms import Pose
 from path.messages import Role
-from path.rotation import R_from_quat
 
 
 def summarize(run: RunRecords) -> dict[str, Any]:

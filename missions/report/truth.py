@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from drivers.log.mcap_log import LogRecord
 from missions.report.records import Records, RunRecords, first, judged_pairs, last
-from path.camera import CameraModel
-from path.geometry import Pose, Vector
+from path.camera.model import CameraModel
+from path.geometry.rotation import R_from_quat
+from path.geometry.transforms import Pose, Vector
 from path.messages import Role
-from path.rotation import R_from_quat
 
 Array = NDArray[np.float64]
 

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from drivers.log.topics import blank
 from missions.view.figures import PlottedValues
+from path.geometry.rotation import R_from_quat
 from path.messages import Vec3
-from path.rotation import R_from_quat
 
 UTC, RUN = "utc", "run"
 _LINE_LOOP, _LINE_LIST = 2, 4  # of foxglove.PointsAnnotation; LinePrimitive has 1 and 2

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from path.calibration.saddles import REACH_PX, refine_saddles
 from path.marker.layout import DICTIONARIES
-from path.marker.texture import dictionary_of
+from path.marker.photometric.texture import dictionary_of
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from path.calibration.board import Board, BoardView
 from path.calibration.bundle import CURL, Bundle, BundleView, curled, solve_bundle
-from path.camera import CameraModel, Coefficients, Nine
-from path.geometry import Pose
+from path.camera.model import CameraModel, Coefficients, Nine
+from path.geometry.transforms import Pose
 
 Array = NDArray[np.float64]
 

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from path.calibration.board import Board, BoardView
 from path.calibration.intrinsics import NotSolvable, board_pose
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.rotation import exp
+from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.observations import MarkerDetection
-from path.rotation import exp
 
 Array = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.kernels import Array
 from path.marker.layout import MarkerLayout
-from path.marker.photometric import PhotometricFit, fit
-from path.marker.texture import cells, dictionary_of
+from path.marker.photometric.corners import PhotometricFit, fit
+from path.marker.photometric.texture import cells, dictionary_of
 from path.marker.track import recognise
 from path.observations import MarkerDetection, Region
 

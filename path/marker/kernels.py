@@ -1,7 +1,7 @@
 """Small numba routines shared by the photometric fit and the pose: lens, homography, Cholesky.
 
 Written out in scalars and plain loops, in float64 without fast-math, so that results do not depend on the machine.
-A lens is the array of ``path.camera_kernels.lens_of``.
+A lens is the array of ``path.camera.kernels.lens_of``.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from path.geometry import Matrix, Pose
+from path.geometry.transforms import Matrix, Pose
 
 QUIET_CELLS = 1.0  # every marker is printed with a white border of at least one cell around its black frame
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.detect import Refine, detect_markers
 from path.marker.layout import MarkerLayout
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose

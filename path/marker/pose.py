@@ -19,9 +19,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from path.camera import CameraModel
-from path.camera_kernels import lens_of
-from path.geometry import Pose
+from path.camera.kernels import lens_of
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.doubt import widen
 from path.marker.kernels import finite, rays, whitening
 from path.marker.layout import Marker, MarkerLayout

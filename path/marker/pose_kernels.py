@@ -254,7 +254,7 @@ class PoseProblem(NamedTuple):
     Attributes:
         points, pixels: (n, 3) corners in ``v``, (n, 2) in the image.
         whitening: (m, 8, 8), of each marker's corners.
-        lens: of ``path.camera_kernels``.
+        lens: of ``path.camera.kernels``.
         down, weight: (6,) gravity in ``v`` and in the camera; what its misfit counts, 0 when it is not known.
         middles, sizes, focal: of ``scales``.
     """

@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from path.camera import CameraModel
-from path.camera_kernels import lens_of
-from path.geometry import Pose
+from path.camera.kernels import lens_of
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.kernels import Array
 from path.marker.layout import MarkerLayout
-from path.marker.texture import cells
+from path.marker.photometric.texture import cells
 from path.marker.track_kernels import MARGIN, SAMPLES, read, seen_at
 
 LEAST_COSINE = 0.26  # of the angle between normal and line of sight: a marker that is turned farther is not expected

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from path.camera_kernels import project
+from path.camera.kernels import project
 from path.compiled import inner, kernel
 from path.marker.kernels import Array
 

@@ -7,18 +7,18 @@ from typing import Any
 import cv2
 import numpy as np
 
-from path import rotation
-from path.camera import CameraModel
-from path.camera_kernels import extent, lens_of
-from path.geometry import Pose
+from path.camera.kernels import extent, lens_of
+from path.camera.model import CameraModel
+from path.geometry import rotation
+from path.geometry.transforms import Pose
 from path.marker.detect import detect_markers
-from path.marker.fit_kernels import tones
 from path.marker.layout import single_marker
+from path.marker.photometric.kernels import tones
+from path.marker.photometric.texture import cells
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
-from path.marker.texture import cells
 from path.marker.track import recognise
 from path.observations import MarkerDetection
-from path.relative import RelativeFilter
+from path.relative_pose.filter import RelativeFilter
 
 EYE = np.eye(3)
 CAMERA = CameraModel(

@@ -35,8 +35,8 @@ from hil.camera.rendered import RenderedCamera, RenderedCameraConfig
 from hil.camera.segment import folder as shared_memory
 from hil.camera.shared import SharedCameraWriter
 from hil.world.snapshot import DroneTruth, Snapshot
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.messages import Role
 from tests.drivers.realsense.software_d415 import COLOR, FPS, Feed, context, recordings
 from tests.drivers.tello import tello_stand

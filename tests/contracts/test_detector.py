@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
 from drivers.detectors.yolox import YoloxDetector, YoloxDetectorConfig
 from drivers.interfaces import Detector
-from path.agreement import iou
+from path.gate.agreement import iou
 from path.observations import Box, Region
 from tests.drivers.detectors.onnx_graphs import bright_cells_network
 from tests.drivers.detectors.test_color import drawn

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from drivers.mavlink.guard_interfaces import Beat, BeatLine, GuardAnswer, GuardLine, Hand, Script
-from drivers.mavlink.guard_line import UdpBeatLine, UdpGuardLine
+from drivers.mavlink.guard.interfaces import Beat, BeatLine, GuardAnswer, GuardLine, Hand, Script
+from drivers.mavlink.guard.line import UdpBeatLine, UdpGuardLine
 from hil.harness.guard import MemoryBeatLine
 from tests.drivers.link.link_ends import WallClock, run, until
 from tests.free_ports import free_ports

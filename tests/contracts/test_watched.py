@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import FlightMode
-from drivers.mavlink.guard_interfaces import GuardView, Watched
+from drivers.mavlink.guard.interfaces import GuardView, Watched
 from drivers.mavlink.guard_link import GuardMavlink, GuardMavlinkConfig
 from hil.autopilot.autopilot import Ack
 from hil.harness.guard import SimGuard, SimGuardConfig

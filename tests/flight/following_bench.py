@@ -17,14 +17,14 @@ from drivers.interfaces import FlightMode, VehicleState, VelocitySetpoint
 from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3, slew
-from flight.target_track import TargetTrack
-from flight.tracking import Sighting, follow
+from flight.tracking.association import Sighting, follow
+from flight.tracking.target_track import TargetTrack
 from hil.world.dynamics import COMMAND_SIZE, INTEGRAL, MOTORS, MOTORS_FLY, THRUST, AirframeConfig, fly, standing
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.rotation import R_from_quat, R_from_rpy
+from path.geometry.transforms import Pose
 from path.messages import Quat
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
-from path.rotation import R_from_quat, R_from_rpy
 
 STEP_S = 0.005
 CAMERA = CameraModel(640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095))

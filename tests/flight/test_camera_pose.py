@@ -11,9 +11,9 @@ import pytest
 from drivers.interfaces import FlightMode, Vehicle, VehicleState
 from drivers.rig.parts import Mount
 from flight.camera_pose import CameraPose, gravity_in
-from path.geometry import Pose
+from path.geometry.rotation import R_from_rpy, quat_from_rpy
+from path.geometry.transforms import Pose
 from path.messages import Quat
-from path.rotation import R_from_rpy, quat_from_rpy
 
 C = math.sqrt(0.5)
 AHEAD_AND_DOWN = Pose(np.array([[0.0, -C, C], [1.0, 0.0, 0.0], [0.0, C, C]]), np.array([0.1, 0.0, 0.02]))

@@ -9,11 +9,11 @@ from dataclasses import replace
 from typing import Any
 
 from drivers.interfaces import FlightMode, VelocitySetpoint
-from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, Script
+from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, Script
 from drivers.mavlink.guard_link import GuardMavlink, GuardMavlinkConfig
 from flight.config import GuardConfig, MissionConfig
-from flight.guard_rules import GuardStage
-from flight.guard_watch import GuardWatch, watch
+from flight.guard.rules import GuardStage
+from flight.guard.watch import GuardWatch, watch
 from hil.world.world import AltitudeConfig
 from tests.drivers.mavlink.test_guard_link import BIND, CONTEXT, seen
 from tests.guard_bench import LIMIT_S, SYSID, Bench, bench

@@ -9,9 +9,9 @@ import pytest
 
 from flight.config import Designated, TargetDesignation
 from flight.guidance import Vec3
-from flight.tracking import acquire
+from flight.tracking.association import acquire
 from hil.world.targets import GroundVehicles, LookAlikeConfig, TargetConfig
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 from tests.flight.following_bench import CAMERA, MOUNT, Seen
 
 SEEDS = 150

@@ -10,7 +10,7 @@ import pytest
 from drivers.interfaces import VehicleState, VelocitySetpoint
 from flight.config import MissionConfig
 from flight.guidance import Answer, Vec3, add, approach, close_in, norm, subtract
-from flight.target_track import TargetTrack
+from flight.tracking.target_track import TargetTrack
 from tests.flight.following_bench import Course, Followed, follow_course
 
 CONFIG = MissionConfig()

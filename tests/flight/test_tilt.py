@@ -9,7 +9,7 @@ import pytest
 
 from flight.guidance import add, from_heading
 from flight.tilt import Tilt, tilted
-from path.rotation import R_from_quat
+from path.geometry.rotation import R_from_quat
 
 AXIS_B = (math.sqrt(0.5), 0.0, math.sqrt(0.5))  # 45 degrees down
 

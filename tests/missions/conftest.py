@@ -15,10 +15,10 @@ import pytest
 
 from drivers.log.mcap_log import McapLog
 from missions.report.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, RunFacts, write_facts
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.rotation import quat_from_R
+from path.geometry.transforms import Pose
 from path.messages import Role
-from path.rotation import quat_from_R
 
 CAMERA = CameraModel(640, 480, 615.0, 615.0, 319.5, 239.5, (0.1, -0.2, 0.001, 0.001, 0.05))
 BOXES = np.array([[0.0, 0.0, 0.07, 0.32, 0.16, 0.07], [-0.03, 0.0, 0.133, 0.16, 0.14, 0.054]])

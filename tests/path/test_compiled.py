@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from path.marker.fit_kernels import tones
+from path.marker.photometric.kernels import tones
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("path", "drivers", "flight", "missions", "hil", "tests")
@@ -85,7 +85,7 @@ LOADED = """
 import sys
 import numpy as np
 from path.compiled import kernel
-from path.marker.fit_kernels import tones
+from path.marker.photometric.kernels import tones
 
 tones(np.zeros((1, 6)))
 assert tones.stats.cache_hits and "numba.np.linalg" not in sys.modules, "what only compiling needs was imported"

@@ -17,11 +17,11 @@ from missions import rig_library
 from missions.handoff.command import fly_once
 from missions.report.records import load_run
 from missions.report.summary import summarize
-from path.geometry import Pose
+from path.geometry.rotation import R_from_rpy
+from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout
 from path.marker.locate import Gravity, LocatedMarker, locate_marker
 from path.messages import Role
-from path.rotation import R_from_rpy
 
 LARGE_M = 0.08
 BESIDE = Pose(R_from_rpy(0.0, 0.0, 0.0), np.array([0.10, 0.0, 0.0]))

@@ -34,8 +34,8 @@ from missions import rig_library
 from missions.leg.course import fly_course
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, take_off
+from path.geometry.rotation import yaw_of
 from path.messages import Role
-from path.rotation import yaw_of
 from tests.drivers.link.link_ends import STATUS, Cable, introduce, serial_links
 from tests.drivers.mavlink.mavsdk_bench import CONTEXT, QUICK, SYSID, px4
 from tests.drivers.realsense import software_d415

@@ -38,7 +38,7 @@ from hil.monitors.truth_log import TruthLog
 from hil.tello.emulator import TelloEmulator
 from hil.tello.video import TelloVideo
 from hil.tello.world import is_tello, tello_of
-from hil.vehicle.followed_world import FollowedWorld, SimulatedVehicle, start_simulators
+from hil.vehicle.simulators.followed_world import FollowedWorld, SimulatedVehicle, start_simulators
 from hil.world.clearance import clearance
 from hil.world.errors import as_built
 from hil.world.snapshot import Snapshot

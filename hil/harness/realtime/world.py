@@ -31,7 +31,7 @@ from hil.harness.inject import inject_on_link
 from hil.harness.preparation import prepare
 from hil.harness.realtime.parts import CameraThread, CameraView, FrameWriter, at_pace, running, say
 from hil.link.faulty import UdpFaultProxy
-from hil.vehicle.simulator_process import SimulatorBroken
+from hil.vehicle.simulators.process import SimulatorBroken
 from hil.world.errors import level_of
 from hil.world.snapshot import Snapshot
 from hil.world.world import Fleet

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from drivers.interfaces import FlightMode, PartError, Vehicle, VelocitySetpoint
 from drivers.mavlink.bench import CommandAnswer, VehicleBench
 from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS
-from path.rotation import yaw_of
+from path.geometry.rotation import yaw_of
 
 Value = float | str | None
 Values = dict[str, Value]

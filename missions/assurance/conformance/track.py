@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import FlightMode
 from drivers.mavlink.bench import HeartbeatShown, Instant
-from path.rotation import conjugate, multiply, wrapped, yaw_of
+from path.geometry.rotation import conjugate, multiply, wrapped, yaw_of
 
 Array = NDArray[np.float64]
 

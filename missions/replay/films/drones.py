@@ -12,9 +12,9 @@ from drivers.interfaces import Log, PartError, View
 from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3
-from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
-from flight.target_track import TargetTrack
-from flight.tracking import MIN_SCORE, Sighting, follow, is_cut, point_in_camera, to_local
+from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
+from flight.tracking.association import MIN_SCORE, Sighting, follow, is_cut, point_in_camera, to_local
+from flight.tracking.target_track import TargetTrack
 from missions.leg.journal import (
     agreement_record,
     attempt_record,
@@ -32,14 +32,14 @@ from missions.leg.journal import (
 )
 from missions.replay.films.config import Films, PlayedFilm
 from missions.replay.films.trajectory import HANGING, BodyState
-from path.geometry import Matrix, Pose
+from path.cycle.prior import Prior
+from path.cycle.receiver import ReceiverCycle
+from path.cycle.sender import SenderCycle
+from path.geometry.rigid import inverse_as_quat, rigid
+from path.geometry.rotation import R_from_quat, yaw_of
+from path.geometry.transforms import Matrix, Pose
 from path.messages import Candidate, Role, Target
 from path.observations import Box, Missed
-from path.prior import Prior
-from path.receiver import ReceiverCycle
-from path.rigid import inverse_as_quat, rigid
-from path.rotation import R_from_quat, yaw_of
-from path.sender import SenderCycle
 
 EPOCH = 1
 PICK_S = 0.5  # within which the target has to be seen where it was picked

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from drivers.interfaces import PartError
 from flight.guidance import add, scale, subtract
+from path.geometry.rotation import IDENTITY, normalized, slerp
 from path.messages import Quat, Vec3
-from path.rotation import IDENTITY, normalized, slerp
 
 NS = 1_000_000_000
 SLOPE_NS = 600_000_000  # positions of GPS are rough from one to the next, and the marker's filter goes by velocities

@@ -18,11 +18,11 @@ from missions.trials.ambiguity.path import BeliefErrors, PathAnswer, beliefs, ru
 from missions.trials.ambiguity.score import Ballot
 from missions.trials.ambiguity.stage import MARKER_SIDE_M, DrawnStage, Wanted, draw, setup
 from missions.trials.ambiguity.truth import TrueView, shirt_box
-from path.agreement import iou
 from path.baselines.association import BaselineConfig, vote_each
 from path.baselines.features import Features, look_each
 from path.baselines.orb import Orb
 from path.config import MethodConfig
+from path.gate.agreement import iou
 from path.messages import Role
 from path.observations import Box
 

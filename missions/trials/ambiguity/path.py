@@ -11,18 +11,18 @@ from drivers.interfaces import Detector, Frame
 from drivers.perception.pixels import PixelView
 from flight.harness.renderer import Shot
 from missions.trials.ambiguity.stage import CAMERAS, DrawnStage, camera_mount, layout, marker_mount
-from path import rotation
-from path.agreement import Agreed
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry import Matrix, Pose
+from path.cycle.prior import Prior
+from path.cycle.receiver import ReceiverCycle
+from path.cycle.sender import SenderCycle
+from path.gate.agreement import Agreed
+from path.geometry import rotation
+from path.geometry.transforms import Matrix, Pose
 from path.marker.layout import MarkerLayout
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Role, Target, Vec3
 from path.observations import Box, Missed, MissReason, Region
-from path.prior import Prior
-from path.receiver import ReceiverCycle
-from path.sender import SenderCycle
 
 STAMP_NS = 1_000_000_000
 BODY_M, DEPTH_SIGMAS = 0.3, 2.0  # how far a person's surfaces are from the point D1 measured, and depth noise of D2

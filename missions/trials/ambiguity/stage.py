@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flight.harness.renderer import RenderedInstant, RendererSetup, Thing
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.rotation import R_from_rpy
+from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout, single_marker
 from path.messages import Role
-from path.rotation import R_from_rpy
 
 Case = Literal["present", "outside", "hidden"]
 Array = NDArray[np.float64]

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missions.trials.shared.trajectory import Alignment, MotionPair, huber
-from path.rotation import exp
+from path.geometry.rotation import exp
 
 Array = NDArray[np.float64]
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from drivers.interfaces import PartError
 from drivers.rig.tables import RigError, decode_table, read_toml
 from path.bounds import Bounds
-from path.camera import CameraModel
-from path.geometry import Matrix
+from path.camera.model import CameraModel
+from path.geometry.transforms import Matrix
 from path.marker.layout import DICTIONARIES
-from path.marker.texture import dictionary_of
+from path.marker.photometric.texture import dictionary_of
 
 REMEDY = "correct the board's file: docs/evaluation.md describes it"
 

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from path.camera import CameraModel
-from path.geometry import Matrix
+from path.camera.model import CameraModel
+from path.geometry.transforms import Matrix
 
 ORDER = 4
 PASSES = 8

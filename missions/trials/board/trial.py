@@ -16,9 +16,9 @@ from missions.trials.corners.methods import OPENCV, PIXEL_CENTRE, TITLES
 from missions.trials.corners.score import calibration_text
 from missions.trials.shared.statistics import Array, Interval, bootstrap, mean
 from missions.trials.shared.trial import TrialTable
-from path.geometry import Matrix
+from path.geometry.transforms import Matrix
 from path.marker.detect import refine_corners
-from path.target import MAD_TO_SIGMA
+from path.target.place import MAD_TO_SIGMA
 
 ENLARGED = 3
 BOARD_STREAM = 5

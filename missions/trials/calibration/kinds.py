@@ -22,11 +22,11 @@ from missions.trials.calibration.views import HERE, T_W_C, Held, board_poses, gr
 from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
 from path.calibration.board import Board, find_board
 from path.calibration.judge import BadSet
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.rotation import exp
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
-from path.rotation import exp
 
 SAG_M = 0.0002  # of the middle of the curled print over its ends
 WITHIN = 2.0  # stated standard errors

@@ -18,7 +18,7 @@ from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult
 from path.calibration.board import Board, BoardView, find_board, find_corners
 from path.calibration.intrinsics import left_by, solve_intrinsics
 from path.calibration.judge import BadSet
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 
 TITLE = "Calibration from rendered boards: the camera that comes out against the one that is there"
 PAPER = "Experimental Setup (a chessboard calibration; its accuracy is not evaluated there)"

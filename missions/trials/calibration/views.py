@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from flight.harness.renderer import FrameRenderer, Imaging, PlacedBoard, RenderedInstant, RendererSetup
 from path.calibration.board import Board, print_cells
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.rotation import exp
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
-from path.rotation import exp
 
 MOST_ROLL_RAD = 1.0
 HERE = Pose(np.eye(3), np.zeros(3))

@@ -13,11 +13,11 @@ from drivers.detectors.color import ColorDetector, ColorDetectorConfig
 from drivers.rig.parts import Rig
 from flight.harness.renderer import FrameRenderer, RenderedInstant, RendererSetup, Thing
 from missions.trials.shared.trial import TrialRequest
-from path.camera import CameraModel
-from path.geometry import Matrix, Pose
+from path.camera.model import CameraModel
+from path.geometry.rotation import R_from_rpy
+from path.geometry.transforms import Matrix, Pose
 from path.messages import Role, Vec3
 from path.observations import Box
-from path.rotation import R_from_rpy
 
 SIZES = {"640x480": (640, 480), "1280x720": (1280, 720)}
 PERIOD_NS = 20_000_000

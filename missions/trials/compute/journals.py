@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from drivers.interfaces import Log, View
-from flight.marker_view import MarkerFix, VehicleMotions
+from flight.rendezvous.marker_view import MarkerFix, VehicleMotions
 from missions.leg.journal import (
     agreement_record,
     beside_record,
@@ -19,14 +19,14 @@ from missions.leg.journal import (
     motion_record,
     target_record,
 )
-from path.camera import CameraModel
-from path.evidence import Gate
-from path.geometry import Matrix
+from path.camera.model import CameraModel
+from path.cycle.prior import Prior
+from path.cycle.sender import PairVerdict
+from path.gate.evidence import Gate
+from path.geometry.rigid import inverse_as_quat, rigid
+from path.geometry.transforms import Matrix
 from path.messages import Candidate, Role, Target
 from path.observations import Box, Depth, Detection
-from path.prior import Prior
-from path.rigid import inverse_as_quat, rigid
-from path.sender import PairVerdict
 
 TARGET_ID = 1
 

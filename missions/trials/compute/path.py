@@ -13,20 +13,20 @@ from drivers.link.wire import KEY_LENGTH, Codec, introduce
 from drivers.perception.pixels import PixelView
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
-from flight.marker_view import MarkerFix, MarkerView, VehicleMotions
+from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
 from missions.trials.compute.film import BETWEEN_NS, HEADINGS_RAD, PERIOD_NS, Film, Moment, SceneError
 from missions.trials.compute.journals import Journals
 from missions.trials.compute.stopwatch import Stopwatch, TimedView, overhead_ns
-from path.agreement import Agreed
-from path.geometry import Matrix
+from path.cycle.prior import Prior
+from path.cycle.receiver import ReceiverCycle
+from path.cycle.sender import PairVerdict, SenderCycle
+from path.gate.agreement import Agreed
+from path.geometry.transforms import Matrix
 from path.marker.detect import detect_markers
 from path.marker.pose import PoseSettings, estimate_pose
 from path.marker.track import recognise
 from path.messages import Candidate, Role, Target, Vec3
 from path.observations import Box, Depth, Detection, Missed, Region
-from path.prior import Prior
-from path.receiver import ReceiverCycle
-from path.sender import PairVerdict, SenderCycle
 
 GEOMETRY = ("d1_target", "d2_take", "d2_prior", "d2_candidate", "d1_judge")
 MESSAGES = ("encode_target", "decode_target", "encode_candidate", "decode_candidate")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.clock import busy_ns
 from drivers.perception.pixels import PixelView
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 
 P = ParamSpec("P")

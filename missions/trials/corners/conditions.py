@@ -17,8 +17,8 @@ from flight.harness.renderer import (
     Printing,
     RenderedInstant,
 )
-from path.camera import CameraModel
-from path.geometry import Matrix, Pose, Vector
+from path.camera.model import CameraModel
+from path.geometry.transforms import Matrix, Pose, Vector
 from path.marker.layout import single_marker
 from path.messages import Role
 

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from path.camera import CameraModel
-from path.geometry import Matrix, Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Matrix, Pose
 from path.marker.detect import Refine, detect_markers
 from path.marker.layout import MarkerLayout
-from path.marker.texture import dictionary_of
+from path.marker.photometric.texture import dictionary_of
 from path.observations import Region
 
 OPENCV = {"contour": cv2.aruco.CORNER_REFINE_CONTOUR, "apriltag": cv2.aruco.CORNER_REFINE_APRILTAG}

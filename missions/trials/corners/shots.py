@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from flight.harness.renderer import FrameRenderer, RendererSetup
 from missions.trials.corners.conditions import CAMERAS, CONDITIONS, LAYOUT, view
 from missions.trials.corners.methods import METHODS, Found, find
-from path.geometry import Matrix, Pose
+from path.geometry.rotation import exp
+from path.geometry.transforms import Matrix, Pose
 from path.messages import Role
 from path.observations import Region
-from path.rotation import exp
 
 AROUND = 0.6  # of the marker's extent: how far the predicted region reaches beyond it, each way
 OFF = 0.1  # of the extent: how wrong the prediction is

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Rig
 from missions.report.records import RunRecords
 from missions.report.truth import Truth
-from path.geometry import Matrix, Pose
+from path.geometry.rotation import R_from_quat, log
+from path.geometry.transforms import Matrix, Pose
 from path.messages import Vec3
-from path.relative import Relative, RelativeFilter, RelativeSettings
-from path.rotation import R_from_quat, log
+from path.relative_pose.filter import Relative, RelativeFilter, RelativeSettings
 
 Array = NDArray[np.float64]
 

@@ -22,8 +22,8 @@ from drivers.rig.parts import Reference, Rig, import_factory
 from missions.handoff.command import fly_once
 from missions.report.records import WORLD_LOG, RunRecords
 from missions.trials.shared.trajectory import Trajectory
-from path.geometry import Pose
-from path.rotation import R_from_quat, normalized
+from path.geometry.rotation import R_from_quat, normalized
+from path.geometry.transforms import Pose
 
 Array = NDArray[np.float64]
 

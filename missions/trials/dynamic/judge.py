@@ -39,7 +39,7 @@ from missions.trials.shared.trajectory import (
     rpe_along,
 )
 from path.messages import Role
-from path.target import MAD_TO_SIGMA
+from path.target.place import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Rig
 from flight.harness.montecarlo import PAIR, Attempt, HandoverRunner, Series, agreeing, tell
 from path.config import MethodConfig
-from path.evidence import EvidenceGate
-from path.window import AgreementWindow
+from path.gate.evidence import EvidenceGate
+from path.gate.window import AgreementWindow
 
 NEVER = 1e-300
 LAGS = (1, 5, 10, 25, 50, 75)  # pairs of a 50 Hz stream

@@ -17,7 +17,7 @@ from missions.trials.evidence.blocks import LAGS, Batch, EvidenceAttempt, GateTi
 from missions.trials.shared.statistics import Interval, bootstrap, upper_bound
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.config import MethodConfig
-from path.evidence import evidence_needed, evidence_of, persistent_bound
+from path.gate.evidence import evidence_needed, evidence_of, persistent_bound
 from path.messages import Role
 
 TITLE = "Evidence gate: the hand-over in less than two seconds, and what it is fooled by"

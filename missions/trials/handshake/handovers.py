@@ -15,7 +15,7 @@ from flight.harness.montecarlo import Attempt, FaultName, HandoverRunner, MonteC
 from missions import rig_library
 from missions.rig_library import trial_part
 from path.config import GateKind, MethodConfig
-from path.evidence import make_gate
+from path.gate.evidence import make_gate
 
 GATES: tuple[GateKind, GateKind] = get_args(GateKind)
 FAULT_NAMES: tuple[FaultName, ...] = get_args(FaultName)

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from drivers.interfaces import PartError
 from missions.trials.real.corners import by_photometry, starts
 from missions.trials.real.set import REMEDY, RealSet
-from path import rotation
 from path.calibration.board import find_board
 from path.calibration.intrinsics import NotSolvable, matrices_of, pose_of_points, solve_intrinsics
-from path.camera import CameraModel
-from path.geometry import Matrix, Pose
+from path.camera.model import CameraModel
+from path.geometry import rotation
+from path.geometry.transforms import Matrix, Pose
 
 STEP_M = 1e-4  # of numerical derivatives on the board
 MARKER_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # of a side, in a marker's own frame

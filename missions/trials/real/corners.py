@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from missions.trials.board.trial import BOARD_TITLES, NATIVE, Refinement
 from missions.trials.real.set import RealSet
-from path.camera import CameraModel
-from path.geometry import Matrix
+from path.camera.model import CameraModel
+from path.geometry.transforms import Matrix
 from path.marker.detect import refine_corners, trusted_fit
 
 METHODS: tuple[str, ...] = ("none", "subpix", "contour", "apriltag", "photometric")

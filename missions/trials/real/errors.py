@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from missions.trials.real.board import SetSeen, growth, robust_solution
 from missions.trials.real.corners import Corners, FoundMarker
 from missions.trials.real.set import RealSet
-from path.geometry import Matrix
+from path.geometry.transforms import Matrix
 
 FEWEST_VIEWS = 3  # that tell a print from the errors of its views
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from missions.trials.real.board import BoardSeen, SetSeen
 from missions.trials.real.errors import MethodPoses, SeenMarker, printed
 from missions.trials.real.set import RealSet
-from path import rotation
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry import rotation
+from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Vec3

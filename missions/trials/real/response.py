@@ -21,7 +21,7 @@ from flight.harness.renderer import Imaging
 from missions.trials.real.board import BoardSeen, Photograph, SetSeen
 from missions.trials.real.set import RealSet
 from missions.trials.real.thinning import Thinning, measure_thinning
-from path.target import MAD_TO_SIGMA
+from path.target.place import MAD_TO_SIGMA
 
 ENDS = 0.22  # of an edge's length that is left out at each end: corners look otherwise
 REACH_PX, FLAT_PX = 3.4, 1.9  # from an edge: how far its pixels count; and from where on they show noise alone

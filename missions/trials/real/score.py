@@ -23,7 +23,7 @@ from missions.trials.real.set import RealSet, read_set
 from missions.trials.real.thinning import Thinning, evened
 from missions.trials.real.twin import render_twin
 from missions.trials.shared.statistics import bootstrap, mean, p95
-from path.target import MAD_TO_SIGMA
+from path.target.place import MAD_TO_SIGMA
 
 SCORE_STREAM = 2
 QUICK_IMAGES = 4

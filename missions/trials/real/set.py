@@ -17,7 +17,7 @@ from drivers.recordings.recording import IMAGE_SUFFIXES
 from drivers.rig.tables import RigError, decode_table, read_toml
 from missions.trials.board.file import BoardCamera, dictionary_named, framed_pattern
 from path.calibration.board import Board
-from path.geometry import Matrix
+from path.geometry.transforms import Matrix
 from path.marker.layout import DICTIONARIES
 
 REMEDY = "correct the set's file: docs/real.md describes it"

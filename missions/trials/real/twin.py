@@ -34,8 +34,8 @@ from missions.trials.real.response import (
 from missions.trials.real.set import RealSet
 from missions.trials.real.thinning import Thinning
 from path.calibration.board import print_cells
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 

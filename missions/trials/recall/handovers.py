@@ -14,8 +14,8 @@ from drivers.rig.parts import Rig
 from flight.harness.montecarlo import Attempt, HandoverRunner, Series, Telling, WrongAssociation, agreeing, tell
 from missions.trials.recall.detectors import DetectorFaults, FaultyFrames, faulty_frames, with_detector
 from path.config import GateKind, MethodConfig
-from path.evidence import evidence_needed, evidence_of, make_gate
-from path.window import Gate
+from path.gate.evidence import evidence_needed, evidence_of, make_gate
+from path.gate.window import Gate
 
 Group = Literal["true", "look-alike", "wrong object"]
 

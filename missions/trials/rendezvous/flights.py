@@ -15,8 +15,8 @@ from missions.handoff.command import fly_once
 from missions.report.records import RUN, Records, RunRecords, load_run
 from missions.rig_library import mission_of
 from missions.run_folder import discard, new_folder
+from path.geometry.rotation import yaw_of
 from path.messages import Role, Vec3
-from path.rotation import yaw_of
 
 STEP = 5  # every so many records of the truth are kept of a way
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.rig.parts import Rig
-from flight.rendezvous import stand_off_m
+from flight.rendezvous.course import stand_off_m
 from missions.resumable_lines import ResumableLines
 from missions.rig_library import mission_of
 from missions.trials.rendezvous import flights

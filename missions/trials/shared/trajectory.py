@@ -16,8 +16,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from path.rotation import exp
-from path.target import MAD_TO_SIGMA
+from path.geometry.rotation import exp
+from path.target.place import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 Turn = Literal["vertical", "any"]

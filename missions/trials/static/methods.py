@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 
 from missions.trials.static.shots import StaticMeasurement
 from missions.trials.static.stage import CAMERA, SIDE_M, STANDS, Mounts
-from path import rotation
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry import Matrix, Pose, Vector
+from path.geometry import rotation
+from path.geometry.rigid import rigid
+from path.geometry.transforms import Matrix, Pose, Vector
 from path.marker.layout import MarkerLayout, single_marker
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Vec3
 from path.observations import MarkerDetection
-from path.rigid import rigid
-from path.target import locate
+from path.target.place import locate
 
 Method = Literal["ippe", "gravity_subpix", "photometric", "gravity_photometric"]
 METHODS: tuple[Method, ...] = ("ippe", "gravity_subpix", "photometric", "gravity_photometric")

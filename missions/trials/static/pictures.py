@@ -18,9 +18,9 @@ from missions.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED, PRIOR, RO
 from missions.trials.static.methods import METHODS, Method, Results
 from missions.trials.static.report import GOAL_MEAN_M, METHOD_TITLES, SEVEN
 from missions.trials.static.stage import CONFIGURATIONS, HEIGHT_M, PLACES_M, Mounts, nominal
-from path.geometry import Pose
+from path.cycle.prior import Prior
+from path.geometry.transforms import Pose
 from path.messages import Role
-from path.prior import Prior
 
 COLOURS: dict[Method, str] = {
     "ippe": FAULT,

@@ -13,12 +13,12 @@ from drivers.detectors.color import ColorDetector, ColorDetectorConfig
 from flight.harness.renderer import DepthNoise, FrameRenderer, Imaging, RenderedInstant, RendererSetup, Shot
 from missions.trials.static.stage import CAMERA, SIDE_M, STANDS, Mounts, stage_of
 from path.config import MethodConfig
-from path.geometry import Pose, Vector
+from path.geometry.transforms import Pose, Vector
 from path.marker.detect import Refine, detect_markers
 from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box, Depth, MarkerDetection, Region
-from path.target import back_project, registered_depth
+from path.target.place import back_project, registered_depth
 
 LAYOUT = single_marker(SIDE_M)
 DEPTH = DepthNoise(sigma_at_1m_m=0.005, correlation_px=2.0)

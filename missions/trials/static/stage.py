@@ -13,9 +13,9 @@ import numpy as np
 
 from drivers.rig.parts import Rig
 from flight.harness.renderer import RenderedInstant, Thing
-from path import rotation
-from path.camera import CameraModel
-from path.geometry import Matrix, Pose, Vector
+from path.camera.model import CameraModel
+from path.geometry import rotation
+from path.geometry.transforms import Matrix, Pose, Vector
 from path.messages import Role
 
 CAMERA = CameraModel(1280, 720, 920.0, 919.0, 642.0, 358.0, (0.06, -0.12, 0.001, -0.0008, 0.0))

@@ -56,9 +56,9 @@ from missions.trials.static.shots import (
 )
 from missions.trials.static.stage import CAMERA, CONFIGURATIONS, STANDS, Mounts, mounts_of, nominal
 from path.config import MethodConfig
+from path.cycle.prior import Prior, predict
+from path.geometry.rigid import rigid
 from path.messages import Role
-from path.prior import Prior, predict
-from path.rigid import rigid
 
 TITLE = "Static accuracy: where D2 and the target are, from one frame, by method"
 PAPER = "Receiver-View Projection Consistency"

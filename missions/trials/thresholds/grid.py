@@ -1,6 +1,6 @@
 """Thresholds, window length and box mapping tried on recorded series: many settings at once.
 
-The window's rules are those of ``path.window.AgreementWindow``, told as ``flight.harness.montecarlo.tell`` tells
+The window's rules are those of ``path.gate.window.AgreementWindow``, told as ``flight.harness.montecarlo.tell`` tells
 it; a test holds the decisions together.
 """
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from flight.harness.montecarlo import OWN_MISS, PAIR, Series
 from path.config import BoxMapping, MethodConfig
-from path.window import SERIAL
+from path.gate.window import SERIAL
 
 Array = NDArray[np.float64]
 

@@ -15,13 +15,13 @@ from drivers.detectors.color import ColorDetector, ColorDetectorConfig
 from hil.render.renderer import Renderer
 from hil.render.scene import CAR_BOXES
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
-from path.agreement import iou
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.gate.agreement import iou
+from path.geometry.rotation import R_from_rpy
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box, Region
-from path.rotation import R_from_rpy
 
 CAMERA = CameraModel(640, 480, 615.0, 613.0, 318.5, 241.0, (0.08, -0.18, 0.0005, -0.0007, 0.0))
 NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

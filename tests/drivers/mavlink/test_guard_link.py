@@ -20,10 +20,10 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
 from drivers.interfaces import FlightMode, VehicleError
-from drivers.mavlink.frames import take_frames
-from drivers.mavlink.guard_interfaces import GuardView
+from drivers.mavlink.guard.interfaces import GuardView
 from drivers.mavlink.guard_link import GuardMavlink, GuardMavlinkConfig
-from drivers.mavlink.port import UNSIGNED
+from drivers.mavlink.transport.frames import take_frames
+from drivers.mavlink.transport.port import UNSIGNED
 from drivers.rig.parts import PartContext
 from tests.free_ports import free_port
 from tests.guard_bench import LIMIT_S, ORIGIN, SYSID, Bench, bench

@@ -18,15 +18,15 @@ from mavsdk.mavsdk import Mavsdk
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode, TakenOver, VehicleError, VelocitySetpoint
-from drivers.mavlink.port_lock import PortLock
 from drivers.mavlink.session import ARM_DISARM
+from drivers.mavlink.transport.port_lock import PortLock
 from drivers.mavlink.vehicle import MavsdkVehicle, MavsdkVehicleConfig
 from flight.config import MissionConfig
 from flight.outcome import MissionEnd
 from flight.pilot import Pilot
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.autopilot.radio import RadioConfig
-from path.rotation import yaw_of
+from path.geometry.rotation import yaw_of
 from tests.drivers.mavlink.mavsdk_bench import (
     HEIGHT_M,
     LIMIT_S,

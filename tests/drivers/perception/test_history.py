@@ -6,7 +6,7 @@ import pytest
 
 from drivers.interfaces import VehicleError
 from drivers.perception.history import StateHistory
-from path.rotation import quat_from_rpy, yaw_of
+from path.geometry.rotation import quat_from_rpy, yaw_of
 
 
 def turned(yaw: float) -> tuple[float, float, float, float]:

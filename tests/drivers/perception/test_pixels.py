@@ -18,13 +18,13 @@ from drivers.perception.depth_mask import GREY
 from drivers.perception.pixels import PixelPerception, PixelPerceptionConfig, PixelView
 from drivers.rig.parts import Mount, Origin, PartContext, PartSpec
 from drivers.rig.tables import RigError, decode_table
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
-from path.monocular import TargetSize, monocular_range
 from path.observations import Box, Detection, Region
+from path.target.monocular import TargetSize, monocular_range
 
 CAMERA = CameraModel(160, 120, 200.0, 200.0, 79.5, 59.5)
 LEVEL = Pose(np.eye(3), np.zeros(3))

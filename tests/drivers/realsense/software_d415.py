@@ -15,8 +15,8 @@ from drivers.interfaces import CameraError
 from drivers.rig.parts import Mount, Origin, PartContext
 from hil.camera.d415 import T_COLOR_DEPTH
 from hil.camera.software_device import DeviceClock, SoftwareDevice
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from tests.repeating import repeating

@@ -20,7 +20,7 @@ from drivers.realsense.camera import RealSense, RealSenseConfig
 from drivers.realsense.sources import RecordingSource, UsbSource
 from drivers.rig.tables import RigError, decode_table
 from hil.camera.software_device import DeviceClock, SoftwareDevice
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from tests.drivers.realsense.software_d415 import COLOR, DEPTH, DEPTH_MM, FPS, Feed, context, recordings
 
 PATIENCE_S = 60.0

@@ -12,8 +12,8 @@ from drivers.realsense.library_import import import_realsense
 from drivers.realsense.registration import DepthRegistration
 from hil.camera.d415 import T_COLOR_DEPTH, depth_camera
 from hil.camera.software_device import SoftwareDevice
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 
 PLAIN = CameraModel(320, 240, 307.6, 307.9, 161.0, 120.6)
 LENS = replace(PLAIN, distortion=(0.112, -0.236, 0.0006, -0.0004, 0.095))

@@ -19,8 +19,8 @@ from drivers.rig.calibration_file import CalibrationError
 from drivers.rig.parts import Mount, Origin, PartContext
 from drivers.rig.tables import RigError, decode_table
 from hil.harness.virtual_time import run_virtual
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from tests.drivers.recordings.test_recording import (

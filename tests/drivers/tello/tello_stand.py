@@ -18,8 +18,8 @@ from drivers.rig.parts import Mount, Origin, PartContext
 from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
 from hil.tello.video import TelloVideo, TelloVideoConfig
 from hil.world.world import SimDrone, World, WorldConfig
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from tests.free_ports import free_port

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from drivers.tello.state import DeadReckoning, Placement, TelloReport, quaternion, read_report
-from path.rotation import R_from_quat, yaw_of
+from path.geometry.rotation import R_from_quat, yaw_of
 
 FIELDS: dict[str, object] = {
     "mid": -1, "pitch": -3, "roll": 2, "yaw": 90, "vgx": 5, "vgy": -2, "vgz": 1, "templ": 65, "temph": 67, "tof": 83,

@@ -19,7 +19,7 @@ from drivers.tello.address import TelloAddress, check_namespace, check_ports, ch
 from drivers.tello.commands import TelloLink
 from drivers.tello.config import TelloVehicleConfig
 from drivers.tello.vehicle import TelloVehicle
-from path.rotation import yaw_of
+from path.geometry.rotation import yaw_of
 from tests.drivers.tello.tello_stand import STATE_PORT, Stand, context, emulated, next_host, until
 from tests.free_ports import free_port
 

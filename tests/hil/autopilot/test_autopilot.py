@@ -9,7 +9,7 @@ import pytest
 from drivers.interfaces import FlightMode, VelocitySetpoint
 from hil.autopilot.autopilot import Ack, Autopilot, AutopilotConfig, Estimate
 from hil.autopilot.values import FenceConfig
-from path.rotation import quat_from_rpy, yaw_of
+from path.geometry.rotation import quat_from_rpy, yaw_of
 
 TICK_S = 0.02
 LEVEL = (1.0, 0.0, 0.0, 0.0)

@@ -16,8 +16,8 @@ from hil.beacons.pty import PtyBeaconsConfig, PtyHedge, frame_of, open_hedges
 from hil.camera.shared import RUN_VARIABLE
 from hil.world.world import World, WorldConfig
 from missions import rig_library
+from path.geometry.rotation import R_from_rpy
 from path.messages import Role
-from path.rotation import R_from_rpy
 from tests.drivers.link.link_ends import Context, WallClock, run
 
 NOBODY = PartSpec("drivers.beacons.marvelmind:Marvelmind", {}, "test")

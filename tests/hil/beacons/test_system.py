@@ -13,7 +13,7 @@ from drivers.beacons.stream import MarvelmindStream
 from drivers.interfaces import BeaconFix
 from drivers.log.mcap_log import McapLog
 from hil.beacons.system import BeaconConfig, listen
-from path.rotation import R_from_rpy, quat_from_R
+from path.geometry.rotation import R_from_rpy, quat_from_R
 
 CONFIG = BeaconConfig()
 SECONDS = 120.0

@@ -11,8 +11,8 @@ from flight.harness.renderer import DepthNoise, Imaging, RenderedInstant, Render
 from hil.camera.pictures import CameraRenderer
 from hil.render.renderer import Renderer
 from hil.world.snapshot import Snapshot
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.detect import detect_markers
 from path.marker.layout import single_marker
 from path.messages import Role

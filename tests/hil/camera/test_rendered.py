@@ -17,8 +17,8 @@ from hil.camera.rendered import RenderedCamera, RenderedCameraConfig
 from hil.harness.virtual_time import run_virtual
 from hil.world.errors import Built
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 

@@ -22,14 +22,14 @@ from hil.render.scene import car
 from hil.render.sensor import NOISE_FREE
 from hil.world.errors import Built
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry import Pose
+from path.geometry.rotation import R_from_rpy
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box, Region
-from path.rotation import R_from_rpy
-from path.target import registered_depth
+from path.target.place import registered_depth
 
 CAMERA = CameraModel(640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095))
 NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

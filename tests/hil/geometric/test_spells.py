@@ -12,9 +12,9 @@ from hil.geometric.scene import CameraSetup
 from hil.geometric.spells import Spells
 from hil.world.detector import DetectorConfig
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Region

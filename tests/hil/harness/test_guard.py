@@ -9,7 +9,7 @@ import pytest
 
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import read_log
-from drivers.mavlink.guard_interfaces import Beat, Script
+from drivers.mavlink.guard.interfaces import Beat, Script
 from hil.harness.guard import MemoryBeatLine
 from missions import rig_library
 from missions.handoff.command import fly_once

@@ -15,11 +15,11 @@ from drivers.interfaces import FlightMode
 from hil.autopilot.values import OffboardSession
 from hil.monitors.monitors import Monitors, WatchedLog
 from path.config import MethodConfig
-from path.evidence import EvidenceGate
-from path.identity import nearest_rival
+from path.gate.evidence import EvidenceGate
+from path.gate.identity import nearest_rival
+from path.gate.window import FramePair, Offsets
 from path.messages import Role
 from path.observations import MissReason
-from path.window import FramePair, Offsets
 
 METHOD = MethodConfig(hold_frames=5, hold_s=0.4, max_gap_s=0.2)
 PERIOD_NS = 100_000_000

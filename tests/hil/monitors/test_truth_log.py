@@ -14,8 +14,8 @@ from drivers.rig.tables import decode_table
 from hil.monitors.truth_log import TruthLog
 from hil.world.world import World, WorldConfig
 from missions import rig_library
+from path.geometry.rotation import R_from_quat
 from path.messages import Role
-from path.rotation import R_from_quat
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from hil.render.depth import DepthRenderer
 from hil.render.renderer import Renderer
 from hil.render.sensor import NOISE_FREE, SensorNoise
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from hil.render.renderer import Renderer
 from hil.render.sensor import NOISE_FREE
 from hil.world.snapshot import Snapshot
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from tests.hil.render.views import ABOVE, LEVEL, VGA, drone, hovering, looking_at, mount

@@ -19,7 +19,7 @@ from hil.world.check import check_world
 from hil.world.scenes import SCENES, SceneName, scene_of
 from hil.world.snapshot import Snapshot
 from missions import rig_library
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.marker.layout import single_marker
 from path.messages import Role
 from tests.hil.render.views import TAIL, mount, scene

@@ -10,7 +10,7 @@ from flight.harness.renderer import Imaging, RenderedInstant, RendererSetup, Thi
 from hil.camera.pictures import CameraRenderer
 from hil.render.people import HEIGHT_M, PARTS, person
 from hil.render.scene import GAP_M, PATTERN
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.marker.layout import single_marker
 from path.messages import Role
 from tests.hil.render.test_scene import vertices

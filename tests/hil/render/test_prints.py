@@ -13,7 +13,7 @@ from hil.camera.pictures import LIGHTS, CameraRenderer
 from hil.render.prints import SHADED, marker_print
 from hil.render.scene import INK, PAPER, PLATE_SCALE
 from path.marker.layout import single_marker
-from path.marker.texture import cells
+from path.marker.photometric.texture import cells
 from path.messages import Role
 from tests.hil.render.views import TAIL, VGA, hovering, mount
 

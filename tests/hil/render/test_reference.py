@@ -10,7 +10,7 @@ from hil.render.renderer import SUN_W, Renderer
 from hil.render.scene import INK, MARKER, PAPER, PLATE_SCALE, ROTOR, Model, car, marked_drone
 from hil.render.sensor import NOISE_FREE
 from hil.world.snapshot import Snapshot
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from tests.hil.render.views import SMALL, TAIL, at, drone, hovering, mount, scene

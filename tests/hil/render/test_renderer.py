@@ -17,8 +17,8 @@ from hil.render.renderer import STAGES, Renderer, warm_up
 from hil.render.scene import GAP_M
 from hil.render.sensor import NOISE_FREE, SensorNoise
 from hil.world.snapshot import Snapshot
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout, single_marker
 from path.messages import Role
 from tests.hil.render.views import ABOVE, FAR_AWAY, LEVEL, TAIL, VGA, at, drone, hovering, looking_at, mount, scene

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.messages import Role
 
 VGA = CameraModel(640, 480, 615.0, 614.0, 321.3, 238.1, (0.08, -0.18, 0.0008, -0.0005, 0.05))

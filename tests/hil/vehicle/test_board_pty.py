@@ -20,9 +20,9 @@ from drivers.rig.tables import decode_table
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.autopilot.simulator import SimulatorConfig
 from hil.vehicle.board_pty import BoardPty
-from hil.vehicle.followed_world import SimulatedVehicle, start_simulators
-from hil.vehicle.simulator_process import SimulatorBroken
-from hil.vehicle.simulator_wire import SerialWire
+from hil.vehicle.simulators.followed_world import SimulatedVehicle, start_simulators
+from hil.vehicle.simulators.process import SimulatorBroken
+from hil.vehicle.simulators.wire import SerialWire
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.world import HomeConfig, SimDrone, World, WorldConfig
 from missions import rig_library

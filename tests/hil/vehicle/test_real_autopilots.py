@@ -14,8 +14,8 @@ from drivers.mavlink.vehicle import MavsdkVehicle
 from drivers.rig.parts import create, part_context
 from drivers.rig.tables import decode_table
 from hil.autopilot.simulator import Kind
-from hil.vehicle.followed_world import SimulatedVehicle, start_simulators
-from hil.vehicle.simulator_process import BINARY_VARIABLE
+from hil.vehicle.simulators.followed_world import SimulatedVehicle, start_simulators
+from hil.vehicle.simulators.process import BINARY_VARIABLE
 from hil.world.dynamics import POSITION
 from hil.world.world import WorldConfig
 from missions import rig_library

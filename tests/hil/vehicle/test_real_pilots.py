@@ -18,17 +18,17 @@ from pathlib import Path
 import pytest
 
 from drivers.interfaces import FlightMode, VehicleState, VelocitySetpoint
-from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, Script
+from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, Script
 from drivers.mavlink.vehicle import MavsdkVehicle
 from drivers.rig.parts import PartContext, Rig, create, part_context
 from drivers.rig.tables import decode_table
 from flight.config import GuardConfig, MissionConfig
-from flight.guard_rules import GuardStage
-from flight.guard_watch import GuardWatch, watch
+from flight.guard.rules import GuardStage
+from flight.guard.watch import GuardWatch, watch
 from hil.autopilot.radio import STICKS_SLOT, Transmitter
 from hil.autopilot.simulator import Kind
-from hil.vehicle.followed_world import SimulatedVehicle, start_simulators
-from hil.vehicle.simulator_process import BINARY_VARIABLE
+from hil.vehicle.simulators.followed_world import SimulatedVehicle, start_simulators
+from hil.vehicle.simulators.process import BINARY_VARIABLE
 from hil.world.dynamics import POSITION
 from hil.world.world import PositionOffsetConfig, WorldConfig
 from missions import rig_library

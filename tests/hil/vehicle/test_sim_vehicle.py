@@ -14,8 +14,8 @@ from hil.autopilot.autopilot import AutopilotConfig
 from hil.harness.virtual_time import run_virtual
 from hil.vehicle.sim_vehicle import SimVehicle
 from hil.world.world import TICK_S, World, WorldConfig
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout
 from path.messages import Role
 

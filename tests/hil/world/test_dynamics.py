@@ -22,7 +22,7 @@ from hil.world.dynamics import (
     fly,
     standing,
 )
-from path.rotation import rotate, rpy_from_quat
+from path.geometry.rotation import rotate, rpy_from_quat
 
 DT = 0.005
 CONFIG = AirframeConfig()

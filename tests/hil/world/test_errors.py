@@ -23,7 +23,7 @@ from hil.world.errors import (
 )
 from hil.world.estimator import EstimatorConfig
 from missions import rig_library
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 from path.messages import Role
 
 SEEDS = range(60)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers.interfaces import PartError
 from missions.calibrate.run import run
 from missions.options.calibrate import CalibrateMarkerOptions, CalibrateOptions
-from path.marker.texture import dictionary_of
+from path.marker.photometric.texture import dictionary_of
 
 PX = 10  # in a mm
 SVG = "{http://www.w3.org/2000/svg}"

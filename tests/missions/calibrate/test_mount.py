@@ -32,11 +32,11 @@ from missions.options.calibrate import CalibrateMountOptions, CalibrateOptions
 from missions.rig_list import FOLDER
 from path.calibration.board import Board, find_board
 from path.calibration.mount import MountPair
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.rotation import R_from_rpy, angle_between, exp
+from path.geometry.transforms import Pose
 from path.marker.detect import detect_markers
 from path.messages import Role
-from path.rotation import R_from_rpy, angle_between, exp
 from tests.path.calibration.rendered import LEVEL, grey, placed
 
 BOARD = Board("charuco", 7, 5, 0.050, 0.035, "DICT_5X5_50")

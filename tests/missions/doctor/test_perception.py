@@ -17,7 +17,7 @@ from drivers.rig.part_check import Finding
 from drivers.rig.parts import PartSpec, create
 from missions.doctor import perception as doctor_perception
 from missions.doctor.perception import FrameSample, age, brightness, check_detector, check_perception, rate
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from path.marker.layout import single_marker
 from path.observations import Detection, Region
 from tests.drivers.realsense.software_d415 import COLOR, FPS, context

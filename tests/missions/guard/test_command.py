@@ -19,8 +19,8 @@ import pytest
 from drivers.interfaces import FlightMode, PartError
 from drivers.link.udp import address_of
 from drivers.log.mcap_log import read_log
-from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, Hand, Script
-from drivers.mavlink.guard_line import UdpGuardLine, encode_beat
+from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, Hand, Script
+from drivers.mavlink.guard.line import UdpGuardLine, encode_beat
 from hil.autopilot.values import OffboardSession
 from missions import rig_library
 from missions.cli import main
@@ -207,7 +207,7 @@ def test_a_second_guard_of_the_same_vehicle_is_refused(tmp_path: Path) -> None:
         rig = rig_library.load_unchecked(str(file))
 
         async def occupy() -> None:
-            from drivers.mavlink.guard_line import UdpBeatLine  # noqa: PLC0415
+            from drivers.mavlink.guard.line import UdpBeatLine  # noqa: PLC0415
 
             async with UdpBeatLine(f"127.0.0.1:{port}", MonotonicClock()):
                 assert with_guard(rig, Role.SENDER, "start", tmp_path) is rig  # one is there: none is begun

@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import FlightMode
-from drivers.mavlink.guard_interfaces import Beat, GuardAnswer, Hand, Script
+from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, Hand, Script
+from flight.guard.under_guard import UnderGuard
 from flight.outcome import MissionEnd, Outcome
-from flight.under_guard import UnderGuard
 from hil.harness.virtual_time import run_virtual
 from missions import rig_library
 from missions.leg.steps import bring_down, preflight, take_off
-from tests.flight.test_under_guard import FakeLine
+from tests.flight.guard.test_under_guard import FakeLine
 from tests.missions.leg.test_steps import CONFIG, WAY_OUT, Bench, Clock
 
 WATCHED, TAKEN = GuardAnswer(True, Hand.SCRIPT), GuardAnswer(True, Hand.GUARD, "no setpoint for 0.5 s")

@@ -20,16 +20,16 @@ from missions.leg.journal import (
     marker_record,
     target_record,
 )
-from path.agreement import Agreed
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.cycle.prior import Prior
+from path.cycle.sender import PairVerdict
+from path.gate.agreement import Agreed
+from path.gate.window import Evidence
+from path.geometry.rigid import rigid
+from path.geometry.rotation import R_from_rpy
+from path.geometry.transforms import Pose
 from path.messages import Candidate, Target
 from path.observations import Box, Detection, MarkerDetection, Missed, MissReason, Region
-from path.prior import Prior
-from path.rigid import rigid
-from path.rotation import R_from_rpy
-from path.sender import PairVerdict
-from path.window import Evidence
 
 CAMERA = CameraModel(640, 480, 615.0, 615.0, 320.0, 240.0, (0.1, -0.2, 0.0, 0.0, 0.05))
 BOX = Box(10.0, 20.0, 30.0, 40.0)

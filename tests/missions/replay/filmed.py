@@ -18,9 +18,9 @@ from drivers.rig.parts import Mount
 from missions import rig_library
 from missions.replay.logged import pose_of
 from missions.report.records import drone_logs
-from path.camera import CameraModel
+from path.camera.model import CameraModel
+from path.geometry.rotation import R_from_quat, quat_from_R
 from path.messages import Role
-from path.rotation import R_from_quat, quat_from_R
 
 FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 

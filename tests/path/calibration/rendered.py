@@ -13,8 +13,8 @@ from missions.trials.calibration import views as calibration_views
 from missions.trials.calibration.views import HERE as LEVEL
 from missions.trials.calibration.views import Held, grey, placed
 from path.calibration.board import Board, BoardView
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 
 __all__ = ["CAMERA", "CHARUCO", "CHESSBOARD", "LEVEL", "Held", "grey", "photographs", "placed", "poses", "seen"]
 

@@ -12,7 +12,7 @@ from hil.camera.pictures import CameraRenderer
 from missions.trials.calibration.views import board_poses
 from missions.trials.calibration.views import photographs as shoot
 from path.calibration.board import Board, find_board, other_size, print_cells
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from tests.path.calibration.rendered import CAMERA, CHARUCO, CHESSBOARD, Held, grey, photographs, poses
 
 MOTION = replace(IDEAL, motion_px=(4.0, 2.0))

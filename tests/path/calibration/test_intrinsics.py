@@ -20,7 +20,7 @@ from path.calibration.judge import (
     sharp_enough,
     uneven_pixels,
 )
-from path.camera import CameraModel
+from path.camera.model import CameraModel
 from tests.path.calibration.rendered import CAMERA, CHARUCO, Held, grey, photographs, poses, seen
 
 SIZE = (CAMERA.width, CAMERA.height)

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from path import rotation
-from path.camera import CameraModel
-from path.geometry import Matrix, Pose, Vector
+from path.camera.model import CameraModel
+from path.geometry import rotation
+from path.geometry.transforms import Matrix, Pose, Vector
 from path.marker.layout import MarkerLayout
-from path.marker.texture import cells
+from path.marker.photometric.texture import cells
 from path.observations import Region
 
 VGA = CameraModel(640, 480, 615.0, 614.0, 321.5, 238.0, (0.06, -0.12, 0.001, -0.0008, 0.0))

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from path import rotation
-from path.geometry import Pose
+from path.geometry import rotation
+from path.geometry.transforms import Pose
 from path.marker import detect
 from path.marker.detect import detect_markers
 from path.marker.layout import Marker, MarkerLayout, single_marker
+from path.marker.photometric.texture import cells, dictionary_of
 from path.marker.pose import PoseSettings, estimate_pose
-from path.marker.texture import cells, dictionary_of
 from path.observations import Missed, MissReason, Region
 from tests.path.marker.scene import VGA, Optics, background, random_view, region_around, render, true_corners
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from path import rotation
-from path.geometry import Pose
+from path.geometry import rotation
+from path.geometry.transforms import Pose
 from path.marker.layout import DICTIONARIES, Marker, MarkerLayout, single_marker
-from path.marker.texture import cells, dictionary_of
+from path.marker.photometric.texture import cells, dictionary_of
 
 HERE = Pose(np.eye(3), np.zeros(3))
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from path import rotation
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry import rotation
+from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
-from path.marker.misfit import FILTERED, SHADOWED, TAPS, model
-from path.marker.pattern import UNKNOWNS
-from path.marker.photometric import PhotometricFit, fit
-from path.marker.texture import cells
+from path.marker.photometric.corners import PhotometricFit, fit
+from path.marker.photometric.misfit import FILTERED, SHADOWED, TAPS, model
+from path.marker.photometric.pattern import UNKNOWNS
+from path.marker.photometric.texture import cells
 from tests.path.marker.scene import HD, VGA, Optics, random_view, region_around, render, true_corners
 
 LAYOUT = single_marker()

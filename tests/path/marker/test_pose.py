@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from path import rotation
-from path.camera import CameraModel, Nine
-from path.camera_kernels import lens_of
-from path.geometry import Pose
+from path.camera.kernels import lens_of
+from path.camera.model import CameraModel, Nine
+from path.geometry import rotation
+from path.geometry.transforms import Pose
 from path.marker.detect import detect_markers
 from path.marker.layout import Marker, MarkerLayout, single_marker
 from path.marker.pose import MarkerPose, PoseSettings, _ippe, estimate_pose

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from path import rotation
-from path.geometry import Pose
+from path.geometry import rotation
+from path.geometry.transforms import Pose
 from path.marker import detect
 from path.marker.detect import detect_markers
 from path.marker.layout import Marker, MarkerLayout, single_marker

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from missions.trials.beacon.offset_fit import OffsetFit, fit_offset
 from missions.trials.dynamic.flight import steadied
 from missions.trials.shared.trajectory import Alignment, MotionPair, Trajectory, align
-from path.rotation import exp
+from path.geometry.rotation import exp
 
 Array = NDArray[np.float64]
 R, OFFSET_S, STEADY_S, SESSIONS = exp(np.array([0.0, 0.0, 2.1])), 12.345, 1.0, 16

@@ -14,9 +14,9 @@ from missions.trials.board.file import read_board
 from missions.trials.board.measure import measure
 from missions.trials.board.pictures import draw_board
 from missions.trials.board.trial import BOARD_TITLES, BoardPhotograph, OnBoard, board_table, look_at
-from path import rotation
-from path.camera import CameraModel
-from path.geometry import Pose
+from path.camera.model import CameraModel
+from path.geometry import rotation
+from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout
 from tests.path.marker.scene import Optics, render
 

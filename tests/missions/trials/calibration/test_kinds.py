@@ -19,7 +19,7 @@ from missions.trials.calibration.kinds import (
 )
 from path.calibration.board import Board
 from path.calibration.judge import BadSet
-from path.geometry import Pose
+from path.geometry.transforms import Pose
 
 
 def test_a_curled_board_gives_a_camera_within_its_stated_errors() -> None:

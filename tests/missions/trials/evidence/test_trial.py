@@ -14,8 +14,8 @@ from missions.trials.evidence.trial import FORCED_WAYS, QUICK, SIDE_M, rate, rea
 from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
 from missions.work import open_work
 from path.config import MethodConfig
-from path.evidence import EvidenceGate
-from path.window import FramePair
+from path.gate.evidence import EvidenceGate
+from path.gate.window import FramePair
 
 METHOD = MethodConfig(gate="evidence")
 PERIOD_NS = 20_000_000

@@ -34,7 +34,7 @@ from missions.trials.handshake.handovers import (
 )
 from missions.trials.shared.trial import TrialRequest, TrialResult
 from missions.work import open_work
-from path.evidence import make_gate
+from path.gate.evidence import make_gate
 
 RIG = rig_library.load("sim-rendered")
 METHOD = RIG.method

@@ -38,9 +38,9 @@ from missions.trials.recall.handovers import (
 from missions.trials.shared.trial import TrialRequest, trial_part
 from missions.work import open_work
 from path.config import MethodConfig
-from path.evidence import make_gate
+from path.gate.evidence import make_gate
+from path.gate.window import Offsets
 from path.observations import MissReason
-from path.window import Offsets
 
 METHOD = MethodConfig()
 PERIOD_NS = 20_000_000

@@ -20,7 +20,7 @@ from missions.trials.shared.trajectory import (
     rpe_after,
     rpe_along,
 )
-from path.rotation import R_from_rpy, exp
+from path.geometry.rotation import R_from_rpy, exp
 
 Array = NDArray[np.float64]
 R, SHIFT, OFFSET_S, NOISE_M = exp(np.array([0.0, 0.0, 2.1])), np.array([4.0, -7.0, 0.3]), -3541.237, 0.02

@@ -39,7 +39,7 @@ from missions.trials.thresholds.series import (
 )
 from missions.work import open_work
 from path.config import MethodConfig
-from path.window import AgreementWindow
+from path.gate.window import AgreementWindow
 
 RIG = rig_library.load("sim-rendered")
 PERIOD_NS = 20_000_000

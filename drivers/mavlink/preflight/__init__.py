@@ -1,0 +1,1 @@
+"""What an autopilot must have before it is flown: parameters, pilot's radio and fence."""

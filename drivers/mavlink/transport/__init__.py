@@ -1,0 +1,1 @@
+"""MAVLink as bytes: ports, frames, signatures, and whom a packet is from."""

@@ -1,0 +1,241 @@
+"""D2's way to D1: stand-off by reported positions, search for the marker, approach by the marker alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from drivers.interfaces import VehicleState, VelocitySetpoint
+from drivers.rig.parts import Mount
+from flight.config import MissionConfig
+from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, scale, subtract
+from flight.rendezvous.marker_view import MarkerView, levelled
+from flight.rendezvous.viewpoint import Floats, NoViewpoint, Viewpoint, ViewpointScene, plan_viewpoint
+from flight.tilt import Tilt
+from path.camera.model import CameraModel
+from path.geometry.rotation import wrapped, yaw_of
+from path.marker.layout import MarkerLayout
+from path.messages import Status, Target
+
+_TRANSIT_MPS = 1.0
+_TURN, _SLIDE, _CLIMB = 1.1, 0.3, 0.19  # rad/s of the search's three swings: no two are in step for long
+_NEAR_M = 1.6  # where the bounds of an approach are narrow
+_TOO_NEAR_M = 0.15  # above the smallest separation
+_RUSHING_MPS = 0.4  # above the speed of an approach
+_UNCERTAIN = 2.0  # times the largest uncertainty to close in with
+_UNSURE_SHARE = 0.3  # of the speed, while the marker's pose is uncertain
+_BACK_OFF_MPS = 0.25
+_SETTLE_S = 1.5  # where it came in to, before it starts to slide
+_COME_IN_MPS = 0.3
+_FINDABLE_PX = 14.0  # of a marker's side: found in nearly every image, at a slant too
+
+
+def stand_off_m(config: MissionConfig) -> float:
+    """Returns the distance that reported positions may lead to.
+
+    It is clear of the other drone even if they are wrong by all that they may be.
+    """
+    rendezvous = config.rendezvous
+    wrong_m = math.hypot(rendezvous.positions_within_m, rendezvous.heights_within_m)
+    return max(rendezvous.stand_off_m, config.separation.minimum_m + rendezvous.clearance_m + wrong_m)
+
+
+class Rendezvous:
+    """Guidance of the receiver until the target is its own. The guidance methods are ``flight.pilot.Guidance``.
+
+    Args:
+        peer: the sender's newest Status; asked only once there is one.
+        now_ns: role clock.
+    """
+
+    def __init__(
+        self,
+        config: MissionConfig,
+        camera: CameraModel,
+        mount: Mount,
+        layout: MarkerLayout,
+        marker: MarkerView,
+        peer: Callable[[], Status],
+        now_ns: Callable[[], int],
+    ) -> None:
+        self._config = config
+        self._camera = camera
+        self._mount = mount
+        self._side_m = max(marker.side_m for marker in layout.markers)
+        self._marker = marker
+        self._peer = peer
+        self._now_ns = now_ns
+        self._viewpoint: Viewpoint | None = None
+        self._search_began_ns = 0
+        self._shift_n_m: Vec3 | None = None  # of the sender's reported position, once its marker was measured
+        self.tilt = Tilt()
+
+    @property
+    def viewpoint(self) -> Viewpoint:
+        assert self._viewpoint is not None, "there is no way to a viewpoint before one is planned"
+        return self._viewpoint
+
+    def plan(self, target: Target) -> Viewpoint | NoViewpoint:
+        """Plan the viewpoint for the geometry the sender reports now; a found one is flown to from now on."""
+        R_h_v = levelled(target.gravity_v, self._mount.T_b_v.R)
+        scene = ViewpointScene(
+            target_h_m=R_h_v @ np.array(target.point_v_m),
+            marker_normal_h=R_h_v[:, 2],
+            marker_side_m=self._side_m,
+            body_h_m=R_h_v @ self._mount.T_b_v.inverse().t,
+            target_radius_m=self._config.target.half_size_m,
+        )
+        tilt_h = np.array(from_heading(self.tilt.down_n, -self._peer().yaw_rad))
+        config = self._config
+        plan = plan_viewpoint(scene, self._camera, self._mount.T_b_c, config.rendezvous, config.separation, tilt_h)
+        if isinstance(plan, Viewpoint):
+            self._viewpoint = plan
+        return plan
+
+    # --- stand-off and search: by the positions both drones report -------------------------------------------------
+
+    def to_stand_off(self, state: VehicleState) -> VelocitySetpoint:
+        """Leads to where the marker faces D2, in the middle of the image, if both positions are right.
+
+        That is not on the viewpoint's side: with positions off by a metre the marker would be seen edge-on there.
+        """
+        place, yaw = self._facing_marker(self.stand_off_m)
+        return self._by_position(place, state, yaw)
+
+    def at_stand_off(self, state: VehicleState) -> bool:
+        off_m = norm(subtract(self._facing_marker(self.stand_off_m)[0], state.position_n_m))
+        return off_m < self._config.rendezvous.stand_off_tolerance_m
+
+    def begin_search(self) -> None:
+        self._search_began_ns = self._now_ns()
+
+    def search(self, state: VehicleState) -> VelocitySetpoint:
+        """Come in as near as the marker wants; look to and fro, wider as time goes, and slide outward and back.
+
+        It comes in along the camera's axis, through the space it has looked into: a marker that is in D2's way, or
+        near it, shows before D2 is there. Nowhere else does it come nearer: the positions may be wrong by more than is
+        left. A drone that is nearly above the other sees it only from farther out.
+        """
+        rendezvous = self._config.rendezvous
+        searching_s = (self._now_ns() - self._search_began_ns) * 1e-9
+        from_m, to_m = self.stand_off_m, self._search_from_m()
+        place, yaw = self._facing_marker(max(to_m, from_m - _COME_IN_MPS * searching_s))
+        searched_s = max(0.0, searching_s - (from_m - to_m) / _COME_IN_MPS - _SETTLE_S)
+        turn = math.radians(rendezvous.search_turn_deg) * min(1.0, 0.3 * searched_s) * math.sin(_TURN * searched_s)
+        back_m = _swing(max(rendezvous.search_slide_m, rendezvous.positions_within_m), _SLIDE * searched_s)
+        up_m = _swing(rendezvous.heights_within_m, _CLIMB * searched_s)
+        place = self._within_fence(add(place, from_heading((-back_m, 0.0, -up_m), yaw)))
+        return self._by_position(place, state, yaw + turn)
+
+    def note_seen(self, state: VehicleState, marker_n_m: Vec3) -> None:
+        """The marker, from the camera: from here on the sender is where this says, and not where it reports to be."""
+        peer = self._peer()
+        own = from_heading(_vec3(self._mount.T_b_c.t), yaw_of(state.q_n_b))
+        lever = from_heading(_vec3(self._mount.T_b_v.t), peer.yaw_rad)
+        there = subtract(add(add(state.position_n_m, own), marker_n_m), lever)
+        self._shift_n_m = subtract(there, peer.position_n_m)
+
+    @property
+    def stand_off_m(self) -> float:
+        """The least distance by reported positions; nearer once the marker has told what those are worth."""
+        return stand_off_m(self._config) if self._shift_n_m is None else self._config.rendezvous.stand_off_m
+
+    def _search_from_m(self) -> float:
+        """Returns how far from the marker the search is.
+
+        Its side has enough pixels there, and no nearer than need be.
+        """
+        findable_m = 0.5 * (self._camera.fx + self._camera.fy) * self._side_m / _FINDABLE_PX
+        return min(self.stand_off_m, max(self._config.rendezvous.stand_off_m, findable_m))
+
+    def _facing_marker(self, distance_m: float) -> tuple[Vec3, float]:
+        """The place from which the marker is this far along the camera's axis, and the yaw there."""
+        peer = self._peer()
+        steepness = math.asin(float(self._mount.T_b_c.R[2, 2]))  # how far below the horizon the camera looks
+        level_m, height_m = distance_m * math.cos(steepness), distance_m * math.sin(steepness)
+        normal_b = self._mount.T_b_v.R[:, 2]  # of the plate, in D1's body
+        facing = math.hypot(float(normal_b[0]), float(normal_b[1]))
+        ahead, right = (float(normal_b[0]) / facing, float(normal_b[1]) / facing) if facing > 0.1 else (-1.0, 0.0)
+        offset = from_heading((level_m * ahead, level_m * right, -height_m), peer.yaw_rad)
+        place = add(peer.position_n_m, offset)
+        place = place if self._shift_n_m is None else add(place, self._shift_n_m)
+        return self._within_fence(place), bearing(scale(offset, -1.0))
+
+    def _within_fence(self, place_n_m: Vec3) -> Vec3:
+        """The nearest place that is inside the fence however wrong this drone's own position is."""
+        guard, rendezvous = self._config.guard, self._config.rendezvous
+        radius_m = max(0.0, guard.fence_radius_m - rendezvous.positions_within_m)
+        height_m = max(0.0, guard.fence_height_m - rendezvous.heights_within_m)
+        north, east, down = place_n_m
+        share = min(1.0, radius_m / max(math.hypot(north, east), 1e-9))
+        return share * north, share * east, max(down, -height_m)
+
+    def _by_position(self, place_n_m: Vec3, state: VehicleState, yaw_rad: float) -> VelocitySetpoint:
+        error, gain = subtract(place_n_m, state.position_n_m), self._config.rendezvous.gain_per_s
+        return VelocitySetpoint(close_in(error, self._peer().velocity_n_mps, gain, _TRANSIT_MPS), yaw_rad)
+
+    # --- approach: by the marker alone -----------------------------------------------------------------------------
+
+    def to_viewpoint(self, state: VehicleState) -> VelocitySetpoint:
+        """Close in on the planned place; when the marker was not seen for too long, back off to see it again."""
+        relative, peer = self._marker.predict(self._now_ns()), self._peer()
+        if relative is None:
+            heading = yaw_of(state.q_n_b)
+            away = from_heading((-_BACK_OFF_MPS, 0.0, 0.0), heading)
+            return VelocitySetpoint(add(peer.velocity_n_mps, away), heading)
+        rendezvous = self._config.rendezvous
+        sure = relative.sigma_m <= rendezvous.max_position_sigma_m
+        speed = rendezvous.max_speed_mps * (1.0 if sure else _UNSURE_SHARE)
+        error = self._off_viewpoint(relative.marker_n_m)
+        velocity = close_in(error, peer.velocity_n_mps, rendezvous.gain_per_s, speed)
+        return VelocitySetpoint(velocity, self._yaw_between(relative.marker_n_m))
+
+    def at_viewpoint(self) -> bool:
+        """Returns whether the camera is at the viewpoint, and slow."""
+        relative, rendezvous = self._marker.predict(self._now_ns()), self._config.rendezvous
+        return (
+            relative is not None
+            and norm(self._off_viewpoint(relative.marker_n_m)) < rendezvous.arrived_m
+            and norm(relative.velocity_n_mps) < rendezvous.arrived_speed_mps
+        )
+
+    def out_of_bounds(self) -> str:
+        """Returns why this approach must not go on; "" while all is within its bounds."""
+        relative, rendezvous = self._marker.predict(self._now_ns()), self._config.rendezvous
+        if relative is None:
+            return ""
+        way, velocity = relative.marker_n_m, relative.velocity_n_mps
+        distance_m = norm(way)
+        closing_mps = -sum(a * b for a, b in zip(way, velocity, strict=True)) / distance_m
+        if distance_m < self._config.separation.minimum_m + _TOO_NEAR_M:
+            return f"{distance_m:.2f} m from the marker"
+        if distance_m > _NEAR_M:
+            return ""
+        if closing_mps > rendezvous.max_speed_mps + _RUSHING_MPS:
+            return f"closing in at {closing_mps:.1f} m/s"
+        if relative.sigma_m > _UNCERTAIN * rendezvous.max_position_sigma_m:
+            return f"uncertain by {relative.sigma_m:.2f} m at {distance_m:.1f} m"
+        return ""
+
+    def _off_viewpoint(self, marker_n_m: Vec3) -> Vec3:
+        """Returns what is missing to the viewpoint, given the way from the camera to the marker."""
+        return add(from_heading(self.viewpoint.camera_h_m, self._peer().yaw_rad), marker_n_m)
+
+    def _yaw_between(self, marker_n_m: Vec3) -> float:
+        """Returns the yaw with which marker and target share the image."""
+        to_marker = bearing(marker_n_m)
+        if self._marker.target_n_m is None:
+            return self._peer().yaw_rad + self.viewpoint.yaw_h_rad
+        return to_marker + 0.5 * wrapped(bearing(self._marker.target_n_m) - to_marker)
+
+
+def _swing(widest: float, phase_rad: float) -> float:
+    """Returns a way from 0 to the widest and back."""
+    return 0.5 * widest * (1.0 - math.cos(phase_rad))
+
+
+def _vec3(of: Floats) -> Vec3:
+    x, y, z = of.tolist()
+    return x, y, z

@@ -1,0 +1,43 @@
+"""Taking one object for the target that an operator designated."""
+
+from __future__ import annotations
+
+import math
+
+from drivers.interfaces import View
+from flight.config import Designated
+from flight.guidance import Vec3
+from flight.tracking.association import acquire
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
+from path.observations import Box, MissReason
+
+STEADY_FRAMES = 5
+STEADY_M = 0.25
+ROOM = 0.2  # of the image, at each side
+
+
+class Acquisition:
+    """Takes the object at the designated place for the target once it was seen there in several frames."""
+
+    def __init__(self, camera: CameraModel) -> None:
+        self._camera = camera
+        self._steady: list[Vec3] = []
+
+    def look(self, view: View, T_n_c: Pose, designated: Designated) -> Vec3 | None:
+        """Returns the target's position in ``n`` when this frame makes it sure."""
+        found = acquire(view, T_n_c, self._camera, designated)
+        if isinstance(found, MissReason) or not self._well_inside(found[0].box):
+            self._steady.clear()
+            return None
+        position = found[1]
+        if self._steady and math.dist(position, self._steady[-1]) > STEADY_M:
+            self._steady.clear()
+        self._steady.append(position)
+        return position if len(self._steady) >= STEADY_FRAMES else None
+
+    def _well_inside(self, box: Box) -> bool:
+        """Returns whether the box is so far inside the image that a gust would not take it out at once."""
+        u, v = box.center
+        room_u, room_v = ROOM * self._camera.width, ROOM * self._camera.height
+        return room_u <= u <= self._camera.width - room_u and room_v <= v <= self._camera.height - room_v

@@ -1,0 +1,246 @@
+"""Finding one object again from frame to frame: its track (``target_track``) is associated in the image."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.interfaces import View
+from flight.config import Designated
+from flight.guidance import Vec3, norm, subtract
+from flight.tracking.target_track import TargetTrack
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
+from path.observations import Box, Depth, Detection, MissReason, Region
+from path.target.rivals import MOST, Rival
+
+Pixel = tuple[float, float]
+
+MIN_SCORE = 0.3
+_RIVAL_REACH_M = 0.6
+_BESIDE_M = 1.0  # around the object, what else is told of
+_UNSEEN_S = 0.5  # after so long anything else that the object may have come to might as well be the object
+_CUT_SCORE = 0.1  # of a box that the image's border cuts, which detectors score low: it is an object, not its box
+_BORDER_PX = 1.5
+_OUTSIDE_PX = 60.0  # so far outside the image an object's middle may be, and a part of it inside
+_AMBIGUITY = 0.6
+_CLEARLY_NEARER = 1.5
+_ROUND = 16  # places on the rim of where a designated object can be
+_MIN_DESCENT = 0.2  # per metre along the optical axis
+_DEPTH_FLOOR_M, _DEPTH_SIGMAS = 0.2, 3.0  # how far a depth may put the object from its prediction
+_COARSE_M = 0.12  # a range that is no better is estimated, not measured
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """The tracked object in one frame.
+
+    ``depth`` is None where the depth camera gave nothing to be trusted. ``beside``: the objects nearest to it that look
+    like it, of those that were looked for.
+    """
+
+    box: Box
+    depth: Depth | None
+    beside: tuple[Rival, ...] = ()
+
+
+def point_in_camera(box: Box, z_m: float, camera: CameraModel) -> Vec3:
+    """The point at a box's centre and a depth, in the camera frame (eq. target_backprojection)."""
+    x, y = camera.ray(*box.center)
+    return x * z_m, y * z_m, z_m
+
+
+def to_local(point_c: Vec3, T_n_c: Pose) -> Vec3:
+    """Camera coordinates to local NED."""
+    north, east, down = T_n_c.apply(np.asarray(point_c)).tolist()
+    return north, east, down
+
+
+def acquire(view: View, T_n_c: Pose, camera: CameraModel, designated: Designated) -> tuple[Sighting, Vec3] | MissReason:
+    """The one object that the designated one can be, with its position in ``n``; or why there is none.
+
+    Two that it can be are never told apart by their distances: neither is taken, until one is left. Nor is one that is
+    hardly nearer than the next: the place may be off by more than was thought. When the object may have driven since
+    it was pointed at, one alone is taken only if it would be seen wherever it is.
+    """
+    place_n_m, radius_m = designated.place_n_m, designated.radius_m
+    seen: list[tuple[float, Sighting | None, Vec3]] = []
+    for detection in view.targets(None):
+        box = detection.box
+        cut = is_cut(box, camera)
+        if detection.score < (_CUT_SCORE if cut else MIN_SCORE):
+            continue
+        depth = None if cut else view.depth(box)
+        position = (
+            _at_height(box.center, camera, T_n_c, place_n_m[2])
+            if depth is None
+            else place(box, depth, camera, T_n_c, place_n_m[2])
+        )
+        if position is not None:
+            off_m = norm(subtract(position, place_n_m))
+            seen.append((off_m, None if depth is None else Sighting(box, depth), position))
+    seen.sort(key=lambda item: item[0])
+    if not seen or seen[0][0] > radius_m:
+        return MissReason.NO_TARGET
+    if len(seen) > 1 and seen[1][0] < max(radius_m, _CLEARLY_NEARER * seen[0][0]):
+        return MissReason.AMBIGUOUS_TARGET
+    _, sighting, position = seen[0]
+    if sighting is None:
+        return MissReason.NO_TARGET
+    if designated.drift_m > 0.0 and not _overlooks(T_n_c, camera, designated):
+        return MissReason.AMBIGUOUS_TARGET
+    return sighting, position
+
+
+def _overlooks(T_n_c: Pose, camera: CameraModel, designated: Designated) -> bool:
+    """Returns whether the camera sees everywhere that the object can have gone to."""
+    (north, east, down), radius_m = designated.place_n_m, designated.radius_m
+    turns = [2.0 * math.pi * k / _ROUND for k in range(_ROUND)]
+    rim = [(north + radius_m * math.cos(turn), east + radius_m * math.sin(turn), down) for turn in turns]
+    T_c_n = T_n_c.inverse()
+    return all(camera.sees((x, y, z)) for x, y, z in T_c_n.apply(np.array(rim)).tolist())
+
+
+def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> Sighting | MissReason:
+    """Find the tracked object in a view and update the track.
+
+    The object must be where the track predicts it, and clearly nearer to there than anything that looks alike. Where
+    such a thing was seen beside it, the gate does not reach it, however long the object is missed; and an object that
+    was out of sight for a while is taken again only when nothing else is as far as it can have come.
+    Without depth, or with a range that is only estimated, it is taken to be as high as it was: so the drone keeps
+    following while the frame is a miss, and does not follow a range that changes with the target's heading. A depth
+    that puts it elsewhere on its ray is of something else, such as the other drone in front of it: that is no depth.
+    A box that the image's border cuts is not the object's: it keeps the track, and the frame is a miss.
+    """
+    predicted_n, sigma_m = track.predict(view.stamp_ns)
+    x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
+    if z <= 0.1 or not camera.sees((x, y, z), -_OUTSIDE_PX):
+        return MissReason.NO_TARGET
+    u, v = camera.project_point((x, y, z))
+    gate_m = track.gate_m(sigma_m, view.stamp_ns)
+    px_per_m = camera.fx / z
+    unseen = view.stamp_ns - track.stamp_ns > _UNSEEN_S * 1e9
+    reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / _AMBIGUITY, _RIVAL_REACH_M)
+    found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
+    ranked = _by_distance(found, (u, v), camera, track.size_m, z)
+    if not ranked or ranked[0].off_px > px_per_m * gate_m:
+        return MissReason.NO_TARGET
+    chosen = ranked[0]
+    if len(ranked) > 1:
+        track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
+        if unseen or _nearly_as_near(ranked):
+            return MissReason.AMBIGUOUS_TARGET
+    down_m = track.position_n_m[2]
+    if chosen.cut:
+        bounded = _at_height(chosen.pixel, camera, T_n_c, down_m)
+        if bounded is not None:
+            track.update(bounded, view.stamp_ns, cut=True)
+        return MissReason.NO_TARGET
+    box = chosen.box
+    track.size_m = box.w * z / camera.fx, box.h * z / camera.fy
+    depth = view.depth(box)
+    if depth is not None:
+        shown = to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
+        reach_m = _DEPTH_FLOOR_M + _DEPTH_SIGMAS * math.hypot(sigma_m, depth.sigma_m)
+        depth = depth if math.dist(shown, predicted_n) <= reach_m else None
+    measured = (
+        _at_height(box.center, camera, T_n_c, down_m) if depth is None else place(box, depth, camera, T_n_c, down_m)
+    )
+    if measured is not None:
+        track.update(measured, view.stamp_ns)
+    return Sighting(box, depth, _beside(view, box, ranked[1:], px_per_m))
+
+
+def _beside(view: View, own: Box, others: Sequence[_Found], px_per_m: float) -> tuple[Rival, ...]:
+    """The whole objects nearest to a box, with their depth."""
+    near = [each.box for each in others if not each.cut and math.dist(each.pixel, own.center) <= px_per_m * _BESIDE_M]
+    near.sort(key=lambda box: math.dist(box.center, own.center))
+    return tuple(Rival(box, view.depth(box)) for box in near[:MOST])
+
+
+def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3:
+    """Returns the place of a box's object in ``n``: by its depth, or where its ray meets a height if that is better.
+
+    Args:
+        down_m: of the object, when it stands on the ground that the drone measures its own height from.
+    """
+    if depth.sigma_m > _COARSE_M:
+        on_ground = _at_height(box.center, camera, T_n_c, down_m)
+        if on_ground is not None:
+            return on_ground
+    return to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
+
+
+def _at_height(pixel: Pixel, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3 | None:
+    """Returns the point at which a pixel's ray comes down to a height; None for a ray that hardly does."""
+    x, y = camera.ray(*pixel)
+    ray = T_n_c.R @ (x, y, 1.0)
+    if ray[2] < _MIN_DESCENT:
+        return None
+    north, east, down = (T_n_c.t + (down_m - T_n_c.t[2]) / ray[2] * ray).tolist()
+    return north, east, down
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """An object in an image. ``cut``: by the border; ``pixel`` is where its middle must be, and may be outside."""
+
+    box: Box
+    pixel: Pixel
+    off_px: float  # from where the tracked one is expected
+    cut: bool
+
+
+def _by_distance(
+    found: Sequence[Detection], expected: Pixel, camera: CameraModel, size_m: tuple[float, float] | None, z_m: float
+) -> list[_Found]:
+    objects: list[_Found] = []
+    for detection in found:
+        box = detection.box
+        cut = is_cut(box, camera)
+        if detection.score < (_CUT_SCORE if cut else MIN_SCORE):
+            continue
+        pixel = _middle(box, camera, size_m, z_m) if cut and size_m is not None else box.center
+        objects.append(_Found(box, pixel, math.dist(pixel, expected), cut))
+    objects.sort(key=lambda each: each.off_px)
+    return objects
+
+
+def is_cut(box: Box, camera: CameraModel) -> bool:
+    """True when the image's border cuts a box, or may: then it is not the whole object's."""
+    return (
+        min(box.x, box.y) < _BORDER_PX - 0.5
+        or box.x + box.w > camera.width - 0.5 - _BORDER_PX
+        or box.y + box.h > camera.height - 0.5 - _BORDER_PX
+    )
+
+
+def _middle(box: Box, camera: CameraModel, size_m: tuple[float, float], z_m: float) -> Pixel:
+    """The middle of an object that the border cuts, from its size when it was whole."""
+    half_u, half_v = 0.5 * size_m[0] * camera.fx / z_m, 0.5 * size_m[1] * camera.fy / z_m
+    return (
+        _whole_middle(box.x, box.x + box.w, half_u, camera.width),
+        _whole_middle(box.y, box.y + box.h, half_v, camera.height),
+    )
+
+
+def _whole_middle(low: float, high: float, half: float, size: int) -> float:
+    if low < _BORDER_PX - 0.5:
+        return min(high - half, 0.5 * (low + high))
+    if high > size - 0.5 - _BORDER_PX:
+        return max(low + half, 0.5 * (low + high))
+    return 0.5 * (low + high)
+
+
+def _nearest_m(ranked: Sequence[_Found], px_per_m: float) -> float:
+    """From the first object to the nearest other one."""
+    first, *others = (each.pixel for each in ranked)
+    return min(math.dist(first, other) for other in others) / px_per_m
+
+
+def _nearly_as_near(ranked: Sequence[_Found]) -> bool:
+    """True when the second object might be the one expected as well as the first."""
+    return ranked[0].off_px > _AMBIGUITY * ranked[1].off_px

@@ -1,0 +1,1 @@
+"""The calibrated camera: from points to pixels and back."""

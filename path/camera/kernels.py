@@ -1,0 +1,84 @@
+"""The camera's arithmetic for one pixel, compiled; ``path.camera.model`` says what it means.
+
+A lens is the array ``(fx, fy, cx, cy, k1, k2, p1, p2, k3, width, height, max_radius)`` of ``lens_of``.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from path.camera.model import UNDISTORT_ITERATIONS, UNDISTORT_STEP, CameraModel
+from path.compiled import inner, kernel
+
+Array = NDArray[np.float64]
+
+
+@lru_cache(maxsize=64)
+def lens_of(camera: CameraModel) -> Array:
+    """A camera as the array the kernels take, shape (12,). Shared: do not change it."""
+    focal_and_centre = camera.fx, camera.fy, camera.cx, camera.cy
+    limits = camera.width, camera.height, camera.max_radius
+    return np.array([*focal_and_centre, *camera.distortion, *limits], dtype=np.float64)
+
+
+@kernel
+def ray(lens: Array, u: float, v: float) -> tuple[float, float]:
+    """Undistorted normalised coordinates of a pixel, by Newton's method to 1e-12; NaN where there are none."""
+    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
+    xd, yd = (u - lens[2]) / lens[0], (v - lens[3]) / lens[1]
+    if k1 == 0.0 and k2 == 0.0 and p1 == 0.0 and p2 == 0.0 and k3 == 0.0:
+        return xd, yd
+    x, y = xd, yd
+    for _ in range(UNDISTORT_ITERATIONS):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope2 = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+        xy2 = 2.0 * x * y
+        gx = x * radial + p1 * xy2 + p2 * (r2 + 2.0 * x * x) - xd
+        gy = y * radial + p1 * (r2 + 2.0 * y * y) + p2 * xy2 - yd
+        xx = radial + x * x * slope2 + 2.0 * p1 * y + 6.0 * p2 * x
+        xy = x * y * slope2 + 2.0 * (p1 * x + p2 * y)
+        yy = radial + y * y * slope2 + 6.0 * p1 * y + 2.0 * p2 * x
+        determinant = xx * yy - xy * xy
+        if determinant == 0.0:
+            break
+        dx, dy = (yy * gx - xy * gy) / determinant, (xx * gy - xy * gx) / determinant
+        x -= dx
+        y -= dy
+        if abs(dx) + abs(dy) < UNDISTORT_STEP:
+            return (x, y) if math.hypot(x, y) <= lens[11] else (math.nan, math.nan)
+    return math.nan, math.nan
+
+
+@inner
+def project(lens: Array, x: float, y: float, z: float) -> tuple[float, float]:
+    """Pixel of a point in the camera frame with z > 0."""
+    x, y = x / z, y / z
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
+    xy2 = 2.0 * x * y
+    xd = x * radial + lens[6] * xy2 + lens[7] * (r2 + 2.0 * x * x)
+    yd = y * radial + lens[6] * (r2 + 2.0 * y * y) + lens[7] * xy2
+    return lens[0] * xd + lens[2], lens[1] * yd + lens[3]
+
+
+@kernel
+def extent(lens: Array, points_c: Array, nearest_m: float) -> tuple[float, float, float, float, float]:
+    """Returns the extent in the image of points (n, 3) beyond a distance: ``u0, v0, u1, v1`` and the least depth.
+
+    The depth is infinite when the image shows none.
+    """
+    u0 = v0 = near = np.inf
+    u1 = v1 = -np.inf
+    for k in range(points_c.shape[0]):
+        x, y, z = points_c[k, 0], points_c[k, 1], points_c[k, 2]
+        if not z > nearest_m or x * x + y * y > (lens[11] * z) * (lens[11] * z):
+            continue
+        u, v = project(lens, x, y, z)
+        if -0.5 <= u < lens[9] - 0.5 and -0.5 <= v < lens[10] - 0.5:
+            u0, v0, u1, v1, near = min(u0, u), min(v0, v), max(u1, u), max(v1, v), min(near, z)
+    return u0, v0, u1, v1, near

@@ -1,0 +1,212 @@
+"""One cycle of D2, the receiver: where to look, and which of the things found there is the target. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from operator import itemgetter
+
+from path.camera.model import CameraModel
+from path.config import MethodConfig
+from path.cycle.prior import Prior, Ray, predict
+from path.gate.agreement import iou, plain_box
+from path.gate.window import serial_difference
+from path.geometry.rigid import inverse_as_quat, rigid
+from path.geometry.rotation import IDENTITY
+from path.geometry.transforms import Matrix, Pose
+from path.messages import Candidate, Target, Vec3
+from path.observations import Detection, Missed, MissReason
+from path.target.place import across_sigma
+from path.timeline import Sample, Track
+
+SAME_OBJECT_IOU = 0.5  # two boxes that overlap more are one object found twice
+NOWHERE: Vec3 = (0.0, 0.0, 0.0)
+
+
+class ReceiverCycle:
+    """D2's side of the method for one handoff of one target.
+
+    For each frame: ``prior``, a look for targets in ``prior.region``, ``candidate``. What ``candidate`` returns is sent
+    even when it is a miss: D1 must know that D2 looked and did not see.
+    """
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        config: MethodConfig,
+        *,
+        handoff_id: int,
+        epoch: int,
+        target_id: int,
+        sender: tuple[CameraModel, Vec3] | None = None,
+    ) -> None:
+        """``sender``: D1's camera and its place in the marker frame, for ``target_error = "ray"``."""
+        self.misses: Counter[MissReason] = Counter()
+        self.found = 0
+        self._camera = camera
+        self._config = config
+        self._sender = sender
+        self._identity = (handoff_id, epoch, target_id)
+        self._track = Track(config.track_length, config.max_bracket_s)
+        self._last: tuple[int, int] | None = None  # frame id and stamp of the newest answered frame
+        self._box_size_at_1m_px = (0.0, 0.0)
+
+    def on_target(self, target: Target, capture_ns: int, now_ns: int) -> Missed | None:
+        """Take in D1's message; None when it is used, else why not (always ``ignored``).
+
+        Args:
+            capture_ns: ``target.capture_ns`` converted to D2's clock.
+            now_ns: D2's clock.
+        """
+        reason = self._unusable(target, capture_ns, now_ns)
+        if reason is not None:
+            self.misses[reason] += 1
+            return Missed(reason, ignored=True)
+        newest = self._track.newest
+        frame = target.sequence if newest is None else newest.frame + serial_difference(target.sequence, newest.frame)
+        self._track.add(Sample(capture_ns, frame, (*target.point_v_m, *target.gravity_v, target.sigma_m)))
+        return None
+
+    def gravity_v(self, stamp_ns: int) -> Vec3 | None:
+        """D1's gravity direction in ``v`` at an instant of D2's clock, for the marker's pose; None when unknown.
+
+        Interpolated between D1's samples; beyond the newest one that one, for ``max_extrapolation_s``.
+        """
+        newest = self._track.newest
+        if newest is None or newest.values is None:
+            return None
+        if stamp_ns < newest.stamp_ns:
+            between = self._track.at(stamp_ns)
+            if between is None:
+                return None
+            values = between.values
+        elif stamp_ns - newest.stamp_ns <= self._config.max_extrapolation_s * 1e9:
+            values = newest.values
+        else:
+            return None
+        x, y, z = values[3:6]
+        norm = math.hypot(x, y, z)
+        return x / norm, y / norm, z / norm
+
+    def prior(self, T_c2_v: Pose, covariance: Matrix, stamp_ns: int) -> Prior | Missed:
+        """Returns the expected place of the target in D2's frame of this stamp (D2's clock).
+
+        The target's point is interpolated to that instant, or carried on from its newest samples for at most
+        ``max_extrapolation_s``; clock error and unknown acceleration widen the prior.
+
+        Args:
+            covariance: of ``T_c2_v``, (6, 6), convention in ``path.cycle.prior``.
+
+        Returns:
+            Missed LINK_SILENT when D1's newest sample is too old, NO_TRACK when the frame is older than D1's samples or
+            falls into a gap of them, else as ``path.cycle.prior.predict``.
+        """
+        newest = self._track.newest
+        if newest is None:
+            return Missed(MissReason.LINK_SILENT)
+        config = self._config
+        if stamp_ns <= newest.stamp_ns:
+            between = self._track.at(stamp_ns)
+            if between is None:
+                return Missed(MissReason.NO_TRACK)
+            values, sigma_m, beyond_s = between.values, between.values[6], 0.0
+        else:
+            values = self._track.ahead(stamp_ns, config.slope_span_s, config.max_extrapolation_s)
+            if values is None or newest.values is None:
+                return Missed(MissReason.LINK_SILENT)
+            sigma_m, beyond_s = newest.values[6], (stamp_ns - newest.stamp_ns) / 1e9
+        skew_m = config.clock_sigma_s * config.relative_speed_mps
+        drift_m = 0.5 * config.relative_accel_mps2 * beyond_s * beyond_s
+        point_v = values[0], values[1], values[2]
+        return predict(
+            self._camera,
+            rigid(T_c2_v),
+            covariance,
+            point_v,
+            math.hypot(sigma_m, skew_m, drift_m),
+            newest.frame & 0xFFFF,
+            config,
+            self._box_size_at_1m_px,
+            self._ray(point_v, math.hypot(skew_m, drift_m)),
+        )
+
+    def _ray(self, point_v: Vec3, moved_sigma_m: float) -> Ray | None:
+        """D1's line of sight to the target, when its errors are to be told apart along it and across it."""
+        if self._sender is None or self._config.target_error == "point":
+            return None
+        camera, eye_v = self._sender
+        x, y, z = (p - q for p, q in zip(point_v, eye_v, strict=True))
+        distance_m = math.sqrt(x * x + y * y + z * z)
+        if distance_m <= 0.0:
+            return None
+        across_m = across_sigma(camera, distance_m, self._config)
+        across_m = math.hypot(across_m, self._config.mount_sigma_m, moved_sigma_m)
+        return Ray((x / distance_m, y / distance_m, z / distance_m), across_m)
+
+    def candidate(
+        self, frame_id: int, stamp_ns: int, detections: Sequence[Detection], prior: Prior | Missed
+    ) -> Candidate | Missed:
+        """The answer to send for one frame, or why there is none to send (an old or repeated frame, ``ignored``).
+
+        Args:
+            frame_id: strictly increasing; its low 16 bits are the message's sequence.
+            stamp_ns: mid-exposure, D2's clock.
+            detections: what D2's own detector found in ``prior.region``; empty without a prior.
+            prior: of this frame, or why there is none (also a marker's miss): it goes out as the candidate's reason.
+        """
+        if self._last is not None and (frame_id <= self._last[0] or stamp_ns <= self._last[1]):
+            reason = MissReason.DUPLICATE if frame_id == self._last[0] else MissReason.STALE
+            self.misses[reason] += 1
+            return Missed(reason, ignored=True)
+        self._last = (frame_id, stamp_ns)
+        chosen = self._choose(detections, prior)
+        box = plain_box(chosen.box) if isinstance(chosen, Detection) else None
+        why = chosen.reason if isinstance(chosen, Missed) else None
+        if why is not None:
+            self.misses[why] += 1
+        rotation, position, sigma_m, answered = IDENTITY, NOWHERE, 0.0, 0
+        if isinstance(prior, Prior):
+            rotation, position = inverse_as_quat(prior.T_c2_v)
+            sigma_m, answered = prior.pose_sigma_m, prior.target_sequence
+            if box is not None:
+                self.found += 1
+                self._box_size_at_1m_px = (box.w * prior.depth_m, box.h * prior.depth_m)
+        sequence = frame_id & 0xFFFF
+        return Candidate(*self._identity, sequence, answered, stamp_ns, box, why, position, rotation, sigma_m)
+
+    def _choose(self, detections: Sequence[Detection], prior: Prior | Missed) -> Detection | Missed:
+        """The detection nearest to the prior; a miss when none is near, or a second one nearly as near."""
+        if isinstance(prior, Missed):
+            return prior
+        gate = self._config.search_sigmas**2
+        near: list[tuple[float, Detection]] = []
+        for detection in detections:
+            distance2 = prior.distance2(*detection.box.center)
+            if distance2 <= gate and detection.box.w > 0.0 and detection.box.h > 0.0:
+                near.append((distance2, detection))
+        near.sort(key=itemgetter(0))
+        if not near:
+            return Missed(MissReason.NO_CANDIDATE)
+        nearest, best = near[0]
+        for distance2, other in near[1:]:
+            if distance2 - nearest < self._config.ambiguity_margin and iou(best.box, other.box) < SAME_OBJECT_IOU:
+                return Missed(MissReason.AMBIGUOUS_TARGET)
+        return best
+
+    def _unusable(self, target: Target, capture_ns: int, now_ns: int) -> MissReason | None:
+        if (target.handoff_id, target.epoch, target.target_id) != self._identity:
+            return MissReason.STALE
+        norm = math.hypot(*target.gravity_v)
+        if not (math.isfinite(sum(target.point_v_m) + target.sigma_m) and 0.95 < norm < 1.05 and target.sigma_m >= 0.0):
+            return MissReason.NON_FINITE
+        newest = self._track.newest
+        if newest is not None:
+            ahead = serial_difference(target.sequence, newest.frame)
+            if ahead == 0:
+                return MissReason.DUPLICATE
+            if ahead < 0 or capture_ns <= newest.stamp_ns:
+                return MissReason.STALE
+        if capture_ns - now_ns > self._config.max_future_s * 1e9:
+            return MissReason.CLOCK
+        return MissReason.STALE if now_ns - capture_ns > self._config.max_age_s * 1e9 else None

@@ -1,0 +1,1 @@
+"""The gate before a commit: which pairs agree, and when enough of them have."""

@@ -1,0 +1,261 @@
+"""The gate "evidence": a sequential test on the overlap S_k, with a stated bound on being fooled.
+
+What can make boxes of different objects agree, and what is done about it:
+
+1. *Persistent errors* (calibration, mounting, attitude, clocks, where a box's centre lies on the body) are drawn once.
+   If they move D2's prior onto a look-alike, every later frame agrees: no number of frames tells, in this gate or in
+   the paper's. They must be large for it: a mapped box agrees with D1's only when it is less than some ``r0`` off, so
+   an object ``d`` away needs an error above ``d - r0`` (``persistent_bound``), paid once per attempt. A high overlap
+   makes ``r0`` small: that is why ``strength`` is asked for, and not IoU >= tau alone; and ``max_pose_sigma_m`` keeps
+   the errors what they are said to be.
+
+2. *What varies* around an offset of at least ``r0`` (aspect, attitude wander, noise) is strongly correlated: overlaps
+   0.5 s apart still are. Nothing is derived for independent frames. The pairs of a run are cut into blocks; a block
+   agrees when most of its pairs do and their median strength ``(S - tau) / (1 - tau)`` suffices. Whatever the
+   dependence, with different things in the boxes
+
+       P(a run's first block agrees) <= first_rate,   P(a later one agrees | all before it) <= next_rate
+
+   with two rates that are *measured*. A run's evidence E is a bet against these: the first block multiplies it by
+   1 / first_rate or ends the run; a later one by ``gain`` when it agrees and by ``setback`` when it does not, with
+
+       next_rate * gain + (1 - next_rate) * setback = 1,
+
+   so that E is expected not to grow, and exceeds 1 / a at any time with a probability of at most a (Ville). The j-th
+   run of an attempt may spend ``alpha / (j (j + 1))``, which sums to ``alpha`` however often it is tried. What speaks
+   against errors that last (``identity``) is asked for the first run's share in every run: all runs of an attempt
+   have the same errors, so that another run tries nothing new.
+
+A frame without a box, of either camera, is no disagreement: a detector misses one object as it misses another. It adds
+nothing, and nothing is assumed for it: blocks are of pairs that were compared, and wait until they have enough of them.
+Boxes are not carried on from other frames. After ``max_gap_s`` without an agreeing pair the run ends: by then it may be
+about something else. A box in the wrong place (a false positive) is a pair that disagrees: few of them cost nothing,
+many the block.
+
+Rates, ``r0`` and the errors come from simulation with persistent errors, misses and look-alikes, see the decision
+records.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from statistics import median
+from typing import TypeVar
+
+from path.config import EvidenceConfig, MethodConfig
+from path.gate.identity import Identity
+from path.gate.window import AgreementWindow, Evidence, FramePair, Gate
+from path.observations import MissReason
+
+
+def make_gate(config: MethodConfig) -> Gate:
+    """The gate that the settings name, for one attempt."""
+    return EvidenceGate(config) if config.gate == "evidence" else AgreementWindow(config)
+
+
+def strength(iou: float, tau: float) -> float:
+    """Returns by how much a pair agrees: 0 at the threshold, 1 for equal boxes; below 0 it does not agree."""
+    return (iou - tau) / (1.0 - tau) if tau < 1.0 else iou - tau
+
+
+def gain(config: EvidenceConfig) -> float:
+    """Returns the factor on a run's evidence of an agreeing block after the first: all that the setbacks allow."""
+    return (1.0 - (1.0 - config.next_rate) * config.setback) / config.next_rate
+
+
+def evidence_of(blocks: int, config: EvidenceConfig, setbacks: int = 0) -> float:
+    """log10 of a run's evidence after so many agreeing blocks, and others that did not agree."""
+    if blocks <= 0:
+        return 0.0
+    later = (blocks - 1) * math.log10(gain(config)) + setbacks * math.log10(config.setback)
+    return later - math.log10(config.first_rate)
+
+
+def evidence_needed(run: int, config: EvidenceConfig) -> float:
+    """Returns the evidence that the ``run``-th run of an attempt needs (1, 2, ...).
+
+    Each later one may spend less of ``alpha``.
+    """
+    return -math.log10(config.alpha / (run * (run + 1.0)))
+
+
+def persistent_bound(distance_m: float, reach_m: float, sigma_m: float, measured: int) -> float:
+    """Bound on the probability that a persistent error makes an object that is not the target agree, 0..1.
+
+    For errors that are normal about zero with an unknown standard deviation, the same along both axes, that was
+    estimated from ``measured`` attempts: the tail of the ratio is heavier than that of a normal distribution.
+
+    Args:
+        distance_m: from the target to the nearest other object, across D2's line of sight.
+        reach_m: offset ``r0`` from which on agreement is an accident.
+        sigma_m: standard deviation of the persistent error, per axis across the line of sight, as estimated.
+    """
+    if distance_m <= reach_m:
+        return 1.0
+    if sigma_m <= 0.0:
+        return 0.0
+    return (1.0 + 0.5 * ((distance_m - reach_m) / sigma_m) ** 2 / measured) ** -measured
+
+
+@dataclass(slots=True)
+class BlockCounts:
+    """Numbers of blocks that a gate judged, and of those that agreed: first ones of a run, and later ones."""
+
+    first: list[int] = field(default_factory=lambda: [0, 0])
+    later: list[int] = field(default_factory=lambda: [0, 0])
+
+    def note(self, later: bool, agrees: bool) -> None:
+        counts = self.later if later else self.first
+        counts[0] += 1
+        counts[1] += agrees
+
+
+class EvidenceGate:
+    """Blocks of compared pairs, on top of the paper's window that says which pairs are new. One instance an attempt.
+
+    Attributes:
+        judged: of all blocks so far, those of runs that ended included.
+    """
+
+    def __init__(self, config: MethodConfig) -> None:
+        own = config.evidence
+        self._config = own
+        self._run = AgreementWindow(
+            replace(config, hold_frames=own.min_pairs, hold_s=own.min_s, max_gap_s=own.max_gap_s)
+        )
+        self._block_ns = round(own.block_s * 1e9)
+        self._runs = 0
+        self._blocks = self._setbacks = 0
+        self._agreed = False  # the newest pair that was compared
+        self._begin_ns = 0  # of the block under way
+        self._strengths: list[float] = []  # of its pairs
+        self._identity = Identity()  # of the run under way
+        self.judged = BlockCounts()
+
+    @property
+    def count(self) -> int:
+        return self._run.count
+
+    @property
+    def span_s(self) -> float:
+        return self._run.span_s
+
+    @property
+    def blocks(self) -> int:
+        """The number of agreeing blocks in the run under way."""
+        return self._blocks if self._run.count else 0
+
+    @property
+    def evidence(self) -> Evidence:
+        blocks, needed = evidence_of(self.blocks, self._config, self._setbacks), evidence_needed(1, self._config)
+        later = evidence_needed(max(1, self._runs), self._config) - needed
+        # errors that last are drawn once: another run is another chance for an accident, not for them
+        return Evidence(min(blocks, self._identity.reached(self._config) + later), needed + later)
+
+    @property
+    def complete(self) -> bool:
+        evidence = self.evidence
+        return self._agreed and self._run.complete and evidence.reached >= evidence.needed
+
+    def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
+        if not iou >= tau:  # no pair that agrees: whoever says so is wrong, and gains nothing
+            return self.disagree(pair.peer_sequence, pair.capture_ns, strength(iou, tau))
+        if pair.oversize > self._config.size_sigmas:
+            return self.disagree(pair.peer_sequence, pair.capture_ns, -math.inf) or MissReason.AMBIGUOUS_TARGET
+        refusal = self._run.agree(pair)
+        if refusal is not None:
+            return refusal
+        if self._run.count == 1:
+            self._runs += 1
+            self._blocks = self._setbacks = 0
+            self._identity = Identity()
+            self._begin(pair.capture_ns)
+        if pair.offsets is not None:
+            self._identity.note(pair.offsets)
+        self._compared(pair.capture_ns, strength(iou, tau))
+        return None
+
+    def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
+        refusal = self._run.skip(peer_sequence, capture_ns)
+        if refusal is None and by is not None and self._run.count:
+            self._compared(capture_ns, by if by < 0.0 else -math.inf)
+        return refusal
+
+    def restart(self, stamp_ns: int) -> None:
+        """D1 missed the target: that costs no evidence; the pairs around it cannot be compared."""
+
+    def expire(self, instant_ns: int) -> bool:
+        return self._run.expire(instant_ns)
+
+    def refusal(self, peer_sequence: int) -> MissReason | None:
+        return self._run.refusal(peer_sequence)
+
+    def _begin(self, capture_ns: int) -> None:
+        self._begin_ns, self._strengths = capture_ns, []
+
+    def _compared(self, capture_ns: int, by: float) -> None:
+        self._agreed = by >= 0.0
+        self._strengths.append(by)
+        if capture_ns - self._begin_ns >= self._block_ns and len(self._strengths) >= self._config.block_pairs:
+            self._judge(capture_ns)
+
+    def _judge(self, capture_ns: int) -> None:
+        """A block is full: it adds to the run's evidence, takes from it, or ends the run."""
+        own = self._config
+        agreeing = sum(each >= 0.0 for each in self._strengths)
+        agrees = median(self._strengths) >= own.strength and agreeing >= own.block_share * len(self._strengths)
+        self.judged.note(later=self._blocks > 0, agrees=agrees)
+        self._blocks += agrees
+        self._setbacks += not agrees
+        if evidence_of(self._blocks, own, self._setbacks) > 0.0:
+            self._begin(capture_ns)
+        else:
+            self._run.restart(capture_ns)
+
+
+T = TypeVar("T")
+
+
+def _first(answers: list[T]) -> T:
+    """Returns the answer of the deciding gate, once all have been asked."""
+    return answers[0]
+
+
+class SideBySide:
+    """Several gates fed with the same pairs: the first one decides, the others look on (to compare them)."""
+
+    def __init__(self, first: Gate, *others: Gate) -> None:
+        self.gates: tuple[Gate, ...] = (first, *others)
+
+    @property
+    def count(self) -> int:
+        return self.gates[0].count
+
+    @property
+    def span_s(self) -> float:
+        return self.gates[0].span_s
+
+    @property
+    def evidence(self) -> Evidence | None:
+        return self.gates[0].evidence
+
+    @property
+    def complete(self) -> bool:
+        return self.gates[0].complete
+
+    def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
+        return _first([gate.agree(pair, iou, tau) for gate in self.gates])
+
+    def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
+        return _first([gate.disagree(peer_sequence, capture_ns, by) for gate in self.gates])
+
+    def restart(self, stamp_ns: int) -> None:
+        for gate in self.gates:
+            gate.restart(stamp_ns)
+
+    def expire(self, instant_ns: int) -> bool:
+        return _first([gate.expire(instant_ns) for gate in self.gates])
+
+    def refusal(self, peer_sequence: int) -> MissReason | None:
+        return self.gates[0].refusal(peer_sequence)

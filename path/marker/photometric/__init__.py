@@ -1,0 +1,1 @@
+"""Corners of a marker from a fit of its whole image."""

@@ -1,0 +1,119 @@
+"""The target's place as D1 sees it: registered depth over the box, then its point.
+
+Paper, eqs. target_backprojection, target_virtual.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from path.camera.model import CameraModel
+from path.config import MethodConfig
+from path.geometry.rigid import Rigid, transform
+from path.messages import Vec3
+from path.observations import Box, Depth
+
+ENOUGH_PIXELS = 1024  # more are thinned out: neighbours share one stereo window and say the same
+CORRELATED_PIXELS = 49.0  # pixels of one stereo matching window, about 7 x 7
+MAD_TO_SIGMA = 1.4826
+MEDIAN_TO_MEAN = 1.2533  # standard error of a median against that of a mean
+OUTLIER_SIGMAS = 3.0
+
+
+def depth_sigma(z_m: float, config: MethodConfig) -> float:
+    """Standard deviation in m of stereo depth at a distance: quadratic in it, ``depth_sigma_at_1m_m`` at 1 m."""
+    return config.depth_sigma_at_1m_m * z_m * z_m
+
+
+def registered_depth(depth_mm: NDArray[np.uint16], box: Box, config: MethodConfig) -> Depth | None:
+    """Robust depth of the target over the central part of its box.
+
+    The median over valid pixels (not 0, within the limits), refined by the median of those near it, so that less than
+    half of holes, flying pixels and background do not move it.
+
+    Args:
+        depth_mm: registered depth image, shape (h, w), z along the optical axis in millimetres, 0 = no measurement.
+        box: the target in the same image.
+
+    Returns:
+        None when too few pixels are valid, or when they are so spread that they are not one surface.
+    """
+    patch = _central_part(depth_mm, box, config.depth_center_fraction)
+    if patch is None:
+        return None
+    valid = patch[(patch >= config.min_depth_m * 1000.0) & (patch <= config.max_depth_m * 1000.0)].astype(np.float64)
+    if valid.size < max(config.min_depth_pixels, config.min_depth_valid * patch.size):
+        return None
+    middle = float(np.median(valid))
+    distance = np.abs(valid - middle)
+    noise_mm = 1000.0 * depth_sigma(middle / 1000.0, config)
+    spread = max(MAD_TO_SIGMA * float(np.median(distance)), noise_mm)
+    if spread > 1000.0 * config.max_depth_spread_m:
+        return None
+    near = valid[distance <= OUTLIER_SIGMAS * spread]
+    z_m = float(np.median(near)) / 1000.0
+    asked = box.area * config.depth_center_fraction**2 * valid.size / patch.size
+    independent = max(1.0, asked / CORRELATED_PIXELS)
+    return Depth(z_m, math.hypot(depth_sigma(z_m, config), MEDIAN_TO_MEAN * spread / 1000.0 / math.sqrt(independent)))
+
+
+def _central_part(depth_mm: NDArray[np.uint16], box: Box, fraction: float) -> NDArray[np.uint16] | None:
+    """Pixels of the middle ``fraction`` of a box per side, thinned; None when the box is none or outside the image."""
+    if not (math.isfinite(box.x + box.y + box.w + box.h) and box.w > 0.0 and box.h > 0.0):
+        return None
+    height, width = depth_mm.shape
+    u, v = box.center
+    half_w, half_h = 0.5 * fraction * box.w, 0.5 * fraction * box.h
+    left, right = max(0, math.ceil(u - half_w)), min(width, math.floor(u + half_w) + 1)
+    top, bottom = max(0, math.ceil(v - half_h)), min(height, math.floor(v + half_h) + 1)
+    if right <= left or bottom <= top:
+        return None
+    step = max(1, math.isqrt((right - left) * (bottom - top) // ENOUGH_PIXELS))
+    return depth_mm[top:bottom:step, left:right:step]
+
+
+@dataclass(frozen=True, slots=True)
+class TargetPoint:
+    """The target in the marker frame (m), its distance along D1's optical axis (m), and its standard deviation (m)."""
+
+    point_v_m: Vec3
+    z_m: float
+    sigma_m: float
+
+
+def back_project(camera: CameraModel, u: float, v: float, z_m: float) -> Vec3:
+    """Point in the camera frame of a distorted pixel at depth ``z_m`` (eq. target_backprojection); NaN off the lens."""
+    x, y = camera.ray(u, v)
+    return z_m * x, z_m * y, z_m
+
+
+def locate(camera: CameraModel, T_v_c1: Rigid, box: Box, depth: Depth, config: MethodConfig) -> TargetPoint:
+    """The target's point in ``v`` (eq. target_virtual) from its box and depth; NaN when the pixel has no ray."""
+    u, v = box.center
+    point_c = back_project(camera, u, v, depth.z_m)
+    return TargetPoint(transform(T_v_c1, point_c), depth.z_m, point_sigma(camera, point_c, depth.sigma_m, config))
+
+
+def across_sigma(camera: CameraModel, distance_m: float, config: MethodConfig) -> float:
+    """Standard deviation in m of a target across the line of sight: pixel noise, and the mounting's angle."""
+    pixels = config.pixel_sigma_px / min(camera.fx, camera.fy)
+    return distance_m * math.hypot(pixels, math.radians(config.mount_sigma_deg))
+
+
+def point_sigma(camera: CameraModel, point_c: Vec3, depth_sigma_m: float, config: MethodConfig) -> float:
+    """Standard deviation in m of the point in ``v`` in its least certain direction.
+
+    Along the ray there is depth noise, across it pixel noise and the mounting's angle with the target as its lever,
+    and the mounting's position in both: the message carries one number, and D2 may look from any side.
+    """
+    x, y, z = point_c
+    distance = math.sqrt(x * x + y * y + z * z)
+    along = depth_sigma_m * distance / z
+    across = math.hypot(
+        z * config.pixel_sigma_px / min(camera.fx, camera.fy), math.radians(config.mount_sigma_deg) * distance
+    )
+    return math.hypot(max(along, across), config.mount_sigma_m)

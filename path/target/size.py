@@ -1,0 +1,121 @@
+"""The size of a box in metres: whether it can be of the target alone, or is drawn around more than that.
+
+A box's sides times the distance over the focal length are lengths across the line of sight. Two things are known of
+those of one body, and both are upper limits: what hides a part of it makes its box smaller.
+
+- What the target is (``EvidenceConfig.span_m``, ``height_m``): it stands in an upright cylinder, whichever way it
+  heads. Along a direction ``a`` of the image that reaches over ``height |a.g| + span sqrt(a.a - (a.g)^2)``, where ``g``
+  is gravity. A car that turns, or a person who does, stays within it.
+- What it was a moment ago: a body that turns does so steadily, but two that are taken for one make the box larger from
+  one frame to the next. Each camera's box is held against its own running mean, once that is ``SURE_S`` old: an object
+  that comes into view grows too. The mean rises within ``SETTLE_S`` and falls within ``LEARNED_S``: what was hidden for
+  a moment is no larger afterwards than it was. A box that has outgrown it teaches nothing, for ``LEARNED_S`` at most:
+  then it is what the target looks like.
+
+How far a box is above a limit is counted in standard deviations of the logarithm of its size, and both cameras', both
+sides' and both limits' largest number is that of a pair. One that is above ``size_sigmas`` is of something else, as far
+as the gate ``evidence`` is concerned (``path.gate.evidence``).
+"""
+
+from __future__ import annotations
+
+import math
+
+from path.camera.model import CameraModel
+from path.config import MethodConfig
+from path.gate.agreement import TwoViews, depth_in
+from path.geometry.rigid import Rigid, transform_back
+from path.messages import Vec3
+from path.observations import Box, Depth
+
+SETTLE_S = 0.15
+"""Time constant of the running mean as it rises: so long a turning target may have changed since."""
+SURE_S = 0.5
+LEARNED_S = 3.0
+FITS = 0.0
+"""Of a pair of which no limit is known."""
+_TINY_M = 1e-6
+
+
+def reach_m(T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float) -> tuple[float, float]:
+    """Width and height in m that an upright cylinder at a point fills in an image, at the point's depth.
+
+    To first order in its size over its distance.
+
+    Args:
+        gravity_v: unit vector.
+    """
+    x, y, z = transform_back(T_v_c, point_v)
+    gx, gy, gz = transform_back((*T_v_c[:9], 0.0, 0.0, 0.0), gravity_v)
+    return _reach_along(gx, gz, x / z, span_m, height_m), _reach_along(gy, gz, y / z, span_m, height_m)
+
+
+def _reach_along(g_side: float, g_ahead: float, off: float, span_m: float, height_m: float) -> float:
+    """Along one side of an image: of a body ``off`` to that side, a step ahead is one back to the middle."""
+    upright = g_side - off * g_ahead
+    level2 = 1.0 + off * off - upright * upright
+    return height_m * abs(upright) + span_m * math.sqrt(max(0.0, level2))
+
+
+class _RunningSize:
+    """The size of one camera's box over its last frames, as logarithms of both sides in m."""
+
+    def __init__(self) -> None:
+        self._mean: tuple[float, float] | None = None
+        self._first_ns = self._stamp_ns = 0  # of the first and the newest box that fitted
+
+    def note(self, stamp_ns: int, sides_m: tuple[float, float], sigma: float, most_sigmas: float) -> float:
+        """By how many standard deviations a box is larger than those before it; learns from it when it fits."""
+        logs = math.log(sides_m[0]), math.log(sides_m[1])
+        mean, since_s = self._mean, max(0.0, (stamp_ns - self._stamp_ns) * 1e-9)
+        grown = FITS if mean is None else max(logs[0] - mean[0], logs[1] - mean[1]) / sigma
+        unsure = grown > most_sigmas and self._stamp_ns - self._first_ns < SURE_S * 1e9
+        if mean is None or unsure or since_s > LEARNED_S:
+            self._mean, self._first_ns, self._stamp_ns = logs, stamp_ns, stamp_ns
+            return FITS
+        if grown <= most_sigmas:
+            self._mean = _followed(mean[0], logs[0], since_s), _followed(mean[1], logs[1], since_s)
+            self._stamp_ns = max(stamp_ns, self._stamp_ns)
+        return grown
+
+
+def _followed(mean: float, new: float, since_s: float) -> float:
+    return mean - math.expm1(-since_s / (SETTLE_S if new > mean else LEARNED_S)) * (new - mean)
+
+
+class Sizes:
+    """The sizes of both drones' boxes of the target in one attempt."""
+
+    def __init__(self, views: TwoViews, config: MethodConfig) -> None:
+        self._views, self._config = views, config
+        self._own, self._theirs = _RunningSize(), _RunningSize()
+
+    def own(self, stamp_ns: int, box: Box, depth: Depth, point_v: Vec3, gravity_v: Vec3) -> float:
+        """By how many standard deviations D1's box in its newest frame is larger than the target can be."""
+        camera, T_v_c1 = self._views.camera1, self._views.T_v_c1
+        return self._above(self._own, stamp_ns, camera, T_v_c1, box, depth, point_v, gravity_v)
+
+    def theirs(
+        self, stamp_ns: int, T_v_c2: Rigid, box: Box, range_sigma_m: float, point_v: Vec3, gravity_v: Vec3
+    ) -> float:
+        """The same of D2's, at the range at which its camera has the target's point."""
+        depth, camera = Depth(depth_in(T_v_c2, point_v), range_sigma_m), self._views.camera2
+        if not depth.z_m > 0.0:
+            return FITS
+        return self._above(self._theirs, stamp_ns, camera, T_v_c2, box, depth, point_v, gravity_v)
+
+    def _above(
+        self, running: _RunningSize, stamp_ns: int, camera: CameraModel, T_v_c: Rigid, box: Box, depth: Depth,
+        point_v: Vec3, gravity_v: Vec3,
+    ) -> float:  # fmt: skip
+        own, z_m = self._config.evidence, depth.z_m
+        sides_m = max(_TINY_M, box.w * z_m / camera.fx), max(_TINY_M, box.h * z_m / camera.fy)
+        # an edge's noise is 1.4 times the centre's, a side's twice
+        pixels = 2.0 * self._config.pixel_sigma_px / max(1.0, min(box.w, box.h))
+        measured = math.hypot(pixels, depth.sigma_m / z_m)
+        above = running.note(stamp_ns, sides_m, math.hypot(measured, own.growth_sigma), own.size_sigmas)
+        if own.span_m > 0.0:
+            reach = reach_m(T_v_c, point_v, gravity_v, own.span_m, own.height_m)
+            larger = max(side / limit for side, limit in zip(sides_m, reach, strict=True))
+            above = max(above, math.log(larger) / math.hypot(measured, own.size_sigma))
+        return above

@@ -1,0 +1,85 @@
+"""Each limit ends the mission under its own name, on either side of the limit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from drivers.interfaces import FlightMode, VehicleState
+from flight.config import GuardConfig
+from flight.guard.limits import check_separation, check_vehicle
+from flight.outcome import MissionEnd, Outcome
+
+NOW_NS = 100_000_000_000
+LIMITS = GuardConfig(fence_radius_m=10.0, fence_height_m=5.0, min_battery=0.2, telemetry_age_s=0.5, heartbeat_age_s=2.0)
+GOOD = VehicleState(
+    NOW_NS, NOW_NS, (1.0, 2.0, -1.5), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), True, True, True, FlightMode.OFFBOARD, 0.9
+)
+
+
+def check(**changes: Any) -> None:
+    check_vehicle(replace(GOOD, **changes), NOW_NS, LIMITS, FlightMode.OFFBOARD)
+
+
+def ago(seconds: float) -> int:
+    return NOW_NS - round(seconds * 1e9)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "changes", "seen"),
+    [
+        (Outcome.VEHICLE_LOST, {"stamp_ns": ago(0.6)}, "no telemetry for 0.6 s"),
+        (Outcome.VEHICLE_LOST, {"heartbeat_ns": ago(2.1)}, "no heartbeat for 2.1 s"),
+        (Outcome.PILOT_OVERRIDE, {"mode": FlightMode.OTHER}, "mode is other, the script flew offboard"),
+        (Outcome.PILOT_OVERRIDE, {"mode": FlightMode.HOLD}, "mode is hold"),
+        (Outcome.PILOT_OVERRIDE, {"armed": False}, "the motors were stopped"),
+        (Outcome.GUARD, {"position_n_m": (10.1, 0.0, -1.0)}, "fence"),
+        (Outcome.GUARD, {"position_n_m": (-7.2, -7.2, -1.0)}, "fence"),
+        (Outcome.GUARD, {"position_n_m": (0.0, 0.0, -5.1)}, "height 5.1 m"),
+        (Outcome.GUARD, {"battery": 0.19}, "battery at 19 %"),
+        (Outcome.GUARD, {"position_n_m": (math.nan, 0.0, -1.0)}, "fence"),
+        (Outcome.GUARD, {"position_n_m": (0.0, 0.0, math.nan)}, "fence"),
+        (Outcome.GUARD, {"battery": math.nan}, "battery"),
+    ],
+)
+def test_each_limit_ends_the_mission_by_its_name(outcome: Outcome, changes: dict[str, Any], seen: str) -> None:
+    with pytest.raises(MissionEnd) as caught:
+        check(**changes)
+    assert caught.value.outcome is outcome
+    assert seen in caught.value.detail
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"stamp_ns": ago(0.49), "heartbeat_ns": ago(1.99)},
+        {"position_n_m": (7.0, -7.0, -4.9)},
+        {"position_n_m": (0.0, 0.0, 0.2)},  # the estimate may be below the ground
+        {"battery": 0.2},
+    ],
+)
+def test_at_the_limits_the_mission_goes_on(changes: dict[str, Any]) -> None:
+    check(**changes)
+
+
+def test_a_lost_vehicle_is_no_pilot() -> None:
+    """The mode of a vehicle that fell silent is as old as the rest of its telemetry."""
+    with pytest.raises(MissionEnd) as caught:
+        check(stamp_ns=ago(3.0), mode=FlightMode.OTHER)
+    assert caught.value.outcome is Outcome.VEHICLE_LOST
+
+
+@pytest.mark.parametrize("distance_m", [0.69, 0.0, math.nan])
+def test_too_near_has_a_name_of_its_own(distance_m: float) -> None:
+    with pytest.raises(MissionEnd) as caught:
+        check_separation(distance_m, 0.70)
+    assert caught.value.outcome is Outcome.TOO_CLOSE
+    assert "below 0.70 m" in caught.value.detail
+
+
+def test_far_enough_is_not() -> None:
+    check_separation(0.70, 0.70)

@@ -1,0 +1,144 @@
+"""The distance that D2 keeps while all it has are positions, and what sends it round again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from drivers.interfaces import FlightMode, VehicleState
+from flight.config import MissionConfig, RendezvousConfig
+from flight.guidance import Vec3, add, norm, subtract
+from flight.rendezvous.course import Rendezvous, stand_off_m
+from missions import rig_library
+from path.messages import Role, Status
+
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+WRONG = RendezvousConfig(positions_within_m=2.0, heights_within_m=1.0)
+
+
+@dataclass
+class Seen:
+    """The marker view's answers."""
+
+    marker_n_m: Vec3 = (1.0, 0.0, 0.5)
+    velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
+    sigma_m: float = 0.01
+    known: bool = True
+
+    def predict(self, stamp_ns: int) -> Any:
+        return self if self.known else None
+
+
+def state(position_n_m: Vec3) -> VehicleState:
+    still = (0.0, 0.0, 0.0)
+    return VehicleState(0, 0, position_n_m, still, LEVEL, True, True, True, FlightMode.OFFBOARD, 1.0)
+
+
+def rendezvous(
+    config: MissionConfig,
+    seen: Seen,
+    clock_ns: list[int] | None = None,
+    rig_name: str = "sim",
+    there: Vec3 = (2.0, 0.0, -1.5),
+) -> Rendezvous:
+    rig = rig_library.load(rig_name)
+    layout = rig.layout
+    peer = Status(Role.SENDER, 0, there, (0.0, 0.0, 0.0), 0.0, 0, True, True, 1.0)
+    now = clock_ns or [0]
+    return Rendezvous(
+        config, rig.receiver.camera, rig.receiver.mount, layout, cast(Any, seen), lambda: peer, lambda: now[0]
+    )  # fmt: skip
+
+
+def test_the_stand_off_is_clear_of_the_other_drone_however_the_positions_are_wrong() -> None:
+    known = RendezvousConfig(positions_within_m=0.1, heights_within_m=0.1)
+    assert stand_off_m(MissionConfig(rendezvous=known)) == 1.75
+    config = MissionConfig(rendezvous=WRONG)
+    assert stand_off_m(config) == pytest.approx(0.70 + 0.3 + math.hypot(2.0, 1.0))
+    guide = rendezvous(config, Seen())
+    place, _ = guide._facing_marker(guide.stand_off_m)
+    assert norm(subtract(place, (2.0, 0.0, -1.5))) == pytest.approx(stand_off_m(config))
+
+
+def test_once_the_marker_was_seen_it_says_where_the_sender_is() -> None:
+    config = MissionConfig(rendezvous=WRONG)
+    seen = Seen(marker_n_m=(2.0, 1.0, 1.0))
+    guide = rendezvous(config, seen)
+    own = state((-3.0, -0.5, -2.0))
+    guide.note_seen(own, seen.marker_n_m)
+    place, _ = guide._facing_marker(guide.stand_off_m)
+    rig = rig_library.load("sim")
+    camera = np.array(own.position_n_m) + rig.receiver.mount.T_b_c.t
+    sender = camera + np.array(seen.marker_n_m) - rig.sender.mount.T_b_v.t
+    assert np.linalg.norm(np.array(place) - sender) == pytest.approx(config.rendezvous.stand_off_m)
+    assert guide.stand_off_m == config.rendezvous.stand_off_m
+
+
+@pytest.mark.parametrize(
+    ("seen", "why"),
+    [
+        (Seen(), ""),
+        (Seen(known=False), ""),
+        (Seen(marker_n_m=(0.8, 0.0, 0.2)), "0.82 m from the marker"),
+        (Seen(velocity_n_mps=(-1.2, 0.0, 0.0)), "closing in at 1.1 m/s"),
+        (Seen(velocity_n_mps=(1.2, 0.0, 0.0)), ""),
+        (Seen(sigma_m=0.2), "uncertain by 0.20 m at 1.1 m"),
+        (Seen(marker_n_m=(3.0, 0.0, 1.0), velocity_n_mps=(-1.2, 0.0, 0.0), sigma_m=0.2), ""),
+    ],
+)
+def test_an_approach_goes_on_only_within_its_bounds(seen: Seen, why: str) -> None:
+    assert rendezvous(MissionConfig(), seen).out_of_bounds() == why
+
+
+def test_the_search_comes_no_nearer_than_the_stand_off_while_the_marker_can_be_seen_from_there() -> None:
+    config, clock_ns = MissionConfig(rendezvous=replace(WRONG, gain_per_s=0.1)), [0]
+    guide = rendezvous(config, Seen(known=False), clock_ns, "sim-field")
+    guide.begin_search()
+    place, yaw = guide._facing_marker(guide.stand_off_m)
+    yaws: list[float] = []
+    for second in range(0, 60):
+        clock_ns[0] = second * 1_000_000_000
+        setpoint = guide.search(state(place))
+        ahead, _, down = setpoint.velocity_n_mps
+        assert ahead * math.cos(yaw) <= 1e-9 and down <= 1e-9  # outward and upward only, from the stand-off
+        yaws.append(setpoint.yaw_rad - yaw)
+    assert min(yaws) < -0.7 and max(yaws) > 0.7
+
+
+def test_for_a_small_marker_the_search_comes_in_along_the_axis_of_the_camera_and_no_farther_than_it_must() -> None:
+    config, clock_ns = MissionConfig(rendezvous=replace(WRONG, gain_per_s=10.0)), [0]
+    guide = rendezvous(config, Seen(known=False), clock_ns)
+    guide.begin_search()
+    (start, yaw), (end, _) = guide._facing_marker(guide.stand_off_m), guide._facing_marker(1.75)
+    axis = np.subtract(end, start) / norm(subtract(end, start))
+    place, came_in_m = np.array(start), [0.0]
+    for tenth in range(1, 600):
+        clock_ns[0] = tenth * 100_000_000
+        setpoint = guide.search(state((float(place[0]), float(place[1]), float(place[2]))))
+        place = place + 0.1 * np.array(setpoint.velocity_n_mps)
+        way = place - np.array(start)
+        came_in_m.append(float(way @ axis))
+        if tenth <= 60:
+            assert np.linalg.norm(way - came_in_m[-1] * axis) < 1e-6 and setpoint.yaw_rad == yaw
+    assert max(np.diff(came_in_m[:60])) <= 0.1 * 0.3 + 1e-6
+    assert max(came_in_m) == pytest.approx(guide.stand_off_m - 1.75, abs=0.01)
+
+
+@pytest.mark.parametrize("there", [(2.0, 0.0, -4.5), (-24.0, 5.0, -1.5)])
+def test_wherever_the_sender_is_the_receiver_looks_for_it_from_within_the_fence(there: Vec3) -> None:
+    config, clock_ns = MissionConfig(rendezvous=replace(WRONG, gain_per_s=1.0)), [0]
+    guide = rendezvous(config, Seen(known=False), clock_ns, "sim-field", there)
+    radius_m, height_m = config.guard.fence_radius_m - 2.0, config.guard.fence_height_m - 1.0  # less what may be wrong
+    place, _ = guide._facing_marker(guide.stand_off_m)
+    guide.begin_search()
+    farthest_m = highest_m = 0.0
+    for second in range(0, 60):
+        clock_ns[0] = second * 1_000_000_000
+        place = add(place, guide.search(state(place)).velocity_n_mps)
+        farthest_m, highest_m = max(farthest_m, math.hypot(place[0], place[1])), max(highest_m, -place[2])
+    assert farthest_m <= radius_m + 1e-6 and highest_m <= height_m + 1e-6
+    assert farthest_m > radius_m - 0.05 or highest_m > height_m - 0.05  # it would have gone farther
