@@ -35,7 +35,8 @@ class EvidenceConfig:
         apart_m, swap: D1 itself may have gone over to an object that is nearer to the target than that in its image, in
             so many of the hand-overs with one.
         span_m, height_m: of the target: no box is of it alone that is larger than an upright cylinder of this diameter
-            and height (``path.target.size``); 0 when its size is not known.
+            and height (``path.target.size``), and the middle of its box lies accordingly (``path.target.cylinder``); 0
+            when its size is not known.
         size_sigmas, size_sigma, growth_sigma: a pair disagrees when a box is more than so many standard deviations
             larger than the target can be; the standard deviation of a box's size against such a cylinder's, and of what
             a box grows by within ``SETTLE_S``, both of its logarithm and besides noise of box and range.

@@ -53,6 +53,9 @@ DRONE_NOISE = TARGET_NOISE._replace(
 )
 """Of the hull of a micro-UAV. A motor or an arm in its box makes the edge wander, and now and then puts it far off."""
 
+PERSON_NOISE = TARGET_NOISE._replace(max_side_px=1000.0)
+"""Of a person, 250 to 320 px high from where the drones look: one would set no detector of people to less than that."""
+
 MARKER_NOISE = MarkerNoise(
     half_side_px=8.0,
     half_side_per_scale_px=0.66,
@@ -73,8 +76,8 @@ class ObservationNoise:
     """All of it.
 
     Attributes:
-        drones: as ``targets``, for objects of that kind. People have ``targets``: the colour detector finds their
-            shirts alone, and another one was not measured.
+        drones, people: as ``targets``, for objects of that kind. People have the noise of cars: the colour detector
+            finds their shirts alone, and another one was not measured.
         targets: Boxes against true visible outlines. ``bias_*``, ``edge_sigma_px``: of an edge; one edge of a share
             ``outlier_rate`` of the boxes is off by ``outlier_sigma_px`` instead. ``score``, ``score_sigma``: of a whole
             vehicle; a share ``odd_rate`` of the boxes has its score multiplied by ``odd_score`` for no reason. Two
@@ -95,6 +98,7 @@ class ObservationNoise:
 
     targets: TargetNoise = TARGET_NOISE
     drones: TargetNoise = DRONE_NOISE
+    people: TargetNoise = PERSON_NOISE
     marker: MarkerNoise = MARKER_NOISE
     depth_sigma_at_1m_m: float = 0.005
     depth_common_sigma_at_1m_m: float = 0.0012
@@ -116,6 +120,7 @@ _EXACT_BOXES = TARGET_NOISE._replace(
 EXACT = ObservationNoise(
     _EXACT_BOXES,
     _EXACT_BOXES,
+    _EXACT_BOXES._replace(max_side_px=PERSON_NOISE.max_side_px),
     MARKER_NOISE._replace(
         half_side_px=-1e9,
         lapse_rate=0.0,

@@ -237,7 +237,7 @@ def measure_noise(residuals: Residuals) -> ObservationNoise:
     pixel = default.depth_sigma_at_1m_m
     alone = MEDIAN_TO_MEAN * pixel / DEPTH_CELLS  # residual of a pixel's noise over a box when none err together
     common = math.sqrt(max(0.0, float(_spread(np.array(residuals.depths))) ** 2 - alone**2))
-    return ObservationNoise(targets, default.drones, marker, pixel, common)
+    return ObservationNoise(targets, default.drones, default.people, marker, pixel, common)
 
 
 def _spread(values: Array) -> Array:

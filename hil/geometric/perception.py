@@ -136,7 +136,7 @@ class Sensor:
         self.errors = errors or SensorErrors()
         self.boxes = {
             "car": noise.targets.shifted(self.errors.edges_px),
-            "person": noise.targets.shifted(self.errors.edges_px),
+            "person": noise.people.shifted(self.errors.edges_px),
             "drone": noise.drones.shifted(self.errors.edges_px),
         }
         self.seed = fold(fold(seed, 7), list(Role).index(setup.role))

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 
 from flight.harness.montecarlo import FaultName
-from hil.geometric.noise import ObservationNoise
 from hil.montecarlo import faults, motion, scene, setup
+from hil.montecarlo.scene import Believed
 from hil.world.errors import ErrorSizes
 
 MEANINGS: Mapping[FaultName, str] = {
@@ -28,15 +28,18 @@ MEANINGS: Mapping[FaultName, str] = {
 }
 
 
-def conditions(sizes: ErrorSizes) -> tuple[tuple[str, str], ...]:
+def conditions(believed: Believed, sizes: ErrorSizes) -> tuple[tuple[str, str], ...]:
     """(what, how much); standard deviations unless it is a range."""
-    noise, deg = ObservationNoise(), math.degrees
+    noise, deg, boxes = believed.noise, math.degrees, believed.boxes
+    (behind_m, height_m), others = believed.sender_m, believed.look_alikes
     low, high = scene.SPEED_MPS
     return (
-        ("D1 behind and above the target", f"{_span(scene.BEHIND_M)} m, {_span(scene.HEIGHT_M)} m"),
+        ("D1 behind and above the target", f"{_span(behind_m)} m, {_span(height_m)} m"),
         ("D2", f"at the planned viewpoint ± {scene.PLACE_SIGMA_M} m per axis and {deg(scene.YAW_SIGMA_RAD):.0f}°"),
-        ("target", f"{scene.MOVING_SHARE:.0%} drive, {low:g}-{high:g} m/s, turning up to {scene.TURN_RAD_S} rad/s"),
-        ("look-alikes", f"three, {_span(scene.LOOK_ALIKES_M)} m away at first, never below {scene.PARKED_GAP_M} m; "
+        ("target", f"a {believed.kind}; {scene.MOVING_SHARE:.0%} move, {low:g}-{high:g} m/s, "
+         f"turning up to {scene.TURN_RAD_S} rad/s"),
+        ("look-alikes", f"three, {_span((others.min_distance_m, others.max_distance_m))} m away at first, never below "
+         f"{believed.parked_gap_m:g} m; "
          "one drives along, two are parked; identical, at any heading"),
         ("drones hold their places", f"± {motion.WANDER_M[0]} m, tilt {deg(motion.TILT_RAD):.1f}° around a mean tilt "
          f"of 1.5°, yaw {deg(motion.YAW_RAD):.1f}°"),
@@ -49,7 +52,7 @@ def conditions(sizes: ErrorSizes) -> tuple[tuple[str, str], ...]:
         ("mounting of both cameras and of the marker", f"{1000 * sizes.mount_m:.0f} mm, "
          f"{sizes.mount_deg:.1f}° per axis, once"),
         ("marker's corners", f"{noise.marker.corner_sigma_px2} px² / side each frame, as measured on rendered frames"),
-        ("boxes", f"{noise.targets.edge_sigma_px} px an edge each frame, outliers and merges as measured on rendered "
+        ("boxes", f"{boxes.edge_sigma_px} px an edge each frame, outliers and merges as measured on rendered "
          f"frames; {sizes.edge_px} px an edge, once, both detectors"),
         ("depth", f"{sizes.depth:.0%} and {1000 * sizes.depth_bias_m:g} mm too far or near, once; "
          f"{1000 * noise.depth_sigma_at_1m_m:g} mm a pixel and "

@@ -73,14 +73,14 @@ class MonteCarloCamera(NamedTuple):
 
     Attributes:
         R_b_c, t_b_c: on its drone. lens: as in ``hil.geometric.kernels``.
-        car, drone: boxes of a car and of the other drone.
+        target, drone: boxes of a target and of the other drone.
         seed: of its random numbers.
     """
 
     R_b_c: np.ndarray
     t_b_c: np.ndarray
     lens: np.ndarray
-    car: np.ndarray
+    target: np.ndarray
     drone: np.ndarray
     noise: TargetNoise
     seed: int
@@ -117,9 +117,9 @@ def _before(camera, flown, k, things, ids, boxes, extents, frame):
             ids[count] = i
             count += 1
     place(
-        flown.R[k], flown.t[k], camera.R_b_c, camera.t_b_c, camera.lens, things[:count], camera.car, flown.other_R[k],
-        flown.other_t[k], camera.drone, boxes[: count * camera.car.shape[0] + camera.drone.shape[0]],
-        extents[: count + 1], frame,
+        flown.R[k], flown.t[k], camera.R_b_c, camera.t_b_c, camera.lens, things[:count], camera.target,
+        flown.other_R[k], flown.other_t[k], camera.drone,
+        boxes[: count * camera.target.shape[0] + camera.drone.shape[0]], extents[: count + 1], frame,
     )  # fmt: skip
     return count
 
@@ -127,8 +127,8 @@ def _before(camera, flown, k, things, ids, boxes, extents, frame):
 @inner
 def _boxes_of(camera, number, count, ids, boxes, extents, region, seen, rows, found):
     """The detector's boxes of a frame and whose they are: that object's whose outline is the nearest."""
-    bodies = boxes[: count * camera.car.shape[0] + camera.drone.shape[0]]
-    outlines(bodies, extents[: count + 1], camera.car.shape[0], camera.lens, seen[:count])
+    bodies = boxes[: count * camera.target.shape[0] + camera.drone.shape[0]]
+    outlines(bodies, extents[: count + 1], camera.target.shape[0], camera.lens, seen[:count])
     key = fold(fold(camera.seed, number), TARGETS)
     slow_key = fold(fold(camera.seed, number // SLOW_FRAMES), SLOW_TARGETS)
     many = detections(seen[:count], camera.lens, region, camera.noise, key, slow_key, rows)
@@ -236,7 +236,7 @@ def _tell_others(camera, depths, number, bodies, extents, frame, hidden, found, 
         key = fold(fold(fold(fold(camera.seed, number), DEPTH), int(16.0 * box[0])), int(16.0 * box[1]))
         noise = (depths.sigma_m, depths.common_sigma_m)
         depth, out[at + 5] = depth_over(
-            bodies, extents, camera.car.shape[0], frame, camera.lens, hidden, box, depths.settings, noise, key
+            bodies, extents, camera.target.shape[0], frame, camera.lens, hidden, box, depths.settings, noise, key
         )
         out[at + 4] = depth * depths.scale + depths.bias_m if depth > 0.0 else depth
 
@@ -293,7 +293,7 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
     most = flown.things.shape[1]
     things, ids = np.empty((most, 4)), np.empty(most, np.int64)
     boxes, extents = (
-        np.empty((most * camera.car.shape[0] + camera.drone.shape[0], BOX_COLUMNS)),
+        np.empty((most * camera.target.shape[0] + camera.drone.shape[0], BOX_COLUMNS)),
         np.empty((most + 1, 6)),
     )
     frame, region, point, measured = np.empty(FRAME_COLUMNS), np.empty(4), np.empty(3), np.empty(3)
@@ -326,11 +326,11 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
         box = (found[row, 0], found[row, 1], found[row, 2], found[row, 3])
         out[BOX], out[BOX + 1], out[BOX + 2], out[BOX + 3] = box
         key = fold(fold(fold(fold(camera.seed, flown.frame[k]), DEPTH), int(16.0 * box[0])), int(16.0 * box[1]))
-        bodies = boxes[: count * camera.car.shape[0] + camera.drone.shape[0]]
+        bodies = boxes[: count * camera.target.shape[0] + camera.drone.shape[0]]
         depth, out[SIGMA] = depth_over(
             bodies,
             extents[: count + 1],
-            camera.car.shape[0],
+            camera.target.shape[0],
             frame,
             camera.lens,
             holes[k],
@@ -398,18 +398,18 @@ def receiver_sees(first, last, camera, flown, corners_b, print_noise, hidden, sw
     """
     most = flown.things.shape[1]
     things, ids = np.empty((most, 4)), np.empty(most, np.int64)
-    boxes = np.empty((most * camera.car.shape[0] + camera.drone.shape[0], BOX_COLUMNS))
+    boxes = np.empty((most * camera.target.shape[0] + camera.drone.shape[0], BOX_COLUMNS))
     extents, frame = np.empty((most + 1, EXTENT_COLUMNS)), np.empty(FRAME_COLUMNS)
     everywhere = np.array((-np.inf, -np.inf, np.inf, np.inf))
     seen, rows = np.empty((most, SEEN_COLUMNS)), np.empty((most, DETECTION_COLUMNS))
     for k in range(first, last):
         number = flown.frame[k]
         count = _before(camera, flown, k, things, ids, boxes, extents, frame)
-        bodies, bounds = boxes[: count * camera.car.shape[0] + camera.drone.shape[0]], extents[: count + 1]
+        bodies, bounds = boxes[: count * camera.target.shape[0] + camera.drone.shape[0]], extents[: count + 1]
         markers[k, FOUND] = 0.0
         key, slow_key = fold(camera.seed, number), fold(camera.seed, number // SLOW_FRAMES)
         if not hidden[k] and marker(
-            bodies, bounds, camera.car.shape[0], frame, camera.lens, flown.other_R[k], flown.other_t[k], corners_b,
+            bodies, bounds, camera.target.shape[0], frame, camera.lens, flown.other_R[k], flown.other_t[k], corners_b,
             everywhere, LARGEST_SCALE, print_noise, fold(key, MARKERS), fold(slow_key, SLOW_MARKERS), markers[k, :9],
         ):  # fmt: skip
             markers[k, FOUND] = 1.0

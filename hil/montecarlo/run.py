@@ -52,7 +52,7 @@ class MonteCarloHandovers:
         return _result(attempt, setup, run_cycles(attempt, setup, self._believed, self._method, until), self._method)
 
     def conditions(self) -> tuple[tuple[str, str], ...]:
-        return conditions(sizes_of(level_of(self._believed.rig)))
+        return conditions(self._believed, sizes_of(level_of(self._believed.rig)))
 
     def meanings(self) -> Mapping[FaultName, str]:
         return MEANINGS

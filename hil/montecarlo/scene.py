@@ -17,9 +17,12 @@ from flight.config import MissionConfig
 from flight.harness.montecarlo import Attempt, FaultName
 from flight.rendezvous.viewpoint import Viewpoint, ViewpointScene, plan_viewpoint
 from hil.geometric.noise import ObservationNoise
+from hil.geometric.scene import parts_of
 from hil.geometric.targets import TargetNoise
 from hil.montecarlo.faults import HandoverFaults, direction, draw_faults
 from hil.world.errors import level_of, other_lens, other_mount, sizes_of
+from hil.world.kinds import TargetKind
+from hil.world.targets import CROSSING_PAST_M, LookAlikeConfig, TargetConfig
 from path.camera.model import CameraModel
 from path.geometry.rotation import exp
 from path.geometry.transforms import Pose
@@ -27,15 +30,14 @@ from path.geometry.transforms import Pose
 Array = NDArray[np.float64]
 Generator = np.random.Generator
 
-TARGET_HEIGHT_M = 0.08  # of its middle
-# Ranges and standard deviations of what is drawn; the trial prints them.
-BEHIND_M, HEIGHT_M, SIDE_M = (1.2, 1.7), (1.3, 1.8), 0.10
+# Ranges and standard deviations of what is drawn; the trial prints them. Beside where the mission has D1:
+BEHIND_M, HEIGHT_M, SIDE_M = (-0.25, 0.25), (-0.2, 0.3), 0.10
 PLACE_SIGMA_M, YAW_SIGMA_RAD = 0.07, math.radians(3.0)  # D2 at its viewpoint
 BIAS_RAD = (math.radians(0.5), math.radians(0.5), math.radians(2.0))  # of an attitude estimate: roll, pitch, yaw
 CLOCK_SIGMA_S = 0.002
 MOVING_SHARE, SPEED_MPS, TURN_RAD_S = 0.75, (0.05, 0.4), 0.15
-LOOK_ALIKES_M, PARKED_GAP_M = (1.2, 2.0), 1.0
-CROSSING_PAST_M, CROSSING_MPS, CROSSING_HALF_S = (0.36, 0.40), 1.0, 3.5
+PARKED_NEARER_M = 0.2  # than look-alikes are at first
+CROSSING_MPS, CROSSING_HALF_S = 1.0, 3.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,15 +54,46 @@ class HandoverCalibration:
 
 @dataclass(frozen=True, slots=True)
 class Believed:
-    """The rig as Monte-Carlo hand-overs need it."""
+    """The rig as Monte-Carlo hand-overs need it, and what there is in its world.
+
+    ``frame_m``, ``middle_m``: height above the ground of the target's frame and of its middle.
+    """
 
     rig: Rig
     mission: MissionConfig
     noise: ObservationNoise
+    kind: TargetKind
+    look_alikes: LookAlikeConfig
+    frame_m: float
+    middle_m: float
 
     @classmethod
     def of(cls, rig: Rig) -> Believed:
-        return cls(rig, decode_table(rig.mission, MissionConfig, rig.where("[mission]")), ObservationNoise())
+        mission = decode_table(rig.mission, MissionConfig, rig.where("[mission]"))
+        target = decode_table(rig.world.get("target", {}), TargetConfig, rig.where("[world.target]"))
+        others = decode_table(rig.world.get("look_alikes", {}), LookAlikeConfig, rig.where("[world.look_alikes]"))
+        parts = parts_of(target.kind)
+        top, bottom = np.max(parts[:, 2] + parts[:, 5]), np.min(parts[:, 2] - parts[:, 5])
+        frame_m = target.height_m if target.kind == "drone" else 0.0
+        middle_m = frame_m + 0.5 * float(top + bottom)
+        return cls(rig, mission, ObservationNoise(), target.kind, others, frame_m, middle_m)
+
+    @property
+    def sender_m(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Ranges of D1's horizontal distance from the target and of its height above the ground."""
+        behind_m, height_m = self.mission.follow.behind_m, self.mission.follow.height_m
+        return (behind_m + BEHIND_M[0], behind_m + BEHIND_M[1]), (height_m + HEIGHT_M[0], height_m + HEIGHT_M[1])
+
+    @property
+    def parked_gap_m(self) -> float:
+        """The least distance from the target to where a look-alike is parked."""
+        return self.look_alikes.min_distance_m - PARKED_NEARER_M
+
+    @property
+    def boxes(self) -> TargetNoise:
+        """The noise of the detector's boxes."""
+        boxes = {"car": self.noise.targets, "person": self.noise.people, "drone": self.noise.drones}
+        return boxes[self.kind]
 
     def calibrated(self, roll_deg: float) -> HandoverCalibration:
         rig = self.rig
@@ -151,10 +184,10 @@ def draw(attempt: Attempt, believed: Believed, streams: list[Generator]) -> Draw
     place = _place(believed, attempt.reach, streams[0])
     errors = _errors(believed, calibrated, streams[2])
     names, faults = draw_faults(attempt.fault, streams[3])
-    things = _things(attempt, names, streams[1])
+    things = _things(attempt, believed, names, streams[1])
     shift, turn = np.zeros(3), np.zeros(3)
     if attempt.wrong is not None:
-        shift, turn = _bias(attempt, calibrated, place, things, streams[1])
+        shift, turn = _bias(attempt, believed, calibrated, place, things, streams[1])
         if attempt.wrong.kind == "lock":
             faults = replace(faults, swapped=np.array([[-1.0, math.inf]]))
     return Drawn(place, things, errors, faults, shift, turn)
@@ -170,12 +203,14 @@ def _place(believed: Believed, reach: float, rng: Generator) -> Place:
     """Both drones as the mission would place them, each a little beside."""
     mission, sender, receiver = believed.mission, believed.rig.sender, believed.rig.receiver
     T_b_v, camera = sender.mount.T_b_v, receiver.camera
+    behind_m, height_m = believed.sender_m
     while True:
-        behind, height, side = rng.uniform(*BEHIND_M), rng.uniform(*HEIGHT_M), SIDE_M * rng.standard_normal()
+        behind, height, side = rng.uniform(*behind_m), rng.uniform(*height_m), SIDE_M * rng.standard_normal()
         behind, height = reach * behind, reach * height
         sender_n = np.array([-behind, side, -height])
-        target_h = -sender_n - T_b_v.t - np.array([0.0, 0.0, TARGET_HEIGHT_M])
-        scene = ViewpointScene(target_h, T_b_v.R[:, 2], believed.rig.layout.markers[0].side_m, -T_b_v.t)
+        target_h = -sender_n - T_b_v.t - np.array([0.0, 0.0, believed.middle_m])
+        side_m, half_m = believed.rig.layout.markers[0].side_m, mission.target.half_size_m
+        scene = ViewpointScene(target_h, T_b_v.R[:, 2], side_m, -T_b_v.t, target_radius_m=half_m)
         plan = plan_viewpoint(scene, camera, receiver.mount.T_b_c, mission.rendezvous, mission.separation)
         beside, turn = PLACE_SIGMA_M * rng.standard_normal(3), YAW_SIGMA_RAD * rng.standard_normal()
         mirrored = rng.random() < 0.5
@@ -188,8 +223,9 @@ def _place(believed: Believed, reach: float, rng: Generator) -> Place:
     return Place(sender_n, receiver_n, yaw)
 
 
-def _things(attempt: Attempt, names: tuple[FaultName, ...], rng: Generator) -> Things:
+def _things(attempt: Attempt, believed: Believed, names: tuple[FaultName, ...], rng: Generator) -> Things:
     """The target, three look-alikes that keep away, and what a fault adds."""
+    others = believed.look_alikes
     moving = rng.random() < MOVING_SHARE
     speed, heading = rng.uniform(*SPEED_MPS), rng.uniform(-math.pi, math.pi)
     turn = rng.uniform(-TURN_RAD_S, TURN_RAD_S)
@@ -205,9 +241,9 @@ def _things(attempt: Attempt, names: tuple[FaultName, ...], rng: Generator) -> T
     path = alone.at(times)[0][:, 0]
     for k in range(3):
         for _ in range(20):
-            start = rng.uniform(*LOOK_ALIKES_M) * direction(rng)
+            start = rng.uniform(others.min_distance_m, others.max_distance_m) * direction(rng)
             distances = start[None] if k == 0 else start - path
-            if np.hypot(distances[:, 0], distances[:, 1]).min() >= PARKED_GAP_M:
+            if np.hypot(distances[:, 0], distances[:, 1]).min() >= believed.parked_gap_m:
                 rows.append((start, np.zeros(2), k == 0, always, rng.uniform(-math.pi, math.pi)))
                 break
     extra = np.random.default_rng(int(rng.integers(1 << 62)))
@@ -219,7 +255,7 @@ def _things(attempt: Attempt, names: tuple[FaultName, ...], rng: Generator) -> T
         elif name == "detector_swap":
             rows.insert(1, _beside(extra.uniform(0.3, 0.8), False, extra))
         elif name == "look_alike_crossing":
-            rows.insert(1, _beside(extra.uniform(*CROSSING_PAST_M), True, extra))
+            rows.insert(1, _beside(extra.uniform(*CROSSING_PAST_M[believed.kind]), True, extra))
     starts, velocities, attached, spans, yaws = zip(*rows, strict=True)
     return Things(
         np.array(starts), np.array(velocities), np.array(attached), np.array(spans), np.array(yaws),
@@ -253,7 +289,7 @@ def _errors(believed: Believed, calibrated: HandoverCalibration, rng: Generator)
     bias = times * np.array(BIAS_RAD) * rng.standard_normal((2, 3))
     mean_tilt = np.radians([1.5, 1.5, 1.5]) * rng.standard_normal((2, 3))
     edges = sizes.edge_px * rng.standard_normal((2, 4))
-    base = believed.noise.targets
+    base = believed.boxes
     boxes = [
         base._replace(
             bias_left_px=base.bias_left_px + a,
@@ -273,7 +309,12 @@ def _errors(believed: Believed, calibrated: HandoverCalibration, rng: Generator)
 
 
 def _bias(
-    attempt: Attempt, calibrated: HandoverCalibration, place: Place, things: Things, rng: Generator
+    attempt: Attempt,
+    believed: Believed,
+    calibrated: HandoverCalibration,
+    place: Place,
+    things: Things,
+    rng: Generator,
 ) -> tuple[Array, Array]:
     """Returns the errors of D2's pose, m and rad in its camera, that put the prior on the look-alike."""
     wrong = attempt.wrong
@@ -290,7 +331,7 @@ def _bias(
     offset = R_c_n @ np.array([away[0], away[1], 0.0]) + residual
     if wrong.kind == "shift":
         return offset, np.zeros(3)
-    to_target = R_c_n @ (-place.sender_n_m - calibrated.T_b_v.t - np.array([0.0, 0.0, TARGET_HEIGHT_M]))
+    to_target = R_c_n @ (-place.sender_n_m - calibrated.T_b_v.t - np.array([0.0, 0.0, believed.middle_m]))
     return np.zeros(3), _turn_between(to_target, to_target + offset)
 
 

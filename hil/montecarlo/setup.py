@@ -35,7 +35,7 @@ from hil.montecarlo.perception import (
     sender_sees,
     with_lapses,
 )
-from hil.montecarlo.scene import TARGET_HEIGHT_M, Believed, Drawn, draw
+from hil.montecarlo.scene import Believed, Drawn, draw
 from path.camera.kernels import lens_of
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
@@ -115,7 +115,7 @@ class BodyBoxes:
 
     def __init__(self, believed: Believed) -> None:
         T_b_v, layout = believed.rig.sender.mount.T_b_v, believed.rig.layout
-        self.car = parts_of("car")
+        self.target = parts_of(believed.kind)
         self.plain, self._marked = (drone_parts(T_b_v, layout, marked=on) for on in (False, True))
         self._v_b = T_b_v.inverse()
 
@@ -136,6 +136,7 @@ class HandoverSetup:
         streams = [np.random.default_rng(seed) for seed in seeds]
         self.drawn: Drawn = draw(attempt, believed, streams[:4])
         self.believed = believed.calibrated(attempt.roll_deg)
+        self._frame_m, self._middle_m = believed.frame_m, believed.middle_m
         self._motion = HandoverMotion(self.drawn, streams[4])
         faults = self.drawn.faults
         self.clock_ns = round((self.drawn.errors.clock_s + faults.clock_s) * 1e9)
@@ -148,9 +149,9 @@ class HandoverSetup:
         look_seeds = streams[6].integers(1 << 62, size=2).tolist()
         true = self.drawn.errors.true
         boxes = self.drawn.errors.boxes
-        self._camera_1 = _true_camera(true.camera_1, true.T_b_c1, parts.car, parts.plain, boxes[0], look_seeds[0])
+        self._camera_1 = _true_camera(true.camera_1, true.T_b_c1, parts.target, parts.plain, boxes[0], look_seeds[0])
         marked = parts.marked(true.T_b_v)
-        self._camera_2 = _true_camera(true.camera_2, true.T_b_c2, parts.car, marked, boxes[1], look_seeds[1])
+        self._camera_2 = _true_camera(true.camera_2, true.T_b_c2, parts.target, marked, boxes[1], look_seeds[1])
         self._depths = Depths(
             sensor.depth, *sensor.depth_noise, self.drawn.errors.depth_scale, self.drawn.errors.depth_bias_m
         )
@@ -183,7 +184,9 @@ class HandoverSetup:
         self._horizon_s, drawn, calibrated = horizon_s, self.drawn, self.believed
         faults = drawn.faults
         sender, receiver = (frames.until(horizon_s) for frames in self.frames)
-        (things_1, target_1), (things_2, target_2) = _things(sender, drawn), _things(receiver, drawn)
+        (things_1, target_1), (things_2, target_2) = (
+            _things(each, drawn, self._frame_m) for each in (sender, receiver)
+        )
         at_1, at_2 = self._motion.poses(sender.taken_s, target_1), self._motion.poses(receiver.taken_s, target_2)
         self.flown_1 = _flown(sender, at_1, SENDER, things_1)
         self.flown_2 = _flown(receiver, at_2, RECEIVER, things_2)
@@ -240,7 +243,7 @@ class HandoverSetup:
         """D1 has followed the target for a while: where it is, how it moves, and what is beside it."""
         row = np.zeros(FOLLOWER_SIZE)
         row[POSITION : POSITION + 2] = target[0] + drift[0, :2]
-        row[POSITION + 2] = -TARGET_HEIGHT_M
+        row[POSITION + 2] = -self._middle_m
         row[VELOCITY : VELOCITY + 2] = (target[5] - target[0]) / (times_s[5] - times_s[0])
         row[PP], row[VV] = FOLLOWER_SIGMA_M**2, FOLLOWER_SIGMA_MPS**2
         row[AT] = row[RIVAL_AT] = times_s[0]
@@ -250,7 +253,7 @@ class HandoverSetup:
     def _beside_m(self) -> float:
         """From the target to the nearest other object that D1 sees with it, across its line of sight."""
         sender_n, places = self.drawn.place.sender_n_m, self.drawn.things.at(np.zeros(1))[0][0]
-        line = np.array([-sender_n[0], -sender_n[1], -TARGET_HEIGHT_M - sender_n[2]])
+        line = np.array([-sender_n[0], -sender_n[1], -self._middle_m - sender_n[2]])
         line /= np.linalg.norm(line)
         away = np.zeros((len(places) - 1, 3))
         away[:, :2] = places[1:] - places[0]
@@ -292,7 +295,7 @@ class HandoverSetup:
     def circumstances(self) -> Circumstances:
         """The true circumstances at the beginning."""
         things = self.flown_1.things[0]
-        middle = np.array([things[0, 0], things[0, 1], TARGET_HEIGHT_M])
+        middle = np.array([things[0, 0], things[0, 1], self._middle_m])
         true = self.drawn.errors.true
         T_w_c1 = Pose(self.flown_1.R[0], self.flown_1.t[0]) @ true.T_b_c1
         T_w_c2 = Pose(self.flown_2.R[0], self.flown_2.t[0]) @ true.T_b_c2
@@ -334,16 +337,21 @@ def _ns(times_s: Array) -> Whole:
 
 
 def _true_camera(
-    camera: CameraModel, T_b_c: Pose, car: Array, drone: Array, boxes: object, seed: int
+    camera: CameraModel, T_b_c: Pose, target: Array, drone: Array, boxes: object, seed: int
 ) -> MonteCarloCamera:
-    return MonteCarloCamera(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_of(camera), car, drone, boxes, seed)  # type: ignore[arg-type]
+    return MonteCarloCamera(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_of(camera), target, drone, boxes, seed)  # type: ignore[arg-type]
 
 
-def _things(frames: Timed, drawn: Drawn) -> tuple[Array, Array]:
-    """Everything on the ground in the world, ENU and yaw (n, m, 4), and the target's north and east, (n, 2)."""
+def _things(frames: Timed, drawn: Drawn, up_m: float) -> tuple[Array, Array]:
+    """Everything so high in the world, ENU and yaw (n, m, 4), and the target's north and east, (n, 2)."""
     places, yaw = drawn.things.at(frames.taken_s)
     things = np.zeros((*yaw.shape, 4))
-    things[..., 0], things[..., 1], things[..., 3] = places[..., 1], places[..., 0], 0.5 * math.pi - yaw
+    things[..., 0], things[..., 1], things[..., 2], things[..., 3] = (
+        places[..., 1],
+        places[..., 0],
+        up_m,
+        0.5 * math.pi - yaw,
+    )
     return things, places[:, 0]
 
 

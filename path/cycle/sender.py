@@ -214,7 +214,7 @@ class SenderCycle:
             T_v_c2 = rigid_from_quat(normalized(candidate.rotation_v_c2), candidate.position_v_m)
             verdict, mapped_box = compare(self._views, T_v_c2, own_box, z1, point_v, candidate.box, self._config)
             tau = None if verdict.iou is None else threshold(z1, self._config)
-            offsets = self._rivals.offsets(T_v_c2, candidate.box, own_box, z1, point_v)
+            offsets = self._rivals.offsets(T_v_c2, candidate.box, own_box, z1, point_v, (gx, gy, gz))
             sigma_m = math.hypot(candidate.sigma_m, z_sigma)
             theirs = self._sizes.theirs(capture_ns, T_v_c2, candidate.box, sigma_m, point_v, (gx, gy, gz))
             oversize = max(oversize, theirs)

@@ -2,8 +2,9 @@
 
 D2's box gives a line of sight. Where that passes the target, at the target's depth, it is some way off D1's own box;
 where it passes another object, at that one's depth, some way off that one's. Both are offsets in D1's image, in metres
-at the depth of what they are measured from. Errors that last (calibration, mounts, attitude, where a box's centre lies
-on a body) move both alike.
+at the depth of what they are measured from. Where the middle of a box lies on a body, as each camera sees it, is
+reckoned with when the rig states the body's size (``path.target.cylinder``). Errors that last (calibration, mounts,
+attitude, what a body differs from its cylinder) move both alike.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from dataclasses import dataclass, replace
 from path.config import MethodConfig
 from path.gate.agreement import TwoViews, depth_in, map_box
 from path.gate.window import Offset, Offsets
-from path.geometry.rigid import Rigid, transform
+from path.geometry.rigid import Rigid, transform, transform_back
 from path.messages import Vec3
 from path.observations import Box, Depth
+from path.target.cylinder import box_middle_v, middle_v
 from path.target.place import back_project, locate
 
 SAME_M = 0.15
@@ -84,27 +86,30 @@ class Rivals:
         seen.sort(key=lambda each: math.hypot(*each.dpoint))
         self._beside = seen[:REMEMBERED]
 
-    def offsets(self, T_v_c2: Rigid, box2: Box, own: Box, z_m: float, point_v: Vec3) -> Offsets | None:
+    def offsets(self, T_v_c2: Rigid, box2: Box, own: Box, z_m: float, point_v: Vec3, gravity_v: Vec3) -> Offsets | None:
         """The distances of D2's box from the target and from each object beside it; None when they cannot be told.
 
         Args:
-            own, z_m, point_v: D1's target at D2's capture instant.
+            own, z_m, point_v, gravity_v: D1's target at D2's capture instant.
         """
-        target = self._offset(T_v_c2, box2, own.center, z_m, point_v)
+        target = self._offset(T_v_c2, box2, own.center, z_m, point_v, gravity_v)
         if target is None:
             return None
         u, v = own.center
         others: list[Offset] = []
         for each in [each for each in self._beside if each.times >= SEEN_TIMES][:MOST]:
             there = point_v[0] + each.dpoint[0], point_v[1] + each.dpoint[1], point_v[2] + each.dpoint[2]
-            offset = self._offset(T_v_c2, box2, (u + each.du, v + each.dv), z_m + each.dz, there)
+            offset = self._offset(T_v_c2, box2, (u + each.du, v + each.dv), z_m + each.dz, there, gravity_v)
             if offset is not None:
                 others.append(offset)
         return Offsets(target, tuple(others))
 
     def _offset(
-        self, T_v_c2: Rigid, box2: Box, center: tuple[float, float], z_m: float, point_v: Vec3
+        self, T_v_c2: Rigid, box2: Box, center: tuple[float, float], z_m: float, point_v: Vec3, gravity_v: Vec3
     ) -> Offset | None:
+        stated = self._config.evidence
+        if stated.span_m > 0.0:
+            return self._offset_of_stated(T_v_c2, box2, point_v, gravity_v, stated.span_m, stated.height_m)
         z2 = depth_in(T_v_c2, point_v)
         mapped = map_box(self._views, T_v_c2, box2, (z_m, z2), "center") if z2 > 0.0 and z_m > 0.0 else None
         if mapped is None:
@@ -112,6 +117,20 @@ class Rivals:
         u, v = mapped.center
         camera = self._views.camera1
         return (u - center[0]) * z_m / camera.fx, (v - center[1]) * z_m / camera.fy
+
+    def _offset_of_stated(
+        self, T_v_c2: Rigid, box2: Box, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float
+    ) -> Offset | None:
+        """The middle of D2's box against where it is of a body of that size with this point in D1's box's middle."""
+        T_v_c1 = self._views.T_v_c1
+        middle = middle_v(T_v_c1, point_v, gravity_v, span_m, height_m)
+        expected = box_middle_v(T_v_c2, middle, gravity_v, span_m, height_m)
+        z2 = depth_in(T_v_c2, expected)
+        seen = transform(T_v_c2, back_project(self._views.camera2, *box2.center, z2))
+        (x, y, z), (xe, ye, ze) = transform_back(T_v_c1, seen), transform_back(T_v_c1, expected)
+        if not (z2 > 0.0 and z > 0.0 and ze > 0.0):  # also when the pixel has no ray
+            return None
+        return x * ze / z - xe, y * ze / z - ye
 
     def _place(self, rival: Rival, z_m: float, point_v: Vec3, gravity_v: Vec3) -> tuple[Vec3, float] | None:
         """A rival's place in ``v``, and its depth; None when its pixel has no ray."""

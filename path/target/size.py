@@ -24,9 +24,10 @@ import math
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.gate.agreement import TwoViews, depth_in
-from path.geometry.rigid import Rigid, transform_back
+from path.geometry.rigid import Rigid
 from path.messages import Vec3
 from path.observations import Box, Depth
+from path.target.cylinder import reach_m
 
 SETTLE_S = 0.15
 """Time constant of the running mean as it rises: so long a turning target may have changed since."""
@@ -35,26 +36,6 @@ LEARNED_S = 3.0
 FITS = 0.0
 """Of a pair of which no limit is known."""
 _TINY_M = 1e-6
-
-
-def reach_m(T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float) -> tuple[float, float]:
-    """Width and height in m that an upright cylinder at a point fills in an image, at the point's depth.
-
-    To first order in its size over its distance.
-
-    Args:
-        gravity_v: unit vector.
-    """
-    x, y, z = transform_back(T_v_c, point_v)
-    gx, gy, gz = transform_back((*T_v_c[:9], 0.0, 0.0, 0.0), gravity_v)
-    return _reach_along(gx, gz, x / z, span_m, height_m), _reach_along(gy, gz, y / z, span_m, height_m)
-
-
-def _reach_along(g_side: float, g_ahead: float, off: float, span_m: float, height_m: float) -> float:
-    """Along one side of an image: of a body ``off`` to that side, a step ahead is one back to the middle."""
-    upright = g_side - off * g_ahead
-    level2 = 1.0 + off * off - upright * upright
-    return height_m * abs(upright) + span_m * math.sqrt(max(0.0, level2))
 
 
 class _RunningSize:

@@ -49,7 +49,7 @@ def rivals_after(*frames: list[Rival], seconds: float = 0.02) -> Rivals:
 
 def measured(rivals: Rivals, seen_by_2: Vec3) -> tuple[tuple[float, float], tuple[tuple[float, float], ...]]:
     T = rigid(T_V_C2)
-    offsets = rivals.offsets(T, box_at(seen_by_2, T), box_at(TARGET, rigid(T_V_C1)), TARGET[2], TARGET)
+    offsets = rivals.offsets(T, box_at(seen_by_2, T), box_at(TARGET, rigid(T_V_C1)), TARGET[2], TARGET, DOWN)
     assert offsets is not None
     return offsets.target_m, offsets.rivals_m
 
