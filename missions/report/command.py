@@ -185,6 +185,7 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
         ("error of target", _error(s, "target_error")),
         ("wrong object handed over", wrong),
         ("smallest separation", _separation(s)),
+        ("D1 behind the target", _following(s)),
         ("link, both ways", f"{figure(s['link_bytes_per_s'], 'B/s', 0)} ({', '.join(link)})"),
         ("monitors", violations(s["monitors"])),
         ("speed", f"{figure(s['realtime_factor'], '', 1)} x real time ({figure(s['wall_s'], 's', 1)})"),
@@ -216,6 +217,14 @@ def _separation(summary: Mapping[str, Any]) -> str:
     return figure(summary["min_separation_m"], "m", 2) + ("" if limit is None else f" (limit {limit:.2f} m)")
 
 
+def _following(summary: Mapping[str, Any]) -> str:
+    if summary["follow_overshoot_m"] is None:
+        return "-"
+    off = figure(summary["follow_error_m"], "m", 2)
+    past, unseen = figure(summary["follow_overshoot_m"], "m", 2), figure(summary["target_unseen_s"], "s", 1)
+    return f"{off} off its place in the median, {past} past it at most, target unseen for {unseen} at most"
+
+
 def violations(monitors: Mapping[str, int]) -> str:
     """Returns the monitors' violations in words."""
     return _counts(monitors) if monitors else "no violation"
@@ -242,7 +251,10 @@ def summarize_many(summaries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         _add(outcomes, {summary["outcome"]: 1})
         _add(misses, summary["misses"])
         _add(monitors, summary["monitors"])
-    names = ("t_commit_s", "agreement_s", "iou_median", "min_separation_m", "d2_error_m", "target_error_m")
+    names = (
+        *("t_commit_s", "agreement_s", "iou_median", "min_separation_m", "d2_error_m", "target_error_m"),
+        *("follow_overshoot_m", "follow_error_m", "follow_error_p95_m", "target_unseen_s"),
+    )
     return {
         "runs": len(summaries),
         "outcomes": outcomes,

@@ -15,6 +15,7 @@ from matplotlib.lines import Line2D
 
 from drivers.log.mcap_log import LogRecord
 from missions.report.camera_views import draw_view
+from missions.report.following import following_of
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, PHASES, ROLE
 from missions.report.records import RunRecords, judged_pairs, last
 from missions.report.summary import start_ns
@@ -24,7 +25,8 @@ from path.messages import Role
 Clock = Callable[[Role, int], float]
 WIDTH_IN, HEIGHT_IN, DPI = 13.0, 10.6, 110
 TIMELINE = (0.058, 0.838, 0.931, 0.122)
-AGREEMENT, SEPARATION = (0.058, 0.543, 0.428, 0.224), (0.561, 0.543, 0.428, 0.224)
+AGREEMENT, SEPARATION = (0.058, 0.543, 0.262, 0.224), (0.393, 0.543, 0.262, 0.224)
+FOLLOWING = (0.727, 0.543, 0.262, 0.224)
 VIEWS = {Role.SENDER: (0.058, 0.046, 0.428, 0.394), Role.RECEIVER: (0.561, 0.046, 0.428, 0.394)}
 """The places of the plots: left, bottom, width and height, as shares of the picture. Found by matplotlib they take half
 as long again."""
@@ -41,6 +43,7 @@ def draw_run(run: RunRecords, summary: Mapping[str, Any], path: Path) -> None:
     _draw_phases(figure.add_axes(TIMELINE), run, seconds)
     _draw_agreement(figure.add_axes(AGREEMENT), run, seconds)
     _draw_separation(figure.add_axes(SEPARATION), run, summary, truth, seconds)
+    _draw_following(figure.add_axes(FOLLOWING), run, truth, seconds)
     for role in Role:
         draw_view(figure.add_axes(VIEWS[role]), run, role, truth)
     figure.savefig(path, format="png", metadata={"Software": None})
@@ -166,10 +169,28 @@ def _draw_separation(
     _legend(axes, [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")])
 
 
+def _draw_following(axes: Axes, run: RunRecords, truth: Truth | None, seconds: Clock) -> None:
+    """D1 from its place behind the target, in truth."""
+    axes.set_title("D1 from its place behind the target", loc="left", fontsize=10)
+    axes.set_ylabel("m", fontsize=9)
+    _tidy(axes)
+    followed = following_of(run, truth)
+    if followed is None or truth is None:
+        _empty(axes, "it did not follow, or nothing is known")
+        return
+    stamps = followed.stamps_ns * 1e-9 + seconds(Role.SENDER, truth.scene.clock_offset_ns[Role.SENDER])
+    axes.axhline(0.0, color=DIM, lw=0.8, ls=":")
+    for column, name, style in ((0, "ahead: past it", "-"), (1, "to the right", "--")):
+        axes.plot(stamps, followed.off_m[:, column], color=ROLE[Role.SENDER], lw=1.4, ls=style, label=name)
+    axes.set_ylim(-1.0, 1.0)
+    _mark_commit(axes, run, seconds)
+    _legend(axes, [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")])
+
+
 def _legend(axes: Axes, lines: Sequence[Line2D]) -> None:
     """Below the plot: it covers nothing."""
     axes.legend(
-        handles=list(lines), fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=5, frameon=False,
+        handles=list(lines), fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3, frameon=False,
         columnspacing=1.2, handlelength=1.6,
     )  # fmt: skip
 
@@ -180,8 +201,8 @@ def _mark_commit(axes: Axes, run: RunRecords, seconds: Clock) -> None:
         x = seconds(Role.SENDER, commit.stamp_ns)
         axes.axvline(x, color="#2a9d3a", lw=1.5)
         axes.annotate(
-            "commit", (x, 1.0), (3, -2), xycoords=("data", "axes fraction"), textcoords="offset points", va="top",
-            fontsize=8, color="#2a9d3a",
+            "commit", (x, 1.0), (-3, -2), xycoords=("data", "axes fraction"), textcoords="offset points", va="top",
+            ha="right", fontsize=8, color="#2a9d3a",
         )  # fmt: skip
 
 

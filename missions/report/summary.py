@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from drivers.log.mcap_log import LogRecord
+from missions.report.following import following_of
 from missions.report.in_a_row import longest_row
 from missions.report.link_shares import link_shares
 from missions.report.records import Records, RunRecords, judged_pairs, last
@@ -35,6 +36,7 @@ def summarize(run: RunRecords) -> dict[str, Any]:
         **_agreement(run, span),
         **_errors(run, span, truth),
         **_separation(run, truth),
+        **_following(run, truth),
         **_link(run, span),
         "frames": {role.value: _frames(run.role(role), span) for role in Role},
         "slow": dict(run.facts.slow) if run.facts else {},
@@ -167,6 +169,18 @@ def _separation(run: RunRecords, truth: Truth | None) -> dict[str, Any]:
         }
     measured = [r.record["position_v_m"] for r in run.receiver.get("/marker", ()) if r.record["position_v_m"]]
     return {"min_separation_m": _minimum(np.linalg.norm(p) for p in measured), "separation_limit_m": None}
+
+
+def _following(run: RunRecords, truth: Truth | None) -> dict[str, Any]:
+    """Of D1 behind its target, in truth."""
+    followed = following_of(run, truth)
+    errors_m = [] if followed is None else followed.errors_m.tolist()
+    return {
+        "follow_overshoot_m": None if followed is None else _rounded(followed.overshoot_m),
+        "follow_error_m": _median(errors_m),
+        "follow_error_p95_m": _p95(errors_m),
+        "target_unseen_s": None if followed is None else _rounded(followed.unseen_s),
+    }
 
 
 def _errors(run: RunRecords, span: Verification | None, truth: Truth | None) -> dict[str, Any]:

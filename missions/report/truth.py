@@ -60,6 +60,10 @@ class Truth:
         apart = np.linalg.norm(self._t[Role.SENDER] - self._t[Role.RECEIVER], axis=1)
         return np.where(self._in_air[Role.SENDER] & self._in_air[Role.RECEIVER], apart, np.nan)
 
+    def way_to(self, role: Role, object_id: int) -> tuple[NDArray[np.int64], Array]:
+        """Returns the stamps of the world's clock, and from a role's body to an object at each: east, north, up."""
+        return self.stamps_ns, self._objects[object_id][:, :3] - self._t[role]
+
     def to_world_ns(self, role: Role, stamp_ns: int) -> int:
         return stamp_ns - self.scene.clock_offset_ns[role]
 
