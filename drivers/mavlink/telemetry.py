@@ -46,11 +46,12 @@ class ReportedMode:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Global position as mission NED, and the height above the vehicle's own home."""
+    """Global position as mission NED, the height above the vehicle's own home, and the altitude it says."""
 
     arrival_ns: int
     n_m: Vec3
     above_home_m: float
+    altitude_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,7 +313,7 @@ class TelemetrySlots:
         )
         above_home_m = self._above_home_m(position)
         n_m = (north, east, -above_home_m if self._height_from_home else down)
-        self.position = Position(self.clock.now_ns(), n_m, above_home_m)
+        self.position = Position(self.clock.now_ns(), n_m, above_home_m, float(position.absolute_altitude_m))
 
     def _above_home_m(self, position: Any) -> float:
         """Returns the height above home, m: of a PX4 from the local frame, else as it is told.

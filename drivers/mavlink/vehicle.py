@@ -37,7 +37,6 @@ FRAME_LOCAL_NED = 1
 MASK_VELOCITY_YAW = 2503  # ignore position, acceleration and yaw rate (POSITION_TARGET_TYPEMASK)
 SETTLED_MPS = 0.3
 STOPPED_SHORT_M = 2.0  # PX4 ends a take-off up to 0.8 m before the height (NAV_MC_ALT_RAD), which it may have wrong
-PARAMETER_TAKES_S = 0.3  # PX4 has acknowledged a height and climbed to the one it had before
 DISARM_NEWS_S = 1.5  # PX4 beats once a second
 MODE_HZ = 20.0  # a pilot who takes the vehicle must not wait for the next heartbeat
 TEXT_WAIT_S = 0.5  # STATUSTEXT may come before or after the refusal it explains
@@ -286,15 +285,23 @@ class MavsdkVehicle:
             raise VehicleError("take-off refused: the vehicle is not armed", "arm first")
         if not (math.isfinite(height_m) and height_m > 0.0):
             raise VehicleError(f"take-off refused: height {height_m} m", "give a height above zero")
-        if self._kind is PX4:  # which takes the height from this parameter only
+        if self._kind is PX4:
+            # An older one climbs no less than this. It is not what is flown: PX4 looks at its parameters once a second,
+            # and has acknowledged a height and climbed to the one it had before.
             await self._session.set_float_parameter("MIS_TAKEOFF_ALT", height_m)
-            await asyncio.sleep(PARAMETER_TAKES_S)
-            await self._do("take off", NAV_TAKEOFF, ())
+            await self._do("take off", NAV_TAKEOFF, (*[None] * 6, self._altitude_m() + height_m))
             there = FlightMode.HOLD
         else:
             await self._do("take off", NAV_TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m))
             there = FlightMode.OFFBOARD
         await self._climb(height_m, there, timeout_s)
+
+    def _altitude_m(self) -> float:
+        """Of where it stands, as it says itself, whatever that is above the sea in truth. Raises VehicleError."""
+        position = self._telemetry.position
+        if position is None or not math.isfinite(position.altitude_m):
+            raise VehicleError("take-off refused: the vehicle tells no altitude", "see its ground station")
+        return position.altitude_m
 
     async def start_offboard(self, first: VelocitySetpoint) -> None:
         config, session = self._config, self._session

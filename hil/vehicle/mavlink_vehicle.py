@@ -211,7 +211,7 @@ class MavlinkVehicle:
         elif kind in NOT_FOLLOWED:
             self._refuse_setpoint(flight, kind)
         elif kind.startswith("PARAM_"):
-            for value in self._parameters.answer(message):
+            for value in self._parameters.answer(message, flight.now_s):
                 self._send(channel, value, sender)
         elif (said := answer(message)) is not None:
             self._send(channel, said, sender)
@@ -315,11 +315,11 @@ class MavlinkVehicle:
         return _not_now(flight.autopilot.request_arm(flight.now_s, arm == 1, message.param2 == FORCE_MAGIC))
 
     def _take_off(self, flight: FlightInstant, message: Any) -> int:
-        """Takes off. Without an altitude, and MAVSDK gives none, the height is MIS_TAKEOFF_ALT over home."""
+        """Takes off. Without an altitude the height is MIS_TAKEOFF_ALT over home."""
         home, altitude_m = flight.autopilot.home_n_m, height_above_sea_m(message)
         if altitude_m is None:
             return DENIED
-        height_m = self._parameters.take_off_m
+        height_m = self._parameters.take_off_m(flight.now_s)
         if home is not None and math.isfinite(altitude_m):
             height_m = altitude_m - self._tangent.to_global(*home)[2]
         return _result(flight.autopilot.request_takeoff(flight.now_s, height_m))
@@ -339,7 +339,9 @@ class MavlinkVehicle:
             return self._request(flight, FlightMode.OFFBOARD)
         if main == AUTO and sub in AUTO_MODES:
             if AUTO_MODES[sub] is FlightMode.TAKEOFF:
-                return _result(flight.autopilot.request_takeoff(flight.now_s, self._parameters.take_off_m))
+                return _result(
+                    flight.autopilot.request_takeoff(flight.now_s, self._parameters.take_off_m(flight.now_s))
+                )
             return self._request(flight, AUTO_MODES[sub])
         return DENIED
 

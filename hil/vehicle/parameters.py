@@ -15,6 +15,7 @@ from path.bounds import Bounds, bounded_fields
 
 REAL32, INT32 = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
 TAKE_OFF = "MIS_TAKEOFF_ALT"
+LOOKS_S = 1.0  # PX4's navigator looks at its parameters once a second at most: what was set just before is not flown
 FIXED: Mapping[str, int] = {"COM_OBL_RC_ACT": 4, "NAV_DLL_ACT": 0, "COM_LOW_BAT_ACT": 2}
 """Its fixed behaviour: it lands when setpoints stop, does not mind a ground station that leaves, and lands with
 an empty battery."""
@@ -54,12 +55,22 @@ class Parameters:
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot = autopilot
         self._names = (*FIELDS, *FIXED)
+        self._take_off_m = autopilot.config.default_takeoff_m
+        self._looked_s = -math.inf
+        self._changed_s: float | None = None  # something, that was not looked at yet
 
-    @property
-    def take_off_m(self) -> float:
-        return self._autopilot.config.default_takeoff_m
+    def take_off_m(self, now_s: float) -> float:
+        """The height that a take-off without one climbs to."""
+        self._look(now_s)
+        return self._take_off_m
 
-    def answer(self, message: Any) -> list[Any]:
+    def _look(self, now_s: float) -> None:
+        if self._changed_s is not None and now_s >= (due_s := max(self._changed_s, self._looked_s + LOOKS_S)):
+            self._looked_s, self._changed_s = due_s, None
+            self._take_off_m = self._autopilot.config.default_takeoff_m
+
+    def answer(self, message: Any, now_s: float) -> list[Any]:
+        self._look(now_s)
         kind = message.get_type()
         if kind == "PARAM_REQUEST_LIST":
             return [self._message(name) for name in self._names]
@@ -69,6 +80,7 @@ class Parameters:
             return []
         if kind == "PARAM_SET":
             self._set(message.param_id, message.param_type, message.param_value)
+            self._changed_s = now_s if self._changed_s is None else self._changed_s
         return [self._message(message.param_id)]
 
     def _table(self, name: str) -> tuple[Any, str]:
