@@ -30,8 +30,8 @@ from flight.tracking.target_track import TargetTrack
 from missions.leg.opening import entropy_of, guard_line_of
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, may_manoeuvre
-from missions.relay.base import Ground, Leg
 from missions.relay.battery import Gauge
+from missions.relay.ground import Ground, Leg
 from missions.relay.guidance import keep_clear, way_home
 from missions.relay.records import for_leg, write
 from missions.relay.stages import Holder, Relief

@@ -24,7 +24,7 @@ from missions.leg.course import close_session, conclude, run_course, run_recover
 from missions.leg.ends import as_end
 from missions.leg.session import RoleSession
 from missions.relay.aboard import Aboard
-from missions.relay.base import TakeOffOrder
+from missions.relay.ground import TakeOffOrder
 from missions.relay.records import as_first, as_holder, as_relief, write
 from missions.relay.stages import Holder, Nobody, Relief
 from path.messages import Role

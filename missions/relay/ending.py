@@ -42,33 +42,49 @@ def cause_of(report: RelayReport, outcome: Outcome, detail: str) -> tuple[Outcom
 
 @dataclass(frozen=True, slots=True)
 class Showing:
-    """The files and the table of one kind of run.
+    """What is shown of one kind of run.
 
     Attributes:
-        record, picture: names of its files.
+        name: of its command, its record and its picture.
         draw: draws the picture of a record and a summary; None: no picture.
-        page, table: what the page and the terminal show of a summary.
+        why: says of a summary how well it went.
+        rows, table: what the page and the terminal show of a summary.
     """
 
-    record: str
-    picture: str
+    name: str
     draw: Callable[[Values, Values, Path], None] | None
-    page: Callable[[Values, Path], PageOf]
+    why: Callable[[Values], str]
+    rows: Callable[[Values], list[tuple[str, str]]]
     table: Callable[[Values], RenderableType]
+
+    def page(self, summary: Values, folder: Path) -> PageOf:
+        asked = " ".join(
+            f"--{key} {summary[key]}" for key in ("rig", "drones", "targets", "hours", "seed") if key in summary
+        )
+        faults = "".join(f" --fault {fault}" for fault in summary["faults"])
+        return PageOf(
+            outcome=summary["outcome"],
+            why=summary["detail"] or self.why(summary),
+            command=f"path-handoff {self.name} {asked}{faults}",
+            figures=self.rows(summary),
+            notes=summary["notes"],
+            pictures=[folder / f"{self.name}.png"],
+        )
 
 
 def leave(summary: Values, record: Values, folder: Path, showing: Showing) -> int:
     """Writes what came of a run and shows it; returns the exit code, that of a full disk where it cannot be written."""
     exit_code = int(summary["exit_code"])
+    record_file, picture = folder / f"{showing.name}.json", folder / f"{showing.name}.png"
     try:
-        (folder / showing.record).write_text(json.dumps(record, indent=1) + "\n", "utf-8")
+        record_file.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
         if showing.draw is not None:
-            showing.draw(record, summary, folder / showing.picture)
+            showing.draw(record, summary, picture)
         logs = {name: by_topic(*parts(folder, name)) for name in drone_names(folder)}
         write_page(folder / PAGE, showing.page(summary, folder), logs)
         show(showing.table(summary), sys.stdout)
-        names = (SUMMARY, showing.record, showing.picture, PAGE)
+        names = (SUMMARY, record_file.name, picture.name, PAGE)
         sys.stdout.write(f"\n{folder}: {', '.join(name for name in names if (folder / name).exists())}\n")
         sys.stdout.flush()
     except OSError as error:

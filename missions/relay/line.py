@@ -14,7 +14,7 @@ import msgspec
 from flight.guidance import Vec3
 from flight.harness.relay import Pointed
 from flight.outcome import MissionEnd, Outcome
-from missions.relay.base import Ground, Leg, SentTo, TakeOffOrder, TeamGround
+from missions.relay.ground import Ground, Leg, SentTo, TakeOffOrder, TeamGround
 
 Say = Callable[[Mapping[str, Any]], None]
 

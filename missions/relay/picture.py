@@ -8,19 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import DIM, FAULT
 
 COLOURS = ("#1f6fb4", "#c8620a", "#3a8f4d", "#7a4fb5", "#b0487a", "#5f6b76")
 HOUR_S, MINUTE_S = 3600.0, 60.0
+MANY = 16  # drones or targets: more have no names at the axis
 
 
 def draw_relay(record: Mapping[str, Any], summary: Mapping[str, Any], path: Path) -> None:
     """Write a PNG. ``record`` is ``relay.json``, ``summary`` the relay's ``summary.json``."""
     figure = Figure(figsize=(12.0, 6.4), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
     who, batteries, gaps = figure.subplots(3, 1, sharex=True, height_ratios=(1.1, 2.2, 1.0))
     unit_s, unit = (HOUR_S, "h") if summary["simulated_s"] >= HOUR_S else (MINUTE_S, "min")
     figure.suptitle(
@@ -29,7 +28,7 @@ def draw_relay(record: Mapping[str, Any], summary: Mapping[str, Any], path: Path
         fontsize=12,
     )
     _draw_flights(who, record, unit_s)
-    _draw_batteries(batteries, record, unit_s)
+    draw_batteries(batteries, record, unit_s)
     _draw_gaps(gaps, record, summary["gap_bound_s"], unit_s)
     gaps.set_xlabel(unit)
     figure.savefig(path)
@@ -53,19 +52,22 @@ def _draw_flights(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None:
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.4, -0.9)
     axes.set_title("responsible for the target (thin: in the air)", loc="left", fontsize=10)
-    _tidy(axes)
+    tidy(axes)
 
 
-def _draw_batteries(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None:
+def draw_batteries(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None:
+    """The charge of each drone over time, in units of ``unit_s``, and the reserve."""
     times = [sample[0] / unit_s for sample in record["samples"]]
-    for row, name in enumerate(record["drones"]):
+    names = record["drones"]
+    for row, name in enumerate(names):
         charge = [100.0 * sample[2][row] for sample in record["samples"]]
-        axes.plot(times, charge, color=COLOURS[row % len(COLOURS)], lw=1.2, label=name)
+        axes.plot(times, charge, color=COLOURS[row % len(COLOURS)], lw=1.1 if len(names) <= MANY else 0.4, label=name)
     axes.axhline(100.0 * record["reserve"], color=FAULT, lw=1.2, ls="--", label="reserve")
     axes.set_ylim(0.0, 103.0)
     axes.set_ylabel("battery, %", fontsize=9)
-    axes.legend(fontsize=8, loc="lower left", ncols=6, framealpha=0.9)
-    _tidy(axes)
+    if len(names) <= MANY:
+        axes.legend(fontsize=8, loc="lower left", ncols=8, framealpha=0.9)
+    tidy(axes)
 
 
 def _draw_gaps(axes: Axes, record: Mapping[str, Any], bound_s: float, unit_s: float) -> None:
@@ -76,7 +78,7 @@ def _draw_gaps(axes: Axes, record: Mapping[str, Any], bound_s: float, unit_s: fl
     axes.set_ylim(5e-4, 4.0)
     axes.set_ylabel("nobody, s", fontsize=9)
     axes.legend(fontsize=8, loc="center right", framealpha=0.9)
-    _tidy(axes)
+    tidy(axes)
 
 
 def _spans(samples: Sequence[Any], column: int, name: str, unit_s: float) -> list[tuple[float, float]]:
@@ -88,7 +90,8 @@ def _spans(samples: Sequence[Any], column: int, name: str, unit_s: float) -> lis
     return spans
 
 
-def _tidy(axes: Axes) -> None:
+def tidy(axes: Axes) -> None:
+    """Small grey numbers, and no frame but two axes."""
     axes.tick_params(labelsize=8, colors=DIM)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)

@@ -14,8 +14,10 @@ from rich.text import Text
 from drivers.rig.parts import Rig
 from flight.harness.relay import RelayConfig, RelayReport
 from flight.outcome import Outcome
-from missions.options.flights import RelayOptions
-from missions.relay.base import Base, Event, Leg
+from missions.options.flights import HoursOptions, RelayOptions
+from missions.relay.base import Base
+from missions.relay.crew import Crew
+from missions.relay.ground import Event, Leg
 from path.protocol.values import ProtocolConfig
 
 LATE_S = 0.2
@@ -28,6 +30,18 @@ def summarize_relay(
     rig: Rig, config: RelayConfig, options: RelayOptions, base: Base, report: RelayReport, outcome: Outcome, detail: str
 ) -> dict[str, Any]:
     """Everything ``summary.json`` holds; null where there is nothing to say."""
+    return {
+        **summary_of(rig, options, base, report, outcome, detail),
+        "landings": {drone.name: spread([f.battery for f in report.flown if f.drone == drone.name])
+                     for drone in config.drones},
+        "violations": dict(sorted(report.violations.items())),
+    }  # fmt: skip
+
+
+def summary_of(
+    rig: Rig, options: HoursOptions, base: Crew[Any, Any, Any], report: RelayReport, outcome: Outcome, detail: str
+) -> dict[str, Any]:
+    """The figures of a relay and of a team alike."""
     done = [leg for leg in base.legs if leg.outcome == Outcome.COMMITTED.label]
     took = [leg.held_s - leg.called_s for leg in done if leg.held_s is not None]
     return {
@@ -37,7 +51,7 @@ def summarize_relay(
         "rig": rig.name,
         "seed": options.seed,
         "errors": dict(report.errors),
-        "drones": len(config.drones),
+        "drones": len(base.config.drones),
         "hours": base.hours,
         "faults": list(options.fault),
         "simulated_s": round(report.simulated_s, 2),
@@ -49,14 +63,11 @@ def summarize_relay(
         "leg_s": spread(took),
         "gap_s": spread(list(report.gaps_s.values())),
         "gap_bound_s": round(GAP_BOUND_S, 2),
-        "landings": {drone.name: spread([f.battery for f in report.flown if f.drone == drone.name])
-                     for drone in config.drones},
-        "reserve": config.reserve,
+        "reserve": base.config.reserve,
         "closest_m": None if report.closest_m != report.closest_m else round(report.closest_m, 3),
         "closest_pair": list(report.closest_pair),
-        "violations": dict(sorted(report.violations.items())),
         "notes": list(report.notes),
-    }  # fmt: skip
+    }
 
 
 def spread(values: Sequence[float]) -> dict[str, float] | None:

@@ -20,7 +20,7 @@ from missions.leg.receiver import Receiver
 from missions.leg.sender import Sender
 from missions.leg.session import RoleSession
 from missions.leg.steps import check_own, hear_peer, take_off
-from missions.relay.base import Leg
+from missions.relay.ground import Leg
 from path.messages import Message
 
 

@@ -7,128 +7,36 @@ lost. Responsibility does not depend on it: the protocol runs between the two dr
 
 from __future__ import annotations
 
-import asyncio
 import math
 from dataclasses import dataclass, field
 
 from flight.guidance import Vec3
-from flight.harness.flights import RoleResult
-from flight.harness.relay import DroneProgram, NamedTarget, Pointed, TeamField
+from flight.harness.relay import Pointed, TeamField
 from flight.harness.team import TeamConfig
 from flight.outcome import MissionEnd, Outcome
-from missions.relay.base import Event, Leg, SentTo, TakeOffOrder, Tell, What, Where, end_of, flown
-from missions.team.airways import Airway, Point, in_the_way, way_back, way_out
+from missions.relay.crew import Crew, end_of
+from missions.relay.ground import Leg, SentTo, TakeOffOrder
+from missions.team.airways import Airway, in_the_way, way_back, way_out
 from missions.team.assignment import Airspace, Assignment, Need, ReadyDrone, assign
+from missions.team.roster import Custody, TeamDrone, TeamTarget
 
-POLL_S = 0.5
 CLUTTER_M = 10.0
 
 
-@dataclass(slots=True)
-class Custody:
-    """A drone had a target, from its word on until another one's, or until it was lost."""
+@dataclass
+class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
+    """The ground of a team: legs of many targets at once."""
 
-    target: int
-    drone: str
-    from_s: float
-    to_s: float | None = None
-
-
-@dataclass(slots=True)
-class TeamDrone:
-    """The ground's knowledge of one drone. ``ways``: those that are kept free for it."""
-
-    name: str
-    home_m: Point
-    battery: float
-    where: Where = "ready"
-    ready_s: float = 0.0
-    order: TakeOffOrder = TakeOffOrder.RELIEVE
-    target: int | None = None
-    heading_deg: float = 0.0
-    leg: Leg | None = None
-    called_home: bool = False
-    ways: list[Airway] = field(default_factory=list[Airway])
-    task: asyncio.Task[None] | None = None
-    result: RoleResult | None = None
-
-
-@dataclass(slots=True)
-class TeamTarget:
-    """The ground's knowledge of one target.
-
-    Attributes:
-        holder, leg, finder: who has it, who is about to take it over, who was sent to find it.
-        asking: battery of the holder, and until when it can wait, once it has asked for its relief.
-        place_n_m: where it was last said to be.
-        lost_s: since when nobody has it.
-    """
-
-    number: int
-    named: NamedTarget
-    known: bool = False
-    holder: str | None = None
-    finder: str | None = None
-    leg: Leg | None = None
-    asking: tuple[float, float] | None = None
-    heading_deg: float | None = None
-    place_n_m: Vec3 = (0.0, 0.0, 0.0)
-    lost_s: float = 0.0
-    alarmed: bool = False
-
-    @property
-    def place_m(self) -> Point:
-        north, east, _ = self.place_n_m
-        return east, north
-
-
-class OwnGround:
-    """The ground as one drone's program knows it (``missions.relay.base.TeamGround``).
-
-    What the base answers and hears is as it is; whether all is over is another matter for each drone.
-    """
-
-    def __init__(self, base: TeamBase, name: str) -> None:
-        self._base, self._name = base, name
-        self.order_of, self.leg_of, self.sent_to, self.pointed_at = (
-            base.order_of, base.leg_of, base.sent_to, base.pointed_at,
-        )  # fmt: skip
-        self.ask, self.holds, self.leg_failed = base.ask, base.holds, base.leg_failed
-        self.follows, self.gave_up = base.follows, base.gave_up
-
-    @property
-    def over(self) -> bool:
-        """True when this drone is called home."""
-        return self._base.drones[self._name].called_home
-
-
-@dataclass(slots=True)
-class TeamBase:
-    """Knows what the drones say, and acts on the field. One loop, in ``run``. Times are from its beginning."""
-
-    config: TeamConfig
-    tell: Tell = lambda _: None
-    hours: float = 2.0
-    legs: list[Leg] = field(default_factory=list[Leg])
-    events: list[Event] = field(default_factory=list[Event])
     spells: list[Custody] = field(default_factory=list[Custody])
-    outcome: Outcome = Outcome.COMMITTED
-    detail: str = ""
-    over: bool = False
-    drones: dict[str, TeamDrone] = field(init=False)
     targets: list[TeamTarget] = field(init=False)
-    _program: DroneProgram = field(init=False)
-    _field: TeamField = field(init=False)
-    _begun_s: float = 0.0
 
     def __post_init__(self) -> None:
-        self.drones = {own.name: TeamDrone(own.name, own.home_m, own.battery) for own in self.config.drones}
+        self.drones = {
+            own.name: TeamDrone(name=own.name, home_m=own.home_m, battery=own.battery) for own in self.config.drones
+        }
         self.targets = [TeamTarget(number, named) for number, named in enumerate(self.config.targets)]
 
-    # --- what the drones' programs ask and say (``missions.relay.base.TeamGround``, but for ``over``) ---
-
-    def order_of(self, name: str) -> TakeOffOrder:
-        return self.drones[name].order
+    # --- what the drones' programs ask and say (``missions.relay.ground.TeamGround``, but for ``over``) ---
 
     def leg_of(self, name: str) -> Leg | None:
         return self.drones[name].leg
@@ -188,29 +96,18 @@ class TeamBase:
 
     # --- the loop ---
 
-    async def run(self, where: TeamField, stop: asyncio.Event, program: DroneProgram) -> None:
-        """From the first take-off until the time is over and everybody is down."""
-        self._field, self._program, self._begun_s = where, program, asyncio.get_running_loop().time()
-        end_s = 3600.0 * self.hours
-        while not stop.is_set() and not (self.over and not self._flying()):
-            if not self.over and self._now_s() >= end_s:
-                self._time_is_over()
-            self._name_targets()
-            self._look_after_the_ground()
-            if self.over:
-                self._call_home()
-            else:
-                self._see_to_the_targets()
-            await asyncio.sleep(POLL_S)
-        if stop.is_set():
-            self.outcome, self.detail = Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
-        flying = self._flying()
-        if flying:
-            await asyncio.wait(flying)
-        self._say("", "end", f"{self.outcome.label}{': ' if self.detail else ''}{self.detail}")
+    def _step(self, time_is_over: bool) -> None:
+        if time_is_over and not self.over:
+            self._time_is_over()
+        self._name_targets()
+        self._look_after_the_ground()
+        if self.over:
+            self._call_home()
+        else:
+            self._see_to_the_targets()
 
-    def _flying(self) -> list[asyncio.Task[None]]:
-        return [drone.task for drone in self.drones.values() if drone.task is not None and not drone.task.done()]
+    def _finished(self) -> bool:
+        return self.over and not self._flying()
 
     def _time_is_over(self) -> None:
         self.over = True
@@ -238,23 +135,17 @@ class TeamBase:
                 target.lost_s = self._now_s() - self.config.point_s
                 self._say("", "named", f"{target.named.name}, {east:g} m east, {north:g} m north")
 
-    def _look_after_the_ground(self) -> None:
-        now_s = self._now_s()
-        for name, drone in self.drones.items():
-            if drone.where == "flying" and drone.task is not None and drone.task.done():
-                if drone.target is not None:
-                    self._program_over(drone, self.targets[drone.target])
-                if self._field.landed(name):
-                    drone.where, drone.ready_s, drone.target = "swap", now_s + self.config.swap_s, None
-                    drone.ways.clear()
-                    self._say(name, "down", end_of(drone.result))
-            elif drone.where == "swap" and now_s >= drone.ready_s:
-                self._field.swap(name)
-                drone.where, drone.ready_s, drone.battery = "ready", now_s, 1.0
-                self._say(name, "ready", "full battery")
-
-    def _program_over(self, drone: TeamDrone, target: TeamTarget) -> None:
+    def _program_over(self, drone: TeamDrone) -> bool:
         """Whatever it had to do is over, said or not."""
+        if drone.target is not None:
+            self._let_go(drone, self.targets[drone.target])
+        return True
+
+    def _landed(self, drone: TeamDrone) -> None:
+        drone.target = None
+        drone.ways.clear()
+
+    def _let_go(self, drone: TeamDrone, target: TeamTarget) -> None:
         if drone.leg is not None:
             leg = drone.leg
             if drone.name == leg.receiver:
@@ -343,13 +234,14 @@ class TeamBase:
         drone.target, drone.heading_deg, target.heading_deg = target.number, choice.heading_deg, choice.heading_deg
         drone.ways.append(ways[0])
         if target.holder is None:
-            target.finder, drone.order = drone.name, TakeOffOrder.FIND
+            target.finder, order = drone.name, TakeOffOrder.FIND
             self._field.assign(drone.name, target.number)
             self._say(drone.name, "find", f"{target.named.name}, heading {choice.heading_deg:.0f} degrees")
         else:
+            order = TakeOffOrder.RELIEVE
             self._open_leg(drone, target, ways[1])
-        drone.where, drone.result, drone.called_home = "flying", None, False
-        drone.task = asyncio.ensure_future(self._fly(drone))
+        drone.called_home = False
+        self._call(drone, order)
 
     def _open_leg(self, drone: TeamDrone, target: TeamTarget, back: Airway) -> None:
         assert target.holder is not None and target.asking is not None
@@ -358,7 +250,6 @@ class TeamBase:
         self.legs.append(leg)
         target.leg = sender.leg = drone.leg = leg
         sender.ways.append(back)
-        drone.order = TakeOffOrder.RELIEVE
         self._field.open_leg(leg.number, sender.name, drone.name)
         what = f"leg {leg.number}, {target.named.name}: relieves {sender.name}, battery at {100 * battery:.0f} %"
         self._say(drone.name, "call", what)
@@ -374,19 +265,27 @@ class TeamBase:
     def _alarm(self, target: TeamTarget, ready: bool) -> None:
         if target.alarmed or ready:
             return
-        target.alarmed, now_s = True, self._now_s()
-        coming = [drone.ready_s for drone in self.drones.values() if drone.where == "swap"]
-        soonest = f"the next one in {min(coming) - now_s:.0f} s" if coming else "and none is about to be"
-        until = "" if target.asking is None else f"; it is given up in {target.asking[1] - now_s:.0f} s otherwise"
-        self._say(target.holder or "", "alarm", f"{target.named.name}: no drone is ready, {soonest}{until}")
+        target.alarmed = True
+        left_s = None if target.asking is None else target.asking[1] - self._now_s()
+        until = "" if left_s is None else f"; it is given up in {left_s:.0f} s otherwise"
+        self._say(target.holder or "", "alarm", f"{target.named.name}: no drone is ready, {self._soonest()}{until}")
 
-    async def _fly(self, drone: TeamDrone) -> None:
-        drone.result = await flown(self._field, drone.name, self._program)
 
-    def _say(self, name: str, what: What, text: str) -> None:
-        event = Event(round(self._now_s(), 2), name, what, text)
-        self.events.append(event)
-        self.tell(event)
+class OwnGround:
+    """The ground as one drone's program knows it (``missions.relay.ground.TeamGround``).
 
-    def _now_s(self) -> float:
-        return asyncio.get_running_loop().time() - self._begun_s
+    What the base answers and hears is as it is; whether all is over is another matter for each drone.
+    """
+
+    def __init__(self, base: TeamBase, name: str) -> None:
+        self._base, self._name = base, name
+        self.order_of, self.leg_of, self.sent_to, self.pointed_at = (
+            base.order_of, base.leg_of, base.sent_to, base.pointed_at,
+        )  # fmt: skip
+        self.ask, self.holds, self.leg_failed = base.ask, base.holds, base.leg_failed
+        self.follows, self.gave_up = base.follows, base.gave_up
+
+    @property
+    def over(self) -> bool:
+        """True when this drone is called home."""
+        return self._base.drones[self._name].called_home

@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from drivers.rig.parts import Rig, import_factory, with_errors
-from flight.harness.flights import Emit
-from flight.harness.relay import RelayField, RelayHarness, RelayRequest, TeamField
+from drivers.rig.parts import Rig, with_errors
 from flight.harness.team import TeamConfig
 from missions import rig_library
 from missions.ground_station import name_ground_station
-from missions.lateness import for_lateness
 from missions.live.start import live
 from missions.options.flights import TeamOptions
-from missions.relay.base import Event, Tell
-from missions.relay.command import faults_of, hours_of
 from missions.relay.drone import program_of
-from missions.relay.ending import PAGE, SUMMARY, Showing, Values, cause_of, leave
-from missions.report.page import PageOf
-from missions.run_folder import RunKind, claimed, unless_refused
+from missions.relay.ending import Showing, Values, leave
+from missions.relay.flying import fly_on_field, hours_of, judge, tell
+from missions.relay.ground import Tell
+from missions.run_folder import unless_refused
 from missions.shown import tell_line
 from missions.team.base import OwnGround, TeamBase
 from missions.team.config import fenced, team_of
 from missions.team.flight import TeamFlight
 from missions.team.process import processes_of
 from missions.team.report import record_of, summarize_team, team_rows, team_table
-
-TEAM, PICTURE = "team.json", "team.png"
 
 
 def run(options: TeamOptions) -> int:
@@ -42,7 +35,11 @@ def run(options: TeamOptions) -> int:
         with live(options.live, folder):
             summary, record = fly_team(rig, config, options, folder, tell)
     draw = _draw if options.picture else None
-    return leave(summary, record, folder, Showing(TEAM, PICTURE, draw, _page_of, team_table))
+    return leave(summary, record, folder, Showing("team", draw, _why, team_rows, team_table))
+
+
+def _why(summary: Values) -> str:
+    return f"{summary['observed_percent']['all']:.2f} % of the time observed"
 
 
 def _draw(record: Values, summary: Values, path: Path) -> None:
@@ -51,47 +48,17 @@ def _draw(record: Values, summary: Values, path: Path) -> None:
     draw_team(record, summary, path)
 
 
-def _page_of(summary: dict[str, Any], folder: Path) -> PageOf:
-    faults = "".join(f" --fault {fault}" for fault in summary["faults"])
-    size = f"--drones {summary['drones']} --targets {summary['targets']}"
-    asked = f"--rig {summary['rig']} {size} --hours {summary['hours']:g} --seed {summary['seed']}"
-    return PageOf(
-        outcome=summary["outcome"],
-        why=summary["detail"] or f"{summary['observed_percent']['all']:.2f} % of the time observed",
-        command=f"path-handoff team {asked}{faults}",
-        figures=team_rows(summary),
-        notes=summary["notes"],
-        pictures=[folder / PICTURE],
-    )
-
-
 def fly_team(
     rig: Rig, config: TeamConfig, options: TeamOptions, out: Path, say: Tell
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """A team's flights to their end; the logs are in ``out``. Returns summary and record."""
-    harness: RelayHarness = import_factory(config.harness, rig.where("[team] harness"))()
-    kind = RunKind(TEAM, (SUMMARY, PICTURE, PAGE), ("world", *(drone.name for drone in config.drones)))
     base = TeamBase(config, say, hours_of(config, options))
-
-    async def main(ground: RelayField, stop: asyncio.Event, emit: Emit) -> None:
-        del emit
-        await base.run(cast(TeamField, ground), stop, program_of(flight))
 
     def flight(name: str, *parts: Any) -> TeamFlight:
         return TeamFlight(rig, config, OwnGround(base, name), name, *parts)
 
-    request = RelayRequest(
-        rig, config, out, options.seed, faults_of(options.fault), main, lambda _: None,
-        processes_of(rig, config, out, base, options.logs), base.hours, options.logs, config.targets,
-    )  # fmt: skip
-    with claimed(out, kind):
-        report = harness.fly(request)
-    ending = cause_of(report, base.outcome, base.detail)
-    outcome, detail = for_lateness(report.overload, report.violations, *ending)
+    processes = processes_of(rig, config, out, base, options.logs)
+    report = fly_on_field("team", rig, base, options, out, program_of(flight), processes, config.targets)
+    outcome, detail = judge(base, report)
     summary = summarize_team(rig, config, options, base, report, outcome, detail)
     return summary, {"outcome": outcome.label, **record_of(config, base, report)}
-
-
-def tell(event: Event) -> None:
-    """A line for the crew, as it comes."""
-    tell_line(f"{event.time_s / 60.0:8.1f} min  {event.drone:<5} {event.what:<11} {event.text}")

@@ -18,8 +18,8 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, may_manoeuvre
-from missions.relay.base import SentTo, TeamGround
 from missions.relay.drone import DroneFlight
+from missions.relay.ground import SentTo, TeamGround
 from missions.relay.guidance import way_home
 from missions.relay.records import write
 from missions.relay.stages import Holder, Relief

@@ -7,21 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from missions.relay.picture import COLOURS
-from missions.report.palette import DIM, FAULT
-
-HOUR_S, MINUTE_S = 3600.0, 60.0
-MANY = 16  # drones or targets: more have no names at the axis
+from missions.relay.picture import COLOURS, HOUR_S, MANY, MINUTE_S, draw_batteries, tidy
+from missions.report.palette import FAULT
 
 
 def draw_team(record: Mapping[str, Any], summary: Mapping[str, Any], path: Path) -> None:
     """Write a PNG. ``record`` is ``team.json``, ``summary`` the team's ``summary.json``."""
     targets, drones = len(record["targets"]), len(record["drones"])
     figure = Figure(figsize=(12.0, min(30.0, 3.6 + 0.42 * min(targets, 40) + 1.6)), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     who, batteries = figure.subplots(2, 1, sharex=True, height_ratios=(max(1.0, 0.35 * min(targets, 40)), 1.6))
     unit_s, unit = (HOUR_S, "h") if summary["simulated_s"] >= HOUR_S else (MINUTE_S, "min")
     percent = summary["observed_percent"]["all"]
@@ -32,7 +27,7 @@ def draw_team(record: Mapping[str, Any], summary: Mapping[str, Any], path: Path)
         fontsize=12,
     )
     _draw_targets(who, record, summary["simulated_s"], unit_s)
-    _draw_batteries(batteries, record, unit_s)
+    draw_batteries(batteries, record, unit_s)
     batteries.set_xlabel(unit)
     figure.savefig(path)
 
@@ -56,24 +51,4 @@ def _draw_targets(axes: Axes, record: Mapping[str, Any], end_s: float, unit_s: f
     axes.set_yticks(range(len(rows)) if few else [], list(rows) if few else [])
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_title("who has which target (red above: nobody truly looked at it)", loc="left", fontsize=10)
-    _tidy(axes)
-
-
-def _draw_batteries(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None:
-    times = [sample[0] / unit_s for sample in record["samples"]]
-    names = record["drones"]
-    for row, name in enumerate(names):
-        charge = [100.0 * sample[2][row] for sample in record["samples"]]
-        axes.plot(times, charge, color=COLOURS[row % len(COLOURS)], lw=1.1 if len(names) <= MANY else 0.4, label=name)
-    axes.axhline(100.0 * record["reserve"], color=FAULT, lw=1.2, ls="--", label="reserve")
-    axes.set_ylim(0.0, 103.0)
-    axes.set_ylabel("battery, %", fontsize=9)
-    if len(names) <= MANY:
-        axes.legend(fontsize=8, loc="lower left", ncols=8, framealpha=0.9)
-    _tidy(axes)
-
-
-def _tidy(axes: Axes) -> None:
-    axes.tick_params(labelsize=8, colors=DIM)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    tidy(axes)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,7 +13,7 @@ from flight.harness.relay import RelayReport, TargetWatch
 from flight.harness.team import TeamConfig
 from flight.outcome import OBJECT_MONITOR, Outcome
 from missions.options.flights import TeamOptions
-from missions.relay.report import GAP_BOUND_S, figures_grid, flown_record, heading, leg_record, spread, spread_text
+from missions.relay.report import figures_grid, flown_record, heading, leg_record, spread, spread_text, summary_of
 from missions.team.base import TeamBase
 
 HOUR_S = 3600.0
@@ -30,42 +29,20 @@ def summarize_team(
     detail: str,
 ) -> dict[str, Any]:
     """Everything ``summary.json`` holds; null where there is nothing to say."""
-    done = [leg for leg in base.legs if leg.outcome == Outcome.COMMITTED.label]
     drone_hours = len(config.drones) * report.simulated_s / HOUR_S
     flown_hours = sum(report.aloft_s.values()) / HOUR_S
     return {
-        "outcome": outcome.label,
-        "exit_code": outcome.exit_code,
-        "detail": detail,
-        "rig": rig.name,
-        "seed": options.seed,
-        "errors": dict(report.errors),
-        "drones": len(config.drones),
+        **summary_of(rig, options, base, report, outcome, detail),
         "targets": len(config.targets),
-        "hours": base.hours,
-        "faults": list(options.fault),
-        "simulated_s": round(report.simulated_s, 2),
-        "wall_s": round(report.wall_s, 1),
         "observed_percent": observed_percent(config, report),
         "first_observed_s": {
             each.name: None if seen.first_s is None else round(seen.first_s, 1)
             for each, seen in zip(config.targets, report.watched, strict=True)
         },
-        "legs": len(base.legs),
-        "legs_handed_over": len(done),
-        "legs_ended": dict(sorted(Counter(leg.outcome or "unfinished" for leg in base.legs).items())),
         "wrong": report.violations.get(OBJECT_MONITOR, 0),
         "monitors": dict(sorted(report.violations.items())),
-        "notes": list(report.notes),
         "lost": sum(event.what == "lost" for event in base.events),
-        "alarms": sum(event.what == "alarm" for event in base.events),
-        "leg_s": spread([leg.held_s - leg.called_s for leg in done if leg.held_s is not None]),
-        "gap_s": spread(list(report.gaps_s.values())),
-        "gap_bound_s": round(GAP_BOUND_S, 2),
         "battery_at_landing": spread([flight.battery for flight in report.flown]),
-        "reserve": config.reserve,
-        "closest_m": None if report.closest_m != report.closest_m else round(report.closest_m, 3),
-        "closest_pair": list(report.closest_pair),
         "bytes_per_s": {
             drone.name: round(report.bytes_sent.get(drone.name, 0) / report.simulated_s, 1) for drone in config.drones
         },

@@ -23,12 +23,11 @@ from missions.options.calibrate import CalibrateBoardOptions, CalibrateCameraOpt
 from missions.options.field import DetectOptions, GuardOptions
 from missions.options.flights import HandoffOptions
 from missions.options.proofs import CampaignOptions, ConformanceOptions, TrialOptions, VerifyOptions
-from missions.relay.command import RELAY
 from missions.report.records import FACTS, RUN
 from missions.run_folder import RunKind, claim_folder, claim_result, claimed, discard, unless_refused
 from missions.trials import run as trial_run
 
-RELAY_RUN = RunKind(RELAY, ("summary.json", "relay.png"), ("world", "D1", "D2"))
+RELAY_RUN = RunKind("relay.json", ("summary.json", "relay.png"), ("world", "D1", "D2"))
 OURS = ("sender.mcap", "sender.2.mcap", "receiver.guard.mcap", "world.stderr.txt", "sender.state.json", "run.png")
 USERS = ("notes.mcap", "letter.stderr.txt", "save.state.json", "sender.mcap.bak", "mysender.mcap", "rig.toml")
 

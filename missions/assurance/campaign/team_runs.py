@@ -22,8 +22,9 @@ from missions.assurance.campaign.results import RunLine
 from missions.options.flights import TeamOptions
 from missions.options.proofs import CampaignOptions
 from missions.options.words import LevelName
-from missions.relay.base import Event
-from missions.team.command import fly_team, tell
+from missions.relay.flying import tell
+from missions.relay.ground import Event
+from missions.team.command import fly_team
 from missions.team.config import team_of
 
 if TYPE_CHECKING:

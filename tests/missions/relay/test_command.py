@@ -17,9 +17,11 @@ from flight.harness.relay import RelayConfig, RelayReport
 from flight.outcome import Outcome
 from missions import rig_library
 from missions.options.flights import RelayOptions
-from missions.relay.base import Base, Event
+from missions.relay.base import Base
 from missions.relay.battery import Gauge
-from missions.relay.command import faults_of, fly_relay, judge, relay_of
+from missions.relay.command import fly_relay, relay_of
+from missions.relay.flying import faults_of, judge
+from missions.relay.ground import Event
 from missions.relay.guidance import keep_clear
 from missions.relay.records import EPOCHS, as_first, as_holder, as_relief, for_leg
 from path.protocol.values import LAST_EPOCH, Handoff, ReceiverRecord, SenderRecord

@@ -13,7 +13,8 @@ import pytest
 from drivers.log.mcap_log import McapLog, read_log
 from flight.harness.relay import NamedDrone, RelayConfig
 from flight.outcome import MissionEnd, Outcome
-from missions.relay.base import Base, Leg, TakeOffOrder
+from missions.relay.base import Base
+from missions.relay.ground import Leg, TakeOffOrder
 from missions.relay.line import FarBase, hear, news_of
 from missions.relay.process import RelayedLog
 
@@ -35,7 +36,7 @@ class Line:
     words: list[str] = field(default_factory=list[str])
 
     def __post_init__(self) -> None:
-        self.base._ground = NO_GROUND
+        self.base._field = NO_GROUND
         self.far = FarBase("D2", lambda word: self.words.append(json.dumps(word)))
 
     def call(self, number: int, sender: str, receiver: str) -> None:

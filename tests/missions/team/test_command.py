@@ -11,7 +11,7 @@ import pytest
 from drivers.rig.parts import Rig
 from missions import rig_library
 from missions.options.flights import TeamOptions
-from missions.relay.base import Event
+from missions.relay.ground import Event
 from missions.team.command import fly_team
 from missions.team.config import team_of
 

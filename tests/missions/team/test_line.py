@@ -11,7 +11,7 @@ import pytest
 from drivers.rig.parts import Rig
 from flight.harness.relay import Pointed
 from missions import rig_library
-from missions.relay.base import SentTo, TakeOffOrder
+from missions.relay.ground import SentTo, TakeOffOrder
 from missions.relay.line import FarBase, team_hear, team_news_of
 from missions.team.base import OwnGround, TeamBase
 from missions.team.config import team_of

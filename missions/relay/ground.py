@@ -1,0 +1,103 @@
+"""What a drone and those on the ground say to each other in a relay or a team: orders, legs, and words to the crew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal, Protocol
+
+from flight.guidance import Vec3
+from flight.harness.relay import Pointed
+from flight.outcome import MissionEnd
+
+What = Literal["named", "find", "call", "holds", "leg failed", "lost", "alarm", "down", "ready", "end"]
+
+
+class TakeOffOrder(Enum):
+    """The task that a drone takes off for."""
+
+    FIND = "find"  # the target, where it was pointed at
+    RELIEVE = "relieve"
+
+
+@dataclass(slots=True)
+class Leg:
+    """One hand-over, from the call to its end. Times are of the relay's clock."""
+
+    number: int
+    sender: str
+    receiver: str
+    called_s: float
+    battery: float  # of the sender, when it was called
+    target: int = 0  # of a team
+    held_s: float | None = None
+    outcome: str = ""
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A line for the crew."""
+
+    time_s: float
+    drone: str
+    what: What
+    text: str
+
+
+Tell = Callable[[Event], None]
+
+
+class Ground(Protocol):
+    """The ground as a drone's program asks and tells it: the base, or the way to it."""
+
+    @property
+    def over(self) -> bool:
+        """Returns whether the time is over: nobody is called any more."""
+        ...
+
+    def order_of(self, name: str) -> TakeOffOrder: ...
+
+    def leg_of(self, name: str) -> Leg | None:
+        """The leg under way, when this drone is in it."""
+        ...
+
+    def ask(self, name: str, battery: float, wait_s: float) -> None:
+        """Asks to be relieved. ``wait_s``: how long it can still wait before it has to go home."""
+        ...
+
+    def holds(self, name: str) -> None:
+        """The target, from now on: it found it, or it was handed over to it."""
+        ...
+
+    def leg_failed(self, name: str, end: MissionEnd) -> None:
+        """Tells the end of a leg for the drone that goes on with the target."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class SentTo:
+    """The target that a drone of a team is sent to, where it was said to be, and the heading to follow it from."""
+
+    target: int
+    place_n_m: Vec3
+    heading_deg: float
+
+
+class TeamGround(Ground, Protocol):
+    """The ground of a team: it knows targets besides."""
+
+    def sent_to(self, name: str) -> SentTo: ...
+
+    def pointed_at(self, name: str) -> Pointed:
+        """Returns the place at which a person points, whose target this drone is sent to find."""
+        ...
+
+    def follows(self, name: str, place_n_m: Vec3) -> None:
+        """Takes the target's place, as a drone that has it says now and then."""
+        ...
+
+    def gave_up(self, name: str, why: str) -> None:
+        """A drone that had its target has it no more, and handed it to nobody."""
+        ...
