@@ -26,7 +26,6 @@ EXTENT_COLUMNS = 6
 EYE = 9
 FRAME_COLUMNS = 12
 # The lens: fx fy cx cy k1 k2 p1 p2 k3 width height, largest radius at which the distortion is one-to-one.
-LENS_COLUMNS = 12
 NEAREST_M = 0.05
 UNDISTORT_STEPS = 8
 

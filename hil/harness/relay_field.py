@@ -26,7 +26,8 @@ from hil.harness.leg_faults import LegFaults
 from hil.harness.programs import Programs, Started
 from hil.harness.relay_world import OTHER, OWN, PairView, RelayWorld
 from hil.link.faulty import MemoryHub
-from hil.monitors.relay import RelayLog, RelayMonitors
+from hil.monitors.relay import RelayMonitors
+from hil.monitors.watched_log import WatchedLog
 from hil.world.errors import Built, as_built
 from hil.world.faults import Fault
 from hil.world.world import WorldConfig
@@ -155,7 +156,7 @@ class VirtualField:
                 drone.guard = asyncio.create_task(keep_watch(drone.own.guard, context, beats, self._mission, _NoLog()))
 
     def _start(self, drone: VirtualDrone, program: DroneProgram) -> Started:
-        log = RelayLog(drone.log, drone.name, self.monitors, drone.offset_ns, self._request.whole_log)
+        log = WatchedLog(drone.log, drone.name, self.monitors.on_record, drone.offset_ns, self._request.whole_log)
         emit, stop, disk = self._emit_of(drone), self.programs.stop, self.programs.disk(drone.name)
         return Started(log, program(drone.name, log, emit, stop, drone.harness, disk))
 

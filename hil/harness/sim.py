@@ -27,9 +27,10 @@ from hil.harness.programs import Programs, Started
 from hil.harness.stalls import StallingLoop
 from hil.harness.virtual_time import VirtualTimeLoop, run_virtual
 from hil.link.faulty import MemoryHub
-from hil.monitors.monitors import Monitors, WatchedLog
+from hil.monitors.monitors import Monitors
 from hil.monitors.scripts import vehicles_of
 from hil.monitors.truth_log import TruthLog
+from hil.monitors.watched_log import WatchedLog
 from hil.world.check import check_world
 from hil.world.clearance import clearance
 from hil.world.errors import Built, as_built, reported
@@ -151,7 +152,7 @@ class _Flight:
         request, offset_ns = self._request, self._offsets_ns[role]
         log = virtual_log(new_part(request.out, role.value), role.value, offset_ns)
         self._logs.append(log)
-        watched = WatchedLog(log, role, self._monitors, offset_ns)
+        watched = WatchedLog(log, role, self._monitors.on_record, offset_ns)
         stop, drone = self._programs.stop, self._drones[role]
         disk = self._programs.disk(role.value)
         result = request.role_main(self._rig, role, watched, self._emit, stop, drone, disk)

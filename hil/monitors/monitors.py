@@ -11,11 +11,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.interfaces import Frame, FrameLog, Log
 from flight.config import GuardConfig
 from hil.autopilot.values import OffboardSession
 from hil.monitors.agreed_pairs import AgreedPairs
-from hil.monitors.claims import Claims, in_world_time
+from hil.monitors.claims import Claims
 from hil.monitors.leases import LeaseMonitor
 from hil.monitors.scripts import ScriptMonitor
 from hil.world.clearance import LEAST_M
@@ -160,29 +159,3 @@ class Monitors:
         if not (same and agreed.full):
             what = f"commit to target {record['target_id']} after {agreed}"
             self._violated("S5", stamp_w_ns * 1e-9, what)
-
-
-class WatchedLog:
-    """A role's log that the monitors read as it is written. ``offset_ns``: role clock minus world clock."""
-
-    def __init__(self, log: Log, role: Role, monitors: Monitors, offset_ns: int) -> None:
-        self._log = log
-        self._role = role
-        self._monitors = monitors
-        self._offset_ns = offset_ns
-        self.ended = False  # the program was killed: what it does on its way out has not happened
-
-    def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
-        if self.ended:
-            return
-        seen = in_world_time(record, self._offset_ns) if topic in LEASES else record
-        self._monitors.on_record(self._role, topic, stamp_ns - self._offset_ns, seen)
-        self._log.write(topic, stamp_ns, record)
-
-    def image(self, topic: str, stamp_ns: int, image: Any) -> None:
-        if not self.ended:
-            self._log.image(topic, stamp_ns, image)
-
-    def frame(self, frame: Frame) -> None:
-        if not self.ended and isinstance(self._log, FrameLog):
-            self._log.frame(frame)

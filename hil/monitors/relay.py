@@ -15,15 +15,14 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from drivers.interfaces import Frame, FrameLog, Log
 from drivers.rig.parts import Rig, RoleRig
 from flight.config import MissionConfig
-from flight.harness.relay import OFTEN, FieldSample, FlightTruth, RelayConfig
+from flight.harness.relay import FieldSample, FlightTruth, RelayConfig
 from flight.outcome import OBJECT_MONITOR
 from hil.harness.relay_world import RelayWorld
-from hil.monitors.claims import Claims, in_world_time
+from hil.monitors.claims import Claims
 from hil.monitors.leases import GAP_S
-from hil.monitors.monitors import LEASES, Monitors
+from hil.monitors.monitors import Monitors
 from hil.monitors.observed import ObservedTime
 from hil.monitors.scripts import ScriptMonitor, VehicleTruth, pixel_of, vehicle_truth
 from hil.world.fields import NUMBERS
@@ -301,32 +300,3 @@ class RelayMonitors:
         elif responsible and name not in self._wrong:
             self._wrong.add(name)
             self.violated(OBJECT_MONITOR, now_s, f"{name} is responsible and looks at object {found}")
-
-
-class RelayLog:
-    """The log of one drone's program, which the monitors read as it is written.
-
-    Args:
-        log: where it goes; of what comes ``OFTEN`` only when ``whole``.
-        offset_ns: the drone's clock minus the world's.
-    """
-
-    def __init__(self, log: Log, name: str, monitors: RelayMonitors, offset_ns: int, whole: bool) -> None:
-        self._log, self._name, self._monitors, self._offset_ns, self._whole = log, name, monitors, offset_ns, whole
-        self.ended = False  # the program was killed: what it does on its way out has not happened
-
-    def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
-        if self.ended:
-            return
-        seen = in_world_time(record, self._offset_ns) if topic in LEASES else record
-        self._monitors.on_record(self._name, topic, stamp_ns - self._offset_ns, seen)
-        if self._whole or topic not in OFTEN:
-            self._log.write(topic, stamp_ns, record)
-
-    def image(self, topic: str, stamp_ns: int, image: Any) -> None:
-        if not self.ended and self._whole:
-            self._log.image(topic, stamp_ns, image)
-
-    def frame(self, frame: Frame) -> None:
-        if not self.ended and self._whole and isinstance(self._log, FrameLog):
-            self._log.frame(frame)

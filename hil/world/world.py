@@ -346,10 +346,6 @@ class Fleet(Generic[Name]):
         """Set what is left of a drone's charge, 0..1."""
         self._drones[name].autopilot.set_battery(fraction)
 
-    def gps_jump(self, name: Name, vector_n_m: Vec3) -> None:
-        """Shift a drone's position estimate by a NED vector, for good."""
-        self._sensors.position_bias[list(self._drones).index(name)] += vector_n_m
-
 
 class World(Fleet[Role]):
     """Everything that is true of a pair."""

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from drivers.interfaces import FlightMode
 from hil.autopilot.values import OffboardSession
-from hil.monitors.monitors import Monitors, WatchedLog
+from hil.monitors.monitors import Monitors
+from hil.monitors.watched_log import WatchedLog
 from path.config import MethodConfig
 from path.gate.evidence import EvidenceGate
 from path.gate.identity import nearest_rival
@@ -418,7 +419,7 @@ class ListLog:
 def test_a_watched_log_passes_everything_on_and_tells_the_monitors_world_time(monitors: Monitors) -> None:
     log = ListLog()
     responsible(monitors, Role.RECEIVER, True)
-    watched = WatchedLog(log, Role.SENDER, monitors, offset_ns=4_000_000_000)
+    watched = WatchedLog(log, Role.SENDER, monitors.on_record, offset_ns=4_000_000_000)
     record = {"responsible": True, "until_ns": None}
     watched.write("/responsibility", 6_500_000_000, record)
     watched.image("/image", 7, None)  # type: ignore[arg-type]

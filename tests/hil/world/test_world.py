@@ -214,19 +214,6 @@ def test_faults_of_the_world() -> None:
     assert world.drone(Role.RECEIVER).autopilot.battery == 1.0
 
 
-def test_a_gps_jump_moves_the_estimate_and_then_the_drone() -> None:
-    world = World(WorldConfig(), 7)
-    take_off(world, Role.SENDER)
-    drone = world.drone(Role.SENDER)
-    world.advance(world.time_s + 3.0)
-    believed, true = drone.estimate.position_n_m, drone.true_position_n_m
-    world.gps_jump(Role.SENDER, (2.0, 0.0, 0.0))
-    world.advance(world.time_s + 0.04)
-    assert drone.estimate.position_n_m[0] - believed[0] == pytest.approx(2.0, abs=0.2)
-    world.advance(world.time_s + 10.0)
-    assert drone.true_position_n_m[0] - true[0] == pytest.approx(-2.0, abs=0.4)
-
-
 def test_time_does_not_go_back() -> None:
     world = World(WorldConfig(), 1)
     world.advance(1.0)

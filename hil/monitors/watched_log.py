@@ -1,0 +1,43 @@
+"""The log of a program, which the monitors read as it is written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Generic
+
+from drivers.interfaces import Frame, FrameLog, Log
+from flight.harness.relay import OFTEN
+from hil.monitors.claims import Who, in_world_time
+from hil.monitors.monitors import LEASES
+
+
+class WatchedLog(Generic[Who]):
+    """
+    Args:
+        log: where it goes; of what comes ``OFTEN`` only when ``whole``.
+        heard: takes each record, with its stamp on the world's clock.
+        offset_ns: the program's clock minus the world's.
+    """
+
+    def __init__(
+        self, log: Log, who: Who, heard: Callable[[Who, str, int, Mapping[str, Any]], None], offset_ns: int,
+        whole: bool = True,
+    ) -> None:  # fmt: skip
+        self._log, self._who, self._heard, self._offset_ns, self._whole = log, who, heard, offset_ns, whole
+        self.ended = False  # the program was killed: what it does on its way out has not happened
+
+    def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
+        if self.ended:
+            return
+        seen = in_world_time(record, self._offset_ns) if topic in LEASES else record
+        self._heard(self._who, topic, stamp_ns - self._offset_ns, seen)
+        if self._whole or topic not in OFTEN:
+            self._log.write(topic, stamp_ns, record)
+
+    def image(self, topic: str, stamp_ns: int, image: Any) -> None:
+        if not self.ended and self._whole:
+            self._log.image(topic, stamp_ns, image)
+
+    def frame(self, frame: Frame) -> None:
+        if not self.ended and self._whole and isinstance(self._log, FrameLog):
+            self._log.frame(frame)
