@@ -118,8 +118,5 @@ class ClockAlignment:
     def to_own_ns(self, peer_ns: int) -> int:
         return peer_ns - self.offset_ns
 
-    def to_peer_ns(self, own_ns: int) -> int:
-        return own_ns + self.offset_ns
-
     def _widening_ns(self, own_ns: int) -> int:
         return math.ceil(abs(own_ns - self._updated_ns) * self._drift)

@@ -119,7 +119,6 @@ class TelloCamera:
         self._count = 0
         self._given = 0
         self._arrivals: deque[int] = deque(maxlen=128)
-        self._caught_up = False
         self.skipped = 0
 
     @property
@@ -129,10 +128,6 @@ class TelloCamera:
     @property
     def rate_hz(self) -> float:
         return self._config.rate_hz
-
-    @property
-    def stamp_sigma_s(self) -> float:
-        return self._config.latency_sigma_s
 
     @property
     def damaged(self) -> int:

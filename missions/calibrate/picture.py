@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from drivers.rig.calibration_file import MADE_BY
@@ -22,7 +21,6 @@ LONGEST_SHARE = 0.06  # of the image's width: length of the longest error as dra
 def draw_calibration(collected: Collected, solution: Intrinsics | None, file: Path) -> None:
     """Draw as PNG; without a solution what can be drawn without it. Raises OSError when it cannot be written."""
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     cover, errors, tilts = figure.subplots(1, 3)
     _draw_coverage(cover, collected)
     if solution is not None:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, FAULT, NEEDED, ROLE
@@ -22,7 +21,6 @@ def draw_replay(columns: Mapping[str, Sequence[Replayed]], path: Path) -> None:
     """A row for each drone that judged answers, a column by its title. Raises OSError when it cannot be written."""
     rows = [row for row in zip(*columns.values(), strict=True) if any(drone.verdicts for drone in row)]
     figure = Figure(figsize=(12.0, 1.0 + 3.2 * max(1, len(rows))), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(max(1, len(rows)), len(columns), squeeze=False, sharey=True)
     for panels, row in zip(axes, rows, strict=False):
         for panel, drone, title in zip(panels, row, columns, strict=True):

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -36,7 +35,6 @@ LETTER_SHARE = 0.0055  # width of a letter, as a share of the timeline
 def draw_run(run: RunRecords, summary: Mapping[str, Any], path: Path) -> None:
     """Draw a run as PNG. Whatever the records do not hold is left empty. Raises OSError when it cannot be written."""
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI)
-    FigureCanvasAgg(figure)
     truth = truth_of(run.world)
     seconds = _clock(run, truth)
     figure.suptitle(_title(summary), x=0.012, y=0.992, ha="left", fontsize=13, fontweight="bold")

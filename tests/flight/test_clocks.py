@@ -51,7 +51,7 @@ def test_a_symmetric_link_gives_the_offset() -> None:
     assert peers.alignment.ready
     assert abs(peers.error_ns) < 1000  # half the drift that a round trip allows
     assert abs(peers.alignment.uncertainty_ns - 2 * MS) < 0.2 * MS
-    assert peers.alignment.to_own_ns(peers.alignment.to_peer_ns(123)) == 123
+    assert peers.alignment.to_own_ns(123 + peers.alignment.offset_ns) == 123
 
 
 def test_the_quickest_exchange_rules() -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.assurance.campaign.levels import LEVELS
@@ -16,7 +15,6 @@ from missions.assurance.campaign.results import RunLine
 
 SHOWN = 20  # failures printed
 BROKEN = {"clock": "a clock was set", "disk": "a disk lost a record", "stall": "a program stood still"}
-BOUNDS_NAMED = ("decided_s", "commit_s", "gap_s")
 
 
 def summarize(program: str, seed: int, lines: Sequence[RunLine], command: Callable[[RunLine], str]) -> dict[str, Any]:
@@ -126,7 +124,6 @@ def draw_outcomes(summary: dict[str, Any], path: Path) -> None:
     for level in levels.values():
         names.update(level["outcomes"])
     figure = Figure(figsize=(9.0, 1.6 + 0.55 * len(levels)), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots()
     left = np.zeros(len(levels))
     palette = _colors(len(names))

@@ -19,7 +19,6 @@ from drivers.interfaces import PartError
 from missions.assurance.verify.mutations import Mutation, mutated, mutations
 
 TABLE = Path(__file__).with_name("mutation.toml")
-SAMPLE = 168  # of all there are, by seed
 LEAST = 6  # of a file
 GOAL = 0.95
 _SLOWER, _MORE_S = 5.0, 30.0  # than the right code: then a wrong version has hung

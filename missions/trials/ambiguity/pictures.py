@@ -10,7 +10,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch, Rectangle
 
@@ -68,7 +67,6 @@ class Example:
 def draw_outcomes(tallies: Mapping[str, FrameTally], titles: Mapping[str, str], path: Path) -> None:
     """One bar a method, frames by outcome."""
     figure = Figure(figsize=(10.0, 0.9 + 0.62 * len(tallies)), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     for row, counts in enumerate(tallies.values()):
         left = 0
@@ -95,7 +93,6 @@ def draw_outcomes(tallies: Mapping[str, FrameTally], titles: Mapping[str, str], 
 def draw_sweeps(sweeps: Sequence[tuple[str, Sequence[float], Sequence[SweepCurve]]], path: Path) -> None:
     """Accuracy along each sweep: its axis title, its values, its curves; 95 % intervals as bars."""
     figure = Figure(figsize=(6.2 * len(sweeps), 4.2), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     for column, (title, values, curves) in enumerate(sweeps):
         axes = figure.add_subplot(1, len(sweeps), column + 1)
         step = (max(values) - min(values)) / 100.0
@@ -120,7 +117,6 @@ def draw_sweeps(sweeps: Sequence[tuple[str, Sequence[float], Sequence[SweepCurve
 def draw_examples(examples: Sequence[Example], path: Path) -> None:
     """One row an example: D1's view on the left, D2's on the right."""
     figure = Figure(figsize=(13.0, 3.95 * len(examples)), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     rows = figure.subfigures(len(examples), 1, squeeze=False)[:, 0]
     for row, example in zip(rows, examples, strict=True):
         row.suptitle(example.title, x=0.012, ha="left", fontsize=11, fontweight="bold")

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import FAULT, MARKER
@@ -21,7 +20,6 @@ SHOWN = {"subpix": FAULT, "photometric": MARKER}
 
 def draw_board(board: BoardPhotograph, scores: Mapping[str, OnBoard], path: Path) -> None:
     figure = Figure(figsize=(12.0, 5.2), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     photograph, spread = figure.subplots(1, 2, width_ratios=(3, 2))
     _draw_errors(photograph, board, scores)
     _draw_spread(spread, scores)

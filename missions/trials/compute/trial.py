@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
@@ -288,7 +287,6 @@ def _notes(request: TrialRequest) -> tuple[str, ...]:
 
 def _draw(timings: Mapping[str, Timings], path: Path) -> None:
     figure = Figure(figsize=(6.2 * len(timings) + 1.5, 6.6), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     for number, (size, timing) in enumerate(timings.items()):
         axes = figure.add_subplot(1, len(timings), number + 1)
         _draw_stages(axes, timing, labels=number == 0)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import cv2
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, FAULT, MARKER, OWN_BOX, ROLE
@@ -37,7 +36,6 @@ Scores = Mapping[tuple[str, str, str], Score | None]
 def draw_errors(scores: Scores, cameras: Sequence[str], path: Path) -> None:
     """Error of every method in every condition, a panel for each camera."""
     figure = Figure(figsize=(12.0, 0.6 + 2.9 * len(cameras)), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(len(cameras), 1, sharex=True, squeeze=False)[:, 0]
     for axes, camera in zip(panels, cameras, strict=True):
         _draw_camera(axes, scores, camera)
@@ -72,7 +70,6 @@ def draw_strip(samples: Sequence[CornerShot], path: Path) -> None:
     shown = [sample for sample in samples if sample.picture is not None]
     rows = math.ceil(len(shown) / STRIP_COLUMNS)
     figure = Figure(figsize=(2.0 * STRIP_COLUMNS, 2.2 * rows + 0.3), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(rows, STRIP_COLUMNS, squeeze=False).ravel()
     for axes in panels:
         axes.set_axis_off()

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -113,5 +112,4 @@ def _rms(values: Array) -> float:
 
 
 def _save(figure: Figure, file: Path) -> None:
-    FigureCanvasAgg(figure)
     figure.savefig(file, dpi=110, metadata={"Software": None})

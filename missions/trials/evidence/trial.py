@@ -8,7 +8,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from flight.harness.montecarlo import Attempt, WrongAssociation
@@ -279,7 +278,6 @@ NOTES = (
 
 def _draw(by_group: Groups, method: MethodConfig, path: Path) -> None:
     figure = Figure(figsize=(11.0, 4.2), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     true = by_group["true"]
     for papers, colour in ((False, ROLE[Role.SENDER]), (True, COUNT)):

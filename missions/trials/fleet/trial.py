@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from flight.outcome import Outcome
@@ -187,7 +186,6 @@ def _table(costs: Sequence[TeamCost]) -> TrialTable:
 
 def _draw(teams: Sequence[TeamCost], path: Path) -> None:
     figure = Figure(figsize=(8.0, 4.2), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     axes: Axes = figure.add_subplot()
     drones = [cost.drones for cost in teams]
     each = [cost.cpu_s_per_drone_hour for cost in teams]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, NEEDED, ROLE
@@ -30,7 +29,6 @@ def draw_times(
 ) -> None:
     """``times``: of the commits in so many ``attempts``. Raises OSError when it cannot be written."""
     figure = Figure(figsize=(11.0, 4.2), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     _missions(left, [each.seconds for each in flown["count"] if each.seconds is not None])
     for gate in GATES:
@@ -69,7 +67,6 @@ def _shares(
 def draw_faults(tried: Sequence[HandshakeAttempt], path: Path) -> None:
     """Raises OSError when it cannot be written."""
     figure = Figure(figsize=(11.0, 4.6), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots()
     rows = np.arange(len(FAULT_NAMES))
     for k, gate in enumerate(GATES):

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from drivers.link.dialect import path_dialect as dialect
@@ -215,7 +214,6 @@ def _cost_table(costs: dict[str, Times], rng: np.random.Generator) -> TrialTable
 
 def _draw(traffic: Sequence[LinkTraffic], sizes: dict[str, dict[str, int]], path: Path) -> None:
     figure = Figure(figsize=(10.5, 4.2), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     _draw_rates(figure.add_subplot(1, 2, 1), traffic)
     _draw_sizes(figure.add_subplot(1, 2, 2), sizes)
     figure.savefig(path, format="png", metadata={"Software": None})

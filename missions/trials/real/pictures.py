@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED
@@ -22,7 +21,6 @@ SHIFT = 0.18  # between the marks of one row
 
 def draw_sets(scores: Sequence[SetScore], path: Path) -> None:
     figure = Figure(figsize=(13.0, 1.2 + 1.9 * len(scores)), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.add_gridspec(len(scores), 3, width_ratios=(1.6, 1.4, 1.4))
     for row, score in enumerate(scores):
         axes = figure.add_subplot(grid[row, 0])

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
@@ -22,7 +21,6 @@ WAYS = 150  # drawn at most
 def draw(flown: Sequence[RendezvousResult], separation: SeparationConfig, path: Path) -> None:
     """Raises OSError when it cannot be written."""
     figure = Figure(figsize=(11.0, 5.0), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     _ways(left, flown[:WAYS], separation)
     together_m = separations_m(flown)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
@@ -231,7 +230,6 @@ def _between(interval: tuple[float, float]) -> str:
 
 def _draw(depths: list[AtDepth], path: Path) -> None:
     figure = Figure(figsize=(8.0, 4.6), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     z = [depth.depth_m for depth in depths]
     axes.plot(z, [depth.rotation for depth in depths], color=FAULT, lw=1.2, ls="--", label="rotation 1.83°")

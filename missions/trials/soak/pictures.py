@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from drivers.log.mcap_log import LogRecord
@@ -23,7 +22,6 @@ def draw(
 ) -> None:
     """Raises OSError when it cannot be written."""
     figure = Figure(figsize=(11.0, 4.2), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     begin_s = min(taken[0].time_s for taken in samples.values())
     for name, taken in samples.items():

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
@@ -26,7 +25,6 @@ def draw_roc(
 ) -> None:
     """Raises OSError when it cannot be written."""
     figure = Figure(figsize=(13.5, 4.4), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     pairs, handed, turned = figure.subplots(1, 3)
     for each in curves:
         colour = COLOURS[each.mapping]
@@ -83,7 +81,6 @@ def draw_map(shares: Shares, default: int, chosen: int, path: Path) -> None:
     """
     own = grid()[default]
     figure = Figure(figsize=(11.0, 4.6), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(1, 2)
     titles = "true attempts handed over in time", "forced wrong attempts handed over"
     for axes, values, title in zip(panels, (shares.right, shares.wrong), titles, strict=True):

@@ -412,7 +412,7 @@ def test_a_status_counts_only_while_the_clocks_are_aligned_and_by_the_earliest_i
         heard: list[PeerStatus] = []
         monkeypatch.setattr(pair.sender, "_on_status", heard.append)
         await session.cancel_spawned()
-        stamp_ns = alignment.to_peer_ns(session.now_ns()) + 10**12  # long after the newest exchange: a wide bound
+        stamp_ns = session.now_ns() + alignment.offset_ns + 10**12  # long after the newest exchange: a wide bound
         status = replace(cast(Status, kinds(pair.link[Role.RECEIVER].sent, Status)[-1]), stamp_ns=stamp_ns)
         pair.sender.on_status(status)
         own_ns = alignment.to_own_ns(stamp_ns)

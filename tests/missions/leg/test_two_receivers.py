@@ -143,7 +143,7 @@ def test_what_the_second_one_says_does_not_settle_the_first_ones_handover(rig: A
         template = cast(Status, kinds(trio.link[Role.RECEIVER].sent, Status)[-1])
         end_s = loop.time() + 5.0
         while loop.time() < end_s:
-            stamp_ns = session.alignment.to_peer_ns(session.now_ns())
+            stamp_ns = session.now_ns() + session.alignment.offset_ns
             word = replace(template, stamp_ns=stamp_ns, responsible=True, instance=trio.second.instance)
             session.on_status(word)
             await asyncio.sleep(0.2)
