@@ -20,6 +20,7 @@ from drivers.rig.tables import RigError, decode_table, read_toml
 from drivers.rig.toml_text import toml_text
 from path.bounds import Bounds
 from path.camera.model import CameraModel, Nine
+from path.camera.thinning import Thinning
 from path.geometry.rotation import R_from_quat, normalized, quat_from_R
 from path.geometry.transforms import Pose
 
@@ -39,6 +40,7 @@ class CameraTable:
     """Intrinsics at exactly this stream size; distortion is Brown–Conrady k1 k2 p1 p2 k3.
 
     ``doubts``: as ``CameraModel.doubts``; empty where nothing is stated, and then the method's own figure is used.
+    ``thinning``: how the camera leaves out pixels; None where it does not.
     """
 
     width: Annotated[int, Bounds(16, 16384, "px")]
@@ -49,6 +51,7 @@ class CameraTable:
     cy: Annotated[float, Bounds(0.0, 16384.0, "px")]
     distortion: Annotated[tuple[float, float, float, float, float], Bounds(-20.0, 20.0, "of 1")]
     doubts: Annotated[tuple[Nine, ...], Bounds(-1e4, 1e4, "as the parameter")] = ()
+    thinning: Thinning | None = None
 
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0:
@@ -63,7 +66,9 @@ class CameraTable:
 
     def model(self) -> CameraModel:
         """Raises ValueError for a distortion that cannot be inverted."""
-        return CameraModel(self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion, self.doubts)
+        return CameraModel(
+            self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion, self.doubts, self.thinning
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,9 +220,9 @@ def _read(file: Path, kind: type[T], remedy: str) -> T:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers short enough to read: ten digits, and no NaN."""
+    """Numbers short enough to read: ten digits, and no NaN. What is None is left out."""
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _plain(item) for key, item in value.items() if item is not None}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     if isinstance(value, float):

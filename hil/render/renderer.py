@@ -307,7 +307,9 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
 def lens_of(camera: CameraModel) -> Lens:
     """Shared: nobody changes it. It takes about a second at 1080p, and cameras often come in several renderers."""
     height, width = camera.height, camera.width
-    columns, rows = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
+    own = np.arange(width, dtype=float), np.arange(height, dtype=float)
+    thin = camera.thinning
+    columns, rows = np.meshgrid(*own if thin is None else (thin.places(own[0], 0), thin.places(own[1], 1)))
     rays = camera.rays(np.stack((columns.ravel(), rows.ravel()), axis=1)).reshape(height, width, 2)
     if not np.isfinite(rays).all():
         raise ValueError(f"distortion: {camera.distortion!r} leaves pixels without a ray")

@@ -47,6 +47,8 @@ from path.calibration.judge import (
     tilts_deg,
     useless,
 )
+from path.calibration.thinned import seen_evenly
+from path.camera.thinning import Thinning
 from path.messages import Role
 
 LIMITS = SetLimits()
@@ -125,7 +127,10 @@ def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) ->
     if len(views) < limits.fewest_views:
         raise BadViews(faults)
     try:
-        solution, terms = _solve(views, board, size)
+        greys = [look.grey for look in looks if look.grey is not None]
+        even = seen_evenly(greys, views, board) if len(greys) == len(views) else None
+        views, thinning = (views, None) if even is None else even
+        solution, terms = solve_as_told(views, board, size, thinning)
     except NotSolvable as error:
         fault = SetFault(BadSet.NOT_SOLVABLE, f"no camera fits these views: {error}", "is the board the one you named?")
         raise BadViews([*faults, fault]) from error
@@ -140,13 +145,15 @@ def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) ->
     return Calibrated(solution, tuple(looks), grade_of(solution, faults, limits), tuple(faults))
 
 
-def _solve(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> tuple[Intrinsics, int]:
-    """The camera with as many radial terms as these views can tell, and how many these are. Raises NotSolvable."""
-    solution = solve_intrinsics(views, board, size)
+def solve_as_told(
+    views: Sequence[BoardView], board: Board, size: tuple[int, int], thinning: Thinning | None = None
+) -> tuple[Intrinsics, int]:
+    """The camera with as many radial terms as views can tell, and how many these are. Raises NotSolvable."""
+    solution = solve_intrinsics(views, board, size, thinning=thinning)
     terms = RADIAL
     while solution.camera is None and terms > 1:
         terms -= 1
-        solution = solve_intrinsics(views, board, size, terms)
+        solution = solve_intrinsics(views, board, size, terms, thinning)
     return solution, terms
 
 
@@ -195,6 +202,7 @@ def _from_rig(options: CalibrateCameraOptions, board: Board, out: TextIO) -> Col
 def _file_of(done: Calibrated, collected: Collected, board: Board, serial: str, source: str) -> CameraCalibration:
     solution = done.solution
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = solution.values
+    thinning = None if solution.camera is None else solution.camera.thinning
     views = [look.view for look in collected.looks if look.view is not None]
     return CameraCalibration(
         kind="camera",
@@ -203,7 +211,7 @@ def _file_of(done: Calibrated, collected: Collected, board: Board, serial: str, 
         serial=serial,
         source=Path(source).name or source,
         board=board.text,
-        camera=CameraTable(*solution.size, fx, fy, cx, cy, (k1, k2, p1, p2, k3), solution.doubts),
+        camera=CameraTable(*solution.size, fx, fy, cx, cy, (k1, k2, p1, p2, k3), solution.doubts, thinning),
         standard_errors=dict(zip(PARAMETERS, solution.sigmas, strict=True)),
         quality=Quality(
             rms_px=round(solution.rms_px, 5),
@@ -237,6 +245,10 @@ def _report(done: Calibrated, calibration: CameraCalibration, out: TextIO) -> No
     )
     out.write(f"the board's ends are {1e3 * solution.curl_m[0]:+.2f} mm (along its rows) and "
               f"{1e3 * solution.curl_m[2]:+.2f} mm (along its columns) out of its middle's plane\n")  # fmt: skip
+    if calibration.camera.thinning is not None:
+        thin = calibration.camera.thinning
+        out.write(f"the camera leaves out pixels: {thin.kept} of {thin.of} rows and columns of its sensor are in the "
+                  "image; the file says so, and poses reckon with it\n")  # fmt: skip
     out.write(f"\ngrade: {done.grade}\n")
     for fault in done.faults:
         out.write(f"{fault.reason.value}: {fault.found}\n    next: {fault.fix}\n")

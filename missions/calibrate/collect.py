@@ -27,11 +27,12 @@ DIFFERENT = 0.04  # of the diagonal: a new view differs from each other one by m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CollectedImage:
-    """One image that was looked at. ``view`` is None where no board was found."""
+    """One image that was looked at. ``view`` is None where no board was found, and then the image is not kept."""
 
     name: str
     size: tuple[int, int]
     view: BoardView | None
+    grey: Image | None = None
 
 
 @dataclass(slots=True)
@@ -47,7 +48,8 @@ class Collected:
     serial: str = ""
 
     def add(self, name: str, grey: Image, view: BoardView | None) -> None:
-        self.looks.append(CollectedImage(name, (grey.shape[1], grey.shape[0]), view))
+        size = grey.shape[1], grey.shape[0]
+        self.looks.append(CollectedImage(name, size, view, None if view is None else grey))
         if view is None:
             self.add_other(grey)
         else:

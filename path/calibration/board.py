@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.calibration.saddles import REACH_PX, refine_saddles
+from path.camera.thinning import Thinning
 from path.marker.layout import DICTIONARIES
 from path.marker.photometric.texture import dictionary_of
 
@@ -119,10 +120,12 @@ class FoundCorners:
     clear_px: Array
 
 
-def find_board(grey: Image, board: Board) -> BoardView | None:
+def find_board(grey: Image, board: Board, thinning: Thinning | None = None) -> BoardView | None:
     """Find a board and refine its corners (``path.calibration.saddles``); None when it is not there.
 
-    ``grey``: uint8 (h, w), as the lens gives it. Of a ChArUco board any part is enough, of a chessboard the whole.
+    Args:
+        grey: uint8 (h, w), as the lens gives it. Of a ChArUco board any part is enough, of a chessboard the whole.
+        thinning: how the camera leaves out pixels; corners come out in its evenly spaced image.
     """
     found = find_corners(grey, board)
     if found is None:
@@ -130,7 +133,7 @@ def find_board(grey: Image, board: Board) -> BoardView | None:
     edges = _edge_directions(found, board)
     if edges is None:
         return None
-    saddles = refine_saddles(grey, found.corners_px, edges, found.clear_px)
+    saddles = refine_saddles(grey, found.corners_px, edges, found.clear_px, thinning)
     good = saddles.good
     if int(good.sum()) < FEWEST_CORNERS or (board.pattern == "chessboard" and not _all_print(grey, found, good, board)):
         return None

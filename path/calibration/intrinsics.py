@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from path.calibration.board import Board, BoardView
 from path.calibration.bundle import CURL, Bundle, BundleView, curled, solve_bundle
 from path.camera.model import CameraModel, Coefficients, Nine
+from path.camera.thinning import Thinning
 from path.geometry.transforms import Pose
 
 Array = NDArray[np.float64]
@@ -90,7 +91,11 @@ def rms(errors_px: Array) -> float:
 
 
 def solve_intrinsics(
-    views: Sequence[BoardView], board: Board, size: tuple[int, int], radial: int = RADIAL
+    views: Sequence[BoardView],
+    board: Board,
+    size: tuple[int, int],
+    radial: int = RADIAL,
+    thinning: Thinning | None = None,
 ) -> Intrinsics:
     """Solve for the camera; corners that are far off are left out once, and the rest solved again.
 
@@ -98,6 +103,7 @@ def solve_intrinsics(
         views: at least three.
         size: width and height of the images.
         radial: how many radial terms the distortion has; the others are 0.
+        thinning: with which the views were made, for the camera's model.
 
     Raises:
         NotSolvable: OpenCV finds no camera.
@@ -123,7 +129,7 @@ def solve_intrinsics(
     jackknife = np.sqrt((turns**2).sum(axis=0)) if len(turns) else np.full(len(PARAMETERS), np.nan)
     sigmas = np.fmax(bundle.sigmas, jackknife)
     values = bundle.camera
-    camera, problem = _model(values, size)
+    camera, problem = _model(values, size, thinning)
     return Intrinsics(
         size,
         tuple(float(v) for v in values),
@@ -312,10 +318,10 @@ def _values(matrix: Array, lens: Array) -> Array:
     return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *lens])
 
 
-def _model(values: Array, size: tuple[int, int]) -> tuple[CameraModel | None, str]:
+def _model(values: Array, size: tuple[int, int], thinning: Thinning | None) -> tuple[CameraModel | None, str]:
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = (float(v) for v in values)
     lens: Coefficients = (k1, k2, p1, p2, k3)
     try:
-        return CameraModel(*size, fx, fy, cx, cy, lens), ""
+        return CameraModel(*size, fx, fy, cx, cy, lens, thinning=thinning), ""
     except ValueError as error:
         return None, str(error)

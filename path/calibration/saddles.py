@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from path.camera.thinning import Thinning
+
 Array = NDArray[np.float64]
 
 REACH_PX = (2.5, 8.0)  # radius of what is fitted
@@ -36,7 +38,9 @@ class Saddles:
     good: NDArray[np.bool_]
 
 
-def refine_saddles(grey: NDArray[np.uint8], corners_px: Array, edges: Array, clear_px: Array) -> Saddles:
+def refine_saddles(
+    grey: NDArray[np.uint8], corners_px: Array, edges: Array, clear_px: Array, thinning: Thinning | None = None
+) -> Saddles:
     """Fit the image around each corner.
 
     Args:
@@ -44,6 +48,7 @@ def refine_saddles(grey: NDArray[np.uint8], corners_px: Array, edges: Array, cle
         corners_px: (n, 2), where to start.
         edges: (n, 2, 2), unit directions of the two edges that cross there.
         clear_px: (n,), radius within which nothing else is printed.
+        thinning: how the camera leaves out pixels; corners come out in its evenly spaced image.
     """
     height, width = grey.shape
     radius = np.clip(clear_px, *REACH_PX)
@@ -57,6 +62,8 @@ def refine_saddles(grey: NDArray[np.uint8], corners_px: Array, edges: Array, cle
     distance = np.hypot(columns - corners_px[:, :1], rows - corners_px[:, 1:])
     weights = np.clip(radius[:, None] + 0.5 - distance, 0.0, 1.0) * inside
     whole = ((middle >= reach) & (middle < np.array([width, height]) - reach)).all(axis=1)
+    if thinning is not None:
+        columns, rows, corners_px = thinning.places(columns, 0), thinning.places(rows, 1), thinning.even(corners_px)
     columns, rows = columns.astype(np.float64), rows.astype(np.float64)
     state = _start(levels, weights, corners_px, edges, columns, rows)
     for _ in range(ITERATIONS):

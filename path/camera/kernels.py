@@ -1,6 +1,7 @@
 """The camera's arithmetic for one pixel, compiled; ``path.camera.model`` says what it means.
 
-A lens is the array ``(fx, fy, cx, cy, k1, k2, p1, p2, k3, width, height, max_radius)`` of ``lens_of``.
+A lens is the array ``(fx, fy, cx, cy, k1, k2, p1, p2, k3, width, height, max_radius, kept, of, begins)`` of
+``lens_of``; the last four are ``path.camera.thinning``'s, 0 where no pixels are left out.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.camera.model import UNDISTORT_ITERATIONS, UNDISTORT_STEP, CameraModel
+from path.camera.thinning import ROUNDING
 from path.compiled import inner, kernel
 
 Array = NDArray[np.float64]
@@ -19,10 +21,22 @@ Array = NDArray[np.float64]
 
 @lru_cache(maxsize=64)
 def lens_of(camera: CameraModel) -> Array:
-    """A camera as the array the kernels take, shape (12,). Shared: do not change it."""
+    """A camera as the array the kernels take, shape (16,). Shared: do not change it."""
     focal_and_centre = camera.fx, camera.fy, camera.cx, camera.cy
     limits = camera.width, camera.height, camera.max_radius
-    return np.array([*focal_and_centre, *camera.distortion, *limits], dtype=np.float64)
+    thin = camera.thinning
+    pattern = (0.0, 0.0, 0.0, 0.0) if thin is None else (thin.kept, thin.of, *thin.begins)
+    return np.array([*focal_and_centre, *camera.distortion, *limits, *pattern], dtype=np.float64)
+
+
+@inner
+def place(lens: Array, axis: int, pixel: int) -> float:
+    """Where a column (axis 0) or row of the camera's image lies in the evenly spaced one."""
+    if lens[12] == 0.0:
+        return float(pixel)
+    begin = lens[14 + axis]
+    line = math.floor((pixel - begin + 0.5) * lens[13] / lens[12] + ROUNDING)
+    return (line + 0.5) * lens[12] / lens[13] + begin - 0.5
 
 
 @kernel

@@ -16,6 +16,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from path.camera.thinning import Thinning
+
 Array = NDArray[np.float64]
 Scalar = TypeVar("Scalar", float, Array)
 Point3 = tuple[float, float, float]
@@ -62,6 +64,8 @@ class CameraModel:
         distortion: ``(k1, k2, p1, p2, k3)``, OpenCV's order.
         doubts: what the calibration does not know: by how much ``(fx, fy, cx, cy, k1, k2, p1, p2, k3)`` are off
             together, one standard deviation of each of some independent causes. Empty: it states none.
+        thinning: how the camera leaves out pixels, so that those of its images are not evenly spaced; None: they are.
+            All pixel coordinates here are of the evenly spaced image; ``even`` leads there from a camera's image.
         max_radius: largest normalised radius at which the radial distortion is still one-to-one (inf when it always
             is). A point beyond it would fold back into the image: it is not visible, whatever ``project`` says.
 
@@ -77,6 +81,7 @@ class CameraModel:
     cy: float
     distortion: Coefficients = (0.0, 0.0, 0.0, 0.0, 0.0)
     doubts: tuple[Nine, ...] = ()
+    thinning: Thinning | None = None
     max_radius: float = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -118,6 +123,10 @@ class CameraModel:
     def K(self) -> Array:
         """Intrinsic matrix, shape (3, 3)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def even(self, points: Array) -> Array:
+        """Places (n, 2) found between the pixels of this camera's images, where projected points are."""
+        return points if self.thinning is None else self.thinning.even(points)
 
     def contains(self, u: float, v: float, margin_px: float = 0.0) -> bool:
         """Returns whether a pixel lies at least ``margin_px`` inside the image (False for NaN)."""

@@ -178,7 +178,7 @@ def refine_corners(
         pattern: cells of the print with a border of white ones, 0 black and 1 white.
 
     Returns:
-        Corners (4, 2) in camera pixels and their covariance (8, 8).
+        Corners (4, 2) in the camera's evenly spaced pixels and their covariance (8, 8).
     """
     if _likeness(grey, quad, pattern[1:-1, 1:-1]) < MIN_LIKENESS:
         return None
@@ -187,7 +187,7 @@ def refine_corners(
         if fitted is not None:
             return fitted.corners_px, fitted.covariance_px2
     corners, covariance = _subpix(grey, quad, pattern.shape[0] - 2)
-    return corners + offset, covariance
+    return camera.even(corners + offset), covariance
 
 
 def trusted_fit(
@@ -203,7 +203,7 @@ def trusted_fit(
 
     ``near``: the corners are good to half a pixel.
     """
-    start = quad + offset
+    start = camera.even(quad + offset)
     fitted = fit(grey, offset, start, camera, pattern, near=near)
     if (
         fitted is None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
+from missions.calibrate.camera import solve_as_told
 from missions.trials.real.corners import by_photometry, starts
 from missions.trials.real.set import REMEDY, RealSet
 from path.calibration.board import find_board
-from path.calibration.intrinsics import NotSolvable, matrices_of, pose_of_points, solve_intrinsics
+from path.calibration.intrinsics import NotSolvable, matrices_of, pose_of_points
+from path.calibration.thinned import seen_evenly
 from path.camera.model import CameraModel
 from path.geometry import rotation
 from path.geometry.transforms import Matrix, Pose
@@ -98,29 +100,32 @@ def look_at_set(own: RealSet, images: Sequence[Path]) -> SetSeen:
     greys = [(file.name, read_grey(file)) for file in images]
     if own.board is None:
         return _look_at_grid(own, greys)
-    shots: list[Photograph] = []
-    views = []
-    for name, grey in greys:
-        view = find_board(grey, own.board)
-        if view is not None:
-            shots.append(Photograph(name, grey, own.board.corners_o[view.ids], view.corners_px))
-            views.append(view)
-    if len(shots) < 3 and (own.file.camera is None or not shots):
-        raise PartError(f"{own.name}: the board is found in {len(shots)} photographs", REMEDY)
-    camera, sigmas = _given(own, greys[0][1]), None
-    if camera is None:
+    found = [(name, grey, find_board(grey, own.board)) for name, grey in greys]
+    seen = [(name, grey, view) for name, grey, view in found if view is not None]
+    camera = _given(own, greys[0][1])
+    if not seen or (len(seen) < 3 and camera is None):
+        raise PartError(f"{own.name}: the board is found in {len(seen)} photographs", REMEDY)
+    views, sigmas = [view for _, _, view in seen], None
+    even = seen_evenly([grey for _, grey, _ in seen], views, own.board)
+    views, thinning = (views, None) if even is None else even
+    if camera is not None:
+        camera = replace(camera, thinning=thinning)
+        corners = [(view.ids, view.corners_px) for view in views]
+    else:
+        size = greys[0][1].shape[1], greys[0][1].shape[0]
         try:
-            solution = solve_intrinsics(views, own.board, (greys[0][1].shape[1], greys[0][1].shape[0]))
+            solution, _ = solve_as_told(views, own.board, size, thinning)
         except NotSolvable as error:
             raise PartError(f"{own.name}: {error}", REMEDY) from error
         if solution.camera is None:
             raise PartError(f"{own.name}: {solution.camera_problem}", "name a [camera]")
         camera, s = solution.camera, solution.sigmas
         sigmas = (s[0] / camera.fx, s[1] / camera.fy, s[2], s[3])
-        shots = [
-            Photograph(shot.name, shot.grey, own.board.corners_o[view.ids], view.corners_px)
-            for shot, view in zip(shots, solution.views, strict=True)
-        ]
+        corners = [(view.ids, view.corners_px) for view in solution.views]
+    shots = [
+        Photograph(name, grey, own.board.corners_o[ids], corners_px)
+        for (name, grey, _), (ids, corners_px) in zip(seen, corners, strict=True)
+    ]
     boards = tuple(_see(camera, shot, own.file.bend_order) for shot in shots)
     begun = tuple(starts(own, shot.grey) for shot in shots)
     return SetSeen(camera, sigmas, tuple(shots), boards, begun)

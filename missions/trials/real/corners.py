@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -37,7 +37,7 @@ Corners = dict[int, FoundMarker]
 
 
 def starts(own: RealSet, grey: Image) -> dict[int, Matrix]:
-    """Corners good to a pixel, by id."""
+    """Corners good to a pixel, by id, as they lie in the camera's image."""
     return {i: found.corners_px for i, found in _by_opencv(own, grey, NATIVE[START]).items()}
 
 
@@ -45,7 +45,8 @@ def corners_by(method: str, own: RealSet, grey: Image, start: Mapping[int, Matri
     """Every marker of the board that a method finds."""
     if method == "photometric":
         return by_photometry(own, grey, start, camera)
-    return _by_opencv(own, grey, NATIVE[method])
+    found = _by_opencv(own, grey, NATIVE[method])
+    return {i: replace(marker, corners_px=camera.even(marker.corners_px)) for i, marker in found.items()}
 
 
 def by_photometry(own: RealSet, grey: Image, start: Mapping[int, Matrix], camera: CameraModel) -> Corners:

@@ -20,43 +20,24 @@ from scipy.optimize import least_squares
 from flight.harness.renderer import Imaging
 from missions.trials.real.board import BoardSeen, Photograph, SetSeen
 from missions.trials.real.set import RealSet
-from missions.trials.real.thinning import Thinning, measure_thinning
+from path.calibration.edges import FLAT_PX, LEAST_PIXELS, PLACES, SeenEdge, mean_edge, see_edge
 from path.target.place import MAD_TO_SIGMA
 
-ENDS = 0.22  # of an edge's length that is left out at each end: corners look otherwise
-REACH_PX, FLAT_PX = 3.4, 1.9  # from an edge: how far its pixels count; and from where on they show noise alone
-BIN_PX = 0.125
-LEAST_PIXELS, LEAST_CONTRAST = 20, 25.0
 FEWEST_EDGES = 12
 PHASES, MODEL_REACH_PX = 16, 12  # of the modelled edge: places of it in a pixel; pixels each way
 BLUR_REACH = 3.3  # deviations
 STANDARD_FIRST = 16.0  # first entry of JPEG's luminance table at quality 50
 TOP = 255.0
-PLACES = np.arange(-REACH_PX + 0.5 * BIN_PX, REACH_PX, BIN_PX)
-"""Distances from an edge at which it is measured, px: the middles of bins."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenEdge:
-    """Pixels beside one straight edge of the print, in one photograph.
-
-    Attributes:
-        middle_o: (2,) m, of the edge on the board.
-        across_px, along: of each pixel: distance, white side positive; 0..1 from one end to the other.
-        levels: grey, 0..255. ``black``, ``white``: at both sides.
-        pixels: (n, 2) columns and rows. ``normal``: (2,) towards the white side, in the image.
-    """
+class BoardEdge:
+    """An edge of the board in one photograph. ``middle_o``: (2,) m, of it on the board."""
 
     middle_o: Array
-    across_px: Array
-    along: Array
-    levels: Array
-    black: float
-    white: float
-    pixels: NDArray[np.int64]
-    normal: Array
+    seen: SeenEdge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +48,6 @@ class CameraResponse:
         imaging: the fitted blur, sharpening, gamma and noise, and the files' compression.
         edge: the mean edge at ``PLACES``, 0 black and 1 white. ``misfit``: rms of what the imaging leaves of it.
         noise: standard deviations on black and on white, grey levels. ``edges``: how many were seen.
-        thinning: how the camera leaves out pixels; None where it does not.
     """
 
     imaging: Imaging
@@ -75,7 +55,6 @@ class CameraResponse:
     misfit: float
     noise: tuple[float, float]
     edges: int
-    thinning: Thinning | None = None
 
 
 def edges_of(own: RealSet) -> Iterator[tuple[Array, Array]]:
@@ -94,52 +73,15 @@ def edges_of(own: RealSet) -> Iterator[tuple[Array, Array]]:
             yield np.array([column, row]) * side, np.array([column, row + 1]) * side
 
 
-def see_edges(own: RealSet, shot: Photograph, board: BoardSeen) -> list[SeenEdge]:
+def see_edges(own: RealSet, shot: Photograph, board: BoardSeen) -> list[BoardEdge]:
     """Every edge of the board that a photograph shows well."""
     ends = [np.column_stack([np.stack(pair), np.zeros(2)]) for pair in edges_of(own)]
     pixels = board.pixels(np.concatenate(ends)).reshape(-1, 2, 2) if ends else np.empty((0, 2, 2))
     found = [
-        _seen(shot.grey, pair_px, pair_o[:, :2].mean(axis=0)) for pair_px, pair_o in zip(pixels, ends, strict=True)
+        (pair_o[:, :2].mean(axis=0), see_edge(shot.grey, pair_px, board.camera.thinning))
+        for pair_px, pair_o in zip(pixels, ends, strict=True)
     ]
-    return [edge for edge in found if edge is not None]
-
-
-def _seen(grey: NDArray[np.uint8], ends_px: Array, middle_o: Array) -> SeenEdge | None:
-    start, end = ends_px
-    way = end - start
-    length = float(np.hypot(*way))
-    low = np.floor(ends_px.min(axis=0) - REACH_PX).astype(int)
-    high = np.ceil(ends_px.max(axis=0) + REACH_PX).astype(int)
-    if length < 1.0 or low.min() < 0 or high[0] >= grey.shape[1] or high[1] >= grey.shape[0]:
-        return None
-    v, u = np.mgrid[low[1] : high[1] + 1, low[0] : high[0] + 1]
-    du, dv = u - start[0], v - start[1]
-    along, across = (du * way[0] + dv * way[1]) / length**2, (dv * way[0] - du * way[1]) / length
-    near = (along > ENDS) & (along < 1.0 - ENDS) & (np.abs(across) < REACH_PX)
-    across, along, levels = across[near], along[near], grey[v[near], u[near]].astype(float)
-    normal = np.array([-way[1], way[0]]) / length
-    left, right = levels[across < -FLAT_PX], levels[across > FLAT_PX]
-    if min(len(left), len(right)) < LEAST_PIXELS:
-        return None
-    if np.median(left) > np.median(right):
-        across, normal, left, right = -across, -normal, right, left
-    black, white = float(np.median(left)), float(np.median(right))
-    if white - black < LEAST_CONTRAST:
-        return None
-    across = across - _offset(across, (levels - black) / (white - black))
-    pixels = np.column_stack([u[near], v[near]]).astype(np.int64)
-    return SeenEdge(middle_o, across, along, levels, black, white, pixels, normal)
-
-
-def _offset(across: Array, share: Array) -> float:
-    """Where the edge is, from the share of it that is white: the curve is symmetric enough."""
-    sums, counts = (np.histogram(across, _bins(0.5), weights=w)[0] for w in (share, None))
-    there = counts > 0
-    return float(np.clip(REACH_PX * (1.0 - 2.0 * np.mean(sums[there] / counts[there])), -1.0, 1.0))
-
-
-def _bins(step_px: float) -> Array:
-    return np.arange(-REACH_PX, REACH_PX + 0.5 * step_px, step_px)
+    return [BoardEdge(middle_o, edge) for middle_o, edge in found if edge is not None]
 
 
 def measure_response(own: RealSet, seen: SetSeen, images: Sequence[Path]) -> CameraResponse | None:
@@ -149,24 +91,14 @@ def measure_response(own: RealSet, seen: SetSeen, images: Sequence[Path]) -> Cam
         images: the files, whose compression is taken over.
     """
     pairs = zip(seen.photographs, seen.boards, strict=True)
-    edges = [edge for shot, board in pairs for edge in see_edges(own, shot, board)]
+    edges = [edge.seen for shot, board in pairs for edge in see_edges(own, shot, board)]
     if len(edges) < FEWEST_EDGES:
         return None
     curve, noise, (black, white) = mean_edge(edges), noise_beside(edges), levels_of(edges)
     imaging, misfit = fitted(curve, black, white)
     light = [_slope_of_light(level, imaging.gamma) * sd for level, sd in zip((black, white), noise, strict=True)]
     imaging = replace(imaging, jpeg_quality=jpeg_quality(images[0]))
-    thinning = measure_thinning(edges, PLACES, curve)
-    return CameraResponse(with_noise(imaging, (black, white), light), curve, misfit, noise, len(edges), thinning)
-
-
-def mean_edge(edges: Sequence[SeenEdge]) -> Array:
-    """The share of white at the middles of ``PLACES``; nan where too few pixels lie."""
-    across = np.concatenate([edge.across_px for edge in edges])
-    share = np.concatenate([(e.levels - e.black) / (e.white - e.black) for e in edges])
-    bins = np.digitize(across, _bins(BIN_PX)) - 1
-    own = [share[bins == k] for k in range(len(PLACES))]
-    return np.array([float(np.median(some)) if len(some) >= LEAST_PIXELS else math.nan for some in own])
+    return CameraResponse(with_noise(imaging, (black, white), light), curve, misfit, noise, len(edges))
 
 
 def levels_of(edges: Sequence[SeenEdge]) -> tuple[float, float]:

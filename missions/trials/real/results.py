@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from missions.trials.real.response import CameraResponse
 from missions.trials.shared.statistics import Interval
+from path.camera.thinning import Thinning
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +80,8 @@ class SetScore:
         print_m: rms by which the printed corners are off, as all views show it; None when that cannot be told.
         poses: by what they rest on; empty on a chessboard. ``named``: what the fits called wrong, and how often.
         example: the photograph in the middle, for the page.
+        thinning: how the camera leaves out pixels, as these photographs tell it; None where it does not.
         twin: the same of the set's rendered twin; None without one.
-        evened: the same of photographs whose pixels were put where they belong; None where none are left out.
     """
 
     name: str
@@ -92,12 +93,12 @@ class SetScore:
     print_m: float | None
     camera: tuple[float, float, float, float]
     camera_sigmas: tuple[float, float, float, float] | None
+    thinning: Thinning | None
     corners: dict[str, CornerScore]
     poses: dict[str, PoseScore]
     named: dict[str, int]
     example: NDArray[np.uint8]
     twin: TwinScore | None = None
-    evened: SetScore | None = None
 
     def summary(self) -> dict[str, Any]:
         """The figures of single markers at the top, as ``docs/real.md`` names them."""
@@ -113,6 +114,7 @@ class SetScore:
             "print_m": self.print_m,
             "camera": dict(zip(("fx", "fy", "cx", "cy"), self.camera, strict=True)),
             "camera_sigmas": self.camera_sigmas,
+            "thinning": None if self.thinning is None else asdict(self.thinning),
             **single,
             **chi2,
             "stated_px": None if own is None else own.stated_px,
@@ -120,7 +122,6 @@ class SetScore:
             "named_wrong": self.named,
             **{name: score.summary() for name, score in self.poses.items() if name != "single"},
             **({} if self.twin is None else {"twin": self.twin.summary(self)}),
-            **({} if self.evened is None else {"evened": self.evened.summary()}),
         }
 
     def compared(self) -> dict[str, Figure95]:
@@ -146,10 +147,8 @@ class TwinScore:
         }
 
     def summary(self, real: SetScore) -> dict[str, Any]:
-        thinning = None if self.response.thinning is None else asdict(self.response.thinning)
         camera = {
             "imaging": asdict(self.response.imaging),
             "edge_misfit": self.response.misfit,
-            "thinning": thinning,
         }
         return {**self.score.summary(), **camera, "ratios": self.ratios(real)}

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flight.harness.renderer import FrameRenderer
-from missions.trials.real.board import SetSeen, look_at_set, read_grey
+from missions.trials.real.board import SetSeen, look_at_set
 from missions.trials.real.corners import METHODS, corners_by
 from missions.trials.real.errors import MethodPoses, measure_set
 from missions.trials.real.poses import Poses, estimate_all, plate_tasks, single_tasks
 from missions.trials.real.results import CornerScore, Figure95, PoseScore, SetScore, TwinScore
 from missions.trials.real.set import RealSet, read_set
-from missions.trials.real.thinning import Thinning, evened
 from missions.trials.real.twin import render_twin
 from missions.trials.shared.statistics import bootstrap, mean, p95
 from path.target.place import MAD_TO_SIGMA
@@ -60,20 +59,7 @@ def score_set(task: SetTask) -> SetScore:
     if twin is None:
         return score
     rendered = _score(own, twin.images, look_at_set(own, twin.images), task.seed)
-    thinning, even = twin.response.thinning, None
-    if thinning is not None:
-        files = _evened(images, thinning, task.twins / "evened")
-        even = _score(own, files, look_at_set(own, files), task.seed)
-    return replace(score, twin=TwinScore(twin.response, rendered), evened=even)
-
-
-def _evened(images: Sequence[Path], thinning: Thinning, out: Path) -> list[Path]:
-    """The photographs with their pixels put where they belong, as files."""
-    out.mkdir(parents=True, exist_ok=True)
-    files = [out / f"{image.stem}.png" for image in images]
-    for file, image in zip(files, images, strict=True):
-        cv2.imwrite(str(file), evened(read_grey(image), thinning))
-    return files
+    return replace(score, twin=TwinScore(twin.response, rendered))
 
 
 def _score(own: RealSet, images: Sequence[Path], seen: SetSeen, seed: int) -> SetScore:
@@ -98,6 +84,7 @@ def _score(own: RealSet, images: Sequence[Path], seen: SetSeen, seed: int) -> Se
         None if best is None or not best.print_m else float(np.sqrt(np.mean(np.stack([*best.print_m.values()]) ** 2))),
         (camera.fx, camera.fy, camera.cx, camera.cy),
         seen.sigmas,
+        camera.thinning,
         {name: _corner_score(some, rng) for name, some in measured.items()},
         {} if best is None else _pose_scores(own, seen, best, seed, rng),
         {} if best is None else dict(Counter(wrong for marker in best.seen for wrong in marker.found.wrong)),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from drivers.interfaces import PartError
 from missions.trials.real.corners import METHOD_TITLES, METHODS
@@ -51,12 +50,10 @@ def run(request: TrialRequest) -> TrialResult:
     ]
     scores = request.work.map("sets", score_set, tasks)
     draw_sets(scores, request.out / PICTURE)
-    evened = [replace(score.evened, name=f"{score.name}, evened out") for score in scores if score.evened is not None]
-    shown = [*scores, *evened]
     return TrialResult(
         summary={"sets": {score.name: score.summary() for score in scores}},
         findings=tuple(finding for score in scores for finding in _findings(score)),
-        tables=(_corner_table(shown), _pose_table(shown), _twin_table(scores), _set_table(shown)),
+        tables=(_corner_table(scores), _pose_table(scores), _twin_table(scores), _set_table(scores)),
         pictures=(
             TrialPicture(
                 PICTURE, "A view of each set and its twin, corners by method, D2's error by what the pose rests on."
@@ -66,8 +63,8 @@ def run(request: TrialRequest) -> TrialResult:
             "The board's pose comes from all its corners; what all views of a marker agree on is the print's, not an "
             "error of its corners. The row of the board's own corners is the floor: what gravity, print, and a board "
             "that is not flat leave when the corners are as the whole board says.",
-            "Evened out: a camera that leaves out pixels, so that those it keeps are not evenly spaced, and its "
-            "photographs drawn again at even places.",
+            "Of a camera that leaves out pixels, so that those it keeps are not evenly spaced, every method's corners "
+            "are put where they are in an evenly spaced image.",
             "Intervals are 95 %, views drawn together. Honesty is the median chi-square per number over what it is "
             "when the covariance is right: 1 is honest, 4 means errors twice as large as stated.",
         ),
@@ -207,7 +204,7 @@ def _twin_table(scores: Sequence[SetScore]) -> TrialTable:
         for name, figure in score.compared().items()
         if name in twin
     ]
-    cameras = "; ".join(_camera_of(score.name, score.twin) for score in scores if score.twin is not None)
+    cameras = "; ".join(_camera_of(score, score.twin) for score in scores if score.twin is not None)
     return TrialTable(
         "Photographs and their rendered twins",
         ("set", "", "photographs", "twin", "twin over photographs"),
@@ -217,13 +214,13 @@ def _twin_table(scores: Sequence[SetScore]) -> TrialTable:
     )
 
 
-def _camera_of(name: str, twin: TwinScore) -> str:
+def _camera_of(score: SetScore, twin: TwinScore) -> str:
     own = twin.response.imaging
-    thin = twin.response.thinning
+    thin = score.thinning
     kept = "" if thin is None else f"of {thin.of} rows and columns of the sensor {thin.kept} are kept, "
     jpeg = "none" if own.jpeg_quality is None else str(own.jpeg_quality)
     return (
-        f"{name}: {kept}blur {own.blur_sigma_px:.2f} px, "
+        f"{score.name}: {kept}blur {own.blur_sigma_px:.2f} px, "
         f"sharpening {own.sharpen:.2f} over {own.sharpen_sigma_px:.1f} px, "
         f"gamma {own.gamma:.2f}, noise of the light {own.read_sigma:.1f} grey levels, JPEG {jpeg}, "
         f"{100.0 * twin.response.misfit:.1f} % of an edge unexplained"

@@ -20,21 +20,21 @@ from missions.trials.calibration.views import HERE, T_W_C, grey
 from missions.trials.real.board import BoardSeen, SetSeen
 from missions.trials.real.response import (
     TOP,
+    BoardEdge,
     CameraResponse,
-    SeenEdge,
     edge_of,
     fitted,
     levels_of,
-    mean_edge,
     measure_response,
     noise_beside,
     see_edges,
     with_noise,
 )
 from missions.trials.real.set import RealSet
-from missions.trials.real.thinning import Thinning
 from path.calibration.board import print_cells
+from path.calibration.edges import mean_edge
 from path.camera.model import CameraModel
+from path.camera.thinning import Thinning
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
@@ -70,7 +70,7 @@ def render_twin(
         return None
     pairs = zip(seen.photographs, seen.boards, strict=True)
     edges = {shot.name: see_edges(own, shot, board) for shot, board in pairs}
-    drawing = _Drawing(own, _print_of(own, seen), edges, renderer, seed, response.thinning)
+    drawing = _Drawing(own, _print_of(own, seen), edges, renderer, seed)
     drawing = replace(drawing, turned=drawing.measure_turned(seen))
     imaging = _like_it(drawing, seen, response)
     out.mkdir(parents=True, exist_ok=True)
@@ -88,16 +88,14 @@ class _Drawing:
     Attributes:
         printed: shades, the side of a cell in metres, the place of the print's corner on the board.
         edges: of each photograph, by its name.
-        thinning: of the sensor's pixels, which are drawn then; the image is made of those that are kept.
         turned: by photograph, the share of its light that a board has which is turned away from the renderer's sun.
     """
 
     own: RealSet
     printed: tuple[Shades, float, Array]
-    edges: Mapping[str, Sequence[SeenEdge]]
+    edges: Mapping[str, Sequence[BoardEdge]]
     renderer: type[FrameRenderer]
     seed: int
-    thinning: Thinning | None = None
     turned: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def measure_turned(self, seen: SetSeen) -> dict[str, float]:
@@ -105,12 +103,12 @@ class _Drawing:
         shares: dict[str, float] = {}
         for shot, board, image in zip(seen.photographs, seen.boards, self.images(seen, PLAIN), strict=True):
             wanted, got = self.edges[shot.name], see_edges(self.own, replace(shot, grey=image), board)
-            shares[shot.name] = levels_of(got)[1] / levels_of(wanted)[1] if wanted and got else 1.0
+            shares[shot.name] = _white(got) / _white(wanted) if wanted and got else 1.0
         return shares
 
     def images(self, seen: SetSeen, imaging: Imaging) -> list[Shades]:
         """Every photograph of ``seen`` again, in its own light."""
-        camera, sensor_imaging = _sensor(seen.camera, imaging, self.thinning)
+        camera, sensor_imaging = _sensor(seen.camera, imaging)
         made = self.renderer(RendererSetup(camera, HERE, HERE, single_marker(), imaging=sensor_imaging), self.seed)
         drawn: list[Shades] = []
         for number, (shot, board) in enumerate(zip(seen.photographs, seen.boards, strict=True)):
@@ -118,24 +116,32 @@ class _Drawing:
             share = self.turned.get(shot.name, 1.0)
             placed = replace(lit, light=(lit.light[0] / share, lit.light[1] / share))
             color = made.shoot(RenderedInstant({Role.SENDER: T_W_C}, boards=(placed,)), Role.SENDER, number).color
-            drawn.append(_image_of(grey(color), seen.camera, imaging, self.thinning))
+            drawn.append(_image_of(grey(color), seen.camera, imaging))
         return drawn
 
 
-def _sensor(camera: CameraModel, imaging: Imaging, thinning: Thinning | None) -> tuple[CameraModel, Imaging]:
+def _sensor(camera: CameraModel, imaging: Imaging) -> tuple[CameraModel, Imaging]:
     """What the renderer is to draw: the camera's image, or its sensor's, before pixels are left out and compressed."""
+    thinning = camera.thinning
     if thinning is None:
         return camera, imaging
+    finer = thinning.of / thinning.kept
+    blur_px, sharpen_px = finer * imaging.blur_sigma_px, finer * imaging.sharpen_sigma_px
+    coarse = replace(imaging, blur_sigma_px=blur_px, sharpen_sigma_px=sharpen_px, jpeg_quality=None)
+    return sensor_of(camera, thinning), coarse
+
+
+def sensor_of(camera: CameraModel, thinning: Thinning) -> CameraModel:
+    """The part of a camera's sensor that its images are made of."""
     width, height = (int(thinning.sensor_pixels(n, k)[-1]) + 1 for k, n in enumerate((camera.width, camera.height)))
     cx, cy = (thinning.sensor_place(c, k) for k, c in enumerate((camera.cx, camera.cy)))
     finer = thinning.of / thinning.kept
-    sensor = CameraModel(width, height, finer * camera.fx, finer * camera.fy, cx, cy, camera.distortion)
-    blur_px, sharpen_px = finer * imaging.blur_sigma_px, finer * imaging.sharpen_sigma_px
-    return sensor, replace(imaging, blur_sigma_px=blur_px, sharpen_sigma_px=sharpen_px, jpeg_quality=None)
+    return CameraModel(width, height, finer * camera.fx, finer * camera.fy, cx, cy, camera.distortion)
 
 
-def _image_of(drawn: Shades, camera: CameraModel, imaging: Imaging, thinning: Thinning | None) -> Shades:
+def _image_of(drawn: Shades, camera: CameraModel, imaging: Imaging) -> Shades:
     """The camera's image of what the renderer drew."""
+    thinning = camera.thinning
     if thinning is None:
         return drawn
     columns, rows = (thinning.sensor_pixels(n, k) for k, n in enumerate((camera.width, camera.height)))
@@ -157,7 +163,9 @@ def _like_it(drawing: _Drawing, seen: SetSeen, response: CameraResponse) -> Imag
     imaging = response.imaging
     for _ in range(PASSES):
         pairs = zip(drawing.images(some, imaging), some.photographs, some.boards, strict=True)
-        edges = [e for image, shot, board in pairs for e in see_edges(drawing.own, replace(shot, grey=image), board)]
+        edges = [
+            e.seen for image, shot, board in pairs for e in see_edges(drawing.own, replace(shot, grey=image), board)
+        ]
         if not edges:
             break
         levels, got = levels_of(edges), noise_beside(edges)
@@ -171,6 +179,10 @@ def _like_it(drawing: _Drawing, seen: SetSeen, response: CameraResponse) -> Imag
     return imaging
 
 
+def _white(edges: Sequence[BoardEdge]) -> float:
+    return levels_of([edge.seen for edge in edges])[1]
+
+
 def _light_sigma(imaging: Imaging, level: float) -> float:
     """Deviation of the light at a grey level."""
     light = TOP * (level / TOP) ** imaging.gamma
@@ -178,7 +190,7 @@ def _light_sigma(imaging: Imaging, level: float) -> float:
 
 
 def _placed(
-    board: BoardSeen, shades: Shades, cell_m: float, corner_o: Array, edges: Sequence[SeenEdge], gamma: float
+    board: BoardSeen, shades: Shades, cell_m: float, corner_o: Array, edges: Sequence[BoardEdge], gamma: float
 ) -> PlacedBoard:
     """The print in the light of one photograph: black and white change evenly across the board."""
     rows, columns = shades.shape
@@ -192,9 +204,9 @@ def _placed(
     return PlacedBoard(T_w_o, cell_m, levels, (low, high))
 
 
-def _light(edges: Sequence[SeenEdge], name: str, x: Array, y: Array, gamma: float) -> Array:
+def _light(edges: Sequence[BoardEdge], name: str, x: Array, y: Array, gamma: float) -> Array:
     """Light of one side of the edges over the board, (rows, columns): a plane through all that were seen."""
-    middles, levels = np.stack([e.middle_o for e in edges]), np.array([getattr(e, name) for e in edges])
+    middles, levels = np.stack([e.middle_o for e in edges]), np.array([getattr(e.seen, name) for e in edges])
     design = np.column_stack([np.ones(len(edges)), middles])
     plane = np.linalg.lstsq(design, levels, rcond=None)[0]
     seen = np.clip(plane[0] + plane[1] * x[None, :] + plane[2] * y[:, None], levels.min(), levels.max())

@@ -17,6 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from path.camera.kernels import place
 from path.compiled import inner, kernel
 from path.marker.kernels import Array, undistort
 from path.marker.photometric.pattern import BLOCK, SATURATED, UNKNOWNS, add_last, add_row, clear, evaluate
@@ -74,9 +75,10 @@ def stencil(pixels: Array, frame: Array, lens: Array) -> tuple[Array, Indices]:
             if k < -2:
                 rays[total, 0], rays[total, 1] = pixels[-3 - k, 0], pixels[-3 - k, 1]
             else:
-                du, dv = u + u0 - frame[0], v + v0 - frame[1]
+                at_u, at_v = place(lens, 0, u + u0), place(lens, 1, v + v0)
+                du, dv = at_u - frame[0], at_v - frame[1]
                 p, q = frame[5] * du + frame[6] * dv, frame[7] * du + frame[8] * dv
-                x, y = undistort(u + u0, v + v0, lens, frame[2] + p / frame[4], frame[3] + q / frame[4])
+                x, y = undistort(at_u, at_v, lens, frame[2] + p / frame[4], frame[3] + q / frame[4])
                 rays[total, 0], rays[total, 1] = (x - frame[2]) * frame[4], (y - frame[3]) * frame[4]
             places[v, u] = total
             total += 1

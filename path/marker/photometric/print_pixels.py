@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from path.camera.kernels import place
 from path.compiled import inner, kernel
 from path.marker.kernels import Array, distort, undistort
 
@@ -115,7 +116,8 @@ def gather(
 
     Of a large print about ``most`` are selected: pairs in a row, or squares of 2**block.
 
-    Returns rows (p, q, grey, 1 when the row before is the pixel to the left, u, v), the last two as camera pixels.
+    Returns rows (p, q, grey, 1 when the row before is the pixel to the left, u, v), the last two the numbers of the
+    camera's pixels.
     """
     height, width = image.shape
     cx, cy, scale = frame[2], frame[3], frame[4]
@@ -139,16 +141,17 @@ def gather(
     pixels = np.empty((max(0, (u1 - u0) * (v1 - v0)), 6))
     count = 0
     for v in range(v0, v1):
-        previous = -2
+        previous, at_v = -2, place(lens, 1, v + v_off)
         for u in range(u0, u1):
             if share < 1024 and _mixed(u >> max(block, 1), v >> block) & 1023 >= share:
                 continue
-            du, dv = u + u_off - frame[0], v + v_off - frame[1]
+            at_u = place(lens, 0, u + u_off)
+            du, dv = at_u - frame[0], at_v - frame[1]
             p, q = frame[5] * du + frame[6] * dv, frame[7] * du + frame[8] * dv
             mx, my = _on_print(p, q, theta)  # as if the lens were affine over the marker
             if not (-x_out - 0.5 < mx < n + x_out + 0.5 and -y_out - 0.5 < my < n + y_out + 0.5):
                 continue
-            x, y = undistort(u + u_off, v + v_off, lens, cx + p / scale, cy + q / scale)
+            x, y = undistort(at_u, at_v, lens, cx + p / scale, cy + q / scale)
             p, q = (x - cx) * scale, (y - cy) * scale
             mx, my = _on_print(p, q, theta)
             if -x_out < mx < n + x_out and -y_out < my < n + y_out:

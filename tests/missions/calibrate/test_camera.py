@@ -13,15 +13,21 @@ import pytest
 
 from drivers.interfaces import PartError
 from drivers.rig.calibration_file import read_camera
+from hil.camera.pictures import CameraRenderer
 from missions.calibrate.camera import BadViews, calibrate
 from missions.calibrate.collect import Chooser, Collected, CollectedImage, from_recording
 from missions.calibrate.run import run
 from missions.options.calibrate import CalibrateBoardOptions, CalibrateCameraOptions, CalibrateOptions
 from missions.rig_list import FOLDER
+from missions.trials.calibration import views as calibration_views
+from missions.trials.real.twin import sensor_of
 from missions.work import Bars
 from path.calibration.board import Board
 from path.calibration.judge import BadSet
+from path.camera.thinning import Thinning
 from tests.path.calibration.rendered import CAMERA, CHARUCO, CHESSBOARD, Held, grey, photographs, poses, seen
+
+THINNED = Thinning(3, 5, (1, 2))
 
 
 def command(options: CalibrateCameraOptions | CalibrateBoardOptions) -> str:
@@ -110,6 +116,22 @@ def refused(views: Collected, board: Board = CHARUCO) -> tuple[set[BadSet], str]
         calibrate(views, board)
     assert caught.value.remedy
     return {fault.reason for fault in caught.value.faults}, str(caught.value)
+
+
+def test_pixels_that_a_camera_leaves_out_are_in_its_calibration(tmp_path: Path) -> None:
+    """The sensor's images are drawn, and three of five rows and columns kept."""
+    columns, rows = (THINNED.sensor_pixels(n, axis) for axis, n in enumerate((CAMERA.width, CAMERA.height)))
+    where = list(poses(CHARUCO, Held(), 8, 3))
+    shots = calibration_views.photographs(CameraRenderer, sensor_of(CAMERA, THINNED), CHARUCO, where, 4)
+    for number, color in enumerate(shots):
+        cv2.imwrite(str(tmp_path / f"view-{number}.png"), color[np.ix_(rows, columns)])
+    out = tmp_path / "out" / "d1.camera.toml"
+    text = command(CalibrateCameraOptions(images=tmp_path, out=out))
+    written = read_camera(out)
+    assert written.camera.model().thinning == THINNED
+    assert "3 of 5 rows and columns" in text
+    assert "uneven_pixels" not in written.weak
+    assert written.camera.fx == pytest.approx(CAMERA.fx, rel=2e-3)
 
 
 def test_images_of_two_sizes_are_refused_with_both() -> None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from missions.trials.real.twin import sensor_of
 from path.camera.model import CameraModel
+from path.camera.thinning import Thinning
 from path.geometry import rotation
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
@@ -22,6 +24,7 @@ from tests.path.marker.scene import HD, VGA, Optics, random_view, region_around,
 
 LAYOUT = single_marker()
 CELLS = np.pad(cells("DICT_4X4_50", 0), 1, constant_values=1.0)
+THINNED = Thinning(3, 5, (1, 2))
 STRAIGHT = CameraModel(110, 110, 600.0, 600.0, 55.0, 55.0)  # no distortion
 
 
@@ -62,6 +65,26 @@ def test_without_noise_the_model_is_exact_to_a_hundredth_of_a_pixel():
     found = [sample(VGA, seed, Optics(noise=0.0, samples=16)) for seed in range(8)]
     assert rms(found) < 0.01
     assert all(s.fitted.blur_px == pytest.approx(np.hypot(0.7, np.sqrt(1 / 12)), abs=0.06) for s in found)
+
+
+def test_pixels_that_a_camera_leaves_out_are_reckoned_with():
+    """Corners are as good as those of an even image; without the pattern they are off by what the pixels are."""
+    thinned, sensor = replace(VGA, thinning=THINNED), sensor_of(VGA, THINNED)
+    columns, rows = (THINNED.sensor_pixels(n, axis) for axis, n in enumerate((VGA.width, VGA.height)))
+    errors: dict[CameraModel, list[NDArray[np.float64]]] = {thinned: [], VGA: []}
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        view = random_view(rng, VGA, 0.7, 1.2, 50.0)
+        ground = np.full((sensor.height, sensor.width), 105.0)
+        image = render(sensor, view.T_c_v, LAYOUT, rng, Optics(), ground)[np.ix_(rows, columns)]
+        truth = true_corners(VGA, view.T_c_v, LAYOUT)
+        for camera, off in errors.items():
+            fitted = fit(np.ascontiguousarray(image), (0, 0), truth + rng.uniform(-0.4, 0.4, (4, 2)), camera, CELLS)
+            assert fitted is not None
+            off.append(fitted.corners_px - truth)
+    even, uneven = (float(np.sqrt(np.mean(np.square(off)))) for off in errors.values())
+    assert even < 0.03
+    assert uneven > 2.0 * even
 
 
 @pytest.mark.parametrize(("camera", "limit_px"), [(VGA, 0.02), (HD, 0.015)])
