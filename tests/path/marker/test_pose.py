@@ -352,6 +352,6 @@ def test_warming_up_finds_its_own_marker():
 
 
 def test_a_first_shadow_in_flight_finds_its_kernels_compiled() -> None:
-    asked = "from path.marker import shadow, warm_up; warm_up.warm_up(); "
+    asked = "from path.marker import warm_up; from path.marker.photometric import shadow; warm_up.warm_up(); "
     asked += "assert shadow.cell_light.signatures and shadow.find_shadow.signatures"
     subprocess.run([sys.executable, "-c", asked], check=True, timeout=600.0)
