@@ -24,7 +24,8 @@ from drivers.interfaces import BeaconError
 from drivers.mavlink.vision import VisionConfig
 from drivers.rig.parts import PartContext, Rig
 from drivers.rig.tables import RigError, decode_table
-from hil.beacons.system import BeaconConfig, BeaconFrame, BeaconSystem, ByteChunk, truth_of
+from hil.beacons.noise import BeaconConfig
+from hil.beacons.system import BeaconFrame, BeaconSystem, ByteChunk, truth_of
 from hil.camera.shared import RUN_VARIABLE
 from hil.world.snapshot import Snapshot
 from path.geometry.rotation import R_from_rpy

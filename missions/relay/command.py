@@ -12,12 +12,12 @@ from missions import rig_library
 from missions.ground_station import name_ground_station
 from missions.live.start import live
 from missions.options.flights import RelayOptions
-from missions.relay.base import Base
 from missions.relay.config import relay_of
-from missions.relay.drone import DroneFlight, program_of
+from missions.relay.drone.life import DroneFlight, program_of
 from missions.relay.ending import Showing, Values, leave
 from missions.relay.flying import fly_on_field, hours_of, judge, tell
 from missions.relay.ground import Tell
+from missions.relay.legs import Base
 from missions.relay.process import processes_of
 from missions.relay.report import flown_record, leg_record, relay_rows, relay_table, summarize_relay
 from missions.run_folder import unless_refused

@@ -56,7 +56,7 @@ def team_hear(ground: TeamGround, name: str, word: Mapping[str, Any]) -> None:
 
 
 class FarBase:
-    """The base, as a drone's program in another process knows it (``missions.relay.base.TeamGround``).
+    """The base, as a drone's program in another process knows it (``missions.relay.legs.TeamGround``).
 
     A leg that is over for this drone stays over, whatever older news is still on the line.
     """

@@ -31,9 +31,9 @@ from flight.harness.flights import Emit, Progress, RoleResult, encode_event, wit
 from flight.harness.relay import OFTEN, WATCHED, DroneProcesses, NamedDrone, RelayConfig, pair_of
 from missions import rig_library
 from missions.guard.command import watch_vehicles
-from missions.relay.base import Base
 from missions.relay.config import relay_of
-from missions.relay.drone import DroneFlight
+from missions.relay.drone.life import DroneFlight
+from missions.relay.legs import Base
 from missions.relay.line import FarBase, hear, news_of
 from path.messages import Role
 

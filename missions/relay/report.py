@@ -15,9 +15,9 @@ from drivers.rig.parts import Rig
 from flight.harness.relay import RelayConfig, RelayReport
 from flight.outcome import Outcome
 from missions.options.flights import HoursOptions, RelayOptions
-from missions.relay.base import Base
 from missions.relay.crew import Crew
 from missions.relay.ground import Event, Leg
+from missions.relay.legs import Base
 from path.protocol.values import ProtocolConfig
 
 LATE_S = 0.2

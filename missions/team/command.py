@@ -11,7 +11,7 @@ from missions import rig_library
 from missions.ground_station import name_ground_station
 from missions.live.start import live
 from missions.options.flights import TeamOptions
-from missions.relay.drone import program_of
+from missions.relay.drone.life import program_of
 from missions.relay.ending import Showing, Values, leave
 from missions.relay.flying import fly_on_field, hours_of, judge, tell
 from missions.relay.ground import Tell

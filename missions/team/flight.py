@@ -18,11 +18,11 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, may_manoeuvre
-from missions.relay.drone import DroneFlight
+from missions.relay.drone.guidance import way_home
+from missions.relay.drone.life import DroneFlight
+from missions.relay.drone.records import write
+from missions.relay.drone.stages import Holder, Relief
 from missions.relay.ground import SentTo, TeamGround
-from missions.relay.guidance import way_home
-from missions.relay.records import write
-from missions.relay.stages import Holder, Relief
 from path.protocol.values import SenderRecord
 
 _GAIN_PER_S = 0.8

@@ -24,8 +24,9 @@ import pytest
 from drivers.beacons.frames import DISTANCES, IMU_FUSION, IMU_RAW, LENGTHS, STREAM, BeaconFramer, Other
 from drivers.beacons.stream import MarvelmindStream
 from hil.beacons import marvelmind_bytes as sent
+from hil.beacons.noise import BeaconConfig
 from hil.beacons.pty import SerialCable
-from hil.beacons.system import STATIONARY_M, BeaconConfig, BeaconSystem
+from hil.beacons.system import STATIONARY_M, BeaconSystem
 from path.messages import Vec3
 
 READER = os.environ.get("PATH_MARVELMIND", "")

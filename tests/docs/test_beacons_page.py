@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from drivers.beacons.frames import LENGTHS, BeaconFramer
-from hil.beacons.system import BeaconConfig, BeaconSystem
+from hil.beacons.noise import BeaconConfig
+from hil.beacons.system import BeaconSystem
 
 PAGE = (Path(__file__).parent.parent.parent / "docs" / "beacons.md").read_text("utf-8")
 TABLE = PAGE.split("| packet | code | the made-up beacons |")[1].split("\n\n")[0]

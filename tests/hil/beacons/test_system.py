@@ -12,7 +12,8 @@ from drivers.beacons.record import BeaconRecorder
 from drivers.beacons.stream import MarvelmindStream
 from drivers.interfaces import BeaconFix
 from drivers.log.mcap_log import McapLog
-from hil.beacons.system import BeaconConfig, listen
+from hil.beacons.noise import BeaconConfig
+from hil.beacons.system import listen
 from path.geometry.rotation import R_from_rpy, quat_from_R
 
 CONFIG = BeaconConfig()

@@ -17,13 +17,13 @@ from flight.harness.relay import RelayConfig, RelayReport
 from flight.outcome import Outcome
 from missions import rig_library
 from missions.options.flights import RelayOptions
-from missions.relay.base import Base
-from missions.relay.battery import Gauge
 from missions.relay.command import fly_relay, relay_of
+from missions.relay.drone.battery import Gauge
+from missions.relay.drone.guidance import keep_clear
+from missions.relay.drone.records import EPOCHS, as_first, as_holder, as_relief, for_leg
 from missions.relay.flying import faults_of, judge
 from missions.relay.ground import Event
-from missions.relay.guidance import keep_clear
-from missions.relay.records import EPOCHS, as_first, as_holder, as_relief, for_leg
+from missions.relay.legs import Base
 from path.protocol.values import LAST_EPOCH, Handoff, ReceiverRecord, SenderRecord
 
 LIVE = Handoff(7, 7, 1)

@@ -13,8 +13,8 @@ import pytest
 from drivers.log.mcap_log import McapLog, read_log
 from flight.harness.relay import NamedDrone, RelayConfig
 from flight.outcome import MissionEnd, Outcome
-from missions.relay.base import Base
 from missions.relay.ground import Leg, TakeOffOrder
+from missions.relay.legs import Base
 from missions.relay.line import FarBase, hear, news_of
 from missions.relay.process import RelayedLog
 

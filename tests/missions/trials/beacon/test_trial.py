@@ -16,8 +16,9 @@ from drivers.beacons.record import read_any
 from drivers.interfaces import BeaconError, PartError
 from drivers.log.mcap_log import McapLog, read_log
 from drivers.rig.parts import PartSpec
+from hil.beacons.noise import BeaconConfig
 from hil.beacons.pty import BeaconThread, SerialCable
-from hil.beacons.system import BeaconConfig, BeaconSystem
+from hil.beacons.system import BeaconSystem
 from missions import rig_library
 from missions.trials.beacon import trial as beacon
 from missions.trials.beacon.session import Listener, load_session

@@ -23,10 +23,10 @@ from flight.outcome import MissionEnd, Outcome
 from missions.leg.course import close_session, conclude, run_course, run_recovery
 from missions.leg.ends import as_end
 from missions.leg.session import RoleSession
-from missions.relay.aboard import Aboard
+from missions.relay.drone.aboard import Aboard
+from missions.relay.drone.records import as_first, as_holder, as_relief, write
+from missions.relay.drone.stages import Holder, Nobody, Relief
 from missions.relay.ground import TakeOffOrder
-from missions.relay.records import as_first, as_holder, as_relief, write
-from missions.relay.stages import Holder, Nobody, Relief
 from path.messages import Role
 from path.protocol.values import SenderRecord
 

@@ -30,11 +30,11 @@ from flight.tracking.target_track import TargetTrack
 from missions.leg.opening import entropy_of, guard_line_of
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, may_manoeuvre
-from missions.relay.battery import Gauge
+from missions.relay.drone.battery import Gauge
+from missions.relay.drone.guidance import keep_clear, way_home
+from missions.relay.drone.records import for_leg, write
+from missions.relay.drone.stages import Holder, Relief
 from missions.relay.ground import Ground, Leg
-from missions.relay.guidance import keep_clear, way_home
-from missions.relay.records import for_leg, write
-from missions.relay.stages import Holder, Relief
 from missions.rig_library import mission_of
 from path.marker.warm_up import warm_up
 from path.messages import Role
@@ -54,7 +54,7 @@ class Parts:
 
 
 class Aboard:
-    """Everything of a drone but the order in which it does things (``missions.relay.drone.DroneFlight``).
+    """Everything of a drone but the order in which it does things (``missions.relay.drone.life.DroneFlight``).
 
     Args:
         base: knows what this drone was called for, and who relieves it.
