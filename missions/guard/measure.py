@@ -45,6 +45,7 @@ MOMENTS = {
 }
 ORDER = {phase.title: int(phase) for phase in Phase}
 HOLD_LIMIT_S = 1.0
+RESTORED_S = 1.2  # its heartbeat, which tells that it is disarmed, comes once a second
 PX4_FAILSAFE, WAITS_S = "COM_OF_LOSS_T", 5.0
 
 
@@ -181,7 +182,7 @@ def read_reaction(out: Path, fault: str, role: Role, moment: str, outcome: str, 
         held_s=0.0 if mode == "hold" else _first(at_ns, [s for s, m, _ in later if m in ("hold", "land", "return")]),
         landed_s=_first(at_ns, [s for s, _, armed in later if not armed]),
         let_go_s=None if last_ns is None else (last_ns - at_ns) * 1e-9,
-        after=tuple(m for _, m, armed in later if armed),
+        after=tuple(m for _, m, armed in _without_restored(later) if armed),
         reason=_reason(out / f"{role.value}.guard.mcap"),
         outcome=outcome,
         violations=violations,
@@ -189,6 +190,15 @@ def read_reaction(out: Path, fault: str, role: Role, moment: str, outcome: str, 
         other_down=not other_armed,
         own=_own_outcome(out / f"{role.value}.mcap"),
     )
+
+
+def _without_restored(modes: Sequence[tuple[int, str, bool]]) -> Sequence[tuple[int, str, bool]]:
+    """Without the mode from before the landing, which a PX4 selects again a moment before it tells that it disarmed."""
+    for k in range(1, len(modes) - 1):
+        (_, before, _), (at_ns, _, _), (disarmed_ns, _, armed) = modes[k - 1 : k + 2]
+        if before == "land" and not armed and disarmed_ns - at_ns < RESTORED_S * 1e9:
+            return [*modes[:k], *modes[k + 1 :]]
+    return modes
 
 
 def _first(at_ns: int, stamps_ns: Sequence[int]) -> float | None:

@@ -60,6 +60,14 @@ def test_times_are_counted_from_the_signal(tmp_path: Path) -> None:
     assert [next(iter(column.cells)) for column in shown.columns] == ["sender", "follow+3", "offboard", "0.40 / 6.00"]
 
 
+@pytest.mark.parametrize(("disarmed_s", "after"), [(12.0, ("hold", "land")), (14.0, ("hold", "land", "other"))])
+def test_what_a_px4_restores_as_it_disarms_is_no_change_of_the_mode(
+    tmp_path: Path, disarmed_s: float, after: tuple[str, ...]
+) -> None:
+    leave_logs(tmp_path, [*MODES, (11.5, "other", True), (disarmed_s, "other", False)], 6.0)
+    assert read_reaction(tmp_path, "stop", Role.SENDER, "follow+3", "crashed", {}).after == after
+
+
 def test_what_never_came_is_said(tmp_path: Path) -> None:
     leave_logs(tmp_path, MODES[:3], 6.0)
     reaction = read_reaction(tmp_path, "stop", Role.SENDER, "follow+3", "crashed", {})
