@@ -9,19 +9,8 @@ import pytest
 
 from drivers.log.mcap_log import McapLog
 from missions import rig_library
-from missions.guard.measure import (
-    KINDS,
-    MOMENTS,
-    RADIO,
-    TAKEOVER,
-    Reaction,
-    cases,
-    is_met,
-    kinds_of,
-    read_reaction,
-    table,
-    with_patient_failsafe,
-)
+from missions.guard.measure import KINDS, MOMENTS, RADIO, cases, kinds_of, table, with_patient_failsafe
+from missions.guard.reaction import TAKEOVER, Reaction, is_met, read_reaction
 from path.messages import Role
 
 S = 1_000_000_000
