@@ -15,7 +15,7 @@ import numpy as np
 from drivers.rig.parts import PartSpec, Rig, RoleRig, decode_part
 from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
-from flight.harness.relay import RelayConfig
+from flight.harness.fleet import RelayConfig
 from flight.rendezvous.viewpoint import NoViewpoint, ViewpointScene, plan_viewpoint
 from path.messages import Role
 

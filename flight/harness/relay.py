@@ -1,4 +1,4 @@
-"""The seam of a relay: what a rig says about it, what a harness with many drones is asked for and what it answers.
+"""The seam of a relay or a team: what a harness with many drones is asked for and what it answers.
 
 A relay hands one target from drone to drone as batteries run down. Each drone runs one program at a time, and each
 hand-over is a *leg* between two of them, on a link of its own.
@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Any, Protocol
 
 from drivers.interfaces import Log, RecordStore
-from drivers.rig.calibration_file import CameraTable
-from drivers.rig.parts import Mount, PartSpec, Rig, RoleRig
+from drivers.rig.parts import Rig
+from flight.harness.fleet import NamedTarget, RelayConfig
 from flight.harness.flights import Emit, InProcess, RoleResult
-from path.bounds import Bounds
 
-Point = tuple[float, float]
 POINTING_M = 0.1  # standard deviation, on each axis, of where a person points
 
 OFTEN = frozenset({
@@ -31,92 +29,6 @@ WATCHED: Mapping[str, float] = {
     "/frame": 0.2, "/target": 0.2, "/track": 0.2, "/link": 0.5,
 }  # fmt: skip
 """The topics that the monitors read of a drone's log, and the least seconds between two of a kind."""
-
-
-@dataclass(frozen=True, slots=True)
-class NamedDrone:
-    """One drone of a relay or a team. What is not said here is as in the rig's ``[sender]``.
-
-    Attributes:
-        home_m: (E, N) in m, where it stands and comes back to.
-        link: in either role; where it is not said, it is that of the role.
-        battery: its charge at the beginning, 0..1.
-    """
-
-    name: str
-    home_m: Annotated[Point, Bounds(-1000, 1000)]
-    clock: PartSpec | None = None
-    perception: PartSpec | None = None
-    vehicle: PartSpec | None = None
-    guard: PartSpec | None = None
-    link: PartSpec | None = None
-    camera: CameraTable | None = None
-    heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
-    battery: Annotated[float, Bounds(0.05, 1.0, "of 1")] = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class RelayConfig:
-    """The ``[relay]`` table of a rig.
-
-    Attributes:
-        harness: ``module:Class`` of a world with many drones.
-        drones: in the order in which they are called for the first time.
-        hours: for how long, when nothing else is asked for.
-        reserve: of the charge; no drone may be below it before it has landed.
-        endurance_s: how long a full battery carries a drone, as far as is known before it is seen to run down.
-        swap_s: from landing until the drone stands ready with a full battery.
-        home_s: what a drone is granted for its way home and the landing.
-        attempts: how many reliefs may fail, one after the other, before the target has to be given up.
-        least_s: no relief takes off for less time than this: it could not take over before the other has to go home.
-        return_height_m: of the way home, above everything that goes on below.
-        follow_s: how long the drone that took over stays a receiver, for the other to hear that it did.
-        clear_m, clear_s: how far, and how long after it was last heard, a relief that failed is kept away from.
-    """
-
-    harness: str
-    drones: tuple[NamedDrone, ...]
-    hours: Annotated[float, Bounds(0.0, 1000.0, above=True)] = 8.0
-    reserve: Annotated[float, Bounds(0.05, 0.95, "of 1")] = 0.25
-    endurance_s: Annotated[float, Bounds(10.0, 36000.0)] = 1080.0
-    swap_s: Annotated[float, Bounds(0.0, 36000.0, above=True)] = 300.0
-    home_s: Annotated[float, Bounds(1.0, 3600.0)] = 60.0
-    attempts: Annotated[int, Bounds(1, 100, "times")] = 2
-    least_s: Annotated[float, Bounds(0.0, 3600.0)] = 45.0
-    return_height_m: Annotated[float, Bounds(0.3, 100.0)] = 4.0
-    follow_s: Annotated[float, Bounds(0.0, 600.0)] = 6.0
-    clear_m: Annotated[float, Bounds(0.0, 100.0)] = 1.5
-    clear_s: Annotated[float, Bounds(0.0, 600.0)] = 20.0
-
-    def __post_init__(self) -> None:
-        names = [drone.name for drone in self.drones]
-        if len(names) < 2 or len(set(names)) < len(names):
-            raise ValueError("drones: at least two, each with a name of its own")
-        if not 0.0 < self.reserve < 1.0:
-            raise ValueError("reserve must be between 0 and 1")
-        if min(self.endurance_s, self.swap_s, self.home_s) <= 0.0 or self.attempts < 1:
-            raise ValueError("endurance_s, swap_s and home_s must be above 0, attempts at least 1")
-
-
-def pair_of(rig: Rig, sender: NamedDrone, receiver: NamedDrone) -> Rig:
-    """The rig of one leg: these two drones in these two roles."""
-    return replace(rig, sender=_role(rig, sender, "sender"), receiver=_role(rig, receiver, "receiver"))
-
-
-def _role(rig: Rig, drone: NamedDrone, role: str) -> RoleRig:
-    built = rig.sender
-    camera = built.camera if drone.camera is None else drone.camera.model()
-    mount = Mount(built.mount.T_b_c, built.mount.T_b_v)
-    return replace(
-        built,
-        clock=drone.clock or built.clock,
-        perception=drone.perception or built.perception,
-        vehicle=drone.vehicle or built.vehicle,
-        guard=drone.guard or built.guard,
-        link=drone.link or (built.link if role == "sender" else rig.receiver.link),
-        camera=camera,
-        mount=mount,
-    )
 
 
 class DroneProgram(Protocol):
@@ -183,22 +95,6 @@ class DroneProcesses:
     guard_command: Callable[[str], Sequence[str]]
     news: Callable[[str], Mapping[str, Any]]
     heard: Callable[[str, Mapping[str, Any]], None]
-
-
-@dataclass(frozen=True, slots=True)
-class NamedTarget:
-    """One object that a team keeps observed.
-
-    Attributes:
-        place_m: (E, N) in m, where it is pointed at, and where it waits until somebody has come.
-        named_at_s: when the team is told of it.
-        drones: the names of those that may take it; all when there are none.
-    """
-
-    name: str
-    place_m: Annotated[Point, Bounds(-1000, 1000)]
-    named_at_s: Annotated[float, Bounds(0.0, 360000.0)] = 0.0
-    drones: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,9 @@ from drivers.log.mcap_log import McapLog, virtual_log
 from drivers.rig.parts import RoleRig, part_context
 from drivers.rig.tables import decode_table
 from flight.config import MissionConfig
+from flight.harness.fleet import pair_of
 from flight.harness.flights import Progress, RoleResult
-from flight.harness.relay import POINTING_M, DroneProgram, Pointed, RelayRequest, pair_of
+from flight.harness.relay import POINTING_M, DroneProgram, Pointed, RelayRequest
 from hil.harness.drone import Disk, DroneHarness, present_s
 from hil.harness.guard import MemoryBeatLine, keep_watch
 from hil.harness.inject import inject_at_drone, inject_on_link

@@ -13,6 +13,7 @@ import numpy as np
 from drivers.rig.check import check_rig
 from drivers.rig.parts import Rig
 from drivers.rig.tables import RigError
+from flight.harness.fleet import RelayConfig, pair_of
 from flight.harness.flights import RoleResult
 from flight.harness.relay import (
     POINTING_M,
@@ -20,11 +21,9 @@ from flight.harness.relay import (
     FieldSample,
     FlightTruth,
     Pointed,
-    RelayConfig,
     RelayReport,
     RelayRequest,
     TargetWatch,
-    pair_of,
 )
 from flight.outcome import Outcome
 from hil.harness.realtime.children import run_name

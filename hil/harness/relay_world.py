@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.interfaces import FlightMode
-from flight.harness.relay import NamedDrone, NamedTarget
+from flight.harness.fleet import NamedDrone, NamedTarget
 from hil.autopilot.autopilot import Autopilot
 from hil.autopilot.radio import CENTRED
 from hil.harness.inject import inject_in_world

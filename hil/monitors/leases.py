@@ -12,14 +12,13 @@ from typing import Any
 
 from hil.monitors.claims import Claims
 from path.messages import Role
+from path.protocol.bounds import commit_bound_s, gap_bound_s
 from path.protocol.values import ProtocolConfig
 
 Violated = Callable[[str, float, str], None]
 
-LATE_S = 0.2  # how late at most a program notices the time, and its record is written
 CONFIG = ProtocolConfig()
-DECISION_S = CONFIG.lease_s + CONFIG.max_uncertainty_s + LATE_S
-GAP_S = DECISION_S + CONFIG.guard_s
+DECISION_S, GAP_S = commit_bound_s(CONFIG), gap_bound_s(CONFIG)
 
 
 @dataclass(slots=True)

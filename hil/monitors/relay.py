@@ -17,7 +17,8 @@ from typing import Any
 
 from drivers.rig.parts import Rig, RoleRig
 from flight.config import MissionConfig
-from flight.harness.relay import FieldSample, FlightTruth, RelayConfig
+from flight.harness.fleet import RelayConfig
+from flight.harness.relay import FieldSample, FlightTruth
 from flight.outcome import OBJECT_MONITOR
 from hil.harness.relay_world import RelayWorld
 from hil.monitors.claims import Claims

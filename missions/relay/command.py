@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.rig.parts import Rig, with_errors
-from flight.harness.relay import RelayConfig, RelayReport
+from flight.harness.fleet import RelayConfig
+from flight.harness.relay import RelayReport
 from missions import rig_library
 from missions.ground_station import name_ground_station
 from missions.live.start import live

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig
-from drivers.rig.tables import decode_table
-from flight.harness.relay import RelayConfig
+from flight.harness.fleet import RelayConfig, relay_of_rig
 
 
 def relay_of(rig: Rig, drones: int) -> RelayConfig:
@@ -16,7 +15,7 @@ def relay_of(rig: Rig, drones: int) -> RelayConfig:
         raise PartError(
             f"rig {rig.name} has no [relay]", "use --rig relay-sim, relay-sitl, or a rig like them (docs/relay.md)"
         )
-    config = decode_table(rig.relay, RelayConfig, rig.where("[relay]"), rig.file.parent)
+    config = relay_of_rig(rig)
     if not 2 <= drones <= len(config.drones):
         there = f"rig {rig.name} names {len(config.drones)}"
         raise PartError(

@@ -7,8 +7,9 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Generic, Literal, TypeVar
 
+from flight.harness.fleet import RelayConfig
 from flight.harness.flights import RoleResult
-from flight.harness.relay import DroneProgram, RelayConfig, RelayField
+from flight.harness.relay import DroneProgram, RelayField
 from flight.outcome import Outcome
 from missions.leg.ends import as_end
 from missions.relay.ground import Event, Leg, TakeOffOrder, Tell, What

@@ -9,17 +9,9 @@ from typing import Any
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, import_factory
+from flight.harness.fleet import NamedTarget, RelayConfig
 from flight.harness.flights import Emit
-from flight.harness.relay import (
-    DroneProcesses,
-    DroneProgram,
-    NamedTarget,
-    RelayConfig,
-    RelayField,
-    RelayHarness,
-    RelayReport,
-    RelayRequest,
-)
+from flight.harness.relay import DroneProcesses, DroneProgram, RelayField, RelayHarness, RelayReport, RelayRequest
 from flight.outcome import Outcome
 from missions.lateness import for_lateness
 from missions.options.flights import HoursOptions

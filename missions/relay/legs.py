@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flight.harness.relay import RelayConfig, RelayField
+from flight.harness.fleet import RelayConfig
+from flight.harness.relay import RelayField
 from flight.outcome import MissionEnd, Outcome
 from missions.relay.crew import CalledDrone, Crew
 from missions.relay.ground import Leg, TakeOffOrder

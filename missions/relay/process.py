@@ -27,8 +27,9 @@ from drivers.log.mcap_log import McapLog, encode_other, new_part
 from drivers.log.state_file import StateFile
 from drivers.rig.parts import Rig
 from drivers.stop_signals import stop_on_signals
+from flight.harness.fleet import NamedDrone, RelayConfig, pair_of
 from flight.harness.flights import Emit, Progress, RoleResult, encode_event, with_log
-from flight.harness.relay import OFTEN, WATCHED, DroneProcesses, NamedDrone, RelayConfig, pair_of
+from flight.harness.relay import OFTEN, WATCHED, DroneProcesses
 from missions import rig_library
 from missions.guard.command import watch_vehicles
 from missions.relay.config import relay_of

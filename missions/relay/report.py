@@ -12,18 +12,15 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.rig.parts import Rig
-from flight.harness.relay import RelayConfig, RelayReport
+from flight.harness.fleet import RelayConfig
+from flight.harness.relay import RelayReport
 from flight.outcome import Outcome
 from missions.options.flights import HoursOptions, RelayOptions
 from missions.relay.crew import Crew
 from missions.relay.ground import Event, Leg
 from missions.relay.legs import Base
+from path.protocol.bounds import gap_bound_s
 from path.protocol.values import ProtocolConfig
-
-LATE_S = 0.2
-PROTOCOL = ProtocolConfig()
-GAP_BOUND_S = PROTOCOL.lease_s + PROTOCOL.max_uncertainty_s + PROTOCOL.guard_s + LATE_S
-"""The time for which nobody may be responsible (docs/campaign.md)."""
 
 
 def summarize_relay(
@@ -62,7 +59,7 @@ def summary_of(
         "alarms": sum(event.what == "alarm" for event in base.events),
         "leg_s": spread(took),
         "gap_s": spread(list(report.gaps_s.values())),
-        "gap_bound_s": round(GAP_BOUND_S, 2),
+        "gap_bound_s": round(gap_bound_s(ProtocolConfig()), 2),
         "reserve": base.config.reserve,
         "closest_m": None if report.closest_m != report.closest_m else round(report.closest_m, 3),
         "closest_pair": list(report.closest_pair),

@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass, field
 
 from flight.guidance import Vec3
+from flight.harness.fleet import TeamConfig
 from flight.harness.relay import Pointed, TeamField
-from flight.harness.team import TeamConfig
 from flight.outcome import MissionEnd, Outcome
 from missions.relay.crew import Crew, end_of
 from missions.relay.ground import Leg, SentTo, TakeOffOrder

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.rig.parts import Rig, with_errors
-from flight.harness.team import TeamConfig
+from flight.harness.fleet import TeamConfig
 from missions import rig_library
 from missions.ground_station import name_ground_station
 from missions.live.start import live

@@ -12,8 +12,7 @@ from drivers.interfaces import PartError
 from drivers.rig.parts import PartSpec, Rig
 from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
-from flight.harness.relay import NamedDrone, NamedTarget, Point
-from flight.harness.team import TeamConfig
+from flight.harness.fleet import NamedDrone, NamedTarget, Point, TeamConfig, team_of_rig
 
 HOMES_M = 3.0  # between two of them
 ON_THE_WIRE = ("url", "bind", "sysid", "vehicle_sysid", "host", "serial", "device", "key_file")
@@ -46,9 +45,8 @@ def checked_team(rig: Rig) -> TeamConfig:
     """Raises RigError with everything that is wrong, PartError when the rig has no team."""
     if not rig.team:
         raise PartError(f"rig {rig.name} has no [team]", "use --rig team-sim, or a rig like it (docs/team.md)")
-    tables = {**rig.team, "drones": list(rig.drones), "targets": list(rig.targets)}
     try:
-        config = decode_table(tables, TeamConfig, rig.where("team"), rig.file.parent)
+        config = team_of_rig(rig)
     except RigError as error:
         raise RigError([_own_table(line) for line in error.problems], error.remedy) from error
     mission = decode_table(rig.mission, MissionConfig, rig.where("mission"))

@@ -11,9 +11,9 @@ from drivers.interfaces import Log, RecordStore, VehicleState, VelocitySetpoint
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
 from flight.guidance import Anchor, Vec3, bearing, close_in, subtract
+from flight.harness.fleet import TeamConfig
 from flight.harness.flights import Emit, InProcess
 from flight.harness.relay import Pointed
-from flight.harness.team import TeamConfig
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from missions.leg.session import RoleSession

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from drivers.interfaces import Log, RecordStore
 from drivers.rig.parts import Rig
+from flight.harness.fleet import TeamConfig
 from flight.harness.flights import Emit
 from flight.harness.relay import DroneProcesses
-from flight.harness.team import TeamConfig
 from missions.relay.line import FarBase, team_hear, team_news_of
 from missions.relay.process import FarFlight, commands, main
 from missions.team.base import OwnGround, TeamBase

@@ -9,8 +9,8 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from drivers.rig.parts import Rig
+from flight.harness.fleet import TeamConfig
 from flight.harness.relay import RelayReport, TargetWatch
-from flight.harness.team import TeamConfig
 from flight.outcome import OBJECT_MONITOR, Outcome
 from missions.options.flights import TeamOptions
 from missions.relay.report import figures_grid, flown_record, heading, leg_record, spread, spread_text, summary_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from flight.guidance import Vec3
-from flight.harness.relay import NamedTarget
+from flight.harness.fleet import NamedTarget
 from missions.relay.crew import CalledDrone
 from missions.relay.ground import Leg
 from missions.team.airways import Airway, Point

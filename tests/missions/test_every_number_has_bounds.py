@@ -18,8 +18,7 @@ from drivers.rig.calibration_file import CameraCalibration, CameraTable, MountCa
 from drivers.rig.file import _Camera, _RigTable  # pyright: ignore[reportPrivateUsage]
 from drivers.rig.mounts import CameraMount, MarkerMount
 from flight.config import MissionConfig
-from flight.harness.relay import RelayConfig
-from flight.harness.team import TeamConfig
+from flight.harness.fleet import RelayConfig, TeamConfig
 from hil.world.world import WorldConfig
 from missions import rig_library
 from missions.calibrate.mount import MeasuredMount

@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import PartError
-from flight.harness.relay import pair_of
+from flight.harness.fleet import pair_of
 from hil.harness.realtime.parts import embedded_vehicle
 from hil.harness.realtime.relay_world import field_of
 from hil.world.world import World, WorldConfig

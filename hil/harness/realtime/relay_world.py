@@ -23,8 +23,7 @@ from typing import Any
 
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
-from flight.harness.relay import RelayConfig, pair_of
-from flight.harness.team import TeamConfig
+from flight.harness.fleet import RelayConfig, TeamConfig, pair_of, relay_of_rig, team_of_rig
 from hil.camera.shared import RUN_VARIABLE
 from hil.harness.realtime.pace import frame_age_s, overload_of
 from hil.harness.realtime.parts import CameraView, camera_config, embedded_vehicle, proxy_side, say, shared_camera
@@ -217,10 +216,9 @@ class RelaySitlWorld(RealTimeWorld):
 def field_of(rig: Rig, drones: int, targets: int) -> RelayConfig:
     """The rig's relay with its first drones, or its team with its first drones and targets."""
     if rig.team:
-        tables = {**rig.team, "drones": list(rig.drones), "targets": list(rig.targets)}
-        team = decode_table(tables, TeamConfig, rig.where("team"), rig.file.parent)
+        team = team_of_rig(rig)
         return replace(team, drones=team.drones[:drones], targets=team.targets[:targets])
-    relay = decode_table(rig.relay, RelayConfig, rig.where("[relay]"), rig.file.parent)
+    relay = relay_of_rig(rig)
     return replace(relay, drones=relay.drones[:drones])
 
 

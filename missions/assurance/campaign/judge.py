@@ -13,6 +13,7 @@ from missions.assurance.campaign.program import MISSION, OTHER_ID, Program
 from missions.assurance.verify.rules import lowest_epoch, used_epoch
 from path.messages import Accept, Commit, Message, Ping, Role
 from path.protocol import receiver, sender
+from path.protocol.bounds import LATE_S, commit_bound_s, decision_bound_s, gap_bound_s
 from path.protocol.values import Handoff, HandoffOutcome, ProtocolConfig, ReceiverRecord, SenderRecord
 
 if TYPE_CHECKING:
@@ -23,11 +24,8 @@ CONFIG = ProtocolConfig(
     offer_s=DEADLINES.receiver_ready_s + DEADLINES.verify_s,
     handoff_s=DEADLINES.receiver_ready_s + 2 * DEADLINES.verify_s,
 )  # as ``missions.leg.handover.protocol_config`` makes it of the mission
-LATE_S = 0.2  # how late a program may notice the time: its longest sleep, a record written meanwhile, its wake-up
 DRIFT = 1.0 + 1e-3
-COMMIT_BOUND_S = CONFIG.lease_s + CONFIG.max_uncertainty_s + LATE_S
-DECISION_BOUND_S = CONFIG.handoff_s + COMMIT_BOUND_S
-GAP_BOUND_S = CONFIG.lease_s + CONFIG.max_uncertainty_s + CONFIG.guard_s + LATE_S
+COMMIT_BOUND_S, DECISION_BOUND_S, GAP_BOUND_S = commit_bound_s(CONFIG), decision_bound_s(CONFIG), gap_bound_s(CONFIG)
 LOOK_EVERY = 8  # events
 SURE_S = 1e-6  # two instants that are the same
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, with_errors
-from flight.harness.team import TeamConfig
+from flight.harness.fleet import TeamConfig
 from flight.outcome import Outcome
 from missions import rig_library
 from missions.assurance.campaign.plan import seed_of

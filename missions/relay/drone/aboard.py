@@ -21,8 +21,8 @@ from drivers.rig.parts import PartContext, Rig, create, part_context
 from flight.config import MissionConfig
 from flight.guard.under_guard import UnderGuard
 from flight.guidance import Anchor, Vec3
+from flight.harness.fleet import NamedDrone, RelayConfig, pair_of
 from flight.harness.flights import Emit, InProcess
-from flight.harness.relay import NamedDrone, RelayConfig, pair_of
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot

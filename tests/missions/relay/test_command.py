@@ -13,7 +13,8 @@ from drivers.interfaces import Kept, PartError, StateError
 from drivers.log.mcap_log import read_log
 from drivers.log.state_file import MemoryStore
 from drivers.rig.parts import Rig
-from flight.harness.relay import RelayConfig, RelayReport
+from flight.harness.fleet import RelayConfig
+from flight.harness.relay import RelayReport
 from flight.outcome import Outcome
 from missions import rig_library
 from missions.options.flights import RelayOptions

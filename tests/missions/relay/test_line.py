@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.log.mcap_log import McapLog, read_log
-from flight.harness.relay import NamedDrone, RelayConfig
+from flight.harness.fleet import NamedDrone, RelayConfig
 from flight.outcome import MissionEnd, Outcome
 from missions.relay.ground import Leg, TakeOffOrder
 from missions.relay.legs import Base
