@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from missions.trials.real.board import BoardSeen, SetSeen
+from missions.trials.real.board import MARKER_CORNERS, BoardSeen, SetSeen
 from missions.trials.real.errors import MethodPoses, SeenMarker, printed
 from missions.trials.real.set import RealSet
 from path.camera.model import CameraModel
@@ -67,19 +67,26 @@ class PoseTask:
     scale: float
 
 
-def single_tasks(own: RealSet, seen: SetSeen, measured: MethodPoses, *, perfect: bool = False) -> list[PoseTask]:
-    """Each marker on its own; ``perfect``: with the corners that the whole board gives it."""
+def single_tasks(
+    own: RealSet, seen: SetSeen, measured: MethodPoses, *, perfect: bool = False, squared: bool = False
+) -> list[PoseTask]:
+    """Each marker on its own.
+
+    Args:
+        perfect: with the corners that the whole board gives it. ``squared``: with its own, as if it had been printed
+            as a square.
+    """
     tasks: list[PoseTask] = []
     for marker in measured.seen:
         board, (T_o_m, side_m) = seen.boards[marker.view], _print_frame(own, measured, marker.marker_id)
-        found = _perfect(own, seen, measured, marker) if perfect else _detection(marker)
+        found = _perfect(own, seen, measured, marker) if perfect else _detection(own, measured, marker, squared)
         if found is not None:
             tasks.append(_task(own, marker.view, board, (found,), {found.marker_id: (T_o_m, side_m)}, T_o_m))
     return tasks
 
 
-def plate_tasks(own: RealSet, seen: SetSeen, measured: MethodPoses) -> list[PoseTask]:
-    """Neighbours in a row as a plate of two; frame ``v`` is the left one's."""
+def plate_tasks(own: RealSet, seen: SetSeen, measured: MethodPoses, *, squared: bool = False) -> list[PoseTask]:
+    """Neighbours in a row as a plate of two; frame ``v`` is the left one's. ``squared``: as ``single_tasks``."""
     tasks: list[PoseTask] = []
     for view, board in enumerate(seen.boards):
         there = {m.marker_id: m for m in measured.seen if m.view == view}
@@ -88,7 +95,7 @@ def plate_tasks(own: RealSet, seen: SetSeen, measured: MethodPoses) -> list[Pose
             if other is None:
                 continue
             prints = {i: _print_frame(own, measured, i) for i in (marker_id, other)}
-            found = [_detection(marker), _detection(there[other])]
+            found = [_detection(own, measured, one, squared) for one in (marker, there[other])]
             both = tuple(one for one in found if one is not None)
             if len(both) == 2:
                 tasks.append(_task(own, view, board, both, prints, prints[marker_id][0]))
@@ -141,10 +148,7 @@ def _task(
 
 def _print_frame(own: RealSet, measured: MethodPoses, marker_id: int) -> tuple[Pose, float]:
     """Returns the pose of a marker on the board as printed, and its mean side: what a ruler would tell."""
-    corners = printed(own, measured.growth, marker_id)
-    off = measured.print_m.get(marker_id)
-    if off is not None:
-        corners = corners + np.column_stack([off, np.zeros(4)])
+    corners = _printed_at(own, measured, marker_id)
     flat, middle = corners[:, :2], corners.mean(axis=0)
     side_m = float(np.mean(np.hypot(*(np.roll(flat, -1, axis=0) - flat).T)))
     x, y = (flat[1] + flat[2] - flat[0] - flat[3], flat[2] + flat[3] - flat[0] - flat[1])
@@ -153,16 +157,27 @@ def _print_frame(own: RealSet, measured: MethodPoses, marker_id: int) -> tuple[P
     return Pose(turn @ BOARD_TO_MARKER, middle), side_m
 
 
-def _detection(marker: SeenMarker) -> MarkerDetection | None:
-    covariance = marker.found.covariance_px2
-    return None if covariance is None else MarkerDetection(marker.marker_id, marker.found.corners_px, covariance)
+def _detection(own: RealSet, measured: MethodPoses, marker: SeenMarker, squared: bool) -> MarkerDetection | None:
+    covariance, corners = marker.found.covariance_px2, marker.found.corners_px
+    if covariance is None:
+        return None
+    if squared:
+        T_o_m, side_m = _print_frame(own, measured, marker.marker_id)
+        square = T_o_m.apply(side_m * np.column_stack([MARKER_CORNERS, np.zeros(4)]))
+        off = _printed_at(own, measured, marker.marker_id) - square
+        corners = corners - np.einsum("kij,kj->ki", marker.slopes, off[:, :2])
+    return MarkerDetection(marker.marker_id, corners, covariance)
+
+
+def _printed_at(own: RealSet, measured: MethodPoses, marker_id: int) -> Array:
+    """Where a marker's corners (4, 3) are on the board, as its views show it."""
+    off = measured.print_m.get(marker_id, np.zeros((4, 2)))
+    return printed(own, measured.growth, marker_id) + np.column_stack([off, np.zeros(4)])
 
 
 def _perfect(own: RealSet, seen: SetSeen, measured: MethodPoses, marker: SeenMarker) -> MarkerDetection:
     """The corners as board and print tell them, almost without error."""
-    points = printed(own, measured.growth, marker.marker_id)
-    off = measured.print_m.get(marker.marker_id, np.zeros((4, 2)))
-    corners = seen.boards[marker.view].pixels(points + np.column_stack([off, np.zeros(4)]))
+    corners = seen.boards[marker.view].pixels(_printed_at(own, measured, marker.marker_id))
     return MarkerDetection(marker.marker_id, corners, PERFECT_PX**2 * np.eye(8))
 
 

@@ -115,6 +115,8 @@ def _pose_scores(
         "without_gravity": estimate_all(own, seen.camera, singles, seed, gravity=False),
         "perfect_corners": estimate_all(own, seen.camera, single_tasks(own, seen, measured, perfect=True), seed),
         "plate": estimate_all(own, seen.camera, plate_tasks(own, seen, measured), seed),
+        "squared": estimate_all(own, seen.camera, single_tasks(own, seen, measured, squared=True), seed),
+        "squared_plate": estimate_all(own, seen.camera, plate_tasks(own, seen, measured, squared=True), seed),
     }
     return {name: _pose_score(poses, rng) for name, poses in found.items() if poses.errors}
 

@@ -32,6 +32,8 @@ POSE_TITLES = {
     "single": "one marker, gravity",
     "without_gravity": "one marker, no gravity",
     "plate": "two markers, gravity",
+    "squared": "one marker, printed square, gravity",
+    "squared_plate": "two markers, printed square, gravity",
     "perfect_corners": "the board's own corners, gravity",
 }
 
@@ -62,7 +64,8 @@ def run(request: TrialRequest) -> TrialResult:
         notes=(
             "The board's pose comes from all its corners; what all views of a marker agree on is the print's, not an "
             "error of its corners. The row of the board's own corners is the floor: what gravity, print, and a board "
-            "that is not flat leave when the corners are as the whole board says.",
+            "that is not flat leave when the corners are as the whole board says. Printed square: the same photographs "
+            "with corners moved by what the print is off a square, as a marker drawn with exact edges would have them.",
             "Of a camera that leaves out pixels, so that those it keeps are not evenly spaced, every method's corners "
             "are put where they are in an evenly spaced image.",
             "Intervals are 95 %, views drawn together. Honesty is the median chi-square per number over what it is "

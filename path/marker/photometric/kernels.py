@@ -174,6 +174,8 @@ def finish(
 ) -> None:
     """Turn ``corners`` from rays into pixels and fill ``covariance``."""
     _, variance, _, correlation = measured
+    if lens[12] > 0.0:  # of a camera that leaves out pixels: it is those of its sensor that are too few or not
+        blur_px *= lens[13] / lens[12]
     sharp = min(correlation / SURE_CORRELATION, 1.0) * SHARP_MISFIT / max(blur_px, LEAST_BLUR_PX) ** 1.5
     soft = MISFIT_PX * math.sqrt(correlation) * max(1.0, blur_px / USUAL_BLUR_PX)
     misfit_px = max(sharp, soft) * math.sqrt(variance) / contrast
