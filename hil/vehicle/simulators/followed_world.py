@@ -141,6 +141,8 @@ class SimulatedVehicle:
         self.link.ask(now_s)
         if self.radio is not None:
             self.radio.pump(world_s)
+            if self.radio.transmitter.kill and self.relay is not None:
+                self.relay.watch.on_kill_switch(world_s)
         silent_s = now_s - self.follower.newest_s
         if math.isfinite(silent_s) and silent_s > SILENT_S:
             raise SimulatorBroken(f"{self.config.kind} of vehicle {self.sysid} told no truth for {silent_s:.1f} s")

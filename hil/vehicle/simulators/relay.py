@@ -34,7 +34,8 @@ class FlightWatch:
 
     A session begins with the first setpoint that arrives while the mode is OFFBOARD: ArduPilot climbs in that mode
     without any. It ends with the command that leaves the mode, or when the vehicle says that it is in another: with its
-    heartbeat, or with CURRENT_MODE where it is asked for that, as PX4 beats once a second.
+    heartbeat, or with CURRENT_MODE where it is asked for that, as PX4 beats once a second. To a vehicle whose motors
+    its pilot has stopped nobody owes a setpoint: a PX4 calls itself armed, and in OFFBOARD, for 5 s more.
     """
 
     def __init__(self, kind: AutopilotKind) -> None:
@@ -44,6 +45,7 @@ class FlightWatch:
         self.offboard_sessions: list[OffboardSession] = []
         self.newest_setpoint_s = -math.inf
         self._leaving = False
+        self._stopped = False
 
     @property
     def setpoint_gap_s(self) -> float:
@@ -54,7 +56,13 @@ class FlightWatch:
         self.armed = bool(base_mode & SAFETY_ARMED)
         self.on_mode(now_s, custom_mode)
         if not self.armed:
+            self._stopped = False
             self._end(now_s, self.mode)
+
+    def on_kill_switch(self, now_s: float) -> None:
+        """The pilot's is thrown; may be said again."""
+        self._stopped = self.armed
+        self._end(now_s, self.mode)
 
     def on_mode(self, now_s: float, custom_mode: int) -> None:
         self.mode = self._kind.mode(custom_mode)
@@ -66,7 +74,7 @@ class FlightWatch:
         session = self._open
         if session is not None:
             session.max_gap_s = max(session.max_gap_s, now_s - self.newest_setpoint_s)
-        elif self.armed and self.mode is FlightMode.OFFBOARD and not self._leaving:
+        elif self.armed and self.mode is FlightMode.OFFBOARD and not (self._leaving or self._stopped):
             self.offboard_sessions.append(OffboardSession(now_s))
         self.newest_setpoint_s = now_s
 

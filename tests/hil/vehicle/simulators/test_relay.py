@@ -73,6 +73,22 @@ def test_ardupilot_climbs_in_guided_without_setpoints() -> None:
     assert watch.setpoint_gap_s == pytest.approx(0.05)
 
 
+def test_to_a_vehicle_whose_motors_its_pilot_stopped_nobody_owes_a_setpoint() -> None:
+    watch = px4_in_offboard()
+    watch.on_setpoint(1.05)
+    for at_s in (1.1, 1.11):  # the switch stays where it is
+        watch.on_kill_switch(at_s)
+    watch.on_setpoint(1.3)  # sent before the script could know
+    watch.on_heartbeat(1.9, OFFBOARD, ARMED)  # and so it says for 5 s
+    watch.on_heartbeat(6.2, OFFBOARD, DISARMED)
+    (session,) = watch.offboard_sessions
+    assert session.max_gap_s == pytest.approx(0.05)
+    assert (session.end_s, watch.newest_setpoint_s) == (1.1, 1.3)
+    watch.on_heartbeat(9.0, OFFBOARD, ARMED)
+    watch.on_setpoint(9.1)
+    assert len(watch.offboard_sessions) == 2
+
+
 def test_setpoints_on_the_ground_are_no_flight() -> None:
     watch = FlightWatch(PX4)
     watch.on_heartbeat(0.0, OFFBOARD, DISARMED)
