@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from drivers.interfaces import PartError
@@ -98,9 +97,7 @@ class CpuShare:
                     return self
         raise PartError(f"a share of a core needs a control group: {'; '.join(reasons) or 'none is mounted'}", _WAY_OUT)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Removes the group; its processes have ended by then, or are let out."""
         if self.folder is not None:
             _remove(self.folder)

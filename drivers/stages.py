@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from types import TracebackType
 
 from drivers.clock import busy_ns
 
@@ -19,9 +18,7 @@ class _Stage:
     def __enter__(self) -> None:
         self._began_ns = busy_ns()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.spent_ns += busy_ns() - self._began_ns
 
 

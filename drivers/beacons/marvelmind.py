@@ -8,7 +8,6 @@ import termios
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Annotated, Self
 
 import serial
@@ -101,9 +100,7 @@ class Marvelmind:
         self._open = True
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._close()
 
     async def read(self, timeout_s: float) -> BeaconFix:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from drivers.beacons.dashboard_log import is_dashboard_log, read_dashboard_log
@@ -98,9 +97,7 @@ class RecordedBeacons:
             raise BeaconError(f"{self._file}: {error.strerror}", "name the file of a session") from error
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._fixes = None
 
     async def read(self, timeout_s: float) -> BeaconFix | None:

@@ -9,7 +9,6 @@ import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from drivers.interfaces import LinkCounters, LinkError, Received
@@ -103,9 +102,7 @@ class UdpLink:
         self._socket, self._end = opened, end
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._end.inbox.close()
         if self._socket is not None:
             asyncio.get_running_loop().remove_reader(self._socket)

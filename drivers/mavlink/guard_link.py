@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Annotated, Any, Literal, Self
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -111,9 +110,7 @@ class GuardMavlink:
         self._port = MavlinkPort(config.url, config.vehicle_sysid, own, WANTED, self._clock.now_ns, key)
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         port, self._port = self._port, None
         if port is not None:
             port.close()

@@ -8,7 +8,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from types import TracebackType
 from typing import Self
 
 from drivers.interfaces import Capability, FlightMode, VehicleError, VehicleState, VelocitySetpoint
@@ -81,9 +80,7 @@ class TelloVehicle:
         self._keeper = asyncio.create_task(self._keep_alive(), name="tello-keep-alive")
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._armed = False
         if self._keeper is not None:
             self._keeper.cancel()

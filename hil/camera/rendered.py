@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Annotated, Any, Self, cast
 
 import numpy as np
@@ -81,9 +80,7 @@ class RenderedCamera:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=f"draw-{self._role.value}")
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._ticker.close()
         if self._thread is not None:
             self._thread.shutdown(wait=True, cancel_futures=True)

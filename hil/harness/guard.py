@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field, replace
-from types import TracebackType
 from typing import Protocol, Self, cast
 
 from drivers.interfaces import Clock, FlightMode, Log, VehicleError
@@ -69,9 +68,7 @@ class SimGuard:
         self._open = True
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._open = False
 
     @property
@@ -130,9 +127,7 @@ class MemoryGuardLine:
         self._open = True
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._open = False
 
     def beat(self, beat: Beat) -> None:
@@ -156,9 +151,7 @@ class MemoryBeatLine:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None: ...
+    async def __aexit__(self, *_: object) -> None: ...
 
     def newest(self) -> tuple[int, Beat] | None:
         newest, self._box.beat = self._box.beat, None

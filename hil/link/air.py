@@ -8,7 +8,6 @@ With ``MANY`` added to it the rest is many packets, each behind its length in tw
 from __future__ import annotations
 
 import asyncio
-from types import TracebackType
 from typing import Any, Self
 
 from hil.link.faulty import UdpFaultProxy
@@ -35,9 +34,7 @@ class Air(asyncio.DatagramProtocol):
         self._proxy.overheard = self._pass_on
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._proxy.overheard = None
         if self._transport is not None:
             self._transport.abort()

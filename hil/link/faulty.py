@@ -6,7 +6,6 @@ import asyncio
 import random
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Protocol, Self, cast
 
 from drivers.interfaces import LinkCounters, LinkError, Received
@@ -214,9 +213,7 @@ class MemoryLink:
         self._end = self._new_end()
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         if not self._end.inbox.closed:
             self._hub.leave(self._role)
             self._end.inbox.close()
@@ -289,9 +286,7 @@ class UdpFaultProxy:
             self._transports.append(transport)
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self._close()
 
     def forward(self, data: bytes, side: int, source: Address) -> None:

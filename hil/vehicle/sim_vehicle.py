@@ -10,7 +10,6 @@ import asyncio
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Annotated, Protocol, Self, cast
 
 from drivers.interfaces import Capability, FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
@@ -104,9 +103,7 @@ class SimVehicle:
             )
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         """Closes the vehicle. Without setpoints the autopilot holds, then lands."""
         self._open = False
 

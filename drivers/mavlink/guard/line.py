@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import socket
 import struct
-from types import TracebackType
 from typing import Self
 
 from drivers.interfaces import Clock, PartError
@@ -132,9 +131,7 @@ class UdpGuardLine:
             raise GuardLineError(f"no way to the guard at {self.name}: {error.strerror}", "correct its bind") from error
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._socket.close()
 
     def beat(self, beat: Beat) -> None:
@@ -177,9 +174,7 @@ class UdpBeatLine:
             raise GuardLineError(f"the guard's key {key_path(self._bind)}: {error.strerror}", remedy) from error
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._socket.close()
         forget_key(self._bind, self._key)
 
