@@ -336,13 +336,25 @@ class MavsdkVehicle:
         await self._session.check_alive()  # "not armed" must be news
         if not self.state.armed:
             return
-        sent_ns = self._clock.now_ns()
-        unset = self._kind.unset
-        await self._do("land", NAV_LAND, (0.0, 0.0, 0.0, unset, unset, unset, 0.0), SAFE_TRIES)
-        await self._until_mode(FlightMode.LAND, sent_ns, "land", lambda: not self.state.armed)
+        telemetry = self._telemetry
+        climbs = telemetry.mode is FlightMode.TAKEOFF
+
+        def held() -> bool:
+            """A PX4 whose take-off is over in this very moment goes on to hold, over a landing that it acknowledged."""
+            return climbs and telemetry.mode is FlightMode.HOLD and telemetry.mode_told >= SURE
+
+        await self._begin_landing(held)
+        if held():
+            await self._begin_landing(lambda: False)
         await self._until_down(self._clock.now_ns() + int(timeout_s * 1e9), timeout_s)
 
     # --- inside ---
+
+    async def _begin_landing(self, or_else: Callable[[], bool]) -> None:
+        sent_ns = self._clock.now_ns()
+        unset = self._kind.unset
+        await self._do("land", NAV_LAND, (0.0, 0.0, 0.0, unset, unset, unset, 0.0), SAFE_TRIES)
+        await self._until_mode(FlightMode.LAND, sent_ns, "land", lambda: not self.state.armed or or_else())
 
     async def _set_rates(self) -> None:
         config = self._config

@@ -25,7 +25,7 @@ from drivers.mavlink.vehicle import MavsdkVehicle, MavsdkVehicleConfig
 from flight.config import MissionConfig
 from flight.outcome import MissionEnd
 from flight.pilot import Pilot
-from hil.autopilot.autopilot import AutopilotConfig
+from hil.autopilot.autopilot import Ack, AutopilotConfig
 from hil.autopilot.radio import RadioConfig
 from path.geometry.rotation import yaw_of
 from tests.drivers.mavlink.mavsdk_bench import (
@@ -177,6 +177,30 @@ def test_a_take_off_climbs_to_its_height_however_lately_a_parameter_was_set() ->
         )  # an older one climbs no less than this
 
     with px4(FAST, 1.0) as bench:
+        asyncio.run(fly(bench))
+
+
+def test_a_landing_that_the_end_of_a_take_off_goes_over_is_commanded_again() -> None:
+    async def fly(bench: Bench) -> None:
+        own = bench.autopilot.request_mode
+        asked: list[FlightMode] = []
+
+        def as_a_px4(now_s: float, mode: FlightMode, by_pilot: bool = False) -> Ack:
+            asked.append(mode)
+            over = asked == [FlightMode.LAND] and bench.autopilot.mode is FlightMode.TAKEOFF
+            return own(now_s, FlightMode.HOLD if over else mode, by_pilot)
+
+        bench.autopilot.request_mode = as_a_px4
+        async with bench.vehicle() as vehicle:
+            await vehicle.wait_armable(LIMIT_S)
+            await vehicle.arm()
+            climb = asyncio.create_task(vehicle.take_off(HEIGHT_M, LIMIT_S))
+            await until(lambda: vehicle.state.mode is FlightMode.TAKEOFF and vehicle.state.in_air)
+            climb.cancel()
+            await vehicle.land(LIMIT_S)
+            assert asked == [FlightMode.LAND, FlightMode.LAND]
+
+    with px4(FAST, SPEED) as bench:
         asyncio.run(fly(bench))
 
 
