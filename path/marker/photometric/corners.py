@@ -195,7 +195,7 @@ def fit(
     if state is None or not _fit_ideal(state, ideal, near):
         return None
     if not ideal and _misfits(state):
-        state = _fit_misfit(state)
+        state = (_settled(state) if near and _explained(state) else None) or _fit_misfit(state)
     return None if state.moved > UNSETTLED_PX else _finished(state)
 
 
@@ -246,8 +246,21 @@ def _fit_ideal(state: _FitState, ideal: bool, few: bool = False) -> bool:
 
 def _misfits(state: _FitState) -> bool:
     """Returns whether an ideal print and camera fail to explain the image: to be asked near the end of their fit."""
-    sure = state.misfit < MISFIT and state.correlated_misfit < CORRELATED_MISFIT
-    return not sure or state.share_used < SHARE_USED
+    return not _explained(state) or state.share_used < SHARE_USED
+
+
+def _explained(state: _FitState) -> bool:
+    """Returns whether an ideal print and camera leave little of the pixels that count, whatever lies across others."""
+    return state.misfit < MISFIT and state.correlated_misfit < CORRELATED_MISFIT
+
+
+def _settled(state: _FitState) -> _FitState | None:
+    """A fit that began near after one pass more; None when that does not explain the image either.
+
+    Residuals are those before the last step, which was the first with all pixels: they may be of that step alone.
+    """
+    own = state.copy()
+    return own if _fit_ideal(own, True) and not _misfits(own) else None
 
 
 def _is_wrong(state: _FitState) -> bool:

@@ -13,6 +13,7 @@ from path.geometry.transforms import Pose
 from path.marker import detect
 from path.marker.detect import detect_markers
 from path.marker.layout import Marker, MarkerLayout, single_marker
+from path.marker.photometric import corners
 from path.marker.track import recognise
 from path.observations import Region
 from tests.path.marker.scene import VGA, Optics, background, random_view, region_around, render, true_corners
@@ -119,3 +120,19 @@ def test_corners_of_opencv_are_always_decoded():
     plain = detect_markers(image_of(pose), region, LAYOUT, VGA, refine="subpix")
     (found,) = detect_markers(image_of(pose), region, LAYOUT, VGA, refine="subpix", expected=pose)
     assert (found.corners_px == plain[0].corners_px).all()
+
+
+def test_what_the_last_step_may_explain_is_asked_again_before_anything_wrong_is_looked_for(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """The share of pixels that count is low after the first pass with all of them, and well after the next."""
+
+    def refuse(_: object) -> None:
+        raise AssertionError("looked for")
+
+    few_then_enough = property(lambda state: 0.8 if state.passes < 3 else 0.88)
+    monkeypatch.setattr(corners._FitState, "share_used", few_then_enough)
+    monkeypatch.setattr(corners, "_fit_misfit", refuse)
+    truth = true_corners(VGA, facing(0.6), LAYOUT)
+    found = detect_markers(image_of(facing(0.6)), region_around(truth, 60.0), LAYOUT, VGA, expected=facing(0.6))
+    assert np.abs(found[0].corners_px - truth).max() < 0.04
