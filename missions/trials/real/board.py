@@ -78,6 +78,12 @@ class BoardSeen:
         along = [(self.pixels(points_o + STEP_M * np.eye(3)[axis]) - here) / STEP_M for axis in (0, 1)]
         return np.stack(along, axis=-1)
 
+    def rises(self, points_o: Array) -> Array:
+        """Derivatives (n, 2) of these pixels by a height above the board, px / m."""
+        above = points_o - STEP_M * np.eye(3)[2]
+        here = self.camera.project(self.T_c_o.apply(points_o))
+        return (self.camera.project(self.T_c_o.apply(above)) - here) / STEP_M
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetSeen:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ class SeenMarker:
     Attributes:
         nominal_px: (4, 2), found minus where the board says it is, all markers printed alike.
         error_px: the same without what all views of this marker have in common; scaled for what that takes away.
-        slopes: (4, 2, 2) px / m on the board.
+        slopes: (4, 2, 2) px / m on the board. ``rises``: (4, 2) px / m of height above it.
     """
 
     view: int
@@ -35,6 +35,21 @@ class SeenMarker:
     nominal_px: Array
     error_px: Array
     slopes: Array
+    rises: Array
+
+    @property
+    def along_px(self) -> Array:
+        """The errors (4,) in the direction in which paper that is not flat moves a corner."""
+        return np.einsum("ki,ki->k", self.error_px, self._upwards)
+
+    @property
+    def across_px(self) -> Array:
+        """The errors (4,) in the other direction: of the image and the print alone."""
+        return np.einsum("ki,ki->k", self.error_px, self._upwards[:, ::-1] * np.array([-1.0, 1.0]))
+
+    @property
+    def _upwards(self) -> Array:
+        return self.rises / np.maximum(np.linalg.norm(self.rises, axis=1, keepdims=True), 1e-9)
 
     @property
     def chi2(self) -> float:
@@ -81,7 +96,7 @@ def measure_set(own: RealSet, seen: SetSeen, found: Sequence[Corners]) -> Method
         for marker_id, one in corners.items():
             points = printed(own, larger, marker_id)
             error = one.corners_px - board.pixels(points)
-            raw.append(SeenMarker(view, marker_id, one, error, error, board.slopes(points)))
+            raw.append(SeenMarker(view, marker_id, one, error, error, board.slopes(points), board.rises(points)))
     by_id: dict[int, list[SeenMarker]] = {}
     for marker in raw:
         by_id.setdefault(marker.marker_id, []).append(marker)
@@ -99,5 +114,4 @@ def _without_print(marker: SeenMarker, print_m: Array | None, views: int) -> See
     if print_m is None:
         return marker
     left = marker.nominal_px - np.einsum("kij,kj->ki", marker.slopes, print_m)
-    error = left * math.sqrt(views / (views - 1))
-    return SeenMarker(marker.view, marker.marker_id, marker.found, marker.nominal_px, error, marker.slopes)
+    return replace(marker, error_px=left * math.sqrt(views / (views - 1)))

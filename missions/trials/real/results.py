@@ -30,10 +30,14 @@ class Figure95:
 
 @dataclass(frozen=True, slots=True)
 class CornerScore:
-    """One method's corners: px per axis, with the print as the views show it, and with all markers printed alike."""
+    """One method's corners: px per axis, with the print as the views show it, and with all markers printed alike.
+
+    ``across_px``: the robust figure in the one direction in the image in which paper that is not flat moves no corner.
+    """
 
     found: int
     robust_px: Figure95
+    across_px: Figure95
     nominal_px: float
     rms_px: float
     stated_px: float | None = None
@@ -41,7 +45,7 @@ class CornerScore:
 
     def summary(self) -> dict[str, Any]:
         named = {"found": self.found, "nominal_px": self.nominal_px, "rms_px": self.rms_px}
-        return {**self.robust_px.summary("robust_px"), **named}
+        return {**self.robust_px.summary("robust_px"), **self.across_px.summary("across_px"), **named}
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +82,7 @@ class SetScore:
         images, views: photographs, and those that show the board. ``markers``: seen in all of them.
         board_px: residual of the board's own corners to pose and bend, median over views of the rms per axis.
         print_m: rms by which the printed corners are off, as all views show it; None when that cannot be told.
+        height_m: by which the paper leaves its smooth surface, as the photometric corners tell it; None without any.
         poses: by what they rest on; empty on a chessboard. ``named``: what the fits called wrong, and how often.
         example: the photograph in the middle, for the page.
         thinning: how the camera leaves out pixels, as these photographs tell it; None where it does not.
@@ -91,6 +96,7 @@ class SetScore:
     side_px: float
     board_px: float
     print_m: float | None
+    height_m: float | None
     camera: tuple[float, float, float, float]
     camera_sigmas: tuple[float, float, float, float] | None
     thinning: Thinning | None
@@ -112,6 +118,7 @@ class SetScore:
             "side_px": self.side_px,
             "board_px": self.board_px,
             "print_m": self.print_m,
+            "height_m": self.height_m,
             "camera": dict(zip(("fx", "fy", "cx", "cy"), self.camera, strict=True)),
             "camera_sigmas": self.camera_sigmas,
             "thinning": None if self.thinning is None else asdict(self.thinning),
@@ -127,7 +134,9 @@ class SetScore:
     def compared(self) -> dict[str, Figure95]:
         """The figures in which a twin should be like its photographs."""
         own, single = self.corners.get("photometric"), self.poses.get("single")
-        corners = {} if own is None else {"corners_px": own.robust_px, "chi2_corners": own.chi2}
+        corners = {} if own is None else {
+            "corners_px": own.robust_px, "across_px": own.across_px, "chi2_corners": own.chi2,
+        }  # fmt: skip
         poses = {} if single is None else {"d2_mean_m": single.d2_mean_m, "chi2_pose": single.chi2}
         return {name: figure for name, figure in {**corners, **poses}.items() if figure is not None}
 

@@ -82,6 +82,7 @@ def _score(own: RealSet, images: Sequence[Path], seen: SetSeen, seed: int) -> Se
         math.nan if best is None else float(np.median([m.side_px for m in best.seen])),
         float(np.median([board.left_px for board in seen.boards])),
         None if best is None or not best.print_m else float(np.sqrt(np.mean(np.stack([*best.print_m.values()]) ** 2))),
+        None if best is None else _height_m(best),
         (camera.fx, camera.fy, camera.cx, camera.cy),
         seen.sigmas,
         camera.thinning,
@@ -96,14 +97,22 @@ def _corner_score(measured: MethodPoses, rng: np.random.Generator) -> CornerScor
     groups = np.array([marker.view for marker in measured.seen])
     errors = np.stack([marker.error_px for marker in measured.seen])
     robust = _figure(errors, _robust, groups, rng)
+    across = _figure(np.stack([marker.across_px for marker in measured.seen]), _robust, groups, rng)
     nominal = _robust(np.stack([marker.nominal_px for marker in measured.seen]))
     rms = math.sqrt(float(np.mean(errors**2)))
     chi2 = np.array([marker.chi2 for marker in measured.seen])
     if np.isnan(chi2).any():
-        return CornerScore(len(measured.seen), robust, nominal, rms)
+        return CornerScore(len(measured.seen), robust, across, nominal, rms)
     traces = [float(np.trace(m.found.covariance_px2)) for m in measured.seen if m.found.covariance_px2 is not None]
     stated = math.sqrt(float(np.median(traces)) / 8.0)
-    return CornerScore(len(measured.seen), robust, nominal, rms, stated, _honesty(chi2, 8, groups, rng))
+    return CornerScore(len(measured.seen), robust, across, nominal, rms, stated, _honesty(chi2, 8, groups, rng))
+
+
+def _height_m(measured: MethodPoses) -> float:
+    """By how much paper leaves its smooth surface: what moves corners along its normal more than across."""
+    along, across = (_robust(np.stack([getattr(m, name) for m in measured.seen])) for name in ("along_px", "across_px"))
+    rise = float(np.median([np.linalg.norm(marker.rises, axis=1) for marker in measured.seen]))
+    return math.sqrt(max(along**2 - across**2, 0.0)) / rise
 
 
 def _pose_scores(

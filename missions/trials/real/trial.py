@@ -23,6 +23,7 @@ GOAL_TWIN = (0.8, 1.25)
 PICTURE = "real.png"
 TWIN_TITLES = {
     "corners_px": ("corners, px robust per axis", 3, 1.0),
+    "across_px": ("corners across the paper's height, px robust", 3, 1.0),
     "chi2_corners": ("honesty of corners", 2, 1.0),
     "d2_mean_m": ("D2, mean, mm", 1, 1e3),
     "chi2_pose": ("honesty of poses", 2, 1.0),
@@ -148,6 +149,7 @@ def _corner_table(scores: Sequence[SetScore]) -> TrialTable:
             METHOD_TITLES[method],
             str(own.found),
             own.robust_px.text(3),
+            f"{own.across_px.value:.3f}",
             f"{own.nominal_px:.3f}",
             f"{own.rms_px:.3f}",
             "" if own.stated_px is None else f"{own.stated_px:.3f}",
@@ -159,9 +161,10 @@ def _corner_table(scores: Sequence[SetScore]) -> TrialTable:
     ]
     return TrialTable(
         "Corners against the board, px per axis",
-        ("set", "method", "markers", "robust", "markers printed alike", "rms", "stated", "honesty"),
+        ("set", "method", "markers", "robust", "across", "markers printed alike", "rms", "stated", "honesty"),
         tuple(rows),
-        "Robust: 1.48 times the median size. Each method measures the print with its own corners, where three views "
+        "Robust: 1.48 times the median size; across: the same in the one direction in the image in which paper that is "
+        "not flat moves no corner. Each method measures the print with its own corners, where three views "
         "or more show a marker: a bias that is the same everywhere is not counted, except in the column of markers "
         "printed alike, in which only their common side is free.",
     )
@@ -238,6 +241,7 @@ def _set_table(scores: Sequence[SetScore]) -> TrialTable:
             "" if not score.markers else f"{score.side_px:.0f}",
             f"{score.board_px:.3f}",
             "" if score.print_m is None else f"{1e3 * score.print_m:.3f}",
+            "" if score.height_m is None else f"{1e3 * score.height_m:.2f}",
             f"{score.camera[0]:.1f}",
             "given" if score.camera_sigmas is None else f"{100.0 * score.camera_sigmas[0]:.2f} %",
             ", ".join(f"{name} {count}" for name, count in score.named.items()),
@@ -246,9 +250,11 @@ def _set_table(scores: Sequence[SetScore]) -> TrialTable:
     ]
     return TrialTable(
         "The sets",
-        ("set", "views with the board", "marker, px", "board left, px", "print off, mm", "fx", "its error",
-         "called wrong"),
+        ("set", "views with the board", "marker, px", "board left, px", "print off, mm", "paper off, mm", "fx",
+         "its error", "called wrong"),
         tuple(rows),
         "Board left: what neither pose nor bend explain of the board's own corners. Print off: by how much the corners "
-        "of the markers are off on the print, rms over all of them. Called wrong: what the photometric fits named.",
+        "of the markers are off on the print, rms over all of them. Paper off: by how much it leaves its smooth "
+        "surface, as what moves corners along its normal more than across tells. Called wrong: what "
+        "the photometric fits named.",
     )  # fmt: skip

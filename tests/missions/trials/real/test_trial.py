@@ -88,6 +88,28 @@ def test_a_print_that_is_off_is_measured_and_taken_out(file: Path) -> None:
     assert max(np.abs(m.nominal_px).max() for m in shifted) > 2.0 * max(np.abs(m.error_px).max() for m in shifted)
 
 
+def test_paper_that_is_not_flat_is_told_from_errors_of_the_image(file: Path) -> None:
+    """Heights move corners in one direction of the image; what is left across is the noise, and little of the print."""
+    own = read_set(file)
+    seen = look_at_set(own, own.images)
+    rng, sigma_px, height_m = np.random.default_rng(5), 0.05, 4e-4
+    boards = seen.boards * 4
+    found = [
+        {
+            i: FoundMarker(board.pixels(m.corners_o) + sigma_px * rng.standard_normal((4, 2))
+                        + height_m * rng.standard_normal((4, 1)) * board.rises(m.corners_o), np.eye(8))
+            for i, m in own.markers.items()
+        }
+        for board in boards
+    ]  # fmt: skip
+    many = type(seen)(seen.camera, None, seen.photographs * 4, boards, seen.starts * 4)
+    markers = measure_set(own, many, found).seen
+    across, along = (np.stack([getattr(m, name) for m in markers]) for name in ("across_px", "along_px"))
+    rise = np.stack([np.linalg.norm(m.rises, axis=1) for m in markers])
+    assert sigma_px < float(np.std(across)) < 2.0 * sigma_px
+    assert float(np.sqrt(np.mean(along**2 - across**2) / np.mean(rise**2))) == pytest.approx(height_m, rel=0.15)
+
+
 def test_poses_of_noisy_corners_are_honest_when_their_noise_is_stated(file: Path) -> None:
     own = read_set(file)
     seen = look_at_set(own, own.images)
