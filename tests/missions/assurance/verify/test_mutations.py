@@ -221,7 +221,7 @@ def test_outside_a_checkout_it_says_so(tmp_path: Path, monkeypatch: pytest.Monke
 def test_a_sample_of_the_real_ones_is_caught(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command, on the quickest of the suites."""
     monkeypatch.chdir(ROOT)
-    quickest = next(suite for suite in load_table().suites if suite.file.endswith("guard_rules.py"))
+    quickest = next(suite for suite in load_table().suites if suite.file.endswith("guard/rules.py"))
     table = MutationTable((FileTests(quickest.file, quickest.tests[:1]),), load_table().equivalent)
     monkeypatch.setattr(mutation_run, "load_table", lambda: table)
     code = run.run(VerifyOptions(out=tmp_path, mutants=True, sample=4, seed=2, jobs=1))
