@@ -154,7 +154,7 @@ class MethodConfig:
     min_search_px: Annotated[float, Bounds(0.5, 4000.0)] = 16.0
     max_search_px: Annotated[float, Bounds(0.5, 16384.0)] = 200.0
     ambiguity_margin: Annotated[float, Bounds(0.0, 1000.0, "(squared distances)", above=True)] = 6.0
-    gate: GateKind = "count"
+    gate: GateKind = "evidence"
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
 
     def __post_init__(self) -> None:

@@ -12,7 +12,7 @@ from flight.phases import COURSE, Phase
 from path.messages import Role
 from path.protocol.values import ReceiverDuty, SenderDuty
 
-AT_COUNT = 50
+AT_COUNT = 20
 LONGEST_S = 600.0
 VIRTUAL = ("sim", "sim-rendered")
 

@@ -30,6 +30,8 @@ MEASURED = {
     "side_m": "0.0401",
     "positions_within_m": "2.5",
     "heights_within_m": "1.3",
+    "span_m": "0.36",
+    "height_m": "0.16",
 }
 
 

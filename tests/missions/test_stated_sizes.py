@@ -8,6 +8,7 @@ import pytest
 from hil.geometric.scene import parts_of
 from hil.world.kinds import TargetKind
 from missions import rig_library
+from missions.rig_list import FOLDER
 
 
 @pytest.mark.parametrize(
@@ -25,3 +26,9 @@ def test_what_a_rig_says_is_wide_and_high_enough_and_hardly_more(name: str, kind
     # of a drone only the hull is in a box as a rule; the arms may be
     assert span_m <= stated.span_m <= (0.33 if kind == "drone" else 1.02 * span_m)
     assert np.ptp(corners[:, 2]) <= stated.height_m + 0.001 <= 1.5 * np.ptp(corners[:, 2])
+
+
+@pytest.mark.parametrize("name", sorted(file.stem for file in FOLDER.glob("*.toml")))
+def test_a_rig_that_decides_by_evidence_states_the_size_of_its_target(name: str) -> None:
+    method = rig_library.load_unchecked(name).method
+    assert method.gate == "count" or (method.evidence.span_m > 0.0 and method.evidence.height_m > 0.0)

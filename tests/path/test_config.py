@@ -61,13 +61,13 @@ def test_a_wrong_value_of_the_evidence_gate_is_refused_by_name(field: str, value
 
 
 def test_a_gate_is_one_of_two() -> None:
-    assert MethodConfig().gate == "count"
+    assert MethodConfig().gate == "evidence"
     with pytest.raises(ValueError, match=r'^gate: .*"count" nor "evidence"'):
         MethodConfig(gate="evidense")  # pyright: ignore[reportArgumentType]
 
 
 def test_the_evidence_gate_asks_for_a_better_pose_and_fewer_pairs() -> None:
-    papers, evidence = MethodConfig(), MethodConfig(gate="evidence")
+    papers, evidence = MethodConfig(gate="count"), MethodConfig(gate="evidence")
     assert (papers.needed_pairs, papers.pose_sigma_limit_m) == (350, papers.max_pose_sigma_m)
     assert (evidence.needed_pairs, evidence.pose_sigma_limit_m) == (30, evidence.evidence.max_pose_sigma_m)
     assert MethodConfig(gate="evidence", max_pose_sigma_m=0.01).pose_sigma_limit_m == 0.01

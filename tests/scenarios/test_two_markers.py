@@ -112,5 +112,5 @@ def test_a_handoff_with_two_markers_commits(tmp_path: Path) -> None:
     facts = fly_once(with_errors(rig_with("sim", BESIDE, LARGE_M), "exact"), 1, (), tmp_path, lambda _: None)
     assert facts.outcome == "committed", facts.detail
     summary = summarize(load_run(tmp_path))
-    assert summary["agreement_s"] == pytest.approx(7.0, abs=0.1)
+    assert summary["agreement_s"] == pytest.approx(1.6, abs=0.1)
     assert summary["d2_error_m"] < 0.0015  # 1 to 2 mm with the small one alone

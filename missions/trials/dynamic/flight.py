@@ -66,7 +66,7 @@ def moving(rig: Rig, verify_s: float = VERIFY_S) -> Rig:
     target = {**rig.world["target"], "speed_mps": TARGET_MPS}
     return replace(
         rig,
-        method=replace(rig.method, hold_frames=frames, hold_s=verify_s),
+        method=replace(rig.method, gate="count", hold_frames=frames, hold_s=verify_s),
         mission={**rig.mission, "follow_after_s": FOLLOW_S},
         world={**rig.world, "target": target},
     )

@@ -22,7 +22,7 @@ from path.gate.window import FramePair, Offsets
 from path.messages import Role
 from path.observations import MissReason
 
-METHOD = MethodConfig(hold_frames=5, hold_s=0.4, max_gap_s=0.2)
+METHOD = MethodConfig(gate="count", hold_frames=5, hold_s=0.4, max_gap_s=0.2)
 PERIOD_NS = 100_000_000
 
 

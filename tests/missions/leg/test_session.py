@@ -435,7 +435,7 @@ def test_the_console_sees_phase_count_and_traffic(rig: Any) -> None:
         await bench.session.cancel_spawned()
         newest = bench.shown[-1]
         assert (newest.role, newest.phase, newest.note) == (Role.SENDER, "verify", "go")
-        assert (newest.count, newest.needed, newest.iou) == (42, rig.method.hold_frames, 0.7)
+        assert (newest.count, newest.needed, newest.iou) == (42, rig.method.needed_pairs, 0.7)
         sent_per_s = len(bench.link.sent) * 100 / 5.0
         assert newest.link_bytes_per_s == pytest.approx(sent_per_s, rel=0.15)
 

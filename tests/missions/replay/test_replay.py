@@ -23,7 +23,7 @@ from tests.missions.replay.filmed import make_films
 RECORDED = "sim-rendered, every frame recorded"
 RECORDS = (
     ("[mission]\n", '[mission]\nrecord = "all"\n'),
-    ("hold_frames = 350\nhold_s = 7.0\n", "hold_frames = 100\nhold_s = 2.5\n"),
+    ("hold_frames = 350\nhold_s = 7.0\n", 'gate = "count"\nhold_frames = 100\nhold_s = 2.5\n'),
     ("rate_hz = 50.0\n", "rate_hz = 20.0\n"),
 )
 SETTINGS = ("method.tau_min=0.3", "method.tau_max=0.55", "method.hold_s=5.0", "method.hold_frames=240")
@@ -63,7 +63,7 @@ def decided(records: list[LogRecord]) -> list[DecisionPair]:
     [
         ("sim", 3, ()),
         ("sim", 8, ("link_loss=0.3",)),
-        ("sim", 5, ("kill_sender=2@verify+2",)),
+        ("sim", 5, ("kill_sender=2@verify+1",)),
         (RECORDED, 2, ("kill_receiver@verify+3",)),
     ],
 )
@@ -106,12 +106,17 @@ def test_a_decision_that_was_another_one_is_found(flown: Callable[..., Path]) ->
 
 def test_other_settings_decide_as_if_they_had_been_flown_with(flown: Callable[..., Path], tmp_path: Path) -> None:
     text = (Path(rig_library.load("sim").file)).read_text("utf-8")
-    lines = "".join(f"{setting.removeprefix('method.').replace('=', ' = ')}\n" for setting in SETTINGS)
+    papers = 'gate = "count"\nhold_frames = 350\nhold_s = 7.0\n'
+    lines = 'gate = "count"\n' + "".join(f"{s.removeprefix('method.').replace('=', ' = ')}\n" for s in SETTINGS)
     assert text.count("hold_frames = 350\nhold_s = 7.0\n") == 1
-    (tmp_path / "other.toml").write_text(text.replace("hold_frames = 350\nhold_s = 7.0\n", lines), "utf-8")
+    for name, instead in (("papers", papers), ("other", lines)):
+        changed = text.replace("hold_frames = 350\nhold_s = 7.0\n", instead)
+        (tmp_path / f"{name}.toml").write_text(changed, "utf-8")
     change = change_of(SETTINGS, None)
     assert change is not None
-    replayed = {each.drone: each for each in replay_changed(drone_logs(flown("sim", 3)), change)}
+    replayed = {
+        each.drone: each for each in replay_changed(drone_logs(flown(str(tmp_path / "papers.toml"), 3)), change)
+    }
     with_them = list(redecide(list(read_log(flown(str(tmp_path / "other.toml"), 3) / "sender.mcap"))))
     (complete,) = replayed["sender"].complete
     assert complete in [each for each in with_them if isinstance(each, Complete)]
@@ -129,7 +134,7 @@ def test_the_command_says_what_would_have_been(flown: Callable[..., Path], capsy
     folder = flown("sim", 3)
     assert run(ReplayOptions((folder,))) == 0
     assert not (folder / REPLAY).exists()
-    assert run(ReplayOptions((folder,), gate="evidence")) == 0
+    assert run(ReplayOptions((folder,), gate="count")) == 0
     assert (folder / REPLAY).stat().st_size > 10_000
     assert "gate complete, after the first answer" in capsys.readouterr().out
 

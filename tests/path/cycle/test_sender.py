@@ -25,7 +25,7 @@ from path.observations import Box, Depth, Detection, Missed, MissReason
 
 MS = 1_000_000
 PERIOD = 20 * MS
-CONFIG = replace(MethodConfig(), hold_frames=10, hold_s=0.18)
+CONFIG = MethodConfig(gate="count", hold_frames=10, hold_s=0.18)
 CAMERA1 = CameraModel(640, 480, 615.0, 616.0, 320.0, 240.0, (-0.1, 0.05, 0.001, -0.001, 0.0))
 CAMERA2 = CameraModel(1280, 720, 920.0, 925.0, 640.0, 360.0, (-0.08, 0.04, 0.001, -0.001, 0.0))
 T_V_C1 = Pose(exp(np.array([0.3, -2.0, 0.4])), np.array([0.1, -0.05, -0.2]))
@@ -351,7 +351,7 @@ def test_a_window_of_lost_packets_within_the_gap_goes_on() -> None:
 
 def test_the_whole_method_agrees_on_a_moving_target_and_completes_on_time() -> None:
     """Both cycles, D2's frames 7 ms before D1's, 8 ms of link; the targets point goes over, the box comes back."""
-    config = MethodConfig()
+    config = MethodConfig(gate="count")
     speed = 0.05
     bench = Bench(config, speed_mps=speed)
     receiver = ReceiverCycle(CAMERA2, config, handoff_id=1, epoch=2, target_id=3)
@@ -401,7 +401,7 @@ def test_the_gate_that_goes_by_evidence_decides_when_the_settings_say_so() -> No
 
 def test_the_gate_that_goes_by_evidence_wants_a_better_pose() -> None:
     uncertain = MethodConfig().evidence.max_pose_sigma_m * 1.1
-    for config, expected in ((MethodConfig(), 21), (MethodConfig(gate="evidence"), 20)):
+    for config, expected in ((MethodConfig(gate="count"), 21), (MethodConfig(gate="evidence"), 20)):
         bench = Bench(config)
         bench.run(20)
         bench.step(21, sigma_m=uncertain)

@@ -50,8 +50,8 @@ def feed(gate: EvidenceGate, indices: range, iou: float = CLEAR) -> int | None:
 
 
 def test_the_gate_is_the_one_that_the_settings_name() -> None:
-    assert isinstance(make_gate(MethodConfig()), AgreementWindow)
-    assert isinstance(make_gate(METHOD), EvidenceGate)
+    assert isinstance(make_gate(MethodConfig(gate="count")), AgreementWindow)
+    assert isinstance(make_gate(MethodConfig(gate="evidence")), EvidenceGate)
 
 
 def test_a_clear_agreement_takes_four_blocks() -> None:
