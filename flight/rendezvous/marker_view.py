@@ -58,6 +58,7 @@ class MarkerView:
         self._layout = layout
         self._camera = camera
         self._lens = lens_of(camera)
+        self._everywhere = Region(0.0, 0.0, camera.width, camera.height)
         self._R_b_v = mount.T_b_v.R
         self._corners_v = np.concatenate([marker.corners_v for marker in layout.markers])
         self._room_m = _ROOM_M + _TURN_RAD * float(np.linalg.norm(self._corners_v, axis=1).max())
@@ -113,6 +114,8 @@ class MarkerView:
             if view.stamp_ns - self._searched_ns < self.search_every * self._search_period_ns:
                 return Missed(MissReason.NO_MARKER)
             self._searched_ns = view.stamp_ns
+            if self.search_every > 1:  # one look, as in a region: three of them keep setpoints waiting on a slow core
+                region = self._everywhere
         detections = view.markers(region, expected)
         pose = estimate_pose(detections, self._layout, self._camera, gravity_v, gravity_c, self._settings)
         if isinstance(pose, Missed):

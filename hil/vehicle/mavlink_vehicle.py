@@ -321,7 +321,7 @@ class MavlinkVehicle:
             return DENIED
         height_m = self._parameters.take_off_m(flight.now_s)
         if home is not None and math.isfinite(altitude_m):
-            height_m = altitude_m - self._tangent.to_global(*home)[2]
+            height_m = altitude_m - flight.autopilot.altitude_error_m - self._tangent.to_global(*home)[2]
         return _result(flight.autopilot.request_takeoff(flight.now_s, height_m))
 
     def _set_old_mode(self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address) -> None:

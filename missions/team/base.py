@@ -7,7 +7,6 @@ lost. Responsibility does not depend on it: the protocol runs between the two dr
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 from flight.guidance import Vec3
@@ -18,9 +17,8 @@ from missions.relay.crew import Crew, end_of
 from missions.relay.ground import Leg, SentTo, TakeOffOrder
 from missions.team.airways import Airway, in_the_way, way_back, way_out
 from missions.team.assignment import Airspace, Assignment, Need, ReadyDrone, assign
+from missions.team.needs import needs_of
 from missions.team.roster import Custody, TeamDrone, TeamTarget
-
-CLUTTER_M = 10.0
 
 
 @dataclass
@@ -178,7 +176,7 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
             for name, drone in self.drones.items()
             if drone.where == "ready"
         ]
-        needs = self._needs()
+        needs = needs_of(self.targets, self._now_s(), self.config, self._field.point_at)
         chosen = assign(needs, ready, self._ways, self._air())
         for choice in chosen:
             self._send(choice)
@@ -186,30 +184,6 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         for need in needs:
             if need.target not in served:
                 self._alarm(self.targets[need.target], bool(ready))
-
-    def _needs(self) -> list[Need]:
-        now_s, needs = self._now_s(), list[Need]()
-        for target in self.targets:
-            if not target.known or target.leg is not None or target.finder is not None:
-                continue
-            if target.holder is not None:
-                if target.asking is None or target.asking[1] - now_s < self.config.least_s:
-                    continue
-                needs.append(self._need(target, target.heading_deg, target.asking[1] - now_s))
-            elif now_s - target.lost_s >= self.config.point_s:
-                north, east, _ = self._field.point_at(target.number).place_n_m
-                target.place_n_m = north, east, 0.0
-                needs.append(self._need(target, None, 0.0))
-        return needs
-
-    def _need(self, target: TeamTarget, heading_deg: float | None, urgent_s: float) -> Need:
-        others = tuple(
-            other.place_m
-            for other in self.targets
-            if other is not target and other.known and math.dist(other.place_m, target.place_m) < CLUTTER_M
-        )
-        may = frozenset(target.named.drones) or None
-        return Need(target.number, target.place_m, heading_deg, others, may, urgent_s)
 
     def _ways(self, need: Need, drone: ReadyDrone) -> tuple[Airway, ...]:
         """Of the drone that is sent, and of the one that it relieves."""

@@ -16,7 +16,7 @@ from drivers.rig.parts import Mount, Origin, PartContext
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
-from hil.world.world import HomeConfig, SimDrone, World, WorldConfig
+from hil.world.world import AltitudeConfig, HomeConfig, SimDrone, World, WorldConfig
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.messages import Role
@@ -125,11 +125,19 @@ def vehicle_at(port: int, **options: Any) -> MavsdkVehicle:
 
 
 @contextmanager
-def px4(config: AutopilotConfig = QUICK, speed: float = 1.0, port: int | None = None) -> Generator[Bench]:
-    """The vehicle's time runs ``speed`` times as fast as ours. It speaks to ``port``, or one that is free."""
+def px4(
+    config: AutopilotConfig = QUICK, speed: float = 1.0, port: int | None = None, gps_off_m: float = 0.0
+) -> Generator[Bench]:
+    """The vehicle's time runs ``speed`` times as fast as ours. It speaks to ``port``, or one that is free.
+
+    ``gps_off_m``: of the altitude that it tells.
+    """
     exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
     calm = WindConfig(0.0, gust_mps=0.0)
-    world = World(WorldConfig(wind=calm, estimator=exact, autopilot=config, sender_home=HOME), seed=1)
+    altitude = AltitudeConfig(offset_m=gps_off_m)
+    world = World(
+        WorldConfig(wind=calm, estimator=exact, autopilot=config, sender_home=HOME, altitude=altitude), seed=1
+    )
     wire, port, drone = Wire(), port or free_port(), world.drone(Role.SENDER)
     endpoint = MavlinkVehicle(MavlinkVehicleConfig(SYSID, ("127.0.0.1", port)), drone, TANGENT)
     endpoint.tap = wire.tap

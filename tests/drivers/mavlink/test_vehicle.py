@@ -163,11 +163,12 @@ def test_when_python_hangs_the_setpoints_stop_and_the_vehicle_lands() -> None:
     assert "No offboard setpoints, landing" in texts
 
 
-def test_a_take_off_climbs_to_its_height_however_lately_a_parameter_was_set() -> None:
+@pytest.mark.parametrize("gps_off_m", [0.0, 10.0])
+def test_a_take_off_climbs_to_its_height_however_lately_a_parameter_was_set(gps_off_m: float) -> None:
     """PX4 acknowledges a parameter and looks at it up to a second later: it climbed to the height it had before."""
 
     async def fly(bench: Bench) -> None:
-        async with bench.vehicle() as vehicle:
+        async with bench.vehicle(height_from="home") as vehicle:
             await vehicle.wait_armable(LIMIT_S)
             await vehicle.set_parameter(Difference("GF_MAX_VER_DIST", 9.0, 0.0))
             await vehicle.arm()
@@ -176,7 +177,7 @@ def test_a_take_off_climbs_to_its_height_however_lately_a_parameter_was_set() ->
             HEIGHT_M
         )  # an older one climbs no less than this
 
-    with px4(FAST, 1.0) as bench:
+    with px4(FAST, gps_off_m=gps_off_m) as bench:
         asyncio.run(fly(bench))
 
 
