@@ -70,6 +70,15 @@ COMPUTES = (
 IN_REAL_TIME = "real time"
 BEGUN = pytest.StashKey[bool]()
 APART = ("scenarios/test_sim",)  # long tests that share nothing
+# What takes longest of what computes. A worker is given up to three groups ahead: the last ones must be short.
+LONG = (
+    *APART,
+    "contracts/test_log_for_strangers",
+    "missions/assurance/campaign/",
+    "missions/assurance/verify/",
+    "missions/trials/",
+    "scenarios/",
+)
 
 settings.register_profile("steady", derandomize=True, deadline=None)
 settings.register_profile("explore", max_examples=1000, deadline=None)
@@ -85,13 +94,29 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 class Groups(LoadScopeScheduling):
-    """Tests of one group stay in one worker, the largest group first.
+    """Tests of one group stay in one worker: those in real time first, then long ones, then the largest group.
 
     A group is all tests in real time, or those of a module, which share fixtures.
     """
 
+    _ordered = False
+
     def _split_scope(self, nodeid: str) -> str:
         return group_of(nodeid)
+
+    def _assign_work_unit(self, node: Any) -> None:
+        if not self._ordered:
+            self._ordered = True
+            for group in sorted(self.workqueue, key=urgency):
+                self.workqueue.move_to_end(group)
+        super()._assign_work_unit(node)
+
+
+def urgency(group: str) -> int:
+    """Returns which groups go first: the lower the sooner."""
+    if group == IN_REAL_TIME:
+        return 0
+    return 1 if group.removeprefix("tests/").startswith(LONG) else 2
 
 
 def group_of(nodeid: str) -> str:
