@@ -15,19 +15,19 @@ from drivers.link.key import signing_key
 from drivers.link.udp import address_of
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.guard.interfaces import GuardView
-from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS, PX4, SAFETY_ARMED, AutopilotKind, powered
+from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS, PX4, SAFETY_ARMED, AutopilotKind, powered, stopped_by
 from drivers.mavlink.transport.port import URL, MavlinkPort
 from drivers.rig.parts import PartContext
 from path.bounds import Bounds
 
 HEARTBEAT, SYS_STATUS, LOCAL_POSITION, GLOBAL_POSITION = 0, 1, 32, 33
-COMMAND_ACK, EXTENDED_SYS_STATE, CURRENT_MODE = 77, 245, 436
+COMMAND_ACK, EXTENDED_SYS_STATE, STATUSTEXT, CURRENT_MODE = 77, 245, 253, 436
 RATES_HZ = {
     **dict.fromkeys((HEARTBEAT, CURRENT_MODE, LOCAL_POSITION, GLOBAL_POSITION), 10.0),
     EXTENDED_SYS_STATE: 5.0,
     SYS_STATUS: 2.0,
 }
-WANTED = frozenset({*RATES_HZ, COMMAND_ACK})
+WANTED = frozenset({*RATES_HZ, COMMAND_ACK, STATUSTEXT})
 DO_SET_MODE, NAV_LAND, SET_MESSAGE_INTERVAL = 176, 21, 511
 IN_PROGRESS = 5
 OWN_HEARTBEAT_S = 1.0
@@ -88,6 +88,7 @@ class GuardMavlink:
         self._mode, self._mode_told = FlightMode.OTHER, 0
         self._local_down_m = self._ground_down_m = math.nan  # the latter: where it stood before it was armed
         self._position: tuple[int, tuple[float, float, float]] = (0, (math.nan, math.nan, math.nan))
+        self._stopped = False  # by a pilot's switch, as a text says
         self._in_air = True  # until it is told: nothing is done in the air that would be wrong on the ground
         self._battery = math.nan
         self._commanded: int | None = None
@@ -124,7 +125,7 @@ class GuardMavlink:
         return GuardView(
             heartbeat_ns=heartbeat_ns,
             position_ns=position_ns,
-            armed=powered(heartbeat.base_mode, heartbeat.system_status),
+            armed=powered(heartbeat.base_mode, heartbeat.system_status) and not self._stopped,
             in_air=self._in_air,
             mode=self._mode,
             position_n_m=position_n_m,
@@ -181,6 +182,7 @@ class GuardMavlink:
             case 0:  # HEARTBEAT
                 self._kind = next((kind for kind in KINDS if kind.mav_autopilot == message.autopilot), self._kind)
                 self._heartbeat = now_ns, message
+                self._stopped = self._stopped and bool(message.base_mode & SAFETY_ARMED)
                 self._note_mode(message.custom_mode)
             case 1:  # SYS_STATUS
                 if 0 <= message.battery_remaining <= 100:
@@ -195,6 +197,8 @@ class GuardMavlink:
                 self._acked = message.result == mavlink.MAV_RESULT_ACCEPTED
             case 245:  # EXTENDED_SYS_STATE
                 self._in_air = message.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
+            case 253:  # STATUSTEXT
+                self._stopped = stopped_by(str(message.text), self._stopped)
             case 436 if self._kind is not None:  # CURRENT_MODE: PX4 beats once a second, whatever it is asked for
                 if self._kind.news(message.custom_mode, self._mode, self._mode_told):
                     self._note_mode(message.custom_mode)

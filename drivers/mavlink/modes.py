@@ -12,11 +12,21 @@ CUSTOM_MODE_ENABLED = 1
 SAFETY_ARMED = 128
 # HEARTBEAT.system_status (MAV_STATE): so PX4 shows a pilot's kill switch, and calls itself armed for 5 s more.
 FLIGHT_TERMINATION = 8
+ESTOP, STOPPED = "MotorEStop", "HIGH"  # "RC7: MotorEStop HIGH"
 
 
 def powered(base_mode: int, system_status: int) -> bool:
     """Returns whether a heartbeat says that the motors may turn: armed, and not stopped by a kill switch."""
     return bool(base_mode & SAFETY_ARMED) and system_status != FLIGHT_TERMINATION
+
+
+def stopped_by(text: str, before: bool) -> bool:
+    """Returns whether a pilot's switch has stopped the motors, after a text; ``before``: whether it had before it.
+
+    ArduCopter calls itself armed, and in GUIDED, for 5 s more. It tells of its Motor Emergency Stop by a text alone,
+    whichever channel that is on.
+    """
+    return text.endswith(STOPPED) if ESTOP in text else before
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from typing import Any
 
 from drivers.interfaces import Clock, FlightMode, VehicleError, VehicleState
 from drivers.mavlink.geodesy import LocalTangent
-from drivers.mavlink.modes import PX4, SAFETY_ARMED, AutopilotKind, powered
+from drivers.mavlink.modes import PX4, SAFETY_ARMED, AutopilotKind, powered, stopped_by
 from drivers.perception.history import StateHistory
 
 Vec3 = tuple[float, float, float]
@@ -140,6 +140,7 @@ class TelemetrySlots:
         self.parameter: Parameter | None = None
         self.firmware: str | None = None
         self.radio_heard = False  # a pilot's
+        self._stopped = False  # by a pilot's switch, as a text says
 
     def subscribe(self, telemetry: Any, direct: Any) -> None:
         """Take everything needed from MAVSDK's Telemetry and MavlinkDirect plugins."""
@@ -253,7 +254,8 @@ class TelemetrySlots:
         fields, now_ns = json.loads(message.fields_json), self.clock.now_ns()
         self._note_mode(now_ns, int(fields["custom_mode"]))
         base_mode, before = int(fields["base_mode"]), self.heartbeat
-        armed = powered(base_mode, int(fields.get("system_status", 0)))
+        self._stopped = self._stopped and bool(base_mode & SAFETY_ARMED)
+        armed = powered(base_mode, int(fields.get("system_status", 0))) and not self._stopped
         told = before.told + 1 if before is not None and before.armed is armed else 1
         self.heartbeat = Heartbeat(now_ns, int(fields["autopilot"]), armed, told, not base_mode & SAFETY_ARMED)
 
@@ -295,6 +297,7 @@ class TelemetrySlots:
             self.radio_heard = all(int(fields[f"onboard_control_sensors_{part}"]) & RC_RECEIVER for part in parts)
 
     def _on_text(self, text: Any) -> None:
+        self._stopped = stopped_by(str(text.text), self._stopped)
         self.texts = (*self.texts[1 - KEPT_TEXTS :], Text(self.clock.now_ns(), int(text.type), str(text.text)))
 
     def _on_health(self, health: Any) -> None:

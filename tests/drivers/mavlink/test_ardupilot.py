@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode, VehicleError
 from drivers.mavlink.session import ARM_DISARM
-from tests.drivers.mavlink.mavsdk_bench import LIMIT_S, STILL, SYSID, Wire, stepped, vehicle_at
+from tests.drivers.mavlink.mavsdk_bench import LIMIT_S, STILL, SYSID, Wire, stepped, until, vehicle_at
 from tests.free_ports import free_port
 
 
@@ -60,6 +60,9 @@ class ArduCopter:
             if now_s >= due_s:
                 self._due_s[message_id] = now_s + self._interval_s[message_id]
                 self._send(self._telemetry(message_id, int(now_s * 1e3)))
+
+    def say(self, text: str) -> None:
+        self._send(mavlink.MAVLink_statustext_message(6, text.encode()))
 
     def _command(self, message: Any, now_s: float) -> int:
         guided, what = self.mode == 4, message.command
@@ -148,3 +151,27 @@ def test_arducopter_is_guided_before_it_arms_and_brakes_to_hold() -> None:
     sent = [message for message in wire.of("COMMAND_LONG") if message.command in (21, 22, 176, 400)]
     assert all(math.isfinite(message.param4) for message in sent)  # ArduPilot takes unset as 0
     assert wire.of("PARAM_SET") == []
+
+
+def test_arducopters_emergency_stop_is_heard_from_its_text() -> None:
+    async def fly(copter: ArduCopter, port: int) -> None:
+        async with vehicle_at(port, rc="none") as vehicle:
+            await vehicle.wait_armable(LIMIT_S)
+            await vehicle.arm()
+            copter.say("RC5: FlightMode HIGH")
+            copter.say("RC7: MotorEStop HIGH")
+            await until(lambda: not vehicle.state.armed)
+            assert copter.armed  # and so it says for 5 s
+            copter.say("RC7: MotorEStop LOW")
+            await until(lambda: vehicle.state.armed)
+            copter.say("RC7: MotorEStop HIGH")
+            await until(lambda: not vehicle.state.armed)
+            copter.armed = False
+            await until(lambda: vehicle.state.armed_told > 3)
+            copter.armed = True  # a new flight
+            await until(lambda: vehicle.state.armed)
+
+    wire, port = Wire(), free_port()
+    copter = ArduCopter(port, wire)
+    with stepped(copter, None, wire):
+        asyncio.run(fly(copter, port))

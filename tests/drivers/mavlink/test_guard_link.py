@@ -25,6 +25,7 @@ from drivers.mavlink.guard_link import GuardMavlink, GuardMavlinkConfig
 from drivers.mavlink.transport.frames import take_frames
 from drivers.mavlink.transport.port import UNSIGNED
 from drivers.rig.parts import PartContext
+from hil.autopilot.values import Severity, StatusText
 from tests.free_ports import free_port
 from tests.guard_bench import LIMIT_S, ORIGIN, SYSID, Bench, bench
 
@@ -102,6 +103,23 @@ def test_height_may_be_reckoned_from_home_whatever_the_altitude(altitude_off_m: 
 
     with bench(altitude_off_m=altitude_off_m) as own:
         asyncio.run(main(own))
+
+
+def test_motors_that_a_switch_stopped_are_known_from_a_text() -> None:
+    def say(own: Bench, text: str) -> None:
+        with own.lock:
+            own.autopilot.status_texts.append(StatusText(own.drone.estimate.time_s, Severity.INFO, text))
+
+    async def main(own: Bench) -> None:
+        async with guard_at(f"udpin://127.0.0.1:{own.port}") as guard:
+            own.in_air()
+            await seen(guard, lambda view: view.armed)
+            say(own, "RC7: MotorEStop HIGH")  # an ArduCopter's; it goes on calling itself armed
+            await seen(guard, lambda view: not view.armed)
+            say(own, "RC7: MotorEStop LOW")
+            await seen(guard, lambda view: view.armed)
+
+    run(main)
 
 
 def test_a_refusal_is_seen() -> None:
