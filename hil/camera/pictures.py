@@ -57,9 +57,10 @@ class CameraRenderer:
         """Returns the image that the role's camera delivers. The drone of the role must be on the stage."""
         key = self._renderer.key(role, shot_seed)
         light, depth = self._renderer.draw(stage.T_w_b[role], self._bodies(stage, role, key % LIGHTS), key)
+        kept = self._renderer.thinned(depth)
         if is_plain(self._setup.imaging):
-            return Shot(self._renderer.expose(light, key), depth)
-        return Shot(develop(light, self._setup.imaging, np.random.default_rng(key)), depth)
+            return Shot(self._renderer.expose(light, key), kept)
+        return Shot(self._renderer.thinned(develop(light, self._setup.imaging, np.random.default_rng(key))), kept)
 
     def true_depth_m(self, stage: RenderedInstant, role: Role, u: float, v: float) -> float | None:
         """Exact depth along the optical axis of what is seen at a pixel, rotors excepted; None for the sky."""

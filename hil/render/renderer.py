@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -22,7 +23,7 @@ from hil.render.sensor import SensorNoise
 from hil.render.textures import ground_pyramid
 from hil.world.scenes import SceneName
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
-from path.camera.model import CameraModel
+from path.camera.model import CameraModel, sensor_of
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout, single_marker
 from path.messages import Role
@@ -32,6 +33,8 @@ Array = NDArray[np.float64]
 SUN_W = LOOKS["plain"].sun_w
 SAMPLES = (edge_pass.hammersley(16), edge_pass.hammersley(64))
 STAGES = 8
+
+_Level = TypeVar("_Level", np.uint8, np.uint16)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +77,12 @@ class Renderer:
         """
         look = LOOKS[scene]
         noise = look.noise(SensorNoise() if noise is None else noise)
+        self._kept = None
+        if camera.thinning is not None:
+            noise = replace(noise, blur_sigma_px=noise.blur_sigma_px * camera.thinning.of / camera.thinning.kept)
+            rows, columns = (camera.thinning.sensor_pixels(n, k) for n, k in ((camera.height, 1), (camera.width, 0)))
+            self._kept = np.ix_(rows, columns)
+            camera = sensor_of(camera)
         height, width = camera.height, camera.width
         self._T_b_c = T_b_c
         self.seed = seed
@@ -111,7 +120,7 @@ class Renderer:
             depth_holes=snapshot.depth_holes,
             unseen=self._unseen(snapshot, role),
         )
-        return self.expose(light, key), depth
+        return self.expose(light, key), self.thinned(depth)
 
     def render_color(self, snapshot: Snapshot, role: Role, frame_seed: int) -> NDArray[np.uint8]:
         """The colour of ``render`` alone."""
@@ -146,7 +155,7 @@ class Renderer:
 
         Returns:
             Light before optics and sensor, shape (3, h, w), in the order B, G, R, valid until the next call; and depth
-            with its noise.
+            with its noise. Both have the sensor's size, where the camera leaves out pixels of it: ``thinned``.
         """
         depth = np.empty(self._inverse_z.shape, np.uint16)
         for _ in self._stages(T_w_b @ self._T_b_c, bodies, key, depth, depth_holes, unseen):
@@ -154,7 +163,7 @@ class Renderer:
         return self._image, depth
 
     def expose(self, light: NDArray[np.uint8], key: int) -> NDArray[np.uint8]:
-        """Image of the sensor, shape (h, w, 3), BGR, of what ``draw`` gave."""
+        """The camera's image, shape (h, w, 3), BGR, of what ``draw`` gave."""
         noise = self.noise
         sensor.expose(
             light,
@@ -167,7 +176,11 @@ class Renderer:
             self._rows,
             self._exposed,
         )
-        return cv2.merge(tuple(self._exposed))  # pyright: ignore[reportReturnType]
+        return self.thinned(cv2.merge(tuple(self._exposed)))  # pyright: ignore[reportArgumentType]
+
+    def thinned(self, picture: NDArray[_Level]) -> NDArray[_Level]:
+        """The pixels of the sensor's picture (h, w, ...) that are in the camera's."""
+        return picture if self._kept is None else np.ascontiguousarray(picture[self._kept])
 
     def _stages(
         self,
@@ -307,9 +320,7 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
 def lens_of(camera: CameraModel) -> Lens:
     """Shared: nobody changes it. It takes about a second at 1080p, and cameras often come in several renderers."""
     height, width = camera.height, camera.width
-    own = np.arange(width, dtype=float), np.arange(height, dtype=float)
-    thin = camera.thinning
-    columns, rows = np.meshgrid(*own if thin is None else (thin.places(own[0], 0), thin.places(own[1], 1)))
+    columns, rows = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     rays = camera.rays(np.stack((columns.ravel(), rows.ravel()), axis=1)).reshape(height, width, 2)
     if not np.isfinite(rays).all():
         raise ValueError(f"distortion: {camera.distortion!r} leaves pixels without a ray")

@@ -215,6 +215,17 @@ def _compiled() -> tuple[Callable[[CameraModel], Array], Callable[[Array, float,
     return lens_of, ray
 
 
+def sensor_of(camera: CameraModel) -> CameraModel:
+    """The part of a camera's sensor that its images are made of: the camera itself where it leaves out no pixels."""
+    thin = camera.thinning
+    if thin is None:
+        return camera
+    width, height = (int(thin.sensor_pixels(n, k)[-1]) + 1 for k, n in enumerate((camera.width, camera.height)))
+    cx, cy = (thin.sensor_place(c, k) for k, c in enumerate((camera.cx, camera.cy)))
+    finer = thin.of / thin.kept
+    return CameraModel(width, height, finer * camera.fx, finer * camera.fy, cx, cy, camera.distortion)
+
+
 def _one_to_one_radius(coefficients: Coefficients) -> float:
     """Smallest radius where r (1 + k1 r^2 + k2 r^4 + k3 r^6) stops growing, inf when nowhere."""
     k1, k2, _, _, k3 = coefficients

@@ -33,8 +33,7 @@ from missions.trials.real.response import (
 from missions.trials.real.set import RealSet
 from path.calibration.board import print_cells
 from path.calibration.edges import mean_edge
-from path.camera.model import CameraModel
-from path.camera.thinning import Thinning
+from path.camera.model import CameraModel, sensor_of
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
@@ -128,15 +127,7 @@ def _sensor(camera: CameraModel, imaging: Imaging) -> tuple[CameraModel, Imaging
     finer = thinning.of / thinning.kept
     blur_px, sharpen_px = finer * imaging.blur_sigma_px, finer * imaging.sharpen_sigma_px
     coarse = replace(imaging, blur_sigma_px=blur_px, sharpen_sigma_px=sharpen_px, jpeg_quality=None)
-    return sensor_of(camera, thinning), coarse
-
-
-def sensor_of(camera: CameraModel, thinning: Thinning) -> CameraModel:
-    """The part of a camera's sensor that its images are made of."""
-    width, height = (int(thinning.sensor_pixels(n, k)[-1]) + 1 for k, n in enumerate((camera.width, camera.height)))
-    cx, cy = (thinning.sensor_place(c, k) for k, c in enumerate((camera.cx, camera.cy)))
-    finer = thinning.of / thinning.kept
-    return CameraModel(width, height, finer * camera.fx, finer * camera.fy, cx, cy, camera.distortion)
+    return sensor_of(camera), coarse
 
 
 def _image_of(drawn: Shades, camera: CameraModel, imaging: Imaging) -> Shades:

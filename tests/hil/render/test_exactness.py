@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from hil.render.renderer import Renderer
-from hil.render.sensor import NOISE_FREE
+from hil.render.sensor import NOISE_FREE, SensorNoise
 from hil.world.snapshot import Snapshot
 from path.camera.model import CameraModel
+from path.camera.thinning import Thinning
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
+from path.marker.photometric.corners import fit
+from path.marker.photometric.texture import cells
 from path.messages import Role
 from tests.hil.render.views import ABOVE, LEVEL, VGA, drone, hovering, looking_at, mount
 
@@ -141,3 +146,25 @@ def test_depth_of_the_ground_is_exact_to_the_millimetre() -> None:
     expected = np.where(z_mm <= 6000.0, z_mm, 0.0).reshape(480, 640)
     clear = np.abs(z_mm.reshape(480, 640) - 6000.0) > 1.0
     assert np.abs(depth - expected)[clear].max() <= 0.501
+
+
+def test_a_camera_that_leaves_out_pixels_sees_where_its_pixels_are() -> None:
+    """Corners fitted with the pattern are where the model projects them; without it they are not."""
+    thinned = replace(VGA, thinning=Thinning(3, 5, (1, 2)))
+    rng, layout = np.random.default_rng(8), single_marker(0.2)
+    renderer = Renderer(thinned, LEVEL, ABOVE, layout, SensorNoise(read_sigma=0.0, shot_gain=0.0))
+    pattern = np.pad(cells(layout.dictionary, 0), 1, constant_values=1.0)
+    errors: dict[CameraModel, list[Array]] = {thinned: [], VGA: []}
+    while len(errors[VGA]) < 12:
+        T_c_v = random_pose(rng, 2.5, 3.5, 45.0)
+        corners = project(VGA, T_c_v, layout.markers[0].corners_v)
+        if corners.min() < 20 or corners[:, 0].max() > 620 or corners[:, 1].max() > 460:
+            continue
+        color, _ = renderer.render(looking_at(T_c_v @ ABOVE.inverse()), Role.RECEIVER, 0)
+        for camera, off in errors.items():
+            fitted = fit(np.ascontiguousarray(color[..., 1]), (0, 0), corners, camera, pattern)
+            assert fitted is not None
+            off.append(fitted.corners_px - corners)
+    even, uneven = (float(np.sqrt(np.mean(np.square(off)))) for off in errors.values())
+    assert even < 0.03
+    assert uneven > 2.0 * even

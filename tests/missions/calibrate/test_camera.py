@@ -20,10 +20,10 @@ from missions.calibrate.run import run
 from missions.options.calibrate import CalibrateBoardOptions, CalibrateCameraOptions, CalibrateOptions
 from missions.rig_list import FOLDER
 from missions.trials.calibration import views as calibration_views
-from missions.trials.real.twin import sensor_of
 from missions.work import Bars
 from path.calibration.board import Board
 from path.calibration.judge import BadSet
+from path.camera.model import sensor_of
 from path.camera.thinning import Thinning
 from tests.path.calibration.rendered import CAMERA, CHARUCO, CHESSBOARD, Held, grey, photographs, poses, seen
 
@@ -122,7 +122,9 @@ def test_pixels_that_a_camera_leaves_out_are_in_its_calibration(tmp_path: Path) 
     """The sensor's images are drawn, and three of five rows and columns kept."""
     columns, rows = (THINNED.sensor_pixels(n, axis) for axis, n in enumerate((CAMERA.width, CAMERA.height)))
     where = list(poses(CHARUCO, Held(), 8, 3))
-    shots = calibration_views.photographs(CameraRenderer, sensor_of(CAMERA, THINNED), CHARUCO, where, 4)
+    shots = calibration_views.photographs(
+        CameraRenderer, sensor_of(replace(CAMERA, thinning=THINNED)), CHARUCO, where, 4
+    )
     for number, color in enumerate(shots):
         cv2.imwrite(str(tmp_path / f"view-{number}.png"), color[np.ix_(rows, columns)])
     out = tmp_path / "out" / "d1.camera.toml"

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from missions.trials.real.twin import sensor_of
-from path.camera.model import CameraModel
+from path.camera.model import CameraModel, sensor_of
 from path.camera.thinning import Thinning
 from path.geometry import rotation
 from path.geometry.transforms import Pose
@@ -69,7 +68,8 @@ def test_without_noise_the_model_is_exact_to_a_hundredth_of_a_pixel():
 
 def test_pixels_that_a_camera_leaves_out_are_reckoned_with():
     """Corners are as good as those of an even image; without the pattern they are off by what the pixels are."""
-    thinned, sensor = replace(VGA, thinning=THINNED), sensor_of(VGA, THINNED)
+    thinned = replace(VGA, thinning=THINNED)
+    sensor = sensor_of(thinned)
     columns, rows = (THINNED.sensor_pixels(n, axis) for axis, n in enumerate((VGA.width, VGA.height)))
     errors: dict[CameraModel, list[NDArray[np.float64]]] = {thinned: [], VGA: []}
     for seed in range(12):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,8 @@ from hil.camera.pictures import CameraRenderer
 from missions.trials.calibration.views import photographs
 from missions.trials.real.board import look_at_set
 from missions.trials.real.set import read_set
-from missions.trials.real.twin import render_twin, sensor_of
+from missions.trials.real.twin import render_twin
+from path.camera.model import sensor_of
 from path.camera.thinning import Thinning
 from tests.missions.trials.real.test_trial import TEXT
 from tests.missions.trials.real.test_twin import PRINTED
@@ -26,7 +28,7 @@ def test_a_camera_that_leaves_out_pixels_is_told_and_drawn_again(tmp_path: Path)
     """The sensor's image is drawn, and three of five rows and columns kept."""
     size = (CAMERA.width, CAMERA.height)
     columns, rows = (THINNED.sensor_pixels(n, axis) for axis, n in enumerate(size))
-    sensor = sensor_of(CAMERA, THINNED)
+    sensor = sensor_of(replace(CAMERA, thinning=THINNED))
     (tmp_path / "views").mkdir()
     where = list(poses(PRINTED, Held(), 2, 87))
     for number, color in enumerate(photographs(CameraRenderer, sensor, PRINTED, where, 3, Imaging(blur_sigma_px=0.9))):
