@@ -7,7 +7,7 @@ understands: one type a field, and no list of lists.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import msgspec
@@ -66,8 +66,12 @@ _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
 
 
 def camera_record(camera: CameraModel) -> dict[str, Any]:
-    """Intrinsics as they are logged."""
-    return {name: getattr(camera, name) for name in _INTRINSICS}
+    """Intrinsics as they are logged, and what a calibration says beyond them."""
+    return {
+        **{name: getattr(camera, name) for name in _INTRINSICS},
+        "doubts": [one for doubt in camera.doubts for one in doubt],
+        "thinning": None if camera.thinning is None else asdict(camera.thinning),
+    }
 
 
 _CAPTURE = _whole("capture of the frame, ns of this log's own clock")
@@ -79,6 +83,13 @@ _CAMERA = {
     "cx": _number("principal point, px"),
     "cy": _number("principal point, px"),
     "distortion": _numbers("Brown-Conrady, OpenCV's order"),
+    "doubts": _numbers("by how much fx, fy, cx, cy, k1, k2, p1, p2, k3 are off together: nine for each cause"),
+    "thinning": _table(
+        "how the camera leaves out pixels",
+        kept=_whole("pixels of the image ..."),
+        of=_whole("... for so many of the sensor"),
+        begins=_numbers("where the pattern begins, column and row, px"),
+    ),
 }
 _ATTEMPT = {
     "handoff_id": _whole("of the mission"),

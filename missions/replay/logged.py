@@ -11,11 +11,13 @@ import numpy as np
 
 from drivers.log.mcap_log import encode_other
 from path.camera.model import CameraModel
+from path.camera.thinning import Thinning
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Candidate, Target
 from path.observations import Box, MissReason
 
 Record = Mapping[str, Any]
+NINE = 9  # numbers of a doubt
 NAN3 = (math.nan, math.nan, math.nan)
 
 
@@ -25,7 +27,16 @@ def as_logged(record: Record) -> dict[str, Any]:
 
 
 def camera_of(record: Record) -> CameraModel:
-    values: dict[str, Any] = {**record, "distortion": tuple(record["distortion"])}
+    """Logs of earlier versions tell neither doubts nor left-out pixels: there were none, as far as the log goes."""
+    doubts, thin = record.get("doubts") or (), record.get("thinning")
+    values: dict[str, Any] = {
+        **record,
+        "distortion": tuple(record["distortion"]),
+        "doubts": tuple(tuple(doubts[k : k + NINE]) for k in range(0, len(doubts), NINE)),
+        "thinning": None
+        if thin is None
+        else Thinning(thin["kept"], thin["of"], (thin["begins"][0], thin["begins"][1])),
+    }
     return CameraModel(**values)
 
 
