@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -98,7 +99,11 @@ class SoftwareD415:
 
 
 class _Feeder(threading.Thread):
-    """Puts every frame of the world into the device; the newest when they come faster than it can."""
+    """Puts every frame of the world into the device; the newest when they come faster than it can.
+
+    None is given out before a device would have read it out, by the frame's own stamp: a small picture is drawn within
+    less, and a stamp that errs by some milliseconds would be of the future.
+    """
 
     def __init__(self, reader: SharedCameraReader, device: SoftwareDevice) -> None:
         super().__init__(name="software-d415", daemon=True)
@@ -113,6 +118,8 @@ class _Feeder(threading.Thread):
                 continue
             depth = device.image("depth", frame.depth_mm, frame.stamp_ns, frame.number)
             color = device.image("color", frame.color, frame.stamp_ns, frame.number)
-            if reader.is_whole(frame):
-                device.give("depth", depth, frame.stamp_ns)
-                device.give("color", color, frame.stamp_ns)
+            if not reader.is_whole(frame):
+                continue
+            self.ending.wait(max(0, frame.stamp_ns + device.readout_ns - time.monotonic_ns()) * 1e-9)
+            device.give("depth", depth, frame.stamp_ns)
+            device.give("color", color, frame.stamp_ns)

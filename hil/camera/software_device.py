@@ -76,6 +76,10 @@ class SoftwareDevice:
         self._sensors["depth"].add_read_only_option(rs.option.depth_units, DEPTH_UNIT_M)
         self._sensors["depth"].add_option(rs.option.emitter_enabled, _switch(rs), True)
 
+    @property
+    def readout_ns(self) -> int:
+        return self._clock.readout_ns
+
     def image(self, kind: Kind, pixels: NDArray[np.uint8] | NDArray[np.uint16], stamp_ns: int, number: int) -> Any:
         """A copy of the pixels as an image that can be given out. ``stamp_ns``: mid-exposure, CLOCK_MONOTONIC."""
         frame = self._rs.software_video_frame()

@@ -40,8 +40,8 @@ def test_a_relief_takes_over_and_ctrl_c_lands_everybody_and_leaves_nothing(tmp_p
     command += ["--drones", "2", "--out", str(out), "--no-picture"]
     seen: list[str] = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
-        wait_for_line(process, "D1   holds", seen, START_LIMIT_S)
-        wait_for_line(process, "D2   holds", seen, LEG_LIMIT_S)
+        wait_for_line(process, "D1    holds", seen, START_LIMIT_S)
+        wait_for_line(process, "D2    holds", seen, LEG_LIMIT_S)
         assert len(processes_of(str(tmp_path))) >= 6  # this command, the world, two programs, two guards
         process.send_signal(signal.SIGINT)
         assert process.stdout is not None

@@ -18,6 +18,7 @@ from drivers.rig.parts import PartSpec
 from hil.camera.segment import folder
 from hil.camera.shared import RUN_VARIABLE, SharedCameraWriter
 from hil.camera.software_d415 import SoftwareD415, SoftwareD415Config
+from hil.camera.software_device import DeviceClock
 from hil.harness.realtime.parts import camera_config, depth_size
 from missions import rig_library
 from path.messages import Role
@@ -43,8 +44,8 @@ def world(run: str) -> SharedCameraWriter:
     return SharedCameraWriter(run, Role.SENDER, (COLOR.width, COLOR.height), DEPTH_SIZE, FPS)
 
 
-def draw(writer: SharedCameraWriter, value: int) -> int:
-    stamp_ns = time.monotonic_ns()
+def draw(writer: SharedCameraWriter, value: int, late_ns: int = 0) -> int:
+    stamp_ns = time.monotonic_ns() + late_ns
     color = np.full((COLOR.height, COLOR.width, 3), value, np.uint8)
     writer.write(stamp_ns, color, np.full(DEPTH_SIZE[::-1], 1000, np.uint16))
     return stamp_ns
@@ -73,6 +74,26 @@ def test_frames_of_the_world_come_through_with_their_instants(run: str, clock: s
         assert np.abs(frame.depth_mm[20:-20, 20:-20].astype(int) - 1000).max() < 10
         # By the wall clock it is exact; by its own clock it is as late as the quickest arrival.
         assert abs(frame.stamp_ns - stamp_ns) < (1_000_000 if clock == "global_time" else 100_000_000)
+
+    asyncio.run(main())
+
+
+def test_no_frame_comes_before_it_is_read_out(run: str) -> None:
+    """A stamp that errs by 12 ms would else be of the future on a quick computer, and be refused."""
+
+    async def main() -> None:
+        with world(run) as writer:
+            ending = asyncio.Event()
+            before = asyncio.create_task(drawing(writer, ending))
+            async with driver(run) as camera:
+                ending.set()
+                await before
+                for value in (71, 72, 73):
+                    stamp_ns, frame = draw(writer, value, late_ns=12_000_000), None
+                    while frame is None or frame.color[0, 0, 0] != value:
+                        frame = await camera.read(PATIENCE_S)
+                    assert time.monotonic_ns() >= stamp_ns + DeviceClock().readout_ns
+                assert camera.counters.clock == 0
 
     asyncio.run(main())
 
