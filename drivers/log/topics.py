@@ -67,11 +67,9 @@ _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
 
 def camera_record(camera: CameraModel) -> dict[str, Any]:
     """Intrinsics as they are logged, and what a calibration says beyond them."""
-    return {
-        **{name: getattr(camera, name) for name in _INTRINSICS},
-        "doubts": [one for doubt in camera.doubts for one in doubt],
-        "thinning": None if camera.thinning is None else asdict(camera.thinning),
-    }
+    record = {name: getattr(camera, name) for name in _INTRINSICS}
+    record["doubts"] = [one for doubt in camera.doubts for one in doubt]
+    return record if camera.thinning is None else {**record, "thinning": asdict(camera.thinning)}
 
 
 _CAPTURE = _whole("capture of the frame, ns of this log's own clock")
