@@ -13,6 +13,7 @@ import msgspec
 from drivers.interfaces import PartError
 from drivers.rig.part_check import Finding
 from drivers.rig.parts import Rig
+from missions import rig_library
 from missions.doctor.pace import Pace
 from missions.doctor.parts import detector_of
 from path.messages import Role
@@ -21,6 +22,8 @@ MARGIN = 0.3  # of what there is, kept free: for frames that take longer, and fo
 FLOWN = 2.0  # times as long as in a loop of its own a stage takes between all the others (docs/compute.md)
 REST = 3000.0  # signed messages' worth of work a second: telemetry, setpoints, status, camera, event loop
 FEWEST_HZ = 7.0  # with nothing kept free; below, nothing was ever flown
+SETPOINT_GAP_S = 0.2  # that is allowed (S8); a setpoint is due so long after the last one:
+SETPOINT_S = 0.05
 RATES_HZ = (60, 50, 30, 25, 20, 15, 10)
 MEASURE_S = 300.0  # the first time everything is compiled
 _NAMES = {
@@ -31,9 +34,9 @@ _NAMES = {
 }
 
 
-def pace_of(rig: Rig, role: Role) -> list[Pace]:
-    """Measures in a process of its own. Raises PartError when that fails."""
-    command = [sys.executable, "-m", "missions.doctor.pace", str(rig.file), role.value]
+def pace_of(rig: Rig, role: Role, *, own_only: bool = False) -> list[Pace]:
+    """Measures in a process of its own, the rig's own size first. Raises PartError when that fails."""
+    command = [sys.executable, "-m", "missions.doctor.pace", str(rig.file), role.value, "own" if own_only else "all"]
     try:
         ended = subprocess.run(command, capture_output=True, timeout=MEASURE_S, check=False)
     except subprocess.TimeoutExpired:
@@ -63,7 +66,8 @@ def computer_findings(rig: Rig, role: Role, share: float = 1.0) -> Iterator[Find
     held = ", ".join(f"{pace.size[0]}x{pace.size[1]} at {_said(holds_hz(pace, share))}" for pace in paces)
     of = "a core" if share == 1.0 else f"{share:g} of a core"
     yield Finding("ok", f"{where} holds", f"{held}; with {100.0 * MARGIN:.0f} % of {of} kept free")
-    yield replace(rate := fits(own, None if found is None else found[1], share), name=f"{where} {rate.name}")
+    for each in (fits(own, None if found is None else found[1], share), waits(own, share)):
+        yield replace(each, name=f"{where} {each.name}")
 
 
 def holds_hz(pace: Pace, share: float = 1.0, margin: float = MARGIN) -> float:
@@ -85,6 +89,27 @@ def fits(pace: Pace, rate_hz: float | None, share: float = 1.0) -> Finding:
         fix = "a lower frame rate, or smaller images; else pictures and frames are left out in flight"
         return Finding("note", name, detail, fix)
     return Finding("ok", name, detail)
+
+
+def waits(pace: Pace, share: float = 1.0) -> Finding:
+    """Finds whether setpoints can wait for a look at the whole image, which nothing interrupts."""
+    wait_s = SETPOINT_S + FLOWN * pace.search.p99_ms * 1e-3 / share
+    detail = f"up to {wait_s:.2f} s between two, while the whole image is searched; {SETPOINT_GAP_S:g} s are allowed"
+    if wait_s > SETPOINT_GAP_S:
+        return Finding("fault", "setpoints", f"{detail}: too slow", "a faster computer, or smaller images")
+    return Finding("ok", "setpoints", detail)
+
+
+def refuse_share(rig: Rig, share: float) -> None:
+    """Raises PartError, with what was measured, where a share of this core is too little for one of the roles."""
+    for role in Role:
+        (own,) = pace_of(rig, role, own_only=True)
+        found = detector_of(rig.role(role).perception)
+        for finding in (fits(own, None if found is None else found[1], share), waits(own, share)):
+            if finding.state == "fault":
+                what = f"{share:g} of this core is too little for the {role.value}: {finding.name}: {finding.detail}"
+                more = f"path-handoff doctor --rig {rig_library.name_of(rig)} --role {role.value} --slow {share:g}"
+                raise PartError(what, f"a larger share, or smaller images; `{more}` tells more")
 
 
 def _said(held_hz: float) -> str:

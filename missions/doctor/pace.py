@@ -1,7 +1,7 @@
 """What one frame costs a role's program on this computer, by stage: the mission's own parts on a drawn picture.
 
-``python -m missions.doctor.pace RIG ROLE`` prints it as JSON: a process of its own, whose caches and threads are those
-of a role. Times are of the processor, so that neighbours do not count.
+``python -m missions.doctor.pace RIG ROLE SIZES`` prints it as JSON, SIZES ``own`` or ``all``: a process of its own,
+whose caches and threads are those of a role. Times are of the processor, so that neighbours do not count.
 """
 
 from __future__ import annotations
@@ -60,24 +60,28 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """What a frame of one size costs, by stage."""
+    """What a frame of one size costs, by stage, and what a look at the whole image for what was lost does."""
 
     size: tuple[int, int]
     stages: dict[str, Stage]
+    search: Stage
 
     @property
     def frame_ms(self) -> float:
         return sum(stage.mean_ms for stage in self.stages.values())
 
 
-def measure(rig: Rig, role: Role) -> Iterator[Pace]:
+def measure(rig: Rig, role: Role, *, own_only: bool = False) -> Iterator[Pace]:
     """Yields the rig's own size first, then the usual ones."""
     cv2.setNumThreads(1)  # as in flight
     own = rig.role(role).camera
-    sizes = [(own.width, own.height), *(size for size in SIZES if size != (own.width, own.height))]
+    sizes = [(own.width, own.height)]
+    if not own_only:
+        sizes += [size for size in SIZES if size not in sizes]
     with tempfile.TemporaryDirectory() as folder:
         for size in sizes:
-            yield Pace(size, dict(_stages(rig, role, scaled(own, size), Path(folder) / f"{size[0]}.mcap")))
+            bench = _Bench(rig, role, scaled(own, size))
+            yield Pace(size, dict(_stages(bench, Path(folder) / f"{size[0]}.mcap")), _search_time(bench))
 
 
 def scaled(camera: CameraModel, size: tuple[int, int]) -> CameraModel:
@@ -91,31 +95,46 @@ def scaled(camera: CameraModel, size: tuple[int, int]) -> CameraModel:
     )
 
 
-def _stages(rig: Rig, role: Role, camera: CameraModel, file: Path) -> Iterator[tuple[str, Stage]]:
-    color, car = picture(rig, camera)
-    context, spec = replace(part_context(rig, role), camera=camera), detector_of(rig.role(role).perception)
-    detector: Detector = create(spec[0], context) if spec is not None else _Blind()
-    depth_mm = np.full(color.shape[:2], 1500, np.uint16)
-    number = 0
+class _Bench:
+    """The mission's own parts of one role over a drawn picture, which is a new frame each time."""
 
-    def view() -> PixelView:
-        nonlocal number
-        number += 1
-        return PixelView(Frame(number * 33_000_000, number, color, depth_mm), camera, rig.layout, detector, rig.method)
+    def __init__(self, rig: Rig, role: Role, camera: CameraModel) -> None:
+        self.rig, self.role, self.camera = rig, role, camera
+        self.color, self.car = picture(rig, camera)
+        self.depth_mm = np.full(self.color.shape[:2], 1500, np.uint16)
+        context, spec = replace(part_context(rig, role), camera=camera), detector_of(rig.role(role).perception)
+        self._detector: Detector = create(spec[0], context) if spec is not None else _Blind()
+        self._number = 0
 
+    def view(self) -> PixelView:
+        self._number += 1
+        frame = Frame(self._number * 33_000_000, self._number, self.color, self.depth_mm)
+        return PixelView(frame, self.camera, self.rig.layout, self._detector, self.rig.method)
+
+
+def _stages(bench: _Bench, file: Path) -> Iterator[tuple[str, Stage]]:
+    rig, role, camera, car = bench.rig, bench.role, bench.camera, bench.car
     if "RealSense" in str(rig.role(role).perception.options.get("camera", "")):
         flat = replace(camera, distortion=(0.0,) * 5)
         registration = DepthRegistration(flat, camera, Pose(np.eye(3), np.array([0.015, 0.0, 0.0])), 1e-3, (0.3, 6.0))
-        yield "frame", timed(lambda: (np.array(color), registration.register(depth_mm)))
+        yield "frame", timed(lambda: (np.array(bench.color), registration.register(bench.depth_mm)))
     u, v = car.center
     around = Region(u - car.w, v - car.w, u + car.w, v + car.w)
-    yield "detector", timed(lambda: view().targets(around))
+    yield "detector", timed(lambda: bench.view().targets(around))
     if role is Role.SENDER:
-        yield "depth", timed(lambda: view().depth(car))
+        yield "depth", timed(lambda: bench.view().depth(car))
     else:
-        yield "pose", _pose_time(rig, camera, view)
-    yield "log", _log_time(role, view(), car, file)
+        yield "pose", _pose_time(rig, camera, bench.view)
+    yield "log", _log_time(role, bench.view(), car, file)
     yield "link", _link_time(role)
+
+
+def _search_time(bench: _Bench) -> Stage:
+    """The longest thing that setpoints wait for: D1's look for the target, D2's for the marker, everywhere."""
+    everywhere = Region(0.0, 0.0, bench.camera.width, bench.camera.height)  # one look, as on a slow computer
+    if bench.role is Role.SENDER:
+        return timed(lambda: bench.view().targets(None))
+    return timed(lambda: bench.view().markers(everywhere))
 
 
 def _pose_time(rig: Rig, camera: CameraModel, view: Callable[[], PixelView]) -> Stage:
@@ -209,4 +228,6 @@ class _Blind:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(msgspec.json.encode(list(measure(rig_library.load(sys.argv[1]), Role(sys.argv[2])))).decode())
+    _, file_name, role_name, sizes_asked = sys.argv
+    measured = measure(rig_library.load(file_name), Role(role_name), own_only=sizes_asked == "own")
+    sys.stdout.write(msgspec.json.encode(list(measured)).decode())

@@ -53,6 +53,7 @@ def run(options: HandoffOptions) -> int:
     name_ground_station(rig, options.gcs)
     if options.serve_world:
         check_served(rig, options)
+    refuse_too_slow(rig)
     with unless_refused(options.out) as folder:
         if options.seeds > 1:
             if options.live is not None:
@@ -70,6 +71,14 @@ def run(options: HandoffOptions) -> int:
         facts = unwritten(facts, error)
         say_unwritten(error)
     return facts.exit_code
+
+
+def refuse_too_slow(rig: Rig) -> None:
+    """Raises PartError where the rig's share of this core flies nothing; one without a share is not measured."""
+    if rig.world.get("slow") is not None:
+        from missions.doctor.computer import refuse_share  # noqa: PLC0415  a flight does without the doctor
+
+        refuse_share(rig, rig.world["slow"])
 
 
 def name_simulators(options: HandoffOptions | FlyOptions | ConformanceOptions) -> None:

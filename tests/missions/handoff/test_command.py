@@ -18,6 +18,7 @@ from flight.harness.flights import FlightReport, FlightRequest, RoleResult
 from flight.outcome import Outcome
 from hil.world.check import check_world
 from missions import rig_library
+from missions.doctor.pace import Pace, Stage
 from missions.handoff.command import fly_once, harness_of, judge
 from missions.options.flights import HandoffOptions
 from missions.report.records import FACTS
@@ -208,6 +209,16 @@ def test_a_folder_that_cannot_be_made_names_the_remedy(tmp_path: Path) -> None:
 def test_programs_that_are_no_processes_of_their_own_cannot_be_slowed_down(rig: str, tmp_path: Path) -> None:
     with pytest.raises(PartError, match=r"world\.slow"):
         missions.handoff.command.run(HandoffOptions(rig, slow=0.2, out=tmp_path / "run"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_share_that_flies_nothing_is_refused_before_anything_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow = Pace((640, 480), {"link": Stage(1.0, 1.0)}, Stage(50.0, 50.0))
+    monkeypatch.setattr("missions.doctor.computer.pace_of", lambda *_, own_only: [slow])  # type: ignore[misc]
+    with pytest.raises(PartError, match="too little for the sender"):
+        missions.handoff.command.run(HandoffOptions("sitl", slow=0.1, out=tmp_path / "run"))
     assert not (tmp_path / "run").exists()
 
 
