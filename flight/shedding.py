@@ -7,6 +7,7 @@ or neighbours. Pure: what is due when is passed in.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -20,6 +21,8 @@ BUSY, CALM = 0.6, 0.3  # of the beats late: one thing more goes; one may come ba
 CALM_S = 10.0  # in a row, before anything comes back; twice as long each time that it had to go again
 LONGEST_S = 160.0
 _SEARCHES = 4  # times as rarely the whole image is searched
+LOOKS = 7.0  # times as long as one look at the whole image three take: 17 ms for 5 at 640x480, 35 for 5 at 1280x720
+HOLD_S = 0.1  # that setpoints wait for a search, at most; 0.2 s are allowed between two
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,11 @@ class Shedding:
         self._interval_ns = 0
         self._latency_ns = 1 << 62
         self._newest: tuple[int, int] | None = None
+        self._look_s = 0.0  # at the whole image, once
+
+    def begin(self) -> None:
+        """Takes that the program runs in real time, and what a search takes is not known: the first is one look."""
+        self._look_s = math.inf
 
     def beat(self, late_s: float) -> Shed | None:
         """Takes one beat, ``BEAT_S`` after the last one and so late; returns what changes with it."""
@@ -73,6 +81,15 @@ class Shedding:
     def search_every(self) -> int:
         """Returns how many times as rarely the whole image is searched for what was lost."""
         return 1 if self.gone < 2 else _SEARCHES
+
+    @property
+    def thorough(self) -> bool:
+        """Returns whether a search of the whole image takes three looks, for which setpoints wait, and not one."""
+        return self.gone < 2 and LOOKS * self._look_s <= HOLD_S
+
+    def searched(self, took_s: float) -> None:
+        """Takes how long a search took that was as ``thorough`` says."""
+        self._look_s = took_s / LOOKS if self.thorough else took_s
 
     @property
     def frames_every(self) -> int:

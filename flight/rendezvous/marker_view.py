@@ -78,6 +78,7 @@ class MarkerView:
         self._searched_ns = 0
         self._search_period_ns = round(1e9 / mission.search_hz)
         self.search_every = 1  # times as rarely as the mission says, on a computer that does not keep up
+        self.thorough = True  # three looks in a search, for which setpoints wait, or one
         self.target_n_m: Vec3 | None = None
         self.R_n_v: Matrix | None = None  # the marker's attitude at the newest look, as its drone reports it
 
@@ -102,6 +103,10 @@ class MarkerView:
     def unseen_s(self, stamp_ns: int) -> float:
         return self._filter.unseen_s(stamp_ns)
 
+    def searched(self, stamp_ns: int) -> bool:
+        """Returns whether the look at this instant was one at the whole image."""
+        return self._searched_ns == stamp_ns
+
     def look(self, view: View, R_n_c: Matrix, gravity_v: Vec3 | None, gravity_c: Vec3) -> MarkerFix | Missed:
         """The pose of the marker in one view, or why there is none."""
         R_n_v = None
@@ -114,7 +119,7 @@ class MarkerView:
             if view.stamp_ns - self._searched_ns < self.search_every * self._search_period_ns:
                 return Missed(MissReason.NO_MARKER)
             self._searched_ns = view.stamp_ns
-            if self.search_every > 1:  # one look, as in a region: three of them keep setpoints waiting on a slow core
+            if not self.thorough:  # as in a region
                 region = self._everywhere
         detections = view.markers(region, expected)
         pose = estimate_pose(detections, self._layout, self._camera, gravity_v, gravity_c, self._settings)

@@ -250,9 +250,8 @@ class Receiver:
         T_n_c = self._camera_pose.T_n_c(stamp_ns, R_n_b)
         motion = self._motion()
         self._marker.note_motion(motion)
-        self._marker.search_every = session.frames.shedding.search_every
         with session.stage("marker"):
-            fix = self._marker.look(view, T_n_c.R, gravity_v, gravity_in(T_n_c.R))
+            fix = self._look(view, T_n_c.R, gravity_v)
         with session.stage("log"):
             session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
             session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, fix))
@@ -275,6 +274,15 @@ class Receiver:
         if candidate.box is not None and isinstance(prior, Prior):
             with session.stage("depth"):
                 self._note_found(view, T_n_c, candidate, prior)
+
+    def _look(self, view: View, R_n_c: Matrix, gravity_v: Vec3 | None) -> MarkerFix | Missed:
+        """The marker, searched for no longer than setpoints can wait."""
+        session, shedding, began_ns = self._session, self._session.frames.shedding, self._session.now_ns()
+        self._marker.search_every, self._marker.thorough = shedding.search_every, shedding.thorough
+        fix = self._marker.look(view, R_n_c, gravity_v, gravity_in(R_n_c))
+        if self._marker.searched(view.stamp_ns):
+            shedding.searched((session.now_ns() - began_ns) * 1e-9)
+        return fix
 
     def _motion(self) -> VehicleMotions:
         """Returns both vehicles' newest reports."""

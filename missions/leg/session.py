@@ -213,6 +213,8 @@ class RoleSession:
         In virtual time nothing is late.
         """
         loop = asyncio.get_running_loop()
+        if self._stages is not None:
+            self.frames.shedding.begin()
         while self._stages is not None:
             due_s = loop.time() + BEAT_S
             await asyncio.sleep(BEAT_S)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from itertools import groupby, pairwise
 
-from flight.shedding import BEATS, CALM_S, IN_ORDER, LATE_S, Shed, Shedding
+from flight.shedding import BEATS, CALM_S, HOLD_S, IN_ORDER, LATE_S, LOOKS, Shed, Shedding
 
 ON_TIME, LATE = 0.5 * LATE_S, 2.0 * LATE_S
 
@@ -82,3 +82,26 @@ def test_a_cycle_that_takes_longer_than_that_is_not_waited_for() -> None:
     beats(shedding, 6.4, 1.0)
     taken = frames_taken(shedding, 33_000_000, 150_000_000, 60)
     assert {b - a for a, b in pairwise(taken)} <= {4, 5}
+
+
+def test_a_search_is_one_look_while_three_would_keep_setpoints_waiting() -> None:
+    shedding = Shedding()
+    assert shedding.thorough  # in virtual time nothing takes any
+    shedding.begin()
+    assert not shedding.thorough
+    shedding.searched(1.01 * HOLD_S / LOOKS)
+    assert not shedding.thorough
+    shedding.searched(0.99 * HOLD_S / LOOKS)
+    assert shedding.thorough
+    shedding.searched(0.9 * HOLD_S)  # all three
+    assert shedding.thorough
+    shedding.searched(1.1 * HOLD_S)
+    assert not shedding.thorough
+
+
+def test_who_gives_up_redetection_searches_with_one_look() -> None:
+    shedding = Shedding()
+    beats(shedding, 2.2, 1.0)
+    assert shedding.thorough
+    beats(shedding, 2.2, 1.0)
+    assert not shedding.thorough
