@@ -11,20 +11,16 @@ import numpy as np
 from drivers.interfaces import View
 from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
+from flight.tracking.objects import CUT_SCORE, MIN_SCORE, Found, Pixel, by_distance, is_cut
 from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
-from path.observations import Box, Depth, Detection, MissReason, Region
+from path.observations import Box, Depth, MissReason, Region
 from path.target.rivals import MOST, Rival
 
-Pixel = tuple[float, float]
-
-MIN_SCORE = 0.3
 _RIVAL_REACH_M = 0.6
 _BESIDE_M = 1.0  # around the object, what else is told of
 _UNSEEN_S = 0.5  # after so long anything else that the object may have come to might as well be the object
-_CUT_SCORE = 0.1  # of a box that the image's border cuts, which detectors score low: it is an object, not its box
-_BORDER_PX = 1.5
 _OUTSIDE_PX = 60.0  # so far outside the image an object's middle may be, and a part of it inside
 _AMBIGUITY = 0.6
 _CLEARLY_NEARER = 1.5
@@ -71,7 +67,7 @@ def acquire(view: View, T_n_c: Pose, camera: CameraModel, designated: Designated
     for detection in view.targets(None):
         box = detection.box
         cut = is_cut(box, camera)
-        if detection.score < (_CUT_SCORE if cut else MIN_SCORE):
+        if detection.score < (CUT_SCORE if cut else MIN_SCORE):
             continue
         depth = None if cut else view.depth(box)
         position = (
@@ -114,6 +110,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     following while the frame is a miss, and does not follow a range that changes with the target's heading. A depth
     that puts it elsewhere on its ray is of something else, such as the other drone in front of it: that is no depth.
     A box that the image's border cuts is not the object's: it keeps the track, and the frame is a miss.
+    Two boxes that are the object's size together are the object, and not something beside it.
     """
     predicted_n, sigma_m = track.predict(view.stamp_ns)
     x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
@@ -125,7 +122,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     unseen = view.stamp_ns - track.stamp_ns > _UNSEEN_S * 1e9
     reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / _AMBIGUITY, _RIVAL_REACH_M)
     found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
-    ranked = _by_distance(found, (u, v), camera, track.size_m, z)
+    ranked = by_distance(found, (u, v), camera, track.size_m, z)
     if not ranked or ranked[0].off_px > px_per_m * gate_m:
         return MissReason.NO_TARGET
     chosen = ranked[0]
@@ -154,7 +151,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     return Sighting(box, depth, _beside(view, box, ranked[1:], px_per_m))
 
 
-def _beside(view: View, own: Box, others: Sequence[_Found], px_per_m: float) -> tuple[Rival, ...]:
+def _beside(view: View, own: Box, others: Sequence[Found], px_per_m: float) -> tuple[Rival, ...]:
     """The whole objects nearest to a box, with their depth."""
     near = [each.box for each in others if not each.cut and math.dist(each.pixel, own.center) <= px_per_m * _BESIDE_M]
     near.sort(key=lambda box: math.dist(box.center, own.center))
@@ -184,63 +181,12 @@ def _at_height(pixel: Pixel, camera: CameraModel, T_n_c: Pose, down_m: float) ->
     return north, east, down
 
 
-@dataclass(frozen=True, slots=True)
-class _Found:
-    """An object in an image. ``cut``: by the border; ``pixel`` is where its middle must be, and may be outside."""
-
-    box: Box
-    pixel: Pixel
-    off_px: float  # from where the tracked one is expected
-    cut: bool
-
-
-def _by_distance(
-    found: Sequence[Detection], expected: Pixel, camera: CameraModel, size_m: tuple[float, float] | None, z_m: float
-) -> list[_Found]:
-    objects: list[_Found] = []
-    for detection in found:
-        box = detection.box
-        cut = is_cut(box, camera)
-        if detection.score < (_CUT_SCORE if cut else MIN_SCORE):
-            continue
-        pixel = _middle(box, camera, size_m, z_m) if cut and size_m is not None else box.center
-        objects.append(_Found(box, pixel, math.dist(pixel, expected), cut))
-    objects.sort(key=lambda each: each.off_px)
-    return objects
-
-
-def is_cut(box: Box, camera: CameraModel) -> bool:
-    """True when the image's border cuts a box, or may: then it is not the whole object's."""
-    return (
-        min(box.x, box.y) < _BORDER_PX - 0.5
-        or box.x + box.w > camera.width - 0.5 - _BORDER_PX
-        or box.y + box.h > camera.height - 0.5 - _BORDER_PX
-    )
-
-
-def _middle(box: Box, camera: CameraModel, size_m: tuple[float, float], z_m: float) -> Pixel:
-    """The middle of an object that the border cuts, from its size when it was whole."""
-    half_u, half_v = 0.5 * size_m[0] * camera.fx / z_m, 0.5 * size_m[1] * camera.fy / z_m
-    return (
-        _whole_middle(box.x, box.x + box.w, half_u, camera.width),
-        _whole_middle(box.y, box.y + box.h, half_v, camera.height),
-    )
-
-
-def _whole_middle(low: float, high: float, half: float, size: int) -> float:
-    if low < _BORDER_PX - 0.5:
-        return min(high - half, 0.5 * (low + high))
-    if high > size - 0.5 - _BORDER_PX:
-        return max(low + half, 0.5 * (low + high))
-    return 0.5 * (low + high)
-
-
-def _nearest_m(ranked: Sequence[_Found], px_per_m: float) -> float:
+def _nearest_m(ranked: Sequence[Found], px_per_m: float) -> float:
     """From the first object to the nearest other one."""
     first, *others = (each.pixel for each in ranked)
     return min(math.dist(first, other) for other in others) / px_per_m
 
 
-def _nearly_as_near(ranked: Sequence[_Found]) -> bool:
+def _nearly_as_near(ranked: Sequence[Found]) -> bool:
     """True when the second object might be the one expected as well as the first."""
     return ranked[0].off_px > _AMBIGUITY * ranked[1].off_px

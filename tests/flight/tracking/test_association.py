@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
-from flight.tracking.association import MIN_SCORE, Sighting, acquire, follow, is_cut, place, point_in_camera, to_local
+from flight.tracking.association import Sighting, acquire, follow, place, point_in_camera, to_local
+from flight.tracking.objects import MIN_SCORE, is_cut
 from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
@@ -167,6 +168,40 @@ def test_a_look_alike_nearly_as_near_is_not_told_apart(target_m: float, other_m:
             assert seen.box == FakeView([beside(PLACE, target_m)]).boxes()[0]
         else:
             assert seen is MissReason.AMBIGUOUS_TARGET
+
+
+class Halved(FakeView):
+    """Its one object comes in two boxes that overlap, as a detector gave a car for one frame of a flight."""
+
+    def targets(self, region: Region | None) -> Sequence[Detection]:
+        (box,) = super().boxes()
+        pieces = [Box(box.x + 0.12 * box.w, box.y, 0.88 * box.w, box.h), Box(box.x, box.y + 2.0, 0.38 * box.w, 31.0)]
+        found = [Detection(piece, 0.8) for piece in pieces]
+        return [d for d in found if region is None or region.contains(*d.box.center)]
+
+    def depth(self, box: Box) -> Depth | None:
+        return Depth(self._seen(self.places[0])[1], 0.01)
+
+
+def test_one_object_in_two_boxes_is_no_object_beside_it() -> None:
+    """So it is still followed when, half a second later, the drone's attitude is corrected by two degrees."""
+    track = settled(PLACE)
+    whole = FakeView([PLACE]).boxes()[0]
+    seen = tracked(Halved([PLACE], track.stamp_ns + SECOND // 20), track)
+    assert seen.beside == ()
+    assert (seen.box.x, seen.box.y, seen.box.w, seen.box.h) == pytest.approx((whole.x, whole.y, whole.w, whole.h))
+    for _ in range(10):
+        tracked(FakeView([PLACE], track.stamp_ns + SECOND // 20), track)
+    tracked(FakeView([beside(PLACE, 0.1)], track.stamp_ns + SECOND // 20), track)
+
+
+@given(st.floats(-0.6, 0.6), st.floats(-0.4, 0.4))
+def test_two_objects_are_never_put_together(east_m: float, north_m: float) -> None:
+    track = settled(PLACE)
+    other = (PLACE[0] + north_m, PLACE[1] + east_m, PLACE[2])
+    view = FakeView([PLACE, other], track.stamp_ns + SECOND // 50)
+    seen = follow(view, T_N_C, CAMERA, track)
+    assert isinstance(seen, MissReason) or seen.box in view.boxes()
 
 
 def test_what_is_hardly_an_object_makes_nothing_ambiguous() -> None:

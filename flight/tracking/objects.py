@@ -1,0 +1,104 @@
+"""The objects a detector shows in an image, nearest first to where one is expected; what the border cuts of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from path.camera.model import CameraModel
+from path.observations import Box, Detection
+
+Pixel = tuple[float, float]
+
+MIN_SCORE = 0.3
+CUT_SCORE = 0.1  # of a box that the image's border cuts, which detectors score low: it is an object, not its box
+_BORDER_PX = 1.5
+_PIECES = 0.1  # by so much of its side two pieces together may differ from the object when it was last whole
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """An object in an image. ``cut``: by the border; ``pixel`` is where its middle must be, and may be outside."""
+
+    box: Box
+    pixel: Pixel
+    off_px: float  # from where the tracked one is expected
+    cut: bool
+
+
+def by_distance(
+    found: Sequence[Detection], expected: Pixel, camera: CameraModel, size_m: tuple[float, float] | None, z_m: float
+) -> list[Found]:
+    """The objects of ``found``, the nearest to the expected pixel first and in one piece.
+
+    Args:
+        size_m: width and height of the expected one's box where it is, when it was last seen whole.
+        z_m: its depth.
+    """
+    objects: list[Found] = []
+    for detection in found:
+        box = detection.box
+        cut = is_cut(box, camera)
+        if detection.score < (CUT_SCORE if cut else MIN_SCORE):
+            continue
+        pixel = _middle(box, camera, size_m, z_m) if cut and size_m is not None else box.center
+        objects.append(Found(box, pixel, math.dist(pixel, expected), cut))
+    objects.sort(key=lambda each: each.off_px)
+    if len(objects) < 2 or size_m is None:
+        return objects
+    return _joined(objects, expected, (size_m[0] * camera.fx / z_m, size_m[1] * camera.fy / z_m))
+
+
+def _joined(ranked: list[Found], expected: Pixel, side_px: tuple[float, float]) -> list[Found]:
+    """The objects with the first one in one piece: detectors at times show one object as two boxes, for a frame.
+
+    Two boxes that together are as large as the object was, and more nearly so than the first alone, are the object:
+    two that look alike take more room than one.
+    """
+    first, *others = ranked
+    if first.cut:
+        return ranked
+    for other in others:
+        both = _around(first.box, other.box)
+        off = _odds(both, side_px)
+        if not other.cut and off < _PIECES and off < _odds(first.box, side_px):
+            whole = Found(both, both.center, math.dist(both.center, expected), cut=False)
+            return [whole, *(each for each in others if each is not other)]
+    return ranked
+
+
+def _around(a: Box, b: Box) -> Box:
+    x, y = min(a.x, b.x), min(a.y, b.y)
+    return Box(x, y, max(a.x + a.w, b.x + b.w) - x, max(a.y + a.h, b.y + b.h) - y)
+
+
+def _odds(box: Box, side_px: tuple[float, float]) -> float:
+    """How far a box's sides are from what is expected, as a share of them; the worse of the two."""
+    return max(abs(box.w / side_px[0] - 1.0), abs(box.h / side_px[1] - 1.0))
+
+
+def is_cut(box: Box, camera: CameraModel) -> bool:
+    """True when the image's border cuts a box, or may: then it is not the whole object's."""
+    return (
+        min(box.x, box.y) < _BORDER_PX - 0.5
+        or box.x + box.w > camera.width - 0.5 - _BORDER_PX
+        or box.y + box.h > camera.height - 0.5 - _BORDER_PX
+    )
+
+
+def _middle(box: Box, camera: CameraModel, size_m: tuple[float, float], z_m: float) -> Pixel:
+    """The middle of an object that the border cuts, from its size when it was whole."""
+    half_u, half_v = 0.5 * size_m[0] * camera.fx / z_m, 0.5 * size_m[1] * camera.fy / z_m
+    return (
+        _whole_middle(box.x, box.x + box.w, half_u, camera.width),
+        _whole_middle(box.y, box.y + box.h, half_v, camera.height),
+    )
+
+
+def _whole_middle(low: float, high: float, half: float, size: int) -> float:
+    if low < _BORDER_PX - 0.5:
+        return min(high - half, 0.5 * (low + high))
+    if high > size - 0.5 - _BORDER_PX:
+        return max(low + half, 0.5 * (low + high))
+    return 0.5 * (low + high)
