@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from drivers.collector import collector_off
@@ -17,11 +18,15 @@ from missions.rig_list import FOLDER
 from missions.team.config import checked_team
 
 
-def load(name_or_path: str) -> Rig:
-    """A rig by name or path, with everything in it checked before anything moves. Raises RigError."""
+def load(name_or_path: str, *, world: bool = True) -> Rig:
+    """A rig by name or path, with everything in it checked before anything moves. Raises RigError.
+
+    Args:
+        world: False for one drone's program, which knows nothing of a world or harness: they are not imported.
+    """
     rig = load_rig(name_or_path, [FOLDER])
     problems = Problems()
-    for check in (check_rig, mission_of):
+    for check in (partial(check_rig, harness=world), mission_of):
         try:
             with collector_off():  # the parts that the rig names are imported here
                 check(rig)

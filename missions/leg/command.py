@@ -23,7 +23,7 @@ def run(options: RoleOptions) -> int:
 
 def fly_from_drone(options: RoleOptions, role: Role, main: RoleMain) -> int:
     """The same with any program of a role."""
-    rig = rig_library.load(options.rig)
+    rig = rig_library.load(options.rig, world=False)
     with unless_refused(options.out) as folder:
         rig = with_guard(rig, role, options.guard, folder)
         state = options.state or (options.out or folder.parent) / f"{role.value}.state.json"

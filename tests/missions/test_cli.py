@@ -189,6 +189,18 @@ def test_what_does_not_fly_loads_nothing_heavy(arguments: list[str]) -> None:
     assert ran.stdout.splitlines()[-1] == "loaded: []"
 
 
+def test_a_drones_program_brings_no_harness_and_no_renderer() -> None:
+    program = (
+        "import sys\nfrom missions.rig_library import load\n"
+        "load('sitl', world=False)\n"
+        "print(sorted(m for m in sys.modules if m.startswith(('hil.harness', 'hil.render', 'hil.world'))))\n"
+        "load('sitl')\n"
+        "print('hil.harness.sitl' in sys.modules)"
+    )
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ran.stdout.splitlines() == ["[]", "True"]
+
+
 def test_switching_level_changes_parts_and_nothing_else() -> None:
     tables = [tomllib.loads(rig.read_text()) for rig in RIGS if rig.stem in ("sim", "sim-rendered", "sitl")]
     assert len(tables) == 3
