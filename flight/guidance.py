@@ -44,6 +44,18 @@ def bearing(to_n_m: Vec3) -> float:
     return math.atan2(to_n_m[1], to_n_m[0])
 
 
+def way_until_away(offset_n_m: Vec3, along_n: Vec3, distance_m: float) -> float:
+    """How far to go along a level unit vector until the level distance from something is so large; 0: it is already.
+
+    Args:
+        offset_n_m: of the beginning, from that thing.
+    """
+    north, east, _ = offset_n_m
+    passed = north * along_n[0] + east * along_n[1]
+    missing = distance_m * distance_m - north * north - east * east
+    return math.sqrt(missing + passed * passed) - passed if missing > 0.0 else 0.0
+
+
 def close_in(error_n_m: Vec3, feed_forward_n_mps: Vec3, gain_per_s: float, max_speed_mps: float) -> Vec3:
     """Proportional pursuit of a (moving) point: the correction is limited, the feed-forward is not."""
     return add(feed_forward_n_mps, limit(scale(error_n_m, gain_per_s), max_speed_mps))

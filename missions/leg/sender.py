@@ -9,7 +9,7 @@ from dataclasses import replace
 from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
 from flight.camera_pose import CameraPose
 from flight.config import Designated, MissionConfig
-from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, subtract
+from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, scale, subtract, way_until_away
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.tilt import Tilt
@@ -38,6 +38,8 @@ from path.observations import Missed, MissReason
 
 _PEER_POLL_S = 0.25
 _WIDER = 1.4  # times the distance, to see it again
+_LANDING_MPS = 0.5  # so slowly it may come down
+_FARTHEST = 2.0  # times the usual way out, for a target that could come there
 
 
 class Sender:
@@ -138,13 +140,27 @@ class Sender:
         return await bring_down(self._session, end, way_out)
 
     def _leave(self) -> Anchor:
-        """Returns the place to go to before landing: away from the receiver, sideways, the same however often asked."""
+        """Returns the place to go to before landing: away from the receiver, sideways, the same however often asked.
+
+        It is so far away that the target cannot be under this drone before it is down, or twice the usual way.
+        """
         if self._way_out is None:
-            state = self._session.vehicle.state
-            aside_m = 0.0 if self._track is None else -self._side_of_receiver(state) * self._config.depart_m
-            aside = from_heading((0.0, aside_m, 0.0), self._heading_rad)
-            self._way_out = Anchor(add(state.position_n_m, aside), yaw_of(state.q_n_b))
+            state, usual_m = self._session.vehicle.state, self._config.depart_m
+            place = state.position_n_m
+            if self._track is not None:
+                aside = from_heading((0.0, -self._side_of_receiver(state), 0.0), self._heading_rad)
+                wanted_m = self._out_of_targets_reach(self._track, place, aside)
+                place = add(place, scale(aside, min(max(usual_m, wanted_m), _FARTHEST * usual_m)))
+            self._way_out = Anchor(place, yaw_of(state.q_n_b))
         return self._way_out
+
+    def _out_of_targets_reach(self, track: TargetTrack, place_n_m: Vec3, along_n: Vec3) -> float:
+        """Returns how far to go that way so that the target, as fast as it is, cannot be there before the landing."""
+        config = self._config
+        target, (north, east, _) = track.believed(self._session.now_ns())
+        landing_s = config.depart_m / config.follow.max_speed_mps + max(0.0, -place_n_m[2]) / _LANDING_MPS
+        least_m = config.separation.minimum_m + config.target.half_size_m
+        return way_until_away(subtract(place_n_m, target), along_n, least_m + math.hypot(north, east) * landing_s)
 
     def _side_of_receiver(self, state: VehicleState) -> float:
         """-1 left, 1 right; by both drones' own positions until it was measured on the marker."""

@@ -7,7 +7,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.interfaces import FlightMode, VehicleState, VelocitySetpoint
-from flight.guidance import Anchor, Vec3, add, bearing, close_in, from_heading, limit, norm, scale, slew, subtract
+from flight.guidance import (
+    Anchor,
+    Vec3,
+    add,
+    bearing,
+    close_in,
+    from_heading,
+    limit,
+    norm,
+    scale,
+    slew,
+    subtract,
+    way_until_away,
+)
 
 numbers = st.floats(-50.0, 50.0)
 vectors = st.tuples(numbers, numbers, numbers)
@@ -36,6 +49,16 @@ def test_a_heading_turns_forward_and_right_and_leaves_down(offset: Vec3, heading
     assert norm(turned) == pytest.approx(norm(offset), abs=1e-9)
     assert turned[2] == offset[2]
     assert from_heading(turned, -heading) == pytest.approx(offset, abs=1e-9)
+
+
+@given(vectors, angles, st.floats(0.0, 60.0))
+def test_the_way_out_of_reach_is_no_longer_than_it_must_be(offset: Vec3, heading: float, distance_m: float) -> None:
+    along = from_heading((1.0, 0.0, 0.0), heading)
+    way_m = way_until_away(offset, along, distance_m)
+    north, east, _ = add(offset, scale(along, way_m))
+    assert way_m >= 0.0
+    already_m = math.hypot(offset[0], offset[1])
+    assert math.hypot(north, east) == pytest.approx(max(distance_m, already_m), abs=1e-6)
 
 
 @pytest.mark.parametrize(
