@@ -159,7 +159,8 @@ def report_of(request: FlightRequest, run: RealTimeRun, ending: Ending) -> Fligh
         wall_s=ending.wall_s,
         interrupted=run.interrupted,
         failure=ending.failure,
-        overload=ending.slow or overload_of(ages_s, finished.get("frames", {}), "the {}'s"),
+        overload=ending.slow
+        or overload_of(ages_s, finished.get("frames", {}), "the {}'s", finished.get("stood_s", 0.0)),
         notes=[
             *monitors.details,
             *finished.get("details", []),

@@ -8,17 +8,21 @@ from typing import Any
 LEFT_OUT = 0.5  # of the pictures
 OLD_S, OLD_SHARE = 0.25, 0.2  # of the frames, when a program took them up
 ENOUGH = 50  # frames
+STOOD_S = 0.5  # of a world: for longer no drone takes a silent vehicle for a living one
 
 
-def overload_of(ages_s: Mapping[str, Sequence[float]], pictures: Mapping[str, Any], whose: str = "{}'s") -> str:
+def overload_of(
+    ages_s: Mapping[str, Sequence[float]], pictures: Mapping[str, Any], whose: str = "{}'s", stood_s: float = 0.0
+) -> str:
     """Returns what was late, and how late; empty when all kept up.
 
     Args:
         ages_s: of each drone's frames, from their capture until its program took them up.
         pictures: by drone, how many were ``rendered`` and how many ``left_out`` because it was too late for them.
         whose: how something of a drone is called.
+        stood_s: for how long the world stood still at the most while drones flew.
     """
-    late: list[str] = []
+    late = [f"the world stood still for {stood_s:.1f} s"] if stood_s > STOOD_S else []
     for name in dict.fromkeys((*ages_s, *pictures)):
         made, its = pictures.get(name, {}), whose.format(name)
         rendered, left_out = int(made.get("rendered", 0)), int(made.get("left_out", 0))

@@ -209,7 +209,8 @@ class RelaySitlWorld(RealTimeWorld):
         monitors.close()
         found = monitors.findings()
         many = {name: [asdict(each) for each in found[name]] for name in ("flown", "samples", "watched")}
-        late = overload_of(self._ages_s, {name: drone.frames for name, drone in self.drones.items()})
+        pictures = {name: drone.frames for name, drone in self.drones.items()}
+        late = overload_of(self._ages_s, pictures, stood_s=self.stood_s)
         return {**found, **many, "simulated_s": now_s, "aloft": aloft, "overload": late}
 
 

@@ -94,6 +94,7 @@ class RealTimeWorld:
         self.proxies: dict[int, UdpFaultProxy] = {}
         self.frozen: set[str] = set()
         self.start_s = 0.0
+        self.stood_s = 0.0  # the longest time between two steps while a drone flew: neither vehicles nor monitors lived
         self.lock = threading.Lock()
         self._commands = JsonLines(sys.stdin.fileno())
         self._orders: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
@@ -150,7 +151,7 @@ class RealTimeWorld:
             gc.freeze()  # what is loaded by now stays: a full collection would stop the world for 0.1 s
             asyncio.get_running_loop().add_reader(sys.stdin.fileno(), self._on_input)
             say({"event": "ready", **ready})
-            tasks = asyncio.ensure_future(at_pace(self.now_s, self._step)), asyncio.ensure_future(self._obey_in_order())
+            tasks = asyncio.ensure_future(at_pace(self.now_s, self.step)), asyncio.ensure_future(self._obey_in_order())
             for task in tasks:
                 stack.callback(task.cancel)
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -159,11 +160,14 @@ class RealTimeWorld:
             for drone in self.drones.values():
                 drone.close_camera()
             frames = {name: drone.frames for name, drone in self.drones.items()}
-            say({"event": "finished", **self.findings(), "frames": frames})
+            say({"event": "finished", **self.findings(), "frames": frames, "stood_s": self.stood_s})
 
-    def _step(self, steps: int) -> bool:
+    def step(self, steps: int) -> bool:
+        """The world as it is by now. Returns whether it is over."""
         now_s, fleet = self.now_s(), self.fleet
         with self.lock:
+            if not self.landed():
+                self.stood_s = max(self.stood_s, now_s - fleet.time_s)
             fleet.advance(max(now_s, fleet.time_s))
             for drone in self.drones.values():
                 if drone.vehicle is not None:

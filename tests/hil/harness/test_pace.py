@@ -28,5 +28,10 @@ def test_a_program_that_takes_its_frames_up_late_is_named() -> None:
     assert said == "the sender's program: 200 of 500 frames were late, a tenth by 0.60 s"
 
 
+def test_a_world_that_stood_still_is_named() -> None:
+    assert overload_of(QUICK, MADE, stood_s=0.3) == ""
+    assert overload_of(QUICK, MADE, stood_s=2.16) == "the world stood still for 2.2 s"
+
+
 def test_a_few_frames_prove_nothing() -> None:
     assert overload_of({"sender": [3.0] * 10}, {"sender": {"rendered": 1, "left_out": 20}}) == ""
