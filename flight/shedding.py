@@ -23,6 +23,7 @@ LONGEST_S = 160.0
 _SEARCHES = 4  # times as rarely the whole image is searched
 LOOKS = 7.0  # times as long as one look at the whole image three take: 17 ms for 5 at 640x480, 35 for 5 at 1280x720
 HOLD_S = 0.1  # that setpoints wait for a search, at most; 0.2 s are allowed between two
+QUICK_LOOKS = 8  # in a row, before three are taken: a share of a core comes in pieces, and one look may fit into one
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +46,11 @@ class Shedding:
         self._interval_ns = 0
         self._latency_ns = 1 << 62
         self._newest: tuple[int, int] | None = None
-        self._look_s = 0.0  # at the whole image, once
+        self._quick_due: float = 0  # looks at the whole image, before three of them are one search
 
     def begin(self) -> None:
-        """Takes that the program runs in real time, and what a search takes is not known: the first is one look."""
-        self._look_s = math.inf
+        """Takes that the program runs in real time, and what a search takes is not known: it begins with one look."""
+        self._quick_due = QUICK_LOOKS
 
     def beat(self, late_s: float) -> Shed | None:
         """Takes one beat, ``BEAT_S`` after the last one and so late; returns what changes with it."""
@@ -85,11 +86,15 @@ class Shedding:
     @property
     def thorough(self) -> bool:
         """Returns whether a search of the whole image takes three looks, for which setpoints wait, and not one."""
-        return self.gone < 2 and LOOKS * self._look_s <= HOLD_S
+        return self.gone < 2 and self._quick_due <= 0
 
     def searched(self, took_s: float) -> None:
-        """Takes how long a search took that was as ``thorough`` says."""
-        self._look_s = took_s / LOOKS if self.thorough else took_s
+        """Takes how long a search took that was as ``thorough`` says. Three looks that took too long are the last."""
+        if self.thorough:
+            if took_s > HOLD_S:
+                self._quick_due = math.inf
+        elif math.isfinite(self._quick_due):
+            self._quick_due = self._quick_due - 1 if LOOKS * took_s <= HOLD_S else QUICK_LOOKS
 
     @property
     def frames_every(self) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from itertools import groupby, pairwise
 
-from flight.shedding import BEATS, CALM_S, HOLD_S, IN_ORDER, LATE_S, LOOKS, Shed, Shedding
+from flight.shedding import BEATS, CALM_S, HOLD_S, IN_ORDER, LATE_S, LOOKS, QUICK_LOOKS, Shed, Shedding
 
 ON_TIME, LATE = 0.5 * LATE_S, 2.0 * LATE_S
 
@@ -84,19 +84,20 @@ def test_a_cycle_that_takes_longer_than_that_is_not_waited_for() -> None:
     assert {b - a for a, b in pairwise(taken)} <= {4, 5}
 
 
-def test_a_search_is_one_look_while_three_would_keep_setpoints_waiting() -> None:
+def test_a_search_is_one_look_until_a_row_of_them_was_quick_and_again_once_three_were_not() -> None:
     shedding = Shedding()
     assert shedding.thorough  # in virtual time nothing takes any
     shedding.begin()
-    assert not shedding.thorough
-    shedding.searched(1.01 * HOLD_S / LOOKS)
-    assert not shedding.thorough
-    shedding.searched(0.99 * HOLD_S / LOOKS)
-    assert shedding.thorough
+    quick_s, slow_s = 0.99 * HOLD_S / LOOKS, 1.01 * HOLD_S / LOOKS
+    for took_s in [*[quick_s] * (QUICK_LOOKS - 1), slow_s, *[quick_s] * QUICK_LOOKS]:
+        assert not shedding.thorough
+        shedding.searched(took_s)
     shedding.searched(0.9 * HOLD_S)  # all three
     assert shedding.thorough
     shedding.searched(1.1 * HOLD_S)
-    assert not shedding.thorough
+    for _ in range(3 * QUICK_LOOKS):
+        assert not shedding.thorough
+        shedding.searched(quick_s)
 
 
 def test_who_gives_up_redetection_searches_with_one_look() -> None:
