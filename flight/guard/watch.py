@@ -85,7 +85,9 @@ class GuardWatch:
 
     def sees(self, now_ns: int) -> bool:
         """Returns whether the own link brings telemetry."""
-        view = self._vehicle.view()
+        return self._sees(self._vehicle.view(), now_ns)
+
+    def _sees(self, view: GuardView | None, now_ns: int) -> bool:
         oldest_ns = 0 if view is None else min(view.heartbeat_ns, view.position_ns)
         return oldest_ns > 0 and (now_ns - oldest_ns) * 1e-9 <= self._rules.blind_s
 
@@ -169,7 +171,7 @@ class GuardWatch:
         script = Script.IDLE if self._heard is None else self._heard.script
         armed = view is not None and view.armed
         alarm = self._alarms[-1] if self._alarms else ""
-        return GuardAnswer(self.sees(now_ns), self._state.hand(script, armed), self._state.reason, alarm)
+        return GuardAnswer(self._sees(view, now_ns), self._state.hand(script, armed), self._state.reason, alarm)
 
     def _log_decision(self, now_ns: int, act: Act) -> None:
         state, heard, view = self._state, self._heard, self._vehicle.view()

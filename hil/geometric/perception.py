@@ -175,7 +175,7 @@ class GeometricView:
     @cached_property
     def _placed_for_depth(self) -> Placed:
         late_s = self._sensor.errors.depth_late_s
-        return place(self._sensor.setup, self._snapshot.carried_on(late_s)) if late_s else self._placed
+        return place(self._sensor.setup, self._snapshot, late_s) if late_s else self._placed
 
     @cached_property
     def _outlines(self) -> Array:

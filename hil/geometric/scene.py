@@ -80,12 +80,17 @@ class Placed:
     per_object: int
 
 
-def place(setup: CameraSetup, snapshot: Snapshot) -> Placed:
-    """Put the snapshot's objects, and the other drone, before the camera."""
-    own = snapshot.drones[setup.role].T_w_b
-    others = [truth.T_w_b for role, truth in snapshot.drones.items() if role is not setup.role]
+def place(setup: CameraSetup, snapshot: Snapshot, later_s: float = 0.0) -> Placed:
+    """Put the snapshot's objects, and the other drone, before the camera, as ``Snapshot.carried_on`` by ``later_s``."""
+    poses = {role: truth.T_w_b_after(later_s) if later_s else truth.T_w_b for role, truth in snapshot.drones.items()}
+    own = poses[setup.role]
+    others = [T_w_b for role, T_w_b in poses.items() if role is not setup.role]
     other, parts = (others[0], setup.other) if others else (STILL, NO_DRONE)
-    things = np.array([(*thing.position_w_m, thing.yaw_rad) for thing in snapshot.objects], float).reshape(-1, 4)
+    rows = [
+        (*(thing.position_after(later_s) if later_s else thing.position_w_m), thing.yaw_rad)
+        for thing in snapshot.objects
+    ]
+    things = np.array(rows, float).reshape(-1, 4)
     count, shape = len(things), parts_of(snapshot.kind)
     boxes = np.empty((count * len(shape) + len(parts), kernels.BOX_COLUMNS))
     extents = np.empty((count + 1, kernels.EXTENT_COLUMNS))

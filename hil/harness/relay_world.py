@@ -42,6 +42,7 @@ class RelayWorld(Fleet[str]):
         self.on: set[str] = set()
         self._rows = {name: k for k, name in enumerate(self._homes)}
         self._truths: dict[str, DroneTruth] = {}
+        self._aloft: list[int] | None = None  # the rows of those in the air, once they were asked for
         self._covered: set[str] = set()  # whose markers are
         self._no_depth: set[str] = set()  # whose depth cameras measure nothing on objects
         self._pilot_lands_s: dict[str, float] = {}  # when, of drones that a pilot took over
@@ -115,6 +116,7 @@ class RelayWorld(Fleet[str]):
 
     def _changed(self) -> None:
         self._truths.clear()
+        self._aloft = None
 
     # --- truth ---
 
@@ -151,12 +153,16 @@ class RelayWorld(Fleet[str]):
     @property
     def airborne(self) -> tuple[str, ...]:
         names = self.names
-        return tuple(names[row] for row in np.flatnonzero(self._states[:, CONTACT] == 0.0).tolist())
+        return tuple([names[row] for row in self._rows_aloft()])
+
+    def _rows_aloft(self) -> list[int]:
+        if self._aloft is None:
+            self._aloft = np.flatnonzero(self._states[:, CONTACT] == 0.0).tolist()
+        return self._aloft
 
     def closest(self, within_m: float) -> Nearness:
         """The distances between drones in the air, in truth."""
-        aloft = np.flatnonzero(self._states[:, CONTACT] == 0.0)
-        return nearness(tuple(self.names[row] for row in aloft.tolist()), self._states[aloft, :3], within_m)
+        return nearness(self.airborne, self._states[self._rows_aloft(), :3], within_m)
 
     @property
     def batteries(self) -> tuple[float, ...]:

@@ -47,8 +47,9 @@ class TargetField:
                 look_alikes,
                 [home for home in keep_clear if math.dist(home, start) <= near_m],
                 own,
+                number * NUMBERS,
             )
-            for (start, later_s), own in zip(starts, seeds, strict=True)
+            for number, ((start, later_s), own) in enumerate(zip(starts, seeds, strict=True))
         ]
         self._now: list[tuple[float, tuple[ObjectTruth, ...]]] = [(-1.0, ())] * len(starts)
         self._cells: dict[tuple[int, int], tuple[int, ...]] = {}
@@ -79,8 +80,6 @@ class TargetField:
         known_s, things = self._now[number]
         if known_s != time_s:
             things = self._traffic[number].at(time_s)
-            if number:
-                things = tuple(replace(thing, object_id=number * NUMBERS + thing.object_id) for thing in things)
             self._now[number] = time_s, things
         return things
 

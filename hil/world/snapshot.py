@@ -10,7 +10,7 @@ import numpy as np
 from hil.world.detector import PERFECT, DetectorConfig
 from hil.world.kinds import TargetKind
 from path.geometry.transforms import Pose
-from path.messages import Role
+from path.messages import Role, Vec3
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +21,10 @@ class DroneTruth:
     velocity_w_mps: tuple[float, float, float]
     rotor_phase_rad: float
     armed: bool
+
+    def T_w_b_after(self, by_s: float) -> Pose:
+        """Returns the pose some time later or earlier: it moves on with its velocity."""
+        return Pose(self.T_w_b.R, self.T_w_b.t + by_s * np.array(self.velocity_w_mps))
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +39,11 @@ class ObjectTruth:
     yaw_rad: float  # counter-clockwise from east
     speed_mps: float
     climb_mps: float = 0.0
+
+    def position_after(self, by_s: float) -> Vec3:
+        """Returns the position in ``w`` some time later or earlier: it moves on with its velocity."""
+        (x, y, z), by_m = self.position_w_m, by_s * self.speed_mps
+        return x + by_m * math.cos(self.yaw_rad), y + by_m * math.sin(self.yaw_rad), z + by_s * self.climb_mps
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +60,6 @@ class Snapshot:
 
     def carried_on(self, by_s: float) -> Snapshot:
         """Returns the snapshot some milliseconds later or earlier: everything moves on with its velocity."""
-        drones = {
-            role: replace(drone, T_w_b=Pose(drone.T_w_b.R, drone.T_w_b.t + by_s * np.array(drone.velocity_w_mps)))
-            for role, drone in self.drones.items()
-        }
-        objects = tuple(_moved(thing, by_s) for thing in self.objects)
+        drones = {role: replace(drone, T_w_b=drone.T_w_b_after(by_s)) for role, drone in self.drones.items()}
+        objects = tuple(replace(thing, position_w_m=thing.position_after(by_s)) for thing in self.objects)
         return replace(self, time_s=self.time_s + by_s, drones=drones, objects=objects)
-
-
-def _moved(thing: ObjectTruth, by_s: float) -> ObjectTruth:
-    (x, y, z), by_m = thing.position_w_m, by_s * thing.speed_mps
-    at = (x + by_m * math.cos(thing.yaw_rad), y + by_m * math.sin(thing.yaw_rad), z + by_s * thing.climb_mps)
-    return replace(thing, position_w_m=at)

@@ -154,8 +154,15 @@ class GroundVehicles:
         look_alikes: LookAlikeConfig,
         keep_clear: Sequence[Point],
         seed: np.random.SeedSequence,
+        first_id: int = 0,
     ) -> None:
-        """Place everything. ``keep_clear``: where the drones stand. Raises ValueError when there is no room."""
+        """Place everything. Raises ValueError when there is no room.
+
+        Args:
+            keep_clear: where the drones stand.
+            first_id: number of the target; its look-alikes' follow.
+        """
+        self._first_id = first_id
         loop_seed, place_seed, crossing_seed = seed.spawn(3)
         self._config = target
         self._loop = Loop(target, np.random.default_rng(loop_seed))
@@ -167,7 +174,7 @@ class GroundVehicles:
         flies = target.kind == "drone"
         heights = place_rng.uniform(LOWEST_M, HIGHEST_M, len(parked)).tolist() if flies else [0.0] * len(parked)
         self._parked = tuple(
-            ObjectTruth(1 + len(self._apart) + k, (x, y, z), yaw, 0.0)
+            ObjectTruth(first_id + 1 + len(self._apart) + k, (x, y, z), yaw, 0.0)
             for k, ((x, y, yaw), z) in enumerate(zip(parked, heights, strict=True))
         )
 
@@ -198,12 +205,14 @@ class GroundVehicles:
         return own.height_m + 0.5 * own.climb_m * (1.0 - math.cos(angle)), 0.5 * own.climb_m * turn * math.sin(angle)
 
     def at(self, time_s: float) -> tuple[ObjectTruth, ...]:
-        """The target (first, id 0), its look-alikes, and those that are just passing."""
+        """The target (first), its look-alikes, and those that are just passing."""
         along_m, speed = self._driven(time_s)
         z, climbing = self._risen(time_s)
         on_loop = [
-            ObjectTruth(k, (x, y, z), yaw, speed, climbing)
-            for k, (x, y, yaw) in enumerate(self._loop.at(along_m + apart) for apart in (0.0, *self._apart))
+            ObjectTruth(number, (x, y, z), yaw, speed, climbing)
+            for number, (x, y, yaw) in enumerate(
+                (self._loop.at(along_m + apart) for apart in (0.0, *self._apart)), self._first_id
+            )
         ]
         passing = [
             self._passing(crossing, time_s, on_loop[0])
@@ -225,7 +234,7 @@ class GroundVehicles:
         past_m = float(self._crossing_rng.uniform(*CROSSING_PAST_M[self._config.kind]))
         flip = 1.0 if self._crossing_rng.random() < 0.5 else -1.0
         heading = self.at(now_s + 0.5 * CROSSING_S)[0].yaw_rad
-        number = 1 + len(self._apart) + len(self._parked) + len(self._crossings)
+        number = self._first_id + 1 + len(self._apart) + len(self._parked) + len(self._crossings)
         choices: list[tuple[float, float, Crossing]] = []
         for k in range(-12, 12):  # square across first, then slanted ever more
             angle = heading + flip * (math.pi / 2.0 + math.pi * k / 12.0)

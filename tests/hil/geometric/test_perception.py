@@ -16,7 +16,7 @@ from hil.camera.capture import Capture, Freeze
 from hil.geometric import targets as geometric_targets
 from hil.geometric.noise import EXACT, ObservationNoise
 from hil.geometric.perception import GeometricPerception, GeometricPerceptionConfig, GeometricView, Sensor, warm_up
-from hil.geometric.scene import Array, CameraSetup
+from hil.geometric.scene import Array, CameraSetup, outlines, place
 from hil.render.renderer import Renderer
 from hil.render.scene import car
 from hil.render.sensor import NOISE_FREE
@@ -154,6 +154,17 @@ def test_two_that_touch_in_the_image_may_be_taken_for_one() -> None:
     counts = [len(look(touching, noise=ObservationNoise(), frame_id=k).targets(None)) for k in range(200)]
     assert {1, 2} == set(counts)
     assert all(len(look(apart, noise=ObservationNoise(), frame_id=k).targets(None)) == 2 for k in range(200))
+
+
+@pytest.mark.parametrize("role", Role)
+def test_placed_later_is_the_world_carried_on(role: Role) -> None:
+    moving = replace(thing(0, 0.3, 0.2), speed_mps=0.4, climb_mps=0.1)
+    drones = (replace(each, velocity_w_mps=(0.5, -0.3, 0.2)) for each in (SENDER, RECEIVER))
+    then = moment(moving, thing(1, -0.9, 0.4), sender=next(drones), receiver=next(drones))
+    setup = usual(role, EXACT, 1).setup
+    later, carried = outlines(setup, place(setup, then, 0.04)), outlines(setup, place(setup, then.carried_on(0.04)))
+    np.testing.assert_array_equal(later, carried)
+    assert not np.array_equal(later, outlines(setup, place(setup, then)))
 
 
 def test_a_car_behind_the_sender_is_not_seen_by_the_receiver() -> None:

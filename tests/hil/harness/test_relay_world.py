@@ -7,6 +7,7 @@ import pytest
 from drivers.interfaces import FlightMode
 from drivers.rig.tables import decode_table
 from hil.harness.relay_world import PILOT_LANDS_S, RelayWorld
+from hil.world.fields import NUMBERS, target_of
 from hil.world.world import WorldConfig
 from missions import rig_library
 from missions.team.config import team_of
@@ -61,3 +62,18 @@ def test_all_objects_are_those_of_every_target(world: RelayWorld) -> None:
     numbers = {thing.object_id for thing in world.all_objects}
     assert {0, 100} <= numbers and len(numbers) == len(world.all_objects)
     assert {thing.object_id for thing in world.objects_near("D1")} <= numbers
+    world.send_lookalike(1)
+    (sent,) = {thing.object_id for thing in world.all_objects} - numbers
+    assert target_of(sent) is None and sent - sent % NUMBERS == NUMBERS  # one of the second target's
+
+
+def test_who_is_in_the_air_is_asked_again_as_time_passes(world: RelayWorld) -> None:
+    autopilot = world.drone("D1").autopilot
+    world.advance(12.0)
+    assert world.airborne == ()
+    autopilot.request_arm(world.time_s, True)
+    autopilot.request_takeoff(world.time_s, 2.0)
+    world.advance(20.0)
+    assert world.airborne == ("D1",)
+    world.swap("D1")
+    assert world.airborne == ()
