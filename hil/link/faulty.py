@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, Self, cast
+from typing import Any, Generic, Protocol, Self, TypeVar, cast
 
 from drivers.interfaces import LinkCounters, LinkError, Received
 from drivers.link.end import LinkContext, LinkEnd
@@ -16,6 +16,7 @@ from path.messages import Message, Role
 
 HELD_BACK_S = 0.03  # how late a reordered packet is beyond the others
 SPACING_S = 1e-6  # packets of one direction never arrive at the very same time: their order is kept
+Side = TypeVar("Side", bound=Hashable)
 SHARES = ("loss", "duplicate", "corrupt", "reorder")
 
 
@@ -95,29 +96,21 @@ class FaultyChannel:
         return bytes(damaged)
 
 
-def interrupt(channels: Iterable[FaultyChannel], seconds: float) -> None:
-    until_s = asyncio.get_running_loop().time() + seconds
-    for channel in channels:
-        channel.interrupt(until_s)
-
-
 def faulty_channel(seed: str, faults: Mapping[str, float]) -> FaultyChannel:
     """Returns the channel for faults by name. Raises ValueError, and TypeError for a name that there is not."""
     return FaultyChannel(seed, LinkFaults(**faults))
 
 
-class MemoryHub:
-    """Both ends of the in-memory link, and the faults between them."""
+class FaultyLink(Generic[Side]):
+    """The channels of what each side sends, with the same faults. ``seeds``: one for each side."""
 
-    def __init__(self, seed: int, faults: LinkFaults = AIR) -> None:
-        self._channels = {role: FaultyChannel(f"link {role.value} {seed}", faults) for role in Role}
-        self._ends: dict[Role, MemoryLink] = {}
-        self._cut: set[Role] = set()
+    def __init__(self, seeds: Mapping[Side, str], faults: LinkFaults) -> None:
+        self._channels = {side: FaultyChannel(seed, faults) for side, seed in seeds.items()}
         self._faults = faults
 
     @property
     def faults(self) -> LinkFaults:
-        """The faults of both directions."""
+        """The faults of both directions; may be changed while it runs."""
         return self._faults
 
     @faults.setter
@@ -128,7 +121,18 @@ class MemoryHub:
 
     def interrupt(self, seconds: float) -> None:
         """Interrupts the link: nothing that is sent within these seconds passes, either way."""
-        interrupt(self._channels.values(), seconds)
+        until_s = asyncio.get_running_loop().time() + seconds
+        for channel in self._channels.values():
+            channel.interrupt(until_s)
+
+
+class MemoryHub(FaultyLink[Role]):
+    """Both ends of the in-memory link, and the faults between them."""
+
+    def __init__(self, seed: int, faults: LinkFaults = AIR) -> None:
+        super().__init__({role: f"link {role.value} {seed}" for role in Role}, faults)
+        self._ends: dict[Role, MemoryLink] = {}
+        self._cut: set[Role] = set()
 
     def join(self, role: Role, end: MemoryLink) -> None:
         """Raises LinkError when the role is there already."""
@@ -248,30 +252,14 @@ class ProxySide:
     end: Address
 
 
-class UdpFaultProxy:
+class UdpFaultProxy(FaultyLink[int]):
     """Two UDP sockets back to back: what one side's end sends comes out of the other side, with faults."""
 
     def __init__(self, sender: ProxySide, receiver: ProxySide, seed: int, faults: LinkFaults | None = None) -> None:
+        super().__init__({side: f"proxy {side} {seed}" for side in (0, 1)}, faults or LinkFaults())
         self._sides = sender, receiver
-        self._faults = faults or LinkFaults()
-        self._channels = [FaultyChannel(f"proxy {side} {seed}", self._faults) for side in (0, 1)]
         self._transports: list[asyncio.DatagramTransport] = []
         self.overheard: Callable[[bytes, int], None] | None = None  # told each packet, and the side it is for
-
-    @property
-    def faults(self) -> LinkFaults:
-        """The faults of both directions; may be changed while it runs."""
-        return self._faults
-
-    @faults.setter
-    def faults(self, faults: LinkFaults) -> None:
-        self._faults = faults
-        for channel in self._channels:
-            channel.faults = faults
-
-    def interrupt(self, seconds: float) -> None:
-        """Interrupts the link: nothing that is sent within these seconds passes, either way."""
-        interrupt(self._channels, seconds)
 
     async def __aenter__(self) -> Self:
         """Raises LinkError naming the port that is in use."""

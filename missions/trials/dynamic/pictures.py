@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
 from missions.trials.dynamic.judge import SUBJECTS, Compared, HarnessVerdict, SessionErrors, pairs_of
+from missions.trials.shared.statistics import rms
 from path.messages import Role
 
 Array = NDArray[np.float64]
@@ -97,18 +98,14 @@ def draw_coast(judged: Sequence[HarnessVerdict], file: Path) -> None:
     axes.plot(unseen, 1e3 * error_m, ".", ms=3, color=DIM, alpha=0.4, label="each gap")
     at = np.arange(0.0, 1.01, 0.1)
     near = [np.abs(unseen - each) < 0.011 for each in at]
-    axes.plot(at, [1e3 * _rms(error_m[where]) for where in near], "o-", color=ROLE[Role.RECEIVER], label="error, rms")
-    axes.plot(at, [1e3 * _rms(sigma_m[where]) for where in near], "--", color=NEEDED, label="claimed sigma")
+    axes.plot(at, [1e3 * rms(error_m[where]) for where in near], "o-", color=ROLE[Role.RECEIVER], label="error, rms")
+    axes.plot(at, [1e3 * rms(sigma_m[where]) for where in near], "--", color=NEEDED, label="claimed sigma")
     axes.set_xlabel("s without a marker")
     axes.set_ylabel("position of the marker, mm")
     axes.set_ylim(0.0, None)
     axes.grid(alpha=0.3)
     axes.legend()
     _save(figure, file)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
 def _save(figure: Figure, file: Path) -> None:

@@ -20,7 +20,7 @@ from missions.trials.dynamic import report
 from missions.trials.dynamic.flight import VERIFY_S, FlightOrder, FlownSession, fly, moving, reference_of
 from missions.trials.dynamic.judge import SUBJECTS, Compared, HarnessVerdict, judge, true_places
 from missions.trials.dynamic.pictures import draw_coast, draw_errors, draw_map
-from missions.trials.shared.statistics import blocks_interval
+from missions.trials.shared.statistics import blocks_interval, rms
 from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ def run(request: TrialRequest) -> TrialResult:
 def _summary(judged: Sequence[HarnessVerdict], rng: np.random.Generator) -> dict[str, Any]:
     noise = [(each.noise_m, each.noise_samples) for each in judged if each.noise_samples]
     beacon_noise_m = math.sqrt(sum(s * s * n for s, n in noise) / sum(n for _, n in noise)) if noise else math.nan
-    expected = {name: _rms([each.beacons[name].expected_m for each in judged]) for name in SUBJECTS}
+    expected = {name: rms([each.beacons[name].expected_m for each in judged]) for name in SUBJECTS}
     against = {name: _errors_of([each.beacons[name] for each in judged], rng) for name in SUBJECTS}
     return {
         "flights": len(judged),
@@ -142,16 +142,12 @@ def _spread(errors: Array) -> dict[str, Any]:
         return {"n": 0, "rmse_m": None, "mean_m": None, "median_m": None, "p95_m": None, "max_m": None}
     return {
         "n": len(errors),
-        "rmse_m": _rms(errors),
+        "rmse_m": rms(errors),
         "mean_m": float(np.mean(errors)),
         "median_m": float(np.median(errors)),
         "p95_m": float(np.percentile(errors, 95)),
         "max_m": float(np.max(errors)),
     }
-
-
-def _rms(values: Array | Sequence[float]) -> float:
-    return math.sqrt(float(np.mean(np.square(values))))
 
 
 def _coast(judged: Sequence[HarnessVerdict], after_s: float, rng: np.random.Generator) -> dict[str, Any]:
@@ -171,10 +167,10 @@ def _coast(judged: Sequence[HarnessVerdict], after_s: float, rng: np.random.Gene
     return {
         "after_s": after_s,
         "n": sum(map(len, nees)),
-        "error_rms_m": _rms(np.concatenate(errors)),
-        "sigma_rms_m": _rms(np.concatenate(sigmas)),
-        "error_rms_rad": _rms(np.concatenate(turns)),
-        "sigma_rms_rad": _rms(np.concatenate(turn_sigmas)),
+        "error_rms_m": rms(np.concatenate(errors)),
+        "sigma_rms_m": rms(np.concatenate(sigmas)),
+        "error_rms_rad": rms(np.concatenate(turns)),
+        "sigma_rms_rad": rms(np.concatenate(turn_sigmas)),
         "nees_per_dof": float(np.mean(np.concatenate(nees))),
         "nees_interval": [low, high],
     }

@@ -11,7 +11,7 @@ from missions.trials.handshake import flights, handovers
 from missions.trials.handshake.flights import FlightResult
 from missions.trials.handshake.handovers import FAULT_NAMES, GATES, BatchResult, GateVerdict, HandshakeAttempt
 from missions.trials.handshake.pictures import draw_faults, draw_times
-from missions.trials.shared.statistics import bootstrap, upper_bound, wilson
+from missions.trials.shared.statistics import bootstrap, median, upper_bound, wilson
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.config import GateKind
 
@@ -166,10 +166,6 @@ def _quantile(values: Series, percent: float) -> float | None:
     return float(np.percentile(values, percent)) if values else None
 
 
-def _median(values: np.ndarray) -> float:
-    return float(np.median(values))
-
-
 def _p90(values: np.ndarray) -> float:
     return float(np.percentile(values, 90.0))
 
@@ -191,7 +187,7 @@ def _flight_findings(flown: Sequence[FlightResult], rng: np.random.Generator) ->
     paper, evidence = by_gate["count"], by_gate["evidence"]
     seconds, wrong = _seconds(paper), sum(each.wrong for each in flown)
     low, high = wilson(len(seconds), len(paper))
-    median, median_in = _with_interval(seconds, _median, rng)
+    middle, middle_in = _with_interval(seconds, median, rng)
     p90, p90_in = _with_interval(seconds, _p90, rng)
     findings = [
         TrialFinding("whole missions of level sim: commits of attempts", f"{len(seconds)} of {len(paper)}",
@@ -200,12 +196,12 @@ def _flight_findings(flown: Sequence[FlightResult], rng: np.random.Generator) ->
                 "the table"),
         TrialFinding("wrong hand-overs in them", str(wrong), f"≤ {upper_bound(wrong, len(flown)):.1%}", "0", "0",
                 verdict(wrong == 0)),
-        TrialFinding("first frame above the threshold to commit, s, median", median, median_in, f"{PAPER_MEDIAN_S:.2f}",
+        TrialFinding("first frame above the threshold to commit, s, median", middle, middle_in, f"{PAPER_MEDIAN_S:.2f}",
                 note="350 pairs at 50 Hz and 7 s; what is above 7 s are resets and the time until D1 has judged"),
         TrialFinding("the same, 90th percentile", p90, p90_in, f"{PAPER_P90_S:.2f}"),
     ]  # fmt: skip
     if evidence:
-        quick, quick_in = _with_interval(_seconds(evidence), _median, rng)
+        quick, quick_in = _with_interval(_seconds(evidence), median, rng)
         met = bool(_seconds(evidence)) and float(quick) <= GOAL_MEDIAN_S
         findings.append(
             TrialFinding("missions with the evidence gate: the same time, s, median", quick, quick_in, "", "≤ 2",
@@ -219,8 +215,8 @@ def _handover_findings(
 ) -> tuple[TrialFinding, ...]:
     times, gates = _times(tried), summary["gates"]
     count, evidence = gates["count"], gates["evidence"]
-    median, interval = _with_interval(times["evidence"], _median, rng)
-    median_paper, interval_paper = _with_interval(times["count"], _median, rng)
+    middle, interval = _with_interval(times["evidence"], median, rng)
+    middle_paper, interval_paper = _with_interval(times["count"], median, rng)
     faults = handovers.wrong_by_fault(tried)
     near, beside = (_look_alikes(tried, within) for within in (NEAR_M, BESIDE_M))
     low, high = wilson(near, len(tried))
@@ -249,9 +245,9 @@ def _handover_findings(
         TrialFinding(f"Monte-Carlo hand-overs in which a look-alike came within {NEAR_M:g} m of the target",
                 f"{near} of {len(tried)}", f"{low:.1%}-{high:.1%}",
                 note=f"within {BESIDE_M:g} m: {beside}; all have three farther away"),
-        TrialFinding("Monte-Carlo hand-overs, time to commit, count gate, s, median", median_paper, interval_paper,
+        TrialFinding("Monte-Carlo hand-overs, time to commit, count gate, s, median", middle_paper, interval_paper,
                 f"{PAPER_MEDIAN_S:.2f}", note=f"{count['commit_rate']:.1%} commit in {handovers.LIMIT_S:g} s"),
-        TrialFinding("Monte-Carlo hand-overs, time to commit, evidence gate, s, median", median, interval, "", "≤ 2",
+        TrialFinding("Monte-Carlo hand-overs, time to commit, evidence gate, s, median", middle, interval, "", "≤ 2",
                 verdict(evidence["median_s"] is not None and evidence["median_s"] <= GOAL_MEDIAN_S),
                 f"{evidence['commit_rate']:.1%} commit in {handovers.LIMIT_S:g} s"),
         TrialFinding("Monte-Carlo hand-overs, times real time on one core", f"{summary['hand_overs']['speed']:.0f}",
@@ -285,10 +281,10 @@ def _gate_table(tried: Sequence[HandshakeAttempt], rng: np.random.Generator) -> 
     for gate, seconds in _times(tried).items():
         low, high = wilson(len(seconds), len(tried))
         judged = [_of(each, gate) for each in tried]
-        median, median_in = _with_interval(seconds, _median, rng)
+        middle, middle_in = _with_interval(seconds, median, rng)
         p90, p90_in = _with_interval(seconds, _p90, rng)
         bound = upper_bound(_wrong(judged), len(judged))
-        rows.append((gate, f"{len(seconds)} ({low:.1%}-{high:.1%})", f"{median} ({median_in})", f"{p90} ({p90_in})",
+        rows.append((gate, f"{len(seconds)} ({low:.1%}-{high:.1%})", f"{middle} ({middle_in})", f"{p90} ({p90_in})",
                      str(_wrong(judged)), f"{bound:.3%}"))  # fmt: skip
     return TrialTable(
         "Both gates on the same Monte-Carlo hand-overs",

@@ -16,7 +16,7 @@ from missions import rig_library
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
 from missions.trials.link.cost import PACKETS, Times, measure_costs
 from missions.trials.link.traffic import LinkTraffic, TappedPacket, flow
-from missions.trials.shared.statistics import bootstrap
+from missions.trials.shared.statistics import bootstrap, median
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.messages import Role
 
@@ -106,10 +106,6 @@ def _each_second(stream: Sequence[TappedPacket], seconds: int) -> list[int]:
     return bins
 
 
-def _median(values: Times) -> float:
-    return float(np.median(values))
-
-
 def _size_findings(
     rates: dict[str, dict[str, float]], largest: int, traffic: Sequence[LinkTraffic]
 ) -> tuple[TrialFinding, ...]:
@@ -138,16 +134,16 @@ def _size_findings(
 
 def _cost_findings(costs: dict[str, Times], rng: np.random.Generator) -> tuple[TrialFinding, ...]:
     def found(quantity: str, name: str) -> TrialFinding:
-        low, high = bootstrap(costs[name], _median, rng)
-        return TrialFinding(quantity, f"{_median(costs[name]):.1f}", f"{low:.1f} to {high:.1f}")
+        low, high = bootstrap(costs[name], median, rng)
+        return TrialFinding(quantity, f"{median(costs[name]):.1f}", f"{low:.1f} to {high:.1f}")
 
     added = _both(costs, "signed") / _both(costs, "unsigned")
-    low, high = bootstrap(added, _median, rng)
-    share = 100.0 * 60.0 * _median(_both(costs, "signed")) * 1e-6
+    low, high = bootstrap(added, median, rng)
+    share = 100.0 * 60.0 * median(_both(costs, "signed")) * 1e-6
     return (
         found("encode and sign a packet, µs median", "encode_signed"),
         found("verify and decode a packet, µs median", "decode_signed"),
-        TrialFinding("signed against unsigned, both ends, ratio", f"{_median(added):.2f}", f"{low:.2f} to {high:.2f}"),
+        TrialFinding("signed against unsigned, both ends, ratio", f"{median(added):.2f}", f"{low:.2f} to {high:.2f}"),
         TrialFinding("one core at 60 Hz, a packet out and one in, per role", f"{share:.2f} %"),
     )
 
@@ -201,9 +197,9 @@ def _rate_table(rates: dict[str, dict[str, float]]) -> TrialTable:
 def _cost_table(costs: dict[str, Times], rng: np.random.Generator) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for name, values in costs.items():
-        low, high = bootstrap(values, _median, rng)
+        low, high = bootstrap(values, median, rng)
         ends = f"{low:.1f} to {high:.1f}"
-        rows.append((name.replace("_", ", "), f"{_median(values):.1f}", ends, f"{np.percentile(values, 99):.1f}"))
+        rows.append((name.replace("_", ", "), f"{median(values):.1f}", ends, f"{np.percentile(values, 99):.1f}"))
     return TrialTable(
         f"Time per packet, µs (targets and candidates alike, mean of {PACKETS} each)",
         ("", "median", "95 % interval", "p99 of the means"),

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betaincinv
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]
@@ -43,14 +44,7 @@ def upper_bound(events: int, trials: int, confidence: float = 0.95) -> float:
     _check(events, trials)
     if events == trials:  # also without any trial
         return 1.0
-    low, high = events / trials, 1.0
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        if _binomial_tail(events, trials, middle) > 1.0 - confidence:
-            low = middle
-        else:
-            high = middle
-    return high
+    return float(betaincinv(events + 1, trials - events, confidence))
 
 
 def bootstrap(
@@ -79,27 +73,22 @@ def mean(values: Array) -> float:
     return float(np.mean(values))
 
 
+def median(values: Array) -> float:
+    return float(np.median(values))
+
+
 def p95(values: Array) -> float:
     return float(np.percentile(values, 95.0))
+
+
+def rms(values: Array | Sequence[float]) -> float:
+    """Returns nan without any."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
 
 
 def _check(events: int, trials: int) -> None:
     if not 0 <= events <= trials:
         raise ValueError(f"{events} of {trials} cannot be")
-
-
-def _binomial_tail(events: int, trials: int, rate: float) -> float:
-    """Probability of at most ``events``."""
-    if rate <= 0.0:
-        return 1.0
-    if rate >= 1.0:
-        return 0.0
-    log_p, log_q = math.log(rate), math.log1p(-rate)
-    total = 0.0
-    for k in range(events + 1):
-        ways = math.lgamma(trials + 1) - math.lgamma(k + 1) - math.lgamma(trials - k + 1)
-        total += math.exp(ways + k * log_p + (trials - k) * log_q)
-    return total
 
 
 def blocks_interval(values: Array, groups: NDArray[np.int64], rng: np.random.Generator) -> Interval:
