@@ -46,6 +46,8 @@ class PoseSettings:
         attitude_v_sigma_rad, attitude_c_sigma_rad: of gravity in ``v`` and in the camera, per axis: the error of roll
             and pitch of the drone that carries the marker, and of the one that carries the camera, biases included.
         focal_sigma: relative error of the focal length, of a camera whose calibration states none.
+        shape_sigma: relative error of the markers' shape in the image, width against height and skew: of paper that
+            stretched, and of rows that are read one after another while something moves.
         max_incidence_rad: larger angles between the marker's normal and the line of sight are refused.
         max_sigma_m: position standard deviation above which a pose is no use.
         max_ambiguity: likelihood of the other solution relative to the best above which neither is believed; with 1
@@ -55,6 +57,7 @@ class PoseSettings:
     attitude_v_sigma_rad: float = math.radians(0.6)
     attitude_c_sigma_rad: float = math.radians(0.6)
     focal_sigma: float = 0.002
+    shape_sigma: float = 0.001
     max_incidence_rad: float = math.radians(70.0)
     max_sigma_m: float = 0.15
     max_ambiguity: float = 0.01
@@ -176,7 +179,9 @@ def _seen(
         variance = settings.attitude_v_sigma_rad**2 + settings.attitude_c_sigma_rad**2
         down, weight = np.array([*gravity_v, *gravity_c]), 1.0 / max(variance, MIN_GRAVITY_RAD**2)
     focal = 0.0 if camera.doubts else settings.focal_sigma
-    return PoseProblem(points, pixels, whiteners, lens_of(camera), down, weight, middles, sizes, focal)
+    return PoseProblem(
+        points, pixels, whiteners, lens_of(camera), down, weight, middles, sizes, focal, settings.shape_sigma
+    )
 
 
 @lru_cache(maxsize=8)

@@ -13,6 +13,7 @@ from path.marker.kernels import Array, cholesky, cholesky_solve, distort, exp_ti
 ITERATIONS = 12
 CONVERGED = 1e-9
 SAME_RAD = 0.05  # two solutions nearer than this are one
+CAUSES = 4  # of errors that all corners share, see ``pulled``
 MISFIT = 3.0  # chi-square per degree of freedom above which it enlarges the covariance
 
 
@@ -180,20 +181,26 @@ def refine(
 
 
 @inner
-def scales(
-    R: Array, t: Array, points: Array, middles: Array, sizes: Array, whitening: Array, lens: Array, jacobian: Array,
-    by_size: Array, by_focal: Array,
+def pulled(
+    R: Array, t: Array, points: Array, pixels: Array, middles: Array, sizes: Array, focal: float, shape: float,
+    whitening: Array, lens: Array, jacobian: Array, pulls: Array,
 ) -> None:  # fmt: skip
-    """Computes how corners pull the pose, ``J^T W du`` (6,), when the print's size or the focal length is wrong.
+    """Computes how corners pull the pose, ``J^T W du``, when all of them are wrong together; into ``pulls`` (4, 6).
+
+    By one standard deviation each: the print's size, the focal length, the image's width against its height, its skew.
 
     Args:
         middles, sizes: (m, 3) centre of each marker in ``v``, (m,) standard deviation of its side, relative. All
             prints err together: they come from one printer.
+        focal, shape: relative standard deviations, of the focal length, and of width against height and of skew.
         jacobian: of ``linearize``, at this pose.
     """
-    size, focal = np.empty(8), np.empty(8)
-    for k in range(6):
-        by_size[k] = by_focal[k] = 0.0
+    moved, u0, v0 = np.empty((CAUSES, 8)), 0.0, 0.0
+    for i in range(pixels.shape[0]):
+        u0, v0 = u0 + pixels[i, 0] / pixels.shape[0], v0 + pixels[i, 1] / pixels.shape[0]
+    for cause in range(CAUSES):
+        for k in range(6):
+            pulls[cause, k] = 0.0
     for m in range(whitening.shape[0]):
         for c in range(4):
             p = points[4 * m + c]
@@ -206,45 +213,47 @@ def scales(
             z = R[2, 0] * ox + R[2, 1] * oy + R[2, 2] * oz
             dx = (R[0, 0] * ox + R[0, 1] * oy + R[0, 2] * oz - x * z) / qz
             dy = (R[1, 0] * ox + R[1, 1] * oy + R[1, 2] * oz - y * z) / qz
-            size[2 * c], size[2 * c + 1] = sizes[m] * (ux * dx + uy * dy), sizes[m] * (vx * dx + vy * dy)
-            focal[2 * c], focal[2 * c + 1] = u - lens[2], v - lens[3]
-        for r in range(8):
-            white_size, white_focal = 0.0, 0.0
-            for s in range(r + 1):
-                white_size += whitening[m, r, s] * size[s]
-                white_focal += whitening[m, r, s] * focal[s]
-            for k in range(6):
-                by_size[k] += jacobian[8 * m + r, k] * white_size
-                by_focal[k] += jacobian[8 * m + r, k] * white_focal
+            i, j = 2 * c, 2 * c + 1
+            moved[0, i], moved[0, j] = sizes[m] * (ux * dx + uy * dy), sizes[m] * (vx * dx + vy * dy)
+            moved[1, i], moved[1, j] = focal * (u - lens[2]), focal * (v - lens[3])
+            moved[2, i], moved[2, j] = shape * (u - u0), shape * (v0 - v)
+            moved[3, i], moved[3, j] = shape * (v - v0), shape * (u - u0)
+        for cause in range(CAUSES):
+            for r in range(8):
+                white = 0.0
+                for s in range(r + 1):
+                    white += whitening[m, r, s] * moved[cause, s]
+                for k in range(6):
+                    pulls[cause, k] += jacobian[8 * m + r, k] * white
 
 
 @inner
 def covariance(
-    R: Array, t: Array, points: Array, pixels: Array, middles: Array, sizes: Array, focal: float, whitening: Array,
-    lens: Array, down: Array, weight: float, information: Array, misfit: float, out: Array,
+    R: Array, t: Array, points: Array, pixels: Array, middles: Array, sizes: Array, focal: float, shape: float,
+    whitening: Array, lens: Array, down: Array, weight: float, information: Array, misfit: float, out: Array,
 ) -> float:  # fmt: skip
-    """Inverse information times the misfit, and what a wrong print and focal length add, into ``out`` (6, 6).
+    """Inverse information times the misfit, and what print, focal length and shape add, into ``out`` (6, 6).
 
     Returns the standard deviation of the position, mean over the axes; NaN when the information is singular.
 
-    Args:
-        focal: relative standard deviation of the focal length; the others as in ``scales`` and ``linearize``.
+    Args: as in ``pulled`` and ``linearize``.
     """
     if not inverse(information, out):
         return math.nan
     rows = 8 * whitening.shape[0] + 3
     left, jacobian = np.zeros(rows), np.zeros((rows, 6))
     linearize(R, t, points, pixels, whitening, lens, down, weight, left, jacobian)
-    by_size, by_focal = np.empty(6), np.empty(6)
-    scales(R, t, points, middles, sizes, whitening, lens, jacobian, by_size, by_focal)
-    moved_by_size, moved_by_focal = np.zeros(6), np.zeros(6)
+    pulls, moved = np.empty((CAUSES, 6)), np.zeros((CAUSES, 6))
+    pulled(R, t, points, pixels, middles, sizes, focal, shape, whitening, lens, jacobian, pulls)
+    for cause in range(CAUSES):
+        for i in range(6):
+            for j in range(6):
+                moved[cause, i] += out[i, j] * pulls[cause, j]
     for i in range(6):
         for j in range(6):
-            moved_by_size[i] += out[i, j] * by_size[j]
-            moved_by_focal[i] += focal * out[i, j] * by_focal[j]
-    for i in range(6):
-        for j in range(6):
-            out[i, j] = misfit * out[i, j] + moved_by_size[i] * moved_by_size[j] + moved_by_focal[i] * moved_by_focal[j]
+            out[i, j] *= misfit
+            for cause in range(CAUSES):
+                out[i, j] += moved[cause, i] * moved[cause, j]
     return math.sqrt((out[0, 0] + out[1, 1] + out[2, 2]) / 3.0)
 
 
@@ -256,7 +265,7 @@ class PoseProblem(NamedTuple):
         whitening: (m, 8, 8), of each marker's corners.
         lens: of ``path.camera.kernels``.
         down, weight: (6,) gravity in ``v`` and in the camera; what its misfit counts, 0 when it is not known.
-        middles, sizes, focal: of ``scales``.
+        middles, sizes, focal, shape: of ``pulled``.
     """
 
     points: Array
@@ -268,6 +277,7 @@ class PoseProblem(NamedTuple):
     middles: Array
     sizes: Array
     focal: float
+    shape: float
 
 
 class PoseFit(NamedTuple):
@@ -318,8 +328,8 @@ def fit(start_R: Array, start_t: Array, seen: PoseProblem) -> PoseFit:
     misfit = best_cost / (2 * seen.points.shape[0] - (4 if seen.weight > 0.0 else 6))
     misfit = misfit if misfit > MISFIT else 1.0
     sigma_m = covariance(
-        best_R, best_t, seen.points, seen.pixels, seen.middles, seen.sizes, seen.focal, seen.whitening, seen.lens,
-        seen.down, seen.weight, best_information, misfit, spread,
+        best_R, best_t, seen.points, seen.pixels, seen.middles, seen.sizes, seen.focal, seen.shape, seen.whitening,
+        seen.lens, seen.down, seen.weight, best_information, misfit, spread,
     )  # fmt: skip
     if other_cost < np.inf and angle(best_R, other_R) > SAME_RAD:
         rival = True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -62,6 +63,18 @@ class BoardSeen:
         """Returns the pixels of points (n, 3) of the board, (n, 2)."""
         smooth = _powers((points_o[:, :2] - self.middle) / self.reach, self.order) @ self.bend
         return self.camera.project(self.T_c_o.apply(points_o)) + smooth
+
+    def pose_at(self, T_o_m: Pose) -> Pose:
+        """``T_c_m`` on a flat board, when its rows were read: turned about the camera to where its middle is seen.
+
+        A shutter that reads rows one after another sees parts of a board that moves at different times.
+        """
+        middle = T_o_m.t[None]
+        places = np.concatenate([self.camera.project(self.T_c_o.apply(middle)), self.pixels(middle)])
+        flat, there = (np.append(ray, 1.0) / math.hypot(*ray, 1.0) for ray in self.camera.rays(places))
+        turn = rotation.exp(np.cross(flat, there))
+        T_c_m = self.T_c_o @ T_o_m
+        return Pose(turn @ T_c_m.R, turn @ T_c_m.t)
 
     def pose_under(self, T_o_m: Pose, side_m: float) -> Pose:
         """``T_c_m`` of the surface under a marker of this side, where the board is not flat."""

@@ -1,10 +1,14 @@
-"""Errors of corners against the board, with the print as the views show it: what all views agree on is the print's."""
+"""Errors of corners against the board, with the print as the views show it: what all views agree on is the print's.
+
+So is the shape of a sheet that is not flat. A height moves a corner along the image of the board's normal, in every
+view another way.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +19,8 @@ from missions.trials.real.set import RealSet
 from path.geometry.transforms import Matrix
 
 FEWEST_VIEWS = 3  # that tell a print from the errors of its views
+FEWEST_FOR_HEIGHT = 6  # the same of the paper's shape
+HEIGHT_SIGMA_M, CORNER_PX = 3e-4, 0.1  # of paper that is expected, against errors of this size
 
 Array = NDArray[np.float64]
 
@@ -27,6 +33,7 @@ class SeenMarker:
         nominal_px: (4, 2), found minus where the board says it is, all markers printed alike.
         error_px: the same without what all views of this marker have in common; scaled for what that takes away.
         slopes: (4, 2, 2) px / m on the board. ``rises``: (4, 2) px / m of height above it.
+        lifted_px: (4, 2), the share of what is taken away that the paper's heights make.
     """
 
     view: int
@@ -36,11 +43,12 @@ class SeenMarker:
     error_px: Array
     slopes: Array
     rises: Array
+    lifted_px: Array = field(default_factory=lambda: np.zeros((4, 2)))
 
     @property
     def along_px(self) -> Array:
-        """The errors (4,) in the direction in which paper that is not flat moves a corner."""
-        return np.einsum("ki,ki->k", self.error_px, self._upwards)
+        """The errors (4,) in the direction in which paper that is not flat moves a corner, and what it moves it."""
+        return np.einsum("ki,ki->k", self.error_px + self.lifted_px, self._upwards)
 
     @property
     def across_px(self) -> Array:
@@ -71,7 +79,7 @@ class MethodPoses:
 
     Attributes:
         growth: how much larger all markers are than the file says, relative.
-        print_m: by id, (4, 2) metres by which corners are off on the board beyond that.
+        print_m: by id, (4, 3) metres by which corners are off beyond that: on the board, and their heights above it.
     """
 
     seen: tuple[SeenMarker, ...]
@@ -100,18 +108,31 @@ def measure_set(own: RealSet, seen: SetSeen, found: Sequence[Corners]) -> Method
     by_id: dict[int, list[SeenMarker]] = {}
     for marker in raw:
         by_id.setdefault(marker.marker_id, []).append(marker)
-    print_m = {i: _print_of(markers) for i, markers in by_id.items() if len(markers) >= FEWEST_VIEWS}
-    measured = [_without_print(m, print_m.get(m.marker_id), len(by_id[m.marker_id])) for m in raw]
+    print_m = {i: _print_of(markers, own.file.flat) for i, markers in by_id.items() if len(markers) >= FEWEST_VIEWS}
+    measured = [_without_print(m, print_m.get(m.marker_id), len(by_id[m.marker_id]), own.file.flat) for m in raw]
     return MethodPoses(tuple(measured), larger, print_m)
 
 
-def _print_of(markers: Sequence[SeenMarker]) -> Array:
-    slopes, errors = np.stack([m.slopes for m in markers]), np.stack([m.nominal_px for m in markers])
-    return np.stack([robust_solution(slopes[:, c].reshape(-1, 2), errors[:, c].ravel()) for c in range(4)])
+def _print_of(markers: Sequence[SeenMarker], flat: bool) -> Array:
+    errors = np.stack([m.nominal_px for m in markers])
+    pulls = np.stack([np.concatenate([m.slopes, m.rises[:, :, None]], axis=2) for m in markers])
+    if _in_plane(len(markers), flat):
+        places = [robust_solution(pulls[:, c, :, :2].reshape(-1, 2), errors[:, c].ravel()) for c in range(4)]
+        return np.column_stack([np.stack(places), np.zeros(4)])
+    expected = np.array([[0.0, 0.0, CORNER_PX / HEIGHT_SIGMA_M]])
+    designs = [np.concatenate([pulls[:, c].reshape(-1, 3), expected]) for c in range(4)]
+    return np.stack([robust_solution(d, np.append(errors[:, c].ravel(), 0.0)) for c, d in enumerate(designs)])
 
 
-def _without_print(marker: SeenMarker, print_m: Array | None, views: int) -> SeenMarker:
+def _without_print(marker: SeenMarker, print_m: Array | None, views: int, flat: bool) -> SeenMarker:
     if print_m is None:
         return marker
-    left = marker.nominal_px - np.einsum("kij,kj->ki", marker.slopes, print_m)
-    return replace(marker, error_px=left * math.sqrt(views / (views - 1)))
+    lifted = marker.rises * print_m[:, 2:]
+    left = marker.nominal_px - np.einsum("kij,kj->ki", marker.slopes, print_m[:, :2]) - lifted
+    unknowns = 2 if _in_plane(views, flat) else 3
+    return replace(marker, error_px=left * math.sqrt(2 * views / (2 * views - unknowns)), lifted_px=lifted)
+
+
+def _in_plane(views: int, flat: bool) -> bool:
+    """Returns whether a marker's corners are taken to lie in the board's plane."""
+    return flat or views < FEWEST_FOR_HEIGHT

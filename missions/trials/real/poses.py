@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ PERFECT_PX = 0.01  # stated deviation of corners that are the board's own
 PLATE_SIDES = 3.5  # farthest apart that two markers of a plate are, in sides
 ROW_SHARE = 0.2  # of a side, by which their heights may differ
 ANY_DICTIONARY = "DICT_4X4_1000"  # of layouts whose markers are found already
+TO_BOARD = np.array([1.0, 1.0, -1.0])  # heights are against the board's z
 BOARD_TO_MARKER = np.diag([1.0, -1.0, -1.0])  # the board's y is down and its z away from the viewer
 
 Array = NDArray[np.float64]
@@ -103,9 +104,10 @@ def plate_tasks(own: RealSet, seen: SetSeen, measured: MethodPoses, *, squared: 
 
 
 def estimate_all(
-    own: RealSet, camera: CameraModel, tasks: Sequence[PoseTask], seed: int, *, gravity: bool = True
-) -> Poses:
-    """Estimate every pose; gravity has an error of its own in each."""
+    own: RealSet, camera: CameraModel, tasks: Sequence[PoseTask], seed: int, *, gravity: bool = True,
+    shapely: bool = False,
+) -> Poses:  # fmt: skip
+    """Estimate every pose; gravity has an error of its own in each. ``shapely``: no marker is too wide or skewed."""
     rng = np.random.default_rng([seed, POSE_STREAM])
     sigma = math.radians(own.file.gravity_sigma_deg)
     errors: list[PoseError] = []
@@ -117,6 +119,7 @@ def estimate_all(
         known = (_vec3(down_v), _vec3(down_c)) if gravity else (None, None)
         if not gravity:
             settings = PoseSettings(focal_sigma=0.0, max_ambiguity=1.0, max_sigma_m=math.inf)
+        settings = replace(settings, shape_sigma=0.0) if shapely else settings
         pose = estimate_pose(task.seen, task.layout, camera, *known, settings)
         if isinstance(pose, Missed):
             refused[pose.reason.value] = refused.get(pose.reason.value, 0) + 1
@@ -142,18 +145,22 @@ def _task(
 ) -> PoseTask:  # fmt: skip
     markers = tuple(Marker(i, side_m, 0.0, T_o_v.inverse() @ T_o_m) for i, (T_o_m, side_m) in prints.items())
     side_m = markers[0].side_m
-    T_c_v = board.T_c_o @ T_o_v if own.file.flat else board.pose_under(T_o_v, side_m)
+    T_c_v = board.pose_at(T_o_v) if own.file.flat else board.pose_under(T_o_v, side_m)
     return PoseTask(view, found, MarkerLayout(markers, ANY_DICTIONARY), T_c_v, own.file.scaled_side_m / side_m)
 
 
 def _print_frame(own: RealSet, measured: MethodPoses, marker_id: int) -> tuple[Pose, float]:
-    """Returns the pose of a marker on the board as printed, and its mean side: what a ruler would tell."""
+    """Returns the pose of a marker on the board as printed, and its mean side: what a ruler would tell.
+
+    Of a sheet that is not flat it lies in the plane through the corners that is nearest to them.
+    """
     corners = _printed_at(own, measured, marker_id)
     flat, middle = corners[:, :2], corners.mean(axis=0)
     side_m = float(np.mean(np.hypot(*(np.roll(flat, -1, axis=0) - flat).T)))
     x, y = (flat[1] + flat[2] - flat[0] - flat[3], flat[2] + flat[3] - flat[0] - flat[1])
     angle = math.atan2(float(x[1] - y[0]), float(x[0] + y[1]))
-    turn = rotation.exp(np.array([0.0, 0.0, angle]))
+    rise = np.linalg.lstsq(flat - middle[:2], corners[:, 2] - middle[2], rcond=None)[0]
+    turn = rotation.exp(np.array([rise[1], -rise[0], 0.0])) @ rotation.exp(np.array([0.0, 0.0, angle]))
     return Pose(turn @ BOARD_TO_MARKER, middle), side_m
 
 
@@ -171,8 +178,8 @@ def _detection(own: RealSet, measured: MethodPoses, marker: SeenMarker, squared:
 
 def _printed_at(own: RealSet, measured: MethodPoses, marker_id: int) -> Array:
     """Where a marker's corners (4, 3) are on the board, as its views show it."""
-    off = measured.print_m.get(marker_id, np.zeros((4, 2)))
-    return printed(own, measured.growth, marker_id) + np.column_stack([off, np.zeros(4)])
+    off = measured.print_m.get(marker_id, np.zeros((4, 3)))
+    return printed(own, measured.growth, marker_id) + off * TO_BOARD
 
 
 def _perfect(own: RealSet, seen: SetSeen, measured: MethodPoses, marker: SeenMarker) -> MarkerDetection:

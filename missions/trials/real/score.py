@@ -81,7 +81,7 @@ def _score(own: RealSet, images: Sequence[Path], seen: SetSeen, seed: int) -> Se
         0 if best is None else len(best.seen),
         math.nan if best is None else float(np.median([m.side_px for m in best.seen])),
         float(np.median([board.left_px for board in seen.boards])),
-        None if best is None or not best.print_m else float(np.sqrt(np.mean(np.stack([*best.print_m.values()]) ** 2))),
+        None if best is None or not best.print_m else _print_m(best),
         None if best is None else _height_m(best),
         (camera.fx, camera.fy, camera.cx, camera.cy),
         seen.sigmas,
@@ -108,6 +108,10 @@ def _corner_score(measured: MethodPoses, rng: np.random.Generator) -> CornerScor
     return CornerScore(len(measured.seen), robust, across, nominal, rms, stated, _honesty(chi2, 8, groups, rng))
 
 
+def _print_m(measured: MethodPoses) -> float:
+    return float(np.sqrt(np.mean(np.stack([*measured.print_m.values()])[:, :, :2] ** 2)))
+
+
 def _height_m(measured: MethodPoses) -> float:
     """By how much paper leaves its smooth surface: what moves corners along its normal more than across."""
     along, across = (_robust(np.stack([getattr(m, name) for m in measured.seen])) for name in ("along_px", "across_px"))
@@ -122,7 +126,9 @@ def _pose_scores(
     found = {
         "single": estimate_all(own, seen.camera, singles, seed),
         "without_gravity": estimate_all(own, seen.camera, singles, seed, gravity=False),
-        "perfect_corners": estimate_all(own, seen.camera, single_tasks(own, seen, measured, perfect=True), seed),
+        "perfect_corners": estimate_all(
+            own, seen.camera, single_tasks(own, seen, measured, perfect=True), seed, shapely=True
+        ),
         "plate": estimate_all(own, seen.camera, plate_tasks(own, seen, measured), seed),
         "squared": estimate_all(own, seen.camera, single_tasks(own, seen, measured, squared=True), seed),
         "squared_plate": estimate_all(own, seen.camera, plate_tasks(own, seen, measured, squared=True), seed),

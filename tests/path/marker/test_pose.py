@@ -25,7 +25,7 @@ from tests.path.marker.scene import HD, VGA, View, random_view, region_around, r
 
 LAYOUT = single_marker(side_sigma_m=0.0)
 ATTITUDE_RAD = math.radians(0.5)
-SETTINGS = PoseSettings(attitude_v_sigma_rad=ATTITUDE_RAD, attitude_c_sigma_rad=ATTITUDE_RAD, focal_sigma=0.0)
+SETTINGS = PoseSettings(ATTITUDE_RAD, ATTITUDE_RAD, focal_sigma=0.0, shape_sigma=0.0)
 HERE = Pose(np.eye(3), np.zeros(3))
 
 
@@ -122,7 +122,7 @@ def test_the_squared_error_of_six_numbers_is_six_with_every_stated_error(
     """Corner noise, print, focal length and two attitudes of different quality: normalised squared errors (NEES)."""
     rng = np.random.default_rng(3)
     layout, sigma_v, sigma_c = single_marker(side_sigma_m=0.0002), math.radians(sigma_v_deg), math.radians(sigma_c_deg)
-    settings = PoseSettings(sigma_v, sigma_c, focal_sigma=0.002)
+    settings = PoseSettings(sigma_v, sigma_c, focal_sigma=0.002, shape_sigma=0.0)
     squared = list[float]()
     for _ in range(400):
         view = random_view(rng, VGA, 0.7, 1.5, 60.0)
@@ -147,6 +147,7 @@ def test_what_a_weak_calibration_does_not_know_is_in_the_covariance(sigma_px: fl
     )
     rng = np.random.default_rng(17)
     believed = dataclasses.replace(VGA, doubts=doubts)
+    settings = PoseSettings(ATTITUDE_RAD, ATTITUDE_RAD, shape_sigma=0.0)
     squared = {True: list[float](), False: list[float]()}
     for _ in range(250):
         view = random_view(rng, VGA, 0.7, 1.5, 60.0)
@@ -159,11 +160,32 @@ def test_what_a_weak_calibration_does_not_know_is_in_the_covariance(sigma_px: fl
         detections = seen(true, view, sigma_px, rng)
         down_v, down_c = (vec(tilted(down, ATTITUDE_RAD, rng)) for down in (view.gravity_v, view.gravity_c))
         for stated, camera in ((True, believed), (False, VGA)):
-            pose = estimate_pose(detections, LAYOUT, camera, down_v, down_c, PoseSettings(ATTITUDE_RAD, ATTITUDE_RAD))
+            pose = estimate_pose(detections, LAYOUT, camera, down_v, down_c, settings)
             assert isinstance(pose, MarkerPose)
             squared[stated].append(6.0 * surprise(pose, view))
     assert 5.2 < np.mean(squared[True]) < 7.0
     assert np.mean(squared[False]) > 2.0 * np.mean(squared[True])
+
+
+def test_an_image_too_wide_or_skewed_is_in_the_covariance():
+    """As stretched paper makes it, and rows that are read one after another: no residual of four corners shows it."""
+    rng = np.random.default_rng(18)
+    plain = dataclasses.replace(SETTINGS, max_ambiguity=1.0)
+    believing = dataclasses.replace(plain, shape_sigma=0.003)
+    surprises = {True: list[float](), False: list[float]()}
+    for _ in range(200):
+        view = random_view(rng, HD, 0.7, 1.5, 60.0)
+        (found,) = seen(HD, view, 0.02, rng)
+        p, q = rng.normal(0.0, 0.003, 2)
+        off = (found.corners_px - found.corners_px.mean(axis=0)) @ np.array([[p, q], [q, -p]])
+        shown = dataclasses.replace(found, corners_px=found.corners_px + off)
+        down_v, down_c = (vec(tilted(down, ATTITUDE_RAD, rng)) for down in (view.gravity_v, view.gravity_c))
+        for stated, settings in ((True, believing), (False, plain)):
+            pose = estimate_pose((shown,), LAYOUT, HD, down_v, down_c, settings)
+            assert isinstance(pose, MarkerPose)
+            surprises[stated].append(surprise(pose, view))
+    assert 0.75 < np.mean(surprises[True]) < 1.25
+    assert np.mean(surprises[False]) > 1.8
 
 
 def test_an_attitude_that_is_less_sure_counts_for_less():
@@ -172,7 +194,7 @@ def test_an_attitude_that_is_less_sure_counts_for_less():
     detections = seen(VGA, view, 0.2, rng)
     spread = list[float]()
     for sigma_v, sigma_c in ((0.001, 0.001), (0.001, 0.02), (0.02, 0.001), (0.02, 0.02)):
-        settings = PoseSettings(sigma_v, sigma_c, focal_sigma=0.0)
+        settings = PoseSettings(sigma_v, sigma_c, focal_sigma=0.0, shape_sigma=0.0)
         pose = estimate_pose(detections, LAYOUT, VGA, vec(view.gravity_v), vec(view.gravity_c), settings)
         assert isinstance(pose, MarkerPose)
         spread.append(float(np.trace(pose.covariance[3:, 3:])))

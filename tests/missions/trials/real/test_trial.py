@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,6 +20,7 @@ from missions.trials.real.score import SetScore, SetTask, score_set
 from missions.trials.real.set import read_set
 from missions.trials.run import run
 from path.calibration.board import Board
+from path.geometry.transforms import Pose
 from tests.path.calibration.rendered import Held, photographs, poses
 
 PRINTED = Board("charuco", 8, 6, 0.030, 0.0225)
@@ -83,7 +85,7 @@ def test_a_print_that_is_off_is_measured_and_taken_out(file: Path) -> None:
             shift = np.einsum("kij,kj->ki", board.slopes(own.markers[marker_id].corners_o), moved_m)
             corners[marker_id] = FoundMarker(corners[marker_id].corners_px + shift, np.eye(8))
     measured = measure_set(own, seen, found)
-    np.testing.assert_allclose(measured.print_m[marker_id], moved_m, atol=4e-5)
+    np.testing.assert_allclose(measured.print_m[marker_id], np.column_stack([moved_m, np.zeros(4)]), atol=4e-5)
     shifted = [m for m in measured.seen if m.marker_id == marker_id]
     assert max(np.abs(m.nominal_px).max() for m in shifted) > 2.0 * max(np.abs(m.error_px).max() for m in shifted)
 
@@ -108,6 +110,40 @@ def test_paper_that_is_not_flat_is_told_from_errors_of_the_image(file: Path) -> 
     rise = np.stack([np.linalg.norm(m.rises, axis=1) for m in markers])
     assert sigma_px < float(np.std(across)) < 2.0 * sigma_px
     assert float(np.sqrt(np.mean(along**2 - across**2) / np.mean(rise**2))) == pytest.approx(height_m, rel=0.15)
+
+
+def test_the_shape_of_paper_that_many_views_agree_on_is_no_error_of_corners(file: Path) -> None:
+    flat = read_set(file)
+    own = replace(flat, file=replace(flat.file, flat=False))
+    seen = look_at_set(own, own.images)
+    rng, sigma_px, height_m = np.random.default_rng(6), 0.05, 4e-4
+    heights = {i: height_m * rng.standard_normal((4, 1)) for i in own.markers}
+    boards = seen.boards * 3
+    found = [
+        {
+            i: FoundMarker(board.pixels(m.corners_o) + sigma_px * rng.standard_normal((4, 2))
+                        + heights[i] * board.rises(m.corners_o), sigma_px**2 * np.eye(8))
+            for i, m in own.markers.items()
+        }
+        for board in boards
+    ]  # fmt: skip
+    many = type(seen)(seen.camera, None, seen.photographs * 3, boards, seen.starts * 3)
+    measured = measure_set(own, many, found)
+    told = np.stack([measured.print_m[i][:, 2] - heights[i][:, 0] for i in own.markers])
+    assert float(np.sqrt(np.mean(told**2))) < 0.3 * height_m
+    assert float(np.mean([marker.chi2 for marker in measured.seen])) == pytest.approx(1.0, abs=0.15)
+    assert float(np.mean([marker.chi2 for marker in measure_set(flat, many, found).seen])) > 3.0
+
+
+def test_a_marker_is_where_it_was_when_its_rows_were_read(file: Path) -> None:
+    """Rows that are read one after another of a board that moves: each part is where that part was seen."""
+    own = read_set(file)
+    board = look_at_set(own, own.images).boards[0]
+    moved = replace(board, bend=board.bend + np.array([[0.4, -0.2], *[[0.0, 0.0]] * (len(board.bend) - 1)]))
+    T_o_m = Pose(np.eye(3), np.array([0.1, 0.08, 0.0]))
+    before, after = board.pose_at(T_o_m), moved.pose_at(T_o_m)
+    np.testing.assert_allclose(board.camera.project(after.t[None]), moved.pixels(T_o_m.t[None]), atol=1e-6)
+    np.testing.assert_allclose(after.inverse().t, before.inverse().t, atol=1e-9)  # it turned, and the camera stays
 
 
 def test_poses_of_noisy_corners_are_honest_when_their_noise_is_stated(file: Path) -> None:
