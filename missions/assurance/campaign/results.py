@@ -11,6 +11,7 @@ from missions.resumable_lines import ResumableLines
 
 FILE = "runs.jsonl"
 FORMAT = "path-handoff campaign 1"
+OBSERVED_PERCENT = 99.0  # of the time, each target of a team
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +26,7 @@ class RunLine:
         figures: seconds by name, such as "decided_s"; what was not measured is not there.
         broken: the assumptions that were: "clock" (it was set), "disk" (it lost a record),
             "stall" (a program stood still, and a bound in time of programs that run is not asked for).
+        observed_percent: of a team, by target that was ever acquired.
     """
 
     number: int
@@ -34,6 +36,7 @@ class RunLine:
     beyond: tuple[str, ...] = ()
     figures: Mapping[str, float] = field(default_factory=dict[str, float])
     broken: tuple[str, ...] = ()
+    observed_percent: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 def resumable_results(folder: Path, asked: Mapping[str, Any]) -> ResumableLines[RunLine]:

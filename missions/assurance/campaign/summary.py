@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from missions.assurance.campaign.levels import LEVELS
-from missions.assurance.campaign.results import RunLine
+from missions.assurance.campaign.results import OBSERVED_PERCENT, RunLine
 
 SHOWN = 20  # failures printed
 BROKEN = {"clock": "a clock was set", "disk": "a disk lost a record", "stall": "a program stood still"}
@@ -44,11 +44,18 @@ def summarize(program: str, seed: int, lines: Sequence[RunLine], command: Callab
 
 
 def _level(lines: Sequence[RunLine]) -> dict[str, Any]:
+    observed = [share for line in lines for share in line.observed_percent.values()]
     return {
         "runs": len(lines),
         "violations": sum(len(line.violations) for line in lines),
         "outcomes": dict(Counter(line.outcome for line in lines).most_common()),
         "times": {name: _times(lines, name) for name in _names(lines)},
+        "targets": {
+            "number": len(observed),
+            "observed_well": sum(share >= OBSERVED_PERCENT for share in observed),
+            "least_percent": min(observed, default=None),
+            "mean_percent": round(float(np.mean(observed)), 3) if observed else None,
+        },
     }
 
 
@@ -98,6 +105,13 @@ def table(summary: dict[str, Any]) -> str:
                     f"{_MEANING.get(name, name):<46}{level:<9}{own['median_s']:9.3f}{own['p90_s']:9.3f}"
                     f"{own['worst_s']:9.3f}{limit:>9}"
                 )
+    for level, of in levels.items():
+        if (own := of["targets"])["number"]:
+            lines.append(
+                f"{'targets observed for ' + f'{OBSERVED_PERCENT:g} % and more of the time':<46}{level:<9}"
+                f"{own['observed_well']} of {own['number']}, mean {own['mean_percent']:.2f} %, "
+                f"least {own['least_percent']:.2f} %"
+            )
     found = ", ".join(f"{name} {count}" for name, count in summary["violations_of"].items()) or "none"
     lines += ["", f"{summary['runs']:,} runs, {summary['simulated_h']:,} h simulated; violations: {found}"]
     if summary["assumptions_broken"]:

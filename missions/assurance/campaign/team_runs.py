@@ -18,7 +18,7 @@ from flight.harness.fleet import TeamConfig
 from flight.outcome import Outcome
 from missions import rig_library
 from missions.assurance.campaign.plan import seed_of
-from missions.assurance.campaign.results import RunLine
+from missions.assurance.campaign.results import OBSERVED_PERCENT, RunLine
 from missions.options.flights import TeamOptions
 from missions.options.proofs import CampaignOptions
 from missions.options.words import LevelName
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 MEMORY = Path("/dev/shm")  # logs that nobody will read need no disk
 RIG = "team-sim"
 MOVED_M = 1.5  # of each target's place, on each axis
-LEAST_PERCENT = 99.0  # of the time, each target
 LEG_S = 420.0  # about, of one target
 REPEATED = {"duplicate": 0.2, "corrupt": 0.1, "reorder": 0.2}  # shares of the packets, at most
 KILLS = {"kill_receiver": "receiver", "kill_sender": "sender"}
@@ -166,15 +165,20 @@ def _fly(
     if summary["gap_s"] is not None:
         figures["gap_s"] = summary["gap_s"]["max"]
     rounded = {key: round(value, 4) for key, value in figures.items()}
-    return RunLine(number, level, named(summary), tuple(summary["notes"]), (), rounded)
+    observed = {name: share for name, share in targets_of(summary).items() if share is not None}
+    return RunLine(number, level, named(summary), tuple(summary["notes"]), (), rounded, observed_percent=observed)
+
+
+def targets_of(summary: Mapping[str, Any]) -> dict[str, float | None]:
+    """Returns the percent of the time for which each target was observed; None for one that was never acquired."""
+    return {name: share for name, share in summary["observed_percent"].items() if name != "all"}
 
 
 def named(summary: Mapping[str, Any]) -> str:
     """Returns a run's outcome, in which every target counts that was ever acquired."""
     if summary["outcome"] in (Outcome.MONITOR_VIOLATED.label, Outcome.WRONG_OBJECT.label):
         return "violated"
-    observed = summary["observed_percent"]
-    least = min((share for share in observed.values() if share is not None), default=0.0)
-    if summary["outcome"] == Outcome.COMMITTED.label and least < LEAST_PERCENT:
-        return f"observed < {LEAST_PERCENT:g} %"
+    least = min((share for share in targets_of(summary).values() if share is not None), default=0.0)
+    if summary["outcome"] == Outcome.COMMITTED.label and least < OBSERVED_PERCENT:
+        return f"observed < {OBSERVED_PERCENT:g} %"
     return str(summary["outcome"]).replace("_", " ")

@@ -8,7 +8,9 @@ import pytest
 
 from hil.world.faults import parse_fault
 from missions import rig_library
+from missions.assurance.campaign.results import RunLine
 from missions.assurance.campaign.run import RunOrder
+from missions.assurance.campaign.summary import summarize, table
 from missions.assurance.campaign.team_runs import HOSTILE, draw, fly, named
 from missions.options.words import LevelName
 from missions.team.config import team_of
@@ -52,3 +54,16 @@ def test_a_team_of_a_campaign_flies() -> None:
     (line,) = fly(RunOrder("sim", 0, (("none", number),), hours=0.01))
     assert (line.number, line.outcome, line.violations) == (number, "committed", ())
     assert line.figures["unobserved_s"] == 0.0 and line.figures["simulated_s"] > 36.0
+    assert line.observed_percent == {"A": 100.0}
+
+
+def test_the_table_says_how_much_of_the_time_each_target_was_observed() -> None:
+    lines = [
+        RunLine(0, "none", "committed", observed_percent={"A": 100.0, "B": 99.5}),
+        RunLine(0, "hostile", "observed < 99 %", observed_percent={"A": 97.0}),
+        RunLine(1, "hostile", "committed", observed_percent={"A": 100.0}),
+    ]
+    said = table(summarize("team", 1, lines, lambda _: ""))
+    assert "none     2 of 2, mean 99.75 %, least 99.50 %" in said
+    assert "hostile  1 of 2, mean 98.50 %, least 97.00 %" in said
+    assert "observed for" not in table(summarize("machines", 1, [RunLine(0, "none", "commit")], lambda _: ""))
