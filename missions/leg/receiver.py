@@ -116,12 +116,14 @@ class Receiver:
         await take_off(self._session, self._config.receiver_take_off_height_m)
 
     async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
-        """Flies to the stand-off, or until it is near enough; then looks for the marker."""
+        """Flies to the stand-off, or until it is near enough, within its bounds again; then looks for the marker."""
         session, rendezvous, deadlines = self._session, self._rendezvous, self._config.deadlines
         session.enter(Phase.STAND_OFF)
         session.pilot.guidance = rendezvous.to_stand_off
         await session.until(
-            lambda: rendezvous.at_stand_off(session.vehicle.state) or near_enough(),
+            lambda: (
+                (rendezvous.at_stand_off(session.vehicle.state) or near_enough()) and not rendezvous.out_of_bounds()
+            ),
             deadlines.stand_off_s,
             Outcome.APPROACH_FAILED,
             "the stand-off was not reached",

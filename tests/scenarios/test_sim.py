@@ -157,6 +157,20 @@ def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(tmp_path: P
         assert not last["receiver"]["in_air"]
 
 
+@pytest.mark.parametrize("seed", [4, 7])
+def test_going_around_takes_until_the_drone_is_within_its_bounds_again(tmp_path: Path, seed: int) -> None:
+    """Its pilot stops the motors as the approach begins; it falls, and is told only with a heartbeat a second."""
+    (tmp_path / "rig.toml").write_text(
+        'name = "slow-beat"\nlike = "sim"\n[world.autopilot]\nheartbeat_hz = 1.0\n'
+        "[sender.vehicle]\nheartbeat_timeout_s = 2.5\n[receiver.vehicle]\nheartbeat_timeout_s = 2.5\n"
+    )
+    flown = fly(str(tmp_path / "rig.toml"), tmp_path / "run", seed, "rc_kill_receiver@search")
+    notes = [note.record["note"] for note in flown.run.receiver["/note"]]
+    assert sum(note.startswith("goes around: closing in") for note in notes) == 1
+    assert flown.facts.outcome == "pilot_override"
+    assert "approach_failed" not in flown.facts.detail
+
+
 @pytest.mark.parametrize("faults", [("link_loss=0.3",), ("lookalike",), ("link_loss=0.2", "lookalike")])
 def test_loss_and_look_alikes_delay_a_handoff_but_never_mislead_it(tmp_path: Path, faults: tuple[str, ...]) -> None:
     flown = fly("sim", tmp_path, 2, *faults)
