@@ -292,6 +292,7 @@ TOPICS: dict[str, Topic] = {
             "offset_m": _numbers("of D2's box from D1's, in D1's image at the target's depth, m"),
             "rival_offset_m": _numbers("the same from the nearest other object that D1 sees, m"),
             "oversize": _number("by how much a box is larger than the target can be, standard deviations"),
+            "placed_iou": _number("overlap with D2's box where a body of the stated size has its middle, 0 to 1"),
         },
     ),
     # --- D2 ---

@@ -102,6 +102,7 @@ class Series:
         same: (n,) whether both boxes are of one object: D1 may have gone over to another one itself.
         offsets: of D2's box from the target and from what D1 saw beside it, by entry; of a ``PAIR`` only.
         oversize: by how many standard deviations a box is larger than the target can be, by entry of a ``PAIR``.
+        placed_iou: the overlap that a block's strength is of, where a size is stated, by entry of a ``PAIR``.
     """
 
     kind: NDArray[np.int64]
@@ -117,6 +118,7 @@ class Series:
     same: NDArray[np.bool_]
     offsets: Mapping[int, Offsets] = field(default_factory=dict[int, Offsets])
     oversize: Mapping[int, float] = field(default_factory=dict[int, float])
+    placed_iou: Mapping[int, float] = field(default_factory=dict[int, float])
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -219,7 +221,7 @@ class Telling:
             if agreed:
                 frames = (own[0], own[1]), (own[2], own[3])
                 offsets, oversize = series.offsets.get(k), series.oversize.get(k, 0.0)
-                pair = FramePair(sequence, capture_ns, frames, offsets, oversize)
+                pair = FramePair(sequence, capture_ns, frames, offsets, oversize, series.placed_iou.get(k))
                 gate.agree(pair, iou, threshold(z_m, method))
             else:
                 compared = kind == PAIR and sigma_m <= method.pose_sigma_limit_m

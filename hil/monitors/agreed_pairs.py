@@ -119,7 +119,8 @@ class AgreedPairs:
         if self.method.gate == "evidence":
             if record.get("offset_m") is not None:
                 self.offsets.append((record["offset_m"], record.get("rival_offset_m")))
-            self._compare(capture_ns, iou, tau)
+            placed = record.get("placed_iou")
+            self._compare(capture_ns, iou if placed is None else placed, tau)
         if record["count"] > self.pairs:
             return f"the role counts {record['count']}, the monitor {self.pairs}"
         claimed = record["evidence"]

@@ -237,6 +237,7 @@ class _Record:
         self._ints, self._floats = np.empty((0, 11), np.int64), np.empty((0, 4))
         self._offsets: dict[int, Offsets] = {}
         self._oversize: dict[int, float] = {}
+        self._placed_iou: dict[int, float] = {}
 
     def __len__(self) -> int:
         return len(self._ints) + len(self._rows)
@@ -264,6 +265,8 @@ class _Record:
         if pair.offsets is not None:
             self._offsets[len(self) - 1] = pair.offsets
         self._oversize[len(self) - 1] = pair.oversize
+        if pair.placed_iou is not None:
+            self._placed_iou[len(self) - 1] = pair.placed_iou
 
     def _by_other(self, candidate: Candidate, values: tuple[float, ...], box: Box, own_box: Box) -> float:
         """The overlap by the mapping that the method does not use."""
@@ -283,7 +286,7 @@ class _Record:
         return Series(
             kind=ints[:, 0], reason=ints[:, 1], now_ns=ints[:, 2], sequence=ints[:, 3], capture_ns=ints[:, 4],
             own=ints[:, 5:9], iou=floats[:, :2], z_m=floats[:, 2], pose_sigma_m=floats[:, 3], right=ints[:, 9] != 0,
-            same=ints[:, 10] != 0, offsets=self._offsets, oversize=self._oversize,
+            same=ints[:, 10] != 0, offsets=self._offsets, oversize=self._oversize, placed_iou=self._placed_iou,
         )  # fmt: skip
 
 

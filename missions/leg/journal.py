@@ -171,6 +171,7 @@ def agreement_record(
         "offset_m": None if offsets is None else offsets.target_m,
         "rival_offset_m": None if offsets is None else nearest_rival(offsets),
         "oversize": None if pair.own_box is None else pair.oversize,
+        "placed_iou": pair.placed_iou,
     }
 
 

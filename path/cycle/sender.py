@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.gate.agreement import Agreed, TwoViews, Verdict, compare, plain_box, threshold
+from path.gate.agreement import Agreed, TwoViews, Verdict, compare, iou, plain_box, threshold
 from path.gate.evidence import make_gate, strength
 from path.gate.window import FramePair, Gate, Offsets, serial_difference
 from path.geometry.rigid import rigid, rigid_from_quat
@@ -19,7 +19,7 @@ from path.geometry.transforms import Pose
 from path.messages import Candidate, Target, Vec3
 from path.observations import Box, Depth, Missed, MissReason
 from path.target.place import TargetPoint, locate
-from path.target.rivals import Rival, Rivals
+from path.target.rivals import Rival, Rivals, placed
 from path.target.size import FITS, Sizes
 from path.timeline import Between, Sample, Track
 
@@ -40,6 +40,7 @@ class PairVerdict:
         own: D1's samples around that instant, box, point and depth; None as ``own_box``.
         offsets: of D2's box from the target and from what D1 sees beside it; None when nothing was compared.
         oversize: by how many standard deviations a box is larger than the target can be (``path.target.size``).
+        placed_iou: as of a ``FramePair``.
     """
 
     candidate: Candidate | None
@@ -51,6 +52,7 @@ class PairVerdict:
     own: Between | None = None
     offsets: Offsets | None = None
     oversize: float = FITS
+    placed_iou: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +208,7 @@ class SenderCycle:
         reason = self._incomparable(candidate, capture_ns)
         if reason is not None or at is None or candidate.box is None:
             verdict, own_box, mapped_box = Missed(reason or MissReason.NO_TRACK), None, None
-            tau = used = offsets = None
+            tau = used = offsets = placed_iou = None
             oversize = FITS
         else:
             x, y, w, h, px, py, pz, z1, z_sigma, gx, gy, gz, oversize = at.values
@@ -215,11 +217,19 @@ class SenderCycle:
             verdict, mapped_box = compare(self._views, T_v_c2, own_box, z1, point_v, candidate.box, self._config)
             tau = None if verdict.iou is None else threshold(z1, self._config)
             offsets = self._rivals.offsets(T_v_c2, candidate.box, own_box, z1, point_v, (gx, gy, gz))
+            placed_iou = self._placed_iou(own_box, mapped_box, offsets, z1)
             sigma_m = math.hypot(candidate.sigma_m, z_sigma)
             theirs = self._sizes.theirs(capture_ns, T_v_c2, candidate.box, sigma_m, point_v, (gx, gy, gz))
             oversize = max(oversize, theirs)
-        verdict = self._count(candidate.sequence, capture_ns, at, verdict, tau, offsets, oversize)
-        return PairVerdict(candidate, capture_ns, verdict, own_box, mapped_box, tau, used, offsets, oversize)
+        verdict = self._count(candidate.sequence, capture_ns, at, verdict, tau, offsets, oversize, placed_iou)
+        return PairVerdict(
+            candidate, capture_ns, verdict, own_box, mapped_box, tau, used, offsets, oversize, placed_iou
+        )
+
+    def _placed_iou(self, own: Box, mapped: Box | None, offsets: Offsets | None, z_m: float) -> float | None:
+        if mapped is None or offsets is None or not self._config.evidence.span_m > 0.0:
+            return None
+        return iou(own, placed(mapped, own, offsets.target_m, z_m, self._views.camera1))
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
         """Returns why a fresh candidate cannot even be compared, whatever D1 saw at that instant; None when it can."""
@@ -241,6 +251,7 @@ class SenderCycle:
         tau: float | None,
         offsets: Offsets | None,
         oversize: float,
+        placed_iou: float | None,
     ) -> Verdict:
         """Let the gate count a verdict; what it refuses becomes an ``ignored`` miss."""
         if isinstance(verdict, Missed) or at is None:
@@ -248,7 +259,7 @@ class SenderCycle:
             refusal = self.gate.disagree(sequence, capture_ns, by)
         else:
             own = (at.before.frame, at.before.stamp_ns), (at.after.frame, at.after.stamp_ns)
-            pair = FramePair(sequence, capture_ns, own, offsets, oversize)
+            pair = FramePair(sequence, capture_ns, own, offsets, oversize, placed_iou)
             refusal = self.gate.agree(pair, verdict.iou, verdict.tau)
         if refusal is MissReason.AMBIGUOUS_TARGET:
             return self._missed(Missed(refusal, verdict.iou))

@@ -11,8 +11,10 @@ What can make boxes of different objects agree, and what is done about it:
 
 2. *What varies* around an offset of at least ``r0`` (aspect, attitude wander, noise) is strongly correlated: overlaps
    0.5 s apart still are. Nothing is derived for independent frames. The pairs of a run are cut into blocks; a block
-   agrees when most of its pairs do and their median strength ``(S - tau) / (1 - tau)`` suffices. Whatever the
-   dependence, with different things in the boxes
+   agrees when most of its pairs do and their median strength ``(S - tau) / (1 - tau)`` suffices. Where the rig states
+   the target's size, the strength is that of the overlap with D2's box moved to where such a body has its middle
+   (``path.target.rivals.placed``); what S itself says of a pair stays as it is. Whatever the dependence, with different
+   things in the boxes
 
        P(a run's first block agrees) <= first_rate,   P(a later one agrees | all before it) <= next_rate
 
@@ -173,7 +175,7 @@ class EvidenceGate:
             self._begin(pair.capture_ns)
         if pair.offsets is not None:
             self._identity.note(pair.offsets)
-        self._compared(pair.capture_ns, strength(iou, tau))
+        self._compared(pair.capture_ns, strength(iou if pair.placed_iou is None else pair.placed_iou, tau))
         return None
 
     def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:

@@ -55,6 +55,7 @@ class FramePair:
             the instants coincide.
         offsets: of D2's box from the target and from what is beside it; None when nobody looked.
         oversize: by how many standard deviations a box is larger than the target can be; 0 when nobody looked.
+        placed_iou: the overlap with D2's box where a body of the stated size has its middle; None: no size is stated.
     """
 
     peer_sequence: int
@@ -62,6 +63,7 @@ class FramePair:
     own_frames: tuple[tuple[int, int], tuple[int, int]]
     offsets: Offsets | None = None
     oversize: float = 0.0
+    placed_iou: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

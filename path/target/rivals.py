@@ -13,6 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.gate.agreement import TwoViews, depth_in, map_box
 from path.gate.window import Offset, Offsets
@@ -52,6 +53,19 @@ class _Beside:
     dz: float
     dpoint: Vec3
     times: int = 1
+
+
+def placed(mapped: Box, own: Box, offset_m: Offset, z_m: float, camera: CameraModel) -> Box:
+    """D2's box in D1's image, as far off D1's own as the target's middle is, instead of the middles of the boxes.
+
+    Args:
+        offset_m: of D2's box from the target (``Rivals.offsets``).
+        z_m: the target's distance along D1's optical axis.
+    """
+    u, v = own.center
+    left = u + offset_m[0] * camera.fx / z_m - 0.5 * mapped.w
+    top = v + offset_m[1] * camera.fy / z_m - 0.5 * mapped.h
+    return Box(left, top, mapped.w, mapped.h)
 
 
 class Rivals:

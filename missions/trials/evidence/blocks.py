@@ -92,13 +92,15 @@ def _decided(series: Series, done: int | None, begin_ns: int) -> GateTime:
 
 
 def mean_strength(series: Series, method: MethodConfig) -> float:
-    """Returns the mean strength of all pairs whose boxes were compared."""
+    """Returns the mean strength of all pairs whose boxes were compared, as the gate takes it."""
     pairs = series.kind == PAIR
     if np.sum(pairs) < ENOUGH_PAIRS:
         return float("nan")
     scale = np.minimum(1.0, (method.z0_m / series.z_m[pairs]) ** 2)
     tau = method.tau_min + (method.tau_max - method.tau_min) * scale
-    return float(np.mean((series.iou[pairs, 0] - tau) / (1.0 - tau)))
+    entries = zip(np.flatnonzero(pairs).tolist(), series.iou[pairs, 0].tolist(), strict=True)
+    overlaps = np.array([series.placed_iou.get(entry, overlap) for entry, overlap in entries])
+    return float(np.mean((overlaps - tau) / (1.0 - tau)))
 
 
 def correlation(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,14 +15,14 @@ from hil.geometric.targets import depth_over
 from hil.world.kinds import TargetKind
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from missions import rig_library
-from path.gate.agreement import TwoViews
+from path.gate.agreement import TwoViews, depth_in, iou, map_box
 from path.geometry.rigid import rigid
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box
 from path.target.place import back_project
-from path.target.rivals import Rivals
+from path.target.rivals import Rivals, placed
 
 NOWHERE = Pose(np.eye(3), np.zeros(3))
 
@@ -37,15 +37,15 @@ def looking(at_m: float, azimuth_deg: float, away_m: float, up_m: float) -> Pose
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "middle_m", "unstated_m", "most_m"),
+    ("name", "kind", "middle_m", "unstated_m", "most_m", "overlaps"),
     [
-        ("sim", "car", 0.08, 0.04, 0.015),
-        ("sim-person", "person", 0.9, 0.12, 0.05),
-        ("sim-drone", "drone", 0.8, 0.02, 0.012),
+        ("sim", "car", 0.08, 0.04, 0.015, (0.63, 0.72)),
+        ("sim-person", "person", 0.9, 0.12, 0.05, (0.59, 0.68)),
+        ("sim-drone", "drone", 0.8, 0.02, 0.012, (0.62, 0.66)),
     ],
 )
 def test_offsets_are_of_what_two_cameras_mean_not_of_where_they_look_from(
-    name: str, kind: TargetKind, middle_m: float, unstated_m: float, most_m: float
+    name: str, kind: TargetKind, middle_m: float, unstated_m: float, most_m: float, overlaps: tuple[float, float]
 ) -> None:
     rig = rig_library.load_unchecked(name)
     method, mission = rig.method, rig.mission
@@ -58,6 +58,7 @@ def test_offsets_are_of_what_two_cameras_mean_not_of_where_they_look_from(
     depths = Sensor(setups[0], ObservationNoise(), method, 0).depth
     unstated = replace(method, evidence=replace(method.evidence, span_m=0.0))
     found: dict[bool, list[float]] = {True: [], False: []}
+    overlap: dict[bool, list[float]] = {True: [], False: []}
     for azimuth_deg in (-60.0, 60.0):
         poses = (
             looking(middle_m, 180.0, behind_m, height_m - middle_m),
@@ -67,20 +68,27 @@ def test_offsets_are_of_what_two_cameras_mean_not_of_where_they_look_from(
         for heading in np.linspace(0.0, math.pi, 9).tolist():
             thing = ObjectTruth(0, (0.0, 0.0, middle_m if kind == "drone" else 0.0), heading, 0.0)
             snapshot = Snapshot(0.0, drones, (thing,), kind=kind)
-            placed = [place(setup, snapshot) for setup in setups]
-            edges = [outlines(setup, each)[0] for setup, each in zip(setups, placed, strict=True)]
+            bodies = [place(setup, snapshot) for setup in setups]
+            edges = [outlines(setup, each)[0] for setup, each in zip(setups, bodies, strict=True)]
             own, theirs = (Box(x, y, right - x, bottom - y) for x, y, right, bottom, *_ in edges)
             z_m, _ = depth_over(
-                placed[0].boxes, placed[0].extents, placed[0].per_object, placed[0].frame, setups[0].lens, False,
+                bodies[0].boxes, bodies[0].extents, bodies[0].per_object, bodies[0].frame, setups[0].lens, False,
                 (own.x, own.y, own.w, own.h), depths, (0.0, 0.0), 0,
             )  # fmt: skip
             T_c1_c2 = rigid(poses[0].inverse() @ poses[1])
             point = back_project(cameras[0], *own.center, z_m)
             down = tuple((poses[0].R.T @ (0.0, 0.0, -1.0)).tolist())
+            views = TwoViews(*cameras, rigid(NOWHERE))
+            mapped = map_box(views, T_c1_c2, theirs, (z_m, depth_in(T_c1_c2, point)), "center")
+            assert mapped is not None
             for stated, each in ((True, method), (False, unstated)):
-                rivals = Rivals(TwoViews(*cameras, rigid(NOWHERE)), each)
+                rivals = Rivals(views, each)
                 offsets = rivals.offsets(T_c1_c2, theirs, own, z_m, point, down)
                 assert offsets is not None
                 found[stated].append(math.hypot(*offsets.target_m))
+                box = placed(mapped, own, offsets.target_m, z_m, cameras[0]) if stated else mapped
+                overlap[stated].append(iou(own, box))
     assert float(np.mean(found[False])) > unstated_m
     assert float(np.mean(found[True])) < most_m
+    assert float(np.mean(overlap[False])) < overlaps[0]
+    assert float(np.mean(overlap[True])) > overlaps[1]

@@ -202,17 +202,19 @@ class Stream:
     epoch: int = 1
     offsets: Offsets = field(default_factory=lambda: Offsets((0.01, -0.005)))
     oversize: float = 0.0
+    placed_iou: float | None = None
 
     def pair(self, index: int, iou: float = 0.8, **changes: Any) -> None:
         capture_ns = index * 20_000_000
         own = (index, capture_ns), (index + 1, capture_ns + 20_000_000)
-        refusal = self.gate.agree(FramePair(index, capture_ns, own, self.offsets, self.oversize), iou, 0.4)
+        pair = FramePair(index, capture_ns, own, self.offsets, self.oversize, self.placed_iou)
+        refusal = self.gate.agree(pair, iou, 0.4)
         evidence = self.gate.evidence.reached
         counted = refusal in (None, MissReason.AMBIGUOUS_TARGET)
         record = {"agreed": refusal is None, "counted": counted, "iou": iou, "tau": 0.4, "target_id": 1}
         record |= {"count": self.gate.count, "evidence": evidence, "epoch": self.epoch, "capture_ns": capture_ns}
         record |= {"offset_m": self.offsets.target_m, "rival_offset_m": nearest_rival(self.offsets)}
-        record |= {"oversize": self.oversize}
+        record |= {"oversize": self.oversize, "placed_iou": self.placed_iou}
         judge(self.monitors, {**record, **changes})
 
     def pairs(self, first: int, number: int, iou: float = 0.8) -> None:
@@ -229,6 +231,16 @@ def test_evidence_enough_for_a_commit_is_enough_for_the_monitors() -> None:
     stream.pairs(0, 4 * BLOCK + 1)
     assert stream.gate.complete
     assert stream.commit() == {}
+
+
+@pytest.mark.parametrize(("iou", "placed_iou", "passes"), [(0.5, 0.8, True), (0.8, 0.5, False), (0.8, 0.3, False)])
+def test_blocks_are_as_strong_as_the_overlap_of_placed_boxes_for_gate_and_monitors(
+    iou: float, placed_iou: float, passes: bool
+) -> None:
+    stream = Stream(placed_iou=placed_iou)
+    stream.pairs(0, 4 * BLOCK + 1, iou)
+    assert stream.gate.complete == passes
+    assert stream.commit() == ({} if passes else {"S5": 1})
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,16 @@ def test_a_true_pair_agrees_with_full_overlap_whatever_the_relative_roll() -> No
     assert pair.verdict.count == 1
 
 
+def test_the_overlap_where_a_body_has_its_middle_is_told_when_its_size_is_stated() -> None:
+    (unstated,) = Bench().run(1)
+    assert unstated.placed_iou is None
+    stated = replace(CONFIG.evidence, span_m=1.5 * SIZE_M, height_m=1.5 * SIZE_M)
+    (pair,) = Bench(replace(CONFIG, evidence=stated)).run(1)
+    assert pair.verdict.iou == unstated.verdict.iou  # what S itself says stays as it is
+    assert pair.placed_iou is not None
+    assert 0.5 < pair.placed_iou < 0.99  # these boxes are around points, whose middles lie where they are
+
+
 @pytest.mark.parametrize(("gate", "agrees"), [("evidence", False), ("count", True)])
 def test_boxes_larger_than_the_target_disagree_though_they_overlap(gate: GateKind, agrees: bool) -> None:
     sized = replace(CONFIG.evidence, span_m=0.5 * SIZE_M, height_m=0.5 * SIZE_M)

@@ -44,7 +44,7 @@ from path.observations import MissReason
 
 METHOD = MethodConfig()
 PERIOD_NS = 20_000_000
-BY_ENTRY = ("offsets", "oversize")
+BY_ENTRY = ("offsets", "oversize", "placed_iou")
 
 
 def series_of(count: int) -> Series:
