@@ -90,6 +90,18 @@ def test_a_share_that_flies_nothing_is_refused_with_what_was_measured(
     assert f"doctor --rig sitl --role sender --slow {share}" in refused.value.remedy
 
 
+def test_a_share_is_refused_only_when_it_was_too_little_each_time(monkeypatch: pytest.MonkeyPatch, rig: Any) -> None:
+    busy, quiet = pace(9.0, 0.04), pace(3.4, 0.024)
+    measured = [busy, busy, quiet, quiet]
+    monkeypatch.setattr(computer, "pace_of", lambda *_, own_only: [measured.pop(0)])  # type: ignore[misc]
+    refuse_share(rig, 0.2)
+    assert measured == []
+    measured += [busy] * 4
+    with pytest.raises(PartError, match="for the sender: rate"):
+        refuse_share(rig, 0.2)
+    assert len(measured) == 1
+
+
 def test_every_stage_and_every_size_is_told(monkeypatch: pytest.MonkeyPatch, rig: Any) -> None:
     paces = [pace(4.0, 0.01), pace(20.0, 0.01, (1280, 720))]
     monkeypatch.setattr(computer, "pace_of", lambda *_: paces)  # type: ignore[misc]
