@@ -12,7 +12,7 @@ import cv2
 from drivers.interfaces import Clock, Link, Log, Perception, Vehicle
 from drivers.mavlink.guard.interfaces import GuardLine
 from drivers.mavlink.guard.line import UdpGuardLine
-from drivers.rig.parts import PartSpec, Rig, create, part_context
+from drivers.rig.parts import PartSpec, Rig, RoleRig, create, part_context
 from drivers.stages import Stages
 from flight.config import MissionConfig
 from flight.guard.under_guard import UnderGuard
@@ -34,7 +34,7 @@ async def open_session(
 ) -> RoleSession:
     """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after. Raises PartError."""
     cv2.setNumThreads(1)  # frames are small: more threads cost more than they gain, and take the other processes' cores
-    warm_up(images=harness is None or "camera" in rig.role(role).perception.options)
+    warm_up_for(rig.role(role), harness)
     if harness is None:
         gc.freeze()  # what is loaded by now stays: collections in flight need not walk it, for 0.1 s each
     context = part_context(rig, role, harness)
@@ -49,6 +49,11 @@ async def open_session(
         guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
     parts = (context.clock, vehicle, perception, link)
     return RoleSession(rig, role, config, log, emit, stop, parts, entropy, guard, Stages() if harness is None else None)
+
+
+def warm_up_for(own: RoleRig, harness: InProcess | None) -> None:
+    """Compiles what a drone will need, or loads it: of images nothing where its perception has no camera."""
+    warm_up(images=harness is None or "camera" in own.perception.options)
 
 
 def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Random:

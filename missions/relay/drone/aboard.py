@@ -27,7 +27,7 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
 from flight.tracking.target_track import TargetTrack
-from missions.leg.opening import entropy_of, guard_line_of
+from missions.leg.opening import entropy_of, guard_line_of, warm_up_for
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, may_manoeuvre
 from missions.relay.drone.battery import Gauge
@@ -36,7 +36,6 @@ from missions.relay.drone.records import for_leg, write
 from missions.relay.drone.stages import Holder, Relief
 from missions.relay.ground import Ground, Leg
 from missions.rig_library import mission_of
-from path.marker.warm_up import warm_up
 from path.messages import Role
 
 _POLL_S = 0.25
@@ -80,9 +79,9 @@ class Aboard:
 
     async def _open(self, stack: AsyncExitStack) -> Parts:
         """Opens the parts once for the whole flight. To them a drone is always the one that sees the other's marker."""
-        warm_up()
         context = self._context(Role.RECEIVER)
         own = self._alone.receiver
+        warm_up_for(own, self._harness)
         perception: Perception = await stack.enter_async_context(create(own.perception, context))
         vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
         self._entropy = entropy_of(self._name, context.clock, self._harness)
