@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated, Any, Self, cast
 
 import numpy as np
@@ -16,7 +17,9 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError, Frame
 from drivers.rig.parts import PartContext
+from flight.harness.renderer import Imaging
 from hil.camera.capture import CaptureTicker, CaptureTiming, SensorHarness, timing_of, true_camera
+from hil.camera.pipeline import develop
 from hil.render.renderer import Renderer
 from hil.render.sensor import SensorNoise
 from hil.world.snapshot import Snapshot
@@ -28,12 +31,17 @@ _Image = tuple[NDArray[np.uint8], NDArray[np.uint16]]
 
 @dataclass(frozen=True, slots=True)
 class RenderedCameraConfig:
-    """The timing of frames (see ``hil.camera.capture.timing_of``), and the noise of the sensor."""
+    """The timing of frames (see ``hil.camera.capture.timing_of``), and the noise of the sensor.
+
+    Attributes:
+        imaging: of a measured camera (docs/real.md), instead of the blur and noise of the sensor's colour.
+    """
 
     rate_hz: Annotated[float, Bounds(1.0, 300.0)] = 30.0
     phase_s: Annotated[float | None, Bounds(0.0, 10.0)] = None
     latency_s: Annotated[float, Bounds(0.0, 2.0)] = 0.02
     noise: SensorNoise = field(default_factory=SensorNoise)
+    imaging: Imaging | None = None
 
     def timing(self, context: PartContext) -> CaptureTiming:
         return timing_of(context.role, self.rate_hz, self.phase_s, self.latency_s)
@@ -60,6 +68,7 @@ class RenderedCamera:
         self._renderer = Renderer(
             true.camera, true.T_b_c, true.T_b_v, true.layout, config.noise, harness.seed, true.scene
         )
+        self._imaging = config.imaging
         name = f"the {context.role.value}'s rendered camera"
         self._ticker: CaptureTicker[Future[_Image]] = CaptureTicker(
             name, config.timing(context), context.role, context.clock, harness, self._draw
@@ -96,4 +105,9 @@ class RenderedCamera:
 
     def _draw(self, snapshot: Snapshot, frame_id: int) -> Future[Any]:
         assert self._thread is not None, "nothing is captured before somebody reads"
-        return self._thread.submit(self._renderer.render, snapshot, self._role, frame_id)
+        exposed = None if self._imaging is None else partial(_developed, self._imaging)
+        return self._thread.submit(self._renderer.render, snapshot, self._role, frame_id, exposed)
+
+
+def _developed(imaging: Imaging, light: NDArray[np.uint8], key: int) -> NDArray[np.uint8]:
+    return develop(light, imaging, np.random.default_rng(key))

@@ -35,6 +35,8 @@ SAMPLES = (edge_pass.hammersley(16), edge_pass.hammersley(64))
 STAGES = 8
 
 _Level = TypeVar("_Level", np.uint8, np.uint16)
+Exposing = Callable[[NDArray[np.uint8], int], NDArray[np.uint8]]
+"""Makes an image (h, w, 3) of light (3, h, w) and the key of its noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +106,14 @@ class Renderer:
         self._rows = np.empty((SCRATCH_ROWS, width + 2 * self._taps.size), np.float32)
         self._words = np.empty(width, np.int32)
 
-    def render(self, snapshot: Snapshot, role: Role, frame_seed: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    def render(
+        self, snapshot: Snapshot, role: Role, frame_seed: int, exposed: Exposing | None = None
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         """The view of ``role``'s camera; that drone itself is not drawn.
 
-        ``frame_seed`` (any integer) selects the noise: give every frame its own.
+        Args:
+            frame_seed: any integer; it selects the noise: give every frame its own.
+            exposed: what makes an image of light, by default ``expose``.
 
         Returns:
             Colour, shape (h, w, 3), BGR, and depth, shape (h, w), z in millimetres, 0 where there is none.
@@ -120,7 +126,8 @@ class Renderer:
             depth_holes=snapshot.depth_holes,
             unseen=self._unseen(snapshot, role),
         )
-        return self.expose(light, key), self.thinned(depth)
+        image = self.expose(light, key) if exposed is None else self.thinned(exposed(light, key))
+        return image, self.thinned(depth)
 
     def render_color(self, snapshot: Snapshot, role: Role, frame_seed: int) -> NDArray[np.uint8]:
         """The colour of ``render`` alone."""

@@ -12,6 +12,7 @@ import pytest
 
 from drivers.interfaces import CameraError, Frame
 from drivers.rig.parts import Mount, Origin, PartContext
+from flight.harness.renderer import Imaging
 from hil.camera.capture import CaptureTiming, Freeze
 from hil.camera.rendered import RenderedCamera, RenderedCameraConfig
 from hil.harness.virtual_time import run_virtual
@@ -177,6 +178,24 @@ def test_the_same_seed_draws_the_same_bytes() -> None:
         assert a.color.tobytes() == b.color.tobytes()
         assert a.depth_mm.tobytes() == b.depth_mm.tobytes()
     assert first[0].color.tobytes() != first[1].color.tobytes()
+
+
+def test_a_measured_cameras_imaging_makes_the_image_and_leaves_the_depth() -> None:
+    def frame(imaging: Imaging | None) -> Frame:
+        taken: list[Frame] = []
+
+        async def program(camera: RenderedCamera, _: StubHarness) -> None:
+            taken.append(await camera.read(1.0))
+
+        with_camera(program, RenderedCameraConfig(imaging=imaging))
+        return taken[0]
+
+    plain, brighter = frame(None), frame(Imaging(gamma=2.2, sharpen=1.0, jpeg_quality=90))
+    assert plain.depth_mm is not None and brighter.depth_mm is not None
+    assert plain.depth_mm.tobytes() == brighter.depth_mm.tobytes()
+    assert brighter.color.shape == plain.color.shape
+    assert float(np.mean(brighter.color)) > 1.2 * float(np.mean(plain.color))
+    assert brighter.color.tobytes() == frame(Imaging(gamma=2.2, sharpen=1.0, jpeg_quality=90)).color.tobytes()
 
 
 def test_two_cameras_are_out_of_step_unless_told_otherwise() -> None:
