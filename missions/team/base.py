@@ -20,6 +20,8 @@ from missions.team.assignment import Airspace, Assignment, Need, ReadyDrone, ass
 from missions.team.needs import needs_of
 from missions.team.roster import Custody, TeamDrone, TeamTarget
 
+_HELD_BACK_S = 60.0  # without anybody on its way to a lost target, while drones stand ready
+
 
 @dataclass
 class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
@@ -81,7 +83,9 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
             leg.outcome, leg.detail = end.outcome.label, end.detail
             self._close_leg(leg)
             self.drones[name].ways.clear()  # it stays
-            self.drones[leg.receiver].ways.append(self._back(leg.receiver, leg.target))
+            relief = self.drones[leg.receiver]
+            if relief.where == "flying":  # it may be down before its sender knows: then no way is flown
+                relief.ways.append(self._back(relief.name, leg.target))
             self._say(name, "leg failed", f"leg {leg.number}, relief {leg.receiver}: {end}")
 
     def gave_up(self, name: str, why: str) -> None:
@@ -237,12 +241,17 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         self._field.close_leg(leg.number)
 
     def _alarm(self, target: TeamTarget, ready: bool) -> None:
-        if target.alarmed or ready:
+        """Nobody was sent to a target that needs it: none is ready, or those that are have been held back for long."""
+        without_s = self._now_s() - target.lost_s if target.holder is None else 0.0
+        if target.alarmed or (ready and without_s < _HELD_BACK_S):
             return
         target.alarmed = True
         left_s = None if target.asking is None else target.asking[1] - self._now_s()
         until = "" if left_s is None else f"; it is given up in {left_s:.0f} s otherwise"
-        self._say(target.holder or "", "alarm", f"{target.named.name}: no drone is ready, {self._soonest()}{until}")
+        why = f"no drone is ready, {self._soonest()}"
+        if ready:
+            why = f"for {without_s:.0f} s no ready drone had a free way, or may take it"
+        self._say(target.holder or "", "alarm", f"{target.named.name}: {why}{until}")
 
 
 class OwnGround:
