@@ -7,14 +7,14 @@ the trial's own choice of errors.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from path.bounds import Bounds, out_of_bounds
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
@@ -94,33 +94,21 @@ class Imaging:
         ValueError: naming the field that cannot be right.
     """
 
-    blur_sigma_px: float = 0.6
-    read_sigma: float = 1.2
-    shot_gain: float = 0.015
-    exposure: float = 1.0
-    motion_px: tuple[float, float] = (0.0, 0.0)
+    blur_sigma_px: Annotated[float, Bounds(0.0, 20.0)] = 0.6
+    read_sigma: Annotated[float, Bounds(0.0, 100.0, "grey levels")] = 1.2
+    shot_gain: Annotated[float, Bounds(0.0, 10.0, "grey levels")] = 0.015
+    exposure: Annotated[float, Bounds(1e-3, 100.0, "times")] = 1.0
+    motion_px: Annotated[tuple[float, float], Bounds(-100.0, 100.0)] = (0.0, 0.0)
     mosaic: bool = False
-    gamma: float = 1.0
-    sharpen: float = 0.0
-    sharpen_sigma_px: float = 1.0
-    jpeg_quality: int | None = None
-    h264_crf: int | None = None
+    gamma: Annotated[float, Bounds(1e-3, 20.0, "(an exponent)")] = 1.0
+    sharpen: Annotated[float, Bounds(0.0, 50.0, "times")] = 0.0
+    sharpen_sigma_px: Annotated[float, Bounds(1e-3, 20.0)] = 1.0
+    jpeg_quality: Annotated[int | None, Bounds(1, 100, "(a quality)")] = None
+    h264_crf: Annotated[int | None, Bounds(0, 51, "(a rate factor)")] = None
 
     def __post_init__(self) -> None:
-        for name in ("blur_sigma_px", "read_sigma", "shot_gain", "sharpen"):
-            _check(name, getattr(self, name), 0.0, math.inf)
-        for name in ("exposure", "gamma", "sharpen_sigma_px"):
-            _check(name, getattr(self, name), 1e-3, math.inf)
-        _check("motion_px", math.hypot(*self.motion_px), 0.0, 100.0)
-        if self.jpeg_quality is not None:
-            _check("jpeg_quality", self.jpeg_quality, 1, 100)
-        if self.h264_crf is not None:
-            _check("h264_crf", self.h264_crf, 0, 51)
-
-
-def _check(name: str, value: float, low: float, high: float) -> None:
-    if not (math.isfinite(value) and low <= value <= high):
-        raise ValueError(f"{name}: {value!r} is not within {low:g}..{high:g}")
+        for name, why in out_of_bounds(self):
+            raise ValueError(f"{name}: {why}")
 
 
 IDEAL = Imaging()
@@ -148,14 +136,14 @@ class Printing:
         ValueError: naming the field that cannot be right.
     """
 
-    ink_spread_m: float = 0.0
-    black_spread: float = 0.0
+    ink_spread_m: Annotated[float, Bounds(0.0, 0.01)] = 0.0
+    black_spread: Annotated[float, Bounds(0.0, 255.0, "grey levels")] = 0.0
     shadow: Literal["none", "soft", "hard"] = "none"
     blade: bool = False
 
     def __post_init__(self) -> None:
-        _check("ink_spread_m", self.ink_spread_m, 0.0, 0.01)
-        _check("black_spread", self.black_spread, 0.0, 255.0)
+        for name, why in out_of_bounds(self):
+            raise ValueError(f"{name}: {why}")
 
 
 PRINTED = Printing(ink_spread_m=0.0001, black_spread=4.0)
