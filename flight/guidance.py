@@ -45,7 +45,7 @@ def bearing(to_n_m: Vec3) -> float:
 
 
 def way_until_away(offset_n_m: Vec3, along_n: Vec3, distance_m: float) -> float:
-    """How far to go along a level unit vector until the level distance from something is so large; 0: it is already.
+    """Returns the way along a level unit vector until the level distance from something is so large; 0: it is already.
 
     Args:
         offset_n_m: of the beginning, from that thing.

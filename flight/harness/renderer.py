@@ -7,6 +7,7 @@ the trial's own choice of errors.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, Protocol
@@ -21,6 +22,8 @@ from path.marker.layout import MarkerLayout
 from path.messages import Role, Vec3
 
 Kind = Literal["car", "person"]
+
+FARTHEST_PX = 100.0  # that a camera moves during its exposure
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +101,7 @@ class Imaging:
     read_sigma: Annotated[float, Bounds(0.0, 100.0, "grey levels")] = 1.2
     shot_gain: Annotated[float, Bounds(0.0, 10.0, "grey levels")] = 0.015
     exposure: Annotated[float, Bounds(1e-3, 100.0, "times")] = 1.0
-    motion_px: Annotated[tuple[float, float], Bounds(-100.0, 100.0)] = (0.0, 0.0)
+    motion_px: Annotated[tuple[float, float], Bounds(-FARTHEST_PX, FARTHEST_PX)] = (0.0, 0.0)
     mosaic: bool = False
     gamma: Annotated[float, Bounds(1e-3, 20.0, "(an exponent)")] = 1.0
     sharpen: Annotated[float, Bounds(0.0, 50.0, "times")] = 0.0
@@ -109,6 +112,8 @@ class Imaging:
     def __post_init__(self) -> None:
         for name, why in out_of_bounds(self):
             raise ValueError(f"{name}: {why}")
+        if math.hypot(*self.motion_px) > FARTHEST_PX:
+            raise ValueError(f"motion_px: {self.motion_px!r} is more than {FARTHEST_PX:g} px long")
 
 
 IDEAL = Imaging()

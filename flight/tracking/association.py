@@ -11,7 +11,7 @@ import numpy as np
 from drivers.interfaces import View
 from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
-from flight.tracking.objects import CUT_SCORE, MIN_SCORE, Found, Pixel, by_distance, is_cut
+from flight.tracking.objects import CUT_SCORE, MIN_SCORE, ImageObject, Pixel, by_distance, is_cut
 from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
@@ -151,7 +151,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     return Sighting(box, depth, _beside(view, box, ranked[1:], px_per_m))
 
 
-def _beside(view: View, own: Box, others: Sequence[Found], px_per_m: float) -> tuple[Rival, ...]:
+def _beside(view: View, own: Box, others: Sequence[ImageObject], px_per_m: float) -> tuple[Rival, ...]:
     """The whole objects nearest to a box, with their depth."""
     near = [each.box for each in others if not each.cut and math.dist(each.pixel, own.center) <= px_per_m * _BESIDE_M]
     near.sort(key=lambda box: math.dist(box.center, own.center))
@@ -181,12 +181,12 @@ def _at_height(pixel: Pixel, camera: CameraModel, T_n_c: Pose, down_m: float) ->
     return north, east, down
 
 
-def _nearest_m(ranked: Sequence[Found], px_per_m: float) -> float:
+def _nearest_m(ranked: Sequence[ImageObject], px_per_m: float) -> float:
     """From the first object to the nearest other one."""
     first, *others = (each.pixel for each in ranked)
     return min(math.dist(first, other) for other in others) / px_per_m
 
 
-def _nearly_as_near(ranked: Sequence[Found]) -> bool:
+def _nearly_as_near(ranked: Sequence[ImageObject]) -> bool:
     """True when the second object might be the one expected as well as the first."""
     return ranked[0].off_px > _AMBIGUITY * ranked[1].off_px

@@ -18,7 +18,7 @@ _PIECES = 0.1  # by so much of its side two pieces together may differ from the 
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class ImageObject:
     """An object in an image. ``cut``: by the border; ``pixel`` is where its middle must be, and may be outside."""
 
     box: Box
@@ -29,28 +29,28 @@ class Found:
 
 def by_distance(
     found: Sequence[Detection], expected: Pixel, camera: CameraModel, size_m: tuple[float, float] | None, z_m: float
-) -> list[Found]:
+) -> list[ImageObject]:
     """The objects of ``found``, the nearest to the expected pixel first and in one piece.
 
     Args:
         size_m: width and height of the expected one's box where it is, when it was last seen whole.
         z_m: its depth.
     """
-    objects: list[Found] = []
+    objects: list[ImageObject] = []
     for detection in found:
         box = detection.box
         cut = is_cut(box, camera)
         if detection.score < (CUT_SCORE if cut else MIN_SCORE):
             continue
         pixel = _middle(box, camera, size_m, z_m) if cut and size_m is not None else box.center
-        objects.append(Found(box, pixel, math.dist(pixel, expected), cut))
+        objects.append(ImageObject(box, pixel, math.dist(pixel, expected), cut))
     objects.sort(key=lambda each: each.off_px)
     if len(objects) < 2 or size_m is None:
         return objects
     return _joined(objects, expected, (size_m[0] * camera.fx / z_m, size_m[1] * camera.fy / z_m))
 
 
-def _joined(ranked: list[Found], expected: Pixel, side_px: tuple[float, float]) -> list[Found]:
+def _joined(ranked: list[ImageObject], expected: Pixel, side_px: tuple[float, float]) -> list[ImageObject]:
     """The objects with the first one in one piece: detectors at times show one object as two boxes, for a frame.
 
     Two boxes that together are as large as the object was, and more nearly so than the first alone, are the object:
@@ -63,7 +63,7 @@ def _joined(ranked: list[Found], expected: Pixel, side_px: tuple[float, float]) 
         both = _around(first.box, other.box)
         off = _odds(both, side_px)
         if not other.cut and off < _PIECES and off < _odds(first.box, side_px):
-            whole = Found(both, both.center, math.dist(both.center, expected), cut=False)
+            whole = ImageObject(both, both.center, math.dist(both.center, expected), cut=False)
             return [whole, *(each for each in others if each is not other)]
     return ranked
 
@@ -74,7 +74,7 @@ def _around(a: Box, b: Box) -> Box:
 
 
 def _odds(box: Box, side_px: tuple[float, float]) -> float:
-    """How far a box's sides are from what is expected, as a share of them; the worse of the two."""
+    """Returns by what share a box's sides differ from what is expected; the worse of the two."""
     return max(abs(box.w / side_px[0] - 1.0), abs(box.h / side_px[1] - 1.0))
 
 

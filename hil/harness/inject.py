@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Any
 
 from drivers.interfaces import FlightMode
 from drivers.rig.parts import Rig
 from hil.autopilot.radio import STICKS_SLOT, Transmitter
 from hil.harness.drone import DroneHarness, present_s
 from hil.harness.programs import Programs
-from hil.link.faulty import LinkFaults
+from hil.link.faulty import FaultyLink
 from hil.world.faults import Fault, FaultError
 from hil.world.world import Fleet, Name
 
@@ -36,18 +36,6 @@ _OF_DETECTOR = {
     "detector_false": "false_positives",
     "detector_bias": "edge_px",
 }
-
-
-class FaultyLink(Protocol):
-    """The faults between the drones, both ways: ``hil.link.faulty.MemoryHub`` and ``UdpFaultProxy``."""
-
-    @property
-    def faults(self) -> LinkFaults: ...
-
-    @faults.setter
-    def faults(self, faults: LinkFaults, /) -> None: ...
-
-    def interrupt(self, seconds: float) -> None: ...
 
 
 def need_radios(rig: Rig, faults: Sequence[Fault]) -> None:
@@ -103,7 +91,7 @@ def _at_transmitter(name: str, held: Transmitter, away_until_s: float) -> None:
         held.away_until_s = away_until_s
 
 
-def inject_on_link(name: str, value: float, link: FaultyLink) -> None:
+def inject_on_link(name: str, value: float, link: FaultyLink[Any]) -> None:
     """A fault of the link beside those that are there already; any other changes nothing here."""
     if name == "link_out":
         link.interrupt(value)

@@ -55,7 +55,7 @@ def computer_findings(rig: Rig, role: Role, share: float = 1.0) -> Iterator[Find
     ``share``: of one core, if it were so much slower. Raises PartError.
     """
     paces = pace_of(rig, role)
-    own, found = paces[0], detector_of(rig.role(role).perception)
+    own = paces[0]
     where = f"{role.value} computer"
     cores, load = os.cpu_count() or 1, os.getloadavg()[0]
     if load > cores:
@@ -67,7 +67,7 @@ def computer_findings(rig: Rig, role: Role, share: float = 1.0) -> Iterator[Find
     held = ", ".join(f"{pace.size[0]}x{pace.size[1]} at {_said(holds_hz(pace, share))}" for pace in paces)
     of = "a core" if share == 1.0 else f"{share:g} of a core"
     yield Finding("ok", f"{where} holds", f"{held}; with {100.0 * MARGIN:.0f} % of {of} kept free")
-    for each in (fits(own, None if found is None else found[1], share), waits(own, share)):
+    for each in _judged(rig, role, own, share):
         yield replace(each, name=f"{where} {each.name}")
 
 
@@ -107,10 +107,9 @@ def refuse_share(rig: Rig, share: float) -> None:
     Neighbours only make a core slower: a role is refused when it was too slow each of several times.
     """
     for role in Role:
-        faults = [_fault(rig, role, share)]
-        while faults[-1] is not None and len(faults) < TIMES:
-            faults.append(_fault(rig, role, share))
-        fault = faults[-1]
+        fault, times = _fault(rig, role, share), 1
+        while fault is not None and times < TIMES:
+            fault, times = _fault(rig, role, share), times + 1
         if fault is not None:
             what = f"{share:g} of this core is too little for the {role.value}: {fault.name}: {fault.detail}"
             more = f"path-handoff doctor --rig {rig_library.name_of(rig)} --role {role.value} --slow {share:g}"
@@ -118,11 +117,15 @@ def refuse_share(rig: Rig, share: float) -> None:
 
 
 def _fault(rig: Rig, role: Role, share: float) -> Finding | None:
-    """What keeps a share from flying this role, measured once at the rig's own size."""
+    """Returns a reason for which a share does not fly this role, measured once at the rig's own size."""
     (own,) = pace_of(rig, role, own_only=True)
+    return next((each for each in _judged(rig, role, own, share) if each.state == "fault"), None)
+
+
+def _judged(rig: Rig, role: Role, own: Pace, share: float) -> tuple[Finding, Finding]:
+    """Finds whether the rig's own size and rate are held, and setpoints kept."""
     found = detector_of(rig.role(role).perception)
-    of_all = fits(own, None if found is None else found[1], share), waits(own, share)
-    return next((each for each in of_all if each.state == "fault"), None)
+    return fits(own, None if found is None else found[1], share), waits(own, share)
 
 
 def _said(held_hz: float) -> str:

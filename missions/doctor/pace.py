@@ -60,7 +60,7 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """What a frame of one size costs, by stage, and what a look at the whole image for what was lost does."""
+    """The time of a frame of one size, by stage, and of a look at the whole image for what was lost."""
 
     size: tuple[int, int]
     stages: dict[str, Stage]

@@ -80,6 +80,7 @@ def test_the_default_is_plain_and_nothing_else_is() -> None:
         ("exposure", 0.0),
         ("gamma", math.nan),
         ("motion_px", (math.inf, 0.0)),
+        ("motion_px", (80.0, 80.0)),
         ("jpeg_quality", 0),
         ("h264_crf", 52),
     ],

@@ -47,7 +47,7 @@ class Place:
 
 
 def flown(story: Callable[[TeamBase, Place], Awaitable[None]]) -> list[tuple[str, str]]:
-    """What those on the ground were told, with whom it was about."""
+    """Returns the lines for those on the ground, with the drone that each is about."""
 
     async def main() -> None:
         running = asyncio.create_task(base.run(place, stop, lambda *_: None))  # type: ignore[arg-type]
