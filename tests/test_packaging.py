@@ -54,6 +54,15 @@ def test_constraints_pin_what_is_required(requirement: Requirement) -> None:
         assert Version(specifier.version) in requirement.specifier
 
 
+def test_every_command_that_installs_names_its_python() -> None:
+    """Uv installs into the environment that is active in the shell, whichever uv it is."""
+    folders = [*(ROOT / "docs").rglob("*.md"), *(ROOT / "install").rglob("*.sh"), *(ROOT / "missions").rglob("*.py")]
+    lines = [line for page in (ROOT / "README.md", *folders) for line in page.read_text("utf-8").splitlines()]
+    commands = [line for line in lines if "uv pip install" in line]
+    assert len(commands) >= 6
+    assert [line for line in commands if "--python .venv/bin/python" not in line] == []
+
+
 def test_constraints_name_no_place_and_no_second_opencv() -> None:
     text = (ROOT / "constraints.txt").read_text()
     assert not re.search(r"://|@|--hash|--index|--find-links", text)

@@ -71,7 +71,7 @@ step_setup() {
     # The first of the README's two set-ups, without the flight behind it.
     line=$(grep -m1 '^python3 -m venv .* && \.venv/bin/path-handoff handoff$' "$tree/README.md")
     inside "${line% && *}"
-    inside '.venv/bin/uv pip install -q -c constraints.txt pytest pytest-xdist hypothesis && .venv/bin/uv pip list'
+    inside '.venv/bin/uv pip install -q --python .venv/bin/python -c constraints.txt pytest pytest-xdist hypothesis && .venv/bin/uv pip list --python .venv/bin/python'
 }
 
 # Of the rig `sitl`, which flies on pyrealsense2, it may find a fault: that is what it is for.

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 LAYOUT = "foxglove.json"
 REMEDY = (
-    "install it with `uv pip install -c constraints.txt -e '.[view]'` in your copy of PATH; or open the log in "
-    "Foxglove or Lichtblick, with the layout that `path-handoff view --layout FILE` writes"
+    "install it with `.venv/bin/uv pip install --python .venv/bin/python -c constraints.txt -e '.[view]'` in your copy "
+    "of PATH; or open the log in Foxglove or Lichtblick, with the layout that `path-handoff view --layout FILE` writes"
 )
 
 
