@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -68,17 +67,6 @@ def read_truth(file: Path) -> BeaconTruth | None:
         return None
     except msgspec.MsgspecError as error:
         raise BeaconError(f"{file}: {error}", "it is the harness's own file: leave it as it was written") from error
-
-
-def write_beacons(file: Path, fixes: Iterable[BeaconFix]) -> None:
-    """Raises OSError."""
-    with file.open("w", newline="", encoding="utf-8") as out:
-        rows = csv.writer(out)
-        rows.writerow(COLUMNS)
-        for fix in fixes:
-            x, y, z = fix.position_m
-            quality = "" if math.isnan(fix.quality) else f"{fix.quality:.0f}"
-            rows.writerow((fix.stamp_ns, fix.address, f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", quality))
 
 
 def read_beacons(file: Path) -> list[BeaconFix]:

@@ -1,7 +1,7 @@
 """Findings that a part may give ``doctor`` besides what its Protocol asks of it.
 
 The short test of each kind of part is the same for all of its drivers and uses the Protocol alone
-(``missions.doctor.perception``, ``doctor_link``, ``doctor_vehicle``, ``doctor_beacons``). What only a driver can know,
+(``missions.doctor.perception``, ``link``, ``vehicle``, ``beacons``). What only a driver can know,
 such as a firmware, whose clock stamps its frames or why a vehicle does not arm, it says itself.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 COUNT_S, POLL_S = 1.5, 0.002
 
@@ -38,6 +38,7 @@ class Finding:
     fix: str = ""
 
 
+@runtime_checkable
 class Examined(Protocol):
     """A part that knows more of itself than its Protocol asks."""
 
@@ -51,8 +52,7 @@ class Examined(Protocol):
 
 async def examined(part: object) -> Sequence[Finding]:
     """Returns a part's findings on itself; none when it has nothing to say."""
-    examine = getattr(part, "examine", None)
-    return () if examine is None else await examine()
+    return await part.examine() if isinstance(part, Examined) else ()
 
 
 def rate_of(part: object) -> float | None:

@@ -1,10 +1,10 @@
 """The noise of level ``sim``: how what the real perception gives differs from the geometry, in numbers.
 
-They were measured by ``hil.geometric.noise_measurement.measure_noise`` on rendered frames (640x480, fx 615, the
-default sensor noise, ``ColorDetector`` and the photometric marker finder as they are by default), and a test holds
-them to that. The rare things (an edge that is off, an odd shape, a marker missed, two cars taken for one) last for
-some frames: on rendered frames they go with the geometry, and come back in half to none of the frames when bodies move
-by 2 mm to 1 cm. All else is new in every frame.
+They were measured on rendered frames (640x480, fx 615, the default sensor noise, ``ColorDetector`` and the photometric
+marker finder as they are by default) by tests/hil/geometric/noise_measurement.py, and a test holds them to that. The
+rare things (an edge that is off, an odd shape, a marker missed, two cars taken for one) last for some frames: on
+rendered frames they go with the geometry, and come back in half to none of the frames when bodies move by 2 mm to 1 cm.
+All else is new in every frame.
 There are no false positives, as none was found on 1600 frames of ground.
 """
 

@@ -82,9 +82,3 @@ class TargetField:
             things = self._traffic[number].at(time_s)
             self._now[number] = time_s, things
         return things
-
-
-def target_of(object_id: int) -> int | None:
-    """Which target an object is; None for a look-alike."""
-    number, rest = divmod(object_id, NUMBERS)
-    return None if rest else number

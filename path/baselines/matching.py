@@ -54,14 +54,6 @@ class Nearest:
     second: NDArray[np.float32]
 
 
-def match(a: Keypoints, b: Keypoints, distance: Distance, config: MatchConfig) -> Pairs:
-    """Pairs (m, 2) of indices into ``a`` and ``b``: each the other's best match, and much better than the second best.
-
-    The ratio is that of bits that differ, or of the angles' chords for descriptors of unit length.
-    """
-    return accepted(nearest(a, b, distance), distance, config)
-
-
 def nearest(a: Keypoints, b: Keypoints, distance: Distance) -> Nearest:
     """The part of matching that does not depend on thresholds."""
     if len(a) == 0 or len(b) == 0:
@@ -80,7 +72,10 @@ def nearest(a: Keypoints, b: Keypoints, distance: Distance) -> Nearest:
 
 
 def accepted(found: Nearest, distance: Distance, config: MatchConfig) -> Pairs:
-    """Pairs (m, 2) that hold against the thresholds."""
+    """Pairs (m, 2) of indices into ``a`` and ``b``: each the other's best match, and much better than the second best.
+
+    The ratio is that of bits that differ, or of the angles' chords for descriptors of unit length.
+    """
     cosine = distance == "cosine"
     limit = float(np.sqrt(2.0 - 2.0 * config.min_cosine)) if cosine else float(config.max_hamming)
     good = found.mutual & (found.apart <= limit)

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from path.geometry.transforms import Matrix, Vector
-from path.messages import Quat, Vec3
+from path.messages import Quat
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
 
@@ -42,14 +42,6 @@ def conjugate(q: Quat) -> Quat:
     """The opposite rotation of a unit quaternion."""
     w, x, y, z = q
     return w, -x, -y, -z
-
-
-def rotate(q: Quat, point: Vec3) -> Vec3:
-    """Turn a vector by a unit quaternion: ``p_a = rotate(q_a_b, p_b)``."""
-    w, x, y, z = q
-    px, py, pz = point
-    tx, ty, tz = 2.0 * (y * pz - z * py), 2.0 * (z * px - x * pz), 2.0 * (x * py - y * px)
-    return px + w * tx + y * tz - z * ty, py + w * ty + z * tx - x * tz, pz + w * tz + x * ty - y * tx
 
 
 def slerp(a: Quat, b: Quat, fraction: float) -> Quat:

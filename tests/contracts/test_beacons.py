@@ -13,13 +13,13 @@ from typing import Any
 
 import pytest
 
-from drivers.beacons.log import write_beacons
 from drivers.beacons.marvelmind import Marvelmind, MarvelmindConfig
 from drivers.beacons.record import BeaconRecorder, RecordedBeacons, RecordedBeaconsConfig
 from drivers.interfaces import BeaconError, BeaconFix, Beacons
 from hil.beacons import marvelmind_bytes as sent
 from hil.beacons.pty import SerialCable
 from path.messages import Role
+from tests.drivers.beacons.beacon_log import write_beacons
 from tests.drivers.link.link_ends import Context, WallClock, run
 
 CONTEXT: Any = Context(Role.SENDER, WallClock())

@@ -28,6 +28,7 @@ from hil.beacons.noise import BeaconConfig
 from hil.beacons.pty import SerialCable
 from hil.beacons.system import STATIONARY_M, BeaconSystem
 from path.messages import Vec3
+from tests.drivers.beacons import marvelmind_packets as packets
 
 READER = os.environ.get("PATH_MARVELMIND", "")
 ADDRESSES = {"sender": 5, "receiver": 6, "target": 7}
@@ -120,14 +121,14 @@ def test_the_vendors_reader_has_the_positions_that_our_driver_has(tmp_path: Path
 @pytest.mark.parametrize(
     ("frame", "kind", "expected"),
     [
-        (sent.position_cm(STAMP_MS, 5, PLACE), "positions", [5, 1.23, -5.68, 0.9, 0, STAMP_MS, False]),
-        (sent.position_nt(LONG_STAMP_MS, 5, PLACE), "positions", [5, *PLACE, 0, LONG_STAMP_MS, True]),
+        (packets.position_cm(STAMP_MS, 5, PLACE), "positions", [5, 1.23, -5.68, 0.9, 0, STAMP_MS, False]),
+        (packets.position_nt(LONG_STAMP_MS, 5, PLACE), "positions", [5, *PLACE, 0, LONG_STAMP_MS, True]),
         (sent.imu(STAMP_MS, READINGS), "raw", [*NINE, STAMP_MS, False]),
-        (sent.imu_nt(LONG_STAMP_MS, READINGS), "raw", [*NINE, LONG_STAMP_MS, True]),
-        (sent.imu_fusion(STAMP_MS, PLACE, VELOCITY), "fused", [*FUSED, STAMP_MS, False]),
-        (sent.imu_fusion_nt(LONG_STAMP_MS, PLACE, VELOCITY), "fused", [*FUSED, LONG_STAMP_MS, True]),
+        (packets.imu_nt(LONG_STAMP_MS, READINGS), "raw", [*NINE, LONG_STAMP_MS, True]),
+        (packets.imu_fusion(STAMP_MS, PLACE, VELOCITY), "fused", [*FUSED, STAMP_MS, False]),
+        (packets.imu_fusion_nt(LONG_STAMP_MS, PLACE, VELOCITY), "fused", [*FUSED, LONG_STAMP_MS, True]),
         (sent.distances(STAMP_MS, 5, RANGES_M), "distances", [5, *FOUR_RANGES, STAMP_MS, False]),
-        (sent.distances_nt(LONG_STAMP_MS, 5, RANGES_M), "distances", [5, *FOUR_RANGES, LONG_STAMP_MS, True]),
+        (packets.distances_nt(LONG_STAMP_MS, 5, RANGES_M), "distances", [5, *FOUR_RANGES, LONG_STAMP_MS, True]),
     ],
     ids=["0001", "0081", "0003", "0083", "0005", "0085", "0004", "0084"],
 )
@@ -144,12 +145,12 @@ def test_every_frame_is_what_the_vendors_reader_takes_it_for(
     ("frame", "layout", "expected"),
     [
         (sent.imu(STAMP_MS, READINGS), "<9h6xL4x", [*NINE, STAMP_MS]),
-        (sent.imu_nt(LONG_STAMP_MS, READINGS), "<9h6xq4x", [*NINE, LONG_STAMP_MS]),
+        (packets.imu_nt(LONG_STAMP_MS, READINGS), "<9h6xq4x", [*NINE, LONG_STAMP_MS]),
         (sent.distances(STAMP_MS, 5, RANGES_M), "<BBlxBlxBlxBlxL3x", [5, 3, 4567, 4, 12003, 0, 0, 0, 0, STAMP_MS]),
-        (sent.distances_nt(1, 5, RANGES_M), "<BBlxBlxBlxBlxq3x", [5, 3, 4567, 4, 12003, 0, 0, 0, 0, 1]),
-        (sent.imu_fusion(9, PLACE, VELOCITY), "<3l10h2xL4x",
+        (packets.distances_nt(1, 5, RANGES_M), "<BBlxBlxBlxBlxq3x", [5, 3, 4567, 4, 12003, 0, 0, 0, 0, 1]),
+        (packets.imu_fusion(9, PLACE, VELOCITY), "<3l10h2xL4x",
          [1234, -5678, 900, 10_000, 0, 0, 0, 500, -250, 0, 0, 0, 0, 9]),
-        (sent.imu_fusion_nt(9, PLACE, VELOCITY), "<3l10h2xq4x",
+        (packets.imu_fusion_nt(9, PLACE, VELOCITY), "<3l10h2xq4x",
          [1234, -5678, 900, 10_000, 0, 0, 0, 500, -250, 0, 0, 0, 0, 9]),
     ],
     ids=["0003", "0083", "0004", "0084", "0005", "0085"],

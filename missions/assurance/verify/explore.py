@@ -94,14 +94,6 @@ def weight(world: ModelWorld) -> int:
     return bits
 
 
-def covers(large: ModelWorld, small: ModelWorld) -> bool:
-    """Returns whether what can happen in ``small`` can happen in ``large``.
-
-    All machines' states, skew and agreement agree.
-    """
-    return not weight(small) & ~weight(large)
-
-
 def _place(world: ModelWorld) -> tuple[int, ...]:
     """Returns the key that worlds share which may cover one another."""
     return world.sender, world.receiver, world.second, world.skew, world.agreed

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.beacons.log import write_beacons
 from drivers.beacons.record import read_any
 from drivers.interfaces import BeaconError, BeaconFix
+from tests.drivers.beacons.beacon_log import write_beacons
 
 LOG = """\
 T2025_11_23__114505_120,1763898305120

@@ -20,6 +20,7 @@ from drivers.beacons.frames import (
     crc16,
 )
 from hil.beacons import marvelmind_bytes as sent
+from tests.drivers.beacons import marvelmind_packets as packets
 
 PLACE = (1.234, -5.678, 0.9)
 FRAME = sent.position(123_456, 7, PLACE, 61)
@@ -47,10 +48,10 @@ def test_a_frame_written_down_by_hand_is_read() -> None:
 
 def test_every_kind_is_read() -> None:
     assert read(FRAME)[0] == PACKET
-    (coarse,) = read(sent.position_cm(9, 7, PLACE, 3))
+    (coarse,) = read(packets.position_cm(9, 7, PLACE, 3))
     assert isinstance(coarse, MobilePosition)
     assert coarse.position_m == pytest.approx(PLACE, abs=0.0051)
-    (precise,) = read(sent.position_nt(1 << 40, 7, PLACE))
+    (precise,) = read(packets.position_nt(1 << 40, 7, PLACE))
     assert isinstance(precise, MobilePosition)
     assert (precise.stamp_ms, precise.bits) == (1 << 40, 64)
     assert read(sent.quality(7, 93)) == [Rating(7, 93)]

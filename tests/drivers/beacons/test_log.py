@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.beacons.log import read_beacons, write_beacons
+from drivers.beacons.log import read_beacons
 from drivers.interfaces import BeaconError, BeaconFix
+from tests.drivers.beacons.beacon_log import write_beacons
 
 FIXES = [BeaconFix(1_520_331_200, 5, (4.102, -1.7334, 1.4985), 92.0), BeaconFix(1_562_000_001, 6, (0.0, 0.0, 0.0), 0.0)]
 

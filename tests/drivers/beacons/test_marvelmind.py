@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from drivers.beacons.log import write_beacons
 from drivers.beacons.marvelmind import Marvelmind, MarvelmindConfig
 from drivers.beacons.record import BeaconRecorder, RecordedBeacons, RecordedBeaconsConfig, replay
 from drivers.beacons.stream import ClockMap, MarvelmindStream
@@ -18,6 +17,8 @@ from drivers.interfaces import BeaconError, BeaconFix, Beacons
 from hil.beacons import marvelmind_bytes as sent
 from hil.beacons.pty import SerialCable
 from path.messages import Role
+from tests.drivers.beacons import marvelmind_packets as packets
+from tests.drivers.beacons.beacon_log import write_beacons
 from tests.drivers.link.link_ends import Context, WallClock, run
 
 CONTEXT: Any = Context(Role.SENDER, WallClock())
@@ -174,7 +175,7 @@ def test_a_beacon_that_begins_again_and_a_counter_that_wraps() -> None:
 
 
 def test_age_that_a_frame_does_not_say_is_taken_from_the_rig() -> None:
-    (fix,) = MarvelmindStream(latency_s=0.08).feed("p", 1000 * MS, sent.position_cm(10, 5, (0.0, 0.0, 0.0)))
+    (fix,) = MarvelmindStream(latency_s=0.08).feed("p", 1000 * MS, packets.position_cm(10, 5, (0.0, 0.0, 0.0)))
     assert fix.host_ns == 920 * MS
 
 

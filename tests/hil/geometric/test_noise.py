@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hil.geometric.noise import EXACT, ObservationNoise
-from hil.geometric.noise_measurement import Residuals, collect, geometric, measure_noise, rendered, scenes
+from tests.hil.geometric.noise_measurement import Residuals, collect, geometric, measure_noise, rendered, scenes
 
 SCENES = 90
 

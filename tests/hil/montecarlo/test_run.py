@@ -15,10 +15,10 @@ from flight.harness.montecarlo import OWN_MISS, PAIR, Attempt, FaultName, Series
 from hil.montecarlo.run import MonteCarloHandovers
 from missions import rig_library
 from path.config import MethodConfig
-from path.gate.evidence import SideBySide
 from path.gate.window import AgreementWindow
 from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout
+from tests.path.gate.side_by_side import SideBySide
 
 SHORT = replace(MethodConfig(), hold_frames=40, hold_s=0.8)
 

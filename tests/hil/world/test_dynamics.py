@@ -22,7 +22,7 @@ from hil.world.dynamics import (
     fly,
     standing,
 )
-from path.geometry.rotation import rotate, rpy_from_quat
+from path.geometry.rotation import R_from_quat, rpy_from_quat
 
 DT = 0.005
 CONFIG = AirframeConfig()
@@ -89,7 +89,7 @@ def test_it_tilts_into_an_acceleration_and_back() -> None:
 
 def test_tilt_is_limited() -> None:
     rows = Drone(5.0).go(3.0, (50.0, 0.0, 0.0))
-    tilt = np.array([math.acos(rotate(tuple(row), (0.0, 0.0, 1.0))[2]) for row in rows[:, ATTITUDE].tolist()])
+    tilt = np.array([math.acos(R_from_quat(tuple(row))[2, 2]) for row in rows[:, ATTITUDE].tolist()])
     limit = math.atan(CONFIG.max_horizontal_mps2 / (GRAVITY_MPS2 - 0.5))
     assert math.degrees(tilt.max()) < math.degrees(limit) + 4.0
 

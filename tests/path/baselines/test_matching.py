@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from path.baselines.features import Keypoints
-from path.baselines.matching import MatchConfig, Model, hamming, match, verify
+from path.baselines.features import Distance, Keypoints
+from path.baselines.matching import MatchConfig, Model, Pairs, accepted, hamming, nearest, verify
 
 RNG = np.random.default_rng(5)
 
@@ -27,6 +27,10 @@ def keypoints(descriptors: NDArray[Any], points: NDArray[Any] | None = None) -> 
 
 def unit(rows: NDArray[Any]) -> NDArray[np.float32]:
     return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
+
+
+def match(a: Keypoints, b: Keypoints, distance: Distance, config: MatchConfig) -> Pairs:
+    return accepted(nearest(a, b, distance), distance, config)
 
 
 def test_hamming_counts_bits() -> None:

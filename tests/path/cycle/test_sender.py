@@ -16,12 +16,13 @@ from path.cycle.prior import Prior
 from path.cycle.receiver import ReceiverCycle
 from path.cycle.sender import PairVerdict, SenderCycle
 from path.gate.agreement import Agreed
-from path.gate.evidence import EvidenceGate, SideBySide
+from path.gate.evidence import EvidenceGate
 from path.gate.window import AgreementWindow
 from path.geometry.rotation import exp, quat_from_R
 from path.geometry.transforms import Pose
 from path.messages import Candidate, Target
 from path.observations import Box, Depth, Detection, Missed, MissReason
+from tests.path.gate.side_by_side import SideBySide
 
 MS = 1_000_000
 PERIOD = 20 * MS

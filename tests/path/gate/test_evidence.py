@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from path.config import EvidenceConfig, MethodConfig
 from path.gate.evidence import (
     EvidenceGate,
-    SideBySide,
     evidence_needed,
     evidence_of,
     gain,
@@ -24,6 +23,7 @@ from path.gate.evidence import (
 )
 from path.gate.window import AgreementWindow, FramePair, Offsets
 from path.observations import MissReason
+from tests.path.gate.side_by_side import SideBySide
 
 MS = 1_000_000
 PERIOD = 20 * MS

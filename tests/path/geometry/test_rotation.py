@@ -31,14 +31,13 @@ def test_log_near_its_hard_angles(axis: int, angle: float) -> None:
     assert rotation.angle_between(np.eye(3), rotation.exp(w)) == pytest.approx(angle, abs=1e-9)
 
 
-@given(vectors, vectors, st.tuples(angles, angles, angles))
-def test_quaternions_do_what_matrices_do(a: np.ndarray, b: np.ndarray, point: tuple[float, float, float]) -> None:
+@given(vectors, vectors)
+def test_quaternions_do_what_matrices_do(a: np.ndarray, b: np.ndarray) -> None:
     A, B = rotation.exp(a), rotation.exp(b)
     qa, qb = rotation.quat_from_R(A), rotation.quat_from_R(B)
     np.testing.assert_allclose(rotation.R_from_quat(qa), A, atol=1e-12)
     np.testing.assert_allclose(rotation.R_from_quat(rotation.multiply(qa, qb)), A @ B, atol=1e-12)
-    np.testing.assert_allclose(rotation.rotate(qa, point), A @ point, atol=1e-12)
-    np.testing.assert_allclose(rotation.rotate(rotation.conjugate(qa), point), A.T @ point, atol=1e-12)
+    np.testing.assert_allclose(rotation.R_from_quat(rotation.conjugate(qa)), A.T, atol=1e-12)
 
 
 @given(angles, st.floats(-1.5, 1.5), angles)
@@ -53,7 +52,7 @@ def test_roll_pitch_yaw_are_aerospace_angles(roll: float, pitch: float, yaw: flo
 
 def test_a_level_body_heading_east_has_a_yaw_of_a_quarter_turn() -> None:
     east = rotation.quat_from_rpy(0.0, 0.0, math.pi / 2)
-    assert rotation.rotate(east, (1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
+    assert rotation.R_from_quat(east)[:, 0] == pytest.approx((0.0, 1.0, 0.0))
     assert rotation.yaw_of(east) == pytest.approx(math.pi / 2)
 
 

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.beacons.log import write_beacons
 from drivers.beacons.record import read_any
 from drivers.interfaces import BeaconError, PartError
 from drivers.log.mcap_log import McapLog, read_log
@@ -24,6 +23,7 @@ from missions.trials.beacon import trial as beacon
 from missions.trials.beacon.session import Listener, load_session
 from missions.trials.shared.trial import TrialRequest, TrialResult
 from missions.work import open_work
+from tests.drivers.beacons.beacon_log import write_beacons
 
 SHIFT_NS = 300_000_000
 UNIX_MS = 1_763_898_305_000
