@@ -168,7 +168,7 @@ def _remove(folder: Path) -> None:
 
 
 def _began(pid: int) -> str:
-    """When a process began, in the kernel's ticks: with its number it is named once and for all. "" when it is gone."""
+    """The instant a process began, in the kernel's ticks: with its number its name for good. "" when it is gone."""
     try:
         return Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()[19]
     except (OSError, IndexError):

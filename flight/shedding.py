@@ -1,4 +1,4 @@
-"""What a program gives up, in order, on a computer that does not keep up; setpoints, guard and protocol never.
+"""The things a program gives up, in order, on a computer that does not keep up; never setpoints, guard and protocol.
 
 How busy the program is, is seen from inside: a beat that is due at an even pace wakes late whenever the one thread is
 at work, so the share of late beats is the share of the time at work, whatever the reason: a slow core, a share of one,
@@ -12,7 +12,7 @@ from collections import deque
 from dataclasses import dataclass
 
 IN_ORDER = ("picture log", "redetection", "half the frames", "two of three frames")
-"""What goes, one after the other. What went last comes back first."""
+"""The order in which things go. What went last comes back first."""
 
 BEAT_S = 0.05
 LATE_S = 0.003
@@ -36,7 +36,7 @@ class Shed:
 
 
 class Shedding:
-    """What is given up at present."""
+    """The things that are given up at present."""
 
     def __init__(self) -> None:
         self.gone = 0  # of IN_ORDER, from the first on

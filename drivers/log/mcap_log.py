@@ -87,7 +87,7 @@ class McapLog:
 
     @property
     def failed(self) -> str | None:
-        """What went wrong first, of the log or of the frames beside it."""
+        """The first thing that went wrong, of the log or of the frames beside it."""
         return self._failed or (None if self._recorder is None else self._recorder.failed)
 
     def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:

@@ -1,1 +1,1 @@
-"""What keeps a drone safe: its own limits, and the rules of the guard in a process beside it."""
+"""A drone's safety: its own limits, and the rules of the guard in a process beside it."""

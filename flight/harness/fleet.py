@@ -1,4 +1,4 @@
-"""What a rig says about many drones: ``[relay]``, or ``[team]`` with its ``[[drones]]`` and ``[[targets]]``."""
+"""The tables of a rig about many drones: ``[relay]``, or ``[team]`` with its ``[[drones]]`` and ``[[targets]]``."""
 
 from __future__ import annotations
 

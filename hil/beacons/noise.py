@@ -1,4 +1,4 @@
-"""What an ultrasonic positioning system gets wrong: noise, warp, reflections, drop-outs, clocks, and its serial line.
+"""The errors of an ultrasonic positioning system: noise, warp, reflections, drop-outs, clocks, and its serial line.
 
 The warp is static: the stationary beacons are surveyed by themselves. The line delays, damages, cuts and adds bytes.
 """

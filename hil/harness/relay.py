@@ -38,7 +38,7 @@ class RelaySim:
         prepare(request.rig, lambda what: request.emit(starting(Role.SENDER, what)))
         start_s, cpu_s = time.perf_counter(), time.process_time()
         with collector_off():  # nothing here lives in cycles, and collecting takes a tenth of the time
-            findings = run_virtual(_Flight(request, faults).run())
+            findings = run_virtual(_RelayFlight(request, faults).run())
         cpu_s = time.process_time() - cpu_s
         return RelayReport(**findings, wall_s=time.perf_counter() - start_s, cpu_s=cpu_s)
 
@@ -56,7 +56,7 @@ def _parse(text: str, level: str) -> Fault:
     return fault
 
 
-class _Flight:
+class _RelayFlight:
     """One relay or team, from the first moment until everybody is down."""
 
     def __init__(self, request: RelayRequest, faults: dict[int, list[Fault]]) -> None:

@@ -111,7 +111,7 @@ class RelayMonitors:
         self._on[receiver] = self.on_target(sender)
 
     def on_target(self, name: str) -> int:
-        """Which target a drone is on."""
+        """Returns the target that a drone is on."""
         return self._on.get(name, 0)
 
     def on_assigned(self, name: str, target: int) -> None:

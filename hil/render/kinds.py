@@ -44,13 +44,13 @@ BOXES: Mapping[TargetKind, Boxes] = {
     "person": tuple((part.center, part.size, part.colors[0]) for part in PARTS),
     "drone": DRONE_HULL,
 }
-"""What the geometry reckons with. A drone's arms and motors are not in it: they are of another colour than its hull,
-and the colour detector hardly ever has them in its box."""
+"""The bodies that the geometry reckons with. A drone's arms and motors are not in it: they are of another colour than
+its hull, and the colour detector hardly ever has them in its box."""
 
 
 @cache
 def model_of_kind(kind: TargetKind, number: int = 0) -> Model:
-    """What cameras see of the object with a number; people are not quite alike."""
+    """The body that cameras see of the object with a number; people are not quite alike."""
     if kind == "car":
         return car()
     if kind == "person":

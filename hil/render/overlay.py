@@ -1,4 +1,4 @@
-"""What lies on the ground of a scene, and the light on it: litter, painted lines, shadows, reflected lamps, glare.
+"""The things on the ground of a scene, and the light on it: litter, painted lines, shadows, reflected lamps, glare.
 
 Flat polygons on the ground, drawn over it before the bodies are. A polygon that reaches behind the camera or out of the
 lens is left out: they are small.

@@ -1,4 +1,4 @@
-"""What the embedded vehicle answers to what is no command: missions, logs, pings; sticks; and to whom at all."""
+"""The embedded vehicle's answers to what is no command: missions, logs, pings; sticks; and to whom at all."""
 
 from __future__ import annotations
 

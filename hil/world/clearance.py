@@ -1,4 +1,4 @@
-"""How near a drone in the air is to its target, where that is something that it could hit: a person, or what flies."""
+"""The distance of a drone in the air from a target that it could hit: a person, or what flies."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def _marker(dictionary: str, marker_id: int, left_mm: float, top_mm: float, cell
 
 
 def _tables(options: CalibrateMarkerOptions) -> str:
-    """What the rig says of the print; the frame ``v`` is in the middle of the row."""
+    """The tables of a rig about the print; the frame ``v`` is in the middle of the row."""
     step_m = options.side_m + options.gap_m
     begin = "" if options.dictionary == "DICT_4X4_50" else f'marker_dictionary = "{options.dictionary}"\n\n'
     tables = list[str]()

@@ -1,4 +1,4 @@
-"""What this computer can do for a role: the time of a frame by stage, and the frames a second that leaves room for."""
+"""This computer's room for a role: the time of a frame by stage, and the frames a second that leaves room for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one frame costs a role's program on this computer, by stage: the mission's own parts on a drawn picture.
+"""The cost of one frame for a role's program on this computer, by stage: the mission's own parts on a drawn picture.
 
 ``python -m missions.doctor.pace RIG ROLE SIZES`` prints it as JSON, SIZES ``own`` or ``all``: a process of its own,
 whose caches and threads are those of a role. Times are of the processor, so that neighbours do not count.

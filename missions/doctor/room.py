@@ -34,7 +34,7 @@ def check_room(name: str) -> Finding:
 
 
 def mb_a_minute(name: str) -> float:
-    """What a drone of a rig records of its frames; the drone that records more. 0 when the rig records none."""
+    """Megabytes of frames that a drone of a rig records a minute, the one that records more; 0 when none are."""
     try:
         rig = rig_library.load(name)
         return max(map(_recorded, (rig.sender, rig.receiver))) if _records(rig) else 0.0

@@ -1,4 +1,4 @@
-"""What became of one vehicle after a fault in ``path-handoff guard --measure``, read from the logs of its flight."""
+"""The fate of one vehicle after a fault in ``path-handoff guard --measure``, read from the logs of its flight."""
 
 from __future__ import annotations
 

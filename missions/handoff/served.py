@@ -39,5 +39,5 @@ def tell_commands(rig: Rig, folder: Path) -> None:
 
 
 def waiting_for(role: Role, what: str) -> Progress:
-    """What the console shows of a drone whose program is another shell's."""
+    """The console's lines about a drone whose program is another shell's."""
     return Progress(role, 0, "waiting", 0, 0, None, None, None, 0.0, False, what)

@@ -1,4 +1,4 @@
-"""What the crew is told of packets that are not the other drone's: a flood, and its end."""
+"""The crew's alarms about packets that are not the other drone's: a flood, and its end."""
 
 from __future__ import annotations
 

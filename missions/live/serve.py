@@ -68,7 +68,7 @@ def main() -> None:
 
 
 def log_to_stderr() -> None:
-    """What the server warns of, among the lines of the flight, but for what nobody has to do anything about.
+    """The server's warnings, among the lines of the flight, but for what nobody has to do anything about.
 
     On a busy computer foxglove-sdk advertises a channel before it takes subscriptions to it, and says so of the client
     that was quicker: that one asks again (``missions.view.watch``).

@@ -39,7 +39,7 @@ class TrialOptions:
     """Run one of the paper's experiments, or all of them, and hold what comes out against the paper."""
 
     name: Annotated[TrialName, tyro.conf.Positional]
-    """Which trial; `all` runs those of the paper and makes one page, in about a quarter of an hour on two cores.
+    """The trial; `all` runs those of the paper and makes one page, in about a quarter of an hour on two cores.
     `processes`, `rendezvous`, `beacon`, `soak`, `fleet` and, without --set, `real` are asked for by name."""
 
     out: OutFolder = None
@@ -160,7 +160,7 @@ class ConformanceOptions:
     """
 
     vehicle: tuple[Literal["embedded", "px4", "ardupilot"], ...] = ()
-    """Which; all of them by default. One whose simulator is not named is skipped."""
+    """The vehicles to fly; all of them by default. One whose simulator is not named is skipped."""
 
     px4: FileName = None
     """PX4's SITL binary (bin/px4 in its build folder); PATH_PX4 names it too."""

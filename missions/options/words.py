@@ -1,4 +1,4 @@
-"""What several commands' options say alike: their types, their bounds, and their help where it is the same."""
+"""The types of several commands' options, their bounds, and their help where it is the same."""
 
 from __future__ import annotations
 

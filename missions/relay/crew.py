@@ -127,7 +127,7 @@ class Crew(ABC, Generic[Config, Called, Field]):
         return [drone.task for drone in self.drones.values() if drone.task is not None and not drone.task.done()]
 
     def _soonest(self) -> str:
-        """When a drone will stand ready, for a line to the crew."""
+        """The time at which a drone will stand ready, for a line to the crew."""
         coming = [drone.ready_s for drone in self.drones.values() if drone.where == "swap"]
         return f"the next one in {min(coming) - self._now_s():.0f} s" if coming else "and none will be"
 

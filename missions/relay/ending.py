@@ -42,7 +42,7 @@ def cause_of(report: RelayReport, outcome: Outcome, detail: str) -> tuple[Outcom
 
 @dataclass(frozen=True, slots=True)
 class Showing:
-    """What is shown of one kind of run.
+    """The showing of one kind of run at its end.
 
     Attributes:
         name: of its command, its record and its picture.

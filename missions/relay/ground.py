@@ -1,4 +1,4 @@
-"""What a drone and those on the ground say to each other in a relay or a team: orders, legs, and words to the crew."""
+"""The words between a drone and those on the ground in a relay or a team: orders, legs, and words to the crew."""
 
 from __future__ import annotations
 

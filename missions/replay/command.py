@@ -79,7 +79,7 @@ def run(options: ReplayOptions) -> int:
 
 
 def asked_of(options: ReplayOptions) -> tuple[Change | None, PerceptionChange]:
-    """What else to decide with, None: nothing; and what to look with. Raises PartError."""
+    """Returns the settings to decide with, None: the run's own; and the eyes to look with. Raises PartError."""
     method = [text for text in options.set if not text.startswith("detector.")]
     detector = [text for text in options.set if text.startswith("detector.")]
     seen_with = PerceptionChange(options.rig, options.detector, detector_settings(detector) or None)
@@ -87,7 +87,7 @@ def asked_of(options: ReplayOptions) -> tuple[Change | None, PerceptionChange]:
 
 
 def show_columns(columns: Mapping[str, Sequence[Replayed]], picture: bool, folder: Path) -> None:
-    """What came of it by title, side by side: a table, and replay.png in a folder."""
+    """Shows results by title, side by side: a table, and replay.png in a folder."""
     show(_figures_table(columns), sys.stdout)
     if picture:
         from missions.replay.picture import draw_replay  # noqa: PLC0415 (matplotlib takes a second to import)
@@ -107,7 +107,7 @@ def logs_of(folder: Path) -> dict[str, Sequence[LogRecord]]:
 
 
 def run_many(options: ReplayOptions) -> int:
-    """What was decided in many runs, again; 1 when anything differs. Raises PartError for settings, or no folder."""
+    """Decides many runs again; 1 when anything differs. Raises PartError for settings, or no folder."""
     if not options.folders or options != ReplayOptions(options.folders, picture=options.picture):
         raise PartError("other settings are for one run", "name one folder, or leave the settings out")
     table = _table("run", "kind", "decisions", "differ")
@@ -127,7 +127,7 @@ def run_many(options: ReplayOptions) -> int:
 
 
 def kind_of(folder: Path) -> str:
-    """What a run was, in a few words."""
+    """Returns the kind of a run, in a few words."""
     facts = load_facts(folder)
     return "cut off" if facts is None else " ".join((facts.rig, *facts.faults, facts.outcome))
 

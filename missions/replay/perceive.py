@@ -106,7 +106,7 @@ def perception_of(rig: Rig, role: Role, camera: CameraModel, change: PerceptionC
         table = {"factory": change.detector}
     options = {**own.perception.options, "camera": _RECORDED, "detector": {**table, **(change.settings or {})}}
     spec = PartSpec(own.perception.factory, options, own.perception.where, own.perception.base)
-    context = PartContext(role, _NoClock(), camera, own.mount, rig.layout, rig.origin)
+    context = PartContext(role, _ZeroClock(), camera, own.mount, rig.layout, rig.origin)
     try:
         made: PixelPerception = create(spec, context)
     except RigError as error:
@@ -114,7 +114,7 @@ def perception_of(rig: Rig, role: Role, camera: CameraModel, change: PerceptionC
     return made
 
 
-class _NoClock:
+class _ZeroClock:
     """Stands in for the clock of a camera that is never opened."""
 
     def now_ns(self) -> int:

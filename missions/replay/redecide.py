@@ -61,7 +61,7 @@ class DecisionPair:
 
     @property
     def unsaid(self) -> list[str]:
-        """What the log does not say of it: an earlier version of PATH wrote it."""
+        """The things that the log does not say of it: an earlier version of PATH wrote it."""
         return [name for name in self.again or () if self.logged is not None and name not in self.logged]
 
 
@@ -190,7 +190,7 @@ class _SenderReplay:
             yield Complete(judged_ns, self._epoch)
 
     def _seen(self, record: Record) -> tuple[Sighting | MissReason, Any]:
-        """What was seen in the frame of a ``/target``, by the log or by eyes, and down in the marker's frame."""
+        """The observations in the frame of a ``/target``, by the log or by eyes, and down in the marker's frame."""
         if self._eyes is not None and self._eyes.seen is not None:
             return self._eyes.seen
         gravity_v, box = record["gravity_v"] or NAN3, box_of(record["box"])

@@ -1,4 +1,4 @@
-"""How much of what one drone said the other took, and how much else came in, from both logs' counters of the link."""
+"""The share of one drone's messages that the other took, and what else came in, by both logs' counters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the ground of a team knows of each drone and of each target, and who had which target when."""
+"""The ground's knowledge of each drone and each target of a team, and who had which target when."""
 
 from __future__ import annotations
 

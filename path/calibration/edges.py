@@ -100,7 +100,7 @@ def mean_edge(edges: Sequence[SeenEdge]) -> Array:
 
 
 def _offset(across: Array, share: Array) -> float:
-    """Where the edge is, from the share of it that is white: the curve is symmetric enough."""
+    """The place of the edge, from the share of it that is white: the curve is symmetric enough."""
     sums, counts = (np.histogram(across, _bins(0.5), weights=w)[0] for w in (share, None))
     there = counts > 0
     return float(np.clip(REACH_PX * (1.0 - 2.0 * np.mean(sums[there] / counts[there])), -1.0, 1.0))

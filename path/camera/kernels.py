@@ -31,7 +31,7 @@ def lens_of(camera: CameraModel) -> Array:
 
 @inner
 def place(lens: Array, axis: int, pixel: int) -> float:
-    """Where a column (axis 0) or row of the camera's image lies in the evenly spaced one."""
+    """The place of a column (axis 0) or row of the camera's image in the evenly spaced one."""
     if lens[12] == 0.0:
         return float(pixel)
     begin = lens[14 + axis]

@@ -47,12 +47,12 @@ class Thinning:
         return self._lines(np.arange(count), axis) - self._lines(np.zeros(1), axis)[0]
 
     def sensor_place(self, place_px: float, axis: int) -> float:
-        """Where a place of the evenly spaced image is on the sensor."""
+        """The place on the sensor of a place in the evenly spaced image."""
         from_begin = (place_px + 0.5 - self.begins[axis]) * self.of / self.kept
         return float(from_begin - 0.5 - self._lines(np.zeros(1), axis)[0])
 
     def places(self, pixels: Array | Indices, axis: int) -> Array:
-        """Where pixels (columns or rows by their whole numbers, any shape) lie in the evenly spaced image."""
+        """The places of pixels (columns or rows by their whole numbers, any shape) in the evenly spaced image."""
         return (self._lines(pixels, axis) + 0.5) * self.kept / self.of + self.begins[axis] - 0.5
 
     def offsets_px(self, axis: int) -> Array:

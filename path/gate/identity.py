@@ -1,4 +1,4 @@
-"""Which object D2's box is of: the target, one that D1 sees beside it, or one that nobody sees.
+"""The object that D2's box is of: the target, one that D1 sees beside it, or one that nobody sees.
 
 How well boxes agree, frame after frame, says that D2 sees the same thing all the time, not which. What could move
 another object's box onto the target's are errors that last: drawn once, the same in every frame, so that more frames do

@@ -66,7 +66,7 @@ def _moved(T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m
 
 
 def _upright_and_level(g_side: float, g_ahead: float, tangent: float) -> tuple[float, float]:
-    """How much of a step to one side of an image is along gravity, and how much across it.
+    """The parts of a step to one side of an image that are along gravity and across it.
 
     Of a body off to that side, a step ahead is one back to the middle: what counts is the way along (1, -tangent).
     """

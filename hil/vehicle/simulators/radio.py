@@ -53,7 +53,7 @@ of it in flight stands with the vehicle."""
 
 
 class RadioWire(Protocol):
-    """What is needed of the harness's connection to the simulator (``hil.vehicle.simulators.link.SimulatorLink``)."""
+    """The part of ``hil.vehicle.simulators.link.SimulatorLink`` that a transmitter needs."""
 
     @property
     def parameters(self) -> Mapping[str, float]: ...
@@ -64,7 +64,7 @@ class RadioWire(Protocol):
 
 
 class SimulatedRadio:
-    """What the pilot's transmitter sends to one simulator, from ``start`` to ``close``.
+    """The pilot's transmitter, as one simulator hears it, from ``start`` to ``close``.
 
     Attributes:
         transmitter: the pilot's; a harness moves it.

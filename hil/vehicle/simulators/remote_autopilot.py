@@ -1,4 +1,4 @@
-"""What the harness knows of a real autopilot, from the packets on its cable and from its simulator."""
+"""The harness's knowledge of a real autopilot, from the packets on its cable and from its simulator."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ class FilmedSender:
         begin(log, films, config, Role.SENDER)
 
     def look(self, view: View) -> Target | None:
-        """What one frame gives D2. Raises PartError when the target is not where it was picked."""
+        """Returns D1's message about one frame. Raises PartError when the target is not where it was picked."""
         stamp_ns, camera = view.stamp_ns, self._rig.sender.camera
         T_n_c, R_n_b = self._body.camera(stamp_ns)
         if self._track is None:
@@ -157,7 +157,7 @@ class FilmedReceiver:
         self._log.write("/heard_target", now_ns, heard_target_record(target, target.capture_ns))
 
     def look(self, view: View) -> Candidate | None:
-        """What one frame answers D1."""
+        """Returns D2's message about one frame."""
         stamp_ns, cycle, log = view.stamp_ns, self._cycle, self._log
         T_n_c, _ = self._body.camera(stamp_ns)
         motion = self._motion(stamp_ns)
@@ -182,7 +182,7 @@ class FilmedReceiver:
 
 
 def begin(log: Log, films: Films, config: MissionConfig, role: Role) -> None:
-    """What a program's log begins with."""
+    """Writes the records that a program's log begins with."""
     log.write("/setup", films.begin_ns, setup_record(films.rig, role, config))
     log.write("/attempt", films.begin_ns, attempt_record(config.handoff_id, EPOCH, config.target_id))
 
@@ -207,7 +207,7 @@ def _holds(box: Box, pixel: tuple[float, float]) -> bool:
 
 
 def _places(boxes: Sequence[Box]) -> str:
-    """Where things are seen, for whoever picks one."""
+    """Returns the places where things are seen, for whoever picks one."""
     if not boxes:
         return "nothing is seen"
     return "seen at " + ", ".join(f"({box.center[0]:.0f}, {box.center[1]:.0f})" for box in boxes[:8])

@@ -64,7 +64,7 @@ def play(films: Films, folder: Path, change: PerceptionChange) -> FilmCount:
 
 
 def _views(films: Films, change: PerceptionChange) -> Iterator[tuple[int, Role, View]]:
-    """What both cameras saw, in the order of their stamps."""
+    """The views of both cameras, in the order of their stamps."""
     each = (_views_of(films, role, change) for role in Role)
     return heapq.merge(*each, key=lambda seen: (seen[0], seen[1].value))
 

@@ -1,4 +1,4 @@
-"""Where a drone was while it filmed: a trajectory as evo and its like write it, or nothing but that it hung level."""
+"""A drone's poses while it filmed: a trajectory as evo and its like write it, or nothing but that it hung level."""
 
 from __future__ import annotations
 

@@ -177,7 +177,7 @@ def _detection(own: RealSet, measured: MethodPoses, marker: SeenMarker, squared:
 
 
 def _printed_at(own: RealSet, measured: MethodPoses, marker_id: int) -> Array:
-    """Where a marker's corners (4, 3) are on the board, as its views show it."""
+    """The corners (4, 3) of a marker on the board, as its views show it."""
     off = measured.print_m.get(marker_id, np.zeros((4, 3)))
     return printed(own, measured.growth, marker_id) + off * TO_BOARD
 

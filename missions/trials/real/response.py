@@ -42,7 +42,7 @@ class BoardEdge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraResponse:
-    """What a set of photographs says of its camera.
+    """The response of a camera, by a set of its photographs.
 
     Attributes:
         imaging: the fitted blur, sharpening, gamma and noise, and the files' compression.

@@ -120,7 +120,7 @@ class _Drawing:
 
 
 def _sensor(camera: CameraModel, imaging: Imaging) -> tuple[CameraModel, Imaging]:
-    """What the renderer is to draw: the camera's image, or its sensor's, before pixels are left out and compressed."""
+    """The camera to render for, and its imaging: its sensor's image, before pixels are left out and compressed."""
     thinning = camera.thinning
     if thinning is None:
         return camera, imaging

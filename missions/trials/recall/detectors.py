@@ -69,7 +69,7 @@ def unwrapped(sequence: Whole) -> Whole:
 
 @dataclass(frozen=True, slots=True)
 class FaultyFrames:
-    """Which frames of D1 and D2 the detectors miss, and in which they invent: (n,) each, from the first frame on."""
+    """The frames of D1 and D2 in which detectors miss, and in which they invent: (n,) each, from the first on."""
 
     missed: tuple[Flags, Flags]
     false: tuple[Flags, Flags]
