@@ -26,6 +26,7 @@ from path.messages import Role
 OWN, OTHER = Role.RECEIVER, Role.SENDER
 TAKEN_OVER = ("pilot_takeover", "rc_mode", "rc_sticks")
 PILOT_LANDS_S = 15.0  # after he took a drone over he lands it where it is
+LETS_GO_S = 2.0  # before that, of the sticks: moved while it lands they would take it out of its landing
 
 
 class RelayWorld(Fleet[str]):
@@ -106,10 +107,13 @@ class RelayWorld(Fleet[str]):
     def _command(self) -> None:
         self._commanded_step = self._step
         now_s = self._step / STEP_HZ
-        for name in [name for name, at_s in self._pilot_lands_s.items() if now_s >= at_s]:
-            del self._pilot_lands_s[name]
-            self._drones[name].autopilot.request_mode(now_s, FlightMode.LAND, by_pilot=True)
-            self._drones[name].autopilot.radio.transmitter.sticks = CENTRED
+        for name, at_s in list(self._pilot_lands_s.items()):
+            autopilot = self._drones[name].autopilot
+            if now_s >= at_s:
+                del self._pilot_lands_s[name]
+                autopilot.request_mode(now_s, FlightMode.LAND, by_pilot=True)
+            elif now_s >= at_s - LETS_GO_S:
+                autopilot.radio.transmitter.sticks = CENTRED
         for i, (name, drone) in enumerate(self._drones.items()):
             if name in self.on:
                 self._commands[i] = drone.command(now_s)
