@@ -24,7 +24,7 @@ from hil.world.world import STEP_HZ, Fleet, HomeConfig, SimDrone, WorldConfig, a
 from path.messages import Role
 
 OWN, OTHER = Role.RECEIVER, Role.SENDER
-TAKEN_OVER = ("pilot_takeover", "rc_mode", "rc_sticks")
+THE_PILOTS = ("pilot_takeover", "rc_mode", "rc_sticks", "rc_lost")  # after these it is his, or holds and waits for him
 PILOT_LANDS_S = 15.0  # after he took a drone over he lands it where it is
 LETS_GO_S = 2.0  # before that, of the sticks: moved while it lands they would take it out of its landing
 
@@ -69,7 +69,7 @@ class RelayWorld(Fleet[str]):
             self._no_depth.update(leg)
         else:
             inject_in_world(fault, drone, self, value)
-        if drone is not None and fault.startswith(TAKEN_OVER):
+        if drone is not None and fault.startswith(THE_PILOTS):
             self._pilot_lands_s[drone] = self.time_s + PILOT_LANDS_S
         self._changed()
 

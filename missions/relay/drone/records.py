@@ -43,20 +43,18 @@ def for_leg(kept: Kept | None, number: int) -> SenderRecord:
 def as_relief(kept: Kept | None) -> ReceiverRecord:
     """Returns the record of a drone on the ground that is called.
 
-    Nothing is its own, and of what it handed over nothing is taken back.
+    Nothing is its own, and of what it handed over nothing is taken back. What it held when its program died has long
+    been given to another drone.
     """
     record = None if kept is None else kept.record
-    if isinstance(record, ReceiverRecord):
-        return record
-    return ReceiverRecord() if record is None else ReceiverRecord(record.epoch + 1)
+    if record is None or (isinstance(record, ReceiverRecord) and record.live is None):
+        return record or ReceiverRecord()
+    return ReceiverRecord(record.epoch + 1)
 
 
 def as_first(kept: Kept | None) -> SenderRecord:
-    """Returns the record of a drone on the ground that is to find the target."""
-    record = None if kept is None else kept.record
-    if isinstance(record, SenderRecord):
-        return record
-    return SenderRecord() if record is None else SenderRecord(record.epoch)
+    """Returns the record of a drone that is to find the target, which nobody has: nothing is its own yet."""
+    return SenderRecord() if kept is None else SenderRecord(kept.record.epoch)
 
 
 async def write(store: RecordStore, record: Record) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.interfaces import FlightMode
 from drivers.rig.tables import decode_table
-from hil.harness.relay_world import PILOT_LANDS_S, TAKEN_OVER, RelayWorld
+from hil.harness.relay_world import PILOT_LANDS_S, THE_PILOTS, RelayWorld
 from hil.world.fields import NUMBERS
 from hil.world.world import WorldConfig
 from missions import rig_library
@@ -44,7 +44,7 @@ def test_what_is_done_to_a_drone_is_over_with_its_swap(world: RelayWorld) -> Non
     assert not world.view("D2", "D1").marker_hidden
 
 
-@pytest.mark.parametrize("fault", TAKEN_OVER)
+@pytest.mark.parametrize("fault", THE_PILOTS)
 def test_a_pilot_who_took_a_drone_over_lands_it(world: RelayWorld, fault: str) -> None:
     autopilot = world.drone("D1").autopilot
     world.advance(12.0)
@@ -52,9 +52,10 @@ def test_a_pilot_who_took_a_drone_over_lands_it(world: RelayWorld, fault: str) -
     autopilot.request_takeoff(world.time_s, 2.0)
     world.advance(20.0)
     assert not world.landed("D1")
-    world.inject(fault, "D1", None, ("D2", "D1"))
+    world.inject(fault, "D1", 1.0 if fault == "rc_lost" else None, ("D2", "D1"))
     world.advance(20.0 + PILOT_LANDS_S - 1.0)
-    assert autopilot.mode is FlightMode.OTHER and not world.landed("D1")
+    assert autopilot.mode is (FlightMode.HOLD if fault == "rc_lost" else FlightMode.OTHER)
+    assert not world.landed("D1")
     world.advance(20.0 + PILOT_LANDS_S + 15.0)
     assert world.landed("D1")
 

@@ -129,8 +129,11 @@ def test_a_record_changes_its_role_and_its_epoch_only_grows() -> None:
     holding = ReceiverRecord(7, "holding", LIVE, 5)
     assert as_holder(kept(holding)) == SenderRecord(7, "mine")
     assert as_relief(kept(SenderRecord(7, "handed_over", LIVE, 5))) == ReceiverRecord(8)
-    assert as_relief(kept(holding)) == holding  # a new mission begins, and its machine knows how
+    assert as_relief(kept(holding)) == ReceiverRecord(8)  # its program died with it: another drone has it by now
+    assert as_relief(kept(ReceiverRecord(8, "let_go", LIVE, 5))) == ReceiverRecord(9)
+    assert as_relief(kept(ReceiverRecord(7))) == ReceiverRecord(7)
     assert as_first(kept(ReceiverRecord(7))) == SenderRecord(7)
+    assert as_first(kept(SenderRecord(7, "mine"))) == SenderRecord(7)
     assert (as_first(None), as_relief(None)) == (SenderRecord(), ReceiverRecord())
     for duty in ("observing", "provisional", "let_go"):
         with pytest.raises(ValueError, match=duty):
