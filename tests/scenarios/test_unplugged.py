@@ -40,7 +40,7 @@ from tests.drivers.link.link_ends import STATUS, Cable, introduce, serial_links
 from tests.drivers.mavlink.mavsdk_bench import CONTEXT, QUICK, SYSID, px4
 from tests.drivers.realsense import software_d415
 from tests.drivers.tello import tello_stand
-from tests.missions.leg.test_session import Recorder
+from tests.missions.leg.session_bench import Recorder
 from tests.pauses import undisturbed
 
 NO_CONTEXT: Any = None

@@ -12,37 +12,11 @@ from hypothesis import strategies as st
 
 from drivers.interfaces import FlightMode
 from drivers.mavlink.guard.interfaces import GuardView, Hand, Script
-from flight.guard.rules import Act, GuardRules, GuardStage, GuardState, Limits, ProgramBeat, decide
-
-S = 1_000_000_000
-NOW = 1000 * S
-RULES = GuardRules()
-LIMITS = Limits(fence_radius_m=25.0, fence_height_m=6.0, min_battery=0.2, separation_m=0.7)
-VIEW = GuardView(NOW, NOW, True, True, FlightMode.OFFBOARD, (1.0, 2.0, -1.5), 0.9, None)
-HEARD = ProgramBeat(NOW, Script.CONTROL, NOW)
+from flight.guard.rules import Act, GuardRules, GuardStage, GuardState, ProgramBeat
+from tests.flight.guard.guard_views import DOWN, HEARD, HELD, MOVING, NOW, RULES, VIEW, S, dead, ns, step
 
 FLOWN = (FlightMode.OFFBOARD, FlightMode.TAKEOFF, FlightMode.HOLD)
-DOWN = (FlightMode.LAND, FlightMode.RETURN)
-MOVING = (FlightMode.OFFBOARD, FlightMode.TAKEOFF)
 FLIES = tuple(script for script in Script if script.flies)
-
-
-def ns(seconds: float) -> int:
-    return round(seconds * S)
-
-
-def step(
-    state: GuardState = GuardState(),  # noqa: B008 (frozen)
-    view: GuardView | None = VIEW,
-    heard: ProgramBeat | None = HEARD,
-    now_ns: int = NOW,
-    rules: GuardRules = RULES,
-) -> tuple[GuardState, Act]:
-    return decide(state, view, heard, now_ns, rules, LIMITS)
-
-
-def dead(script: Script = Script.CONTROL, for_s: float = RULES.beat_age_s + 0.01) -> ProgramBeat:
-    return ProgramBeat(NOW - ns(for_s), script, NOW - ns(for_s))
 
 
 # --- the table: whose program is silent, in which mode ---------------------------------------------------------------
@@ -141,134 +115,6 @@ def test_positions_count_as_far_as_they_can_be_trusted() -> None:
     assert step(heard=old)[0].broken_ns is None
 
 
-# --- once it is taken ------------------------------------------------------------------------------------------------
-
-HOLDING = GuardState(GuardStage.HOLDING, "why", sent_ns=NOW)
-HELD = replace(HOLDING, shown_ns=NOW)
-LANDING = GuardState(GuardStage.LANDING, "why", sent_ns=NOW, tries=1)
-COMING_DOWN = replace(LANDING, shown_ns=NOW)
-
-
-def later(state: GuardState, seconds: float, mode: FlightMode, acked: bool | None = None) -> tuple[GuardState, Act]:
-    now = NOW + ns(seconds)
-    return step(state, replace(VIEW, heartbeat_ns=now, mode=mode, acked=acked), None, now)
-
-
-def test_a_hold_that_is_seen_is_followed_by_the_landing_after_its_time() -> None:
-    state, act = later(HOLDING, 0.1, FlightMode.HOLD, acked=True)
-    assert (state.stage, act) == (GuardStage.HOLDING, Act.NOTHING)
-    assert state.shown_ns == NOW + ns(0.1)
-    assert later(state, RULES.hold_s, FlightMode.HOLD)[1] is Act.NOTHING
-    state, act = later(state, RULES.hold_s + 0.11, FlightMode.HOLD)
-    assert (state.stage, act, state.tries) == (GuardStage.LANDING, Act.LAND, 1)
-
-
-@pytest.mark.parametrize("mode", [FlightMode.OFFBOARD, FlightMode.TAKEOFF])
-@pytest.mark.parametrize(
-    ("after_s", "acked", "act"),
-    [
-        (0.4, None, Act.NOTHING),
-        (0.6, None, Act.LAND),  # nobody answered
-        (0.1, False, Act.LAND),  # refused
-        (1.4, True, Act.NOTHING),
-        (1.6, True, Act.LAND),  # agreed, and not done
-    ],
-)
-def test_a_hold_that_is_not_carried_out_becomes_a_landing(
-    mode: FlightMode, after_s: float, acked: bool | None, act: Act
-) -> None:
-    assert later(HOLDING, after_s, mode, acked)[1] is act
-
-
-def test_a_landing_alone_is_commanded_again_and_not_for_ever() -> None:
-    state, sent, now_s = LANDING, 1, 0.0
-    while state.stage is GuardStage.LANDING:
-        now_s += 0.02
-        state, act = later(state, now_s, FlightMode.OFFBOARD, acked=False)
-        sent += act is Act.LAND
-        assert now_s < 2 * RULES.land_tries * RULES.ack_s
-    assert (state.stage, sent) == (GuardStage.GAVE_UP, RULES.land_tries)
-    assert now_s > (RULES.land_tries - 1) * RULES.ack_s  # not all at once
-    assert later(state, now_s + 60.0, FlightMode.OFFBOARD) == (state, Act.NOTHING)
-
-
-@pytest.mark.parametrize("taken", [HELD, COMING_DOWN])
-@pytest.mark.parametrize("mode", [FlightMode.OFFBOARD, FlightMode.TAKEOFF])
-def test_a_script_that_wakes_up_and_takes_control_is_landed(taken: GuardState, mode: FlightMode) -> None:
-    state, act = later(taken, 0.1, mode)
-    assert (state.stage, act) == (GuardStage.LANDING, Act.LAND)
-
-
-@pytest.mark.parametrize("taken", [HOLDING, HELD, LANDING, COMING_DOWN])
-def test_a_pilot_wins_at_any_time(taken: GuardState) -> None:
-    state, act = later(taken, 0.1, FlightMode.OTHER)
-    assert (state.stage, act) == (GuardStage.LET_GO, Act.NOTHING)
-    for mode in set(FlightMode) - set(MOVING):
-        assert later(state, 9.0, mode) == (state, Act.NOTHING)
-
-
-@pytest.mark.parametrize("state", [GuardState(), HOLDING, HELD, LANDING, COMING_DOWN])
-@pytest.mark.parametrize("script", [script for script in Script if script.flies])
-def test_one_message_alone_lets_nobody_go_and_nothing_is_sent_against_it(state: GuardState, script: Script) -> None:
-    view = replace(VIEW, mode=FlightMode.OTHER, mode_told=1)
-    after, act = step(state, view, dead(script))
-    assert act is Act.NOTHING and after.stage is state.stage
-    after, act = step(after, replace(VIEW, mode=FlightMode.OFFBOARD, mode_told=1), replace(HEARD, script=script))
-    assert after.stage is not GuardStage.LET_GO
-    assert step(state, replace(view, mode_told=2), dead(script))[0].stage is GuardStage.LET_GO
-
-
-LET_GO = GuardState(GuardStage.LET_GO, "a pilot changed the mode")
-GONE = replace(HEARD, script=Script.LET_GO, beat_ns=NOW - 9 * S)
-
-
-@pytest.mark.parametrize("mode", MOVING)
-@pytest.mark.parametrize(("state", "heard"), [(LET_GO, dead()), (LET_GO, None), (LET_GO, GONE), (GuardState(), GONE)])
-def test_what_was_let_go_of_and_nobody_took_is_taken_back(
-    state: GuardState, heard: ProgramBeat | None, mode: FlightMode
-) -> None:
-    begun, grace = state, RULES.mode_grace_s
-    for passed_s, told in ((0.0, 1), (0.1, 2), (grace, 9)):
-        now = NOW + ns(passed_s)
-        state, act = step(state, replace(VIEW, mode=mode, mode_told=told, heartbeat_ns=now), heard, now)
-        assert (state.stage, act) == (begun.stage, Act.NOTHING)
-    now = NOW + ns(grace + 0.11)
-    flickered, _ = step(state, replace(VIEW, mode=FlightMode.OTHER, mode_told=1, heartbeat_ns=now), heard, now)
-    assert flickered.odd_ns is None
-    state, act = step(state, replace(VIEW, mode=mode, heartbeat_ns=now), heard, now)
-    assert (state.stage, act) == (GuardStage.HOLDING, Act.HOLD)
-    assert "nobody flies it" in state.reason and begun.reason in state.reason
-
-
-def test_a_script_that_still_flies_is_watched_again() -> None:
-    state, _ = step(LET_GO)
-    now = NOW + ns(RULES.mode_grace_s + 0.1)
-    heard = replace(HEARD, beat_ns=now, setpoint_ns=now)
-    assert step(state, replace(VIEW, heartbeat_ns=now), heard, now) == (GuardState(), Act.NOTHING)
-
-
-def test_a_pilot_may_stop_the_landing_by_hold_too() -> None:
-    assert later(COMING_DOWN, 0.5, FlightMode.HOLD)[0].stage is GuardStage.LET_GO
-    assert later(LANDING, 0.1, FlightMode.HOLD)[0].stage is GuardStage.LANDING  # of the hold before it
-
-
-@pytest.mark.parametrize("mode", DOWN)
-def test_a_vehicle_that_comes_down_by_another_s_will_is_left_to_it(mode: FlightMode) -> None:
-    assert later(HELD, 0.5, mode) == (
-        replace(HELD, stage=GuardStage.LET_GO, reason=later(HELD, 0.5, mode)[0].reason),
-        Act.NOTHING,
-    )
-    # a hold that is on its way may still end that landing
-    assert later(HOLDING, 0.5, mode) == (HOLDING, Act.NOTHING)
-    assert later(HOLDING, RULES.confirm_s + 0.1, mode)[0].stage is GuardStage.LET_GO
-
-
-@pytest.mark.parametrize("stage", GuardStage)
-def test_whoever_disarms_has_ended_it(stage: GuardStage) -> None:
-    state, act = step(replace(HELD, stage=stage), replace(VIEW, armed=False), dead())
-    assert (state, act) == (GuardState(), Act.NOTHING)
-
-
 @pytest.mark.parametrize("stage", GuardStage)
 def test_a_vehicle_that_is_not_seen_is_told_nothing(stage: GuardStage) -> None:
     state = replace(HELD, stage=stage)
@@ -313,6 +159,7 @@ VIEWS = st.builds(
     acked=st.none() | st.booleans(),
     mode_told=st.integers(1, 3),
 )
+
 HEARDS = st.builds(
     ProgramBeat,
     beat_ns=AGES_S.map(lambda age_s: NOW - ns(age_s)),
@@ -322,6 +169,7 @@ HEARDS = st.builds(
     separation_ns=st.just(NOW),
     peer_n_m=st.just((math.nan,) * 3),
 )
+
 STATES = st.builds(
     GuardState,
     stage=st.sampled_from(GuardStage),
@@ -384,128 +232,3 @@ def test_a_limit_that_is_broken_again_after_a_landing_was_begun_has_its_patience
     landing = ProgramBeat(NOW + 1, Script.LANDING, NOW + 1)
     state, _ = step(state, replace(low, mode=FlightMode.LAND, heartbeat_ns=NOW + 1), landing, NOW + 1)
     assert (state.stage, state.broken_ns) == (GuardStage.WATCHING, None)
-
-
-# --- every bound to the nanosecond -----------------------------------------------------------------------------------
-
-EXACT = GuardRules(
-    beat_age_s=0.5, setpoint_gap_s=0.25, patience_s=0.5, hold_s=2.0, ack_s=0.5, confirm_s=1.5, blind_s=2.5,
-    mode_grace_s=1.0, position_error_m=0.5,
-)  # fmt: skip
-WHOLE = Limits(fence_radius_m=5.0, fence_height_m=6.0, min_battery=0.25, separation_m=1.0)
-
-
-def at(
-    state: GuardState = GuardState(),  # noqa: B008 (frozen)
-    view: GuardView = VIEW,
-    heard: ProgramBeat = HEARD,
-) -> tuple[GuardState, Act]:
-    return decide(state, view, heard, NOW, EXACT, WHOLE)
-
-
-def ago(seconds: float, more_ns: int = 0) -> int:
-    return NOW - ns(seconds) - more_ns
-
-
-@pytest.mark.parametrize("more_ns", [0, 1])
-def test_each_duration_is_over_when_it_is_longer_than_the_rule_says(more_ns: int) -> None:
-    over = bool(more_ns)
-    beat = replace(HEARD, beat_ns=ago(0.5, more_ns))
-    assert (at(heard=beat)[1] is Act.HOLD) is over
-    assert (at(heard=replace(HEARD, setpoint_ns=ago(0.25, more_ns)))[1] is Act.HOLD) is over
-    blind = replace(VIEW, heartbeat_ns=ago(2.5, more_ns))
-    assert (at(view=blind, heard=dead(for_s=9.0))[1] is Act.NOTHING) is over
-    odd = GuardState(odd_ns=ago(1.0, more_ns))
-    assert (at(odd, replace(VIEW, mode=FlightMode.TAKEOFF))[0].stage is GuardStage.LET_GO) is over
-    gone = GuardState(GuardStage.LET_GO, "somebody", odd_ns=ago(1.0, more_ns))
-    assert (at(gone, heard=dead(for_s=9.0))[1] is Act.HOLD) is over
-    for acked, waits_s in ((None, 0.5), (True, 1.5)):
-        sent = GuardState(GuardStage.HOLDING, "x", sent_ns=ago(waits_s, more_ns))
-        assert (at(sent, replace(VIEW, acked=acked))[1] is Act.LAND) is over
-        sent = GuardState(GuardStage.LANDING, "x", sent_ns=ago(waits_s, more_ns), tries=1)
-        assert (at(sent, replace(VIEW, acked=acked))[1] is Act.LAND) is over
-    refused = GuardState(GuardStage.LANDING, "x", sent_ns=ago(0.5, more_ns), tries=1)
-    assert (at(refused, replace(VIEW, acked=False))[1] is Act.LAND) is over
-    unseen = GuardState(GuardStage.HOLDING, "x", sent_ns=ago(1.5, more_ns))
-    assert (at(unseen, replace(VIEW, mode=FlightMode.LAND))[0].stage is GuardStage.LET_GO) is over
-
-
-@pytest.mark.parametrize("less_ns", [0, 1])
-def test_patience_and_the_hold_are_over_when_they_are_reached(less_ns: int) -> None:
-    reached = not less_ns
-    broken = GuardState(broken_ns=ago(0.5, -less_ns))
-    assert (at(broken, replace(VIEW, battery=0.1))[1] is Act.HOLD) is reached
-    held = GuardState(GuardStage.HOLDING, "x", sent_ns=ago(9.0), shown_ns=ago(2.0, -less_ns))
-    assert (at(held, replace(VIEW, mode=FlightMode.HOLD))[1] is Act.LAND) is reached
-
-
-@pytest.mark.parametrize(
-    ("view", "heard"),
-    [
-        (replace(VIEW, position_n_m=(3.0, 4.0, -1.5)), HEARD),
-        (replace(VIEW, position_n_m=(0.0, 0.0, -6.0)), HEARD),
-        (replace(VIEW, battery=0.25), HEARD),
-        (VIEW, replace(HEARD, separation_m=1.0, separation_ns=NOW)),
-        (VIEW, replace(HEARD, separation_m=0.1, separation_ns=ago(0.5, 1))),  # measured too long ago
-        (replace(VIEW, position_n_m=(1.0, 2.0, -1.5)), replace(HEARD, peer_n_m=(1.5, 2.0, -1.5))),
-    ],
-)
-def test_at_a_limit_is_within_it(view: GuardView, heard: ProgramBeat) -> None:
-    assert at(GuardState(broken_ns=ago(9.0)), view, heard) == (GuardState(), Act.NOTHING)
-
-
-@pytest.mark.parametrize(
-    ("view", "heard"),
-    [
-        (replace(VIEW, position_n_m=(3.0, 4.001, -1.5)), HEARD),
-        (replace(VIEW, position_n_m=(0.0, 0.0, -6.001)), HEARD),
-        (replace(VIEW, battery=0.2499), HEARD),
-        (VIEW, replace(HEARD, separation_m=0.999, separation_ns=NOW)),
-        (VIEW, replace(HEARD, separation_m=0.1, separation_ns=ago(0.5))),
-        (replace(VIEW, position_n_m=(1.0, 2.0, -1.5)), replace(HEARD, peer_n_m=(1.499, 2.0, -1.5))),
-    ],
-)
-def test_beyond_a_limit_is_not(view: GuardView, heard: ProgramBeat) -> None:
-    state, act = at(GuardState(broken_ns=ago(9.0)), view, heard)
-    assert (state.stage, act) == (GuardStage.HOLDING, Act.HOLD)
-
-
-def test_a_landing_that_was_seen_leaves_the_vehicle_to_whoever_ends_it() -> None:
-    """By a hold, too; one that was never seen to land may be holding by the guard's own word."""
-    state, act = at(GuardState(GuardStage.LANDING, "x", sent_ns=ago(0.3), tries=1), replace(VIEW, mode=FlightMode.LAND))
-    assert act is Act.NOTHING and state.shown_ns == NOW
-    assert at(state, replace(VIEW, mode=FlightMode.HOLD))[0].stage is GuardStage.LET_GO
-    unseen = GuardState(GuardStage.LANDING, "x", sent_ns=ago(0.3), tries=1)
-    assert at(unseen, replace(VIEW, mode=FlightMode.HOLD)) == (unseen, Act.NOTHING)
-    old = replace(VIEW, mode=FlightMode.LAND, heartbeat_ns=ago(0.3))  # said as the command was sent: not its doing
-    assert at(unseen, old)[0].shown_ns is None
-
-
-def test_a_vehicle_taken_on_the_ground_is_told_to_land_as_often_as_the_rule_says() -> None:
-    rules = replace(EXACT, land_tries=3)
-    view, now, acts = replace(VIEW, in_air=False), NOW, list[Act]()
-    state, act = decide(GuardState(), view, dead(for_s=9.0), now, rules, WHOLE)
-    while state.stage is not GuardStage.GAVE_UP and now < NOW + 60 * S:
-        acts.append(act)
-        now += ns(0.6)
-        state, act = decide(state, replace(view, heartbeat_ns=now), dead(for_s=9.0), now, rules, WHOLE)
-    assert acts == 3 * [Act.LAND]
-
-
-def test_the_reason_of_a_let_go_names_what_it_was_taken_for_only_if_it_was() -> None:
-    pilot = replace(VIEW, mode=FlightMode.OTHER)
-    assert at(view=pilot)[0].reason == "a pilot changed the mode"
-    taken = GuardState(GuardStage.HOLDING, "battery at 10 %", sent_ns=ago(1.0))
-    assert at(taken, pilot)[0].reason == "a pilot changed the mode (taken before: battery at 10 %)"
-    home = replace(VIEW, mode=FlightMode.RETURN)
-    assert at(view=home, heard=dead(for_s=9.0))[0].reason == "somebody else selected return"
-
-
-def test_a_vehicle_that_holds_already_is_held_for_its_time_though_nothing_was_sent() -> None:
-    """No answer is awaited: it is not landed early for want of one, by a guard that hears no newer heartbeat."""
-    holding = replace(VIEW, mode=FlightMode.HOLD)
-    state, act = step(view=holding, heard=dead())
-    assert (state.stage, act) == (GuardStage.HOLDING, Act.NOTHING)
-    acts = [step(state, holding, None, NOW + ns(after_s))[1] for after_s in (RULES.ack_s + 0.1, RULES.hold_s - 0.1)]
-    assert acts == [Act.NOTHING, Act.NOTHING]
-    assert step(state, holding, None, NOW + ns(RULES.hold_s))[1] is Act.LAND

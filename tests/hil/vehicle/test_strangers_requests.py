@@ -1,21 +1,13 @@
 """What a stranger's ground station asks the embedded vehicle that MAVSDK does not, answered as PX4 answers it."""
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode
-from tests.hil.vehicle.test_mavlink_vehicle import STEP_S, SYSID, Bench
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    made = Bench()
-    yield made
-    made.close()
+from tests.hil.vehicle.mavlink_bench import STEP_S, SYSID, Bench
 
 
 def test_a_ground_station_is_told_how_often_a_message_comes(bench: Bench) -> None:

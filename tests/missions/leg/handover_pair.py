@@ -6,7 +6,7 @@ import asyncio
 import random
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 from drivers.interfaces import FlightMode, LinkCounters, Received, VehicleState
@@ -235,3 +235,30 @@ def fly(rig: Any, course: Callable[[Pair], Coroutine[Any, Any, None]], able: boo
 
 def kinds(messages: list[Message], *of: type[Message]) -> list[Message]:
     return [message for message in messages if isinstance(message, of)]
+
+
+async def killed(pair: Pair, role: Role) -> None:
+    """Its tasks end between two packets; what was on the way to it is lost."""
+    session = pair.session[role]
+    await session.cancel_spawned()
+    session.claim = None
+    pair.log[role].write("/responsibility", 0, {"responsible": False, "until_ns": None})  # as a dead program is
+    while not pair.link[role].waiting.empty():
+        pair.link[role].waiting.get_nowait()
+
+
+def started(pair: Pair, rig: Any, role: Role, *, flying: bool) -> SenderHandover | ReceiverHandover:
+    """A new program with the old one's disk."""
+    session = pair.session[role] = pair._session(rig, role)
+    session.vehicle = cast(Any, FakeVehicle(replace(STATE, armed=flying)))
+    handover: SenderHandover | ReceiverHandover
+    if role is Role.SENDER:
+        handover = pair.sender = SenderHandover(session, pair.store[role])
+        session.on_message = handover.on_message
+    else:
+        handover = pair.receiver = ReceiverHandover(session, pair.store[role], lambda: True)
+        session.on_message = pair.on_receiver
+    session.on_status = handover.on_status
+    session.spawn(session.pump())
+    session.spawn(session.report())
+    return handover

@@ -14,17 +14,11 @@ from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, Hand, Script
 from flight.guard.under_guard import UnderGuard
 from flight.outcome import MissionEnd, Outcome
 from hil.harness.virtual_time import run_virtual
-from missions import rig_library
 from missions.leg.steps import bring_down, preflight, take_off
 from tests.flight.guard.test_under_guard import FakeLine
 from tests.missions.leg.test_steps import CONFIG, WAY_OUT, Bench, Clock
 
 WATCHED, TAKEN = GuardAnswer(True, Hand.SCRIPT), GuardAnswer(True, Hand.GUARD, "no setpoint for 0.5 s")
-
-
-@pytest.fixture(scope="module")
-def rig() -> Any:
-    return rig_library.load("sim")
 
 
 class Line(FakeLine):

@@ -26,7 +26,6 @@ from flight.guidance import Anchor, add, norm, scale, subtract
 from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from hil.harness.virtual_time import run_virtual
-from missions import rig_library
 from missions.leg.course import fly_course
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, check_capabilities, preflight, take_off
@@ -38,11 +37,6 @@ HOME = VehicleState(
 STATUS = Status(Role.RECEIVER, 1, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), 0.0, 0, False, False, 0.8)
 CONFIG = MissionConfig(deadlines=Deadlines(peer_s=10.0, depart_s=8.0))
 WAY_OUT = Anchor((0.0, -2.0, -1.5), 0.0)  # at the height that the tests take off to
-
-
-@pytest.fixture(scope="module")
-def rig() -> Any:
-    return rig_library.load("sim")
 
 
 class Clock:

@@ -8,22 +8,14 @@ from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from typing import Any, cast
 
-import pytest
-
 from drivers.log.state_file import MemoryStore
 from flight.outcome import Outcome
 from hil.harness.virtual_time import run_virtual
-from missions import rig_library
 from missions.leg.handover import ReceiverHandover
 from missions.leg.session import RoleSession
 from path.messages import Accept, Commit, Message, Role, Status
 from path.protocol.receiver import Holding, Observing
 from tests.missions.leg.handover_pair import CONFIG, FakeLink, FakeVehicle, OffsetClock, Pair, Recorder, kinds, until
-
-
-@pytest.fixture(scope="module")
-def rig() -> Any:
-    return rig_library.load("sim")
 
 
 class Ether:
