@@ -1,0 +1,62 @@
+"""The README and the pages: their links, the files they name, and their commands."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from missions import cli
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+STANDS_FOR = {"ROLE": "sender", "LEVEL": "careful"}
+UNDERSTOOD = 150
+
+
+def named(pattern: str) -> Iterator[tuple[Path, str]]:
+    for page in (*PAGES, *(ROOT / "docs" / "decisions").glob("*.md")):
+        for found in re.findall(pattern, page.read_text("utf-8")):
+            yield page, found
+
+
+def test_no_link_is_dead() -> None:
+    links = [(page, link) for page, link in named(r"\]\(([^)\s#]+)") if not link.startswith("http")]
+    assert len(links) > 200
+    assert [(page.name, link) for page, link in links if not (page.parent / link).exists()] == []
+
+
+def test_the_tests_that_pages_name_are_there() -> None:
+    tests = list(named(r"`(?:tests/)?((?:contracts|drivers|flight|hil|missions|path|scenarios)/[\w/]*test_\w+\.py)`"))
+    assert len(tests) > 10
+    assert [(page.name, test) for page, test in tests if not (ROOT / "tests" / test).exists()] == []
+
+
+def commands() -> Iterator[tuple[str, str]]:
+    """Yields page and command; of a line of the shell the first one, without placeholders for what is left out."""
+    for page in PAGES:
+        text = page.read_text("utf-8")
+        blocks = re.findall(r"```(?:sh|bash)?\n(.*?)```", text, re.DOTALL)
+        lines = [line.strip() for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+        for line in (*lines, *re.findall(r"`(path-handoff [^`]+)`", text)):
+            whole = re.fullmatch(r"(?:\.venv/bin/)?path-handoff (.*?)(?:\s#.*|\s&.*|\s\|.*|;.*|\s>\s.*)?", line)
+            if whole is not None and "..." not in line and "…" not in line:
+                yield page.name, whole[1]
+
+
+def test_every_command_is_understood(capsys: pytest.CaptureFixture[str]) -> None:
+    wrong: list[str] = []
+    asked = sorted({command: page for page, command in commands()}.items())
+    for command, page in asked:
+        words = [STANDS_FOR.get(word, "3" if word in ("N", "M", "K") else word) for word in shlex.split(command)]
+        if words[0] in ("sender", "receiver") and "--rig" not in words:
+            words += ["--rig", "RIG"]
+        try:
+            cli._understood(cli._spelled_out(words))
+        except SystemExit as end:
+            wrong += [f"{page}: {command}"] if end.code else []
+    assert len(asked) > UNDERSTOOD
+    assert wrong == []
