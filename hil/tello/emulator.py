@@ -9,7 +9,6 @@ CRLF, "ok" and refusals end with nothing.
 from __future__ import annotations
 
 import contextlib
-import socket
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,9 +18,8 @@ from hil.tello.flight import TelloFlight
 from hil.tello.moves import MOVES
 from hil.tello.sensors import TelloSensors
 from hil.tello.video import TelloVideo
+from hil.vehicle.arrival import Address, bound, packets
 from hil.world.world import SimDrone
-
-Address = tuple[str, int]
 
 COMMAND_PORT, STATE_PORT, VIDEO_PORT = 8889, 8890, 11111
 STATE_PERIOD_S = 0.1
@@ -71,17 +69,23 @@ class TelloEmulator:
         tap: called with (now_s, text) for every command; for tests and logs.
     """
 
-    def __init__(self, config: TelloEmulatorConfig, drone: SimDrone, video: TelloVideo | None = None) -> None:
+    def __init__(
+        self,
+        config: TelloEmulatorConfig,
+        drone: SimDrone,
+        video: TelloVideo | None = None,
+        arrived: Callable[[float], float] | None = None,
+    ) -> None:
+        """``arrived``: the world's time of an instant of the monotonic clock. None: what is read came just then."""
         self.config = config
+        self._arrived = arrived
         self.faults = Faults()
         self.received: Counter[str] = Counter()
         self.tap: Callable[[float, str], None] | None = None
         self._sensors = TelloSensors(drone, config.home_yaw_rad)
         self.flight = TelloFlight(drone, self._sensors, config.full_stick_mps, config.full_stick_dps)
         self._video = video
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self._socket.bind((config.host, config.command_port))
+        self._socket = bound((config.host, config.command_port))
         self._now_s = 0.0
         self._heard_s = 0.0
         self._client: str | None = None
@@ -149,19 +153,15 @@ class TelloEmulator:
     # --- in ---
 
     def _receive(self) -> None:
-        while True:
-            try:
-                data, sender = self._socket.recvfrom(1024)
-            except BlockingIOError:
-                return
+        for data, sender, arrival_s in packets(self._socket):
             if self.faults.deaf:
                 continue
             text = data.decode("ascii", "replace").strip()
             if self.tap is not None:
                 self.tap(self._now_s, text)
-            self._take(text, sender)
+            self._take(text, sender, self._now_s if self._arrived is None else self._arrived(arrival_s))
 
-    def _take(self, text: str, sender: Address) -> None:
+    def _take(self, text: str, sender: Address, at_s: float) -> None:
         words = text.split()
         word = words[0] if words else ""
         self.received[word] += 1
@@ -171,7 +171,7 @@ class TelloEmulator:
             return  # it is not in SDK mode, and silent
         self._heard_s = self._now_s
         if word == "rc":
-            self._take_sticks(words[1:])
+            self._take_sticks(words[1:], at_s)
             return
         answer = self._execute(word, words[1:])
         if answer is not None:
@@ -208,11 +208,12 @@ class TelloEmulator:
         """Returns the first words of all commands that it knows, queries left out."""
         return {"rc", *self._commands, *self._settings, *MOVES}
 
-    def _take_sticks(self, arguments: list[str]) -> None:
+    def _take_sticks(self, arguments: list[str], at_s: float) -> None:
         """No answer, whatever it says. What is beyond 100 is not taken."""
         sticks = [whole for each in arguments if (whole := _whole(each, -100, 100)) is not None]
         if len(sticks) == len(arguments) == 4:
-            self.flight.sticks(*sticks)
+            right, forward, up, clockwise = sticks
+            self.flight.sticks(right, forward, up, clockwise, at_s)
 
     def _stream(self, on: bool) -> str:
         if self._video is None or self._client is None:

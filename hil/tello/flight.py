@@ -111,19 +111,19 @@ class TelloFlight:
         self._move = move
         return None
 
-    def sticks(self, right: int, forward: int, up: int, clockwise: int) -> None:
-        """They stay as they are until the next time: only silence for 15 s ends that."""
+    def sticks(self, right: int, forward: int, up: int, clockwise: int, at_s: float) -> None:
+        """They stay as they are until the next time: only silence for 15 s ends that. ``at_s``: when they came."""
         self._move, self._rc = None, (right, forward, up, clockwise)
         autopilot = self._drone.autopilot
         if autopilot.landed or autopilot.mode not in FLYING:
             return
         if self._by_rc:
             session = self.sessions[-1]
-            session.max_gap_s = max(session.max_gap_s, self._now_s - self._rc_s)
+            session.max_gap_s = max(session.max_gap_s, at_s - self._rc_s)
         else:
             self._by_rc, self._yaw_goal = True, yaw_of(self._drone.estimate.q_n_b)
-            self.sessions.append(OffboardSession(self._now_s))
-        self._rc_s = self._now_s
+            self.sessions.append(OffboardSession(at_s))
+        self._rc_s = at_s
 
     def over(self, word: str) -> str | None:
         """The answer to a motion command that is over, None while it goes on."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from drivers.rig.parts import PartSpec, Rig, decode_part
 from drivers.tello.camera import TelloCameraConfig
@@ -18,8 +19,13 @@ def is_tello(spec: PartSpec) -> bool:
     return spec.factory == "drivers.tello.vehicle:TelloVehicle"
 
 
-def tello_of(rig: Rig, role: Role, drone: SimDrone, world: WorldConfig, seed: int) -> tuple[TelloEmulator, TelloVideo]:
-    """The emulated drone that a role's driver looks for, and the camera in it. Raises RigError."""
+def tello_of(
+    rig: Rig, role: Role, drone: SimDrone, world: WorldConfig, seed: int, arrived: Callable[[float], float]
+) -> tuple[TelloEmulator, TelloVideo]:
+    """The emulated drone that a role's driver looks for, and the camera in it. Raises RigError.
+
+    ``arrived``: the world's time of an instant of the monotonic clock.
+    """
     own = rig.role(role)
     vehicle: TelloVehicleConfig = decode_part(own.vehicle)[1]
     camera: TelloCameraConfig = decode_part(
@@ -33,4 +39,4 @@ def tello_of(rig: Rig, role: Role, drone: SimDrone, world: WorldConfig, seed: in
         full_stick_dps=vehicle.full_stick_dps,
         home_yaw_rad=math.radians(world.home(role).heading_deg),
     )
-    return TelloEmulator(config, drone, video), video
+    return TelloEmulator(config, drone, video, arrived), video

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import struct
 import time
@@ -29,7 +30,8 @@ def bound(address: Address) -> socket.socket:
 
 
 def packets(source: socket.socket) -> Iterator[tuple[bytes, Address, float]]:
-    """All that waits: bytes, sender, and arrival in seconds of the monotonic clock."""
+    """All that waits: bytes, sender, and arrival in seconds of the monotonic clock, which never goes back."""
+    newest_s = -math.inf
     while True:
         try:
             packet, extra, _, sender = source.recvmsg(4096, 64)
@@ -37,7 +39,8 @@ def packets(source: socket.socket) -> Iterator[tuple[bytes, Address, float]]:
             return
         except ConnectionError:  # nobody listens where this socket sent to
             continue
-        yield packet, sender, _arrival_s(extra)
+        newest_s = max(newest_s, _arrival_s(extra))
+        yield packet, sender, newest_s
 
 
 def _arrival_s(extra: list[tuple[int, int, bytes]]) -> float:

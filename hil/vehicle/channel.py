@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-import socket
 from collections.abc import Iterator
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from hil.vehicle.arrival import Address, bound, packets
 from hil.vehicle.messages import STREAMS
-
-Address = tuple[str, int]
 
 PHASE_TOLERANCE_S = 1e-3
 
@@ -21,9 +19,7 @@ class UdpChannel:
 
     def __init__(self, bind: Address, remote: Address) -> None:
         self._remote = remote
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self._socket.bind(bind)
+        self._socket = bound(bind)
         self._intervals_s = {message: 1.0 / rate for message, (_, rate) in STREAMS.items() if rate > 0.0}
         self._due_s = dict.fromkeys(self._intervals_s, -math.inf)
 
@@ -38,13 +34,9 @@ class UdpChannel:
         with contextlib.suppress(BlockingIOError):  # a full buffer loses the packet, as a radio does
             self._socket.sendto(packet, to or self._remote)
 
-    def packets(self) -> Iterator[tuple[bytes, Address]]:
-        """All that came in."""
-        while True:
-            try:
-                yield self._socket.recvfrom(2048)
-            except BlockingIOError:
-                return
+    def packets(self) -> Iterator[tuple[bytes, Address, float]]:
+        """All that came in: bytes, sender, and arrival in seconds of the monotonic clock."""
+        return packets(self._socket)
 
     def beat_every(self, interval_s: float | None) -> None:
         """Heartbeats at an interval of the vehicle's own, if it has one."""

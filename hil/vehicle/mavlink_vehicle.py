@@ -1,15 +1,18 @@
 """A MAVLink 2 endpoint around a simulated drone, for an unmodified MAVSDK to connect to: a small PX4 on loopback.
 
-It has no thread and no clock: whoever steps the world calls ``pump`` at 200-250 Hz.
+It has no thread and no clock: whoever steps the world calls ``pump`` at 200-250 Hz. In real time it is told how
+arrivals count on the world's clock, and hears everything at the time it came, however late the world gets to it.
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -18,7 +21,8 @@ from drivers.link.key import signing_time
 from drivers.mavlink.geodesy import LocalTangent
 from hil.autopilot.autopilot import Ack
 from hil.vehicle.answers import NOT_FOLLOWED, OLDER_REQUESTS, STICKS, answer, height_above_sea_m, is_meant, sticks_of
-from hil.vehicle.channel import Address, UdpChannel
+from hil.vehicle.arrival import Address
+from hil.vehicle.channel import UdpChannel
 from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, FlightInstant, MavlinkDrone
 from hil.vehicle.parameters import Parameters
 from path.geometry.rotation import wrapped, yaw_of
@@ -57,6 +61,18 @@ class MavlinkVehicleConfig:
     key: bytes | None = None
 
 
+class _Packet(NamedTuple):
+    """What came in. ``at_s``: when, by the world's clock."""
+
+    at_s: float
+    packet: bytes
+    sender: Address
+    channel: UdpChannel
+
+
+_at_s = attrgetter("at_s")
+
+
 class MavlinkVehicle:
     """One drone on the wire. Faults: while ``silent`` nothing is sent and whatever comes in is lost.
 
@@ -66,7 +82,14 @@ class MavlinkVehicle:
         tap: called with (now_s, message) for every message from anybody; for tests and logs.
     """
 
-    def __init__(self, config: MavlinkVehicleConfig, drone: MavlinkDrone, tangent: LocalTangent) -> None:
+    def __init__(
+        self,
+        config: MavlinkVehicleConfig,
+        drone: MavlinkDrone,
+        tangent: LocalTangent,
+        arrived: Callable[[float], float] | None = None,
+    ) -> None:
+        """``arrived``: the world's time of an instant of the monotonic clock. None: what is read came just then."""
         self._config = config
         self._drone = drone
         self._tangent = tangent
@@ -88,6 +111,11 @@ class MavlinkVehicle:
         self._own_beat_s = 1.0 / beat_hz if beat_hz > 0.0 else None
         for channel in self._channels:
             channel.beat_every(self._own_beat_s)
+        self._arrived = arrived
+        self._waiting: list[_Packet] = []  # came after the newest time that the world has been stepped to
+        self._heard_s = 0.0
+        if arrived is not None:
+            drone.hears = self.hear
         self.silent = False
         self.received: Counter[str] = Counter()
         self.malformed = 0
@@ -106,21 +134,37 @@ class MavlinkVehicle:
         return self._channels[0].address
 
     def close(self) -> None:
+        self._drone.hears = None
         for channel in self._channels:
             channel.close()
 
     def pump(self, now_s: float) -> None:
-        """Take all that came in, act on it, send what is due. ``now_s`` is the time the drone was stepped to."""
-        if self._local_origin_n_m is None:
-            self._local_origin_n_m = self._drone.estimate.position_n_m
-        flight = FlightInstant(
-            now_s, self._drone.autopilot, self._drone.estimate, self._tangent, self._local_origin_n_m
-        )
-        for channel in self._channels:
-            self._receive(flight, channel)
+        """Take what came in, act on it, send what is due. ``now_s`` is the time the drone was stepped to."""
+        self.hear(now_s)
         if not self.silent:
+            flight = self._flight(now_s)
             self._send_texts(flight)
             self._send_due(flight)
+
+    def hear(self, now_s: float) -> None:
+        """Take what came in until ``now_s``, in the order and at the times in which it came, and act on it."""
+        for channel in self._channels:
+            for packet, sender, arrival_s in channel.packets():
+                at_s = now_s if self._arrived is None else self._arrived(arrival_s)
+                self._waiting.append(_Packet(max(at_s, self._heard_s), packet, sender, channel))
+        self._heard_s = max(self._heard_s, now_s)
+        if self._waiting:
+            self._waiting.sort(key=_at_s)
+            came = bisect_right(self._waiting, now_s, key=_at_s)
+            heard, self._waiting = self._waiting[:came], self._waiting[came:]
+            for each in heard:
+                self._receive(self._flight(each.at_s), each)
+
+    def _flight(self, at_s: float) -> FlightInstant:
+        drone = self._drone
+        if self._local_origin_n_m is None:
+            self._local_origin_n_m = drone.estimate.position_n_m
+        return FlightInstant(at_s, drone.autopilot, drone.estimate, self._tangent, self._local_origin_n_m)
 
     # --- out ---
 
@@ -170,16 +214,13 @@ class MavlinkVehicle:
 
     # --- in ---
 
-    def _receive(self, flight: FlightInstant, channel: UdpChannel) -> None:
-        for packet, sender in channel.packets():
-            if self.silent:
-                continue
-            for frame in _frames(packet):
-                message = self._decode(frame)
-                if message is None:
-                    self.malformed += 1
-                else:
-                    self._take(flight, message, channel, sender)
+    def _receive(self, flight: FlightInstant, came: _Packet) -> None:
+        for frame in _frames(came.packet) if not self.silent else ():
+            message = self._decode(frame)
+            if message is None:
+                self.malformed += 1
+            else:
+                self._take(flight, message, came.channel, came.sender)
 
     def _decode(self, frame: bytearray) -> Any | None:
         """None for what is damaged or of an unknown id: then pymavlink has checked no CRC."""

@@ -48,6 +48,8 @@ FULL_MV, EMPTY_MV = 16_800, 13_200  # four lithium cells
 class MavlinkDrone(Protocol):
     """The part of a simulated drone that is seen on the wire: ``hil.world.world.SimDrone``."""
 
+    hears: Callable[[float], None] | None
+
     @property
     def autopilot(self) -> Autopilot: ...
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Generic, NamedTuple, TypeVar
 
@@ -153,12 +153,14 @@ class SimDrone:
         autopilot: commands go here, between two calls of ``World.advance``.
         estimate: the newest one, at most a tick old.
         telemetry: one entry a tick, newest last, the last ``TELEMETRY_TICKS`` of them.
+        hears: called before each step of the autopilot with its time: what it was told until then is to be told it.
     """
 
     def __init__(self, autopilot: Autopilot, state: Array) -> None:
         self.autopilot = autopilot
         self.estimate = Estimate(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
         self.telemetry: deque[VehicleTelemetry] = deque(maxlen=TELEMETRY_TICKS)
+        self.hears: Callable[[float], None] | None = None
         self._state = state
 
     @property
@@ -193,6 +195,8 @@ class SimDrone:
 
     def command(self, time_s: float) -> tuple[float, ...]:
         """Step the autopilot at a tick; a command row of ``hil.world.dynamics``. Only the world calls this."""
+        if self.hears is not None:
+            self.hears(time_s)
         command = self.autopilot.step(time_s, self.estimate, bool(self._state[CONTACT]))
         if command.velocity_n_mps is None:
             return (MOTORS_IDLE if command.thrust_on else MOTORS_OFF), 0.0, 0.0, 0.0, command.yaw_rad

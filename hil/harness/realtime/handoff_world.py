@@ -89,9 +89,9 @@ class SitlWorld(RealTimeWorld):
     def _vehicle(self, role: Role) -> VehicleOnTheWire:
         rig, world = self.rig, self._world
         if is_tello(rig.role(role).vehicle):
-            emulator, self._videos[role] = tello_of(rig, role, world.drone(role), world.config, self._seed)
+            emulator, self._videos[role] = tello_of(rig, role, world.drone(role), world.config, self._seed, self.when_s)
             return emulator
-        return embedded_vehicle(rig, rig.role(role), world.drone(role))
+        return embedded_vehicle(rig, rig.role(role), world.drone(role), self.when_s)
 
     async def _start_simulators(self) -> None:
         """Real autopilots fly the drones: the world then follows what their simulators say is true."""

@@ -147,14 +147,17 @@ GROUND = "PATH_GCS"
 """The variable of the environment that names where a ground station listens: ``path-handoff handoff --gcs``."""
 
 
-def embedded_vehicle(rig: Rig, own: RoleRig, drone: MavlinkDrone) -> MavlinkVehicle:
-    """A drone's autopilot on the wire, where the role's driver listens, its guard's, and a ground station if any."""
+def embedded_vehicle(rig: Rig, own: RoleRig, drone: MavlinkDrone, arrived: Callable[[float], float]) -> MavlinkVehicle:
+    """A drone's autopilot on the wire, where the role's driver listens, its guard's, and a ground station if any.
+
+    ``arrived``: the world's time of an instant of the monotonic clock.
+    """
     ground = _listener(f"udp://{os.environ[GROUND]}") if os.environ.get(GROUND) else None
     second = None if own.guard is None else _listener(str(own.guard.options["url"]))
     tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
     options = own.vehicle.options
     config = MavlinkVehicleConfig(int(options["sysid"]), _listener(str(options["url"])), second=second, ground=ground)
-    return MavlinkVehicle(config, drone, tangent)
+    return MavlinkVehicle(config, drone, tangent, arrived)
 
 
 def _listener(url: str) -> tuple[str, int]:

@@ -157,7 +157,7 @@ class RelaySitlWorld(RealTimeWorld):
             if name not in self._world.on:
                 self._world.switch_on(name)
                 self._monitors.on_switched_on(name, now_s)
-                drone.vehicle = embedded_vehicle(self.rig, pair.receiver, self._world.drone(name))
+                drone.vehicle = embedded_vehicle(self.rig, pair.receiver, self._world.drone(name), self.when_s)
         writer = shared_camera(run_of(os.environ[RUN_VARIABLE], name), pair, OWN)
         phase = 0.37 * self._world.names.index(name) % 1.0
         self.start_camera(name, self._pictures[name], writer, float(camera_config(pair, OWN).fps), phase)

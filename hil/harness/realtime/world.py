@@ -141,7 +141,11 @@ class RealTimeWorld:
     # --- the run ---
 
     def now_s(self) -> float:
-        return time.monotonic() - self.start_s
+        return self.when_s(time.monotonic())
+
+    def when_s(self, monotonic_s: float) -> float:
+        """The world's time of an instant of the monotonic clock."""
+        return monotonic_s - self.start_s
 
     async def run(self) -> None:
         prepare(self.rig, lambda what: say({"event": "warming", "what": what}))

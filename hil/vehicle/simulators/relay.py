@@ -10,6 +10,7 @@ import contextlib
 import math
 import socket
 from collections.abc import Callable, Iterator
+from operator import itemgetter
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -18,6 +19,8 @@ from drivers.interfaces import FlightMode
 from drivers.mavlink.modes import ARDUPILOT, CUSTOM_MODE_ENABLED, KINDS, PX4, SAFETY_ARMED, AutopilotKind
 from hil.autopilot.values import OffboardSession
 from hil.vehicle.arrival import Address, bound, packets
+
+_arrival_s = itemgetter(2)
 
 PILOT_SYSID = 251  # a second ground station
 AUTOPILOT = 1
@@ -131,25 +134,14 @@ class MavlinkRelay:
             each.close()
 
     def receive(self, epoch_s: float) -> None:
-        """Pass on all that came in on either side. ``epoch_s``: zero of the world's clock, on the monotonic one."""
-        for packet, sender, arrival_s in packets(self._vehicle_socket):
-            self._peer = sender
-            for message_id, sysid, frame in frames(packet):
-                if message_id in (HEARTBEAT, CURRENT_MODE) and sysid == self._sysid:
-                    self._on_vehicle(frame, arrival_s - epoch_s)
-                if self.tap is not None and sysid == self._sysid:
-                    self.tap(message_id, frame, arrival_s)
-            if not self.silent:
-                _send(self._companion_socket, packet, self._companion)
-        for packet, _, arrival_s in packets(self._companion_socket):
-            if self.silent or self._peer is None:
-                continue
-            for message_id, _, frame in frames(packet):
-                if message_id == SET_POSITION_TARGET:
-                    self.watch.on_setpoint(arrival_s - epoch_s)
-                elif message_id == COMMAND_LONG:
-                    self._on_command(frame, arrival_s - epoch_s)
-            _send(self._vehicle_socket, packet, self._peer)
+        """Pass on all that came in on either side, in the order in which it came.
+
+        ``epoch_s``: zero of the world's clock, on the monotonic one.
+        """
+        came = [(*each, self._from_vehicle) for each in packets(self._vehicle_socket)]
+        came += [(*each, self._from_companion) for each in packets(self._companion_socket)]
+        for packet, sender, arrival_s, take in sorted(came, key=_arrival_s):
+            take(packet, sender, arrival_s, epoch_s)
 
     def pilot_takes_over(self) -> None:
         """A second ground station changes the mode, as a pilot's switch does."""
@@ -159,6 +151,26 @@ class MavlinkRelay:
         """A command of that second ground station, sent once."""
         filled = [*params, *([0.0] * (7 - len(params)))]
         self._send_own(mavlink.MAVLink_command_long_message(self._sysid, AUTOPILOT, command, 0, *filled))
+
+    def _from_vehicle(self, packet: bytes, sender: Address, arrival_s: float, epoch_s: float) -> None:
+        self._peer = sender
+        for message_id, sysid, frame in frames(packet):
+            if message_id in (HEARTBEAT, CURRENT_MODE) and sysid == self._sysid:
+                self._on_vehicle(frame, arrival_s - epoch_s)
+            if self.tap is not None and sysid == self._sysid:
+                self.tap(message_id, frame, arrival_s)
+        if not self.silent:
+            _send(self._companion_socket, packet, self._companion)
+
+    def _from_companion(self, packet: bytes, _: Address, arrival_s: float, epoch_s: float) -> None:
+        if self.silent or self._peer is None:
+            return
+        for message_id, _sysid, frame in frames(packet):
+            if message_id == SET_POSITION_TARGET:
+                self.watch.on_setpoint(arrival_s - epoch_s)
+            elif message_id == COMMAND_LONG:
+                self._on_command(frame, arrival_s - epoch_s)
+        _send(self._vehicle_socket, packet, self._peer)
 
     def _send_own(self, message: Any) -> None:
         if self._peer is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import socket
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from itertools import count
 from typing import Any
 
@@ -28,12 +28,12 @@ _hosts = count(10)
 class Bench:
     """A drone, and a computer that talks to it."""
 
-    def __init__(self, **config: Any) -> None:
+    def __init__(self, arrived: Callable[[float], float] | None = None, **config: Any) -> None:
         host = f"127.0.78.{next(_hosts)}"
         self.world = World(WorldConfig(), seed=1)
         self.drone = self.world.drone(Role.SENDER)
         self.video = TelloVideo(TelloVideoConfig(64, 48))
-        self.emulator = TelloEmulator(TelloEmulatorConfig(host, **config), self.drone, self.video)
+        self.emulator = TelloEmulator(TelloEmulatorConfig(host, **config), self.drone, self.video, arrived)
         self.commands = self._socket()
         self.states = self._socket()
         self.advance(4.0)
@@ -332,6 +332,24 @@ def test_the_longest_time_between_two_sticks_is_kept(bench: Bench) -> None:
     (session,) = bench.emulator.sessions
     assert session.max_gap_s == pytest.approx(0.3, abs=0.02)
     assert session.end_s is not None
+
+
+@pytest.mark.parametrize(("sent_s", "longest_s"), [((0.1, 0.2, 0.3, 0.4), 0.1), ((0.1, 0.35, 0.4), 0.25)])
+def test_sticks_that_came_while_the_world_stood_still_count_from_then(
+    sent_s: tuple[float, ...], longest_s: float
+) -> None:
+    stamps: list[float] = []
+    bench = Bench(lambda _: stamps.pop(0) if stamps else bench.world.time_s)
+    bench.fly()
+    began_s = bench.world.time_s
+    for at_s in (0.0, *sent_s):
+        stamps.append(began_s + at_s)
+        bench.send("rc 0 0 0 0")
+    bench.world.advance(began_s + 0.45)
+    bench.emulator.pump(bench.world.time_s)
+    (session,) = bench.emulator.sessions
+    bench.close()
+    assert session.max_gap_s == pytest.approx(longest_s)
 
 
 def test_faults_lose_commands_answers_and_state_packets(bench: Bench) -> None:

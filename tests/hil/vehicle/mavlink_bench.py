@@ -26,7 +26,7 @@ STEP_S = 0.005
 class Bench:
     """A vehicle and a ground station's socket, both in simulated time."""
 
-    def __init__(self, config: AutopilotConfig = QUICK) -> None:
+    def __init__(self, config: AutopilotConfig = QUICK, arrived: Callable[[float], float] | None = None) -> None:
         self.ground = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.ground.bind(("127.0.0.1", 0))
         self.ground.settimeout(0.0)
@@ -35,7 +35,8 @@ class Bench:
             WorldConfig(wind=WindConfig(0.0, gust_mps=0.0), estimator=exact, autopilot=config, sender_home=HOME), seed=1
         )
         self.drone = self.world.drone(Role.SENDER)
-        self.vehicle = MavlinkVehicle(MavlinkVehicleConfig(SYSID, self.ground.getsockname()), self.drone, TANGENT)
+        on_wire = MavlinkVehicleConfig(SYSID, self.ground.getsockname())
+        self.vehicle = MavlinkVehicle(on_wire, self.drone, TANGENT, arrived)
         self.mav: Any = mavlink.MAVLink(None, srcSystem=245, srcComponent=190)
         self.now_s = 0.0
         self.heard: list[tuple[float, Any]] = []

@@ -9,7 +9,8 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode
-from hil.vehicle.channel import Address, UdpChannel
+from hil.vehicle.arrival import Address
+from hil.vehicle.channel import UdpChannel
 from tests.hil.vehicle.mavlink_bench import QUICK, START, STEP_S, SYSID, TANGENT, Bench
 
 

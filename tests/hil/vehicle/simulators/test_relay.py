@@ -187,6 +187,20 @@ def test_a_relay_that_was_busy_does_not_lengthen_the_gaps(ends: Ends) -> None:
     assert second_before_s - first_after_s - CLOCKS_S < session.max_gap_s < second_after_s - first_before_s + CLOCKS_S
 
 
+def test_a_mode_that_is_left_after_setpoints_was_not_left_before_them(ends: Ends) -> None:
+    """However long the relay was busy, and from whichever side it reads first."""
+    ends.vehicle.sendto(heartbeat(ends), ends.vehicle_side)
+    ends.relay.receive(0.0)
+    for _ in range(3):
+        setpoint = mavlink.MAVLink_set_position_target_local_ned_message(0, SYSID, 1, 1, 2503, *[0.0] * 11)
+        ends.companion.sendto(setpoint.pack(ends.mav), ends.relay.sockets[1].getsockname())
+    ends.vehicle.sendto(heartbeat(ends, HOLD), ends.vehicle_side)
+    ends.relay.receive(0.0)
+    (session,) = ends.relay.watch.offboard_sessions
+    assert session.end_s is not None
+    assert session.end_s >= ends.relay.watch.newest_setpoint_s
+
+
 def test_a_pilot_changes_the_mode(ends: Ends) -> None:
     ends.vehicle.sendto(heartbeat(ends), ends.vehicle_side)
     ends.relay.receive(0.0)
