@@ -16,75 +16,42 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from foxglove import Schema
 from foxglove.messages import (
     CameraCalibration,
-    Color,
-    CompressedImage,
-    CompressedVideo,
     CubePrimitive,
     FrameTransform,
     FrameTransforms,
     ImageAnnotations,
     LinePrimitive,
     LinePrimitiveLineType,
-    LocationFix,
     LogLevel,
-    Point2,
     Point3,
     PointsAnnotation,
     PointsAnnotationType,
-    Pose,
     Quaternion,
-    RawImage,
     SceneEntity,
     SceneUpdate,
-    SpherePrimitive,
     TextAnnotation,
     TextPrimitive,
-    Timestamp,
     Vector3,
 )
 from foxglove.messages import Log as Line
-from numpy.typing import NDArray
 
+from drivers.log import foxglove_primitives as draw
+from drivers.log.foxglove_primitives import Message, Record
 from drivers.log.topics import blank
-from path.geometry.rotation import quat_from_R
-
-Record = Mapping[str, Any]
-
-
-class Message(Protocol):
-    """A message of Foxglove's."""
-
-    def encode(self) -> bytes: ...
-
-    @staticmethod
-    def get_schema() -> Schema: ...
-
+from path.geometry.rotation import rotate
 
 Standard = tuple[str, Message]
 
 PERIOD_NS = 90_000_000  # ten times a second, whatever the frames' rate
 AGAIN_NS = 1_000_000_000  # what does not change, for viewers that come late
-EARTH_M = 6_378_137.0
-SIGMAS = 3.0  # radius of the target's sphere
-FRUSTUM_M = 0.4
-FENCE_POINTS = 72
-FONT_PX = 14.0
 BODY_M = (0.35, 0.35, 0.1)
 
-BLUE, ORANGE, GREEN = Color(r=0.2, g=0.6, b=1.0, a=1.0), Color(r=1.0, g=0.6, b=0.1, a=1.0), Color(g=0.9, b=0.3, a=1.0)
-PINK, GREY, RED = Color(r=1.0, g=0.3, b=0.8, a=1.0), Color(r=0.6, g=0.6, b=0.6, a=0.8), Color(r=1.0, a=1.0)
-PALE_BLUE, PALE_ORANGE = Color(r=0.2, g=0.6, b=1.0, a=0.5), Color(r=1.0, g=0.6, b=0.1, a=0.5)
-GHOST, BACK = Color(r=0.3, g=0.9, b=0.3, a=0.35), Color(a=0.6)
-
-AS_IT_IS = (1.0, 0.0, 0.0, 0.0)
 ENU_OF_NED = Quaternion(w=0.0, x=math.sqrt(0.5), y=math.sqrt(0.5))
-VIDEO, RAW = CompressedVideo.get_schema(), RawImage.get_schema()
 OF_A_FRAME: Mapping[str, tuple[str, ...]] = {
     "/target": ("/3d", "/annotations"),
     "/track": ("/3d target", "/annotations"),
@@ -99,31 +66,6 @@ LEVELS = {
     "/guard": LogLevel.Warning,
     "/guard_alarm": LogLevel.Warning,
 }
-
-
-def compressed_image(stamp_ns: int, frame: str, jpeg: bytes) -> Message:
-    return CompressedImage(timestamp=time_of(stamp_ns), frame_id=frame, data=jpeg, format="jpeg")
-
-
-def compressed_video(stamp_ns: int, frame: str, h264: bytes) -> Message:
-    return CompressedVideo(timestamp=time_of(stamp_ns), frame_id=frame, data=h264, format="h264")
-
-
-def depth_image(stamp_ns: int, frame: str, depth_mm: NDArray[np.uint16]) -> Message:
-    height, width = depth_mm.shape
-    return RawImage(
-        timestamp=time_of(stamp_ns),
-        frame_id=frame,
-        width=width,
-        height=height,
-        encoding="16UC1",
-        step=2 * width,
-        data=depth_mm.astype("<u2", copy=False).tobytes(),
-    )
-
-
-def time_of(stamp_ns: int) -> Timestamp:
-    return Timestamp(sec=stamp_ns // 1_000_000_000, nsec=stamp_ns % 1_000_000_000)
 
 
 class Standards:
@@ -177,7 +119,9 @@ class Standards:
 
     def _line(self, topic: str, stamp_ns: int, record: Record) -> Standard:
         level = LEVELS.get(topic, LogLevel.Info)
-        return "/log", Line(timestamp=time_of(stamp_ns), level=level, name=self._name, message=_LINES[topic](record))
+        return "/log", Line(
+            timestamp=draw.time_of(stamp_ns), level=level, name=self._name, message=_LINES[topic](record)
+        )
 
     # --- what does not change ------------------------------------------------------------------------------------
 
@@ -189,23 +133,23 @@ class Standards:
         if self._setup is None or not self._due("/calibration", stamp_ns, AGAIN_NS // 2):
             return
         yield "/calibration", self._calibration(stamp_ns, self._setup["camera"])
-        mounts = [_transform(stamp_ns, self._body, self.camera, self._setup["T_b_c"])]
+        mounts = [draw.transform(stamp_ns, self._body, self.camera, self._setup["T_b_c"])]
         if self._setup["role"] == "sender":
-            mounts.append(_transform(stamp_ns, self._body, self._marker, self._setup["T_b_v"]))
+            mounts.append(draw.transform(stamp_ns, self._body, self._marker, self._setup["T_b_v"]))
         north = FrameTransform(
-            timestamp=time_of(stamp_ns), parent_frame_id="world", child_frame_id="n", translation=Vector3(),
+            timestamp=draw.time_of(stamp_ns), parent_frame_id="world", child_frame_id="n", translation=Vector3(),
             rotation=ENU_OF_NED,
         )  # fmt: skip
         yield "/tf", FrameTransforms(transforms=[north, *mounts])
         entities = self._bodies(stamp_ns, self._setup)
         if self._setup["fence_m"] is not None:
-            entities.append(self._entity(stamp_ns, "n", "fence", lines=_fence(*self._setup["fence_m"])))
+            entities.append(self._entity(stamp_ns, "n", "fence", lines=draw.fence(*self._setup["fence_m"])))
         yield "/3d", SceneUpdate(entities=entities)
 
     def _calibration(self, stamp_ns: int, camera: Record) -> Message:
         fx, fy, cx, cy = (camera[name] for name in ("fx", "fy", "cx", "cy"))
         return CameraCalibration(
-            timestamp=time_of(stamp_ns),
+            timestamp=draw.time_of(stamp_ns),
             frame_id=self.camera,
             width=camera["width"],
             height=camera["height"],
@@ -217,18 +161,18 @@ class Standards:
         )
 
     def _bodies(self, stamp_ns: int, setup: Record) -> list[SceneEntity]:
-        color = BLUE if setup["role"] == "sender" else ORANGE
-        body = CubePrimitive(pose=_pose((0.0, 0.0, 0.0), AS_IT_IS), size=_vector(BODY_M), color=color)
+        color = draw.BLUE if setup["role"] == "sender" else draw.ORANGE
+        body = CubePrimitive(pose=draw.pose((0.0, 0.0, 0.0), draw.AS_IT_IS), size=draw.vector(BODY_M), color=color)
         entities = [
             self._entity(stamp_ns, self._body, "body", cubes=[body]),
-            self._entity(stamp_ns, self.camera, "frustum", lines=[_frustum(setup["camera"], color)]),
+            self._entity(stamp_ns, self.camera, "frustum", lines=[draw.frustum(setup["camera"], color)]),
         ]
         if setup["role"] == "sender":
             squares = [
                 LinePrimitive(
                     type=LinePrimitiveLineType.LineLoop,
-                    points=[_point(c) for c in corners],
-                    color=PINK,
+                    points=[draw.point(c) for c in corners],
+                    color=draw.PINK,
                     thickness=0.004,
                 )
                 for corners in np.reshape(setup["markers_v_m"], (-1, 4, 3)).tolist()
@@ -238,7 +182,7 @@ class Standards:
 
     def _entity(self, stamp_ns: int, frame: str, name: str, **parts: Any) -> SceneEntity:
         entity_id = f"{self._name}/{name}"
-        return SceneEntity(timestamp=time_of(stamp_ns), frame_id=frame, id=entity_id, frame_locked=True, **parts)
+        return SceneEntity(timestamp=draw.time_of(stamp_ns), frame_id=frame, id=entity_id, frame_locked=True, **parts)
 
     # --- what a drone knows --------------------------------------------------------------------------------------
 
@@ -246,15 +190,15 @@ class Standards:
         position = record["position_n_m"]
         if not all(map(math.isfinite, position)):
             return
-        yield "/tf", FrameTransforms(transforms=[_moved(stamp_ns, "n", self._body, position, record["q_n_b"])])
+        yield "/tf", FrameTransforms(transforms=[draw.moved(stamp_ns, "n", self._body, position, record["q_n_b"])])
         if self._setup is not None:
-            yield "/position", _fix(stamp_ns, self._setup["origin"], position)
+            yield "/position", draw.fix(stamp_ns, self._setup["origin"], position)
 
     def _on_target(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
         point = record["point_v_m"]
         if point is not None and self._due("/3d", stamp_ns):
             target = self._entity(
-                stamp_ns, self._marker, "target", spheres=[_sphere(point, record["sigma_m"], PALE_BLUE)]
+                stamp_ns, self._marker, "target", spheres=[draw.sphere(point, record["sigma_m"], draw.PALE_BLUE)]
             )
             yield "/3d", SceneUpdate(entities=[target])
         yield from self._draw(stamp_ns)
@@ -263,7 +207,7 @@ class Standards:
         """``/track`` or ``/candidate``: the last word on a frame."""
         point = record.get("point_v_m")
         if point is not None and self._due("/3d target", stamp_ns):
-            sphere = _sphere(point, record["sigma_m"], PALE_ORANGE)
+            sphere = draw.sphere(point, record["sigma_m"], draw.PALE_ORANGE)
             target = self._entity(stamp_ns, self._seen, "target", spheres=[sphere])
             yield "/3d", SceneUpdate(entities=[target])
         yield from self._draw(stamp_ns)
@@ -273,8 +217,8 @@ class Standards:
         if position is not None and self._due("/3d", stamp_ns):
             w, x, y, z = record["rotation_v_c2"]
             back = (w, -x, -y, -z)
-            marker_c = [-along for along in _turned(back, position)]
-            yield "/tf", FrameTransforms(transforms=[_moved(stamp_ns, self.camera, self._seen, marker_c, back)])
+            marker_c = [-along for along in rotate(back, position)]
+            yield "/tf", FrameTransforms(transforms=[draw.moved(stamp_ns, self.camera, self._seen, marker_c, back)])
             yield "/3d", SceneUpdate(entities=[self._distance(stamp_ns, marker_c)])
         candidate = self._newest.get("/candidate")
         if candidate is None or stamp_ns - candidate[0] > 3 * PERIOD_NS:
@@ -282,11 +226,14 @@ class Standards:
 
     def _distance(self, stamp_ns: int, marker_c: Sequence[float]) -> SceneEntity:
         line = LinePrimitive(
-            type=LinePrimitiveLineType.LineStrip, points=[Point3(), _point(marker_c)], color=PINK, thickness=0.005
+            type=LinePrimitiveLineType.LineStrip,
+            points=[Point3(), draw.point(marker_c)],
+            color=draw.PINK,
+            thickness=0.005,
         )
-        middle = _pose([c / 2 for c in marker_c], AS_IT_IS)
+        middle = draw.pose([c / 2 for c in marker_c], draw.AS_IT_IS)
         text = TextPrimitive(
-            pose=middle, billboard=True, font_size=0.08, color=PINK, text=f"{math.hypot(*marker_c):.2f} m"
+            pose=middle, billboard=True, font_size=0.08, color=draw.PINK, text=f"{math.hypot(*marker_c):.2f} m"
         )
         return self._entity(stamp_ns, self.camera, "separation", lines=[line], texts=[text])
 
@@ -300,30 +247,30 @@ class Standards:
         self._said_ns["/annotations"] = stamp_ns
         points: list[PointsAnnotation] = []
         texts: list[TextAnnotation] = []
-        for topic, color in (("/target", BLUE), ("/track", BLUE), ("/candidate", ORANGE)):
+        for topic, color in (("/target", draw.BLUE), ("/track", draw.BLUE), ("/candidate", draw.ORANGE)):
             record = self._lately(topic, stamp_ns)
-            points += _box(stamp_ns, record.get("box"), color)
+            points += draw.box(stamp_ns, record.get("box"), color)
         pair = self._lately("/agreement", stamp_ns)
-        points += _box(stamp_ns, pair.get("mapped_box"), ORANGE)
+        points += draw.box(stamp_ns, pair.get("mapped_box"), draw.ORANGE)
         if pair:
-            texts.append(_text(stamp_ns, _verdict(pair), GREEN if pair["agreed"] else RED))
+            texts.append(draw.text(stamp_ns, _verdict(pair), draw.GREEN if pair["agreed"] else draw.RED))
         answer = self._lately("/candidate", stamp_ns)
         if region := answer.get("region"):
             x0, y0, x1, y1 = region
-            points += _box(stamp_ns, (x0, y0, x1 - x0, y1 - y0), GREY)
+            points += draw.box(stamp_ns, (x0, y0, x1 - x0, y1 - y0), draw.GREY)
         if prior := answer.get("prior_px"):
             u, v = prior
             cross = [(u - 6, v), (u + 6, v), (u, v - 6), (u, v + 6)]
-            points.append(_lines(stamp_ns, PointsAnnotationType.LineList, cross, GREY))
+            points.append(draw.lines(stamp_ns, PointsAnnotationType.LineList, cross, draw.GREY))
         marker = self._lately("/marker", stamp_ns)
         if marker.get("corners_px") is not None:
             corners = np.reshape(marker["corners_px"], (-1, 2)).tolist()
-            points.append(_lines(stamp_ns, PointsAnnotationType.LineLoop, corners, PINK))
+            points.append(draw.lines(stamp_ns, PointsAnnotationType.LineLoop, corners, draw.PINK))
         for topic in ("/target", "/candidate", "/marker"):
             if reason := self._lately(topic, stamp_ns).get("reason"):
-                texts.append(_text(stamp_ns, reason, RED, line=1))
+                texts.append(draw.text(stamp_ns, reason, draw.RED, line=1))
                 break
-        return "/annotations", ImageAnnotations(timestamp=time_of(stamp_ns), points=points, texts=texts)
+        return "/annotations", ImageAnnotations(timestamp=draw.time_of(stamp_ns), points=points, texts=texts)
 
     def _lately(self, topic: str, stamp_ns: int) -> Record:
         """The newest record of a topic, when it is of about this instant."""
@@ -341,14 +288,17 @@ class Standards:
         if self._scene is None or not self._due("/3d", stamp_ns):
             return
         bodies = [body for body in record.values() if isinstance(body, Mapping) and "q" in body]
-        cubes = [CubePrimitive(pose=_pose(body["t"], body["q"]), size=_vector(BODY_M), color=GHOST) for body in bodies]
+        cubes = [
+            CubePrimitive(pose=draw.pose(body["t"], body["q"]), size=draw.vector(BODY_M), color=draw.GHOST)
+            for body in bodies
+        ]
         for each in record["objects"]:
-            color = GREEN if each["id"] == self._scene["target_id"] else GREY
+            color = draw.GREEN if each["id"] == self._scene["target_id"] else draw.GREY
             half = each["yaw"] / 2.0
             turn = (math.cos(half), 0.0, 0.0, math.sin(half))
             for part in self._scene["boxes"]:
-                center = [at + off for at, off in zip(each["t"], _turned(turn, part["c"]), strict=True)]
-                cubes.append(CubePrimitive(pose=_pose(center, turn), size=_vector(part["s"]), color=color))
+                center = [at + off for at, off in zip(each["t"], rotate(turn, part["c"]), strict=True)]
+                cubes.append(CubePrimitive(pose=draw.pose(center, turn), size=draw.vector(part["s"]), color=color))
         yield "/3d", SceneUpdate(entities=[self._entity(stamp_ns, "world", "truth", cubes=cubes)])
 
 
@@ -373,108 +323,3 @@ def _verdict(pair: Record) -> str:
         return f"{pair['reason']}  {count}"
     tau = "" if pair["tau"] is None else f" (needs {pair['tau']:.2f})"
     return f"IoU {pair['iou']:.2f}{tau}  {count}"
-
-
-def _turned(q: Sequence[float], point: Sequence[float]) -> tuple[float, float, float]:
-    w, a, b, c = q
-    x, y, z = point
-    u, v, s = 2.0 * (b * z - c * y), 2.0 * (c * x - a * z), 2.0 * (a * y - b * x)
-    return x + w * u + (b * s - c * v), y + w * v + (c * u - a * s), z + w * s + (a * v - b * u)
-
-
-def _pose(t: Sequence[float], q: Sequence[float]) -> Pose:
-    return Pose(position=_vector(t), orientation=_quaternion(q))
-
-
-def _vector(t: Sequence[float]) -> Vector3:
-    return Vector3(x=t[0], y=t[1], z=t[2])
-
-
-def _quaternion(q: Sequence[float]) -> Quaternion:
-    return Quaternion(w=q[0], x=q[1], y=q[2], z=q[3])
-
-
-def _point(p: Sequence[float]) -> Point3:
-    return Point3(x=p[0], y=p[1], z=p[2])
-
-
-def _moved(stamp_ns: int, parent: str, child: str, t: Sequence[float], q: Sequence[float]) -> FrameTransform:
-    return FrameTransform(
-        timestamp=time_of(stamp_ns), parent_frame_id=parent, child_frame_id=child, translation=_vector(t),
-        rotation=_quaternion(q),
-    )  # fmt: skip
-
-
-def _transform(stamp_ns: int, parent: str, child: str, rows: Sequence[float]) -> FrameTransform:
-    """``rows``: the upper three of a pose's matrix, one after another."""
-    matrix = np.reshape(rows, (3, 4))
-    return _moved(stamp_ns, parent, child, matrix[:, 3].tolist(), quat_from_R(matrix[:, :3]))
-
-
-def _fix(stamp_ns: int, origin: Sequence[float], position_n_m: Sequence[float]) -> Message:
-    """Returns the position on a sphere of the earth's size: for a map, over a field."""
-    latitude_deg, longitude_deg, altitude_m = origin
-    north, east, down = position_n_m
-    return LocationFix(
-        timestamp=time_of(stamp_ns),
-        frame_id="n",
-        latitude=latitude_deg + math.degrees(north / EARTH_M),
-        longitude=longitude_deg + math.degrees(east / (EARTH_M * math.cos(math.radians(latitude_deg)))),
-        altitude=altitude_m - down,
-    )
-
-
-def _frustum(camera: Record, color: Color) -> LinePrimitive:
-    """The frustum of the camera, without distortion."""
-    edges = [
-        ((u - camera["cx"]) / camera["fx"] * FRUSTUM_M, (v - camera["cy"]) / camera["fy"] * FRUSTUM_M, FRUSTUM_M)
-        for u, v in ((0, 0), (camera["width"], 0), (camera["width"], camera["height"]), (0, camera["height"]))
-    ]
-    points: list[Point3] = []
-    for k, edge in enumerate(edges):
-        points += [Point3(), _point(edge), _point(edge), _point(edges[(k + 1) % 4])]
-    return LinePrimitive(type=LinePrimitiveLineType.LineList, points=points, color=color, thickness=0.01)
-
-
-def _fence(radius_m: float, height_m: float) -> list[LinePrimitive]:
-    """A circle on the ground and one at its height, around the origin."""
-    turns = np.linspace(0.0, 2.0 * math.pi, FENCE_POINTS, endpoint=False).tolist()
-    return [
-        LinePrimitive(
-            type=LinePrimitiveLineType.LineLoop,
-            points=[Point3(x=radius_m * math.cos(a), y=radius_m * math.sin(a), z=-up_m) for a in turns],
-            color=RED,
-            thickness=0.02,
-        )
-        for up_m in (0.0, height_m)
-    ]
-
-
-def _sphere(point: Sequence[float], sigma_m: float, color: Color) -> SpherePrimitive:
-    size = 2.0 * SIGMAS * sigma_m
-    return SpherePrimitive(pose=_pose(point, AS_IT_IS), size=Vector3(x=size, y=size, z=size), color=color)
-
-
-def _box(stamp_ns: int, box: Sequence[float] | None, color: Color) -> list[PointsAnnotation]:
-    if box is None:
-        return []
-    x, y, w, h = box
-    corners = [(x, y), (x + w, y), (x + w, y + h), (x, y + h)]
-    return [_lines(stamp_ns, PointsAnnotationType.LineLoop, corners, color)]
-
-
-def _lines(
-    stamp_ns: int, kind: PointsAnnotationType, points: Sequence[Sequence[float]], color: Color
-) -> PointsAnnotation:
-    return PointsAnnotation(
-        timestamp=time_of(stamp_ns), type=kind, points=[Point2(x=u, y=v) for u, v in points], outline_color=color,
-        thickness=2.0,
-    )  # fmt: skip
-
-
-def _text(stamp_ns: int, text: str, color: Color, line: int = 0) -> TextAnnotation:
-    position = Point2(x=6.0, y=FONT_PX + 6.0 + line * (FONT_PX + 6.0))
-    return TextAnnotation(
-        timestamp=time_of(stamp_ns), position=position, text=text, font_size=FONT_PX, text_color=color,
-        background_color=BACK,
-    )  # fmt: skip

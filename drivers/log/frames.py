@@ -141,7 +141,7 @@ class _FrameFile:
         self._first_ns = 0
 
     def write(self, frame: Frame) -> None:
-        from drivers.log import foxglove  # noqa: PLC0415 (whoever only reads does not need it)
+        from drivers.log import foxglove_primitives as foxglove  # noqa: PLC0415 (whoever only reads does not need it)
 
         utc_ns = frame.stamp_ns + self._utc_ns
         height, width = frame.color.shape[:2]
@@ -161,7 +161,7 @@ class _FrameFile:
             file.close()
 
     def _open(self, width: int, height: int) -> None:
-        from drivers.log import foxglove  # noqa: PLC0415
+        from drivers.log import foxglove_primitives as foxglove  # noqa: PLC0415
 
         if width % 2 or height % 2:
             raise ValueError(f"{width}x{height} px: H.264 needs even numbers")

@@ -115,7 +115,7 @@ class McapLog:
         if jpeg is None:
             self._failed = self._failed or f"{topic}: the image could not be encoded as JPEG, of 8 bits"
             return
-        from drivers.log.foxglove import compressed_image  # noqa: PLC0415
+        from drivers.log.foxglove_primitives import compressed_image  # noqa: PLC0415
 
         try:
             utc_ns = self._utc(stamp_ns)

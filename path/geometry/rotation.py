@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from path.geometry.transforms import Matrix, Vector
-from path.messages import Quat
+from path.messages import Quat, Vec3
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
 
@@ -42,6 +42,14 @@ def conjugate(q: Quat) -> Quat:
     """The opposite rotation of a unit quaternion."""
     w, x, y, z = q
     return w, -x, -y, -z
+
+
+def rotate(q: Quat, point: Vec3) -> Vec3:
+    """Turn a vector by a unit quaternion: ``p_a = rotate(q_a_b, p_b)``."""
+    w, a, b, c = q
+    x, y, z = point
+    u, v, s = 2.0 * (b * z - c * y), 2.0 * (c * x - a * z), 2.0 * (a * y - b * x)
+    return x + w * u + (b * s - c * v), y + w * v + (c * u - a * s), z + w * s + (a * v - b * u)
 
 
 def slerp(a: Quat, b: Quat, fraction: float) -> Quat:
@@ -143,6 +151,12 @@ def rpy_from_quat(q: Quat) -> tuple[float, float, float]:
     roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
     return roll, pitch, yaw_of(q)
+
+
+def R_from_yaw(yaw: float) -> Matrix:
+    """Rotation matrix about z, angle in rad: of a level body, body-to-local."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def R_from_rpy(roll: float, pitch: float, yaw: float) -> Matrix:

@@ -31,13 +31,14 @@ def test_log_near_its_hard_angles(axis: int, angle: float) -> None:
     assert rotation.angle_between(np.eye(3), rotation.exp(w)) == pytest.approx(angle, abs=1e-9)
 
 
-@given(vectors, vectors)
-def test_quaternions_do_what_matrices_do(a: np.ndarray, b: np.ndarray) -> None:
+@given(vectors, vectors, st.tuples(angles, angles, angles))
+def test_quaternions_do_what_matrices_do(a: np.ndarray, b: np.ndarray, point: tuple[float, float, float]) -> None:
     A, B = rotation.exp(a), rotation.exp(b)
     qa, qb = rotation.quat_from_R(A), rotation.quat_from_R(B)
     np.testing.assert_allclose(rotation.R_from_quat(qa), A, atol=1e-12)
     np.testing.assert_allclose(rotation.R_from_quat(rotation.multiply(qa, qb)), A @ B, atol=1e-12)
-    np.testing.assert_allclose(rotation.R_from_quat(rotation.conjugate(qa)), A.T, atol=1e-12)
+    np.testing.assert_allclose(rotation.rotate(qa, point), A @ point, atol=1e-12)
+    np.testing.assert_allclose(rotation.rotate(rotation.conjugate(qa), point), A.T @ point, atol=1e-12)
 
 
 @given(angles, st.floats(-1.5, 1.5), angles)
@@ -45,6 +46,7 @@ def test_roll_pitch_yaw_are_aerospace_angles(roll: float, pitch: float, yaw: flo
     q = rotation.quat_from_rpy(roll, pitch, yaw)
     x, y, z = (rotation.exp(angle * axis) for angle, axis in zip((roll, pitch, yaw), np.eye(3), strict=True))
     np.testing.assert_allclose(rotation.R_from_rpy(roll, pitch, yaw), z @ y @ x, atol=1e-12)
+    np.testing.assert_allclose(rotation.R_from_yaw(yaw), z, atol=1e-12)
     for found, given_angle in zip(rotation.rpy_from_quat(q), (roll, pitch, yaw), strict=True):
         assert rotation.wrapped(found - given_angle) == pytest.approx(0.0, abs=1e-9)
     assert rotation.yaw_of(q) == rotation.rpy_from_quat(q)[2]

@@ -1,0 +1,110 @@
+"""Topics that any drone's program logs: its setup, frames, state, link and end."""
+
+from __future__ import annotations
+
+from drivers.log.topic_fields import CAMERA, Topic, box, flag, number, numbers, reason, table, text, whole
+
+DRONE: dict[str, Topic] = {
+    "/setup": Topic(
+        "what the program was given; first. Poses are the upper three rows of their matrices, one after another",
+        {
+            "role": text("sender (D1) or receiver (D2)"),
+            "rig": text("its name"),
+            "level": text("sim, sim-rendered, sitl, hitl or field"),
+            "handoff_id": whole("of the mission"),
+            "target_id": whole("of the target"),
+            "method": table("settings of the method: path.config.MethodConfig"),
+            "mission": table("settings of the mission: flight.config.MissionConfig"),
+            "camera": table("this drone's", **CAMERA),
+            "peer_camera": table("the other drone's", **CAMERA),
+            "T_b_c": numbers("this drone's camera to its body (FRD), m"),
+            "T_b_v": numbers("the marker's frame to the sender's body (FRD), m"),
+            "T_v_c1": numbers("the sender's camera to the marker's frame, m"),
+            "markers_v_m": numbers("x, y, z of the four corners of every marker, marker's frame, m"),
+            "origin": numbers("latitude and longitude in degrees, altitude in m, of the local frame's zero"),
+            "fence_m": numbers("radius about the origin and height, beyond which nothing is flown, m"),
+        },
+    ),
+    "/frame": Topic(
+        "a camera frame whose cycle began; the stamp is the capture",
+        {
+            "frame_id": whole("of the camera; it only grows"),
+            "age_ns": whole("capture to begin of the cycle, ns"),
+            "T_n_c": numbers("camera to north-east-down as believed, of D1 with record = all: rows of its matrix, m"),
+        },
+    ),
+    "/recording": Topic(
+        "frames recorded beside the log, once a second; counters are from the program's start",
+        {
+            "taken": whole("frames that were to be recorded"),
+            "dropped": whole("of them not recorded: encoder or disk did not keep up"),
+            "bytes": whole("of the file"),
+            "spent_ns": whole("of processor, in real time only, ns"),
+        },
+    ),
+    "/cpu": Topic(
+        "processor time, once a second, in real time only",
+        {"spent_ns": table("ns since the start by stage; thread: the main thread; program: all threads")},
+    ),
+    "/shed": Topic(
+        "something is given up because the computer does not keep up, or taken up again; in real time only",
+        {
+            "what": text("of flight.shedding.IN_ORDER"),
+            "gone": flag("given up, not taken up again"),
+            "busy": number("share of the time at work before, 0 to 1"),
+        },
+    ),
+    "/phase": Topic("a phase of the course begins", {"phase": text("its name"), "note": text("for the crew")}),
+    "/note": Topic("a line for the crew", {"note": text("the line")}),
+    "/state": Topic(
+        "where the vehicle believes to be, ten times a second",
+        {
+            "position_n_m": numbers("north, east, down in m from the origin of the rig"),
+            "velocity_n_mps": numbers("north, east, down in m/s"),
+            "q_n_b": numbers("attitude, quaternion wxyz, body (FRD) to north-east-down"),
+            "mode": text("flight mode"),
+            "armed": flag("motors may turn"),
+            "battery": number("what is left, 0 to 1"),
+        },
+    ),
+    "/setpoint": Topic(
+        "what the vehicle was told",
+        {"velocity_n_mps": numbers("north, east, down in m/s"), "yaw_rad": number("heading from north, rad")},
+    ),
+    "/doubt": Topic(
+        "whether the pilot has taken the vehicle is not known for a moment",
+        {"mode": text("flight mode as heard"), "armed": flag("motors may turn")},
+    ),
+    "/responsibility": Topic(
+        "whose the target is, when that changes",
+        {
+            "responsible": flag("this drone's"),
+            "until_ns": whole("end of its lease, own clock; left out: for good. Nobody need say that it is over"),
+        },
+    ),
+    "/link": Topic(
+        "the link between the drones, once a second; counters are from the program's start",
+        {
+            "packets_sent": whole("packets"),
+            "packets_received": whole("packets"),
+            "bytes_sent": whole("bytes, UDP and IP headers included"),
+            "bytes_received": whole("bytes, UDP and IP headers included"),
+            "dropped": table("packets by reason"),
+            "clock_offset_ns": whole("clock of the other drone minus this one's, ns"),
+            "clock_uncertainty_ns": whole("bound on the error of that, ns"),
+        },
+    ),
+    "/track": Topic(
+        "a drone that follows the target on its own: what a frame gave",
+        {"box": box("the target"), "reason": reason("there is no box")},
+    ),
+    "/outcome": Topic(
+        "the end of the program",
+        {
+            "outcome": text("see docs/faults.md"),
+            "detail": text("what was seen"),
+            "responsible": flag("for the target, at the end"),
+            "landed": flag("by the script"),
+        },
+    ),
+}

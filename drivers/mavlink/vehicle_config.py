@@ -1,0 +1,76 @@
+"""The options of a MAVSDK vehicle in a rig."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+from drivers.mavlink.preflight.pilot_rules import silenced
+from drivers.mavlink.transport.port import URL
+from drivers.mavlink.vision import VisionConfig
+from path.bounds import AutopilotValues, Bounds
+
+
+@dataclass(frozen=True, slots=True)
+class MavsdkVehicleConfig:
+    """Options of the vehicle in a rig.
+
+    Attributes:
+        url: MAVSDK connection, ``udpin://127.0.0.1:14541``, ``serial:///dev/ttyACM0:921600``, ...
+        sysid: the vehicle's MAVLink system id.
+        autopilot: refused when the vehicle is another.
+        own_sysid: ours. ArduPilot's ground-station failsafe (MAV_GCS_SYSID) watches it.
+        telemetry_hz: position, velocity and attitude; three streams of 50 Hz need 9 kB/s.
+        heartbeat_hz: asked for, so that mode and arming are not a second late; 0 leaves it alone.
+        connect_timeout_s: for the first heartbeat, and for the first attitude after it.
+        command_timeout_s: for one acknowledgement.
+        mode_timeout_s: from an accepted command until telemetry shows it.
+        heartbeat_timeout_s: any wait ends with an error when the newest heartbeat is older.
+        take_off_tolerance_m: height error at which a take-off is over.
+        vision: a beacon's positions for an autopilot without GPS.
+        height_from: ``sea_level``: the altitude it says against the origin's. ``home``: what it says to be above its
+            home, which must then lie at the origin's altitude. Two GPS differ by metres in altitude, two barometers
+            that started on the same ground by decimetres.
+        key_file: of MAVLink 2's signatures, 32 bytes, mode 0600, the one that the autopilot was given (SETUP_SIGNING);
+            then only what is rightly signed is believed, and all that is sent is signed.
+        parameters: of the autopilot, without which a companion-driven flight is not safe; checked before arming. None
+            of them may keep a pilot's radio out.
+        rc: ``required``: nothing is armed unless a pilot's radio is heard and can take the vehicle. ``none``: there is
+            none, and nobody can take it but by a ground station.
+        ground_within_m: of the origin's altitude, as far as the vehicle says with ``sea_level`` while it stands there.
+    """
+
+    url: str
+    sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 1
+    autopilot: Literal["auto", "px4", "ardupilot"] = "auto"
+    own_sysid: Annotated[int, Bounds(1, 255, "(an id)")] = 245
+    # MAV_COMP_ID_MISSIONPLANNER: a ground station, as the failsafes expect
+    own_compid: Annotated[int, Bounds(1, 255, "(an id)")] = 190
+    telemetry_hz: Annotated[float, Bounds(1.0, 400.0)] = 50.0
+    heartbeat_hz: Annotated[float, Bounds(0.0, 50.0)] = 5.0
+    connect_timeout_s: Annotated[float, Bounds(0.1, 300.0)] = 10.0
+    command_timeout_s: Annotated[float, Bounds(0.05, 30.0)] = 1.0
+    mode_timeout_s: Annotated[float, Bounds(0.05, 60.0)] = 3.0
+    heartbeat_timeout_s: Annotated[float, Bounds(0.2, 30.0)] = 1.5
+    take_off_tolerance_m: Annotated[float, Bounds(0.01, 5.0)] = 0.3
+    offboard_lead_s: Annotated[float, Bounds(0.0, 5.0)] = 0.3
+    vision: VisionConfig | None = None
+    height_from: Literal["sea_level", "home"] = "sea_level"
+    key_file: Path | None = None
+    parameters: AutopilotValues = field(default_factory=dict[str, float])
+    rc: Literal["required", "none"] = "required"
+    ground_within_m: Annotated[float, Bounds(0.1, 100.0)] = 3.0
+
+    def __post_init__(self) -> None:
+        if keeps_out := silenced(self.parameters):
+            raise ValueError(f"parameters: {'; '.join(keeps_out)}")
+        for name in ("sysid", "own_sysid"):
+            if not 1 <= getattr(self, name) <= 255:
+                raise ValueError(f"{name} must be within 1..255")
+        if self.sysid == self.own_sysid:
+            raise ValueError("sysid and own_sysid must differ")
+        if self.key_file is not None and URL.fullmatch(self.url) is None:
+            raise ValueError(
+                "key_file: what is signed goes over udpin://HOST:PORT, udpout://HOST:PORT, serial://DEVICE:BAUD"
+            )
