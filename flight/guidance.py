@@ -44,6 +44,17 @@ def bearing(to_n_m: Vec3) -> float:
     return math.atan2(to_n_m[1], to_n_m[0])
 
 
+BELOW_FENCE_M = 0.5
+"""So much below the fence's height a drone that follows a target stays: it comes to rest late, and wind lifts it."""
+
+
+def within_fence(place_n_m: Vec3, radius_m: float, height_m: float) -> Vec3:
+    """The nearest place that is no farther from the origin, and no higher."""
+    north, east, down = place_n_m
+    share = min(1.0, max(0.0, radius_m) / max(math.hypot(north, east), 1e-9))
+    return share * north, share * east, max(down, -max(0.0, height_m))
+
+
 def way_until_away(offset_n_m: Vec3, along_n: Vec3, distance_m: float) -> float:
     """Returns the way along a level unit vector until the level distance from something is so large; 0: it is already.
 

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.interfaces import VehicleState, VelocitySetpoint
 from drivers.rig.parts import Mount
 from flight.config import MissionConfig
-from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, scale, subtract
+from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, scale, subtract, within_fence
 from flight.rendezvous.marker_view import MarkerView, levelled
 from flight.rendezvous.viewpoint import Floats, NoViewpoint, Viewpoint, ViewpointScene, plan_viewpoint
 from flight.tilt import Tilt
@@ -166,11 +166,8 @@ class Rendezvous:
     def _within_fence(self, place_n_m: Vec3) -> Vec3:
         """The nearest place that is inside the fence however wrong this drone's own position is."""
         guard, rendezvous = self._config.guard, self._config.rendezvous
-        radius_m = max(0.0, guard.fence_radius_m - rendezvous.positions_within_m)
-        height_m = max(0.0, guard.fence_height_m - rendezvous.heights_within_m)
-        north, east, down = place_n_m
-        share = min(1.0, radius_m / max(math.hypot(north, east), 1e-9))
-        return share * north, share * east, max(down, -height_m)
+        radius_m = guard.fence_radius_m - rendezvous.positions_within_m
+        return within_fence(place_n_m, radius_m, guard.fence_height_m - rendezvous.heights_within_m)
 
     def _by_position(self, place_n_m: Vec3, state: VehicleState, yaw_rad: float) -> VelocitySetpoint:
         error, gain = subtract(place_n_m, state.position_n_m), self._config.rendezvous.gain_per_s

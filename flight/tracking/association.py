@@ -27,6 +27,8 @@ _CLEARLY_NEARER = 1.5
 _ROUND = 16  # places on the rim of where a designated object can be
 _MIN_DESCENT = 0.2  # per metre along the optical axis
 _DEPTH_FLOOR_M, _DEPTH_SIGMAS = 0.2, 3.0  # how far a depth may put the object from its prediction
+_SIDE_PX = 3.0  # noise of a box's side
+_HELD_S, _LARGER = 5.0, 1.3  # for so long an object is taken to be in a box that is so much larger than its own was
 _COARSE_M = 0.12  # a range that is no better is estimated, not measured
 
 
@@ -110,7 +112,8 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     following while the frame is a miss, and does not follow a range that changes with the target's heading. A depth
     that puts it elsewhere on its ray is of something else, such as the other drone in front of it: that is no depth.
     A box that the image's border cuts is not the object's: it keeps the track, and the frame is a miss.
-    Two boxes that are the object's size together are the object, and not something beside it.
+    Two boxes that are the object's size together are the object, and not something beside it. A box that has suddenly
+    grown has something else in it as well: the object is somewhere in there, and the frame is a miss too.
     """
     predicted_n, sigma_m = track.predict(view.stamp_ns)
     x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
@@ -123,21 +126,26 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / _AMBIGUITY, _RIVAL_REACH_M)
     found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
     ranked = by_distance(found, (u, v), camera, track.size_m, z)
+    down_m = track.position_n_m[2]
     if not ranked or ranked[0].off_px > px_per_m * gate_m:
-        return MissReason.NO_TARGET
+        holder = _holder(ranked, (u, v), track, px_per_m, view.stamp_ns)
+        return MissReason.NO_TARGET if holder is None else _keep(track, holder, camera, T_n_c, view.stamp_ns)
     chosen = ranked[0]
     if len(ranked) > 1:
         track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
         if unseen or _nearly_as_near(ranked):
             return MissReason.AMBIGUOUS_TARGET
-    down_m = track.position_n_m[2]
     if chosen.cut:
         bounded = _at_height(chosen.pixel, camera, T_n_c, down_m)
         if bounded is not None:
             track.update(bounded, view.stamp_ns, cut=True)
         return MissReason.NO_TARGET
     box = chosen.box
-    track.size_m = box.w * z / camera.fx, box.h * z / camera.fy
+    sides_m = box.w * z / camera.fx, box.h * z / camera.fy
+    if track.outgrown(sides_m, _SIDE_PX / max(1.0, min(box.w, box.h)), view.stamp_ns) and track.size_m is not None:
+        within = _within(box, (u, v), (px_per_m * track.size_m[0], px_per_m * track.size_m[1]))
+        return _keep(track, within, camera, T_n_c, view.stamp_ns)
+    track.note_size(sides_m, view.stamp_ns)
     depth = view.depth(box)
     if depth is not None:
         shown = to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
@@ -149,6 +157,40 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     if measured is not None:
         track.update(measured, view.stamp_ns)
     return Sighting(box, depth, _beside(view, box, ranked[1:], px_per_m))
+
+
+def _keep(track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, stamp_ns: int) -> MissReason:
+    """Keeps the track of an object that is somewhere in a box with more in it; the frame is a miss."""
+    bounded = _at_height(pixel, camera, T_n_c, track.position_n_m[2])
+    if bounded is not None:
+        track.update(bounded, stamp_ns, cut=True)
+    return MissReason.AMBIGUOUS_TARGET
+
+
+def _holder(
+    ranked: Sequence[ImageObject], expected: Pixel, track: TargetTrack, px_per_m: float, stamp_ns: int
+) -> Pixel | None:
+    """Where the object must be in a box that it has to itself no more: one around where it is expected, and larger.
+
+    For a while after it was seen whole: then what is there may be anything.
+    """
+    if track.size_m is None or stamp_ns - track.whole_ns > _HELD_S * 1e9:
+        return None
+    side_px = px_per_m * track.size_m[0], px_per_m * track.size_m[1]
+    u, v = expected
+    for each in ranked:
+        box = each.box
+        around = box.x <= u <= box.x + box.w and box.y <= v <= box.y + box.h
+        if around and not each.cut and max(box.w / side_px[0], box.h / side_px[1]) > _LARGER:
+            return _within(box, expected, side_px)
+    return None
+
+
+def _within(box: Box, expected: Pixel, side_px: tuple[float, float]) -> Pixel:
+    """The pixel nearest to the expected one around which an object with these sides is in the box."""
+    u, v = box.center
+    room_u, room_v = 0.5 * max(0.0, box.w - side_px[0]), 0.5 * max(0.0, box.h - side_px[1])
+    return max(u - room_u, min(u + room_u, expected[0])), max(v - room_v, min(v + room_v, expected[1]))
 
 
 def _beside(view: View, own: Box, others: Sequence[ImageObject], px_per_m: float) -> tuple[Rival, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from flight.guidance import Vec3, add, scale, subtract
+from path.target.size import RunningSize
 
 _MEASUREMENT_SIGMA_M = 0.05
 _ACCELERATION_SIGMA_MPS2 = 0.6
@@ -15,15 +16,19 @@ _RIVAL_SHARE = 0.4  # of the way to the nearest other object: where that is know
 _RIVAL_S = 3.0  # for so long an object that was seen beside the target is taken to be there still
 _UNSEEN_REACH_M = 2.0  # no object is looked for farther off
 _CUT_SIGMA_M = 0.15  # of the place that such a box gives
+_GROWTH_SIGMA, _GROWN = 0.08, 4.0  # of the logarithm of a box's side, and how many of them are of something else
 
 
 class TargetTrack:
     """Position and velocity of one object in ``n``; the same filter on each axis (Kalman, constant velocity).
 
-    ``accel_mps2``: how hard it may be expected to speed up, brake and turn.
+    ``accel_mps2``: how hard it may be expected to speed up, brake and turn. ``flies``: it moves up and down too; of one
+    that does not, what seems to is its box.
     """
 
-    def __init__(self, position_n_m: Vec3, stamp_ns: int, accel_mps2: float = _ACCELERATION_SIGMA_MPS2) -> None:
+    def __init__(
+        self, position_n_m: Vec3, stamp_ns: int, accel_mps2: float = _ACCELERATION_SIGMA_MPS2, *, flies: bool = False
+    ) -> None:
         self.position_n_m = position_n_m
         self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
         self.stamp_ns = stamp_ns
@@ -31,10 +36,13 @@ class TargetTrack:
         self.rival_m = math.inf  # from the target to the nearest other object
         self.rival_ns = stamp_ns
         self._accel_mps2 = accel_mps2
+        self._flies = flies
+        self._sizes = RunningSize(sure_s=0.0)
         self._pp = 0.3**2
         self._pv = 0.0
         self._vv = 0.5**2
         self.size_m: tuple[float, float] | None = None  # of its box, where it was last seen whole
+        self.whole_ns = stamp_ns
 
     def predict(self, stamp_ns: int) -> tuple[Vec3, float]:
         """Position (m) and its standard deviation per axis at a stamp, the filter left as it is."""
@@ -75,13 +83,25 @@ class TargetTrack:
         if distance_m <= self.rival_m or not self._rival_known(stamp_ns):
             self.rival_m, self.rival_ns = distance_m, stamp_ns
 
+    def note_size(self, sides_m: tuple[float, float], stamp_ns: int) -> None:
+        """The object was seen whole, and alone in its box."""
+        self.size_m, self.whole_ns = sides_m, stamp_ns
+
+    def outgrown(self, sides_m: tuple[float, float], noise: float, stamp_ns: int) -> bool:
+        """Returns whether a box is so much larger than the object's was a moment ago that there is more in it.
+
+        One that is not is remembered. ``noise``: standard deviation of a side, relative.
+        """
+        return self._sizes.note(stamp_ns, sides_m, math.hypot(noise, _GROWTH_SIGMA), _GROWN) > _GROWN
+
     def _rival_known(self, stamp_ns: int) -> bool:
         return stamp_ns - self.rival_ns <= _RIVAL_S * 1e9
 
     def update(self, measured_n_m: Vec3, stamp_ns: int, *, cut: bool = False) -> None:
         """Fuse one measured position; older stamps than the newest are ignored.
 
-        ``cut``: from a box that the image's border cuts; it bounds the position, and says nothing of the velocity.
+        ``cut``: from a box that the image's border cuts, or that has more in it; it bounds the position, and says
+        nothing of the velocity.
         """
         dt = (stamp_ns - self.stamp_ns) * 1e-9
         if dt < 0.0:
@@ -95,6 +115,7 @@ class TargetTrack:
         gain_p, gain_v = pp / (pp + noise), 0.0 if cut else pv / (pp + noise)
         innovation = subtract(measured_n_m, position)
         self.position_n_m = add(position, scale(innovation, gain_p))
-        self.velocity_n_mps = add(self.velocity_n_mps, scale(innovation, gain_v))
+        north, east, down = add(self.velocity_n_mps, scale(innovation, gain_v))
+        self.velocity_n_mps = north, east, down if self._flies else 0.0
         self._pp, self._pv, self._vv = (1.0 - gain_p) * pp, (1.0 - gain_p) * pv, vv - gain_v * pv
         self.stamp_ns = self.seen_ns = stamp_ns

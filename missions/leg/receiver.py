@@ -11,7 +11,18 @@ from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetp
 from flight.camera_pose import CameraPose, gravity_in
 from flight.config import MissionConfig
 from flight.guard.limits import check_separation
-from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, norm, subtract
+from flight.guidance import (
+    BELOW_FENCE_M,
+    Anchor,
+    Vec3,
+    add,
+    approach,
+    bearing,
+    from_heading,
+    norm,
+    subtract,
+    within_fence,
+)
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.rendezvous.course import Rendezvous
@@ -208,7 +219,9 @@ class Receiver:
         assert self._track is not None
         target, (north, east, down) = self._track.believed(self._session.now_ns())
         moves = north, east, down if self._config.target.flies else 0.0
-        error = subtract(add(target, self._keep_n_m), state.position_n_m)
+        highest_m = self._config.guard.fence_height_m - BELOW_FENCE_M
+        place = within_fence(add(target, self._keep_n_m), math.inf, highest_m)
+        error = subtract(place, state.position_n_m)
         keep, accel_mps2 = self._config.follow, self._config.max_accel_mps2
         velocity = approach(error, state.velocity_n_mps, moves, keep.answer(accel_mps2))
         return VelocitySetpoint(velocity, bearing(subtract(target, state.position_n_m)))
@@ -312,7 +325,9 @@ class Receiver:
         depth = view.depth(candidate.box) or Depth(prior.depth_m, 0.0)
         position = place(candidate.box, depth, self._camera, T_n_c, -self._config.target.height_m)
         if self._track is None:
-            self._track = TargetTrack(position, view.stamp_ns, self._config.follow.target_accel_mps2)
+            self._track = TargetTrack(
+                position, view.stamp_ns, self._config.follow.target_accel_mps2, flies=self._config.target.flies
+            )
         else:
             self._track.update(position, view.stamp_ns)
 

@@ -9,7 +9,19 @@ from dataclasses import replace
 from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
 from flight.camera_pose import CameraPose
 from flight.config import Designated, MissionConfig
-from flight.guidance import Anchor, Vec3, add, approach, bearing, from_heading, scale, subtract, way_until_away
+from flight.guidance import (
+    BELOW_FENCE_M,
+    Anchor,
+    Vec3,
+    add,
+    approach,
+    bearing,
+    from_heading,
+    scale,
+    subtract,
+    way_until_away,
+    within_fence,
+)
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.tilt import Tilt
@@ -195,11 +207,15 @@ class Sender:
         return VelocitySetpoint(approach(error, state.velocity_n_mps, velocity_n_mps, answer), self._heading_rad)
 
     def _view_of(self, target_n_m: Vec3) -> Vec3:
-        """Behind and above the target, in the heading it was approached with; a drone that is tilted stands aside."""
+        """Behind and above the target, in the heading it was approached with; a drone that is tilted stands aside.
+
+        However far up a target seems to be, it is below the fence.
+        """
         keep, wider = self._config.follow, _WIDER if self._regaining() else 1.0
         below_m = wider * (keep.height_m - self._config.target.height_m)
         place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
-        return add(place, self._tilt.aim(self._axis_b, self._heading_rad, below_m))
+        place = add(place, self._tilt.aim(self._axis_b, self._heading_rad, below_m))
+        return within_fence(place, math.inf, self._config.guard.fence_height_m - BELOW_FENCE_M)
 
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the target in view from behind."""
@@ -247,7 +263,9 @@ class Sender:
         T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
         position = self._acquisition.look(view, T_n_c, self._designated(view.stamp_ns))
         if position is not None:
-            self._track = TargetTrack(position, view.stamp_ns, self._config.follow.target_accel_mps2)
+            self._track = TargetTrack(
+                position, view.stamp_ns, self._config.follow.target_accel_mps2, flies=self._config.target.flies
+            )
 
     def _designated(self, stamp_ns: int) -> Designated:
         """The ground on which the object that the operator pointed at can be by a stamp."""

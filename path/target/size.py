@@ -38,10 +38,14 @@ FITS = 0.0
 _TINY_M = 1e-6
 
 
-class _RunningSize:
-    """The size of one camera's box over its last frames, as logarithms of both sides in m."""
+class RunningSize:
+    """The size of one camera's box over its last frames, as logarithms of both sides in m.
 
-    def __init__(self) -> None:
+    ``sure_s``: how old its mean must be to say that a box has outgrown it.
+    """
+
+    def __init__(self, sure_s: float = SURE_S) -> None:
+        self._sure_ns = round(sure_s * 1e9)
         self._mean: tuple[float, float] | None = None
         self._first_ns = self._stamp_ns = 0  # of the first and the newest box that fitted
 
@@ -50,7 +54,7 @@ class _RunningSize:
         logs = math.log(sides_m[0]), math.log(sides_m[1])
         mean, since_s = self._mean, max(0.0, (stamp_ns - self._stamp_ns) * 1e-9)
         grown = FITS if mean is None else max(logs[0] - mean[0], logs[1] - mean[1]) / sigma
-        unsure = grown > most_sigmas and self._stamp_ns - self._first_ns < SURE_S * 1e9
+        unsure = grown > most_sigmas and self._stamp_ns - self._first_ns < self._sure_ns
         if mean is None or unsure or since_s > LEARNED_S:
             self._mean, self._first_ns, self._stamp_ns = logs, stamp_ns, stamp_ns
             return FITS
@@ -69,7 +73,7 @@ class Sizes:
 
     def __init__(self, views: TwoViews, config: MethodConfig) -> None:
         self._views, self._config = views, config
-        self._own, self._theirs = _RunningSize(), _RunningSize()
+        self._own, self._theirs = RunningSize(), RunningSize()
 
     def own(self, stamp_ns: int, box: Box, depth: Depth, point_v: Vec3, gravity_v: Vec3) -> float:
         """By how many standard deviations D1's box in its newest frame is larger than the target can be."""
@@ -86,7 +90,7 @@ class Sizes:
         return self._above(self._theirs, stamp_ns, camera, T_v_c2, box, depth, point_v, gravity_v)
 
     def _above(
-        self, running: _RunningSize, stamp_ns: int, camera: CameraModel, T_v_c: Rigid, box: Box, depth: Depth,
+        self, running: RunningSize, stamp_ns: int, camera: CameraModel, T_v_c: Rigid, box: Box, depth: Depth,
         point_v: Vec3, gravity_v: Vec3,
     ) -> float:  # fmt: skip
         own, z_m = self._config.evidence, depth.z_m

@@ -171,7 +171,7 @@ def follow_course(
             at = np.array(position) + view_late_s * np.array(velocity)
             believed = Pose(R_off @ MOUNT.T_b_c.R, R_off @ MOUNT.T_b_c.t + at)
             if track is None:
-                track = TargetTrack(place, stamp_ns, config.follow.target_accel_mps2)
+                track = TargetTrack(place, stamp_ns, config.follow.target_accel_mps2, flies=config.target.flies)
             held = isinstance(follow(view, believed, CAMERA, track), Sighting)
             alone = Seen(stamp_ns, (place,), true, np.random.default_rng(0)).found
             whole = bool(alone) and alone[0][0].score > 0.5

@@ -431,3 +431,50 @@ def test_an_estimated_range_is_all_there_is_for_what_is_level_with_the_camera() 
     level = Pose(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([0.0, 0.0, -2.0]))
     box = Box(290.0, 220.0, 60.0, 40.0)  # around the principal point
     assert place(box, Depth(3.0, 0.3), CAMERA, level, 0.0) == pytest.approx((3.0, 0.0, -2.0), abs=0.01)
+
+
+class TakenForOne(FakeView):
+    """Its object, and another one right behind it, in one box that is 1.6 times as high."""
+
+    def boxes(self) -> list[Box]:
+        return [Box(box.x, box.y - 0.6 * box.h, box.w, 1.6 * box.h) for box in super().boxes()]
+
+
+def test_a_box_that_has_more_in_it_from_one_frame_to_the_next_moves_the_track_little_and_not_up() -> None:
+    track = settled(PLACE)
+    for _ in range(10):
+        seen = follow(TakenForOne([PLACE], track.stamp_ns + SECOND // 50), T_N_C, CAMERA, track)
+        assert seen is MissReason.AMBIGUOUS_TARGET
+    assert math.dist(track.position_n_m, PLACE) < 0.02
+    assert tracked(FakeView([PLACE], track.stamp_ns + SECOND // 50), track).box == FakeView([PLACE]).boxes()[0]
+
+
+def test_what_has_grown_and_stays_so_is_the_object() -> None:
+    track, begun_ns = settled(PLACE), SECOND
+    seen: Sighting | MissReason = MissReason.AMBIGUOUS_TARGET
+    while isinstance(seen, MissReason) and track.stamp_ns < 6 * SECOND:
+        seen = follow(TakenForOne([PLACE], track.stamp_ns + SECOND // 50), T_N_C, CAMERA, track)
+    assert 2.5 * SECOND < track.stamp_ns - begun_ns < 3.5 * SECOND
+
+
+class FarBehind(FakeView):
+    """Its object, and one so far behind it that the middle of the box around both is outside the gate."""
+
+    def boxes(self) -> list[Box]:
+        return [Box(box.x, box.y - 4.0 * box.h, box.w, 5.0 * box.h) for box in super().boxes()]
+
+
+def test_in_a_box_around_more_than_the_object_it_is_kept_for_a_while() -> None:
+    track = settled(PLACE)
+    while follow(FarBehind([PLACE], track.stamp_ns + SECOND // 50), T_N_C, CAMERA, track) is not MissReason.NO_TARGET:
+        assert math.dist(track.position_n_m, PLACE) < 0.02
+    assert 4.5 * SECOND < track.seen_ns - SECOND < 5.5 * SECOND
+
+
+@pytest.mark.parametrize("flies", [False, True])
+def test_only_what_flies_goes_up(flies: bool) -> None:
+    track = TargetTrack(PLACE, 0, flies=flies)
+    for k in range(1, 51):
+        track.update((PLACE[0], PLACE[1], PLACE[2] - 0.6 * k / 50), k * SECOND // 50)
+    (_, _, down), _ = track.predict(3 * SECOND)
+    assert (down < PLACE[2] - 1.5) == flies
