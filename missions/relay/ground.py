@@ -85,6 +85,10 @@ class SentTo:
     heading_deg: float
 
 
+TurnedBack = Literal["no", "wait", "go"]
+"""Of a drone on its way home: it is to fly on; to wait where it is until its way is free; to go and find its target."""
+
+
 class TeamGround(Ground, Protocol):
     """The ground of a team: it knows targets besides."""
 
@@ -100,4 +104,16 @@ class TeamGround(Ground, Protocol):
 
     def gave_up(self, name: str, why: str) -> None:
         """A drone that had its target has it no more, and handed it to nobody."""
+        ...
+
+    def may_find(self, name: str, wait_s: float) -> None:
+        """Tells that a drone on its way home is not responsible, and could find its target again.
+
+        Args:
+            wait_s: how long its battery lets it stay.
+        """
+        ...
+
+    def turned_back(self, name: str) -> TurnedBack:
+        """Returns whether this drone is wanted at its target again, which nobody has."""
         ...

@@ -14,7 +14,7 @@ import msgspec
 from flight.guidance import Vec3
 from flight.harness.relay import Pointed
 from flight.outcome import MissionEnd, Outcome
-from missions.relay.ground import Ground, Leg, SentTo, TakeOffOrder, TeamGround
+from missions.relay.ground import Ground, Leg, SentTo, TakeOffOrder, TeamGround, TurnedBack
 
 Say = Callable[[Mapping[str, Any]], None]
 
@@ -28,7 +28,12 @@ def news_of(base: Ground, name: str) -> dict[str, Any]:
 def team_news_of(ground: TeamGround, name: str) -> dict[str, Any]:
     """Returns what a drone's program of a team has to know besides: its target, and where a person points at it."""
     pointed = ground.pointed_at(name) if ground.order_of(name) is TakeOffOrder.FIND else None
-    return {**news_of(ground, name), "sent": asdict(ground.sent_to(name)), "pointed": pointed and asdict(pointed)}
+    return {
+        **news_of(ground, name),
+        "sent": asdict(ground.sent_to(name)),
+        "pointed": pointed and asdict(pointed),
+        "turned_back": ground.turned_back(name),
+    }
 
 
 def hear(base: Ground, name: str, word: Mapping[str, Any]) -> None:
@@ -51,6 +56,8 @@ def team_hear(ground: TeamGround, name: str, word: Mapping[str, Any]) -> None:
             ground.follows(name, (north, east, down))
         case {"event": "gave_up", "why": str(why)}:
             ground.gave_up(name, why)
+        case {"event": "may_find", "wait_s": float(wait_s)}:
+            ground.may_find(name, wait_s)
         case _:
             hear(ground, name, word)
 
@@ -68,6 +75,7 @@ class FarBase:
         self._ended = 0  # number of the newest leg that is over
         self._sent: SentTo | None = None
         self._pointed: Pointed | None = None
+        self._turned_back: TurnedBack = "no"
         self.over = False
 
     @property
@@ -82,6 +90,7 @@ class FarBase:
             self._sent = msgspec.convert(news["sent"], SentTo)
         if news.get("pointed") is not None:
             self._pointed = msgspec.convert(news["pointed"], Pointed)
+        self._turned_back = news.get("turned_back", "no")
 
     def order_of(self, name: str) -> TakeOffOrder:
         assert name == self._name and self._order is not None, "asked before there was any news"
@@ -120,6 +129,14 @@ class FarBase:
     def gave_up(self, name: str, why: str) -> None:
         self._end_leg(name)
         self._say({"event": "gave_up", "why": why})
+
+    def may_find(self, name: str, wait_s: float) -> None:
+        assert name == self._name
+        self._say({"event": "may_find", "wait_s": wait_s})
+
+    def turned_back(self, name: str) -> TurnedBack:
+        assert name == self._name
+        return self._turned_back
 
     def _end_leg(self, name: str) -> None:
         leg = self.leg_of(name)

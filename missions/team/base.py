@@ -14,12 +14,13 @@ from flight.harness.fleet import TeamConfig
 from flight.harness.relay import Pointed, TeamField
 from flight.outcome import MissionEnd, Outcome
 from missions.relay.crew import Crew, end_of
-from missions.relay.ground import Leg, SentTo, TakeOffOrder
+from missions.relay.ground import Leg, SentTo, TakeOffOrder, TurnedBack
 from missions.team.airways import Airway, in_the_way, way_back, way_out
 from missions.team.assignment import Airspace, Assignment, Need, ReadyDrone, assign
 from missions.team.needs import needs_of
 from missions.team.roster import Custody, TeamDrone, TeamTarget
 
+_STAYS_S = 180.0  # of battery, at least, to find a target on the way home: until it has it, and is relieved
 _HELD_BACK_S = 60.0  # without anybody on its way to a lost target, while drones stand ready
 
 
@@ -71,6 +72,7 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
             leg.held_s, leg.outcome = self._now_s(), Outcome.COMMITTED.label
             self._close_leg(leg)
         target.holder, target.finder, target.asking, target.alarmed = name, None, None, False
+        drone.has_nothing = False
         self._end_spell(target)
         self.spells.append(Custody(target.number, name, self._now_s()))
         drone.ways.clear()
@@ -94,7 +96,34 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
             drone.leg.outcome, drone.leg.detail = drone.leg.outcome or Outcome.PEER_ABORTED.label, why
             self._close_leg(drone.leg)
         drone.ways.append(self._back(name, target.number))
+        drone.has_nothing = True
         self._lose(target, name, why)
+
+    def may_find(self, name: str, wait_s: float) -> None:
+        drone, target = self.drones[name], self.target_of(name)
+        drone.has_nothing = True
+        if wait_s < _STAYS_S and target.finder == name:  # it comes home after all
+            drone.turned_back, target.finder = "no", None
+        if self.over or wait_s < _STAYS_S or drone.turned_back != "no" or not self._nobody_has(target, name):
+            return
+        if target.holder == name:  # it handed it over to one that is dead
+            if drone.leg is not None:
+                drone.leg.outcome = drone.leg.outcome or Outcome.ORPHANED.label
+                self._close_leg(drone.leg)
+            self._lose(target, name, "nobody said that it holds it")
+        if self._now_s() - target.lost_s >= self.config.point_s:
+            drone.turned_back, drone.order, target.finder = "wait", TakeOffOrder.FIND, name
+            self._say(name, "find", f"{target.named.name}, turns back on its way home")
+
+    def turned_back(self, name: str) -> TurnedBack:
+        drone, target = self.drones[name], self.target_of(name)
+        if drone.turned_back == "wait":
+            out = way_out(drone.home_m, target.place_m, self.config.area_m)
+            others = [way for each in self.drones.values() if each is not drone for way in each.ways]
+            if not in_the_way((out,), others, self.config.clear_route_m):
+                drone.turned_back = "go"
+                drone.ways.append(out)
+        return drone.turned_back
 
     # --- the loop ---
 
@@ -146,6 +175,13 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
     def _landed(self, drone: TeamDrone) -> None:
         drone.target = None
         drone.ways.clear()
+
+    def _nobody_has(self, target: TeamTarget, name: str) -> bool:
+        """Nobody but this one, which says that it is not, can be responsible for the target, or is on its way to it."""
+        if target.finder is not None or target.holder not in (None, name):
+            return False
+        others = (each for each in self.drones.values() if each.name != name and each.target == target.number)
+        return all(each.has_nothing or each.task is None or each.task.done() for each in others)
 
     def _let_go(self, drone: TeamDrone, target: TeamTarget) -> None:
         if drone.leg is not None:
@@ -218,7 +254,7 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         else:
             order = TakeOffOrder.RELIEVE
             self._open_leg(drone, target, ways[1])
-        drone.called_home = False
+        drone.called_home, drone.has_nothing, drone.turned_back = False, False, "no"
         self._call(drone, order)
 
     def _open_leg(self, drone: TeamDrone, target: TeamTarget, back: Airway) -> None:
@@ -267,6 +303,7 @@ class OwnGround:
         )  # fmt: skip
         self.ask, self.holds, self.leg_failed = base.ask, base.holds, base.leg_failed
         self.follows, self.gave_up = base.follows, base.gave_up
+        self.may_find, self.turned_back = base.may_find, base.turned_back
 
     @property
     def over(self) -> bool:

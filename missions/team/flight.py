@@ -30,6 +30,7 @@ _THERE_M = 0.6
 _TOLD_S = 1.0
 _POLL_S = 0.1
 _SLACK_S = 30.0
+_WAITS_S = 60.0  # for the way back to a target: a pilot may be landing there
 
 
 class TeamFlight(DroneFlight):
@@ -43,7 +44,8 @@ class TeamFlight(DroneFlight):
         self._team, self._ground = team, ground
         self._mission = mission_on(self._mission, ground.sent_to(name))
         self._pointed: Pointed | None = None
-        self._told_s = -_TOLD_S
+        self._told_s = self._asked_s = -_TOLD_S
+        self._has_turned = False
         self.entry_m = team.entry_m
 
     # --- where the target is ---
@@ -109,14 +111,47 @@ class TeamFlight(DroneFlight):
     async def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> bool:
         """Out of the others' way, up, home above everything, and down; where that cannot be flown, down."""
         east, north = self._me.home_m
-        way = way_home(aside, (north, east, -self._team.return_height_m))
+        *climb, home = way_home(aside, (north, east, -self._team.return_height_m))
         if may_manoeuvre(session, end):
             session.enter(Phase.DEPART, "on its way home")
-        for anchor in way:
-            if not may_manoeuvre(session, end):
+        for anchor in climb:
+            if may_manoeuvre(session, end):
+                await self._fly_to(session, anchor, self._team.transit_mps)
+        while may_manoeuvre(session, end):
+            await self._fly_to(session, home, self._team.transit_mps, until=lambda: self._is_wanted(session))
+            if not self._is_wanted(session):
                 break
-            await self._fly_to(session, anchor, self._team.transit_mps)
-        return await bring_down(session, end, way[-1])
+            if await self._may_turn_back(session):
+                self.turning_back = True
+                return False
+        return await bring_down(session, end, home)
+
+    def _is_wanted(self, session: RoleSession) -> bool:
+        """Returns whether it is to find its target again, on its way home; once in a flight."""
+        if self._has_turned or session.responsible:
+            return False
+        now_s = asyncio.get_running_loop().time()
+        if now_s - self._asked_s >= _TOLD_S:
+            self._asked_s = now_s
+            self._gauge.note(now_s, session.vehicle.state.battery)
+            self._ground.may_find(self._name, self._gauge.left_s - self._team.home_s)
+        return self._ground.turned_back(self._name) != "no"
+
+    async def _may_turn_back(self, session: RoleSession) -> bool:
+        """Waits, high above, until its way is free; False when that took too long."""
+        self._has_turned = True
+        session.say("turns back: nobody has its target")
+        session.pilot.hold_here()
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + _WAITS_S
+        while (answer := self._ground.turned_back(self._name)) == "wait":
+            if not session.pilot.in_control or loop.time() > end_s:
+                break
+            await asyncio.sleep(_POLL_S)
+        if answer == "go" and session.pilot.in_control:
+            return True
+        self._ground.may_find(self._name, 0.0)
+        return False
 
 
 def mission_on(mission: MissionConfig, sent: SentTo) -> MissionConfig:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from flight.guidance import Vec3
 from flight.harness.fleet import NamedTarget
 from missions.relay.crew import CalledDrone
-from missions.relay.ground import Leg
+from missions.relay.ground import Leg, TurnedBack
 from missions.team.airways import Airway, Point
 
 
@@ -23,13 +23,21 @@ class Custody:
 
 @dataclass(slots=True, kw_only=True)
 class TeamDrone(CalledDrone):
-    """The ground's knowledge of one drone. ``ways``: those that are kept free for it."""
+    """The ground's knowledge of one drone.
+
+    Attributes:
+        ways: those that are kept free for it.
+        has_nothing: it said that it is not responsible for its target any more.
+        turned_back: on its way home it was asked to find its target again.
+    """
 
     home_m: Point
     target: int | None = None
     heading_deg: float = 0.0
     leg: Leg | None = None
     called_home: bool = False
+    has_nothing: bool = False
+    turned_back: TurnedBack = "no"
     ways: list[Airway] = field(default_factory=list[Airway])
 
 

@@ -117,7 +117,6 @@ class Aboard:
 
         Raises StateError; then the one before goes on.
         """
-        assert track is not None, "what is held is tracked"
         if leg is not None:
             await write(self._store, for_leg(self._store.load(), leg.number))
         session = self._session(Role.SENDER, leg, link)
@@ -154,6 +153,7 @@ class Aboard:
     # --- what a team's drones do otherwise ---
 
     entry_m = 0.0
+    turning_back = False  # to find the target again, instead of coming home
 
     async def go_out(self, session: RoleSession, place: Callable[[], Vec3]) -> None:
         """The targets of a relay are near: the rendezvous, or the way to the designated place, begins at home."""
@@ -192,11 +192,13 @@ class Aboard:
             await self._fly_to(session, anchor)
         return await bring_down(session, end, above)
 
-    async def _fly_to(self, session: RoleSession, anchor: Anchor, speed_mps: float = 1.2) -> None:
+    async def _fly_to(
+        self, session: RoleSession, anchor: Anchor, speed_mps: float = 1.2, until: Callable[[], bool] = lambda: False
+    ) -> None:
         session.pilot.guidance = lambda state: anchor.hold(state, max_speed_mps=speed_mps)
         loop = asyncio.get_running_loop()
         end_s = loop.time() + session.config.deadlines.depart_s
-        while session.pilot.in_control and loop.time() < end_s:
+        while session.pilot.in_control and loop.time() < end_s and not until():
             north, east, down = session.vehicle.state.position_n_m
             n, e, d = anchor.position_n_m
             if max(abs(north - n), abs(east - e), abs(down - d)) < _THERE_M:

@@ -16,6 +16,7 @@ from drivers.interfaces import (
     Log,
     PartError,
     RecordStore,
+    StateError,
 )
 from flight.harness.flights import Emit, InProcess, RoleResult
 from flight.harness.relay import DroneProgram
@@ -45,9 +46,12 @@ class DroneFlight(Aboard):
             self._parts = await self._open(stack)
             if self._parts.vehicle.state.armed:
                 return await self._begun_in_the_air()
-            if self._base.order_of(self._name) is TakeOffOrder.FIND:
-                return await self._find()
-            return await self._relieve()
+            try:
+                if self._base.order_of(self._name) is TakeOffOrder.FIND:
+                    return await self._find()
+                return await self._relieve()
+            except _TurnsBack as again:
+                return await self._find_again(again.session, again.holder)
 
     # --- what a drone takes off for ---
 
@@ -122,15 +126,40 @@ class DroneFlight(Aboard):
             end = await run_course(session, flown.resume)
             return await self._end(session, flown, end)
 
+    async def _find_again(self, session: RoleSession, holder: Holder) -> RoleResult:
+        """Finds the target, which nobody has any more, instead of coming home. Once in a flight."""
+        end = await run_course(session, holder.find_again)
+        if end is not None:
+            return await self._end(session, holder, end)
+        return await self._change_role(session, holder)
+
     async def _end(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd | None) -> RoleResult:
-        landed = False
+        """Raises _TurnsBack for a drone that is not to come home."""
+        landed, flies_on = False, False
         try:
             if end is not None:
                 await self._give_up(session, flown, end)
             landed = await run_recovery(session, flown.recover, end)
+            if self.turning_back:
+                self.turning_back = False
+                await write(self._store, as_first(self._store.load()))
+                again = _TurnsBack(*await self._go_on(session, None, Nobody(), None))
+                flies_on = True
+                raise again
+        except StateError as error:  # the disk: it comes home after all
+            landed = await run_recovery(session, flown.recover, as_end(error))
         finally:
-            await close_session(session)
+            if not flies_on:
+                await close_session(session)
         return conclude(session, end, landed)
+
+
+class _TurnsBack(Exception):
+    """A drone on its way home is to find its target again; whatever was open for its last leg is closed on the way."""
+
+    def __init__(self, session: RoleSession, holder: Holder) -> None:
+        super().__init__()
+        self.session, self.holder = session, holder
 
 
 FlightOf = Callable[[str, Log, Emit, asyncio.Event, InProcess | None, RecordStore], DroneFlight]

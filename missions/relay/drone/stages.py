@@ -96,6 +96,11 @@ class Holder(Sender):
         await self._handover.resume()
         await check_own(session)
         await take_off(session, self._config.take_off_height_m)
+        await self.find_again()
+
+    async def find_again(self) -> None:
+        """Flies from wherever it is until the target is tracked."""
+        session = self._session
         await self._conduct.go_out(session, lambda: self._view_of(self._designated(session.now_ns()).place_n_m))
         await self.acquire()
 

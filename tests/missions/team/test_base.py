@@ -126,3 +126,62 @@ def test_a_lost_target_to_which_no_ready_drone_can_go_is_told() -> None:
         assert base.drones[other].where == "ready"
 
     assert ("", "alarm") in flown(story)
+
+
+def test_a_drone_on_its_way_home_is_sent_back_to_the_target_that_nobody_has() -> None:
+    """Once the one that lost it is down; nobody else is sent meanwhile."""
+
+    async def story(base: TeamBase, place: Place) -> None:
+        holder = await acquired(base)
+        relief = await relief_of(base, holder)
+        base.may_find(relief, 600.0)
+        assert base.turned_back(relief) == "no"  # its sender has it
+        base.gave_up(holder, "pilot_override")
+        base.may_find(relief, 600.0)
+        assert base.turned_back(relief) == "no"  # nobody has pointed at it again yet
+        await asyncio.sleep(base.config.point_s)
+        base.may_find(relief, 20.0)
+        assert base.turned_back(relief) == "no"  # its battery
+        base.may_find(relief, 600.0)
+        assert base.turned_back(relief) == "wait" and base.targets[0].finder == relief
+        place.end(holder, Outcome.PILOT_OVERRIDE)
+        await asyncio.sleep(2.0)
+        assert base.turned_back(relief) == "go"
+        base.holds(relief)
+        assert base.targets[0].holder == relief and base.drones[relief].ways == []
+
+    flown(story)
+
+
+def test_who_waits_for_its_way_back_for_too_long_comes_home_and_another_one_is_sent() -> None:
+    async def story(base: TeamBase, place: Place) -> None:
+        holder = await acquired(base)
+        relief = await relief_of(base, holder)
+        base.gave_up(holder, "pilot_override")
+        await asyncio.sleep(base.config.point_s)
+        base.may_find(relief, 600.0)
+        base.may_find(relief, 0.0)
+        assert (base.turned_back(relief), base.targets[0].finder) == ("no", None)
+
+    flown(story)
+
+
+def test_the_sender_of_a_relief_that_died_with_the_target_is_sent_back_to_it() -> None:
+    """Only once the other one's program is over: until then it may hold the target without having said so."""
+
+    async def story(base: TeamBase, place: Place) -> None:
+        holder = await acquired(base)
+        relief = await relief_of(base, holder)
+        base.may_find(holder, 300.0)
+        await asyncio.sleep(base.config.point_s)
+        base.may_find(holder, 300.0)
+        assert (base.turned_back(holder), base.targets[0].holder) == ("no", holder)
+        place.end(relief, Outcome.CRASHED)
+        await asyncio.sleep(1.0)
+        base.may_find(holder, 300.0)
+        assert base.targets[0].holder is None
+        await asyncio.sleep(base.config.point_s)
+        base.may_find(holder, 300.0)
+        assert base.turned_back(holder) == "go"
+
+    flown(story)

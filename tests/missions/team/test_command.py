@@ -60,6 +60,21 @@ def test_a_drone_that_dies_with_its_target_is_replaced(rig: Rig, tmp_path: Path)
     assert record["spells"][-1]["drone"] not in (record["legs"][0]["sender"], record["legs"][0]["receiver"])
 
 
+@pytest.mark.parametrize(
+    ("fault", "finder"), [("1:rc_mode_sender@verify", "receiver"), ("1:kill_receiver@holding", "sender")]
+)
+def test_who_is_left_of_a_leg_turns_back_and_finds_the_target(
+    rig: Rig, tmp_path: Path, fault: str, finder: str
+) -> None:
+    """It is there, in the air: nobody else has to come."""
+    summary, record, told = fly(rig, tmp_path, 2, 1, 0.65, 0.65, hours=0.045, fault=(fault,))
+    assert (summary["outcome"], summary["monitors"], summary["wrong"]) == ("committed", {}, 0)
+    assert [event.what for event in told if event.what in ("find", "call", "lost")] == ["find", "call", "lost", "find"]
+    (leg,) = record["legs"]
+    assert record["spells"][-1]["drone"] == leg[finder] and leg["outcome"] != "committed"
+    assert "ready" not in [event.what for event in told]  # nobody was swapped meanwhile
+
+
 @pytest.mark.parametrize("fault", ["depth_holes", "marker_hidden"])
 def test_what_goes_wrong_in_one_leg_fails_it_and_not_the_next(rig: Rig, tmp_path: Path, fault: str) -> None:
     summary, record, told = fly(rig, tmp_path, 3, 1, 0.65, 0.65, 0.65, hours=0.07, fault=(f"1:{fault}@follow",))

@@ -99,6 +99,16 @@ def test_what_a_program_says_of_its_target_comes_to_the_ground(base: TeamBase) -
     team_hear(ground, "D2", {"event": "something else"})
 
 
+def test_a_drone_on_its_way_home_asks_and_is_told_to_turn_back(base: TeamBase) -> None:
+    words: list[Any] = []
+    far = FarBase("D2", words.append)
+    far.may_find("D2", 400.0)
+    base.targets[1].finder = None
+    team_hear(OwnGround(base, "D2"), "D2", json.loads(json.dumps(words[0])))
+    assert (base.targets[1].finder, base.drones["D2"].turned_back) == ("D2", "wait")
+    assert told(base).turned_back("D2") == "go"  # nothing is in its way
+
+
 def test_a_process_is_told_how_much_of_the_rig_takes_part(base: TeamBase, rig: Rig, tmp_path: Any) -> None:
     config = replace(team_of(rig, 2, 1), hours=1.0)
     processes = processes_of(rig, config, tmp_path, base, False)
