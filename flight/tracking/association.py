@@ -18,15 +18,15 @@ from path.geometry.transforms import Pose
 from path.observations import Box, Depth, MissReason, Region
 from path.target.rivals import MOST, Rival
 
-_RIVAL_REACH_M = 0.6
+RIVAL_REACH_M = 0.6
 _BESIDE_M = 1.0  # around the object, what else is told of
-_UNSEEN_S = 0.5  # after so long anything else that the object may have come to might as well be the object
+UNSEEN_S = 0.5  # after so long anything else that the object may have come to might as well be the object
 _OUTSIDE_PX = 60.0  # so far outside the image an object's middle may be, and a part of it inside
-_AMBIGUITY = 0.6
+AMBIGUITY = 0.6
 _CLEARLY_NEARER = 1.5
 _ROUND = 16  # places on the rim of where a designated object can be
-_MIN_DESCENT = 0.2  # per metre along the optical axis
-_DEPTH_FLOOR_M, _DEPTH_SIGMAS = 0.2, 3.0  # how far a depth may put the object from its prediction
+MIN_DESCENT = 0.2  # per metre along the optical axis
+DEPTH_FLOOR_M, DEPTH_SIGMAS = 0.2, 3.0  # how far a depth may put the object from its prediction
 _SIDE_PX = 3.0  # noise of a box's side
 _HELD_S, _LARGER = 5.0, 1.3  # for so long an object is taken to be in a box that is so much larger than its own was
 _COARSE_M = 0.12  # a range that is no better is estimated, not measured
@@ -122,8 +122,8 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     u, v = camera.project_point((x, y, z))
     gate_m = track.gate_m(sigma_m, view.stamp_ns)
     px_per_m = camera.fx / z
-    unseen = view.stamp_ns - track.stamp_ns > _UNSEEN_S * 1e9
-    reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / _AMBIGUITY, _RIVAL_REACH_M)
+    unseen = view.stamp_ns - track.stamp_ns > UNSEEN_S * 1e9
+    reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / AMBIGUITY, RIVAL_REACH_M)
     found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
     ranked = by_distance(found, (u, v), camera, track.size_m, z)
     down_m = track.position_n_m[2]
@@ -149,7 +149,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     depth = view.depth(box)
     if depth is not None:
         shown = to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
-        reach_m = _DEPTH_FLOOR_M + _DEPTH_SIGMAS * math.hypot(sigma_m, depth.sigma_m)
+        reach_m = DEPTH_FLOOR_M + DEPTH_SIGMAS * math.hypot(sigma_m, depth.sigma_m)
         depth = depth if math.dist(shown, predicted_n) <= reach_m else None
     measured = (
         _at_height(box.center, camera, T_n_c, down_m) if depth is None else place(box, depth, camera, T_n_c, down_m)
@@ -217,7 +217,7 @@ def _at_height(pixel: Pixel, camera: CameraModel, T_n_c: Pose, down_m: float) ->
     """Returns the point at which a pixel's ray comes down to a height; None for a ray that hardly does."""
     x, y = camera.ray(*pixel)
     ray = T_n_c.R @ (x, y, 1.0)
-    if ray[2] < _MIN_DESCENT:
+    if ray[2] < MIN_DESCENT:
         return None
     north, east, down = (T_n_c.t + (down_m - T_n_c.t[2]) / ray[2] * ray).tolist()
     return north, east, down
@@ -231,4 +231,4 @@ def _nearest_m(ranked: Sequence[ImageObject], px_per_m: float) -> float:
 
 def _nearly_as_near(ranked: Sequence[ImageObject]) -> bool:
     """True when the second object might be the one expected as well as the first."""
-    return ranked[0].off_px > _AMBIGUITY * ranked[1].off_px
+    return ranked[0].off_px > AMBIGUITY * ranked[1].off_px

@@ -7,14 +7,14 @@ import math
 from flight.guidance import Vec3, add, scale, subtract
 from path.target.size import RunningSize
 
-_MEASUREMENT_SIGMA_M = 0.05
-_ACCELERATION_SIGMA_MPS2 = 0.6
-_GATE_FLOOR_M = 0.10  # a box's noise, and an attitude a degree off
-_GATE_MOST_M = 0.45  # a track that knows no better does not know which object it would find
-_GATE_LEAST_M = 0.05
-_RIVAL_SHARE = 0.4  # of the way to the nearest other object: where that is known to be, the gate ends before it
-_RIVAL_S = 3.0  # for so long an object that was seen beside the target is taken to be there still
-_UNSEEN_REACH_M = 2.0  # no object is looked for farther off
+MEASUREMENT_SIGMA_M = 0.05
+ACCELERATION_SIGMA_MPS2 = 0.6
+GATE_FLOOR_M = 0.10  # a box's noise, and an attitude a degree off
+GATE_MOST_M = 0.45  # a track that knows no better does not know which object it would find
+GATE_LEAST_M = 0.05
+RIVAL_SHARE = 0.4  # of the way to the nearest other object: where that is known to be, the gate ends before it
+RIVAL_S = 3.0  # for so long an object that was seen beside the target is taken to be there still
+UNSEEN_REACH_M = 2.0  # no object is looked for farther off
 _CUT_SIGMA_M = 0.15  # of the place that such a box gives
 _GROWTH_SIGMA, _GROWN = 0.08, 4.0  # of the logarithm of a box's side, and how many of them are of something else
 
@@ -27,7 +27,7 @@ class TargetTrack:
     """
 
     def __init__(
-        self, position_n_m: Vec3, stamp_ns: int, accel_mps2: float = _ACCELERATION_SIGMA_MPS2, *, flies: bool = False
+        self, position_n_m: Vec3, stamp_ns: int, accel_mps2: float = ACCELERATION_SIGMA_MPS2, *, flies: bool = False
     ) -> None:
         self.position_n_m = position_n_m
         self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
@@ -57,7 +57,7 @@ class TargetTrack:
         """
         dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
         sigma_m = math.sqrt(self._pp + 2.0 * dt * self._pv + dt * dt * self._vv)
-        return min(_GATE_FLOOR_M + 3.0 * sigma_m + 0.5 * self._accel_mps2 * dt * dt, _UNSEEN_REACH_M)
+        return min(GATE_FLOOR_M + 3.0 * sigma_m + 0.5 * self._accel_mps2 * dt * dt, UNSEEN_REACH_M)
 
     def believed(self, stamp_ns: int) -> tuple[Vec3, Vec3]:
         """Position (m) and velocity to fly by: the velocity counts as far as it is known, and less the longer ago.
@@ -75,8 +75,8 @@ class TargetTrack:
 
     def gate_m(self, sigma_m: float, stamp_ns: int) -> float:
         """The farthest from its prediction, with this standard deviation, that the object may be found at a stamp."""
-        most_m = min(_GATE_MOST_M, _RIVAL_SHARE * self.rival_m) if self._rival_known(stamp_ns) else _GATE_MOST_M
-        return max(_GATE_LEAST_M, min(3.0 * sigma_m + _GATE_FLOOR_M, most_m))
+        most_m = min(GATE_MOST_M, RIVAL_SHARE * self.rival_m) if self._rival_known(stamp_ns) else GATE_MOST_M
+        return max(GATE_LEAST_M, min(3.0 * sigma_m + GATE_FLOOR_M, most_m))
 
     def note_rival(self, distance_m: float, stamp_ns: int) -> None:
         """Another object was seen that far from this one; a nearer one is remembered for a while."""
@@ -95,7 +95,7 @@ class TargetTrack:
         return self._sizes.note(stamp_ns, sides_m, math.hypot(noise, _GROWTH_SIGMA), _GROWN) > _GROWN
 
     def _rival_known(self, stamp_ns: int) -> bool:
-        return stamp_ns - self.rival_ns <= _RIVAL_S * 1e9
+        return stamp_ns - self.rival_ns <= RIVAL_S * 1e9
 
     def update(self, measured_n_m: Vec3, stamp_ns: int, *, cut: bool = False) -> None:
         """Fuse one measured position; older stamps than the newest are ignored.
@@ -111,7 +111,7 @@ class TargetTrack:
         pp = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + q * dt**4 / 4.0
         pv = self._pv + dt * self._vv + q * dt**3 / 2.0
         vv = self._vv + q * dt * dt
-        noise = (_CUT_SIGMA_M if cut else _MEASUREMENT_SIGMA_M) ** 2
+        noise = (_CUT_SIGMA_M if cut else MEASUREMENT_SIGMA_M) ** 2
         gain_p, gain_v = pp / (pp + noise), 0.0 if cut else pv / (pp + noise)
         innovation = subtract(measured_n_m, position)
         self.position_n_m = add(position, scale(innovation, gain_p))

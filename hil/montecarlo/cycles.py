@@ -16,18 +16,7 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Mount
 from flight.harness.montecarlo import MISS, OWN_MISS, PAIR, Attempt, Series
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
-from hil.montecarlo.perception import (
-    CLAIMED,
-    FOUND,
-    OTHER_COLUMNS,
-    OTHERS,
-    SEEN,
-    SIGMA,
-    STATUS,
-    UNCLEAR,
-    WHO,
-    Z,
-)
+from hil.montecarlo.perception import CLAIMED, FOUND, OTHER_COLUMNS, OTHERS, SEEN, SIGMA, STATUS, UNCLEAR, WHO, Z
 from hil.montecarlo.scene import Believed
 from hil.montecarlo.setup import (
     BLOCK_S,

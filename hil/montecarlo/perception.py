@@ -1,6 +1,6 @@
-"""The detections of both cameras, frame by frame: the kernels of the geometric perception in loops, and D1's follower.
+"""The detections of both cameras, frame by frame: the kernels of the geometric perception in loops.
 
-The same kernels, noise and rules as ``hil.geometric.perception`` and ``flight.tracking.association.follow``.
+The same kernels, noise and rules as ``hil.geometric.perception``; D1 follows by ``hil.montecarlo.follower``.
 """
 
 # pyright: reportMissingParameterType=false
@@ -12,25 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flight.tracking.association import (
-    _AMBIGUITY,
-    _DEPTH_FLOOR_M,
-    _DEPTH_SIGMAS,
-    _MIN_DESCENT,
-    _RIVAL_REACH_M,
-    _UNSEEN_S,
-    MIN_SCORE,
-)
-from flight.tracking.target_track import (
-    _ACCELERATION_SIGMA_MPS2,
-    _GATE_FLOOR_M,
-    _GATE_LEAST_M,
-    _GATE_MOST_M,
-    _MEASUREMENT_SIGMA_M,
-    _RIVAL_S,
-    _RIVAL_SHARE,
-    _UNSEEN_REACH_M,
-)
+from flight.tracking.association import AMBIGUITY, MIN_DESCENT, RIVAL_REACH_M, UNSEEN_S
+from flight.tracking.target_track import RIVAL_S
 from hil.geometric.kernels import BOX_COLUMNS, EXTENT_COLUMNS, FRAME_COLUMNS, distorted, fold, place
 from hil.geometric.markers import LARGEST_SCALE, MarkerNoise, marker
 from hil.geometric.perception import DEPTH, MARKERS, SLOW_FRAMES, SLOW_MARKERS, SLOW_TARGETS, TARGETS
@@ -43,6 +26,25 @@ from hil.geometric.targets import (
     depth_over,
     detections,
     outlines,
+)
+from hil.montecarlo.follower import (
+    AT,
+    BEGUN,
+    FOUND_COLUMNS,
+    NOTHING,
+    POSITION,
+    RIVAL,
+    RIVAL_AT,
+    WHOSE,
+    chosen_row,
+    depth_shows,
+    designated_row,
+    gate_of,
+    others_near,
+    predicted,
+    reach_of,
+    rival_px,
+    update,
 )
 from path.compiled import inner, kernel
 from path.marker.kernels import undistort
@@ -57,15 +59,7 @@ SEEN, LOST, UNCLEAR = 0.0, 1.0, 2.0
 # Columns of a found marker: corners u v, claimed standard deviation; whether there is one.
 CLAIMED, FOUND = 8, 9
 MARKER_COLUMNS = 10
-# Columns of a detection: x, y, w, h, score, whose box it is.
-SCORE, WHOSE = 4, 5
-FOUND_COLUMNS = 6
-# The follower: position 3, velocity 3, variances pp, pv, vv, stamp in s; the nearest other object, m, and when, s;
-# whether it has begun: D1 is given the right object, and has followed it for a while.
-POSITION, VELOCITY, PP, PV, VV, AT, RIVAL, RIVAL_AT, BEGUN = 0, 3, 6, 7, 8, 9, 10, 11, 12
-FOLLOWER_SIZE = 13
 NOBODY = -1.0
-NOTHING = -1  # instead of a row
 
 
 class MonteCarloCamera(NamedTuple):
@@ -145,88 +139,10 @@ def _boxes_of(camera, number, count, ids, boxes, extents, region, seen, rows, fo
 
 
 @inner
-def predicted(follower, at_s, point):
-    """Fills ``point`` with the followed object's place at an instant; returns its standard deviation per axis."""
-    dt = max(0.0, at_s - follower[AT])
-    for i in range(3):
-        point[i] = follower[POSITION + i] + dt * follower[VELOCITY + i]
-    spread = (_ACCELERATION_SIGMA_MPS2 * dt * dt / 2.0) ** 2
-    return math.sqrt(follower[PP] + 2.0 * dt * follower[PV] + dt * dt * follower[VV] + spread)
-
-
-@inner
-def _updated(follower, measured, at_s):
-    dt = at_s - follower[AT]
-    if dt < 0.0:
-        return
-    q, r = _ACCELERATION_SIGMA_MPS2**2, _MEASUREMENT_SIGMA_M**2
-    pp = follower[PP] + 2.0 * dt * follower[PV] + dt * dt * follower[VV] + q * dt**4 / 4.0
-    pv = follower[PV] + dt * follower[VV] + q * dt**3 / 2.0
-    vv = follower[VV] + q * dt * dt
-    gain_p, gain_v = pp / (pp + r), pv / (pp + r)
-    for i in range(3):
-        position = follower[POSITION + i] + dt * follower[VELOCITY + i]
-        innovation = measured[i] - position
-        follower[POSITION + i] = position + gain_p * innovation
-        follower[VELOCITY + i] += gain_v * innovation
-    follower[PP], follower[PV], follower[VV] = (1.0 - gain_p) * pp, (1.0 - gain_p) * pv, vv - gain_v * pv
-    follower[AT] = at_s
-
-
-@inner
-def _gate(follower, sigma, at_s):
-    most = _GATE_MOST_M
-    if at_s - follower[RIVAL_AT] <= _RIVAL_S:
-        most = min(most, _RIVAL_SHARE * follower[RIVAL])
-    return max(_GATE_LEAST_M, min(3.0 * sigma + _GATE_FLOOR_M, most))
-
-
-@inner
-def _reach(follower, at_s):
-    dt = max(0.0, at_s - follower[AT])
-    sigma = math.sqrt(follower[PP] + 2.0 * dt * follower[PV] + dt * dt * follower[VV])
-    return min(_GATE_FLOOR_M + 3.0 * sigma + 0.5 * _ACCELERATION_SIGMA_MPS2 * dt * dt, _UNSEEN_REACH_M)
-
-
-@inner
-def _rival(found, many, row):
-    """Distance of the nearest other detection from the chosen one."""
-    nearest = np.inf
-    for i in range(many):
-        if i != row and found[i, SCORE] >= MIN_SCORE:
-            off = math.hypot(
-                found[i, 0] + 0.5 * found[i, 2] - found[row, 0] - 0.5 * found[row, 2],
-                found[i, 1] + 0.5 * found[i, 3] - found[row, 1] - 0.5 * found[row, 3],
-            )
-            nearest = min(nearest, off)
-    return nearest
-
-
-@inner
-def _others(found, many, row, reach, picked):
-    """Rows of the detections nearest to the chosen one, ``NOTHING`` where there is none, into ``picked``."""
-    picked[:] = NOTHING
-    before = 0.0
-    for j in range(picked.size):
-        best = reach
-        for i in range(many):
-            if i != row and found[i, SCORE] >= MIN_SCORE:
-                off = math.hypot(
-                    found[i, 0] + 0.5 * found[i, 2] - found[row, 0] - 0.5 * found[row, 2],
-                    found[i, 1] + 0.5 * found[i, 3] - found[row, 1] - 0.5 * found[row, 3],
-                )
-                if before < off < best:
-                    best, picked[j] = off, i
-        if picked[j] == NOTHING:
-            return
-        before = best
-
-
-@inner
 def _tell_others(camera, depths, number, bodies, extents, frame, hidden, found, row, reach, out):
     """Boxes and depths of the detections nearest to the chosen one, into D1's row of a frame."""
     picked = np.empty(OTHERS_MOST, np.int64)
-    _others(found, found.shape[0], row, reach, picked)
+    others_near(found, found.shape[0], row, reach, picked)
     for j in range(OTHERS_MOST):
         if picked[j] == NOTHING:
             return
@@ -239,35 +155,6 @@ def _tell_others(camera, depths, number, bodies, extents, frame, hidden, found, 
             bodies, extents, camera.target.shape[0], frame, camera.lens, hidden, box, depths.settings, noise, key
         )
         out[at + 4] = depth * depths.scale + depths.bias_m if depth > 0.0 else depth
-
-
-@inner
-def _designated(found, many):
-    """Row of the target's own detection, and no doubt about it."""
-    for i in range(many):
-        if found[i, WHOSE] == 0.0 and found[i, SCORE] >= MIN_SCORE:
-            return i, False
-    return NOTHING, False
-
-
-@inner
-def _chosen(found, many, u, v, gate, alone):
-    """Row of the detection nearest to a pixel, ``NOTHING`` when none is in the gate; whether another may be meant too.
-
-    ``alone``: any other may.
-    """
-    first, second, row = np.inf, np.inf, -1
-    for i in range(many):
-        if found[i, SCORE] < MIN_SCORE:
-            continue
-        off = math.hypot(found[i, 0] + 0.5 * found[i, 2] - u, found[i, 1] + 0.5 * found[i, 3] - v)
-        if off < first:
-            first, second, row = off, first, i
-        elif off < second:
-            second = off
-    if row < 0 or first > gate:
-        return NOTHING, False
-    return row, (alone and second < np.inf) or first > _AMBIGUITY * second
 
 
 @kernel
@@ -307,17 +194,17 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
         visible, u, v = sees(lens, x, y, z)
         if not visible or (follower[BEGUN] and times[k] - follower[AT] > lost_s):
             continue
-        gate_m, scale = _gate(follower, sigma, times[k]), lens[0] / z
-        unseen = times[k] - follower[AT] > _UNSEEN_S
+        gate_m, scale = gate_of(follower, sigma, times[k]), lens[0] / z
+        unseen = times[k] - follower[AT] > UNSEEN_S
         gate = scale * gate_m
-        reach = scale * max(_reach(follower, times[k]) if unseen else 0.0, gate_m / _AMBIGUITY, _RIVAL_REACH_M)
+        reach = scale * max(reach_of(follower, times[k]) if unseen else 0.0, gate_m / AMBIGUITY, RIVAL_REACH_M)
         region[0], region[1], region[2], region[3] = u - reach, v - reach, u + reach, v + reach
         count = _before(camera, flown, k, things, ids, boxes, extents, frame)
         many = _boxes_of(camera, flown.frame[k], count, ids, boxes, extents, region, seen, rows, found)
-        row, unsure = _chosen(found, many, u, v, gate, unseen) if follower[BEGUN] else _designated(found, many)
+        row, unsure = chosen_row(found, many, u, v, gate, unseen) if follower[BEGUN] else designated_row(found, many)
         if row != NOTHING:
-            rival = _rival(found, many, row)
-            if rival < np.inf and (rival / scale <= follower[RIVAL] or times[k] - follower[RIVAL_AT] > _RIVAL_S):
+            rival = rival_px(found, many, row)
+            if rival < np.inf and (rival / scale <= follower[RIVAL] or times[k] - follower[RIVAL_AT] > RIVAL_S):
                 follower[RIVAL], follower[RIVAL_AT] = rival / scale, times[k]
         if row == NOTHING or unsure:
             out[STATUS] = UNCLEAR if unsure else LOST
@@ -346,12 +233,12 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
             OTHERS_REACH_M * scale, out,
         )  # fmt: skip
         if depth > 0.0 and (
-            not follower[BEGUN] or _shows(depth, out[SIGMA], ray_x, ray_y, R_n_c[k], t_n_c[k], point, sigma)
+            not follower[BEGUN] or depth_shows(depth, out[SIGMA], ray_x, ray_y, R_n_c[k], t_n_c[k], point, sigma)
         ):
             out[Z] = depth
         else:  # it is taken to be as high as it was
             falling = R_n_c[k, 2, 0] * ray_x + R_n_c[k, 2, 1] * ray_y + R_n_c[k, 2, 2]
-            if falling < _MIN_DESCENT:
+            if falling < MIN_DESCENT:
                 continue
             depth = (follower[POSITION + 2] - t_n_c[k, 2]) / falling
         for i in range(3):
@@ -359,17 +246,7 @@ def sender_sees(first, last, camera, flown, depths, holes, times, lost_s, R_n_c,
             measured[i] = t_n_c[k, i] + depth * along
         if follower[BEGUN] == 0.0:  # its own errors are in what it has followed
             follower[BEGUN], follower[POSITION : POSITION + 3] = 1.0, measured
-        _updated(follower, measured, times[k])
-
-
-@inner
-def _shows(depth, depth_sigma, ray_x, ray_y, R_n_c, t_n_c, point, sigma):
-    """Returns whether a depth on a ray puts the object where it can be."""
-    off2 = 0.0
-    for i in range(3):
-        along = R_n_c[i, 0] * ray_x + R_n_c[i, 1] * ray_y + R_n_c[i, 2]
-        off2 += (t_n_c[i] + depth * along - point[i]) ** 2
-    return math.sqrt(off2) <= _DEPTH_FLOOR_M + _DEPTH_SIGMAS * math.hypot(sigma, depth_sigma)
+        update(follower, measured, times[k])
 
 
 @inner

@@ -24,7 +24,7 @@ from hil.world.errors import level_of, other_lens, other_mount, sizes_of
 from hil.world.kinds import TargetKind
 from hil.world.targets import CROSSING_PAST_M, LookAlikeConfig, TargetConfig
 from path.camera.model import CameraModel
-from path.geometry.rotation import exp
+from path.geometry.rotation import R_from_yaw, exp
 from path.geometry.transforms import Pose
 
 Array = NDArray[np.float64]
@@ -193,12 +193,6 @@ def draw(attempt: Attempt, believed: Believed, streams: list[Generator]) -> Draw
     return Drawn(place, things, errors, faults, shift, turn)
 
 
-def level(yaw_rad: float) -> Array:
-    """Attitude of a level drone, body FRD to NED."""
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 def _place(believed: Believed, reach: float, rng: Generator) -> Place:
     """Both drones as the mission would place them, each a little beside."""
     mission, sender, receiver = believed.mission, believed.rig.sender, believed.rig.receiver
@@ -219,7 +213,7 @@ def _place(believed: Believed, reach: float, rng: Generator) -> Place:
     across = -1.0 if mirrored and abs(side) < SIDE_M else 1.0  # the other side is as good when the target is ahead
     yaw = across * plan.yaw_h_rad + turn
     camera_h = np.array(plan.camera_h_m) * (1.0, across, 1.0)
-    receiver_n = T_b_v.t + camera_h - level(yaw) @ receiver.mount.T_b_c.t + beside
+    receiver_n = T_b_v.t + camera_h - R_from_yaw(yaw) @ receiver.mount.T_b_c.t + beside
     return Place(sender_n, receiver_n, yaw)
 
 
@@ -322,7 +316,7 @@ def _bias(
     residual = wrong.residual_m * rng.standard_normal(3)
     if wrong.kind == "lock":
         return np.zeros(3), np.zeros(3)
-    R_c_n = (level(place.receiver_yaw_rad) @ calibrated.T_b_c2.R).T
+    R_c_n = (R_from_yaw(place.receiver_yaw_rad) @ calibrated.T_b_c2.R).T
     # it stays at its distance, or the bias is that of its closest
     away = things.start[1]
     if wrong.crossing:

@@ -15,19 +15,11 @@ from numpy.typing import NDArray
 from flight.harness.montecarlo import Attempt, Circumstances
 from hil.geometric.perception import Sensor
 from hil.geometric.scene import drone_parts, parts_of
+from hil.montecarlo.follower import AT, FOLLOWER_SIZE, FOUND_COLUMNS, POSITION, PP, RIVAL, RIVAL_AT, VELOCITY, VV
 from hil.montecarlo.motion import P_W_N, RECEIVER, SENDER, HandoverMotion, HandoverPoses, exp_all, within
 from hil.montecarlo.perception import (
-    AT,
-    FOLLOWER_SIZE,
-    FOUND_COLUMNS,
     MARKER_COLUMNS,
     OWN_COLUMNS,
-    POSITION,
-    PP,
-    RIVAL,
-    RIVAL_AT,
-    VELOCITY,
-    VV,
     CameraPath,
     Depths,
     MonteCarloCamera,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.render.scene import Model
+from path.geometry.rotation import R_from_yaw
 from path.geometry.transforms import Pose
 
 Array = NDArray[np.float64]
@@ -45,6 +46,4 @@ def lying(model: Model, T_w_o: Pose) -> Body:
 
 def standing(model: Model, position_w_m: tuple[float, float, float], yaw_rad: float) -> Body:
     """A car or a person, upright. ``yaw_rad``: counter-clockwise from east."""
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    T_w_o = Pose(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array(position_w_m))
-    return Body(model, T_w_o, STILL, target=True)
+    return Body(model, Pose(R_from_yaw(yaw_rad), np.array(position_w_m)), STILL, target=True)

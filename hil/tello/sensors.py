@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from hil.world.world import SimDrone
-from path.geometry.rotation import wrapped
+from path.geometry.rotation import rpy_from_quat, wrapped
 
 STANDING_CM = 10  # what the rangefinder says on the ground
 BARO_M = 150.0  # above the sea, of the ground
@@ -55,11 +55,9 @@ class TelloSensors:
 
     def attitude_deg(self) -> tuple[int, int, int]:
         """Roll, pitch and yaw in whole degrees; yaw from where the nose was when it was switched on."""
-        w, x, y, z = self._drone.estimate.q_n_b
-        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-        pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-        yaw = wrapped(math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)) - self._home_yaw_rad)
-        return round(math.degrees(roll)), round(math.degrees(pitch)), round(math.degrees(yaw))
+        roll, pitch, yaw = rpy_from_quat(self._drone.estimate.q_n_b)
+        roll_deg, pitch_deg, yaw_deg = map(math.degrees, (roll, pitch, wrapped(yaw - self._home_yaw_rad)))
+        return round(roll_deg), round(pitch_deg), round(yaw_deg)
 
     def _battery(self) -> int:
         return round(100 * self._drone.autopilot.battery)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from drivers.log.mcap_log import LogRecord
 from missions.report.records import Records, RunRecords, first, judged_pairs, last
 from path.camera.model import CameraModel
-from path.geometry.rotation import R_from_quat
+from path.geometry.rotation import R_from_quat, R_from_yaw
 from path.geometry.transforms import Pose, Vector
 from path.messages import Role
 
@@ -79,8 +79,7 @@ class Truth:
     def T_w_o(self, object_id: int, role: Role, stamp_ns: int) -> Pose:
         """An object in the world."""
         x, y, z, yaw = self._at(self._objects[object_id], role, stamp_ns)
-        c, s = math.cos(yaw), math.sin(yaw)
-        return Pose(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array([x, y, z]))
+        return Pose(R_from_yaw(yaw), np.array([x, y, z]))
 
     def hit_o(self, role: Role, stamp_ns: int, pixel: Sequence[float], object_id: int) -> Vector | None:
         """Returns where the ray of a pixel meets an object, in the object's frame; None when it misses."""

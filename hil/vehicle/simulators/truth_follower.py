@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.world.dynamics import ATTITUDE, CONTACT, POSITION, RATES, ROTOR_PHASE, STATE_SIZE, VELOCITY, Array
+from path.geometry.rotation import multiply
 from path.messages import Quat, Vec3
 
 TAU_S = 0.5
@@ -114,11 +115,8 @@ class TruthFollower:
 
 
 def _turned(q: Quat, rates: Vec3, seconds: float) -> Quat:
-    half = 0.5 * seconds
-    x, y, z = (half * rate for rate in rates)
-    w0, x0, y0, z0 = q
-    turned = (w0 - x0 * x - y0 * y - z0 * z, x0 + w0 * x + y0 * z - z0 * y,
-              y0 + w0 * y - x0 * z + z0 * x, z0 + w0 * z + x0 * y - y0 * x)  # fmt: skip
-    size = math.sqrt(sum(value * value for value in turned))
+    x, y, z = (0.5 * seconds * rate for rate in rates)
+    turned = multiply(q, (1.0, x, y, z))
+    size = math.hypot(*turned)
     w, x, y, z = (value / size for value in turned)
     return w, x, y, z

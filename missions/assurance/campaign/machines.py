@@ -17,7 +17,8 @@ from drivers.log.state_file import MemoryStore
 from flight.outcome import Outcome
 from missions.assurance.campaign.judge import Judge
 from missions.assurance.campaign.plan import CLOCKS_S, ROLES, Crash, Forgotten, RunPlan, Stall, Step
-from missions.assurance.campaign.program import Program, ReceiverProgram, SenderProgram, Sent
+from missions.assurance.campaign.program import Program, Sent
+from missions.assurance.campaign.role_programs import ReceiverProgram, SenderProgram
 from path.messages import Accept, Commit, Message, Role
 from path.protocol import receiver, sender
 from path.protocol.values import ReceiverRecord, SenderRecord

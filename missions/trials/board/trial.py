@@ -14,11 +14,10 @@ from missions.trials.board.file import BoardPhotograph
 from missions.trials.board.measure import Left, measure
 from missions.trials.corners.methods import OPENCV, PIXEL_CENTRE, TITLES
 from missions.trials.corners.score import calibration_text
-from missions.trials.shared.statistics import Array, Interval, bootstrap, mean
+from missions.trials.shared.statistics import Array, Interval, bootstrap, mean, robust_sigma
 from missions.trials.shared.trial import TrialTable
 from path.geometry.transforms import Matrix
 from path.marker.detect import refine_corners
-from path.target.place import MAD_TO_SIGMA
 
 ENLARGED = 3
 BOARD_STREAM = 5
@@ -147,9 +146,9 @@ def _score(board: BoardPhotograph, found: Corners, seed: int) -> OnBoard:
         tuple(ids),
         corners,
         math.sqrt(float(np.mean(left.errors_px**2))),
-        robust(left.errors_px),
-        bootstrap(left.errors_px, robust, rng),
-        robust(measure(corners, centres, board.file.side_m, board.camera, FINER_ORDER).errors_px),
+        robust_sigma(left.errors_px),
+        bootstrap(left.errors_px, robust_sigma, rng),
+        robust_sigma(measure(corners, centres, board.file.side_m, board.camera, FINER_ORDER).errors_px),
     )
     if not squares:
         return own
@@ -161,10 +160,6 @@ def _score(board: BoardPhotograph, found: Corners, seed: int) -> OnBoard:
         calibration_interval=bootstrap(calibration, mean, rng),
         stated_px=float(np.median(sigmas)),
     )
-
-
-def robust(errors_px: Array) -> float:
-    return MAD_TO_SIGMA * float(np.median(np.abs(errors_px)))
 
 
 def _whitened(error_px: Matrix, covariance_px2: Matrix) -> float:
@@ -179,7 +174,7 @@ def board_table(board: BoardPhotograph, scores: Mapping[str, OnBoard]) -> TrialT
             f"{own.rms_px:.3f}",
             f"{own.robust_px:.3f} ({own.interval_px[0]:.3f}–{own.interval_px[1]:.3f})",
             f"{own.finer_px:.3f}",
-            " / ".join(f"{robust(own.left.errors_px[..., axis]):.3f}" for axis in (0, 1)),
+            " / ".join(f"{robust_sigma(own.left.errors_px[..., axis]):.3f}" for axis in (0, 1)),
             f"{1000.0 * own.left.side_m:.2f}",
             str(len(own.ids)),
             "" if own.stated_px is None else f"{own.stated_px:.3f}",

@@ -13,7 +13,7 @@ from missions.calibrate.camera import BadViews, calibrate
 from missions.calibrate.collect import Collected, CollectedImage
 from missions.trials.calibration.kinds import KINDS, QUICK, calibrate_kind, kind_findings, kind_table
 from missions.trials.calibration.views import Held, board_poses, grey, photographs
-from missions.trials.shared.statistics import bootstrap, mean
+from missions.trials.shared.statistics import bootstrap, mean, rms
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, TrialTable, verdict
 from path.calibration.board import Board, BoardView, find_board, find_corners
 from path.calibration.intrinsics import left_by, solve_intrinsics
@@ -210,16 +210,12 @@ def _refusals(refused: Sequence[Sequence[str]]) -> TrialFinding:
                    verdict=verdict(right == len(BAD)))  # fmt: skip
 
 
-def _rms(errors: Sequence[np.ndarray[Any, np.dtype[np.float64]]]) -> float:
-    return float(np.sqrt((np.concatenate(errors) ** 2).mean()))
-
-
 def _summary(own: Sequence[SetResult]) -> dict[str, Any]:
     return {
         "focal_worst": max(max(abs(f) for f in outcome.focal) for outcome in own),
         "centre_worst_px": max(outcome.centre_px for outcome in own),
-        "corner_rms_px": _rms([outcome.own_px for outcome in own]),
-        "opencv_rms_px": _rms([outcome.opencv_px for outcome in own]),
+        "corner_rms_px": rms(np.concatenate([outcome.own_px for outcome in own])),
+        "opencv_rms_px": rms(np.concatenate([outcome.opencv_px for outcome in own])),
         "corner_bias_px": np.concatenate([outcome.own_px for outcome in own]).mean(axis=0),
         "opencv_bias_px": np.concatenate([outcome.opencv_px for outcome in own]).mean(axis=0),
         "held_out_px": [outcome.held_out_px for outcome in own],
@@ -231,9 +227,9 @@ def _table(groups: Groups, camera: CameraModel, sets: int, views: int) -> TrialT
     rows = [
         (
             f"{condition}, {board}",
-            f"{_rms([o.opencv_px for o in own]):.4f}",
+            f"{rms(np.concatenate([o.opencv_px for o in own])):.4f}",
             " / ".join(f"{b:+.4f}" for b in np.concatenate([o.opencv_px for o in own]).mean(axis=0)),
-            f"{_rms([o.own_px for o in own]):.4f}",
+            f"{rms(np.concatenate([o.own_px for o in own])):.4f}",
             " / ".join(f"{b:+.4f}" for b in np.concatenate([o.own_px for o in own]).mean(axis=0)),
             f"{100.0 * max(max(abs(f) for f in o.focal) for o in own):.3f}",
             f"{max(o.centre_px for o in own):.2f}",

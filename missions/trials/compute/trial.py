@@ -16,7 +16,7 @@ from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
 from missions.trials.compute.film import SIZES, shoot_film
 from missions.trials.compute.path import DETECTORS, GEOMETRY, MESSAGES, SUMS
 from missions.trials.compute.rounds import HOT, QUICK, Array, ComputePlan, Timings, time_all
-from missions.trials.shared.statistics import bootstrap
+from missions.trials.shared.statistics import bootstrap, median
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.messages import Role
 
@@ -128,8 +128,8 @@ def _budget_findings(timings: Mapping[str, Timings], rng: np.random.Generator) -
 
     cold = "In the cycle its code and data must be fetched again after the images went through the cache."
     for size in timings:
-        add(size, "geometry of both sides, nothing between its stages, median", HOT, _median, GEOMETRY_GOAL_MS, "")
-        add(size, "geometry of both sides, within a whole cycle, median", "geometry", _median, GEOMETRY_GOAL_MS, cold)
+        add(size, "geometry of both sides, nothing between its stages, median", HOT, median, GEOMETRY_GOAL_MS, "")
+        add(size, "geometry of both sides, within a whole cycle, median", "geometry", median, GEOMETRY_GOAL_MS, cold)
     for size in timings:
         add(size, "marker's pose while tracking, p99", "d2_marker", _p99, MARKER_GOALS_MS[size], "")
     for size in timings:
@@ -147,10 +147,6 @@ def _log_finding(timing: Timings, size: str, number: int) -> TrialFinding:
         f"log of D{number}, {size}, share of its cycle", f"{share:.3f}", "of medians", "", f"≤ {LOG_GOAL:g}",
         verdict(share <= LOG_GOAL),
     )  # fmt: skip
-
-
-def _median(values: Array) -> float:
-    return float(np.median(values))
 
 
 def _p99(values: Array) -> float:

@@ -18,6 +18,7 @@ from flight.harness.renderer import (
     RenderedInstant,
 )
 from path.camera.model import CameraModel
+from path.geometry.rotation import R_from_yaw
 from path.geometry.transforms import Matrix, Pose, Vector
 from path.marker.layout import single_marker
 from path.messages import Role
@@ -131,8 +132,7 @@ def _looking(ahead_w: Vector, roll_rad: float) -> Matrix:
     right = np.cross(ahead_w, np.array([0.0, 0.0, 1.0]))
     right /= np.linalg.norm(right)
     level = np.column_stack((right, np.cross(ahead_w, right), ahead_w))
-    c, s = math.cos(roll_rad), math.sin(roll_rad)
-    return level @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return level @ R_from_yaw(roll_rad)
 
 
 def _between(ray: Vector) -> Matrix:

@@ -38,6 +38,7 @@ from missions.trials.shared.trajectory import (
     rpe_after,
     rpe_along,
 )
+from path.geometry.rotation import R_from_yaw
 from path.messages import Role
 from path.target.place import MAD_TO_SIGMA
 
@@ -228,13 +229,11 @@ def true_places(judged: HarnessVerdict) -> Callable[[str, Array], Array]:
 
 def true_path(truth: Truth, name: str, beacons: BeaconTruth, t: Array) -> Array:
     """A body's true way in the beacons' frame, (n, 3), at instants of the receiver's clock."""
-    c, s = math.cos(beacons.yaw_rad), math.sin(beacons.yaw_rad)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     offset_s = truth.scene.clock_offset_ns[Role.RECEIVER] * 1e-9
     places = truth_positions(truth, name)
     return np.column_stack(
         [np.interp(t - offset_s, truth.stamps_ns * 1e-9, places[:, k]) for k in range(3)]
-    ) @ R.T + np.array(beacons.origin_m)
+    ) @ R_from_yaw(beacons.yaw_rad).T + np.array(beacons.origin_m)
 
 
 def truth_positions(truth: Truth, name: str) -> Array:

@@ -21,8 +21,7 @@ from missions.trials.real.poses import Poses, estimate_all, plate_tasks, single_
 from missions.trials.real.results import CornerScore, Figure95, PoseScore, SetScore, TwinScore
 from missions.trials.real.set import RealSet, read_set
 from missions.trials.real.twin import render_twin
-from missions.trials.shared.statistics import bootstrap, mean, p95
-from path.target.place import MAD_TO_SIGMA
+from missions.trials.shared.statistics import bootstrap, mean, median, p95, robust_sigma
 
 SCORE_STREAM = 2
 QUICK_IMAGES = 4
@@ -96,9 +95,9 @@ def _score(own: RealSet, images: Sequence[Path], seen: SetSeen, seed: int) -> Se
 def _corner_score(measured: MethodPoses, rng: np.random.Generator) -> CornerScore:
     groups = np.array([marker.view for marker in measured.seen])
     errors = np.stack([marker.error_px for marker in measured.seen])
-    robust = _figure(errors, _robust, groups, rng)
-    across = _figure(np.stack([marker.across_px for marker in measured.seen]), _robust, groups, rng)
-    nominal = _robust(np.stack([marker.nominal_px for marker in measured.seen]))
+    robust = _figure(errors, robust_sigma, groups, rng)
+    across = _figure(np.stack([marker.across_px for marker in measured.seen]), robust_sigma, groups, rng)
+    nominal = robust_sigma(np.stack([marker.nominal_px for marker in measured.seen]))
     rms = math.sqrt(float(np.mean(errors**2)))
     chi2 = np.array([marker.chi2 for marker in measured.seen])
     if np.isnan(chi2).any():
@@ -114,7 +113,9 @@ def _print_m(measured: MethodPoses) -> float:
 
 def _height_m(measured: MethodPoses) -> float:
     """By how much paper leaves its smooth surface: what moves corners along its normal more than across."""
-    along, across = (_robust(np.stack([getattr(m, name) for m in measured.seen])) for name in ("along_px", "across_px"))
+    along, across = (
+        robust_sigma(np.stack([getattr(m, name) for m in measured.seen])) for name in ("along_px", "across_px")
+    )
     rise = float(np.median([np.linalg.norm(marker.rises, axis=1) for marker in measured.seen]))
     return math.sqrt(max(along**2 - across**2, 0.0)) / rise
 
@@ -143,9 +144,9 @@ def _pose_score(poses: Poses, rng: np.random.Generator) -> PoseScore:
     return PoseScore(
         len(poses.errors),
         _figure(d2, mean, groups, rng),
-        _figure(d2, _median, groups, rng),
+        _figure(d2, median, groups, rng),
         _figure(d2, p95, groups, rng),
-        _figure(turns, _median, groups, rng),
+        _figure(turns, median, groups, rng),
         sum(error.flipped for error in poses.errors),
         poses.refused,
         _honesty(np.array([error.chi2 for error in poses.errors]), 6, groups, rng),
@@ -154,20 +155,12 @@ def _pose_score(poses: Poses, rng: np.random.Generator) -> PoseScore:
 
 def _honesty(chi2: Array, freedom: int, groups: Groups, rng: np.random.Generator) -> Figure95:
     """Median of chi-squares over their degrees of freedom, in units of what it is when the covariance is right."""
-    return _figure(chi2 / MEDIAN_OF[freedom], _median, groups, rng)
+    return _figure(chi2 / MEDIAN_OF[freedom], median, groups, rng)
 
 
 def _figure(values: Array, statistic: Any, groups: Groups, rng: np.random.Generator) -> Figure95:
     together = groups if len(np.unique(groups)) > 2 else None
     return Figure95(statistic(values), bootstrap(values, statistic, rng, together))
-
-
-def _median(values: Array) -> float:
-    return float(np.median(values))
-
-
-def _robust(errors: Array) -> float:
-    return MAD_TO_SIGMA * float(np.median(np.abs(errors)))
 
 
 def _thumbnail(seen: SetSeen) -> NDArray[np.uint8]:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
+from path.target.place import MAD_TO_SIGMA
+
 Array = NDArray[np.float64]
 Interval = tuple[float, float]
 
@@ -84,6 +86,11 @@ def p95(values: Array) -> float:
 def rms(values: Array | Sequence[float]) -> float:
     """Returns nan without any."""
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
+
+
+def robust_sigma(errors: Array) -> float:
+    """Standard deviation by the median size of errors around zero."""
+    return MAD_TO_SIGMA * float(np.median(np.abs(errors)))
 
 
 def _check(events: int, trials: int) -> None:
