@@ -170,7 +170,7 @@ def _keep(track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, st
 def _holder(
     ranked: Sequence[ImageObject], expected: Pixel, track: TargetTrack, px_per_m: float, stamp_ns: int
 ) -> Pixel | None:
-    """Where the object must be in a box that it has to itself no more: one around where it is expected, and larger.
+    """The place of the object in a box that it no longer has to itself: one around where it is expected, and larger.
 
     For a while after it was seen whole: then what is there may be anything.
     """

@@ -62,7 +62,7 @@ class MavlinkVehicleConfig:
 
 
 class _Packet(NamedTuple):
-    """What came in. ``at_s``: when, by the world's clock."""
+    """A packet that came in. ``at_s``: its instant by the world's clock."""
 
     at_s: float
     packet: bytes
