@@ -35,17 +35,30 @@ class TargetDesignation:
     flies: bool = False  # it moves up and down too; else it stays as high as it was
     # how far from the place the object may be: by where it was pointed at, and by the drone's own position
     radius_m: Annotated[float, Bounds(0.05, 20.0)] = 0.9
+    # where the drone stands before take-off, north and east, as the crew measured it like the place: then what its own
+    # position is off there is taken out of the place; unstated, its position is believed
+    home_m: Annotated[tuple[float, float] | None, Bounds(-1000.0, 1000.0)] = None
     age_s: Annotated[float, Bounds(0.0, 3600.0)] = 0.0  # of the designation, when the drone's program starts
     north_mps: Annotated[float, Bounds(-15.0, 15.0)] = 0.0  # what it drove when it was pointed at
     east_mps: Annotated[float, Bounds(-15.0, 15.0)] = 0.0
     holds_s: Annotated[float, Bounds(0.0, 36000.0)] = 20.0  # for so long it stands, or goes on driving so
     drift_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.5  # after that it may be this much farther off every second
 
-    def at(self, since_start_s: float) -> Designated:
-        """The region in which the object can be so long after the start of the drone's program."""
+    def at(self, since_start_s: float, off_m: tuple[float, float] = (0.0, 0.0)) -> Designated:
+        """The region in which the object can be so long after the start of the drone's program.
+
+        ``off_m``: how far the drone's own position is off, north and east (``off_at_home``).
+        """
         age_s = self.age_s + max(0.0, since_start_s)
-        place = self.north_m + self.north_mps * age_s, self.east_m + self.east_mps * age_s, -self.height_m
+        north = self.north_m + off_m[0] + self.north_mps * age_s
+        place = north, self.east_m + off_m[1] + self.east_mps * age_s, -self.height_m
         return Designated(place, self.radius_m, self.drift_mps * max(0.0, age_s - self.holds_s))
+
+    def off_at_home(self, position_n_m: Vec3) -> tuple[float, float]:
+        """How far a drone that stands at home takes itself to be from there; nothing where no home is stated."""
+        if self.home_m is None:
+            return 0.0, 0.0
+        return position_n_m[0] - self.home_m[0], position_n_m[1] - self.home_m[1]
 
 
 @dataclass(frozen=True, slots=True)

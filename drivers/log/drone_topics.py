@@ -67,6 +67,10 @@ DRONE: dict[str, Topic] = {
             "battery": number("what is left, 0 to 1"),
         },
     ),
+    "/home": Topic(
+        "the sender stands where the crew put it down, before take-off",
+        {"off_m": numbers("how far its position is off there, north and east in m; 0 where no home is stated")},
+    ),
     "/setpoint": Topic(
         "what the vehicle was told",
         {"velocity_n_mps": numbers("north, east, down in m/s"), "yaw_rad": number("heading from north, rad")},

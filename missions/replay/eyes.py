@@ -59,10 +59,16 @@ class SenderEyes:
         self.missing = 0
         self._views, self._mount, self._camera, self._mission = views, own.mount, camera, mission
         self._begun_ns = begun_ns
+        self._off_m = (0.0, 0.0)
         self._track: TargetTrack | None = None
         self._acquisition = Acquisition(camera)
         self._seen: Sighting | MissReason | None = None
         self._gravity_v: Vec3 = (math.nan, math.nan, math.nan)
+
+    def note_home(self, home: Record) -> None:
+        """The log's ``/home``."""
+        north, east = home["off_m"]
+        self._off_m = north, east
 
     def look(self, stamp_ns: int, frame: Record) -> None:
         """One ``/frame``. Without a pose, or its frame, the log's word stays."""
@@ -79,7 +85,7 @@ class SenderEyes:
             self._seen = follow(view, T_n_c, self._camera, self._track)
             return
         self._seen = MissReason.NO_TARGET
-        designated = self._mission.target.at((stamp_ns - self._begun_ns) * 1e-9)
+        designated = self._mission.target.at((stamp_ns - self._begun_ns) * 1e-9, self._off_m)
         position = self._acquisition.look(view, T_n_c, designated)
         if position is not None:
             self._track = TargetTrack(

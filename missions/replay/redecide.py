@@ -131,6 +131,8 @@ class _SenderReplay:
 
     def take(self, each: LogRecord) -> Iterator[DecisionPair | Complete]:
         record, cycle = each.record, self._cycle
+        if each.topic == "/home" and self._eyes is not None:
+            self._eyes.note_home(record)
         if each.topic == "/frame" and self._eyes is not None:
             self._eyes.look(each.stamp_ns, record)
         elif each.topic == "/attempt":

@@ -12,6 +12,7 @@ from flight.guidance import Vec3
 from flight.tracking.association import acquire
 from hil.world.targets import GroundVehicles, LookAlikeConfig, TargetConfig
 from path.geometry.transforms import Pose
+from path.observations import MissReason
 from tests.flight.following_bench import CAMERA, MOUNT, Seen
 
 SEEDS = 150
@@ -78,3 +79,25 @@ def test_one_alone_is_taken_only_where_all_the_ground_is_seen() -> None:
 
     assert alone(2.0)
     assert not alone(1.0)
+
+
+def test_what_a_position_is_off_at_home_is_taken_out_of_the_place() -> None:
+    pointed = TargetDesignation(north_mps=0.5, home_m=(1.0, -2.0))
+    off_m = pointed.off_at_home((1.4, -2.7, 0.1))
+    assert off_m == pytest.approx((0.4, -0.7))
+    assert pointed.at(2.0, off_m).place_n_m == pytest.approx((5.4, -0.7, -0.1))
+    assert TargetDesignation().off_at_home((1.4, -2.7, 0.1)) == (0.0, 0.0)
+
+
+def test_with_a_known_home_a_position_far_off_takes_the_target_and_without_it_nothing_or_another_one() -> None:
+    """1.2 m behind the target a look-alike stands where a drone that is off so much takes the place to be."""
+    away = np.array([-1.2, 0.0, 0.0])
+    objects: list[Vec3] = [(4.0, 0.0, -0.1), (5.2, 0.0, -0.1)]
+    true = Pose(MOUNT.T_b_c.R, MOUNT.T_b_c.t + np.array((2.55, 0.0, -1.5)))
+    seen = Seen(0, objects, true, np.random.default_rng(1))
+    for pointed, taken in ((TargetDesignation(), 1), (TargetDesignation(home_m=(0.0, 0.0)), 0)):
+        designated = pointed.at(12.0, pointed.off_at_home((-1.2, 0.0, 0.0)))
+        found = acquire(seen, Pose(true.R, true.t + away), CAMERA, designated)
+        assert not isinstance(found, MissReason)
+        there = found[1][0] - away[0]
+        assert there == pytest.approx(objects[taken][0], abs=0.15)
