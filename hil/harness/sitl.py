@@ -160,7 +160,14 @@ def report_of(request: FlightRequest, run: RealTimeRun, ending: Ending) -> Fligh
         interrupted=run.interrupted,
         failure=ending.failure,
         overload=ending.slow
-        or overload_of(ages_s, finished.get("frames", {}), "the {}'s", finished.get("stood_s", 0.0)),
+        or overload_of(
+            ages_s,
+            finished.get("frames", {}),
+            "the {}'s",
+            finished.get("stood_s", 0.0),
+            finished.get("stolen_s", 0.0),
+            request.rig.world.get("slow"),
+        ),
         notes=[
             *monitors.details,
             *finished.get("details", []),

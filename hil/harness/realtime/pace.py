@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import os
+from collections import deque
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 LEFT_OUT = 0.5  # of the pictures
 OLD_S, OLD_SHARE = 0.25, 0.2  # of the frames, when a program took them up
 ENOUGH = 50  # frames
 STOOD_S = 0.5  # of a world: for longer no drone takes a silent vehicle for a living one
+STOPPED_S = 0.3  # of a program that has a share of a core: for longer no setpoint is in time, whatever the program does
+TOGETHER_S, LOOK_S = 0.3, 0.1
+STAT = Path("/proc/stat")
 
 
 def overload_of(
-    ages_s: Mapping[str, Sequence[float]], pictures: Mapping[str, Any], whose: str = "{}'s", stood_s: float = 0.0
+    ages_s: Mapping[str, Sequence[float]],
+    pictures: Mapping[str, Any],
+    whose: str = "{}'s",
+    stood_s: float = 0.0,
+    stolen_s: float = 0.0,
+    share: float | None = None,
 ) -> str:
     """Returns what was late, and how late; empty when all kept up.
 
@@ -21,8 +32,12 @@ def overload_of(
         pictures: by drone, how many were ``rendered`` and how many ``left_out`` because it was too late for them.
         whose: how something of a drone is called.
         stood_s: for how long the world stood still at the most while drones flew.
+        stolen_s: for how long this computer's own host took a core away at the most, at once, while drones flew.
+        share: of a core that each program had. The kernel counts what the host took as what the program used.
     """
     late = [f"the world stood still for {stood_s:.1f} s"] if stood_s > STOOD_S else []
+    if share is not None and stolen_s / share > STOPPED_S:
+        late.append(f"this computer's host took a core for {stolen_s:.2f} s, {stolen_s / share:.1f} s of a share")
     for name in dict.fromkeys((*ages_s, *pictures)):
         made, its = pictures.get(name, {}), whose.format(name)
         rendered, left_out = int(made.get("rendered", 0)), int(made.get("left_out", 0))
@@ -30,6 +45,39 @@ def overload_of(
             late.append(f"{its} pictures: {left_out} of {rendered + left_out} were not rendered in time")
         late += late_program(f"{its} program", ages_s.get(name, ()))
     return "; ".join(late)
+
+
+class StolenTime:
+    """Time that this computer's own host took from a core, by the kernel's count: 0 where there is no host.
+
+    Attributes:
+        longest_s: the most of one core within ``TOGETHER_S``, while it was watched.
+    """
+
+    def __init__(self, stat: Path = STAT) -> None:
+        self.longest_s = 0.0
+        self._stat, self._tick_s = stat, 1.0 / os.sysconf("SC_CLK_TCK")
+        self._seen: deque[tuple[float, list[float]]] = deque()
+
+    def watch(self, now_s: float) -> None:
+        """Looks, if it is time to; to be called often, and not while nobody flies."""
+        seen = self._seen
+        if seen and now_s - seen[-1][0] < LOOK_S:
+            return
+        if seen and now_s - seen[-1][0] > TOGETHER_S:
+            seen.clear()  # nobody watched meanwhile
+        seen.append((now_s, self._stolen_s()))
+        while now_s - seen[0][0] > TOGETHER_S:
+            seen.popleft()
+        taken = (now - then for now, then in zip(seen[-1][1], seen[0][1], strict=True))
+        self.longest_s = max(self.longest_s, *taken, 0.0)
+
+    def _stolen_s(self) -> list[float]:
+        """Since the start, of each core."""
+        if not self._stat.exists():
+            return []
+        lines = (line.split() for line in self._stat.read_text("ascii").splitlines())
+        return [int(words[8]) * self._tick_s for words in lines if words[0].startswith("cpu") and words[0] != "cpu"]
 
 
 def frame_age_s(topic: str, record: Mapping[str, Any]) -> list[float]:

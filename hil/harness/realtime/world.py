@@ -29,6 +29,7 @@ from drivers.rig.file import load_rig
 from drivers.rig.parts import Rig, with_errors
 from hil.harness.inject import inject_on_link
 from hil.harness.preparation import prepare
+from hil.harness.realtime.pace import StolenTime
 from hil.harness.realtime.parts import CameraThread, CameraView, FrameWriter, at_pace, running, say
 from hil.link.faulty import UdpFaultProxy
 from hil.vehicle.simulators.process import SimulatorBroken
@@ -95,6 +96,7 @@ class RealTimeWorld:
         self.frozen: set[str] = set()
         self.start_s = 0.0
         self.stood_s = 0.0  # the longest time between two steps while a drone flew: neither vehicles nor monitors lived
+        self.stolen = StolenTime()
         self.lock = threading.Lock()
         self._commands = JsonLines(sys.stdin.fileno())
         self._orders: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
@@ -164,7 +166,8 @@ class RealTimeWorld:
             for drone in self.drones.values():
                 drone.close_camera()
             frames = {name: drone.frames for name, drone in self.drones.items()}
-            say({"event": "finished", **self.findings(), "frames": frames, "stood_s": self.stood_s})
+            late = {"stood_s": self.stood_s, "stolen_s": self.stolen.longest_s}
+            say({"event": "finished", **self.findings(), "frames": frames, **late})
 
     def step(self, steps: int) -> bool:
         """The world as it is by now. Returns whether it is over."""
@@ -172,6 +175,7 @@ class RealTimeWorld:
         with self.lock:
             if not self.landed():
                 self.stood_s = max(self.stood_s, now_s - fleet.time_s)
+                self.stolen.watch(now_s)
             fleet.advance(max(now_s, fleet.time_s))
             for drone in self.drones.values():
                 if drone.vehicle is not None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from hil.harness.realtime.pace import overload_of
+import os
+from pathlib import Path
+
+from hil.harness.realtime.pace import StolenTime, overload_of
 
 NAMES = "sender", "receiver"
 QUICK = {name: [0.03] * 500 for name in NAMES}
@@ -31,6 +34,34 @@ def test_a_program_that_takes_its_frames_up_late_is_named() -> None:
 def test_a_world_that_stood_still_is_named() -> None:
     assert overload_of(QUICK, MADE, stood_s=0.3) == ""
     assert overload_of(QUICK, MADE, stood_s=2.16) == "the world stood still for 2.2 s"
+
+
+def test_a_core_that_the_host_took_is_named_where_programs_have_a_share_of_one() -> None:
+    """The kernel takes it for used: a fifth of a core is stopped five times as long."""
+    assert overload_of(QUICK, MADE, stolen_s=0.16) == ""
+    assert overload_of(QUICK, MADE, stolen_s=0.05, share=0.2) == ""
+    said = overload_of(QUICK, MADE, stolen_s=0.16, share=0.2)
+    assert said == "this computer's host took a core for 0.16 s, 0.8 s of a share"
+
+
+def test_what_the_host_takes_is_the_most_of_one_core_at_once(tmp_path: Path) -> None:
+    tick_s = 1.0 / os.sysconf("SC_CLK_TCK")
+    stolen = StolenTime(tmp_path / "stat")
+    seen: list[float] = []
+    # on the ground 50, unwatched; then 3 and 4 together on one core, 5 on the other, 2 much later
+    for now_s, one, two in ((0.0, 7, 9), (2.0, 57, 9), (2.1, 60, 9), (2.15, 99, 9), (2.2, 64, 14), (3.0, 66, 14)):
+        line = "cpu{} 5 5 5 5 5 5 5 {} 0 0\n"
+        (tmp_path / "stat").write_text(line.format("", one + two) + line.format(0, one) + line.format(1, two))
+        stolen.watch(now_s)
+        seen.append(round(stolen.longest_s / tick_s))
+    assert seen == [0, 0, 3, 3, 7, 7]
+
+
+def test_a_computer_that_does_not_say_what_its_host_took_has_none_taken(tmp_path: Path) -> None:
+    stolen = StolenTime(tmp_path / "stat")
+    for now_s in (0.0, 0.1, 0.2):
+        stolen.watch(now_s)
+    assert stolen.longest_s == 0.0
 
 
 def test_a_few_frames_prove_nothing() -> None:
