@@ -29,7 +29,7 @@ for _ignored in (signal.SIGINT, signal.SIGHUP):
     if signal.getsignal(_ignored) is signal.SIG_IGN:
         signal.signal(_ignored, _go_on)
 
-# What has sockets, threads, processes and limits of its own: one at a time, and only what computes is run beside it.
+# What has sockets, threads, processes and limits of its own: one at a time, and beside it what computes, and BESIDE.
 REAL_TIME = (
     "contracts/",
     "drivers/",
@@ -67,9 +67,12 @@ COMPUTES = (
     "hil/monitors/",
     "hil/montecarlo/",
     "hil/render/",
+    "hil/vehicle/test_busy_world",
     "hil/world/",
 )
-IN_REAL_TIME = "real time"
+# What of it waits most of its time, and has no port that is not its own: beside the rest, in a worker of its own.
+BESIDE = ("drivers/mavlink/", "hil/vehicle/")
+IN_REAL_TIME, BESIDE_REAL_TIME = "real time", "real time, beside the rest"
 BEGUN = pytest.StashKey[bool]()
 APART = ("scenarios/test_sim",)  # long tests that share nothing
 # What takes longest of what computes. A worker is given up to three groups ahead: the last ones must be short.
@@ -88,17 +91,17 @@ settings.load_profile("steady")
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """All tests on two cores: what is in real time waits half of its time, and two other workers compute meanwhile.
+    """All tests on two cores: what is in real time waits in two workers, and two others compute meanwhile.
 
     Some of the tests are run without workers, which take seconds to start and cannot show output.
     """
-    return 3 if config.args_source is config.ArgsSource.TESTPATHS else 0
+    return 4 if config.args_source is config.ArgsSource.TESTPATHS else 0
 
 
 class Groups(LoadScopeScheduling):
     """Tests of one group stay in one worker: those in real time first, then long ones, then the largest group.
 
-    A group is all tests in real time, or those of a module, which share fixtures.
+    A group is one of the two in real time, or the tests of a module, which share fixtures.
     """
 
     _ordered = False
@@ -116,7 +119,7 @@ class Groups(LoadScopeScheduling):
 
 def urgency(group: str) -> int:
     """Returns which groups go first: the lower the sooner."""
-    if group == IN_REAL_TIME:
+    if group in (IN_REAL_TIME, BESIDE_REAL_TIME):
         return 0
     return 1 if group.removeprefix("tests/").startswith(LONG) else 2
 
@@ -126,7 +129,7 @@ def group_of(nodeid: str) -> str:
     if test.startswith(APART):
         return nodeid
     if test.startswith(REAL_TIME) and not test.startswith(COMPUTES):
-        return IN_REAL_TIME
+        return BESIDE_REAL_TIME if test.startswith(BESIDE) else IN_REAL_TIME
     return test.split("::", maxsplit=1)[0]
 
 
@@ -138,7 +141,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     """A worker that begins with what only computes lets the other go first whose limits are in seconds."""
     if "PYTEST_XDIST_WORKER" in os.environ and not item.config.stash.get(BEGUN, False):
         item.config.stash[BEGUN] = True
-        if group_of(item.nodeid) != IN_REAL_TIME:
+        if urgency(group_of(item.nodeid)) > 0:
             os.nice(15)  # two of them together take less than one at 10 would
 
 

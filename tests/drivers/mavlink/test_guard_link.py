@@ -29,7 +29,7 @@ from hil.autopilot.values import Severity, StatusText
 from tests.free_ports import free_port
 from tests.guard_bench import LIMIT_S, ORIGIN, SYSID, Bench, bench
 
-BIND = "127.0.0.1:14561"
+BIND = f"127.0.0.1:{free_port()}"
 HOLD_OR_LAND = (176, 21)
 
 

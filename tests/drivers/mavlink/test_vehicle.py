@@ -111,7 +111,7 @@ def test_a_mode_that_disarming_brings_back_is_no_pilots() -> None:
                 await vehicle.land(LIMIT_S)
                 assert not vehicle.state.armed
 
-    with px4(replace(QUICK, heartbeat_hz=1.0)) as bench:
+    with px4(replace(QUICK, heartbeat_hz=1.0 / SPEED), speed=SPEED) as bench:
         asyncio.run(fly(bench))
 
 

@@ -14,6 +14,7 @@ from drivers.mavlink.modes import ARDUPILOT, PX4, px4_custom_mode
 from hil.vehicle.simulators.followed_world import RemoteAutopilot
 from hil.vehicle.simulators.link import SimulatorLink
 from hil.vehicle.simulators.relay import DO_SET_MODE, NAV_LAND, FlightWatch, MavlinkRelay
+from tests.kernel_stamps import wait_for_stamps
 
 ARMED, DISARMED = 0x81, 0x01
 OFFBOARD, HOLD = px4_custom_mode(6, 0), px4_custom_mode(4, 3)
@@ -170,6 +171,7 @@ def test_a_cut_cable_carries_nothing(ends: Ends) -> None:
 
 
 def test_a_relay_that_was_busy_does_not_lengthen_the_gaps(ends: Ends) -> None:
+    wait_for_stamps()
     ends.vehicle.sendto(heartbeat(ends), ends.vehicle_side)
     epoch_s = time.monotonic()
     ends.relay.receive(epoch_s)
@@ -189,6 +191,7 @@ def test_a_relay_that_was_busy_does_not_lengthen_the_gaps(ends: Ends) -> None:
 
 def test_a_mode_that_is_left_after_setpoints_was_not_left_before_them(ends: Ends) -> None:
     """However long the relay was busy, and from whichever side it reads first."""
+    wait_for_stamps()
     ends.vehicle.sendto(heartbeat(ends), ends.vehicle_side)
     ends.relay.receive(0.0)
     for _ in range(3):
