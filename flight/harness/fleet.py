@@ -46,6 +46,8 @@ class RelayConfig:
         reserve: of the charge; no drone may be below it before it has landed.
         endurance_s: how long a full battery carries a drone, as far as is known before it is seen to run down.
         swap_s: from landing until the drone stands ready with a full battery.
+        keep_battery, check_s: a drone whose leg ended early by no fault of its own, and that lands with as much of its
+            charge, keeps its battery: so long after landing it stands ready again.
         home_s: what a drone is granted for its way home and the landing.
         attempts: how many reliefs may fail, one after the other, before the target has to be given up.
         least_s: no relief takes off for less time than this: it could not take over before the other has to go home.
@@ -60,6 +62,8 @@ class RelayConfig:
     reserve: Annotated[float, Bounds(0.05, 0.95, "of 1")] = 0.25
     endurance_s: Annotated[float, Bounds(10.0, 36000.0)] = 1080.0
     swap_s: Annotated[float, Bounds(0.0, 36000.0, above=True)] = 300.0
+    keep_battery: Annotated[float, Bounds(0.05, 1.0, "of 1")] = 0.85
+    check_s: Annotated[float, Bounds(0.0, 36000.0)] = 60.0
     home_s: Annotated[float, Bounds(1.0, 3600.0)] = 60.0
     attempts: Annotated[int, Bounds(1, 100, "times")] = 2
     least_s: Annotated[float, Bounds(0.0, 3600.0)] = 45.0

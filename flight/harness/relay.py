@@ -58,8 +58,12 @@ class RelayField(Protocol):
         """Returns whether it is seen to stand on the ground, its motors off."""
         ...
 
-    def swap(self, name: str) -> None:
-        """Carry a drone to its home, give it a full battery and switch it off until it is called."""
+    def battery(self, name: str) -> float:
+        """Returns the charge of a drone that has landed, 0..1."""
+        ...
+
+    def swap(self, name: str, battery: float) -> None:
+        """Carry a drone to its home, with a battery of that charge in it, and switch it off until it is called."""
         ...
 
 

@@ -140,10 +140,13 @@ class VirtualField:
     def landed(self, name: str) -> bool:
         return self.world.landed(name)
 
-    def swap(self, name: str) -> None:
+    def battery(self, name: str) -> float:
+        return self.world.drone(name).autopilot.battery
+
+    def swap(self, name: str, battery: float) -> None:
         drone = self.drones[name]
         self._close_flight(drone)
-        self.world.swap(name)
+        self.world.swap(name, battery)
         drone.harness.silent = drone.harness.lost = drone.harness.frozen = False
         drone.view.other = None
 

@@ -133,9 +133,14 @@ class LiveField:
     def landed(self, name: str) -> bool:
         return bool(self._run.said.get("landed", {"landed": {}})["landed"].get(name, True))
 
-    def swap(self, name: str) -> None:
+    def battery(self, name: str) -> float:
+        """As it was when it landed; of a drone that has not flown, the rig's."""
+        own = next(drone for drone in self._request.config.drones if drone.name == name)
+        return float(self._run.said.get("landed", {"batteries": {}})["batteries"].get(name, own.battery))
+
+    def swap(self, name: str, battery: float) -> None:
         self._run.end_guard(name)
-        self._run.tell_world({"off": name})
+        self._run.tell_world({"off": name, "battery": battery})
 
     # --- of a team ---
 

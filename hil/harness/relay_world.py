@@ -85,8 +85,8 @@ class RelayWorld(Fleet[str]):
         self._drones[name].telemetry.clear()
         self.on.add(name)
 
-    def swap(self, name: str) -> None:
-        """Puts a drone at its home, with a full battery, off; its autopilot will start anew."""
+    def swap(self, name: str, battery: float = 1.0) -> None:
+        """Puts a drone at its home, with a battery of that charge, off; its autopilot will start anew."""
         row, self._boots[name] = self.names.index(name), self._boots[name] + 1
         self._states[row] = at_home(self._homes[name], self.config.airframe.leg_m)
         self._commands[row] = 0.0
@@ -94,6 +94,7 @@ class RelayWorld(Fleet[str]):
             np.random.SeedSequence((*self._seeds[row].generate_state(2), self._boots[name])).generate_state(1)[0]
         )
         self._drones[name].autopilot = Autopilot(self.config.autopilot, seed)
+        self.battery(name, battery)
         self.on.discard(name)
         self._pilot_lands_s.pop(name, None)
         self.close_leg(name, name)

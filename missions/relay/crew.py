@@ -16,6 +16,13 @@ from missions.relay.ground import Event, Leg, TakeOffOrder, Tell, What
 from path.messages import Role
 
 POLL_S = 0.5
+_BY_OTHERS = frozenset(
+    {
+        Outcome.NO_AGREEMENT, Outcome.TARGET_NOT_FOUND, Outcome.MARKER_NOT_FOUND, Outcome.MARKER_LOST,
+        Outcome.NO_VIEWPOINT, Outcome.PEER_LOST, Outcome.PEER_ABORTED, Outcome.APPROACH_FAILED, Outcome.TOO_CLOSE,
+    }
+)  # fmt: skip
+"""Ends of a leg that say nothing against the drone itself."""
 
 Where = Literal["ready", "flying", "swap"]
 
@@ -102,13 +109,23 @@ class Crew(ABC, Generic[Config, Called, Field]):
         for name, drone in self.drones.items():
             if drone.where == "flying" and drone.task is not None and drone.task.done():
                 if self._program_over(drone) and self._field.landed(name):
-                    drone.where, drone.ready_s = "swap", now_s + self.config.swap_s
+                    drone.where, drone.battery = "swap", self._battery_after(drone)
+                    drone.ready_s = now_s + (self.config.swap_s if drone.battery == 1.0 else self.config.check_s)
                     self._landed(drone)
                     self._say(name, "down", end_of(drone.result))
             elif drone.where == "swap" and now_s >= drone.ready_s:
-                self._field.swap(name)
-                drone.where, drone.ready_s, drone.battery = "ready", now_s, 1.0
-                self._say(name, "ready", "full battery")
+                self._field.swap(name, drone.battery)
+                drone.where, drone.ready_s = "ready", now_s
+                full = drone.battery == 1.0
+                self._say(
+                    name, "ready", "full battery" if full else f"battery at {100 * drone.battery:.0f} %, as it was"
+                )
+
+    def _battery_after(self, drone: Called) -> float:
+        """Returns the charge with which a drone that has landed will stand ready: that of a new battery, or its own."""
+        left = self._field.battery(drone.name)
+        unhurt = drone.result is not None and drone.result.outcome in _BY_OTHERS
+        return left if unhurt and left >= self.config.keep_battery else 1.0
 
     def _call(self, drone: Called, order: TakeOffOrder) -> None:
         drone.where, drone.order, drone.result = "flying", order, None

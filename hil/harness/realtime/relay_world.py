@@ -110,7 +110,8 @@ class RelaySitlWorld(RealTimeWorld):
         landed = {name: self._world.landed(name) for name in self._world.names}
         if landed != self._landed:
             self._landed = landed
-            say({"event": "landed", "landed": landed})
+            batteries = dict(zip(self._world.names, self._world.batteries, strict=True))
+            say({"event": "landed", "landed": landed, "batteries": batteries})
 
     def landed(self) -> bool:
         return all(self._world.landed(name) for name in self._world.names)
@@ -131,9 +132,9 @@ class RelaySitlWorld(RealTimeWorld):
                 self._switch_on(name, now_s)
             case {"camera_off": name}:
                 await asyncio.to_thread(self.drones[name].close_camera)  # the vehicles do not wait for its thread
-            case {"off": name}:
+            case {"off": name, "battery": battery}:
                 await asyncio.to_thread(self.drones[name].close_camera)
-                self._switch_off(name)
+                self._switch_off(name, battery)
             case {"open": number, "sender": sender, "receiver": receiver}:
                 await self._open_leg(number, sender, receiver)
             case {"close": _, "sender": sender, "receiver": receiver}:
@@ -162,10 +163,10 @@ class RelaySitlWorld(RealTimeWorld):
         phase = 0.37 * self._world.names.index(name) % 1.0
         self.start_camera(name, self._pictures[name], writer, float(camera_config(pair, OWN).fps), phase)
 
-    def _switch_off(self, name: str) -> None:
+    def _switch_off(self, name: str, battery: float) -> None:
         with self.lock:
             self._close_flight(name, self.now_s())
-            self._world.swap(name)
+            self._world.swap(name, battery)
         self.frozen.discard(name)
         self._others.pop(name, None)
 

@@ -21,6 +21,8 @@ class Place:
 
     def __init__(self) -> None:
         self.flights: dict[str, asyncio.Future[RoleResult]] = {}
+        self.left: dict[str, float] = {}
+        self.swapped: dict[str, float] = {}
 
     def begin(self, name: str, program: Any) -> Awaitable[RoleResult]:
         self.flights[name] = asyncio.get_running_loop().create_future()
@@ -36,7 +38,11 @@ class Place:
 
     def close_leg(self, number: int) -> None: ...
 
-    def swap(self, name: str) -> None: ...
+    def battery(self, name: str) -> float:
+        return self.left.get(name, 0.5)
+
+    def swap(self, name: str, battery: float) -> None:
+        self.swapped[name] = battery
 
     def assign(self, name: str, target: int) -> None: ...
 
@@ -183,5 +189,26 @@ def test_the_sender_of_a_relief_that_died_with_the_target_is_sent_back_to_it() -
         await asyncio.sleep(base.config.point_s)
         base.may_find(holder, 300.0)
         assert base.turned_back(holder) == "go"
+
+    flown(story)
+
+
+def test_a_relief_that_comes_home_early_by_no_fault_of_its_own_keeps_its_battery() -> None:
+    async def story(base: TeamBase, place: Place) -> None:
+        for outcome, left, ready_s, kept in (
+            (Outcome.PEER_LOST, 0.95, base.config.check_s, 0.95),
+            (Outcome.PEER_LOST, 0.80, base.config.swap_s, 1.0),
+            (Outcome.CAMERA_LOST, 0.95, base.config.swap_s, 1.0),
+        ):
+            holder = await acquired(base) if base.targets[0].holder is None else base.targets[0].holder
+            assert holder is not None
+            relief = await relief_of(base, holder)
+            place.left[relief] = left
+            place.end(relief, outcome)
+            base.leg_failed(holder, MissionEnd(Outcome.PEER_LOST, "nothing heard"))
+            await asyncio.sleep(ready_s - 5.0)
+            assert base.drones[relief].where == "swap"
+            await asyncio.sleep(10.0)
+            assert base.drones[relief].where == "ready" and place.swapped[relief] == kept
 
     flown(story)
