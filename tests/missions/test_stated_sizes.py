@@ -9,6 +9,8 @@ from hil.geometric.scene import parts_of
 from hil.world.kinds import TargetKind
 from missions import rig_library
 from missions.rig_list import FOLDER
+from path.config import EvidenceConfig
+from path.gate.evidence import evidence_needed, evidence_of
 
 
 @pytest.mark.parametrize(
@@ -32,3 +34,12 @@ def test_what_a_rig_says_is_wide_and_high_enough_and_hardly_more(name: str, kind
 def test_a_rig_that_decides_by_evidence_states_the_size_of_its_target(name: str) -> None:
     method = rig_library.load_unchecked(name).method
     assert method.gate == "count" or (method.evidence.span_m > 0.0 and method.evidence.height_m > 0.0)
+
+
+@pytest.mark.parametrize("name", sorted(file.stem for file in FOLDER.glob("*.toml")))
+def test_a_rig_that_takes_weaker_blocks_says_that_they_agree_by_accident_more_often(name: str) -> None:
+    stated, usual = rig_library.load_unchecked(name).method.evidence, EvidenceConfig()
+    weaker = stated.strength < usual.strength
+    assert weaker == (stated.first_rate > usual.first_rate) == (stated.next_rate > usual.next_rate)
+    blocks = next(n for n in range(1, 100) if evidence_of(n, stated) >= evidence_needed(1, stated))
+    assert blocks > 4 if weaker else blocks == 4
