@@ -48,7 +48,8 @@ class BoardSeen:
     Attributes:
         T_c_o: of the plane that fits best. ``bend``: (k, 2) px, coefficients of the polynomials of ``order`` in the
             board's coordinates about ``middle`` over ``reach`` by which the corners leave it.
-        left_px: what neither explains of the reference corners, rms per axis.
+        left_px: what neither explains of the reference corners, rms per axis. ``spread``: (k, k) px², the covariance
+            of the coefficients of either axis that follows from it: how well the board's place is known.
     """
 
     camera: CameraModel
@@ -58,11 +59,17 @@ class BoardSeen:
     middle: Array
     reach: float
     left_px: float
+    spread: Array
 
     def pixels(self, points_o: Array) -> Array:
         """Returns the pixels of points (n, 3) of the board, (n, 2)."""
         smooth = _powers((points_o[:, :2] - self.middle) / self.reach, self.order) @ self.bend
         return self.camera.project(self.T_c_o.apply(points_o)) + smooth
+
+    def doubt_px2(self, points_o: Array) -> Array:
+        """The covariance (2 n, 2 n) of the pixels of points (n, 3), x and y by turns: of the truth itself."""
+        smooth = _powers((points_o[:, :2] - self.middle) / self.reach, self.order)
+        return np.asarray(np.kron(smooth @ self.spread @ smooth.T, np.eye(2)), np.float64)
 
     def pose_at(self, T_o_m: Pose) -> Pose:
         """``T_c_m`` on a flat board, when its rows were read: turned about the camera to where its middle is seen.
@@ -145,7 +152,7 @@ def look_at_set(own: RealSet, images: Sequence[Path]) -> SetSeen:
         Photograph(name, grey, own.board.corners_o[ids], corners_px)
         for (name, grey, _), (ids, corners_px) in zip(seen, corners, strict=True)
     ]
-    boards = tuple(_see(camera, shot, own.file.bend_order) for shot in shots)
+    boards = tuple(see_board(camera, shot, own.file.bend_order) for shot in shots)
     begun = tuple(starts(own, shot.grey) for shot in shots)
     return SetSeen(camera, sigmas, tuple(shots), boards, begun)
 
@@ -174,10 +181,10 @@ def _look_at_grid(own: RealSet, greys: Sequence[tuple[str, Image]]) -> SetSeen:
         raise PartError(f"{own.name}: no photograph shows the grid", REMEDY)
     side_m = own.file.side_m
     for _ in range(3):
-        boards = tuple(_see(camera, shot, own.file.bend_order) for shot in shots)
+        boards = tuple(see_board(camera, shot, own.file.bend_order) for shot in shots)
         side_m *= 1.0 + growth([(s.corners_px, b, s.points_o) for s, b in zip(shots, boards, strict=True)])
         shots = [Photograph(s.name, s.grey, _grown(s.points_o, side_m), s.corners_px) for s in shots]
-    boards = tuple(_see(camera, shot, own.file.bend_order) for shot in shots)
+    boards = tuple(see_board(camera, shot, own.file.bend_order) for shot in shots)
     return SetSeen(camera, None, tuple(shots), boards, tuple(begun))
 
 
@@ -222,7 +229,8 @@ def _given(own: RealSet, grey: Image) -> CameraModel | None:
         raise PartError(f"{own.name}: camera: {error}", REMEDY) from error
 
 
-def _see(camera: CameraModel, shot: Photograph, order: int) -> BoardSeen:
+def see_board(camera: CameraModel, shot: Photograph, order: int) -> BoardSeen:
+    """The board's pose in one photograph, and its bend. Raises PartError."""
     try:
         pose, errors = pose_of_points(camera, shot.points_o, shot.corners_px)
     except NotSolvable as error:
@@ -233,7 +241,9 @@ def _see(camera: CameraModel, shot: Photograph, order: int) -> BoardSeen:
     bend = np.column_stack([robust_solution(smooth, errors[:, axis]) for axis in (0, 1)])
     left = errors - smooth @ bend
     free = max(left.size - 2 * smooth.shape[1], 1)
-    return BoardSeen(camera, pose, bend, order, middle, reach, float(np.sqrt((left**2).sum() / free)))
+    variance = float((left**2).sum() / free)
+    spread = np.asarray(variance * np.linalg.pinv(smooth.T @ smooth), np.float64)
+    return BoardSeen(camera, pose, bend, order, middle, reach, math.sqrt(variance), spread)
 
 
 def _powers(xy: Array, order: int) -> Array:

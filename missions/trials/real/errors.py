@@ -33,6 +33,7 @@ class SeenMarker:
         nominal_px: (4, 2), found minus where the board says it is, all markers printed alike.
         error_px: the same without what all views of this marker have in common; scaled for what that takes away.
         slopes: (4, 2, 2) px / m on the board. ``rises``: (4, 2) px / m of height above it.
+        doubt_px2: (8, 8), the covariance of where the board says it is; None where markers tell that themselves.
         lifted_px: (4, 2), the share of what is taken away that the paper's heights make.
     """
 
@@ -43,6 +44,7 @@ class SeenMarker:
     error_px: Array
     slopes: Array
     rises: Array
+    doubt_px2: Array | None = None
     lifted_px: Array = field(default_factory=lambda: np.zeros((4, 2)))
 
     @property
@@ -64,8 +66,18 @@ class SeenMarker:
         """Squared error over stated covariance, per number; nan without a covariance."""
         if self.found.covariance_px2 is None:
             return math.nan
+        return self._over(self.found.covariance_px2)
+
+    @property
+    def chi2_with_doubt(self) -> float:
+        """The same over what is stated and what the board leaves in doubt; nan without either."""
+        if self.found.covariance_px2 is None or self.doubt_px2 is None:
+            return math.nan
+        return self._over(self.found.covariance_px2 + self.doubt_px2)
+
+    def _over(self, covariance_px2: Array) -> float:
         e = self.error_px.ravel()
-        return float(e @ np.linalg.solve(self.found.covariance_px2, e)) / len(e)
+        return float(e @ np.linalg.solve(covariance_px2, e)) / len(e)
 
     @property
     def side_px(self) -> float:
@@ -104,7 +116,8 @@ def measure_set(own: RealSet, seen: SetSeen, found: Sequence[Corners]) -> Method
         for marker_id, one in corners.items():
             points = printed(own, larger, marker_id)
             error = one.corners_px - board.pixels(points)
-            raw.append(SeenMarker(view, marker_id, one, error, error, board.slopes(points), board.rises(points)))
+            doubt = None if own.board is None else board.doubt_px2(points)
+            raw.append(SeenMarker(view, marker_id, one, error, error, board.slopes(points), board.rises(points), doubt))
     by_id: dict[int, list[SeenMarker]] = {}
     for marker in raw:
         by_id.setdefault(marker.marker_id, []).append(marker)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missions.trials.real.response import CameraResponse
+from missions.trials.real.shutter import RowMotion
 from missions.trials.shared.statistics import Interval
 from path.camera.thinning import Thinning
 
@@ -33,6 +34,7 @@ class CornerScore:
     """One method's corners: px per axis, with the print as the views show it, and with all markers printed alike.
 
     ``across_px``: the robust figure in the one direction in the image in which paper that is not flat moves no corner.
+    ``doubt_px``: how well the board itself knows where corners are; ``chi2_with_doubt``: over that and what is stated.
     """
 
     found: int
@@ -42,9 +44,13 @@ class CornerScore:
     rms_px: float
     stated_px: float | None = None
     chi2: Figure95 | None = None
+    doubt_px: float | None = None
+    chi2_with_doubt: Figure95 | None = None
 
     def summary(self) -> dict[str, Any]:
-        named = {"found": self.found, "nominal_px": self.nominal_px, "rms_px": self.rms_px}
+        named: dict[str, Any] = {"found": self.found, "nominal_px": self.nominal_px, "rms_px": self.rms_px}
+        if self.chi2_with_doubt is not None:
+            named |= {"doubt_px": self.doubt_px, **self.chi2_with_doubt.summary("chi2_with_doubt")}
         return {**self.robust_px.summary("robust_px"), **self.across_px.summary("across_px"), **named}
 
 
@@ -86,6 +92,7 @@ class SetScore:
         poses: by what they rest on; empty on a chessboard. ``named``: what the fits called wrong, and how often.
         example: the photograph in the middle, for the page.
         thinning: how the camera leaves out pixels, as these photographs tell it; None where it does not.
+        row_motion: while rows were read, as the board's corners tell it; None without markers or of a sheet.
         twin: the same of the set's rendered twin; None without one.
     """
 
@@ -104,6 +111,7 @@ class SetScore:
     poses: dict[str, PoseScore]
     named: dict[str, int]
     example: NDArray[np.uint8]
+    row_motion: RowMotion | None = None
     twin: TwinScore | None = None
 
     def summary(self) -> dict[str, Any]:
@@ -127,6 +135,7 @@ class SetScore:
             "stated_px": None if own is None else own.stated_px,
             "corners": {name: score.summary() for name, score in self.corners.items()},
             "named_wrong": self.named,
+            "row_motion": None if self.row_motion is None else asdict(self.row_motion),
             **{name: score.summary() for name, score in self.poses.items() if name != "single"},
             **({} if self.twin is None else {"twin": self.twin.summary(self)}),
         }

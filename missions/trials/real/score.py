@@ -20,6 +20,7 @@ from missions.trials.real.errors import MethodPoses, measure_set
 from missions.trials.real.poses import Poses, estimate_all, plate_tasks, single_tasks
 from missions.trials.real.results import CornerScore, Figure95, PoseScore, SetScore, TwinScore
 from missions.trials.real.set import RealSet, read_set
+from missions.trials.real.shutter import held_still
 from missions.trials.real.twin import render_twin
 from missions.trials.shared.statistics import bootstrap, mean, median, p95, robust_sigma
 
@@ -53,15 +54,20 @@ def score_set(task: SetTask) -> SetScore:
     own = read_set(task.file, task.photographs)
     images = own.images[:: max(1, len(own.images) // QUICK_IMAGES)] if task.quick else own.images
     seen = look_at_set(own, images)
-    score = _score(own, images, seen, task.seed)
-    twin = None if task.renderer is None else render_twin(own, seen, images, task.renderer, task.seed, task.twins)
+    measured = _measure(own, seen)
+    score = _score(own, images, seen, measured, task.seed)
+    if task.renderer is None:
+        return score
+    twin = render_twin(own, seen, measured.get("photometric"), images, task.renderer, task.seed, task.twins)
     if twin is None:
         return score
-    rendered = _score(own, twin.images, look_at_set(own, twin.images), task.seed)
+    again = look_at_set(own, twin.images)
+    rendered = _score(own, twin.images, again, _measure(own, again), task.seed)
     return replace(score, twin=TwinScore(twin.response, rendered))
 
 
-def _score(own: RealSet, images: Sequence[Path], seen: SetSeen, seed: int) -> SetScore:
+def _measure(own: RealSet, seen: SetSeen) -> dict[str, MethodPoses]:
+    """Every marker by every method that finds any."""
     measured: dict[str, MethodPoses] = {}
     for method in METHODS if own.markers else ():
         found = [
@@ -69,10 +75,16 @@ def _score(own: RealSet, images: Sequence[Path], seen: SetSeen, seed: int) -> Se
             for shot, start in zip(seen.photographs, seen.starts, strict=True)
         ]
         measured[method] = measure_set(own, seen, found)
-    measured = {name: some for name, some in measured.items() if some.seen}
+    return {name: some for name, some in measured.items() if some.seen}
+
+
+def _score(
+    own: RealSet, images: Sequence[Path], seen: SetSeen, measured: dict[str, MethodPoses], seed: int
+) -> SetScore:
     rng = np.random.default_rng([seed, SCORE_STREAM])
     camera = seen.camera
     best = measured.get("photometric")
+    still = None if best is None or own.board is None or not own.file.flat else held_still(own, seen, best)
     return SetScore(
         own.name,
         len(images),
@@ -86,9 +98,10 @@ def _score(own: RealSet, images: Sequence[Path], seen: SetSeen, seed: int) -> Se
         seen.sigmas,
         camera.thinning,
         {name: _corner_score(some, rng) for name, some in measured.items()},
-        {} if best is None else _pose_scores(own, seen, best, seed, rng),
+        {} if best is None else _pose_scores(own, seen, best, None if still is None else still[:2], seed, rng),
         {} if best is None else dict(Counter(wrong for marker in best.seen for wrong in marker.found.wrong)),
         _thumbnail(seen),
+        None if still is None else still[2],
     )
 
 
@@ -104,7 +117,13 @@ def _corner_score(measured: MethodPoses, rng: np.random.Generator) -> CornerScor
         return CornerScore(len(measured.seen), robust, across, nominal, rms)
     traces = [float(np.trace(m.found.covariance_px2)) for m in measured.seen if m.found.covariance_px2 is not None]
     stated = math.sqrt(float(np.median(traces)) / 8.0)
-    return CornerScore(len(measured.seen), robust, across, nominal, rms, stated, _honesty(chi2, 8, groups, rng))
+    honesty = _honesty(chi2, 8, groups, rng)
+    doubts = [marker.doubt_px2 for marker in measured.seen if marker.doubt_px2 is not None]
+    if not doubts:
+        return CornerScore(len(measured.seen), robust, across, nominal, rms, stated, honesty)
+    doubt = math.sqrt(float(np.median([np.trace(one) for one in doubts])) / 8.0)
+    both = _honesty(np.array([marker.chi2_with_doubt for marker in measured.seen]), 8, groups, rng)
+    return CornerScore(len(measured.seen), robust, across, nominal, rms, stated, honesty, doubt, both)
 
 
 def _print_m(measured: MethodPoses) -> float:
@@ -121,8 +140,9 @@ def _height_m(measured: MethodPoses) -> float:
 
 
 def _pose_scores(
-    own: RealSet, seen: SetSeen, measured: MethodPoses, seed: int, rng: np.random.Generator
-) -> dict[str, PoseScore]:
+    own: RealSet, seen: SetSeen, measured: MethodPoses, still: tuple[SetSeen, MethodPoses] | None, seed: int,
+    rng: np.random.Generator,
+) -> dict[str, PoseScore]:  # fmt: skip
     singles = single_tasks(own, seen, measured)
     found = {
         "single": estimate_all(own, seen.camera, singles, seed),
@@ -134,6 +154,10 @@ def _pose_scores(
         "squared": estimate_all(own, seen.camera, single_tasks(own, seen, measured, squared=True), seed),
         "squared_plate": estimate_all(own, seen.camera, plate_tasks(own, seen, measured, squared=True), seed),
     }
+    if still is not None:
+        seen, measured = still
+        found["still"] = estimate_all(own, seen.camera, single_tasks(own, seen, measured, squared=True), seed)
+        found["still_plate"] = estimate_all(own, seen.camera, plate_tasks(own, seen, measured, squared=True), seed)
     return {name: _pose_score(poses, rng) for name, poses in found.items() if poses.errors}
 
 

@@ -35,6 +35,8 @@ POSE_TITLES = {
     "plate": "two markers, gravity",
     "squared": "one marker, printed square, gravity",
     "squared_plate": "two markers, printed square, gravity",
+    "still": "one marker, printed square and held still, gravity",
+    "still_plate": "two markers, printed square and held still, gravity",
     "perfect_corners": "the board's own corners, gravity",
 }
 
@@ -66,7 +68,8 @@ def run(request: TrialRequest) -> TrialResult:
             "The board's pose comes from all its corners; what all views of a marker agree on is the print's, not an "
             "error of its corners. The row of the board's own corners is the floor: what gravity, print, and a board "
             "that is not flat leave when the corners are as the whole board says. Printed square: the same photographs "
-            "with corners moved by what the print is off a square, as a marker drawn with exact edges would have them.",
+            "with corners moved by what the print is off a square, as a marker drawn with exact edges would have them. "
+            "Held still: also without the shear of each view, which is what moves while rows are read, and more.",
             "Of a camera that leaves out pixels, so that those it keeps are not evenly spaced, every method's corners "
             "are put where they are in an evenly spaced image.",
             "Intervals are 95 %, views drawn together. Honesty is the median chi-square per number over what it is "
@@ -154,6 +157,8 @@ def _corner_table(scores: Sequence[SetScore]) -> TrialTable:
             f"{own.rms_px:.3f}",
             "" if own.stated_px is None else f"{own.stated_px:.3f}",
             "" if own.chi2 is None else own.chi2.text(2),
+            "" if own.doubt_px is None else f"{own.doubt_px:.3f}",
+            "" if own.chi2_with_doubt is None else own.chi2_with_doubt.text(2),
         )
         for score in scores
         for method in METHODS
@@ -161,13 +166,15 @@ def _corner_table(scores: Sequence[SetScore]) -> TrialTable:
     ]
     return TrialTable(
         "Corners against the board, px per axis",
-        ("set", "method", "markers", "robust", "across", "markers printed alike", "rms", "stated", "honesty"),
+        ("set", "method", "markers", "robust", "across", "markers printed alike", "rms", "stated", "honesty",
+         "the board's doubt", "honesty with it"),
         tuple(rows),
         "Robust: 1.48 times the median size; across: the same in the one direction in the image in which paper that is "
         "not flat moves no corner. Each method measures the print with its own corners, where three views "
         "or more show a marker: a bias that is the same everywhere is not counted, except in the column of markers "
-        "printed alike, in which only their common side is free.",
-    )
+        "printed alike, in which only their common side is free. The board's doubt: how well its own corners tell "
+        "where a marker's are; with it, errors are held against it and what is stated together.",
+    )  # fmt: skip
 
 
 def _pose_table(scores: Sequence[SetScore]) -> TrialTable:
@@ -215,8 +222,8 @@ def _twin_table(scores: Sequence[SetScore]) -> TrialTable:
         "Photographs and their rendered twins",
         ("set", "", "photographs", "twin", "twin over photographs"),
         tuple(rows),
-        "A twin is the same flat and perfectly printed board, drawn at the same places by the harness's renderer, with "
-        "the camera's response as straight edges of the photographs show it: " + cameras + ".",
+        "A twin is the same board with its ink where the photographs show it, drawn at the same places by the "
+        "harness's renderer, with the camera's response as straight edges of the photographs show it: " + cameras + ".",
     )
 
 
@@ -242,6 +249,7 @@ def _set_table(scores: Sequence[SetScore]) -> TrialTable:
             f"{score.board_px:.3f}",
             "" if score.print_m is None else f"{1e3 * score.print_m:.3f}",
             "" if score.height_m is None else f"{1e3 * score.height_m:.2f}",
+            _motion(score),
             f"{score.camera[0]:.1f}",
             "given" if score.camera_sigmas is None else f"{100.0 * score.camera_sigmas[0]:.2f} %",
             ", ".join(f"{name} {count}" for name, count in score.named.items()),
@@ -250,11 +258,17 @@ def _set_table(scores: Sequence[SetScore]) -> TrialTable:
     ]
     return TrialTable(
         "The sets",
-        ("set", "views with the board", "marker, px", "board left, px", "print off, mm", "paper off, mm", "fx",
-         "its error", "called wrong"),
+        ("set", "views with the board", "marker, px", "board left, px", "print off, mm", "paper off, mm", "motion, px",
+         "fx", "its error", "called wrong"),
         tuple(rows),
         "Board left: what neither pose nor bend explain of the board's own corners. Print off: by how much the corners "
         "of the markers are off on the print, rms over all of them. Paper off: by how much it leaves its smooth "
-        "surface, as what moves corners along its normal more than across tells. Called wrong: what "
-        "the photometric fits named.",
+        "surface, as what moves corners along its normal more than across tells. Motion: while rows are read, "
+        "as the shear of its board tells it, and what a pose leaves of the board's corners without and with it. Called "
+        "wrong: what the photometric fits named.",
     )  # fmt: skip
+
+
+def _motion(score: SetScore) -> str:
+    own = score.row_motion
+    return "" if own is None else f"{own.motion_px:.1f} ({own.pose_px:.3f} to {own.rows_px:.3f})"

@@ -1,8 +1,9 @@
 """A set's rendered twin: the same board before the same camera, at the same places, in the same light.
 
 The harness's own renderer draws it. Its imaging is what edges of the board say of the camera
-(``missions.trials.real.response``), its light what they say of black and white. Nothing is taken from the errors of
-markers: those the twin is to predict.
+(``missions.trials.real.response``), its light what they say of black and white. Its ink lies where all views agree
+that it does (``missions.trials.real.paper``). Nothing else is taken from the errors of markers: those the twin is to
+predict.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from numpy.typing import NDArray
 from flight.harness.renderer import FrameRenderer, Imaging, PlacedBoard, RenderedInstant, RendererSetup
 from missions.trials.calibration.views import HERE, T_W_C, grey
 from missions.trials.real.board import BoardSeen, SetSeen
+from missions.trials.real.errors import MethodPoses
+from missions.trials.real.paper import CELL_PX, Print, as_seen, ink_moves, pixel_m
 from missions.trials.real.response import (
     TOP,
     BoardEdge,
@@ -57,19 +60,25 @@ class Twin:
 
 
 def render_twin(
-    own: RealSet, seen: SetSeen, images: Sequence[Path], renderer: type[FrameRenderer], seed: int, out: Path
-) -> Twin | None:
+    own: RealSet, seen: SetSeen, measured: MethodPoses | None, images: Sequence[Path], renderer: type[FrameRenderer],
+    seed: int, out: Path,
+) -> Twin | None:  # fmt: skip
     """Draw every photograph of a set again, into files; None when its camera's response cannot be measured.
 
     Args:
-        images: the set's files. ``out``: a folder for the twin's.
+        measured: its markers, which tell where their ink lies. ``images``: the set's files.
+        out: a folder for the twin's.
     """
     response = measure_response(own, seen, images)
     if response is None:
         return None
     pairs = zip(seen.photographs, seen.boards, strict=True)
     edges = {shot.name: see_edges(own, shot, board) for shot, board in pairs}
-    drawing = _Drawing(own, _print_of(own, seen), edges, renderer, seed)
+    printed = _print_of(own, seen).finer(CELL_PX * pixel_m(seen))
+    moves = ink_moves(own, seen, measured)
+    pairs = zip(seen.photographs, seen.boards, strict=True)
+    prints = {shot.name: as_seen(printed, moves, board) for shot, board in pairs}
+    drawing = _Drawing(own, prints, edges, renderer, seed)
     drawing = replace(drawing, turned=drawing.measure_turned(seen))
     imaging = _like_it(drawing, seen, response)
     out.mkdir(parents=True, exist_ok=True)
@@ -85,13 +94,12 @@ class _Drawing:
     """The drawing of a set's twin.
 
     Attributes:
-        printed: shades, the side of a cell in metres, the place of the print's corner on the board.
-        edges: of each photograph, by its name.
+        prints: where ink lies, and ``edges``: of each photograph, by its name.
         turned: by photograph, the share of its light that a board has which is turned away from the renderer's sun.
     """
 
     own: RealSet
-    printed: tuple[Shades, float, Array]
+    prints: Mapping[str, Print]
     edges: Mapping[str, Sequence[BoardEdge]]
     renderer: type[FrameRenderer]
     seed: int
@@ -111,7 +119,7 @@ class _Drawing:
         made = self.renderer(RendererSetup(camera, HERE, HERE, single_marker(), imaging=sensor_imaging), self.seed)
         drawn: list[Shades] = []
         for number, (shot, board) in enumerate(zip(seen.photographs, seen.boards, strict=True)):
-            lit = _placed(board, *self.printed, self.edges[shot.name], imaging.gamma)
+            lit = _placed(board, self.prints[shot.name], self.edges[shot.name], imaging.gamma)
             share = self.turned.get(shot.name, 1.0)
             placed = replace(lit, light=(lit.light[0] / share, lit.light[1] / share))
             color = made.shoot(RenderedInstant({Role.SENDER: T_W_C}, boards=(placed,)), Role.SENDER, number).color
@@ -180,16 +188,15 @@ def _light_sigma(imaging: Imaging, level: float) -> float:
     return float(np.sqrt(imaging.read_sigma**2 + imaging.shot_gain * light))
 
 
-def _placed(
-    board: BoardSeen, shades: Shades, cell_m: float, corner_o: Array, edges: Sequence[BoardEdge], gamma: float
-) -> PlacedBoard:
+def _placed(board: BoardSeen, printed: Print, edges: Sequence[BoardEdge], gamma: float) -> PlacedBoard:
     """The print in the light of one photograph: black and white change evenly across the board."""
+    shades, cell_m, corner_o = printed.shades, printed.cell_m, printed.corner_o
     rows, columns = shades.shape
     x = corner_o[0] + (np.arange(columns) + 0.5) * cell_m
     y = corner_o[1] + (np.arange(rows) + 0.5) * cell_m
     dark, bright = (_light(edges, name, x, y, gamma) for name in ("black", "white"))
     low, high = float(dark.min()), float(bright.max())
-    lit = np.where(shades > 127, bright, dark)
+    lit = dark + (bright - dark) * (shades / TOP)
     levels = np.round(TOP * (lit - low) / (high - low)).astype(np.uint8)
     T_w_o = T_W_C @ board.T_c_o @ Pose(np.eye(3), np.array([*corner_o, 0.0]))
     return PlacedBoard(T_w_o, cell_m, levels, (low, high))
@@ -204,11 +211,10 @@ def _light(edges: Sequence[BoardEdge], name: str, x: Array, y: Array, gamma: flo
     return np.maximum(TOP * (seen / TOP) ** gamma, LEAST_LIGHT)
 
 
-def _print_of(own: RealSet, seen: SetSeen) -> tuple[Shades, float, Array]:
-    """Shades of the print, the side of a cell in metres, and the place of its top left corner on the board."""
+def _print_of(own: RealSet, seen: SetSeen) -> Print:
     if own.board is not None:
         shades, cell_m = print_cells(own.board)
-        return shades, cell_m, np.array([-own.board.square_m, -own.board.square_m])
+        return Print(shades, cell_m, np.array([-own.board.square_m, -own.board.square_m]))
     cell_m = own.file.pitch_m / GRID_CELLS
     side_m = float(np.median([_side(shot.points_o) for shot in seen.photographs]))
     columns, rows = (round((n - 1 + 2.0 * BORDER) * GRID_CELLS) + GRID_CELLS for n in (own.file.columns, own.file.rows))
@@ -220,7 +226,7 @@ def _print_of(own: RealSet, seen: SetSeen) -> tuple[Shades, float, Array]:
         size, (column, row) = round(side_m / cell_m), np.round(first / cell_m).astype(int)
         big = cv2.resize(255 * inner.astype(np.uint8), (size, size), interpolation=cv2.INTER_NEAREST_EXACT)
         shades[row : row + size, column : column + size] = big
-    return shades, cell_m, corner_o
+    return Print(shades, cell_m, corner_o)
 
 
 def _side(points_o: Array) -> float:

@@ -12,15 +12,16 @@ import pytest
 
 from drivers.interfaces import PartError
 from missions.options.proofs import TrialOptions
-from missions.trials.real.board import look_at_set
+from missions.trials.real.board import look_at_set, see_board
 from missions.trials.real.corners import METHODS, FoundMarker, corners_by
 from missions.trials.real.errors import measure_set
 from missions.trials.real.poses import estimate_all, plate_tasks, single_tasks
 from missions.trials.real.score import SetScore, SetTask, score_set
 from missions.trials.real.set import read_set
+from missions.trials.real.shutter import held_still
 from missions.trials.run import run
 from path.calibration.board import Board
-from path.geometry.transforms import Pose
+from path.geometry.transforms import Matrix, Pose
 from tests.path.calibration.rendered import Held, photographs, poses
 
 PRINTED = Board("charuco", 8, 6, 0.030, 0.0225)
@@ -144,6 +145,48 @@ def test_a_marker_is_where_it_was_when_its_rows_were_read(file: Path) -> None:
     before, after = board.pose_at(T_o_m), moved.pose_at(T_o_m)
     np.testing.assert_allclose(board.camera.project(after.t[None]), moved.pixels(T_o_m.t[None]), atol=1e-6)
     np.testing.assert_allclose(after.inverse().t, before.inverse().t, atol=1e-9)  # it turned, and the camera stays
+
+
+def test_a_board_that_moved_is_held_still(file: Path) -> None:
+    """Rows shifted in proportion, as motion does: the shear is told, and poses are as they were."""
+    own = read_set(file)
+    seen = look_at_set(own, own.images)
+    found = [
+        {i: FoundMarker(board.pixels(m.corners_o), 1e-4 * np.eye(8)) for i, m in own.markers.items()}
+        for board in seen.boards
+    ]
+    shear = np.array([0.004, -0.003])
+
+    def moved(corners: Matrix) -> Matrix:
+        return corners + (corners[:, 1:] - seen.camera.cy) * shear
+
+    shots = [replace(shot, corners_px=moved(shot.corners_px)) for shot in seen.photographs]
+    boards = [see_board(seen.camera, shot, own.file.bend_order) for shot in shots]
+    sheared = replace(seen, photographs=tuple(shots), boards=tuple(boards))
+    corners = [{i: replace(one, corners_px=moved(one.corners_px)) for i, one in some.items()} for some in found]
+    still, measured, motion = held_still(own, sheared, measure_set(own, sheared, corners))
+    assert motion.motion_px == pytest.approx(float(np.sqrt(np.mean(shear**2))) * seen.camera.height, rel=0.1)
+    assert motion.rows_px < 0.3 * motion.pose_px
+    errors = [
+        np.mean([e.d2_m for e in estimate_all(own, some.camera, single_tasks(own, some, those), 0).errors])
+        for some, those in ((sheared, measure_set(own, sheared, corners)), (still, measured))
+    ]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_a_board_knows_how_well_it_tells_where_markers_are(file: Path) -> None:
+    own = read_set(file)
+    seen = look_at_set(own, own.images)
+    rng, over = np.random.default_rng(8), []
+    for board, shot in zip(seen.boards, seen.photographs, strict=True):
+        true = board.pixels(shot.points_o)
+        for _ in range(6):
+            noisy = replace(shot, corners_px=true + 0.08 * rng.standard_normal(true.shape))
+            told = see_board(seen.camera, noisy, own.file.bend_order)
+            for marker in own.markers.values():
+                error = (told.pixels(marker.corners_o) - board.pixels(marker.corners_o)).ravel()
+                over.append(error @ error / np.trace(told.doubt_px2(marker.corners_o)))
+    assert float(np.mean(over)) == pytest.approx(1.0, abs=0.3)
 
 
 def test_poses_of_noisy_corners_are_honest_when_their_noise_is_stated(file: Path) -> None:

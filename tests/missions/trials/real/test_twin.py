@@ -10,15 +10,21 @@ import cv2
 import numpy as np
 import pytest
 
-from flight.harness.renderer import Imaging
+from flight.harness.renderer import Imaging, PlacedBoard, RenderedInstant, RendererSetup
 from hil.camera.pictures import CameraRenderer
 from missions.options.proofs import TrialOptions
+from missions.trials.calibration.views import HERE, T_W_C, grey
 from missions.trials.real.board import SetSeen, look_at_set
+from missions.trials.real.corners import by_photometry, starts
+from missions.trials.real.paper import InkMoves, Print, as_seen
 from missions.trials.real.response import edge_of, jpeg_quality, levels_of, mean_edge, measure_response, see_edges
 from missions.trials.real.set import RealSet, read_set
 from missions.trials.real.twin import render_twin
 from missions.trials.run import run
-from path.calibration.board import Board
+from path.calibration.board import Board, print_cells
+from path.geometry.transforms import Pose
+from path.marker.layout import single_marker
+from path.messages import Role
 from tests.missions.trials.real.test_trial import TEXT
 from tests.path.calibration.rendered import Held, photographs, poses
 
@@ -56,7 +62,7 @@ def test_edges_of_a_known_camera_are_measured(seen: tuple[RealSet, SetSeen]) -> 
 
 def test_a_twin_draws_edges_and_noise_as_its_photographs_do(seen: tuple[RealSet, SetSeen], tmp_path: Path) -> None:
     own, views = seen
-    twin = render_twin(own, views, own.images, CameraRenderer, 0, tmp_path)
+    twin = render_twin(own, views, None, own.images, CameraRenderer, 0, tmp_path)
     assert twin is not None
     assert [path.stem for path in twin.images] == [path.stem for path in own.images]
     again = look_at_set(own, twin.images)
@@ -72,10 +78,36 @@ def test_a_twin_draws_edges_and_noise_as_its_photographs_do(seen: tuple[RealSet,
     )
 
 
+def test_ink_lies_where_the_photographs_show_it(seen: tuple[RealSet, SetSeen]) -> None:
+    """A marker that is printed 0.3 mm off, on a board that is seen a pixel off at its ends."""
+    own, views = seen
+    bent = np.zeros_like(views.boards[0].bend)
+    bent[3:5] = [[0.4, -0.3], [-0.6, 0.5]]  # x and x y
+    board = replace(views.boards[0], bend=bent)
+    corners, off = own.markers[5].corners_o[:, :2], np.array([[3e-4, 1e-4], [3e-4, 1e-4], [3e-4, 0.0], [3e-4, 0.0]])
+    shades, cell_m = print_cells(PRINTED)
+    flat = Print(shades, cell_m, np.full(2, -PRINTED.square_m)).finer(2e-4)
+    moved = as_seen(flat, InkMoves((np.empty((0, 2)), np.empty((0, 2))), ((corners, off),)), board)
+    light = PlacedBoard(
+        T_W_C @ board.T_c_o @ Pose(np.eye(3), np.array([*flat.corner_o, 0.0])), flat.cell_m, moved.shades
+    )
+    camera = CameraRenderer(RendererSetup(board.camera, HERE, HERE, single_marker()), 1)
+    drawn = grey(camera.shoot(RenderedInstant({Role.SENDER: T_W_C}, boards=(light,)), Role.SENDER, 0).color)
+    found = by_photometry(own, drawn, starts(own, drawn), board.camera)
+    errors = {
+        i: one.corners_px - board.pixels(own.markers[i].corners_o + (np.pad(off, ((0, 0), (0, 1))) if i == 5 else 0.0))
+        for i, one in found.items()
+    }
+    assert 5 in errors and len(errors) > 10
+    assert max(float(np.sqrt(np.mean(error**2))) for error in errors.values()) < 0.08
+
+
 def test_what_shows_no_edges_has_no_twin(seen: tuple[RealSet, SetSeen], tmp_path: Path) -> None:
     own, views = seen
     flat = [replace(shot, grey=np.full_like(shot.grey, 128)) for shot in views.photographs]
-    assert render_twin(own, replace(views, photographs=tuple(flat)), own.images, CameraRenderer, 0, tmp_path) is None
+    assert (
+        render_twin(own, replace(views, photographs=tuple(flat)), None, own.images, CameraRenderer, 0, tmp_path) is None
+    )
 
 
 @pytest.mark.parametrize("quality", [40, 75, 95])
