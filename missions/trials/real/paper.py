@@ -56,7 +56,7 @@ class InkMoves:
 
 
 def ink_moves(own: RealSet, seen: SetSeen, measured: MethodPoses | None) -> InkMoves:
-    """What all views agree on, of squares and of markers."""
+    """The moves that all views agree on, of squares and of markers."""
     markers = () if measured is None else tuple(
         (
             own.markers[i].corners_o[:, :2],

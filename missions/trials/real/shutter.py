@@ -1,4 +1,4 @@
-"""What is left of a set when the motion while an image's rows were read is taken out, as the whole board tells it.
+"""A set without the motion while its images' rows were read, as the whole board tells it.
 
 A board that moves is sheared by it: a shift in proportion to the row, two numbers in each view. These and a pose are
 all that a homography has, so what else shears a view is taken out as well: it is the most that knowing the motion
