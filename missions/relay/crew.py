@@ -16,6 +16,7 @@ from missions.relay.ground import Event, Leg, TakeOffOrder, Tell, What
 from path.messages import Role
 
 POLL_S = 0.5
+_NOT_FLOWN = 0.99  # of the charge: its leg was over before it took off
 _BY_OTHERS = frozenset(
     {
         Outcome.NO_AGREEMENT, Outcome.TARGET_NOT_FOUND, Outcome.MARKER_NOT_FOUND, Outcome.MARKER_LOST,
@@ -109,8 +110,8 @@ class Crew(ABC, Generic[Config, Called, Field]):
         for name, drone in self.drones.items():
             if drone.where == "flying" and drone.task is not None and drone.task.done():
                 if self._program_over(drone) and self._field.landed(name):
-                    drone.where, drone.battery = "swap", self._battery_after(drone)
-                    drone.ready_s = now_s + (self.config.swap_s if drone.battery == 1.0 else self.config.check_s)
+                    drone.where = "swap"
+                    drone.ready_s = now_s + self._until_ready_s(drone)
                     self._landed(drone)
                     self._say(name, "down", end_of(drone.result))
             elif drone.where == "swap" and now_s >= drone.ready_s:
@@ -121,11 +122,13 @@ class Crew(ABC, Generic[Config, Called, Field]):
                     name, "ready", "full battery" if full else f"battery at {100 * drone.battery:.0f} %, as it was"
                 )
 
-    def _battery_after(self, drone: Called) -> float:
-        """Returns the charge with which a drone that has landed will stand ready: that of a new battery, or its own."""
+    def _until_ready_s(self, drone: Called) -> float:
+        """Returns how long a drone that has landed is seen to, and decides whether it keeps its battery."""
         left = self._field.battery(drone.name)
         unhurt = drone.result is not None and drone.result.outcome in _BY_OTHERS
-        return left if unhurt and left >= self.config.keep_battery else 1.0
+        keeps = unhurt and left >= self.config.keep_battery
+        drone.battery = left if keeps else 1.0
+        return self.config.swap_s if not keeps else 0.0 if left >= _NOT_FLOWN else self.config.check_s
 
     def _call(self, drone: Called, order: TakeOffOrder) -> None:
         drone.where, drone.order, drone.result = "flying", order, None

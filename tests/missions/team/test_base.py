@@ -196,6 +196,7 @@ def test_the_sender_of_a_relief_that_died_with_the_target_is_sent_back_to_it() -
 def test_a_relief_that_comes_home_early_by_no_fault_of_its_own_keeps_its_battery() -> None:
     async def story(base: TeamBase, place: Place) -> None:
         for outcome, left, ready_s, kept in (
+            (Outcome.PEER_ABORTED, 1.0, 0.0, 1.0),  # it never took off
             (Outcome.PEER_LOST, 0.95, base.config.check_s, 0.95),
             (Outcome.PEER_LOST, 0.80, base.config.swap_s, 1.0),
             (Outcome.CAMERA_LOST, 0.95, base.config.swap_s, 1.0),
@@ -206,8 +207,9 @@ def test_a_relief_that_comes_home_early_by_no_fault_of_its_own_keeps_its_battery
             place.left[relief] = left
             place.end(relief, outcome)
             base.leg_failed(holder, MissionEnd(Outcome.PEER_LOST, "nothing heard"))
-            await asyncio.sleep(ready_s - 5.0)
-            assert base.drones[relief].where == "swap"
+            if ready_s > 0.0:
+                await asyncio.sleep(ready_s - 5.0)
+                assert base.drones[relief].where == "swap"
             await asyncio.sleep(10.0)
             assert base.drones[relief].where == "ready" and place.swapped[relief] == kept
 
