@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable
 from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
+from missions.leg.beside import keep_up, log_cpu, log_state
 from missions.leg.ends import as_end
 from missions.leg.journal import setup_record
 from missions.leg.session import RoleSession
@@ -43,15 +44,15 @@ async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
     """
     session.log.write("/setup", session.now_ns(), setup_record(session.rig, session.role, session.config))
     for beside in (
-        session.pump,
-        session.report,
-        session.log_state,
-        session.log_cpu,
-        session.keep_up,
-        session.stopped,
-        session.keep_guard,
+        session.pump(),
+        session.report(),
+        log_state(session),
+        log_cpu(session),
+        keep_up(session),
+        session.stopped(),
+        session.guarding.keep(),
     ):
-        session.spawn(beside())
+        session.spawn(beside)
     flown = asyncio.ensure_future(course())
     try:
         await asyncio.wait([flown, session.ended], return_when=asyncio.FIRST_COMPLETED)
@@ -62,8 +63,9 @@ async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
             end = session.ended.result()
     finally:
         await _cancel(flown)  # of a program that is itself cancelled nothing goes on
-    if end is not None and session.guard is not None:
-        end = session.guard.behind(end)
+    guard = session.guarding.guard
+    if end is not None and guard is not None:
+        end = guard.behind(end)
     if end is not None:
         session.say(str(end))
     return end
@@ -82,8 +84,9 @@ async def run_recovery(session: RoleSession, recover: Recovery, end: MissionEnd 
 async def close_session(session: RoleSession) -> None:
     """Ends all that a session runs."""
     await session.cancel_spawned()
-    if session.guard is not None:
-        session.guard.beat(session.beat())  # the last word on whose the vehicle is
+    guarding = session.guarding
+    if guarding.guard is not None:
+        guarding.guard.beat(guarding.beat())  # the last word on whose the vehicle is
 
 
 def conclude(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import random
 from collections.abc import Callable, Coroutine
 from contextlib import AbstractContextManager, nullcontext
@@ -17,9 +16,7 @@ from drivers.interfaces import (
     Perception,
     Received,
     Vehicle,
-    Wary,
 )
-from drivers.mavlink.guard.interfaces import NOWHERE, Beat, Script
 from drivers.rig.parts import Rig, RoleRig
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, answer
@@ -29,9 +26,9 @@ from flight.harness.flights import Emit, Progress
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
-from flight.shedding import BEAT_S
 from missions.leg.ends import as_end
 from missions.leg.frames import Frames
+from missions.leg.guarding import Guarding
 from missions.leg.link_alarm import LinkAlarm
 from path.gate.window import Evidence
 from path.geometry.rotation import yaw_of
@@ -41,10 +38,6 @@ from path.protocol.values import TakeResponsibility
 _NO_STAGE = nullcontext()
 _POLL_S = 0.05
 _PROGRESS_PERIOD_S = 0.2
-_STATE_PERIOD_S = 0.1
-_BEAT_PERIOD_S = 0.05
-_CPU_PERIOD_S = 1.0
-_PEER_PLACE_S = 1.0  # where the other drone was longer ago is not where it is
 
 
 def _ignore(_: object) -> None:
@@ -83,10 +76,8 @@ class RoleSession:
         guard: UnderGuard | None = None,
         stages: Stages | None = None,
     ) -> None:
-        self.guard = guard
-        self._stages = stages  # None in virtual time, in which logs tell nothing of the machine
-        self.script = Script.IDLE
-        self._measured_m = math.nan
+        self.guarding = Guarding(self, guard)
+        self.stages = stages  # None in virtual time, in which logs tell nothing of the machine
         self.rig = rig
         self.role = role
         self.own: RoleRig = rig.role(role)
@@ -95,8 +86,6 @@ class RoleSession:
         self.stop = stop
         self.entropy = entropy
         self._link_alarm = LinkAlarm()
-        self._wary = parts[1] if isinstance(parts[1], Wary) else None
-        self._ignored: set[str] = set()  # kinds of what the crew was told not to be believed
         self.clock, self.vehicle, self.perception, self.link = parts
         self.frames = Frames(self.perception, self.clock, config, log)
         self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
@@ -145,84 +134,16 @@ class RoleSession:
         """Let frames pass: following alone needs only ``follow_hz`` of them a second."""
         await asyncio.sleep(0.8 / self.config.follow_hz)
 
-    # --- under guard ---------------------------------------------------------------------------------------------
-
     def note_separation(self, distance_m: float) -> None:
         """Between the two bodies, as it was just measured."""
-        self.shown.separation_m = self._measured_m = distance_m
-
-    def set_script(self, script: Script) -> None:
-        """Sets what the script is about to do with the vehicle; the guard knows it before the vehicle does."""
-        self.script = script
-        if self.guard is not None:
-            self.guard.beat(self.beat())
-
-    def beat(self) -> Beat:
-        """Returns what the guard is told; a measured distance once."""
-        script = self.script
-        if self.pilot.override:
-            script = Script.LET_GO
-        elif self.pilot.in_control:
-            script = Script.CONTROL
-        measured_m, self._measured_m = self._measured_m, math.nan
-        near = self.peer is not None and self.peer_silence_s() < _PEER_PLACE_S
-        place = self.peer.position_n_m if self.peer is not None and near else NOWHERE
-        return Beat(script, self.pilot.setpoints, measured_m, place)
-
-    async def confirm_guard(self) -> None:
-        """Asks the guard before a command that moves the vehicle.
-
-        Raises MissionEnd when the guard has it, or there is none.
-        """
-        if self.guard is not None:
-            await self.guard.confirm(self.beat())
-
-    async def keep_guard(self) -> None:
-        """Beat for ever. The course ends when the guard took the flying vehicle from the script, or is gone."""
-        alarm = ""
-        while self.guard is not None:
-            beat = self.beat()
-            self.guard.beat(beat)
-            answer = self.guard.look()
-            if answer is not None and answer.alarm not in ("", alarm):
-                alarm = answer.alarm
-                self.say(f"ALARM: the guard ignores {alarm}")
-            try:
-                if beat.script in (Script.CLIMB, Script.CONTROL):
-                    self.guard.check()
-            except MissionEnd as end:
-                if not self.ended.done():
-                    self.ended.set_result(end)
-            await asyncio.sleep(_BEAT_PERIOD_S)
+        self.shown.separation_m = distance_m
+        self.guarding.note_separation(distance_m)
 
     # --- processor time ------------------------------------------------------------------------------------------
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Returns a context whose body is a stage of a frame's cycle; stages do not contain one another."""
-        return _NO_STAGE if self._stages is None else self._stages(name)
-
-    async def log_cpu(self) -> None:
-        """Log what processor time went to, for ever."""
-        while self._stages is not None:
-            self.log.write("/cpu", self.now_ns(), {"spent_ns": self._stages.spent_ns()})
-            await asyncio.sleep(_CPU_PERIOD_S)
-
-    async def keep_up(self) -> None:
-        """Give things up in order while the program is busy all the time, and take them up again, for ever.
-
-        In virtual time nothing is late.
-        """
-        loop = asyncio.get_running_loop()
-        if self._stages is not None:
-            self.frames.shedding.begin()
-        while self._stages is not None:
-            due_s = loop.time() + BEAT_S
-            await asyncio.sleep(BEAT_S)
-            changed = self.frames.shedding.beat(loop.time() - due_s)
-            if changed is not None:
-                record = {"what": changed.what, "gone": changed.gone, "busy": changed.busy}
-                self.log.write("/shed", self.now_ns(), record)
-                self.say(f"this computer is busy: {'gives up' if changed.gone else 'takes up again'} {changed.what}")
+        return _NO_STAGE if self.stages is None else self.stages(name)
 
     # --- what the others see -------------------------------------------------------------------------------------
 
@@ -320,36 +241,6 @@ class RoleSession:
                 self._log_link()
             tick += 1
             await asyncio.sleep(period_s)
-
-    def _newly_ignored(self) -> list[str]:
-        """Returns what the vehicle's driver does not believe, each kind once."""
-        new = [] if self._wary is None else [what for what in self._wary.ignored if what not in self._ignored]
-        self._ignored.update(new)
-        return new
-
-    async def log_state(self) -> None:
-        """Log where the vehicle believes to be, for ever."""
-        logged_ns = 0  # what no position was known at
-        taken_back = 0
-        while True:
-            if self.pilot.taken_back > taken_back:
-                taken_back = self.pilot.taken_back
-                self.say("ALARM: one message said that a pilot has the vehicle, the next took it back: who sends them?")
-            for what in self._newly_ignored():
-                self.say(f"ALARM: ignored {what}")
-            state = self.vehicle.state
-            if state.stamp_ns > logged_ns:
-                logged_ns = state.stamp_ns
-                record = {
-                    "position_n_m": state.position_n_m,
-                    "velocity_n_mps": state.velocity_n_mps,
-                    "q_n_b": state.q_n_b,
-                    "mode": state.mode.value,
-                    "armed": state.armed,
-                    "battery": state.battery,
-                }
-                self.log.write("/state", logged_ns, record)
-            await asyncio.sleep(_STATE_PERIOD_S)
 
     def _status(self) -> Status:
         state, now_ns = self.vehicle.state, self.now_ns()

@@ -39,7 +39,7 @@ async def check_own(session: RoleSession) -> None:
     await session.perception.view(_FIRST_FRAME_S)
     await session.vehicle.wait_armable(deadlines.armable_s)
     await keep_geofence(session)
-    guard = session.guard
+    guard = session.guarding.guard
     if guard is not None:
         what = "the guard's process did not answer and see the vehicle"
         await session.until(lambda: guard.watching, deadlines.guard_s, Outcome.GUARD_LOST, what)
@@ -84,12 +84,12 @@ def check_capabilities(session: RoleSession) -> None:
 async def take_off(session: RoleSession, height_m: float) -> None:
     """Arm, climb, take control. Refusals end the mission: no motion command is sent twice."""
     session.enter(Phase.TAKE_OFF)
-    session.set_script(Script.CLIMB)
-    await session.confirm_guard()
+    session.guarding.set_script(Script.CLIMB)
+    await session.guarding.confirm()
     await session.vehicle.arm()
-    await session.confirm_guard()
+    await session.guarding.confirm()
     await session.vehicle.take_off(height_m, session.config.deadlines.take_off_s)
-    await session.confirm_guard()
+    await session.guarding.confirm()
     await session.pilot.take_control()
     session.spawn(session.pilot.run())
 
@@ -99,7 +99,7 @@ async def bring_down(session: RoleSession, end: MissionEnd | None, way_out: Anch
 
     A pilot who took over keeps the vehicle; a vehicle that is lost or refuses is not flown any farther.
     """
-    pilot, guard = session.pilot, session.guard
+    pilot, guard = session.pilot, session.guarding.guard
     if end is not None and end.outcome in _SCRIPT_LET_GO and not (guard and guard.taken):
         return await _leave_to_pilot(session)
     if not (await _sure_state(session)).armed:
@@ -143,7 +143,7 @@ def may_manoeuvre(session: RoleSession, end: MissionEnd | None) -> bool:
 
 async def _land(session: RoleSession) -> bool:
     session.enter(Phase.LAND)
-    session.set_script(Script.LANDING)
+    session.guarding.set_script(Script.LANDING)
     try:
         await session.vehicle.land(session.config.deadlines.land_s)
     except VehicleError as error:
@@ -152,7 +152,7 @@ async def _land(session: RoleSession) -> bool:
             session.pilot.override = str(error)
             return await _leave_to_pilot(session)
         return False
-    session.set_script(Script.IDLE)
+    session.guarding.set_script(Script.IDLE)
     return True
 
 
@@ -163,7 +163,7 @@ async def _leave_to_pilot(session: RoleSession) -> bool:
     a moment before it says so.
     """
     session.pilot.let_go()
-    session.set_script(Script.LET_GO)
+    session.guarding.set_script(Script.LET_GO)
     loop = asyncio.get_running_loop()
     end_s = loop.time() + _DISARM_S
     while (state := session.vehicle.state).armed and not state.in_air and loop.time() < end_s:  # noqa: ASYNC110 (as above)
@@ -173,7 +173,7 @@ async def _leave_to_pilot(session: RoleSession) -> bool:
 
 async def _leave_to_guard(session: RoleSession, guard: UnderGuard) -> bool:
     """Send nothing more, and stay until the guard has brought the vehicle down; whether it has."""
-    session.set_script(Script.LET_GO)
+    session.guarding.set_script(Script.LET_GO)
     session.enter(Phase.LAND, f"the guard has the vehicle: {guard.taken}")
     loop = asyncio.get_running_loop()
     end_s = loop.time() + session.config.deadlines.land_s

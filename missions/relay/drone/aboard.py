@@ -121,10 +121,10 @@ class Aboard:
             await write(self._store, for_leg(self._store.load(), leg.number))
         session = self._session(Role.SENDER, leg, link)
         pilot: Pilot = before.pilot
-        script = before.script
+        script = before.guarding.script
         holder = Holder(session, self._store, self, track)  # responsible by its record, or nothing has changed
         await before.cancel_spawned()
-        session.pilot, session.script = pilot, script
+        session.pilot, session.guarding.script = pilot, script
         pilot.in_control = True
         session.spawn(pilot.run())
         return session, holder

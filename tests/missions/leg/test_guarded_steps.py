@@ -32,8 +32,8 @@ class Guarded(Bench):
     def __init__(self, rig: Any, reply: GuardAnswer | None = WATCHED) -> None:
         super().__init__(rig)
         self.line = Line(reply=reply)
-        self.session.guard = UnderGuard(self.line, Clock(), CONFIG.guard_process)
-        self.session.pilot._guard = self.session.guard
+        self.session.guarding.guard = UnderGuard(self.line, Clock(), CONFIG.guard_process)
+        self.session.pilot._guard = self.session.guarding.guard
 
     @property
     def scripts(self) -> list[Script]:
@@ -42,7 +42,7 @@ class Guarded(Bench):
         return [script for before, script in zip([None, *told], told, strict=False) if script is not before]
 
     async def in_the_air(self) -> None:
-        self.session.spawn(self.session.keep_guard())
+        self.session.spawn(self.session.guarding.keep())
         await asyncio.sleep(0.1)  # the first answer is there, as after the preflight
         await super().in_the_air()
 
@@ -152,7 +152,7 @@ def test_a_measured_distance_is_told_once(rig: Any) -> None:
     async def main() -> None:
         bench = Guarded(rig)
         bench.session.note_separation(1.2)
-        first, second = bench.session.beat(), bench.session.beat()
+        first, second = bench.session.guarding.beat(), bench.session.guarding.beat()
         assert isinstance(first, Beat)
         assert first.separation_m == 1.2 and second.separation_m != second.separation_m
 

@@ -16,6 +16,7 @@ from flight.config import MissionConfig
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from hil.harness.virtual_time import run_virtual
+from missions.leg.beside import keep_up
 from path.messages import Message, Ping, Pong, Role, Status, Target
 from path.protocol.values import TakeResponsibility
 from tests.missions.leg.session_bench import STATE, Bench, for_ever, virtual
@@ -243,7 +244,7 @@ def test_a_program_that_is_always_at_work_says_what_it_gives_up(rig: Any) -> Non
 
     async def busy() -> Bench:
         bench = Bench(rig, stages=Stages())
-        beside = asyncio.create_task(bench.session.keep_up())
+        beside = asyncio.create_task(keep_up(bench.session))
         async with asyncio.timeout(120.0):
             while not bench.log.of("/shed"):
                 time.sleep(0.02)  # noqa: ASYNC251 (that is what is tried)
@@ -261,7 +262,7 @@ def test_a_program_that_is_always_at_work_says_what_it_gives_up(rig: Any) -> Non
 def test_in_virtual_time_nothing_is_late(rig: Any) -> None:
     async def fly() -> Bench:
         bench = Bench(rig)
-        await asyncio.wait_for(bench.session.keep_up(), 1.0)  # returns at once
+        await asyncio.wait_for(keep_up(bench.session), 1.0)  # returns at once
         return bench
 
     assert run_virtual(fly()).log.of("/shed") == []

@@ -1,0 +1,65 @@
+"""Beside every course: the vehicle's state and the processor's time are logged, and a busy computer gives things up."""
+
+from __future__ import annotations
+
+import asyncio
+
+from drivers.interfaces import Wary
+from flight.shedding import BEAT_S
+from missions.leg.session import RoleSession
+
+_STATE_PERIOD_S = 0.1
+_CPU_PERIOD_S = 1.0
+
+
+async def log_state(session: RoleSession) -> None:
+    """Log where the vehicle believes to be, for ever."""
+    logged_ns = 0  # what no position was known at
+    taken_back = 0
+    wary = session.vehicle if isinstance(session.vehicle, Wary) else None
+    told: set[str] = set()  # kinds of what the crew was told not to be believed
+    while True:
+        if session.pilot.taken_back > taken_back:
+            taken_back = session.pilot.taken_back
+            session.say("ALARM: one message said that a pilot has the vehicle, the next took it back: who sends them?")
+        for what in () if wary is None else [each for each in wary.ignored if each not in told]:
+            told.add(what)
+            session.say(f"ALARM: ignored {what}")
+        state = session.vehicle.state
+        if state.stamp_ns > logged_ns:
+            logged_ns = state.stamp_ns
+            record = {
+                "position_n_m": state.position_n_m,
+                "velocity_n_mps": state.velocity_n_mps,
+                "q_n_b": state.q_n_b,
+                "mode": state.mode.value,
+                "armed": state.armed,
+                "battery": state.battery,
+            }
+            session.log.write("/state", logged_ns, record)
+        await asyncio.sleep(_STATE_PERIOD_S)
+
+
+async def log_cpu(session: RoleSession) -> None:
+    """Log what processor time went to, for ever."""
+    while session.stages is not None:
+        session.log.write("/cpu", session.now_ns(), {"spent_ns": session.stages.spent_ns()})
+        await asyncio.sleep(_CPU_PERIOD_S)
+
+
+async def keep_up(session: RoleSession) -> None:
+    """Give things up in order while the program is busy all the time, and take them up again, for ever.
+
+    In virtual time nothing is late.
+    """
+    loop = asyncio.get_running_loop()
+    if session.stages is not None:
+        session.frames.shedding.begin()
+    while session.stages is not None:
+        due_s = loop.time() + BEAT_S
+        await asyncio.sleep(BEAT_S)
+        changed = session.frames.shedding.beat(loop.time() - due_s)
+        if changed is not None:
+            record = {"what": changed.what, "gone": changed.gone, "busy": changed.busy}
+            session.log.write("/shed", session.now_ns(), record)
+            session.say(f"this computer is busy: {'gives up' if changed.gone else 'takes up again'} {changed.what}")
