@@ -1,8 +1,8 @@
 """Pictures of known truth, for measuring perception: the stage, the camera that looks at it, and who draws it.
 
-A trial arranges a stage and shoots it; the rig names the renderer (``[trials] studio``). World frame ``w`` is ENU, the
-ground at z = 0. All values are the truth: what a trial lets the method believe (calibration, printed size, attitude) is
-the trial's own choice of errors.
+A trial arranges a stage and shoots it; the rig names the renderer (``[trials] renderer``). World frame ``w`` is ENU,
+the ground at z = 0. All values are the truth: what a trial lets the method believe (calibration, printed size,
+attitude) is the trial's own choice of errors.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from drivers.rig.toml_text import toml_text
 from flight.phases import Phase
 from missions import rig_library
 from missions.guard.reaction import LET_GO_S, TAKEOVER, Reaction, is_met, named, read_reaction
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from missions.options.field import GuardOptions
 from missions.report.command import show
 from missions.report.records import SUMMARY

@@ -16,7 +16,8 @@ from flight.harness.flights import Emit
 from flight.outcome import Outcome
 from missions import rig_library
 from missions.ground_station import name_ground_station
-from missions.handoff.command import FlightPrograms, fly_once, name_simulators, unwritten
+from missions.handoff.command import name_simulators
+from missions.handoff.flight import FlightPrograms, fly_once, unwritten
 from missions.leg.command import fly_from_drone
 from missions.live.start import live
 from missions.options.field import RoleOptions

@@ -18,7 +18,7 @@ from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord
 from drivers.rig.tables import RigError, decode_table
 from missions.options.runs import ReplayOptions
-from missions.replay.perceive import PerceptionChange, detector_settings, eyes_of
+from missions.replay.perceive import PerceptionChange, detector_settings, perceiver_of
 from missions.replay.redecide import Change, Complete, DecisionPair, Open, other_answers, redecide
 from missions.report.command import show
 from missions.report.records import REPLAY, drone_logs, load_facts
@@ -72,14 +72,14 @@ def run(options: ReplayOptions) -> int:
     change, seen_with = asked_of(options)
     looks = options.frames or seen_with != PerceptionChange(options.rig)
     if change is not None or looks:
-        eyes = {name: eyes_of(folder, name, seen_with) for name in logs} if looks else {}
-        after = replay_changed(logs, change or (lambda method: method), eyes)
+        perceivers = {name: perceiver_of(folder, name, seen_with) for name in logs} if looks else {}
+        after = replay_changed(logs, change or (lambda method: method), perceivers)
         show_columns({"as flown": before, _title(options): after}, options.picture, folder)
     return EXIT_DIFFERENT if differ else 0
 
 
 def asked_of(options: ReplayOptions) -> tuple[Change | None, PerceptionChange]:
-    """Returns the settings to decide with, None: the run's own; and the eyes to look with. Raises PartError."""
+    """Returns the settings to decide with, None: the run's own; and the perception to look with. Raises PartError."""
     method = [text for text in options.set if not text.startswith("detector.")]
     detector = [text for text in options.set if text.startswith("detector.")]
     seen_with = PerceptionChange(options.rig, options.detector, detector_settings(detector) or None)
@@ -162,21 +162,21 @@ def change_of(settings: Sequence[str], gate: str | None) -> Change | None:
 def replay_changed(
     logs: Mapping[str, Sequence[LogRecord]],
     change: Change,
-    eyes: Mapping[str, Open] | None = None,
+    perceivers: Mapping[str, Open] | None = None,
 ) -> list[Replayed]:
     """Replays with other settings on both drones: D1 judges what D2 would have answered to what D1 sent.
 
-    ``eyes``: of the drones that look at their recorded frames again.
+    ``perceivers``: of the drones that look at their recorded frames again.
     """
-    eyes = eyes or {}
+    perceivers = perceivers or {}
     receivers = {
-        name: _replay(name, records, change, open_eyes=eyes.get(name))
+        name: _replay(name, records, change, open_perceiver=perceivers.get(name))
         for name, records in logs.items()
         if _is(Role.RECEIVER, records)
     }
     answers = {key: answer for each in receivers.values() for key, answer in other_answers(each.decided).items()}
     return [
-        receivers[name] if name in receivers else _replay(name, records, change, answers, eyes.get(name))
+        receivers[name] if name in receivers else _replay(name, records, change, answers, perceivers.get(name))
         for name, records in logs.items()
     ]
 
@@ -186,11 +186,11 @@ def _replay(
     records: Sequence[LogRecord],
     change: Change = lambda method: method,
     answers: Mapping[tuple[int, int], Mapping[str, Any]] | None = None,
-    open_eyes: Open | None = None,
+    open_perceiver: Open | None = None,
 ) -> Replayed:
     decided: list[DecisionPair] = []
     complete: list[Complete] = []
-    for each in redecide(records, change, answers, open_eyes):
+    for each in redecide(records, change, answers, open_perceiver):
         if isinstance(each, DecisionPair):
             decided.append(each)
         else:

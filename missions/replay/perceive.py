@@ -1,4 +1,4 @@
-"""The eyes of a replay: a rig's perception over the frames that a run recorded, with its detector or another one."""
+"""The perception of a replay: a rig's own over the frames that a run recorded, with its detector or another one."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from drivers.rig.parts import PartContext, PartSpec, Rig, create
 from drivers.rig.tables import RigError, decode_table
 from flight.config import MissionConfig
 from missions import rig_library
-from missions.replay.eyes import ReceiverEyes, RecordedViews, SenderEyes
 from missions.replay.logged import camera_of
-from missions.replay.redecide import Eyes, Open
+from missions.replay.perceivers import ReceiverPerceiver, RecordedViews, SenderPerceiver
+from missions.replay.redecide import Open, Perceiver
 from missions.report.records import load_facts
 from path.camera.model import CameraModel
 from path.config import MethodConfig
@@ -54,23 +54,23 @@ def detector_settings(texts: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def eyes_of(folder: Path, drone: str, change: PerceptionChange) -> Open:
-    """Opens the eyes of one drone's log in a run's folder. Raises PartError when it recorded no frames."""
+def perceiver_of(folder: Path, drone: str, change: PerceptionChange) -> Open:
+    """Opens the perception of one drone's log in a run's folder. Raises PartError when it recorded no frames."""
     files = [frames_of(log) for log in parts(folder, drone) if frames_of(log).exists()]
     if not files:
         raise PartError(f"{folder}: {drone} recorded no frames", _REMEDY)
     rig = _rig_of(folder, change)
     frames = _frames(files)
 
-    def opened(setup: Mapping[str, Any], begun_ns: int, method: MethodConfig) -> Eyes:
+    def opened(setup: Mapping[str, Any], begun_ns: int, method: MethodConfig) -> Perceiver:
         role = Role(setup["role"])
         own = rig.role(role)
         mission = decode_table(setup["mission"], MissionConfig, "/setup: mission")
         camera = camera_of(setup["camera"])
         views = RecordedViews(frames, perception_of(rig, role, camera, change).view_of)
         if role is Role.SENDER:
-            return SenderEyes(views, own, camera, mission, begun_ns)
-        return ReceiverEyes(views, own, camera, rig.layout, method, mission)
+            return SenderPerceiver(views, own, camera, mission, begun_ns)
+        return ReceiverPerceiver(views, own, camera, rig.layout, method, mission)
 
     return opened
 

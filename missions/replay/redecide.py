@@ -3,7 +3,8 @@
 A log holds what a cycle was given, in the order it was given it: on D1 what the camera saw of the target (``/target``)
 and the answers of D2 (``/heard_candidate``); on D2 the messages of D1 (``/heard_target``), the marker's pose
 (``/marker``, ``/motion``) and what the detector found (``found`` of ``/candidate``). What the cycles make of it is held
-against the decisions in the same log. With ``missions.replay.eyes`` what was seen comes from recorded frames instead.
+against the decisions in the same log. With ``missions.replay.perceivers`` what was seen comes from recorded
+frames instead.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ from missions.leg.journal import (
     counted,
     target_record,
 )
-from missions.replay.eyes import ReceiverEyes, SenderEyes
 from missions.replay.logged import NAN3, as_logged, box_of, camera_of, candidate_of, pose_of, target_of
+from missions.replay.perceivers import ReceiverPerceiver, SenderPerceiver
 from path.config import MethodConfig
 from path.cycle.receiver import ReceiverCycle
 from path.cycle.sender import SenderCycle
@@ -38,9 +39,9 @@ from path.observations import Box, Depth, Detection, Missed, MissReason
 Record = Mapping[str, Any]
 Answers = Mapping[tuple[int, int], Record]
 Change = Callable[[MethodConfig], MethodConfig]
-Eyes = SenderEyes | ReceiverEyes
-Open = Callable[[Record, int, MethodConfig], Eyes]
-"""The eyes of a session, from its ``/setup`` and that record's stamp."""
+Perceiver = SenderPerceiver | ReceiverPerceiver
+Open = Callable[[Record, int, MethodConfig], Perceiver]
+"""The perceiver of a session, from its ``/setup`` and that record's stamp."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,21 +78,21 @@ def redecide(
     records: Iterable[LogRecord],
     change: Change = lambda method: method,
     answers: Answers | None = None,
-    open_eyes: Open | None = None,
+    open_perceiver: Open | None = None,
 ) -> Iterator[DecisionPair | Complete]:
     """Every decision of one drone's log, in its order.
 
     Args:
         change: of the method's settings, to see what would have been otherwise.
         answers: what the other drone answers instead of what was heard of it, by epoch and sequence.
-        open_eyes: for what is seen in recorded frames; None: what the log says.
+        open_perceiver: for what is seen in recorded frames; None: what the log says.
     """
     again: _SenderReplay | _ReceiverReplay | None = None
     for each in records:
         if each.topic == "/setup":
             if again is not None:
                 yield from again.rest()
-            again = _again(each, change, answers or {}, open_eyes)
+            again = _again(each, change, answers or {}, open_perceiver)
         elif again is not None:
             yield from again.take(each)
     if again is not None:
@@ -109,21 +110,23 @@ def other_answers(decided: Iterable[DecisionPair | Complete]) -> dict[tuple[int,
 
 
 def _again(
-    setup: LogRecord, change: Change, answers: Answers, open_eyes: Open | None
+    setup: LogRecord, change: Change, answers: Answers, open_perceiver: Open | None
 ) -> _SenderReplay | _ReceiverReplay:
     record = setup.record
     method = change(decode_table(record["method"], MethodConfig, "/setup: method"))
-    eyes = None if open_eyes is None else open_eyes(record, setup.stamp_ns, method)
+    perceiver = None if open_perceiver is None else open_perceiver(record, setup.stamp_ns, method)
     if record["role"] == Role.SENDER.value:
-        return _SenderReplay(record, method, answers, eyes if isinstance(eyes, SenderEyes) else None)
-    return _ReceiverReplay(record, method, eyes if isinstance(eyes, ReceiverEyes) else None)
+        return _SenderReplay(record, method, answers, perceiver if isinstance(perceiver, SenderPerceiver) else None)
+    return _ReceiverReplay(record, method, perceiver if isinstance(perceiver, ReceiverPerceiver) else None)
 
 
 class _SenderReplay:
     """D1's cycle, for one session."""
 
-    def __init__(self, setup: Record, method: MethodConfig, answers: Answers, eyes: SenderEyes | None) -> None:
-        self._setup, self._method, self._answers, self._eyes = setup, method, answers, eyes
+    def __init__(
+        self, setup: Record, method: MethodConfig, answers: Answers, perceiver: SenderPerceiver | None
+    ) -> None:
+        self._setup, self._method, self._answers, self._perceiver = setup, method, answers, perceiver
         self._cycle: SenderCycle | None = None
         self._epoch = 0
         self._complete = False
@@ -131,10 +134,10 @@ class _SenderReplay:
 
     def take(self, each: LogRecord) -> Iterator[DecisionPair | Complete]:
         record, cycle = each.record, self._cycle
-        if each.topic == "/home" and self._eyes is not None:
-            self._eyes.note_home(record)
-        if each.topic == "/frame" and self._eyes is not None:
-            self._eyes.look(each.stamp_ns, record)
+        if each.topic == "/home" and self._perceiver is not None:
+            self._perceiver.note_home(record)
+        if each.topic == "/frame" and self._perceiver is not None:
+            self._perceiver.look(each.stamp_ns, record)
         elif each.topic == "/attempt":
             yield from self.rest()
             self._begin(record)
@@ -192,9 +195,9 @@ class _SenderReplay:
             yield Complete(judged_ns, self._epoch)
 
     def _seen(self, record: Record) -> tuple[Sighting | MissReason, Any]:
-        """The observations in the frame of a ``/target``, by the log or by eyes, and down in the marker's frame."""
-        if self._eyes is not None and self._eyes.seen is not None:
-            return self._eyes.seen
+        """The observations in the frame of a ``/target``, by the log or perceived again, and down in frame ``v``."""
+        if self._perceiver is not None and self._perceiver.seen is not None:
+            return self._perceiver.seen
         gravity_v, box = record["gravity_v"] or NAN3, box_of(record["box"])
         if box is None:
             return MissReason(record["reason"]), gravity_v
@@ -205,8 +208,8 @@ class _SenderReplay:
 class _ReceiverReplay:
     """D2's cycle, for one session."""
 
-    def __init__(self, setup: Record, method: MethodConfig, eyes: ReceiverEyes | None) -> None:
-        self._setup, self._method, self._eyes = setup, method, eyes
+    def __init__(self, setup: Record, method: MethodConfig, perceiver: ReceiverPerceiver | None) -> None:
+        self._setup, self._method, self._perceiver = setup, method, perceiver
         self._camera = camera_of(setup["camera"])
         self._cycle: ReceiverCycle | None = None
         self._newest: dict[str, Record] = {}
@@ -217,8 +220,8 @@ class _ReceiverReplay:
             self._begin(record)
         elif each.topic in ("/frame", "/marker", "/motion"):
             self._newest[each.topic] = record
-            if each.topic == "/motion" and self._eyes is not None and cycle is not None:
-                self._eyes.look(each.stamp_ns, record, cycle.gravity_v(each.stamp_ns))
+            if each.topic == "/motion" and self._perceiver is not None and cycle is not None:
+                self._perceiver.look(each.stamp_ns, record, cycle.gravity_v(each.stamp_ns))
         elif cycle is not None and each.topic == "/heard_target":
             cycle.on_target(target_of(record), record["capture_ns"], each.stamp_ns)
         elif cycle is not None and each.topic == "/candidate":
@@ -241,10 +244,10 @@ class _ReceiverReplay:
         )
 
     def _answer(self, cycle: ReceiverCycle, stamp_ns: int, record: Record) -> dict[str, Any] | None:
-        eyes = self._eyes
-        fix = self._fix() if eyes is None or eyes.fix is None else eyes.fix
+        perceiver = self._perceiver
+        fix = self._fix() if perceiver is None or perceiver.fix is None else perceiver.fix
         prior = cycle.prior(fix[0], fix[1], stamp_ns) if isinstance(fix, tuple) else fix
-        found = None if eyes is None else eyes.find(prior)
+        found = None if perceiver is None else perceiver.find(prior)
         if found is None:
             found = [Detection(Box(*each["box"]), each["score"]) for each in record["found"]]
         candidate = cycle.candidate(self._newest["/frame"]["frame_id"], stamp_ns, found, prior)

@@ -14,7 +14,7 @@ import pytest
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord
 from drivers.rig.parts import Rig
-from missions.handoff.command import HANDOFF, FlightPrograms, fly_once
+from missions.handoff.flight import HANDOFF, FlightPrograms, fly_once
 from missions.own.command import programs_of
 from missions.report.records import Records, RunFacts, last, load_run
 from missions.report.summary import summarize

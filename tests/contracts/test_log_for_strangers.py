@@ -22,7 +22,7 @@ from drivers.interfaces import Frame
 from drivers.log.mcap_log import VIRTUAL_EPOCH_NS, McapLog, virtual_log
 from drivers.log.topics import TOPICS, schema_of
 from missions import rig_library
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 
 SCALARS = ("boolean", "string", "number", "integer")
 LOGS = ("sender.mcap", "receiver.mcap", "sender.guard.mcap", "world.mcap")

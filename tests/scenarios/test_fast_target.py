@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from missions import rig_library
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from missions.report.records import load_run
 from missions.report.summary import summarize
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from drivers.log.mcap_log import read_log
 from missions import rig_library
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 
 
 def test_a_program_that_stalls_in_the_air_finds_its_vehicle_in_the_guards_hand(tmp_path: Path) -> None:

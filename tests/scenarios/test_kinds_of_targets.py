@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from missions import rig_library
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from missions.report.records import load_run
 from missions.report.summary import summarize
 

@@ -13,7 +13,7 @@ import pytest
 
 from drivers.rig.parts import with_errors
 from missions import rig_library
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from missions.report.records import RunFacts, load_run
 from missions.report.summary import summarize
 from path.messages import Role

@@ -14,7 +14,7 @@ from drivers.rig.parts import Rig, with_errors
 from flight.harness.renderer import RenderedInstant, RendererSetup
 from hil.camera.pictures import CameraRenderer
 from missions import rig_library
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from missions.report.records import load_run
 from missions.report.summary import summarize
 from path.geometry.rotation import R_from_rpy

@@ -18,7 +18,7 @@ from flight.outcome import Outcome
 from missions import rig_library
 from missions.assurance.campaign.plan import seed_of
 from missions.assurance.campaign.results import RunLine
-from missions.handoff.command import harness_of, judge
+from missions.handoff.flight import harness_of, judge
 from missions.leg.process import fly_role
 from missions.options.words import LevelName
 from missions.report.records import RUN

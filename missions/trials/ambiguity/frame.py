@@ -40,7 +40,7 @@ class FrameTask:
     """A frame to make, picklable.
 
     Attributes:
-        studio: the class of the renderer.
+        renderer: the class of the renderer.
         xfeat: weights, None without XFeat.
         orb_variants, xfeat_variants: what of the baselines is tried.
     """

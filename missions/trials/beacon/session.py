@@ -22,7 +22,7 @@ from drivers.beacons.stream import MarvelmindStream
 from drivers.clock import SystemClock, SystemClockConfig
 from drivers.interfaces import BeaconError, BeaconFix, Beacons, PartError
 from drivers.rig.parts import PartSpec, Rig, create, import_factory, part_context
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from missions.report.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, load_facts
 from missions.trials.dynamic.flight import BEACON_LIST, BEACON_RECORD, reference_of
 from path.messages import Role

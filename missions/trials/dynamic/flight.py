@@ -19,7 +19,7 @@ from drivers.beacons.record import BeaconRecorder
 from drivers.interfaces import BeaconFix, PartError
 from drivers.log.mcap_log import LogRecord
 from drivers.rig.parts import Reference, Rig, import_factory
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from missions.report.records import WORLD_LOG, RunRecords
 from missions.trials.shared.trajectory import Trajectory
 from path.geometry.rotation import R_from_quat, normalized

@@ -8,7 +8,7 @@ from typing import Any
 
 from drivers.rig.parts import Rig
 from missions import rig_library
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from missions.report.records import RUN, RunRecords, judged_pairs, last, load_run
 from missions.report.summary import summarize
 from missions.run_folder import discard, new_folder

@@ -12,10 +12,10 @@ from drivers.link.wire import KEY_LENGTH
 from drivers.rig.toml_text import toml_text
 from flight.phases import COURSE
 from missions import rig_library
-from missions.handoff.command import fly_once, new_folder
+from missions.handoff.flight import fly_once
 from missions.report.records import RUN, last, load_run
 from missions.report.summary import summarize
-from missions.run_folder import discard
+from missions.run_folder import discard, new_folder
 from missions.trials.processes import duty as processes_duty
 from missions.trials.processes.duty import Responsibility
 from path.messages import Role

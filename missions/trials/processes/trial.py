@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from missions.handoff.command import new_folder
+from missions.run_folder import new_folder
 from missions.trials.processes import runs
 from missions.trials.processes.runs import LIVE, SIM, Came
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, TrialTable, verdict

@@ -11,7 +11,7 @@ from typing import Any
 from flight.config import SeparationConfig
 from flight.phases import Phase
 from missions import rig_library
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from missions.report.records import RUN, Records, RunRecords, load_run
 from missions.rig_library import mission_of
 from missions.run_folder import discard, new_folder

@@ -18,7 +18,7 @@ from flight.harness.flights import Progress
 from flight.outcome import Outcome
 from flight.phases import Phase
 from missions import rig_library
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from missions.report.command import make_report
 from missions.report.records import Records, RunRecords, load_run
 from missions.run_folder import new_folder

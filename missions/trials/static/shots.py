@@ -33,7 +33,7 @@ class StaticSeries:
     """Some sessions of one configuration, with one kind of cameras.
 
     Attributes:
-        studio: the class of the renderer.
+        renderer: the class of the renderer.
         imaging: of each drone's camera.
         configuration: its number in ``STANDS``.
         sessions: their numbers.

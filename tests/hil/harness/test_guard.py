@@ -12,7 +12,7 @@ from drivers.log.mcap_log import read_log
 from drivers.mavlink.guard.interfaces import Beat, Script
 from hil.harness.guard import MemoryBeatLine
 from missions import rig_library
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 
 
 class StillClock:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import missions.handoff.command
+import missions.handoff.flight
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, with_slow
 from flight.harness.flights import FlightReport, FlightRequest, RoleResult
@@ -19,7 +20,7 @@ from flight.outcome import Outcome
 from hil.world.check import check_world
 from missions import rig_library
 from missions.doctor.pace import Pace, Stage
-from missions.handoff.command import fly_once, harness_of, judge
+from missions.handoff.flight import fly_once, harness_of, judge
 from missions.options.flights import HandoffOptions
 from missions.report.records import FACTS
 from missions.run_folder import new_folder
@@ -159,7 +160,7 @@ def test_a_run_leaves_its_facts(
     def fake_harness_of(rig: Rig) -> FakeHarness:
         return FakeHarness()
 
-    monkeypatch.setattr(missions.handoff.command, "harness_of", fake_harness_of)
+    monkeypatch.setattr(missions.handoff.flight, "harness_of", fake_harness_of)
     rig = rig_library.load("sim")
     facts = fly_once(rig, 7, ["lookalike"], tmp_path, lambda _: None)
     assert facts.exit_code == code

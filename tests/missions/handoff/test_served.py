@@ -16,7 +16,7 @@ from flight.harness.flights import FlightReport, FlightRequest, Progress, RoleRe
 from flight.outcome import Outcome
 from hil.camera import shared
 from missions import rig_library
-from missions.handoff import command, served
+from missions.handoff import command, flight, served
 from missions.options.flights import HandoffOptions
 from path.messages import Role
 
@@ -66,7 +66,7 @@ def test_the_crew_is_told_what_to_type_and_when(
         del rig
         return Harness()
 
-    monkeypatch.setattr(command, "harness_of", harness_of)
+    monkeypatch.setattr(flight, "harness_of", harness_of)
     assert command.run(HandoffOptions("sitl", out=tmp_path, serve_world=True, picture=False)) == 0
     said = capsys.readouterr().out
     for role in Role:

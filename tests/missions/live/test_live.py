@@ -25,7 +25,7 @@ from websockets.typing import Subprotocol
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import McapLog, virtual_log
 from missions import rig_library
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from missions.live.follow import FolderFollower
 from missions.live.gate import LOOPBACK, TOKEN, TokenGate, knows
 from missions.live.start import address_of, live

@@ -11,11 +11,11 @@ import pytest
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord, read_log, virtual_log
 from missions import rig_library
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from missions.options.runs import ReplayOptions
 from missions.replay import command
 from missions.replay.command import EXIT_DIFFERENT, change_of, replay_changed, run
-from missions.replay.perceive import PerceptionChange, eyes_of
+from missions.replay.perceive import PerceptionChange, perceiver_of
 from missions.replay.redecide import Complete, DecisionPair, redecide
 from missions.report.records import REPLAY, drone_logs
 from tests.missions.replay.filmed import make_films
@@ -145,8 +145,8 @@ def test_perception_runs_again_on_the_recorded_frames(
     """H.264 loses a little, depth nothing: the boxes are the same ones, about a pixel off."""
     folder = flown(RECORDED, 2, "kill_receiver@verify+3")
     logs = drone_logs(folder)
-    eyes = {name: eyes_of(folder, name, PerceptionChange()) for name in logs}
-    again = {each.drone: each for each in replay_changed(logs, lambda method: method, eyes)}
+    perceivers = {name: perceiver_of(folder, name, PerceptionChange()) for name in logs}
+    again = {each.drone: each for each in replay_changed(logs, lambda method: method, perceivers)}
     for drone, topic, enough in (("sender", "/target", 100), ("receiver", "/candidate", 15)):
         pairs = [each for each in again[drone].decided if each.topic == topic]
         assert len(pairs) > enough
@@ -158,7 +158,7 @@ def test_perception_runs_again_on_the_recorded_frames(
     capsys.readouterr()
     assert run(ReplayOptions((folder,), frames=True)) == 0
     assert "frames with a candidate" in capsys.readouterr().out
-    blind = {name: eyes_of(folder, name, PerceptionChange(settings={"min_saturation": 1.0})) for name in logs}
+    blind = {name: perceiver_of(folder, name, PerceptionChange(settings={"min_saturation": 1.0})) for name in logs}
     for drone in replay_changed(logs, lambda method: method, blind):
         assert not any(each.again["box"] for each in drone.decided if each.topic == "/target" and each.again)
 

@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 
 from missions.assurance.campaign.results import RunLine
 from missions.assurance.campaign.run import junit_case, run
-from missions.handoff.command import junit_case as handoff_case
+from missions.handoff.many import junit_case as handoff_case
 from missions.options.flights import HandoffOptions
 from missions.options.proofs import CampaignOptions
 from missions.report.junit import JUnitCase, write_junit

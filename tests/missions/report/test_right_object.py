@@ -11,6 +11,8 @@ import pytest
 
 import missions.assurance.campaign.role_runs
 import missions.handoff.command
+import missions.handoff.flight
+import missions.handoff.many
 from missions.assurance.campaign import run as campaign
 from missions.assurance.campaign.results import RunLine
 from missions.options.flights import HandoffOptions
@@ -50,7 +52,7 @@ def other_object(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> None:
     def harness_of(_: Any) -> Replayed:
         return Replayed(folder)
 
-    monkeypatch.setattr(missions.handoff.command, "harness_of", harness_of)
+    monkeypatch.setattr(missions.handoff.flight, "harness_of", harness_of)
     monkeypatch.setattr(missions.assurance.campaign.role_runs, "harness_of", harness_of)
 
 
@@ -79,9 +81,9 @@ def test_runs_of_a_campaign_count_it(tmp_path: Path) -> None:
 
 
 def test_many_runs_end_with_it() -> None:
-    assert missions.handoff.command.exit_code_of_many({"monitors": {"S9": 1, "S12": 2}}) == 42
-    assert missions.handoff.command.exit_code_of_many({"monitors": {"S9": 1}}) == 40
-    assert missions.handoff.command.exit_code_of_many({"monitors": {}}) == 0
+    assert missions.handoff.many.exit_code_of_many({"monitors": {"S9": 1, "S12": 2}}) == 42
+    assert missions.handoff.many.exit_code_of_many({"monitors": {"S9": 1}}) == 40
+    assert missions.handoff.many.exit_code_of_many({"monitors": {}}) == 0
 
 
 def test_a_trial_ends_with_it() -> None:

@@ -22,7 +22,7 @@ from hil.link.faulty import ProxySide, UdpFaultProxy
 from hil.world.faults import FaultError
 from missions import rig_library
 from missions.assurance.verify.attack import RECORDING, Attacker, attack, earlier_flights
-from missions.handoff.command import fly_once
+from missions.handoff.flight import fly_once
 from path.messages import Message, Ping, Pong, Role, Status
 from tests.drivers.link.link_ends import Context, WallClock, until
 from tests.free_ports import free_ports

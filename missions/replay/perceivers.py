@@ -49,7 +49,7 @@ class RecordedViews:
         return self._see(self._newest) if self._newest.stamp_ns == stamp_ns else None
 
 
-class SenderEyes:
+class SenderPerceiver:
     """D1's: the target, from its acquisition on. ``missing``: frames that were not recorded."""
 
     def __init__(
@@ -98,7 +98,7 @@ class SenderEyes:
         return None if self._seen is None else (self._seen, self._gravity_v)
 
 
-class ReceiverEyes:
+class ReceiverPerceiver:
     """D2's: the marker, and the target where the prior says. ``missing``: frames that were not recorded."""
 
     def __init__(
