@@ -58,7 +58,7 @@ def test_it_hears_every_vehicle_of_a_relay_and_of_a_team(name: str, targets: int
         name_ground_station(rig, f"127.0.0.1:{ground.getsockname()[1]}")
         for drone in field_of(rig, 3, targets).drones:
             own = pair_of(rig, drone, drone).receiver
-            vehicle = embedded_vehicle(rig, own, World(WorldConfig(), seed=1).drone(Role.SENDER))
+            vehicle = embedded_vehicle(rig, own, World(WorldConfig(), seed=1).drone(Role.SENDER), lambda _: 0.0)
             try:
                 vehicle.pump(0.0)
             finally:

@@ -10,7 +10,7 @@ import pytest
 from drivers.detectors import xfeat
 from drivers.detectors.xfeat import XFeat
 from drivers.interfaces import PartError
-from path.baselines.matching import MatchConfig, match
+from path.baselines.matching import MatchConfig, accepted, nearest
 from tests.drivers.detectors.onnx_graphs import identity_network
 
 BESIDE = sorted(Path(__file__).parents[4].glob("*/models/xfeat.onnx"))
@@ -96,7 +96,7 @@ def texture(height: int, width: int) -> np.ndarray[tuple[int, ...], np.dtype[np.
 def test_a_shifted_image_gives_shifted_features(network: XFeat) -> None:
     image = texture(640, 660)
     a, b = network.extract(image[:, :640].copy()), network.extract(image[:, 16:656].copy())
-    pairs = match(a, b, "cosine", MatchConfig(ratio=1.0, min_cosine=0.82))
+    pairs = accepted(nearest(a, b, "cosine"), "cosine", MatchConfig(ratio=1.0, min_cosine=0.82))
     assert len(pairs) > 300
     shift = a.points_px[pairs[:, 0]] - b.points_px[pairs[:, 1]]
     assert np.median(shift, axis=0).tolist() == [16.0, 0.0]

@@ -222,7 +222,7 @@ def test_a_sample_of_the_real_ones_is_caught(tmp_path: Path, monkeypatch: pytest
     """The command, on the quickest of the suites."""
     monkeypatch.chdir(ROOT)
     quickest = next(suite for suite in load_table().suites if suite.file.endswith("guard/rules.py"))
-    rules = [test for test in quickest.tests if "test_rules" in test]
+    rules = tuple(test for test in quickest.tests if "test_rules" in test)
     table = MutationTable((FileTests(quickest.file, rules),), load_table().equivalent)
     monkeypatch.setattr(mutation_run, "load_table", lambda: table)
     code = run.run(VerifyOptions(out=tmp_path, mutants=True, sample=4, seed=2, jobs=1))
