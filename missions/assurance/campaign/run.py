@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from drivers.interfaces import PartError
 from drivers.rig.parts import with_errors
 from flight.command_end import CommandEnd
-from flight.outcome import violated_outcome
+from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
 from missions.assurance.campaign import machine_runs, role_runs, team_runs
 from missions.assurance.campaign.levels import LEVELS
@@ -112,6 +112,8 @@ def run(options: CampaignOptions) -> int:
         try:
             with _workers(options) as workers:
                 for lines in workers.stream(_what(kind.at_a_time), kind.fly, orders):
+                    if any(line.outcome == Outcome.INTERRUPTED.label for line in lines):
+                        raise KeyboardInterrupt  # a flight in this process took Ctrl-C as its own
                     results.add(lines)
         except KeyboardInterrupt:
             sys.stdout.write(f"\n{len(results.lines)} of {options.runs} runs are done and kept in {folder}\n")

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import sys
 from pathlib import Path
 
 import pytest
 
 from drivers.interfaces import PartError
+from flight.command_end import CommandEnd
 from missions.assurance.campaign.results import FILE, RunLine, resumable_results
 from missions.assurance.campaign.run import replay_command, run
 from missions.assurance.campaign.summary import summarize, table
 from missions.cli import main
 from missions.options.proofs import CampaignOptions
+from missions.team.base import TeamBase
 
 ASKED = {"program": "machines", "rig": "sim", "seed": 0, "levels": ["none"]}
 
@@ -38,6 +42,23 @@ def test_a_campaign_makes_its_table_and_goes_on_where_it_stopped(
     assert run(options(tmp_path)) == 0
     assert "3 runs are done, 5 are left" in capsys.readouterr().out
     assert sorted((tmp_path / FILE).read_text().splitlines()[1:]) == sorted(whole.splitlines()[1:])
+
+
+def test_ctrl_c_during_a_flight_stops_the_campaign_and_that_run_is_not_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With one job the flight is in this process, and takes the signal first."""
+    name_targets = TeamBase._name_targets
+
+    def pressed(base: TeamBase) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        name_targets(base)
+
+    monkeypatch.setattr(TeamBase, "_name_targets", pressed)
+    asked = options(tmp_path, program="team", runs=2, faults=("none",), hours=0.02)
+    assert run(asked) == CommandEnd.STOPPED.exit_code
+    assert "0 of 2 runs are done" in capsys.readouterr().out
+    assert len((tmp_path / FILE).read_text().splitlines()) == 1
 
 
 def test_another_campaign_in_the_same_folder_is_refused(tmp_path: Path) -> None:
