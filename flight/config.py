@@ -55,7 +55,7 @@ class TargetDesignation:
         return Designated(place, self.radius_m, self.drift_mps * max(0.0, age_s - self.holds_s))
 
     def off_at_home(self, position_n_m: Vec3) -> tuple[float, float]:
-        """The distance from home at which a drone that stands there takes itself to be; zero where none is stated."""
+        """Returns how far off, north and east, a drone at home takes itself to be; 0 where no home is stated."""
         if self.home_m is None:
             return 0.0, 0.0
         return position_n_m[0] - self.home_m[0], position_n_m[1] - self.home_m[1]

@@ -28,7 +28,9 @@ _ROUND = 16  # places on the rim of where a designated object can be
 MIN_DESCENT = 0.2  # per metre along the optical axis
 DEPTH_FLOOR_M, DEPTH_SIGMAS = 0.2, 3.0  # how far a depth may put the object from its prediction
 _SIDE_PX = 3.0  # noise of a box's side
-_HELD_S, _LARGER = 5.0, 1.3  # for so long an object is taken to be in a box that is so much larger than its own was
+# For so long after it was seen whole an object is taken to be in a box that is so much larger than its own was; then
+# what is there may be anything.
+_HELD_S, _LARGER = 5.0, 1.3
 _COARSE_M = 0.12  # a range that is no better is estimated, not measured
 
 
@@ -126,31 +128,33 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / AMBIGUITY, RIVAL_REACH_M)
     found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
     ranked = by_distance(found, (u, v), camera, track.size_m, z)
-    down_m = track.position_n_m[2]
+    side_px = None if track.size_m is None else (px_per_m * track.size_m[0], px_per_m * track.size_m[1])
     if not ranked or ranked[0].off_px > px_per_m * gate_m:
-        holder = _holder(ranked, (u, v), track, px_per_m, view.stamp_ns)
-        return MissReason.NO_TARGET if holder is None else _keep(track, holder, camera, T_n_c, view.stamp_ns)
+        lately = view.stamp_ns - track.whole_ns <= _HELD_S * 1e9
+        holder = _holder(ranked, (u, v), side_px) if lately and side_px is not None else None
+        if holder is not None:
+            _bound(track, holder, camera, T_n_c, view.stamp_ns)
+        return MissReason.NO_TARGET if holder is None else MissReason.AMBIGUOUS_TARGET
     chosen = ranked[0]
     if len(ranked) > 1:
         track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
         if unseen or _nearly_as_near(ranked):
             return MissReason.AMBIGUOUS_TARGET
     if chosen.cut:
-        bounded = _at_height(chosen.pixel, camera, T_n_c, down_m)
-        if bounded is not None:
-            track.update(bounded, view.stamp_ns, cut=True)
+        _bound(track, chosen.pixel, camera, T_n_c, view.stamp_ns)
         return MissReason.NO_TARGET
     box = chosen.box
     sides_m = box.w * z / camera.fx, box.h * z / camera.fy
-    if track.outgrown(sides_m, _SIDE_PX / max(1.0, min(box.w, box.h)), view.stamp_ns) and track.size_m is not None:
-        within = _within(box, (u, v), (px_per_m * track.size_m[0], px_per_m * track.size_m[1]))
-        return _keep(track, within, camera, T_n_c, view.stamp_ns)
+    if track.outgrown(sides_m, _SIDE_PX / max(1.0, min(box.w, box.h)), view.stamp_ns) and side_px is not None:
+        _bound(track, _within(box, (u, v), side_px), camera, T_n_c, view.stamp_ns)
+        return MissReason.AMBIGUOUS_TARGET
     track.note_size(sides_m, view.stamp_ns)
     depth = view.depth(box)
     if depth is not None:
         shown = to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
         reach_m = DEPTH_FLOOR_M + DEPTH_SIGMAS * math.hypot(sigma_m, depth.sigma_m)
         depth = depth if math.dist(shown, predicted_n) <= reach_m else None
+    down_m = track.position_n_m[2]
     measured = (
         _at_height(box.center, camera, T_n_c, down_m) if depth is None else place(box, depth, camera, T_n_c, down_m)
     )
@@ -159,24 +163,15 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     return Sighting(box, depth, _beside(view, box, ranked[1:], px_per_m))
 
 
-def _keep(track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, stamp_ns: int) -> MissReason:
-    """Keeps the track of an object that is somewhere in a box with more in it; the frame is a miss."""
+def _bound(track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, stamp_ns: int) -> None:
+    """Keeps the track by where the object about is, as high as it was; the velocity learns nothing."""
     bounded = _at_height(pixel, camera, T_n_c, track.position_n_m[2])
     if bounded is not None:
         track.update(bounded, stamp_ns, cut=True)
-    return MissReason.AMBIGUOUS_TARGET
 
 
-def _holder(
-    ranked: Sequence[ImageObject], expected: Pixel, track: TargetTrack, px_per_m: float, stamp_ns: int
-) -> Pixel | None:
-    """The place of the object in a box that it no longer has to itself: one around where it is expected, and larger.
-
-    For a while after it was seen whole: then what is there may be anything.
-    """
-    if track.size_m is None or stamp_ns - track.whole_ns > _HELD_S * 1e9:
-        return None
-    side_px = px_per_m * track.size_m[0], px_per_m * track.size_m[1]
+def _holder(ranked: Sequence[ImageObject], expected: Pixel, side_px: tuple[float, float]) -> Pixel | None:
+    """The place of the object in a box that it no longer has to itself: one around where it is expected, and larger."""
     u, v = expected
     for each in ranked:
         box = each.box

@@ -128,7 +128,9 @@ class Crew(ABC, Generic[Config, Called, Field]):
         unhurt = drone.result is not None and drone.result.outcome in _BY_OTHERS
         keeps = unhurt and left >= self.config.keep_battery
         drone.battery = left if keeps else 1.0
-        return self.config.swap_s if not keeps else 0.0 if left >= _NOT_FLOWN else self.config.check_s
+        if not keeps:
+            return self.config.swap_s
+        return 0.0 if left >= _NOT_FLOWN else self.config.check_s
 
     def _call(self, drone: Called, order: TakeOffOrder) -> None:
         drone.where, drone.order, drone.result = "flying", order, None

@@ -69,8 +69,8 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         drone, target = self.drones[name], self.target_of(name)
         leg = drone.leg
         if leg is not None:
-            leg.held_s, leg.outcome = self._now_s(), Outcome.COMMITTED.label
-            self._close_leg(leg)
+            leg.held_s = self._now_s()
+            self._close_leg(leg, Outcome.COMMITTED.label)
         target.holder, target.finder, target.asking, target.alarmed = name, None, None, False
         drone.has_nothing = False
         self._end_spell(target)
@@ -82,8 +82,7 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
     def leg_failed(self, name: str, end: MissionEnd) -> None:
         leg = self.drones[name].leg
         if leg is not None:
-            leg.outcome, leg.detail = end.outcome.label, end.detail
-            self._close_leg(leg)
+            self._close_leg(leg, end.outcome.label, end.detail)
             self.drones[name].ways.clear()  # it stays
             relief = self.drones[leg.receiver]
             if relief.where == "flying":  # it may be down before its sender knows: then no way is flown
@@ -93,8 +92,7 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
     def gave_up(self, name: str, why: str) -> None:
         drone, target = self.drones[name], self.target_of(name)
         if drone.leg is not None:
-            drone.leg.outcome, drone.leg.detail = drone.leg.outcome or Outcome.PEER_ABORTED.label, why
-            self._close_leg(drone.leg)
+            self._close_leg(drone.leg, Outcome.PEER_ABORTED.label, why)
         drone.ways.append(self._back(name, target.number))
         drone.has_nothing = True
         self._lose(target, name, why)
@@ -102,14 +100,15 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
     def may_find(self, name: str, wait_s: float) -> None:
         drone, target = self.drones[name], self.target_of(name)
         drone.has_nothing = True
-        if wait_s < _STAYS_S and target.finder == name:  # it comes home after all
-            drone.turned_back, target.finder = "no", None
-        if self.over or wait_s < _STAYS_S or drone.turned_back != "no" or not self._nobody_has(target, name):
+        if wait_s < _STAYS_S:
+            if target.finder == name:  # it comes home after all
+                drone.turned_back, target.finder = "no", None
+            return
+        if self.over or drone.turned_back != "no" or not self._nobody_has(target, name):
             return
         if target.holder == name:  # it handed it over to one that is dead
             if drone.leg is not None:
-                drone.leg.outcome = drone.leg.outcome or Outcome.ORPHANED.label
-                self._close_leg(drone.leg)
+                self._close_leg(drone.leg, Outcome.ORPHANED.label)
             self._lose(target, name, "nobody said that it holds it")
         if self._now_s() - target.lost_s >= self.config.point_s:
             drone.turned_back, drone.order, target.finder = "wait", TakeOffOrder.FIND, name
@@ -119,8 +118,7 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         drone, target = self.drones[name], self.target_of(name)
         if drone.turned_back == "wait":
             out = way_out(drone.home_m, target.place_m, self.config.area_m)
-            others = [way for each in self.drones.values() if each is not drone for way in each.ways]
-            if not in_the_way((out,), others, self.config.clear_route_m):
+            if not in_the_way((out,), self._flown(but=drone), self.config.clear_route_m):
                 drone.turned_back = "go"
                 drone.ways.append(out)
         return drone.turned_back
@@ -154,7 +152,7 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
             if drone is None or drone.called_home or target.leg is not None:
                 continue
             back = self._back(drone.name, target.number)
-            if not in_the_way((back,), self._air().flown, self.config.clear_route_m):
+            if not in_the_way((back,), self._flown(), self.config.clear_route_m):
                 drone.called_home = True
                 drone.ways.append(back)
 
@@ -188,8 +186,7 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
             leg = drone.leg
             if drone.name == leg.receiver:
                 return  # its sender finds out by itself, within the protocol
-            leg.outcome, leg.detail = leg.outcome or "sender over", end_of(drone.result)
-            self._close_leg(leg)
+            self._close_leg(leg, "sender over", end_of(drone.result))
         if target.finder == drone.name:
             target.finder, target.lost_s = None, self._now_s()
         if target.holder == drone.name:
@@ -234,16 +231,19 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
     def _back(self, name: str, target: int) -> Airway:
         return way_back(self.drones[name].home_m, self.targets[target].place_m, self.config.area_m)
 
+    def _flown(self, but: TeamDrone | None = None) -> list[Airway]:
+        """The ways that are kept free, but for one drone's own."""
+        return [way for drone in self.drones.values() if drone is not but for way in drone.ways]
+
     def _air(self) -> Airspace:
         config = self.config
-        flown = [way for drone in self.drones.values() for way in drone.ways]
-        return Airspace(flown, config.clear_route_m, config.entry_m, config.transit_mps)
+        return Airspace(self._flown(), config.clear_route_m, config.entry_m, config.transit_mps)
 
     def _send(self, choice: Assignment) -> None:
         drone, target = self.drones[choice.drone], self.targets[choice.target]
         need = Need(target.number, target.place_m, choice.heading_deg)
         ways = self._ways(need, ReadyDrone(drone.name, drone.home_m, drone.battery))
-        if in_the_way(ways, self._air().flown, self.config.clear_route_m):
+        if in_the_way(ways, self._flown(), self.config.clear_route_m):
             return  # another one of the same moment is in its way: a little later
         drone.target, drone.heading_deg, target.heading_deg = target.number, choice.heading_deg, choice.heading_deg
         drone.ways.append(ways[0])
@@ -268,7 +268,8 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         what = f"leg {leg.number}, {target.named.name}: relieves {sender.name}, battery at {100 * battery:.0f} %"
         self._say(drone.name, "call", what)
 
-    def _close_leg(self, leg: Leg) -> None:
+    def _close_leg(self, leg: Leg, outcome: str, detail: str = "") -> None:
+        leg.outcome, leg.detail = outcome, detail
         for name in (leg.sender, leg.receiver):
             if self.drones[name].leg is leg:
                 self.drones[name].leg = None

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from path.calibration.board import Board, BoardView
 from path.calibration.intrinsics import NotSolvable, board_pose
 from path.camera.model import CameraModel
-from path.geometry.rotation import exp
+from path.geometry.rotation import stepped
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.observations import MarkerDetection
@@ -190,10 +190,6 @@ def _root(covariance: Array) -> Array:
     return np.asarray(np.linalg.cholesky(covariance), np.float64)
 
 
-def _moved(pose: Pose, step: Array) -> Pose:
-    return Pose(exp(step[3:]) @ pose.R, pose.t + step[:3])
-
-
 _Terms = tuple[Callable[[Pose], Array], Callable[[Pose], Array], Residual]
 
 
@@ -208,8 +204,8 @@ def _reduced(
         def residual(
             step: Array, one: Pose = T_c1_o, three: Pose = T_c3_o, terms_: _Terms = (board_1, board_3, marker)
         ) -> Array:
-            a, b = _moved(one, step[GLOBAL : GLOBAL + 6]), _moved(three, step[GLOBAL + 6 :])
-            seen = terms_[2](_moved(state.T_v_c1, step[:6]), a, b, state.scale + float(step[6]))
+            a, b = stepped(one, step[GLOBAL : GLOBAL + 6]), stepped(three, step[GLOBAL + 6 :])
+            seen = terms_[2](stepped(state.T_v_c1, step[:6]), a, b, state.scale + float(step[6]))
             return np.concatenate((terms_[0](a), terms_[1](b), seen))
 
         left = residual(np.zeros(GLOBAL + OWN))
@@ -224,12 +220,12 @@ def _reduced(
 
 
 def _move(state: _MountState, step: Array, own: Sequence[tuple[Array, Array, Array]]) -> None:
-    state.T_v_c1 = _moved(state.T_v_c1, step[:6])
+    state.T_v_c1 = stepped(state.T_v_c1, step[:6])
     state.scale += float(step[6])
     for number, (slope, free, _) in enumerate(own):
         change = free - slope @ step
         one, three = state.boards[number]
-        state.boards[number] = (_moved(one, change[:6]), _moved(three, change[6:]))
+        state.boards[number] = (stepped(one, change[:6]), stepped(three, change[6:]))
 
 
 def _solution(

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from path.geometry.transforms import Matrix, Vector
+from path.geometry.transforms import Matrix, Pose, Vector
 from path.messages import Quat, Vec3
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
@@ -151,6 +151,11 @@ def rpy_from_quat(q: Quat) -> tuple[float, float, float]:
     roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
     return roll, pitch, yaw_of(q)
+
+
+def stepped(pose: Pose, step: Vector) -> Pose:
+    """Returns a pose moved by ``step[:3]`` in m, and turned by ``step[3:]``, a rotation vector in rad."""
+    return Pose(exp(step[3:]) @ pose.R, pose.t + step[:3])
 
 
 def R_from_yaw(yaw: float) -> Matrix:

@@ -17,8 +17,8 @@ from missions.trials.real.board import BoardSeen, Photograph, SetSeen, robust_so
 from missions.trials.real.corners import Corners, FoundMarker
 from missions.trials.real.errors import MethodPoses, measure_set
 from missions.trials.real.set import RealSet
+from missions.trials.shared.statistics import rms
 from path.geometry import rotation
-from path.geometry.transforms import Pose
 
 STEP = 1e-6  # of numerical derivatives, metres and radians
 POSE_NUMBERS = 6
@@ -56,7 +56,7 @@ def held_still(own: RealSet, seen: SetSeen, measured: MethodPoses) -> tuple[SetS
     still = replace(seen, photographs=shots, boards=boards)
     shears = np.stack([shear for shear, _, _ in fits])
     motion = RowMotion(
-        float(np.sqrt(np.mean((shears * seen.camera.height) ** 2))),
+        rms(shears * seen.camera.height),
         _rms([pose for _, pose, _ in fits]),
         _rms([rows for _, _, rows in fits]),
     )
@@ -67,7 +67,7 @@ def _sheared(board: BoardSeen, shot: Photograph) -> tuple[Array, float, float]:
     """The shift (2,) by row, px / px, and the squares of what a pose leaves without it and with it."""
     camera, points = board.camera, shot.points_o
     here = camera.project(board.T_c_o.apply(points))
-    columns = [(camera.project(_turned(board.T_c_o, step).apply(points)) - here).ravel() / STEP
+    columns = [(camera.project(rotation.stepped(board.T_c_o, step).apply(points)) - here).ravel() / STEP
                for step in STEP * np.eye(POSE_NUMBERS)]  # fmt: skip
     row, none = here[:, 1] - camera.cy, np.zeros(len(here))
     shifts = [np.column_stack(pair).ravel() for pair in ((row, none), (none, row))]
@@ -79,10 +79,6 @@ def _sheared(board: BoardSeen, shot: Photograph) -> tuple[Array, float, float]:
         for design, solution in zip(designs, solutions, strict=True)
     )
     return solutions[1][POSE_NUMBERS:], pose, rows
-
-
-def _turned(pose: Pose, step: Array) -> Pose:
-    return Pose(rotation.exp(step[3:]) @ pose.R, pose.t + step[:3])
 
 
 def _still(corners_px: Array, seen: SetSeen, shear: Array) -> Array:

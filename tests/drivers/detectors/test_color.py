@@ -17,7 +17,7 @@ from hil.render.scene import CAR_BOXES
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.camera.model import CameraModel
 from path.gate.agreement import iou
-from path.geometry.rotation import R_from_rpy
+from path.geometry.rotation import R_from_rpy, R_from_yaw
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
@@ -56,8 +56,7 @@ def silhouette(snapshot: Snapshot, thing: ObjectTruth) -> Box:
     """Bounding box of the object's corners in the sender's image."""
     unit = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     corners = np.concatenate([unit * np.array(size) + np.array(center) for center, size, _ in CAR_BOXES])
-    c, s = math.cos(thing.yaw_rad), math.sin(thing.yaw_rad)
-    T_w_o = Pose(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array(thing.position_w_m))
+    T_w_o = Pose(R_from_yaw(thing.yaw_rad), np.array(thing.position_w_m))
     T_c_w = (snapshot.drones[Role.SENDER].T_w_b @ T_B_C).inverse()
     pixels = CAMERA.project((T_c_w @ T_w_o).apply(corners))
     low, high = pixels.min(axis=0), pixels.max(axis=0)

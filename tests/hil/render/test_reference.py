@@ -10,6 +10,7 @@ from hil.render.renderer import SUN_W, Renderer
 from hil.render.scene import INK, MARKER, PAPER, PLATE_SCALE, ROTOR, Model, car, marked_drone
 from hil.render.sensor import NOISE_FREE
 from hil.world.snapshot import Snapshot
+from path.geometry.rotation import R_from_yaw
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
@@ -28,8 +29,7 @@ def instances(snapshot: Snapshot, role: Role) -> list[tuple[Model, Pose]]:
             assert other is Role.SENDER
             found.append((marked_drone(TAIL, LAYOUT, hidden=False), truth.T_w_b))
     for thing in snapshot.objects:
-        c, s = np.cos(thing.yaw_rad), np.sin(thing.yaw_rad)
-        found.append((car(), Pose(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]), np.array(thing.position_w_m))))
+        found.append((car(), Pose(R_from_yaw(thing.yaw_rad), np.array(thing.position_w_m))))
     return found
 
 

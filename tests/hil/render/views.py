@@ -6,6 +6,7 @@ import numpy as np
 
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.camera.model import CameraModel
+from path.geometry.rotation import R_from_yaw
 from path.geometry.transforms import Pose
 from path.messages import Role
 
@@ -27,9 +28,7 @@ def mount(pitch_deg: float) -> Pose:
 
 
 def hovering(east: float, north: float, up: float, yaw_rad: float = 0.0) -> Pose:
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    R_n_b = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return Pose(NED_TO_ENU @ R_n_b, np.array([east, north, up]))
+    return Pose(NED_TO_ENU @ R_from_yaw(yaw_rad), np.array([east, north, up]))
 
 
 def drone(pose: Pose, *, armed: bool = True, phase_rad: float = 0.7) -> DroneTruth:
