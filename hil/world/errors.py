@@ -45,6 +45,7 @@ class ErrorSizes:
         attitude_stamp_s: of a frame's stamp against those of the attitude.
         stamp_jitter_s: of a frame's stamp, new in every frame.
         edge_px: of each edge of a detector's boxes (at level ``sim``; elsewhere there are real detectors).
+        home_m: of the place where a drone was put down, from where the rig says it stands, per axis.
     """
 
     focal: float = 0.002
@@ -62,6 +63,7 @@ class ErrorSizes:
     attitude_stamp_s: float = 0.005
     stamp_jitter_s: float = 0.002
     edge_px: float = 1.5
+    home_m: float = 0.05
 
 
 SOURCES: Mapping[str, str] = {
@@ -80,6 +82,7 @@ SOURCES: Mapping[str, str] = {
     "attitude_stamp_s": "assumed",
     "stamp_jitter_s": "assumed",
     "edge_px": "assumed: where detectors put an edge is a matter of their training",
+    "home_m": "assumed: measured with a tape from where the target's place was measured",
 }
 
 
@@ -178,6 +181,12 @@ def as_built(rig: Rig, seed: int, drones: Mapping[Role, int] | None = None) -> B
 def _own(own: RoleRig, T_b_v: Pose, sizes: ErrorSizes, streams: list[Generator]) -> RoleRig:
     mount = Mount(other_mount(own.mount.T_b_c, sizes, streams[1]), T_b_v)
     return replace(own, camera=other_lens(own.camera, sizes, streams[0]), mount=mount)
+
+
+def put_down(said_m: tuple[float, float], sizes: ErrorSizes, seed: int, drone: int) -> tuple[float, float]:
+    """Returns where a drone truly stands, east and north, that the crew put down at a place. ``drone``: its number."""
+    east, north = (sizes.home_m * np.random.default_rng([seed, 0x686F6D65, drone]).standard_normal(2)).tolist()
+    return said_m[0] + east, said_m[1] + north
 
 
 def other_lens(camera: CameraModel, sizes: ErrorSizes, rng: Generator) -> CameraModel:

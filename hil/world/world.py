@@ -32,7 +32,7 @@ from hil.world.dynamics import (
     poses_w,
     standing,
 )
-from hil.world.errors import ErrorsConfig
+from hil.world.errors import ErrorsConfig, put_down
 from hil.world.estimator import EstimatorConfig, Sensors, WindConfig
 from hil.world.scenes import SceneConfig
 from hil.world.snapshot import DroneTruth, Snapshot
@@ -128,6 +128,11 @@ class WorldConfig:
 
     def home(self, role: Role) -> HomeConfig:
         return self.sender_home if role is Role.SENDER else self.receiver_home
+
+    def true_home(self, role: Role, seed: int) -> HomeConfig:
+        """Where a drone truly stands: the crew measured its place as well as it could."""
+        said = self.home(role)
+        return replace(said, position_m=put_down(said.position_m, self.errors.sizes, seed, ROLES.index(role)))
 
     def simulator(self, role: Role) -> SimulatorConfig | None:
         return self.sender_simulator if role is Role.SENDER else self.receiver_simulator
@@ -359,7 +364,7 @@ class World(Fleet[Role]):
         self._snapshot: Snapshot | None = None
         self.min_separation_m = math.inf  # of the two bodies, while both were in the air
         off = {Role.RECEIVER: receiver_off(config.position_offset, seed)}
-        super().__init__(config, seed, {role: config.home(role) for role in ROLES}, off)
+        super().__init__(config, seed, {role: config.true_home(role, seed) for role in ROLES}, off)
 
     def _sense(self) -> None:
         super()._sense()

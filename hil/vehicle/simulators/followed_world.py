@@ -49,12 +49,12 @@ class SimulatedVehicle:
     ) -> None:
         """Raises PartError when a port is taken or the simulator was not named.
 
-        ``seed``: of what the receiver's position is wrong by.
+        ``seed``: of what the receiver's position is wrong by, and of where the drone was put down.
         """
         options = rig.role(role).vehicle.options
         self.sysid = int(options["sysid"])
         self.config = config
-        origin, home = rig.origin, world.home(role)
+        origin, home = rig.origin, world.true_home(role, seed) if config.to_start else world.home(role)
         # All of the simulation is as much higher as its GPS says too much: what is true is reckoned from there.
         altitude_m = origin.altitude_m + world.altitude.error_m(ROLES.index(role), 0.0)
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, altitude_m)

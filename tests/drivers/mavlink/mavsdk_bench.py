@@ -15,6 +15,7 @@ from drivers.mavlink.vehicle import MavsdkVehicle, MavsdkVehicleConfig
 from drivers.rig.parts import Mount, Origin, PartContext
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
+from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.world import AltitudeConfig, HomeConfig, SimDrone, World, WorldConfig
 from path.camera.model import CameraModel
@@ -136,7 +137,15 @@ def px4(
     calm = WindConfig(0.0, gust_mps=0.0)
     altitude = AltitudeConfig(offset_m=gps_off_m)
     world = World(
-        WorldConfig(wind=calm, estimator=exact, autopilot=config, sender_home=HOME, altitude=altitude), seed=1
+        WorldConfig(
+            errors=ErrorsConfig("exact"),
+            wind=calm,
+            estimator=exact,
+            autopilot=config,
+            sender_home=HOME,
+            altitude=altitude,
+        ),
+        seed=1,
     )
     wire, port, drone = Wire(), port or free_port(), world.drone(Role.SENDER)
     endpoint = MavlinkVehicle(MavlinkVehicleConfig(SYSID, ("127.0.0.1", port)), drone, TANGENT)

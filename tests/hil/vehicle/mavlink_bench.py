@@ -11,6 +11,7 @@ from drivers.interfaces import FlightMode
 from drivers.mavlink.geodesy import LocalTangent
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
+from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.world import HomeConfig, World, WorldConfig
 from path.messages import Role
@@ -32,7 +33,14 @@ class Bench:
         self.ground.settimeout(0.0)
         exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
         self.world = World(
-            WorldConfig(wind=WindConfig(0.0, gust_mps=0.0), estimator=exact, autopilot=config, sender_home=HOME), seed=1
+            WorldConfig(
+                errors=ErrorsConfig("exact"),
+                wind=WindConfig(0.0, gust_mps=0.0),
+                estimator=exact,
+                autopilot=config,
+                sender_home=HOME,
+            ),
+            seed=1,
         )
         self.drone = self.world.drone(Role.SENDER)
         on_wire = MavlinkVehicleConfig(SYSID, self.ground.getsockname())

@@ -23,6 +23,7 @@ from hil.vehicle.board_pty import BoardPty
 from hil.vehicle.simulators.followed_world import SimulatedVehicle, start_simulators
 from hil.vehicle.simulators.process import SimulatorBroken
 from hil.vehicle.simulators.wire import SerialWire
+from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.world import HomeConfig, SimDrone, World, WorldConfig
 from missions import rig_library
@@ -54,7 +55,14 @@ def board(rig: Rig, folder: Path, home: HomeConfig) -> Generator[tuple[SimDrone,
     """The board in a thread; gives its drone, and what pulls its cables."""
     exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
     world = World(
-        WorldConfig(wind=WindConfig(0.0, gust_mps=0.0), estimator=exact, autopilot=QUICK, sender_home=home), seed=1
+        WorldConfig(
+            errors=ErrorsConfig("exact"),
+            wind=WindConfig(0.0, gust_mps=0.0),
+            estimator=exact,
+            autopilot=QUICK,
+            sender_home=home,
+        ),
+        seed=1,
     )
     tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
     drone, leg_m = world.drone(Role.SENDER), world.config.airframe.leg_m

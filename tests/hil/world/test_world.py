@@ -12,6 +12,7 @@ import pytest
 from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.rig.tables import RigError, decode_table
 from flight.guidance import subtract
+from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.world import HomeConfig, PositionOffsetConfig, World, WorldConfig
 from path.messages import Role
@@ -149,7 +150,7 @@ def test_a_perfect_estimator_is_the_truth() -> None:
 
 
 def test_the_snapshot_is_the_same_truth_in_enu() -> None:
-    world = World(WorldConfig(sender_home=HomeConfig((2.0, 5.0), 90.0)), 1)
+    world = World(WorldConfig(errors=ErrorsConfig("exact"), sender_home=HomeConfig((2.0, 5.0), 90.0)), 1)
     drone = world.snapshot().drones[Role.SENDER]
     assert drone.T_w_b.t == pytest.approx((2.0, 5.0, 0.1))
     nose, belly = drone.T_w_b.R[:, 0], drone.T_w_b.R[:, 2]
@@ -163,6 +164,17 @@ def test_the_snapshot_is_the_same_truth_in_enu() -> None:
     R = world.snapshot().drones[Role.SENDER].T_w_b.R
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(R) == pytest.approx(1.0)
+
+
+def test_a_drone_stands_where_the_crew_put_it_and_not_quite_where_they_say() -> None:
+    said = HomeConfig((2.0, 5.0), 90.0)
+    off: list[float] = []
+    for seed in range(40):
+        world = World(WorldConfig(sender_home=said), seed)
+        north, east, down = world.drone(Role.SENDER).true_position_n_m
+        assert down == -0.1
+        off += [east - 2.0, north - 5.0]
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(0.05, rel=0.25)
 
 
 def test_the_snapshot_moves_on_between_physics_steps() -> None:
@@ -185,7 +197,7 @@ def test_the_snapshot_moves_on_between_physics_steps() -> None:
 
 
 def test_separation_counts_only_in_the_air() -> None:
-    near = WorldConfig(receiver_home=HomeConfig((1.2, 0.0)))
+    near = WorldConfig(errors=ErrorsConfig("exact"), receiver_home=HomeConfig((1.2, 0.0)))
     world = World(near, 1)
     assert world.separation_m == pytest.approx(1.2)
     take_off(world, Role.SENDER)
