@@ -71,7 +71,13 @@ COMPUTES = (
     "hil/world/",
 )
 # What of it waits most of its time, and has no port that is not its own: beside the rest, in a worker of its own.
-BESIDE = ("drivers/mavlink/", "hil/vehicle/")
+BESIDE = (
+    "contracts/",
+    "drivers/mavlink/",
+    "flight/test_ceiling",
+    "hil/vehicle/",
+    "missions/guard/test_command",
+)
 IN_REAL_TIME, BESIDE_REAL_TIME = "real time", "real time, beside the rest"
 BEGUN = pytest.StashKey[bool]()
 APART = ("scenarios/test_sim",)  # long tests that share nothing

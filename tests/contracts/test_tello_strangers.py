@@ -14,9 +14,9 @@ from tello_asyncio import Direction, Vector
 from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
 from hil.world.world import SimDrone, World, WorldConfig
 from path.messages import Role
-from tests.free_ports import free_port
+from tests.free_ports import free_host, free_port
 
-HOST = "127.0.79.2"
+HOST = free_host()
 STEP_S = 0.005
 
 

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -22,21 +21,14 @@ from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
-from tests.free_ports import free_port
+from tests.free_ports import free_host, free_port
 from tests.steady_time import SteadyTime
 
 CAMERA = CameraModel(320, 240, 300.0, 300.0, 159.5, 119.5)
 LEVEL = Mount(Pose(np.eye(3), np.zeros(3)), Pose(np.eye(3), np.zeros(3)))
 STEP_S = 0.005
-_hosts = count(20)
-
-
 STATE_PORT = free_port()
 """djitellopy listens on one for all drones of a process, from the first on."""
-
-
-def next_host() -> str:
-    return f"127.0.77.{next(_hosts)}"
 
 
 def context() -> PartContext:
@@ -73,7 +65,7 @@ async def until(condition: Callable[[], bool], limit_s: float = 60.0) -> None:
 def emulated(config: dict[str, Any] | None = None, rate_hz: float = 0.0, speed: float = 1.0) -> Generator[Stand]:
     """One Tello; its time runs ``speed`` times as fast as ours. With a rate its camera films a clock."""
     world = World(WorldConfig(), seed=3)
-    host = next_host()
+    host = free_host()
     drone = world.drone(Role.SENDER)
     camera = TelloVideo(TelloVideoConfig(CAMERA.width, CAMERA.height, rate_hz or 30.0))
     emulator = TelloEmulator(TelloEmulatorConfig(host, **(config or {})), drone, camera)

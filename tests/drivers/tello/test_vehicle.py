@@ -20,8 +20,8 @@ from drivers.tello.commands import TelloLink
 from drivers.tello.config import TelloVehicleConfig
 from drivers.tello.vehicle import TelloVehicle
 from path.geometry.rotation import yaw_of
-from tests.drivers.tello.tello_stand import STATE_PORT, Stand, context, emulated, next_host, until
-from tests.free_ports import free_port
+from tests.drivers.tello.tello_stand import STATE_PORT, Stand, context, emulated, until
+from tests.free_ports import free_host, free_port
 
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
 RISING = VelocitySetpoint((0.0, 0.0, -0.1), 0.0)
@@ -218,7 +218,7 @@ def test_it_is_kept_awake_while_it_holds_and_not_while_a_script_flies_it(monkeyp
 
 
 def refusal(stand: Stand | None = None, **options: Any) -> VehicleError:
-    nobody: dict[str, Any] = {"host": next_host(), "state_port": STATE_PORT}
+    nobody: dict[str, Any] = {"host": free_host(), "state_port": STATE_PORT}
     address = nobody if stand is None else stand.address
     drone = TelloVehicle(TelloVehicleConfig(**{**address, **options}), context())
 
@@ -233,8 +233,9 @@ def refusal(stand: Stand | None = None, **options: Any) -> VehicleError:
 
 def test_a_drone_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.tello.commands.COMMAND_S", 0.1)
-    error = refusal(video_port=free_port())
-    assert "no answer from 127.0.77." in str(error)
+    host = free_host()
+    error = refusal(host=host, video_port=free_port())
+    assert f"no answer from {host}" in str(error)
     assert "Wi-Fi" in error.remedy
 
 

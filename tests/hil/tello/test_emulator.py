@@ -6,7 +6,6 @@ import math
 import re
 import socket
 from collections.abc import Callable, Generator
-from itertools import count
 from typing import Any
 
 import pytest
@@ -15,6 +14,7 @@ from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
 from hil.tello.video import TelloVideo, TelloVideoConfig
 from hil.world.world import World, WorldConfig
 from path.messages import Role
+from tests.free_ports import free_host
 
 STEP_S = 0.005
 STATE = re.compile(
@@ -22,14 +22,13 @@ STATE = re.compile(
     r"vgx:-?\d+;vgy:-?\d+;vgz:-?\d+;templ:\d+;temph:\d+;tof:\d+;h:-?\d+;bat:\d+;baro:-?\d+\.\d\d;time:\d+;"
     r"agx:-?\d+\.\d\d;agy:-?\d+\.\d\d;agz:-?\d+\.\d\d;\r\n"
 )
-_hosts = count(10)
 
 
 class Bench:
     """A drone, and a computer that talks to it."""
 
     def __init__(self, arrived: Callable[[float], float] | None = None, **config: Any) -> None:
-        host = f"127.0.78.{next(_hosts)}"
+        host = free_host()
         self.world = World(WorldConfig(), seed=1)
         self.drone = self.world.drone(Role.SENDER)
         self.video = TelloVideo(TelloVideoConfig(64, 48))

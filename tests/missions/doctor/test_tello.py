@@ -12,8 +12,8 @@ from missions.doctor import perception as doctor_perception
 from missions.doctor import vehicle as doctor_vehicle
 from missions.doctor.perception import check_perception
 from missions.doctor.vehicle import check_flyer
-from tests.drivers.tello.tello_stand import CAMERA, STATE_PORT, context, emulated, next_host
-from tests.free_ports import free_port
+from tests.drivers.tello.tello_stand import CAMERA, STATE_PORT, context, emulated
+from tests.free_ports import free_host, free_port
 from tests.missions.doctor.doctor_findings import found
 
 TRIES = 5
@@ -74,7 +74,7 @@ def test_its_video_is_timed_from_the_first_frame_on() -> None:
 
 def test_a_drone_that_is_not_there_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.tello.commands.COMMAND_S", 0.1)
-    config = TelloVehicleConfig(host=next_host(), state_port=STATE_PORT, video_port=free_port())
+    config = TelloVehicleConfig(host=free_host(), state_port=STATE_PORT, video_port=free_port())
     every = found(check_flyer(TelloVehicle(config, context()), context().clock, 0.2))
     assert list(every) == [""]
     assert "is the drone on" in every[""].fix
