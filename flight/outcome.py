@@ -91,6 +91,11 @@ def violated_outcome(monitors: Collection[str]) -> Outcome:
     return Outcome.WRONG_OBJECT if OBJECT_MONITOR in monitors else Outcome.MONITOR_VIOLATED
 
 
+def exit_code_of_runs(monitors: Collection[str]) -> int:
+    """Returns the exit code of many runs in which these monitors were violated: 0 for none."""
+    return violated_outcome(monitors).exit_code if monitors else Outcome.COMMITTED.exit_code
+
+
 class MissionEnd(Exception):
     """The mission cannot go on; ``outcome`` says how it ends and ``detail`` what was seen."""
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Mount
 from flight.harness.montecarlo import MISS, OWN_MISS, PAIR, Attempt, Series
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
-from hil.montecarlo.perception import CLAIMED, FOUND, OTHER_COLUMNS, OTHERS, SEEN, SIGMA, STATUS, UNCLEAR, WHO, Z
+from flight.tracking.association import Sighting
+from hil.montecarlo.follower import TARGET
 from hil.montecarlo.scene import Believed
 from hil.montecarlo.setup import (
     BLOCK_S,
@@ -36,31 +37,12 @@ from path.geometry.rigid import rigid, rigid_from_quat
 from path.geometry.rotation import normalized
 from path.geometry.transforms import Pose
 from path.messages import Candidate, Target, Vec3
-from path.observations import Box, Depth, Detection, MarkerDetection, MissReason, Region
-from path.target.rivals import Rival
+from path.observations import Box, MissReason
 
 Array = NDArray[np.float64]
-EYE8 = np.eye(8)
 REASONS = tuple(MissReason)
 SLACK_NS = 500_000_000  # what was captured is judged later, by the link and both cycles
 BOTH: tuple[BoxMapping, BoxMapping] = ("center", "corner")
-
-
-@dataclass(frozen=True, slots=True)
-class _View:
-    """As much of ``drivers.interfaces.View`` as the marker view looks at."""
-
-    stamp_ns: int
-    row: Array
-    marker_id: int
-
-    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
-        corners = self.row[:8].reshape(4, 2)
-        if self.row[FOUND] == 0.0:
-            return ()
-        if region is not None and not all(region.contains(u, v) for u, v in corners.tolist()):
-            return ()
-        return (MarkerDetection(self.marker_id, corners, self.row[CLAIMED] ** 2 * EYE8),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +76,7 @@ def run_cycles(
     step_s = BLOCK_S if until is None else 0.5 * BLOCK_S
     while first < len(events) and until_s < attempt.limit_s:
         until_s = min(until_s + step_s, attempt.limit_s)
-        setup.fill(until_s)
+        setup.reach(until_s)
         last = int(np.searchsorted(now, _ns(until_s)))
         if cycles.run(events[first:last], attempt.whole):
             break
@@ -117,7 +99,6 @@ class _Cycles:
         rig, calibrated = believed.rig, setup.believed
         mount = calibrated.T_b_v.inverse() @ calibrated.T_b_c1
         self._setup = setup
-        self._marker_id = rig.layout.markers[0].id
         camera_1, camera_2 = calibrated.camera_1, calibrated.camera_2
         # the paper's gate decides when to stop; others are told the series afterwards
         method = replace(method, gate="count")
@@ -161,16 +142,16 @@ class _Cycles:
 
     def _sender_frame(self, k: int, now_ns: int) -> None:
         seen = self._setup.seen
-        row, stamp_ns, number = seen.own[k].tolist(), int(seen.stamp_1[k]), int(seen.number_1[k])
-        box = Box(*row[1:5]) if row[STATUS] == SEEN else None
-        depth = Depth(row[Z], row[SIGMA]) if box is not None and row[Z] > 0.0 else None
-        message = self._sender.observe(number, stamp_ns, box, depth, _vector(seen.gravity_v[k]), _rivals(row))
+        stamp_ns, number = int(seen.stamp_1[k]), int(seen.number_1[k])
+        found, who = self._setup.followed(k)
+        of_target = (found.box, found.depth) if isinstance(found, Sighting) else (None, None)
+        beside = found.beside if isinstance(found, Sighting) else ()
+        message = self._sender.observe(number, stamp_ns, *of_target, _vector(seen.gravity_v[k]), beside)
         if isinstance(message, Target):
             self._targets[k] = message
-            self.record.own_whose[number] = row[WHO]
+            self.record.own_whose[number] = who
         else:
-            reason = MissReason.AMBIGUOUS_TARGET if row[STATUS] == UNCLEAR else message.reason
-            self.record.own_miss(reason, number, stamp_ns, now_ns)
+            self.record.own_miss(message.reason if isinstance(found, Sighting) else found, number, stamp_ns, now_ns)
         for pair in self._sender.evaluate_ready(now_ns):
             self.record.pair(pair, now_ns)
             if self._window.count == 1:
@@ -179,28 +160,21 @@ class _Cycles:
     def _receiver_frame(self, k: int) -> None:
         seen, cycle = self._setup.seen, self._receiver
         stamp_ns, number = int(seen.stamp_2[k]), int(seen.number_2[k])
-        view = _View(stamp_ns, seen.markers[k], self._marker_id)
+        view = self._setup.receiver_view(k)
         self._marker.note_motion(self._motion(k, stamp_ns))
         gravity_v, gravity_c = cycle.gravity_v(stamp_ns), _vector(seen.gravity_c[k])
-        fix = self._marker.look(view, seen.R_n_c[k], gravity_v, gravity_c)  # type: ignore[arg-type]
+        fix = self._marker.look(view, seen.R_n_c[k], gravity_v, gravity_c)
         if isinstance(fix, MarkerFix):
             biased = Pose(seen.turn @ fix.T_c_v.R, fix.T_c_v.t + seen.shift_c)
             prior = cycle.prior(biased, fix.covariance, stamp_ns)
         else:
             prior = fix
-        found: list[Detection] = []
-        whose: dict[Box, float] = {}
-        if isinstance(prior, Prior):
-            for x, y, w, h, score, who in seen.found[k, : seen.many[k]].tolist():
-                box = Box(x, y, w, h)
-                if prior.region.contains(*box.center):
-                    found.append(Detection(box, score))
-                    whose[box] = who
+        found = view.targets(prior.region) if isinstance(prior, Prior) else ()
         candidate = cycle.candidate(number, stamp_ns, found, prior)
         assert isinstance(candidate, Candidate)
         self._candidates[k] = candidate
         if candidate.box is not None:
-            self.record.whose[candidate.sequence] = whose[candidate.box]
+            self.record.whose[candidate.sequence] = view.whose(candidate.box)
 
     def _motion(self, k: int, stamp_ns: int) -> VehicleMotions:
         """Returns D2's knowledge of both vehicles' motion by its frame."""
@@ -217,8 +191,8 @@ class _Record:
     """
 
     def __init__(self, views: TwoViews, mapping: BoxMapping) -> None:
-        self.whose: dict[int, float] = {}
-        self.own_whose: dict[int, float] = {}
+        self.whose: dict[int, int] = {}
+        self.own_whose: dict[int, int] = {}
         self._views = views
         self._other: BoxMapping = BOTH[1 - BOTH.index(mapping)]
         self._rows: list[tuple[int, ...]] = []  # that are in no array yet
@@ -245,7 +219,7 @@ class _Record:
             self._values.append((0.0, 0.0, 0.0, 0.0))
             return
         theirs = self.whose[candidate.sequence]
-        right, same = int(theirs == 0.0), int(theirs == self.own_whose[at.before.frame])
+        right, same = int(theirs == TARGET), int(theirs == self.own_whose[at.before.frame])
         own = (at.before.frame, at.before.stamp_ns, at.after.frame, at.after.stamp_ns)
         self._rows.append((PAIR, -1, *head, *own, right, same))
         scores = iou(pair.own_box, pair.mapped_box), self._by_other(candidate, at.values, candidate.box, pair.own_box)
@@ -277,17 +251,6 @@ class _Record:
             own=ints[:, 5:9], iou=floats[:, :2], z_m=floats[:, 2], pose_sigma_m=floats[:, 3], right=ints[:, 9] != 0,
             same=ints[:, 10] != 0, offsets=self._offsets, oversize=self._oversize, placed_iou=self._placed_iou,
         )  # fmt: skip
-
-
-def _rivals(row: Sequence[float]) -> list[Rival]:
-    """The objects that D1's frame shows beside the target (``hil.montecarlo.perception``)."""
-    found: list[Rival] = []
-    for at in range(OTHERS, len(row), OTHER_COLUMNS):
-        x, y, w, h, z_m, sigma_m = row[at : at + OTHER_COLUMNS]
-        if w <= 0.0:
-            break
-        found.append(Rival(Box(x, y, w, h), Depth(z_m, sigma_m) if z_m > 0.0 else None))
-    return found
 
 
 def _vector(row: Array) -> Vec3:

@@ -15,15 +15,12 @@ import numpy as np
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig
 from flight.harness.montecarlo import PAIR, Attempt, FaultName, MonteCarloHandover, Series, agreeing
-from hil.geometric.perception import Sensor
-from hil.geometric.scene import CameraSetup
 from hil.montecarlo.conditions import MEANINGS, conditions
 from hil.montecarlo.cycles import REASONS, CyclesRun, run_cycles
 from hil.montecarlo.scene import Believed
-from hil.montecarlo.setup import EPOCH_S, BodyBoxes, HandoverSetup
+from hil.montecarlo.setup import EPOCH_S, HandoverSetup
 from hil.world.errors import level_of, sizes_of
 from path.config import MethodConfig
-from path.messages import Role
 from path.observations import MissReason
 
 
@@ -38,17 +35,13 @@ class MonteCarloHandovers:
             )
         self._method = method or rig.method
         self._believed = Believed.of(rig)
-        self._parts = BodyBoxes(self._believed)
-        mount = rig.sender.mount
-        setup = CameraSetup(Role.SENDER, rig.sender.camera, mount.T_b_c, mount.T_b_v, rig.layout)
-        self._sensor = Sensor(setup, self._believed.noise, self._method, 0)
 
     def warmed(self) -> Self:
         self.run(Attempt(0, 0, limit_s=0.3))
         return self
 
     def run(self, attempt: Attempt, until: Callable[[Series], bool] | None = None) -> MonteCarloHandover:
-        setup = HandoverSetup(attempt, self._believed, self._sensor, self._parts)
+        setup = HandoverSetup(attempt, self._believed, self._method)
         return _result(attempt, setup, run_cycles(attempt, setup, self._believed, self._method, until), self._method)
 
     def conditions(self) -> tuple[tuple[str, str], ...]:

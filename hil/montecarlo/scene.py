@@ -6,6 +6,7 @@ Every group has its own stream of random numbers, so that one fault or another c
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,12 +21,14 @@ from hil.geometric.noise import ObservationNoise
 from hil.geometric.scene import parts_of
 from hil.geometric.targets import TargetNoise
 from hil.montecarlo.faults import HandoverFaults, direction, draw_faults
-from hil.world.errors import level_of, other_lens, other_mount, sizes_of
+from hil.world.errors import SensorErrors, level_of, other_lens, other_mount, other_print, sizes_of
 from hil.world.kinds import TargetKind
 from hil.world.targets import CROSSING_PAST_M, LookAlikeConfig, TargetConfig
 from path.camera.model import CameraModel
 from path.geometry.rotation import R_from_yaw, exp
 from path.geometry.transforms import Pose
+from path.marker.layout import MarkerLayout
+from path.messages import Role
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator
@@ -49,7 +52,7 @@ class HandoverCalibration:
     T_b_c1: Pose
     T_b_c2: Pose
     T_b_v: Pose
-    corners_v: Array  # (4, 3)
+    layout: MarkerLayout
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +102,8 @@ class Believed:
         rig = self.rig
         mount = rig.receiver.mount.T_b_c
         rolled = Pose(mount.R @ exp(np.array([0.0, 0.0, math.radians(roll_deg)])), mount.t)
-        corners = rig.layout.markers[0].corners_v
         return HandoverCalibration(
-            rig.sender.camera, rig.receiver.camera, rig.sender.mount.T_b_c, rolled, rig.sender.mount.T_b_v, corners
+            rig.sender.camera, rig.receiver.camera, rig.sender.mount.T_b_c, rolled, rig.sender.mount.T_b_v, rig.layout
         )
 
 
@@ -161,9 +163,7 @@ class LastingErrors:
     clock_s: float  # D2's stamps as D1 converts them, minus the truth
     stamp_late_s: tuple[float, float]  # a frame's stamp less its instant, sender and receiver
     stamp_jitter_s: float
-    depth_scale: float
-    depth_bias_m: float
-    boxes: tuple[TargetNoise, TargetNoise]
+    sensors: Mapping[Role, SensorErrors]  # of depth, and of the edges of boxes
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,28 +277,19 @@ def _errors(believed: Believed, calibrated: HandoverCalibration, rng: Generator)
         other_mount(calibrated.T_b_c1, sizes, rng),
         other_mount(calibrated.T_b_c2, sizes, rng),
         other_mount(calibrated.T_b_v, sizes, rng),
-        calibrated.corners_v * (1.0 + sizes.side * rng.standard_normal()),
+        other_print(calibrated.layout, sizes, rng),
     )
     times = np.array([sizes.tilt_bias, sizes.tilt_bias, sizes.yaw_bias])
     bias = times * np.array(BIAS_RAD) * rng.standard_normal((2, 3))
     mean_tilt = np.radians([1.5, 1.5, 1.5]) * rng.standard_normal((2, 3))
-    edges = sizes.edge_px * rng.standard_normal((2, 4))
-    base = believed.boxes
-    boxes = [
-        base._replace(
-            bias_left_px=base.bias_left_px + a,
-            bias_top_px=base.bias_top_px + b,
-            bias_right_px=base.bias_right_px + c,
-            bias_bottom_px=base.bias_bottom_px + d,
-        )
-        for a, b, c, d in edges.tolist()
-    ]
+    edges = (sizes.edge_px * rng.standard_normal((2, 4))).tolist()
     clock_s, depth = CLOCK_SIGMA_S * rng.standard_normal(), 1.0 + sizes.depth * rng.standard_normal()
     late_1, late_2 = (sizes.attitude_stamp_s * rng.standard_normal(2)).tolist()
+    bias_m = sizes.depth_bias_m * rng.standard_normal()
     return LastingErrors(
         true=true, tilt_bias=bias, mean_tilt=mean_tilt, attitude_noise=sizes.attitude_noise, clock_s=clock_s,
-        stamp_late_s=(late_1, late_2), stamp_jitter_s=sizes.stamp_jitter_s, depth_scale=depth,
-        depth_bias_m=sizes.depth_bias_m * rng.standard_normal(), boxes=(boxes[0], boxes[1]),
+        stamp_late_s=(late_1, late_2), stamp_jitter_s=sizes.stamp_jitter_s,
+        sensors={role: SensorErrors(depth, bias_m, edges_px=tuple(own)) for role, own in zip(Role, edges, strict=True)},
     )  # fmt: skip
 
 

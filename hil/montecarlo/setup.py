@@ -1,36 +1,31 @@
 """A Monte-Carlo hand-over made ready: frames, poses, messages and their arrivals as arrays.
 
-What is seen is filled in block by block, as far as the hand-over is run.
+What is before the cameras is placed as far as the hand-over is run; what they see, when they are asked.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flight.harness.montecarlo import Attempt, Circumstances
+from flight.tracking.association import Sighting
+from hil.geometric.noise import ObservationNoise
 from hil.geometric.perception import Sensor
-from hil.geometric.scene import drone_parts, parts_of
-from hil.montecarlo.follower import AT, FOLLOWER_SIZE, FOUND_COLUMNS, POSITION, PP, RIVAL, RIVAL_AT, VELOCITY, VV
+from hil.geometric.scene import CameraSetup
+from hil.montecarlo.follower import Follower
 from hil.montecarlo.motion import P_W_N, RECEIVER, SENDER, HandoverMotion, HandoverPoses, exp_all, within
-from hil.montecarlo.perception import (
-    MARKER_COLUMNS,
-    OWN_COLUMNS,
-    CameraPath,
-    Depths,
-    MonteCarloCamera,
-    receiver_sees,
-    sender_sees,
-    with_lapses,
-)
+from hil.montecarlo.perception import NOBODY, CameraPath, HandoverCamera, HandoverView
 from hil.montecarlo.scene import Believed, Drawn, draw
-from path.camera.kernels import lens_of
-from path.camera.model import CameraModel
+from hil.world.kinds import TargetKind
+from path.config import MethodConfig
 from path.geometry.transforms import Pose
+from path.messages import Role
+from path.observations import MissReason
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -39,18 +34,16 @@ RATE_HZ = 50.0
 STATUS_HZ = 10.0
 SENDER_LATENCY_S, RECEIVER_LATENCY_S = (0.008, 0.020), (0.010, 0.030)  # from a frame to the end of its processing
 LATENCY_JITTER_S = 0.002
-FOLLOWER_SIGMA_M, FOLLOWER_SIGMA_MPS = 0.02, 0.05
 STREAMS = 7
 BLOCK_S = 0.5
 HORIZON_S = 8.2  # how far an attempt is made ready at first
 CLOSEST_STEP_S = 0.02
-RIVAL_REACH_M = 0.6  # around the target, where D1 looks for others
 EPOCH_S = 10.0  # of the clocks, when an attempt begins
 SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD = 0, 1, 2, 3  # what happens
 
 
-class HandoverViews(NamedTuple):
-    """The observations of both cameras: see ``hil.montecarlo.perception``; numbers and stamps of the frames.
+class HandoverFrames(NamedTuple):
+    """Both cameras' frames: numbers, stamps, and what is known beside the images.
 
     ``gravity_v``, ``gravity_c``: (n, 3) as each drone believes; ``R_n_c``: of D2's camera, (n, 3, 3).
     ``shift_c``, ``turn``: what D2's pose is off by, (3,) and (3, 3).
@@ -60,13 +53,9 @@ class HandoverViews(NamedTuple):
 
     number_1: Whole
     stamp_1: Whole
-    own: Array
     gravity_v: Array
     number_2: Whole
     stamp_2: Whole
-    markers: Array
-    found: Array
-    many: Whole
     gravity_c: Array
     R_n_c: Array
     shift_c: Array
@@ -102,28 +91,10 @@ class Timed:
         return Timed(*(column[:count] for column in columns))  # type: ignore[arg-type]
 
 
-class BodyBoxes:
-    """Boxes of what is drawn: they are the same for every attempt, but for the plates of the marker."""
-
-    def __init__(self, believed: Believed) -> None:
-        T_b_v, layout = believed.rig.sender.mount.T_b_v, believed.rig.layout
-        self.target = parts_of(believed.kind)
-        self.plain, self._marked = (drone_parts(T_b_v, layout, marked=on) for on in (False, True))
-        self._v_b = T_b_v.inverse()
-
-    def marked(self, T_b_v: Pose) -> Array:
-        """The sender, its plates where the marker truly is."""
-        parts, plates = self._marked.copy(), len(self.plain)
-        moved = T_b_v @ self._v_b
-        parts[plates:, :3] = moved.apply(parts[plates:, :3])
-        parts[plates:, 6:] = (moved.R @ parts[plates:, 6:].reshape(-1, 3, 3)).reshape(-1, 9)
-        return parts
-
-
 class HandoverSetup:
-    """One attempt before it is run. ``fill`` lets the cameras see."""
+    """One attempt before it is run."""
 
-    def __init__(self, attempt: Attempt, believed: Believed, sensor: Sensor, parts: BodyBoxes) -> None:
+    def __init__(self, attempt: Attempt, believed: Believed, method: MethodConfig) -> None:
         seeds = np.random.SeedSequence([attempt.seed, attempt.index]).spawn(STREAMS)
         streams = [np.random.default_rng(seed) for seed in seeds]
         self.drawn: Drawn = draw(attempt, believed, streams[:4])
@@ -139,22 +110,22 @@ class HandoverSetup:
             )
         )
         look_seeds = streams[6].integers(1 << 62, size=2).tolist()
-        true = self.drawn.errors.true
-        boxes = self.drawn.errors.boxes
-        self._camera_1 = _true_camera(true.camera_1, true.T_b_c1, parts.target, parts.plain, boxes[0], look_seeds[0])
-        marked = parts.marked(true.T_b_v)
-        self._camera_2 = _true_camera(true.camera_2, true.T_b_c2, parts.target, marked, boxes[1], look_seeds[1])
-        self._depths = Depths(
-            sensor.depth, *sensor.depth_noise, self.drawn.errors.depth_scale, self.drawn.errors.depth_bias_m
+        self._kind: TargetKind = believed.kind
+        self._sensor_1, self._sensor_2 = (
+            self._sensor(role, believed.noise, method, seed) for role, seed in zip(Role, look_seeds, strict=True)
         )
-        self._corners_b = true.T_b_v.apply(true.corners_v)
-        self._print = with_lapses(believed.noise.marker, faults.lapse_rate)
         self._T_v_m = believed.rig.layout.markers[0].T_v_m
-        self._lens_1 = lens_of(self.believed.camera_1)
-        self._filled = [0, 0]
-        self._follower: Array | None = None
-        self._limit_s, self._lost_s = attempt.limit_s, believed.mission.deadlines.target_coast_s
+        self.follower = Follower(self.believed.camera_1, believed.mission, self.drawn.things, -self._middle_m)
+        self._limit_s = attempt.limit_s
         self._prepare(min(HORIZON_S, attempt.limit_s))
+
+    def _sensor(self, role: Role, noise: ObservationNoise, method: MethodConfig, seed: int) -> Sensor:
+        """A camera as it truly is, with the perception behind it."""
+        true, errors = self.drawn.errors.true, self.drawn.errors.sensors[role]
+        camera, T_b_c = (true.camera_1, true.T_b_c1) if role is Role.SENDER else (true.camera_2, true.T_b_c2)
+        lapse_rate = noise.marker.lapse_rate + self.drawn.faults.lapse_rate
+        noise = replace(noise, marker=noise.marker._replace(lapse_rate=lapse_rate))
+        return Sensor(CameraSetup(role, camera, T_b_c, true.T_b_v, true.layout), noise, method, seed, errors)
 
     def _timed(
         self, limit_s: float, latency: tuple[float, float], frozen: Array, late_s: float, rng: np.random.Generator
@@ -172,7 +143,7 @@ class HandoverSetup:
         return Timed(first + np.flatnonzero(there), taken[there], done[there], heard[there], stamped[there])
 
     def _prepare(self, horizon_s: float) -> None:
-        """Poses of all frames up to a time."""
+        """Poses of all frames up to a time, and what is before the cameras."""
         self._horizon_s, drawn, calibrated = horizon_s, self.drawn, self.believed
         faults = drawn.faults
         sender, receiver = (frames.until(horizon_s) for frames in self.frames)
@@ -185,32 +156,20 @@ class HandoverSetup:
         self._times_1 = sender.taken_s
         self._holes = within(sender.taken_s, faults.holes)
         self._hidden = within(receiver.taken_s, faults.hidden)
-        self._swapped = within(receiver.taken_s, faults.swapped)
-        things_2[self._swapped, 0] = np.nan  # D2's detector is blind for the target, also where another touches it
+        things_2[within(receiver.taken_s, faults.swapped), 0] = (
+            np.nan
+        )  # D2's detector is blind for the target, also where another touches it
         R_n_b1 = at_1.estimated(SENDER)
         self._R_n_c1 = R_n_b1 @ calibrated.T_b_c1.R
         self._t_n_c1 = at_1.t_n[SENDER] + at_1.drift + R_n_b1 @ calibrated.T_b_c1.t
         R_n_c2 = at_2.estimated(RECEIVER) @ calibrated.T_b_c2.R
-        if self._follower is None:
-            self._follower = self._following(sender.taken_s, target_1, at_1.drift)
-        own, markers, found, many = self._room(len(sender.number), len(receiver.number), things_2.shape[1])
-        self.seen = HandoverViews(
-            sender.number, _ns(sender.stamped_s), own,
-            np.ascontiguousarray((R_n_b1 @ calibrated.T_b_v.R)[:, 2]), receiver.number,
-            _ns(receiver.stamped_s) + self.clock_ns, markers, found, many, self._gravity_c(R_n_c2, receiver), R_n_c2,
+        self._camera_1 = HandoverCamera(self._sensor_1, self._kind, self.flown_1)
+        self._camera_2 = HandoverCamera(self._sensor_2, self._kind, self.flown_2)
+        self.seen = HandoverFrames(
+            sender.number, _ns(sender.stamped_s), np.ascontiguousarray((R_n_b1 @ calibrated.T_b_v.R)[:, 2]),
+            receiver.number, _ns(receiver.stamped_s) + self.clock_ns, self._gravity_c(R_n_c2, receiver), R_n_c2,
             drawn.shift_c, exp_all(drawn.turn_c[None])[0], *self._reports(receiver),
         )  # fmt: skip
-
-    def _room(self, frames_1: int, frames_2: int, most: int) -> tuple[Array, Array, Array, Whole]:
-        """Returns arrays for what will be seen, with what was seen already."""
-        own, markers = np.zeros((frames_1, OWN_COLUMNS)), np.zeros((frames_2, MARKER_COLUMNS))
-        found, many = np.zeros((frames_2, most, FOUND_COLUMNS)), np.zeros(frames_2, np.int64)
-        first, second = self._filled
-        if first or second:
-            own[:first] = self.seen.own[:first]
-            markers[:second], found[:second] = self.seen.markers[:second], self.seen.found[:second]
-            many[:second] = self.seen.many[:second]
-        return own, markers, found, many
 
     def _reports(self, receiver: Timed) -> tuple[Array, Whole, Array, Array, Whole]:
         """Returns both vehicles' reports of their motion, D1's yaw in it, and how many D2 has by each of its frames."""
@@ -231,44 +190,19 @@ class HandoverSetup:
             gravity_c[k] = R @ -T_w_v.R[2]
         return gravity_c
 
-    def _following(self, times_s: Array, target: Array, drift: Array) -> Array:
-        """D1 has followed the target for a while: where it is, how it moves, and what is beside it."""
-        row = np.zeros(FOLLOWER_SIZE)
-        row[POSITION : POSITION + 2] = target[0] + drift[0, :2]
-        row[POSITION + 2] = -self._middle_m
-        row[VELOCITY : VELOCITY + 2] = (target[5] - target[0]) / (times_s[5] - times_s[0])
-        row[PP], row[VV] = FOLLOWER_SIGMA_M**2, FOLLOWER_SIGMA_MPS**2
-        row[AT] = row[RIVAL_AT] = times_s[0]
-        row[RIVAL] = self._beside_m()
-        return row
-
-    def _beside_m(self) -> float:
-        """From the target to the nearest other object that D1 sees with it, across its line of sight."""
-        sender_n, places = self.drawn.place.sender_n_m, self.drawn.things.at(np.zeros(1))[0][0]
-        line = np.array([-sender_n[0], -sender_n[1], -self._middle_m - sender_n[2]])
-        line /= np.linalg.norm(line)
-        away = np.zeros((len(places) - 1, 3))
-        away[:, :2] = places[1:] - places[0]
-        across = np.linalg.norm(away - (away @ line)[:, None] * line, axis=1)
-        return float(np.min(across, initial=math.inf, where=across <= RIVAL_REACH_M))
-
-    def fill(self, until_s: float) -> None:
-        """Fills in the observations of frames taken before ``until_s``."""
+    def reach(self, until_s: float) -> None:
+        """Makes what is known ready of frames taken before ``until_s``."""
         if until_s > self._horizon_s:
             self._prepare(self._limit_s)
-        seen, (sender, receiver) = self.seen, self.frames
-        first, last = self._filled[0], int(np.searchsorted(sender.taken_s, until_s))
-        sender_sees(
-            first, last, self._camera_1, self.flown_1, self._depths, self._holes, self._times_1, self._lost_s,
-            self._R_n_c1, self._t_n_c1, self._lens_1, self._follower, seen.own,
-        )  # fmt: skip
-        self._filled[0] = max(first, last)
-        first, last = self._filled[1], int(np.searchsorted(receiver.taken_s, until_s))
-        receiver_sees(
-            first, last, self._camera_2, self.flown_2, self._corners_b, self._print, self._hidden, self._swapped,
-            seen.markers, seen.found, seen.many,
-        )  # fmt: skip
-        self._filled[1] = max(first, last)
+
+    def followed(self, k: int) -> tuple[Sighting | MissReason, int]:
+        """D1's frame: the target that it follows there, and whose box that is. Frames are asked for in their order."""
+        view = self._camera_1.view(k, int(self.seen.stamp_1[k]), depth_holes=bool(self._holes[k]))
+        found = self.follower.look(view, float(self._times_1[k]), Pose(self._R_n_c1[k], self._t_n_c1[k]))
+        return found, view.whose(found.box) if isinstance(found, Sighting) else NOBODY
+
+    def receiver_view(self, k: int) -> HandoverView:
+        return self._camera_2.view(k, int(self.seen.stamp_2[k]), marker_hidden=bool(self._hidden[k]))
 
     @property
     def events(self) -> tuple[Whole, Whole, Whole]:
@@ -326,12 +260,6 @@ def relative_roll(T_w_c1: Pose, T_w_c2: Pose) -> float:
 
 def _ns(times_s: Array) -> Whole:
     return np.rint((times_s + EPOCH_S) * 1e9).astype(np.int64)
-
-
-def _true_camera(
-    camera: CameraModel, T_b_c: Pose, target: Array, drone: Array, boxes: object, seed: int
-) -> MonteCarloCamera:
-    return MonteCarloCamera(np.ascontiguousarray(T_b_c.R), T_b_c.t, lens_of(camera), target, drone, boxes, seed)  # type: ignore[arg-type]
 
 
 def _things(frames: Timed, drawn: Drawn, up_m: float) -> tuple[Array, Array]:

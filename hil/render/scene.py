@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from typing import NamedTuple
 
@@ -130,7 +131,7 @@ def marked_drone(T_b_v: Pose, layout: MarkerLayout, *, hidden: bool, prints: Seq
         hidden: the plates are blank.
         prints: what the plates show instead of ideal markers, one each: shades of ``PAPER``.
     """
-    faces = _airframe()
+    faces = [*_airframe()]
     cells: list[NDArray[np.uint8]] = []
     for number, marker in enumerate(layout.markers):
         T_b_m = T_b_v @ marker.T_v_m
@@ -143,7 +144,8 @@ def marked_drone(T_b_v: Pose, layout: MarkerLayout, *, hidden: bool, prints: Seq
     return model_of(faces, cells)
 
 
-def _airframe() -> list[Face]:
+@cache
+def _airframe() -> Sequence[Face]:
     faces = box((0.0, 0.0, 0.0), tuple(2.0 * half for half in DRONE_HALF_M), SHELL)
     faces += box((0.015, 0.0, -DRONE_HALF_M[2] - GAP_M - 0.009), (0.09, 0.05, 0.018), FRAME)
     below = DRONE_HALF_M[2] + GAP_M + 0.006

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.rig.parts import Rig
-from flight.outcome import Outcome, violated_outcome
+from flight.outcome import exit_code_of_runs
 from missions.handoff.flight import IN_PROCESS, fly_once, rig_as_asked
 from missions.options.flights import HandoffOptions
 from missions.report.command import series_table, show, summarize_many
@@ -56,7 +56,7 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
     (folder / SUMMARY).write_text(json.dumps(series, indent=2) + "\n", "utf-8")
     show(series_table(series), sys.stdout)
     sys.stdout.write(f"\n{folder}: {SUMMARY}, and a folder for each seed\n")
-    return exit_code_of_many(series)
+    return exit_code_of_runs(series["monitors"])
 
 
 def junit_case(options: HandoffOptions, summary: Mapping[str, Any]) -> JUnitCase:
@@ -70,11 +70,6 @@ def junit_case(options: HandoffOptions, summary: Mapping[str, Any]) -> JUnitCase
     failures = () if summary["exit_code"] == 0 else (summary["detail"] or outcome, *summary["notes"])
     replay = f"path-handoff handoff {shlex.join(asked)}"
     return JUnitCase(f"seed {summary['seed']}", outcome, replay, failures, summary["wall_s"] or 0.0)
-
-
-def exit_code_of_many(series: Mapping[str, Any]) -> int:
-    """0 unless a monitor was violated in one of the runs."""
-    return violated_outcome(series["monitors"]).exit_code if series["monitors"] else Outcome.COMMITTED.exit_code
 
 
 def _leave_signals_to_the_parent() -> None:

@@ -20,7 +20,7 @@ from rich.text import Text
 from drivers.interfaces import PartError
 from drivers.rig.parts import with_errors
 from flight.command_end import CommandEnd
-from flight.outcome import violated_outcome
+from flight.outcome import exit_code_of_runs
 from missions import rig_library
 from missions.options.proofs import TrialName, TrialOptions
 from missions.report.command import show
@@ -113,9 +113,7 @@ def short_form(result: TrialResult) -> TrialResult:
 def exit_code(results: Sequence[TrialResult | None]) -> int:
     """0 when every trial came to its end and no monitor of a mission was violated in any."""
     violated = {name for result in results if result is not None for name in result.violations}
-    if violated:
-        return violated_outcome(violated).exit_code
-    return EXIT_FAILED if None in results else CommandEnd.DONE.exit_code
+    return exit_code_of_runs(violated) or (EXIT_FAILED if None in results else CommandEnd.DONE.exit_code)
 
 
 def command(options: TrialOptions, name: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import datetime
@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from drivers.interfaces import PartError
 from drivers.rig.parts import with_errors
 from flight.command_end import CommandEnd
-from flight.outcome import Outcome, violated_outcome
+from flight.outcome import Outcome, exit_code_of_runs
 from missions import rig_library
 from missions.assurance.campaign import machine_runs, role_runs, team_runs
 from missions.assurance.campaign.levels import LEVELS
@@ -133,7 +133,7 @@ def report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> 
         write_junit(options.junit, f"campaign {options.program}", [junit_case(options, line) for line in runs])
     sys.stdout.write(table(summary))
     sys.stdout.write(f"\n{folder}: {SUMMARY}, {PICTURE}, runs.jsonl\n")
-    return exit_code(summary["violations_of"])
+    return exit_code_of_runs(summary["violations_of"])
 
 
 def junit_case(options: CampaignOptions, line: RunLine) -> JUnitCase:
@@ -160,12 +160,7 @@ def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
     for what in (*line.violations, *(f"(after {broken}) {one}" for one in line.beyond)):
         sys.stdout.write(f"violated: {what}\n")
     sys.stdout.write(f"outcome: {line.outcome}\n")
-    return exit_code([what.partition(" ")[0] for what in line.violations])
-
-
-def exit_code(monitors: Collection[str]) -> int:
-    """Returns the exit code of runs in which these monitors were violated, none for 0."""
-    return violated_outcome(monitors).exit_code if monitors else CommandEnd.DONE.exit_code
+    return exit_code_of_runs([what.partition(" ")[0] for what in line.violations])
 
 
 def _workers(options: CampaignOptions) -> AbstractContextManager[Workers]:

@@ -12,7 +12,7 @@ import pytest
 import missions.assurance.campaign.role_runs
 import missions.handoff.command
 import missions.handoff.flight
-import missions.handoff.many
+from flight.outcome import exit_code_of_runs
 from missions.assurance.campaign import run as campaign
 from missions.assurance.campaign.results import RunLine
 from missions.options.flights import HandoffOptions
@@ -72,18 +72,15 @@ def test_runs_of_a_campaign_count_it(tmp_path: Path) -> None:
     order = campaign.RunOrder("sim", 0, (("none", 0),))
     (line,) = missions.assurance.campaign.role_runs.fly(order)
     assert [what.partition(" ")[0] for what in line.violations] == ["S12"]
-    assert campaign.exit_code(["S12"]) == 42
-    assert campaign.exit_code(["S9"]) == 40
-    assert campaign.exit_code([]) == 0
     options = CampaignOptions("roles", runs=1, out=tmp_path)
     kept = RunLine(0, "none", "commit", line.violations, (), {})
     assert campaign.report(options, tmp_path, [kept]) == 42
 
 
 def test_many_runs_end_with_it() -> None:
-    assert missions.handoff.many.exit_code_of_many({"monitors": {"S9": 1, "S12": 2}}) == 42
-    assert missions.handoff.many.exit_code_of_many({"monitors": {"S9": 1}}) == 40
-    assert missions.handoff.many.exit_code_of_many({"monitors": {}}) == 0
+    assert exit_code_of_runs({"S9": 1, "S12": 2}) == 42
+    assert exit_code_of_runs({"S9": 1}) == 40
+    assert exit_code_of_runs({}) == 0
 
 
 def test_a_trial_ends_with_it() -> None:
