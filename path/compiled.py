@@ -15,6 +15,7 @@ from typing import Any
 from numba import njit
 from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
+from numba.extending import register_jitable
 
 _COMPILED: Any = njit  # its stubs do not know all of its options
 _CACHE: Any = FunctionCache
@@ -50,3 +51,6 @@ kernel: Any = _kept()
 inner: Any = _kept(no_cpython_wrapper=True)
 """For what only other kernels call: without the part that unpacks Python's objects, which takes as long to compile as a
 small kernel. Python that calls one of these crashes; ``tests/path/test_compiled.py`` looks for such calls."""
+
+as_it_is: Any = register_jitable(nogil=True, error_model="numpy", no_cpython_wrapper=True)
+"""For what kernels call compiled, and Python as it is: the same lines for both."""

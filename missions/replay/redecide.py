@@ -198,7 +198,7 @@ class _SenderReplay:
         """The observations in the frame of a ``/target``, by the log or perceived again, and down in frame ``v``."""
         if self._perceiver is not None and self._perceiver.seen is not None:
             return self._perceiver.seen
-        gravity_v, box = record["gravity_v"] or NAN3, box_of(record["box"])
+        gravity_v, box = tuple(record["gravity_v"] or NAN3), box_of(record["box"])
         if box is None:
             return MissReason(record["reason"]), gravity_v
         depth = None if record["depth_m"] is None else Depth(record["depth_m"], record["depth_sigma_m"])

@@ -10,18 +10,18 @@ from dataclasses import dataclass
 
 from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.gate.agreement import Agreed, TwoViews, Verdict, compare, iou, plain_box, threshold
+from path.gate.agreement import Agreed, Comparer, TwoViews, Verdict, plain_box, threshold
 from path.gate.evidence import make_gate, strength
-from path.gate.window import FramePair, Gate, Offsets, serial_difference
+from path.gate.window import FramePair, Gate, Offset, Offsets, serial_difference
 from path.geometry.rigid import rigid, rigid_from_quat
 from path.geometry.rotation import normalized
 from path.geometry.transforms import Pose
 from path.messages import Candidate, Target, Vec3
 from path.observations import Box, Depth, Missed, MissReason
 from path.target.place import TargetPoint, locate
-from path.target.rivals import Rival, Rivals, placed
+from path.target.rivals import Rival, Rivals
 from path.target.size import FITS, Sizes
-from path.timeline import Between, Sample, Track
+from path.timeline import Between, Sample, Track, Values
 
 MAX_PENDING = 64
 UNIT_TOLERANCE = 0.05  # of a direction or a quaternion that went through float32
@@ -93,6 +93,7 @@ class SenderCycle:
         self._config = config
         self._identity = (handoff_id, epoch, target_id)
         self._track = Track(config.track_length, config.max_bracket_s)
+        self._comparer = Comparer(self._views, config)
         self._rivals = Rivals(self._views, config)
         self._sizes = Sizes(self._views, config)
         self._pending: list[_Pending] = []
@@ -206,30 +207,44 @@ class SenderCycle:
     def _judge(self, candidate: Candidate, capture_ns: int) -> PairVerdict:
         at = self._track.at(capture_ns)
         reason = self._incomparable(candidate, capture_ns)
-        if reason is not None or at is None or candidate.box is None:
-            verdict, own_box, mapped_box = Missed(reason or MissReason.NO_TRACK), None, None
-            tau = used = offsets = placed_iou = None
-            oversize = FITS
+        box2 = candidate.box
+        if reason is not None or at is None or box2 is None:
+            missed = self._disagreed(candidate.sequence, capture_ns, Missed(reason or MissReason.NO_TRACK), None)
+            return PairVerdict(candidate, capture_ns, missed)
+        x, y, w, h, _, _, _, z1, z_sigma, _, _, _, oversize = at.values
+        own_box = Box(x, y, w, h)
+        found = self._comparer.compare(at.values, candidate, box2)
+        offsets = self._offsets(found.offset_m, candidate, box2, own_box, at.values)
+        sigma_m = math.hypot(candidate.sigma_m, z_sigma)
+        oversize = max(oversize, self._sizes.theirs(capture_ns, box2, sigma_m, found))
+        tau = placed_iou = None
+        if found.mapped is None:
+            verdict: Verdict = Missed(MissReason.PRIOR_OUTSIDE)
+            verdict = self._disagreed(candidate.sequence, capture_ns, verdict, None)
         else:
-            x, y, w, h, px, py, pz, z1, z_sigma, gx, gy, gz, oversize = at.values
-            own_box, point_v, used = Box(x, y, w, h), (px, py, pz), at
-            T_v_c2 = rigid_from_quat(normalized(candidate.rotation_v_c2), candidate.position_v_m)
-            verdict, mapped_box = compare(self._views, T_v_c2, own_box, z1, point_v, candidate.box, self._config)
-            tau = None if verdict.iou is None else threshold(z1, self._config)
-            offsets = self._rivals.offsets(T_v_c2, candidate.box, own_box, z1, point_v, (gx, gy, gz))
-            placed_iou = self._placed_iou(own_box, mapped_box, offsets, z1)
-            sigma_m = math.hypot(candidate.sigma_m, z_sigma)
-            theirs = self._sizes.theirs(capture_ns, T_v_c2, candidate.box, sigma_m, point_v, (gx, gy, gz))
-            oversize = max(oversize, theirs)
-        verdict = self._count(candidate.sequence, capture_ns, at, verdict, tau, offsets, oversize, placed_iou)
+            tau = threshold(z1, self._config)
+            if offsets is not None and self._config.evidence.span_m > 0.0:
+                placed_iou = found.placed_iou
+            if found.iou >= tau:
+                own = (at.before.frame, at.before.stamp_ns), (at.after.frame, at.after.stamp_ns)
+                pair = FramePair(candidate.sequence, capture_ns, own, offsets, oversize, placed_iou)
+                verdict = self._agreed(pair, found.iou, tau)
+            else:
+                missed = Missed(MissReason.LOW_IOU, found.iou)
+                verdict = self._disagreed(candidate.sequence, capture_ns, missed, strength(found.iou, tau))
         return PairVerdict(
-            candidate, capture_ns, verdict, own_box, mapped_box, tau, used, offsets, oversize, placed_iou
+            candidate, capture_ns, verdict, own_box, found.mapped, tau, at, offsets, oversize, placed_iou
         )
 
-    def _placed_iou(self, own: Box, mapped: Box | None, offsets: Offsets | None, z_m: float) -> float | None:
-        if mapped is None or offsets is None or not self._config.evidence.span_m > 0.0:
+    def _offsets(
+        self, target_m: Offset | None, candidate: Candidate, box2: Box, own_box: Box, own: Values
+    ) -> Offsets | None:
+        if target_m is None:
             return None
-        return iou(own, placed(mapped, own, offsets.target_m, z_m, self._views.camera1))
+        if not self._rivals.known:
+            return Offsets(target_m)
+        T_v_c2 = rigid_from_quat(normalized(candidate.rotation_v_c2), candidate.position_v_m)
+        return self._rivals.offsets(target_m, T_v_c2, box2, own_box, own)
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
         """Returns why a fresh candidate cannot even be compared, whatever D1 saw at that instant; None when it can."""
@@ -242,33 +257,18 @@ class SenderCycle:
             return MissReason.STALE
         return None
 
-    def _count(
-        self,
-        sequence: int,
-        capture_ns: int,
-        at: Between | None,
-        verdict: Verdict,
-        tau: float | None,
-        offsets: Offsets | None,
-        oversize: float,
-        placed_iou: float | None,
-    ) -> Verdict:
-        """Let the gate count a verdict; what it refuses becomes an ``ignored`` miss."""
-        if isinstance(verdict, Missed) or at is None:
-            by = None if tau is None or verdict.iou is None else strength(verdict.iou, tau)
-            refusal = self.gate.disagree(sequence, capture_ns, by)
-        else:
-            own = (at.before.frame, at.before.stamp_ns), (at.after.frame, at.after.stamp_ns)
-            pair = FramePair(sequence, capture_ns, own, offsets, oversize, placed_iou)
-            refusal = self.gate.agree(pair, verdict.iou, verdict.tau)
-        if refusal is MissReason.AMBIGUOUS_TARGET:
-            return self._missed(Missed(refusal, verdict.iou))
+    def _agreed(self, pair: FramePair, score: float, tau: float) -> Verdict:
+        """Let the gate count a pair that agrees; what it refuses becomes a miss, mostly an ``ignored`` one."""
+        refusal = self.gate.agree(pair, score, tau)
         if refusal is not None:
-            return self._missed(Missed(refusal, verdict.iou, ignored=True))
-        if isinstance(verdict, Missed):
-            return self._missed(verdict)
+            return self._missed(Missed(refusal, score, ignored=refusal is not MissReason.AMBIGUOUS_TARGET))
         self.agreed += 1
-        return Agreed(verdict.iou, verdict.tau, self.gate.count, self.gate.evidence)
+        return Agreed(score, tau, self.gate.count, self.gate.evidence)
+
+    def _disagreed(self, sequence: int, capture_ns: int, missed: Missed, by: float | None) -> Missed:
+        """Tell the gate of a pair that does not agree; what is no new evidence becomes an ``ignored`` miss."""
+        refusal = self.gate.disagree(sequence, capture_ns, by)
+        return self._missed(missed if refusal is None else Missed(refusal, missed.iou, ignored=True))
 
     def _silent(self, instant_ns: int) -> PairVerdict:
         return PairVerdict(None, instant_ns, self._missed(Missed(MissReason.LINK_SILENT)))

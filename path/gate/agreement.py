@@ -6,15 +6,17 @@ Paper, eqs. bbox_rescaling to instant_verification.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from path.camera.model import CameraModel
 from path.config import BoxMapping, MethodConfig
-from path.gate.window import Evidence
-from path.geometry.rigid import Rigid, transform, transform_back
-from path.messages import Vec3
-from path.observations import Box, Missed, MissReason
-from path.target.place import back_project
+from path.gate import kernels
+from path.gate.window import Evidence, Offset
+from path.geometry.rigid import Rigid, transform_back
+from path.messages import Candidate, Vec3
+from path.observations import Box, Missed
+from path.timeline import Values
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +38,18 @@ Verdict = Agreed | Missed
 
 @dataclass(frozen=True, slots=True)
 class TwoViews:
-    """The calibration from before take-off: both cameras, and the mounting ``T_v_c1`` of D1's."""
+    """The calibration from before take-off: both cameras, and the mounting ``T_v_c1`` of D1's.
+
+    ``numbers``: all of it as the kernels take it.
+    """
 
     camera1: CameraModel
     camera2: CameraModel
     T_v_c1: Rigid
+    numbers: kernels.Array = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "numbers", kernels.numbers_of(self.camera1, self.camera2, self.T_v_c1))
 
 
 def map_box(
@@ -59,18 +68,9 @@ def map_box(
     Returns:
         None when the reference point is behind D1 or cannot be undistorted.
     """
-    camera1, camera2 = views.camera1, views.camera2
-    z1, z2 = depths_m
-    u2, v2 = box2.center if mapping == "center" else (box2.x, box2.y)
-    point_c1 = transform_back(views.T_v_c1, transform(T_v_c2, back_project(camera2, u2, v2, z2)))
-    u1, v1 = camera1.project_point(point_c1)
-    if not math.isfinite(u1 + v1):
-        return None
-    w1 = box2.w * (camera1.fx / camera2.fx) * (z2 / z1)
-    h1 = box2.h * (camera1.fy / camera2.fy) * (z2 / z1)
-    if mapping == "center":
-        return Box(u1 - 0.5 * w1, v1 - 0.5 * h1, w1, h1)
-    return Box(u1, v1, w1, h1)
+    corner = 0.0 if mapping == "center" else 1.0
+    u1, v1, w1, h1 = kernels.mapped(views.numbers, T_v_c2, (box2.x, box2.y, box2.w, box2.h), *depths_m, corner)
+    return Box(u1, v1, w1, h1) if math.isfinite(u1 + v1) else None
 
 
 def plain_box(box: Box) -> Box:
@@ -85,12 +85,7 @@ def depth_in(T_v_c: Rigid, point_v: Vec3) -> float:
 
 def iou(a: Box, b: Box) -> float:
     """Intersection over union of two boxes, 0..1 (eq. iou_score); 0 when either is empty."""
-    width = min(a.x + a.w, b.x + b.w) - max(a.x, b.x)
-    height = min(a.y + a.h, b.y + b.h) - max(a.y, b.y)
-    if not (width > 0.0 and height > 0.0):
-        return 0.0
-    common = width * height
-    return min(1.0, common / (a.w * a.h + b.w * b.h - common))
+    return float(kernels.overlap(a.x, a.y, a.w, a.h, b.x, b.y, b.w, b.h))
 
 
 def threshold(z_m: float, config: MethodConfig) -> float:
@@ -99,23 +94,48 @@ def threshold(z_m: float, config: MethodConfig) -> float:
     return config.tau_min + (config.tau_max - config.tau_min) * scale
 
 
-def compare(
-    views: TwoViews, T_v_c2: Rigid, own_box: Box, own_depth_m: float, point_v: Vec3, box2: Box, config: MethodConfig
-) -> tuple[Verdict, Box | None]:
-    """Judge one pair (eqs. bbox_rescaling to instant_verification): the verdict, and D2's box in D1's image.
+class Comparison(NamedTuple):
+    """What comes of a box of D2, held against D1's target.
 
-    Args:
-        own_box, own_depth_m, point_v: D1's target at D2's capture instant.
-        box2: D2's candidate, in D2's image.
-
-    Returns:
-        Agreed (with count 0: counting is the gate's), or Missed LOW_IOU, or Missed PRIOR_OUTSIDE and no box when the
-        target is behind a camera by this geometry.
+    Attributes:
+        mapped: D2's box in D1's image; None when the target is behind a camera by this geometry.
+        iou: of it and D1's own; means nothing without it, as ``placed_iou`` and ``sides_m``.
+        offset_m: of its middle from where the target has it; None when that cannot be told.
+        placed_iou: the overlap with a box so far off, where a body of the stated size has its middle.
+        range_m: of the target along D2's optical axis.
+        sides_m: D2's box, width and height at that range.
+        larger: how many times larger one of them is than the stated size allows; NaN where none is stated.
     """
-    z2 = depth_in(T_v_c2, point_v)
-    depths = own_depth_m, z2
-    mapped = map_box(views, T_v_c2, box2, depths, config.box_mapping) if z2 > 0.0 else None
-    if mapped is None:
-        return Missed(MissReason.PRIOR_OUTSIDE), None
-    score, tau = iou(own_box, mapped), threshold(own_depth_m, config)
-    return (Agreed(score, tau, 0) if score >= tau else Missed(MissReason.LOW_IOU, score)), mapped
+
+    mapped: Box | None
+    iou: float
+    offset_m: Offset | None
+    placed_iou: float
+    range_m: float
+    sides_m: tuple[float, float]
+    larger: float
+
+
+class Comparer:
+    """Compares the boxes of a pair (eqs. bbox_rescaling to iou_score)."""
+
+    def __init__(self, views: TwoViews, config: MethodConfig) -> None:
+        self._views = views.numbers
+        self._body = config.evidence.span_m, config.evidence.height_m
+        self._corner = 0.0 if config.box_mapping == "center" else 1.0
+
+    def compare(self, own: Values, candidate: Candidate, box2: Box) -> Comparison:
+        """Returns what comes of ``box2``, the candidate's; ``own``: D1's sample at D2's capture instant."""
+        box = box2.x, box2.y, box2.w, box2.h
+        mapped, score, (dx, dy), placed, range_m, (wide_m, high_m, larger) = kernels.judged(
+            self._views, self._body, self._corner, own, candidate.rotation_v_c2, candidate.position_v_m, box
+        )
+        return Comparison(
+            Box(*mapped) if math.isfinite(mapped[0] + mapped[1]) else None,
+            score,
+            None if math.isnan(dx) else (dx, dy),
+            placed,
+            range_m,
+            (wide_m, high_m),
+            larger,
+        )

@@ -20,6 +20,7 @@ def rigid(pose: Pose) -> Rigid:
 def rigid_from_quat(q: Quat, t: Vec3) -> Rigid:
     """The transform of a unit quaternion ``q_a_b`` and the origin of ``b`` in ``a``."""
     w, x, y, z = q
+    a, b, c = t
     return (
         1.0 - 2.0 * (y * y + z * z),
         2.0 * (x * y - w * z),
@@ -30,7 +31,9 @@ def rigid_from_quat(q: Quat, t: Vec3) -> Rigid:
         2.0 * (x * z - w * y),
         2.0 * (y * z + w * x),
         1.0 - 2.0 * (x * x + y * y),
-        *t,
+        a,
+        b,
+        c,
     )
 
 

@@ -1,4 +1,4 @@
-"""Compile, or load from numba's cache, every kernel of this package before a flight needs it."""
+"""Compile, or load from numba's cache, every kernel of the method before a flight needs it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from path.camera.kernels import extent, lens_of
 from path.camera.model import CameraModel
+from path.cycle.warm_up import warm_up_cycles
 from path.geometry import rotation
 from path.geometry.transforms import Pose
 from path.marker.detect import detect_markers
@@ -64,7 +65,10 @@ def warm_up_image() -> None:
 
 
 def warm_up_pose() -> None:
-    """Compiles what turns a marker's corners into a pose and keeps it. Raises RuntimeError when there is none."""
+    """Compiles what turns a marker's corners into a pose, keeps it, and compares boxes by it.
+
+    Raises RuntimeError when there is none.
+    """
     layout, camera, T_c_v = single_marker(), CAMERA, POSE
     marker = layout.markers[0]
     corners = camera.project(T_c_v.apply(marker.corners_v))
@@ -80,6 +84,7 @@ def warm_up_pose() -> None:
     for stamp_ns in (0, 20_000_000):
         relative.update(stamp_ns, pose.T_c_v, pose.covariance, EYE, EYE)
         relative.predict(stamp_ns, EYE, EYE)
+    warm_up_cycles()
 
 
 def is_compiled() -> bool:

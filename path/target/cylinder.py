@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from path.compiled import as_it_is
 from path.geometry.rigid import Rigid, transform, transform_back
 from path.messages import Vec3
 
@@ -17,7 +18,11 @@ BEHIND_SHARE = 0.25
 """Of the cylinder's diameter: from its side to its axis it is half, a body that is narrower one way has less there."""
 _LEAST = 1e-6
 
+as_it_is(transform)
+as_it_is(transform_back)
 
+
+@as_it_is
 def reach_m(T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float) -> tuple[float, float]:
     """Width and height in m that an upright cylinder at a point fills in an image, at the point's depth.
 
@@ -27,13 +32,14 @@ def reach_m(T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_
         gravity_v: unit vector.
     """
     x, y, z = transform_back(T_v_c, point_v)
-    gx, gy, gz = transform_back((*T_v_c[:9], 0.0, 0.0, 0.0), gravity_v)
+    gx, gy, gz = _turned_back(T_v_c, gravity_v)
     return _reach_along(gx, gz, x / z, span_m, height_m), _reach_along(gy, gz, y / z, span_m, height_m)
 
 
+@as_it_is
 def middle_v(T_v_c: Rigid, surface_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float) -> Vec3:
     """The middle of a target, from the point of its surface in the middle of its box."""
-    rx, ry, rz = (p - e for p, e in zip(surface_v, T_v_c[9:], strict=True))
+    rx, ry, rz = surface_v[0] - T_v_c[9], surface_v[1] - T_v_c[10], surface_v[2] - T_v_c[11]
     distance = max(_LEAST, math.sqrt(rx * rx + ry * ry + rz * rz))
     falling = (rx * gravity_v[0] + ry * gravity_v[1] + rz * gravity_v[2]) / distance
     level = math.sqrt(max(0.0, 1.0 - falling * falling))
@@ -45,19 +51,22 @@ def middle_v(T_v_c: Rigid, surface_v: Vec3, gravity_v: Vec3, span_m: float, heig
         return across
     # that point is on the axis, and so is the middle
     gx, gy, gz = gravity_v
-    along = sum((a - q) * g for a, q, g in zip(across, on_ray, gravity_v, strict=True)) / (level * level)
+    along = (across[0] - on_ray[0]) * gx + (across[1] - on_ray[1]) * gy + (across[2] - on_ray[2]) * gz
+    along /= level * level
     return on_ray[0] + along * gx, on_ray[1] + along * gy, on_ray[2] + along * gz
 
 
+@as_it_is
 def box_middle_v(T_v_c: Rigid, middle: Vec3, gravity_v: Vec3, span_m: float, height_m: float) -> Vec3:
     """The point at the depth of a target's middle that is in the middle of its box."""
     return _moved(T_v_c, middle, gravity_v, span_m, height_m, 1.0)
 
 
+@as_it_is
 def _moved(T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float, way: float) -> Vec3:
     """A point moved across the line of sight by what a box's middle is off there, one way or the other."""
     x, y, z = transform_back(T_v_c, point_v)
-    gx, gy, gz = transform_back((*T_v_c[:9], 0.0, 0.0, 0.0), gravity_v)
+    gx, gy, gz = _turned_back(T_v_c, gravity_v)
     if not z > 0.5 * (span_m + height_m):  # inside it, or behind the camera
         return point_v
     off_x = way * (z * _box_middle(gx, gz, x, z, span_m, height_m) - x)
@@ -65,6 +74,15 @@ def _moved(T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m
     return transform(T_v_c, (x + off_x, y + off_y, z))
 
 
+@as_it_is
+def _turned_back(T_v_c: Rigid, way_v: Vec3) -> Vec3:
+    """A direction in the camera's frame."""
+    a, b, c, d, e, f, g, h, i, _, _, _ = T_v_c
+    x, y, z = way_v
+    return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+
+
+@as_it_is
 def _upright_and_level(g_side: float, g_ahead: float, tangent: float) -> tuple[float, float]:
     """The parts of a step to one side of an image that are along gravity and across it.
 
@@ -74,11 +92,13 @@ def _upright_and_level(g_side: float, g_ahead: float, tangent: float) -> tuple[f
     return upright, math.sqrt(max(0.0, 1.0 + tangent * tangent - upright * upright))
 
 
+@as_it_is
 def _reach_along(g_side: float, g_ahead: float, tangent: float, span_m: float, height_m: float) -> float:
     upright, level = _upright_and_level(g_side, g_ahead, tangent)
     return height_m * abs(upright) + span_m * level
 
 
+@as_it_is
 def _box_middle(g_side: float, g_ahead: float, side: float, ahead: float, span_m: float, height_m: float) -> float:
     """Tangent of the middle between the outermost of the rims' points: the near and the far one of either rim."""
     tangent = side / ahead

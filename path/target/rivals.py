@@ -13,15 +13,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.gate.agreement import TwoViews, depth_in, map_box
+from path.gate.agreement import TwoViews, plain_box
+from path.gate.kernels import offset
 from path.gate.window import Offset, Offsets
-from path.geometry.rigid import Rigid, transform, transform_back
+from path.geometry.rigid import Rigid, transform
 from path.messages import Vec3
 from path.observations import Box, Depth
-from path.target.cylinder import box_middle_v, middle_v
 from path.target.place import back_project, locate
+from path.timeline import Values
 
 SAME_M = 0.15
 """Two sightings that are nearer to each other than that are of one object."""
@@ -55,24 +55,12 @@ class _Beside:
     times: int = 1
 
 
-def placed(mapped: Box, own: Box, offset_m: Offset, z_m: float, camera: CameraModel) -> Box:
-    """D2's box in D1's image, as far off D1's own as the target's middle is, instead of the middles of the boxes.
-
-    Args:
-        offset_m: of D2's box from the target (``Rivals.offsets``).
-        z_m: the target's distance along D1's optical axis.
-    """
-    u, v = own.center
-    left = u + offset_m[0] * camera.fx / z_m - 0.5 * mapped.w
-    top = v + offset_m[1] * camera.fy / z_m - 0.5 * mapped.h
-    return Box(left, top, mapped.w, mapped.h)
-
-
 class Rivals:
     """The objects beside the target that D1 saw in its last frames. One instance for one attempt."""
 
     def __init__(self, views: TwoViews, config: MethodConfig) -> None:
         self._views, self._config = views, config
+        self._body = config.evidence.span_m, config.evidence.height_m
         self._remember_ns = round(config.evidence.rival_s * 1e9)
         self._beside: list[_Beside] = []
 
@@ -89,7 +77,8 @@ class Rivals:
             if place is not None:
                 (x, y, z), z1 = place
                 there = x - point_v[0], y - point_v[1], z - point_v[2]
-                seen.append(_Beside(stamp_ns, rival.box.center[0] - u, rival.box.center[1] - v, z1 - z_m, there))
+                beside_u, beside_v = plain_box(rival.box).center
+                seen.append(_Beside(stamp_ns, beside_u - u, beside_v - v, z1 - z_m, there))
         known = [old for old in self._beside if stamp_ns - old.stamp_ns <= self._remember_ns]
         for k, new in enumerate(seen):
             old = min(known, key=lambda each: math.dist(each.dpoint, new.dpoint), default=None)
@@ -100,51 +89,27 @@ class Rivals:
         seen.sort(key=lambda each: math.hypot(*each.dpoint))
         self._beside = seen[:REMEMBERED]
 
-    def offsets(self, T_v_c2: Rigid, box2: Box, own: Box, z_m: float, point_v: Vec3, gravity_v: Vec3) -> Offsets | None:
-        """The distances of D2's box from the target and from each object beside it; None when they cannot be told.
+    @property
+    def known(self) -> bool:
+        """Returns whether there is anything beside the target."""
+        return bool(self._beside)
+
+    def offsets(self, target_m: Offset, T_v_c2: Rigid, box2: Box, own: Box, place: Values) -> Offsets:
+        """The distances of D2's box from the target, as given, and from each object beside it.
 
         Args:
-            own, z_m, point_v, gravity_v: D1's target at D2's capture instant.
+            own, place: D1's target at D2's capture instant, and its sample then (``path.gate.kernels.Own``).
         """
-        target = self._offset(T_v_c2, box2, own.center, z_m, point_v, gravity_v)
-        if target is None:
-            return None
-        u, v = own.center
+        (u, v), (x, y, z), z_m, gravity_v = own.center, place[4:7], place[7], place[9:12]
+        box = box2.x, box2.y, box2.w, box2.h
         others: list[Offset] = []
         for each in [each for each in self._beside if each.times >= SEEN_TIMES][:MOST]:
-            there = point_v[0] + each.dpoint[0], point_v[1] + each.dpoint[1], point_v[2] + each.dpoint[2]
-            offset = self._offset(T_v_c2, box2, (u + each.du, v + each.dv), z_m + each.dz, there, gravity_v)
-            if offset is not None:
-                others.append(offset)
-        return Offsets(target, tuple(others))
-
-    def _offset(
-        self, T_v_c2: Rigid, box2: Box, center: tuple[float, float], z_m: float, point_v: Vec3, gravity_v: Vec3
-    ) -> Offset | None:
-        stated = self._config.evidence
-        if stated.span_m > 0.0:
-            return self._offset_of_stated(T_v_c2, box2, point_v, gravity_v, stated.span_m, stated.height_m)
-        z2 = depth_in(T_v_c2, point_v)
-        mapped = map_box(self._views, T_v_c2, box2, (z_m, z2), "center") if z2 > 0.0 and z_m > 0.0 else None
-        if mapped is None:
-            return None
-        u, v = mapped.center
-        camera = self._views.camera1
-        return (u - center[0]) * z_m / camera.fx, (v - center[1]) * z_m / camera.fy
-
-    def _offset_of_stated(
-        self, T_v_c2: Rigid, box2: Box, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float
-    ) -> Offset | None:
-        """The middle of D2's box against where it is of a body of that size with this point in D1's box's middle."""
-        T_v_c1 = self._views.T_v_c1
-        middle = middle_v(T_v_c1, point_v, gravity_v, span_m, height_m)
-        expected = box_middle_v(T_v_c2, middle, gravity_v, span_m, height_m)
-        z2 = depth_in(T_v_c2, expected)
-        seen = transform(T_v_c2, back_project(self._views.camera2, *box2.center, z2))
-        (x, y, z), (xe, ye, ze) = transform_back(T_v_c1, seen), transform_back(T_v_c1, expected)
-        if not (z2 > 0.0 and z > 0.0 and ze > 0.0):  # also when the pixel has no ray
-            return None
-        return x * ze / z - xe, y * ze / z - ye
+            there = x + each.dpoint[0], y + each.dpoint[1], z + each.dpoint[2]
+            center = u + each.du, v + each.dv
+            dx, dy = offset(self._views.numbers, self._body, T_v_c2, box, center, z_m + each.dz, there, gravity_v)
+            if not math.isnan(dx):
+                others.append((dx, dy))
+        return Offsets(target_m, tuple(others))
 
     def _place(self, rival: Rival, z_m: float, point_v: Vec3, gravity_v: Vec3) -> tuple[Vec3, float] | None:
         """A rival's place in ``v``, and its depth; None when its pixel has no ray."""

@@ -21,13 +21,11 @@ from __future__ import annotations
 
 import math
 
-from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.gate.agreement import TwoViews, depth_in
-from path.geometry.rigid import Rigid
+from path.gate.agreement import Comparison, TwoViews
+from path.gate.kernels import sized
 from path.messages import Vec3
 from path.observations import Box, Depth
-from path.target.cylinder import reach_m
 
 SETTLE_S = 0.15
 """Time constant of the running mean as it rises: so long a turning target may have changed since."""
@@ -35,7 +33,6 @@ SURE_S = 0.5
 LEARNED_S = 3.0
 FITS = 0.0
 """Of a pair of which no limit is known."""
-_TINY_M = 1e-6
 
 
 class RunningSize:
@@ -72,35 +69,31 @@ class Sizes:
     """The sizes of both drones' boxes of the target in one attempt."""
 
     def __init__(self, views: TwoViews, config: MethodConfig) -> None:
-        self._views, self._config = views, config
+        self._views, self._config = views.numbers, config
+        self._body = config.evidence.span_m, config.evidence.height_m
         self._own, self._theirs = RunningSize(), RunningSize()
 
     def own(self, stamp_ns: int, box: Box, depth: Depth, point_v: Vec3, gravity_v: Vec3) -> float:
         """By how many standard deviations D1's box in its newest frame is larger than the target can be."""
-        camera, T_v_c1 = self._views.camera1, self._views.T_v_c1
-        return self._above(self._own, stamp_ns, camera, T_v_c1, box, depth, point_v, gravity_v)
+        wide_m, high_m, larger = sized(self._views, self._body, box.w, box.h, depth.z_m, point_v, gravity_v)
+        return self._above(self._own, stamp_ns, box, depth.sigma_m / depth.z_m, (wide_m, high_m), larger)
 
-    def theirs(
-        self, stamp_ns: int, T_v_c2: Rigid, box: Box, range_sigma_m: float, point_v: Vec3, gravity_v: Vec3
-    ) -> float:
+    def theirs(self, stamp_ns: int, box: Box, range_sigma_m: float, found: Comparison) -> float:
         """The same of D2's, at the range at which its camera has the target's point."""
-        depth, camera = Depth(depth_in(T_v_c2, point_v), range_sigma_m), self._views.camera2
-        if not depth.z_m > 0.0:
+        if not found.range_m > 0.0:
             return FITS
-        return self._above(self._theirs, stamp_ns, camera, T_v_c2, box, depth, point_v, gravity_v)
+        by_range = range_sigma_m / found.range_m
+        return self._above(self._theirs, stamp_ns, box, by_range, found.sides_m, found.larger)
 
     def _above(
-        self, running: RunningSize, stamp_ns: int, camera: CameraModel, T_v_c: Rigid, box: Box, depth: Depth,
-        point_v: Vec3, gravity_v: Vec3,
+        self, running: RunningSize, stamp_ns: int, box: Box, by_range: float, sides_m: tuple[float, float],
+        larger: float,
     ) -> float:  # fmt: skip
-        own, z_m = self._config.evidence, depth.z_m
-        sides_m = max(_TINY_M, box.w * z_m / camera.fx), max(_TINY_M, box.h * z_m / camera.fy)
+        own = self._config.evidence
         # an edge's noise is 1.4 times the centre's, a side's twice
         pixels = 2.0 * self._config.pixel_sigma_px / max(1.0, min(box.w, box.h))
-        measured = math.hypot(pixels, depth.sigma_m / z_m)
+        measured = math.hypot(pixels, by_range)
         above = running.note(stamp_ns, sides_m, math.hypot(measured, own.growth_sigma), own.size_sigmas)
         if own.span_m > 0.0:
-            reach = reach_m(T_v_c, point_v, gravity_v, own.span_m, own.height_m)
-            larger = max(side / limit for side, limit in zip(sides_m, reach, strict=True))
             above = max(above, math.log(larger) / math.hypot(measured, own.size_sigma))
         return above

@@ -15,14 +15,14 @@ from hil.geometric.targets import depth_over
 from hil.world.kinds import TargetKind
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from missions import rig_library
-from path.gate.agreement import TwoViews, depth_in, iou, map_box
+from path.gate.agreement import TwoViews
 from path.geometry.rigid import rigid
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box
 from path.target.place import back_project
-from path.target.rivals import Rivals, placed
+from tests.path.gate.compared import compared, own_values
 
 NOWHERE = Pose(np.eye(3), np.zeros(3))
 
@@ -75,19 +75,15 @@ def test_offsets_are_of_what_two_cameras_mean_not_of_where_they_look_from(
                 bodies[0].boxes, bodies[0].extents, bodies[0].per_object, bodies[0].frame, setups[0].lens, False,
                 (own.x, own.y, own.w, own.h), depths, (0.0, 0.0), 0,
             )  # fmt: skip
-            T_c1_c2 = rigid(poses[0].inverse() @ poses[1])
             point = back_project(cameras[0], *own.center, z_m)
-            down = tuple((poses[0].R.T @ (0.0, 0.0, -1.0)).tolist())
+            x, y, z = (poses[0].R.T @ (0.0, 0.0, -1.0)).tolist()
             views = TwoViews(*cameras, rigid(NOWHERE))
-            mapped = map_box(views, T_c1_c2, theirs, (z_m, depth_in(T_c1_c2, point)), "center")
-            assert mapped is not None
+            values = own_values(own, z_m, point, (x, y, z))
             for stated, each in ((True, method), (False, unstated)):
-                rivals = Rivals(views, each)
-                offsets = rivals.offsets(T_c1_c2, theirs, own, z_m, point, down)
-                assert offsets is not None
-                found[stated].append(math.hypot(*offsets.target_m))
-                box = placed(mapped, own, offsets.target_m, z_m, cameras[0]) if stated else mapped
-                overlap[stated].append(iou(own, box))
+                seen = compared(views, poses[0].inverse() @ poses[1], values, theirs, each)
+                assert seen.offset_m is not None
+                found[stated].append(math.hypot(*seen.offset_m))
+                overlap[stated].append(seen.placed_iou if stated else seen.iou)
     assert float(np.mean(found[False])) > unstated_m
     assert float(np.mean(found[True])) < most_m
     assert float(np.mean(overlap[False])) < overlaps[0]

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 
 from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.gate.agreement import Agreed, TwoViews, compare, depth_in, iou, map_box, threshold
+from path.gate.agreement import TwoViews, depth_in, iou, map_box, threshold
 from path.geometry.rigid import rigid
 from path.geometry.rotation import exp
 from path.geometry.transforms import Pose
-from path.observations import Box, Missed, MissReason
+from path.observations import Box
+from tests.path.gate.compared import compared, own_values
 
 CONFIG = MethodConfig()
 CAMERA1 = CameraModel(640, 480, 615.0, 616.0, 320.0, 240.0)
@@ -145,30 +146,22 @@ def test_threshold_of_known_distances() -> None:
     assert threshold(2.0 * CONFIG.z0_m, CONFIG) == pytest.approx(0.75 * CONFIG.tau_min + 0.25 * CONFIG.tau_max)
 
 
-def test_a_pair_is_judged_by_overlap_against_the_threshold() -> None:
-    same = rigid(T_V_C1)
-    both = TwoViews(CAMERA1, CAMERA1, same)
+def test_boxes_are_compared_in_d1s_image() -> None:
+    both = TwoViews(CAMERA1, CAMERA1, rigid(T_V_C1))
     point = T_V_C1.apply(np.array([0.0, 0.0, 2.0])).tolist()
-    point_v = (point[0], point[1], point[2])
     own = Box(280.0, 200.0, 80.0, 80.0)
-    tau = threshold(2.0, CONFIG)
-    offset_at_tau = 80.0 * (1.0 - tau) / (1.0 + tau)  # IoU of equal boxes, one moved sideways
-    near, far = replace(own, x=own.x + offset_at_tau - 0.1), replace(own, x=own.x + offset_at_tau + 0.1)
-    agreed, mapped = compare(both, same, own, 2.0, point_v, near, CONFIG)
-    assert isinstance(agreed, Agreed)
-    assert agreed.tau == tau
-    assert mapped is not None
-    assert mapped.x == pytest.approx(near.x)
-    missed, _ = compare(both, same, own, 2.0, point_v, far, CONFIG)
-    assert isinstance(missed, Missed)
-    assert missed.reason is MissReason.LOW_IOU
-    assert missed.iou == pytest.approx(tau, abs=0.01)
+    values = own_values(own, 2.0, (point[0], point[1], point[2]))
+    for aside_px in (0.0, 10.0, 40.0, 90.0):
+        found = compared(both, T_V_C1, values, replace(own, x=own.x + aside_px), CONFIG)
+        assert found.mapped is not None
+        assert found.mapped.x == pytest.approx(own.x + aside_px)
+        assert found.iou == pytest.approx(max(0.0, 80.0 - aside_px) / (80.0 + aside_px))
+        assert found.range_m == pytest.approx(2.0)
 
 
 def test_a_target_behind_d2_is_outside() -> None:
-    turned = rigid(T_V_C1 @ Pose(exp(np.array([0.0, math.pi, 0.0])), np.zeros(3)))
+    turned = T_V_C1 @ Pose(exp(np.array([0.0, math.pi, 0.0])), np.zeros(3))
     point = T_V_C1.apply(np.array([0.0, 0.0, 2.0])).tolist()
     box = Box(280.0, 200.0, 80.0, 80.0)
-    verdict, mapped = compare(views(), turned, box, 2.0, (point[0], point[1], point[2]), box, CONFIG)
-    assert verdict == Missed(MissReason.PRIOR_OUTSIDE)
-    assert mapped is None
+    values = own_values(box, 2.0, (point[0], point[1], point[2]))
+    assert compared(views(), turned, values, box, CONFIG).mapped is None

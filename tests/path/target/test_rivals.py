@@ -16,6 +16,7 @@ from path.geometry.transforms import Pose
 from path.messages import Vec3
 from path.observations import Box, Depth
 from path.target.rivals import SEEN_TIMES, Rival, Rivals
+from tests.path.gate.compared import compared, own_values
 
 CAMERA = CameraModel(640, 480, 600.0, 600.0, 319.5, 239.5, (0.0, 0.0, 0.0, 0.0, 0.0))
 DOWN: Vec3 = (0.0, 0.0, 1.0)
@@ -49,9 +50,11 @@ def rivals_after(*frames: list[Rival], seconds: float = 0.02) -> Rivals:
 
 def measured(rivals: Rivals, seen_by_2: Vec3) -> tuple[tuple[float, float], tuple[tuple[float, float], ...]]:
     T = rigid(T_V_C2)
-    offsets = rivals.offsets(T, box_at(seen_by_2, T), box_at(TARGET, rigid(T_V_C1)), TARGET[2], TARGET, DOWN)
-    assert offsets is not None
-    return offsets.target_m, offsets.rivals_m
+    box2, own_box = box_at(seen_by_2, T), box_at(TARGET, rigid(T_V_C1))
+    own = own_values(own_box, TARGET[2], TARGET, DOWN)
+    target_m = compared(VIEWS, T_V_C2, own, box2, MethodConfig()).offset_m
+    assert target_m is not None
+    return target_m, rivals.offsets(target_m, T, box2, own_box, own).rivals_m
 
 
 @pytest.mark.parametrize("place", [(0.4, 0.1, 2.0), (0.1, -0.5, 1.7), (-0.2, 0.2, 2.4)])

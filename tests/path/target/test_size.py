@@ -19,6 +19,7 @@ from path.geometry.transforms import Pose
 from path.messages import Vec3
 from path.observations import Box, Depth, MissReason
 from path.target.size import LEARNED_S, Sizes
+from tests.path.gate.compared import compared, own_values
 
 MS = 1_000_000
 CAMERA = CameraModel(1280, 720, 900.0, 900.0, 639.5, 359.5, (0.0, 0.0, 0.0, 0.0, 0.0))
@@ -145,10 +146,16 @@ def test_d2s_box_is_judged_at_its_own_range_and_by_its_own_history() -> None:
     T_v_c1, T_v_c2 = looking(45.0, 1.9), looking(30.0, 3.0)
     both, origin = sizes(T_v_c1, UNKNOWN), (0.0, 0.0, 0.0)
     one, two = corners((0.0, 0.0), 0.5), corners((0.0, 0.36), 0.0)
+    views, own = TwoViews(CAMERA, CAMERA, rigid(T_v_c1)), own_values(box_of(T_v_c1, one), DEPTH.z_m, origin, DOWN)
+
+    def theirs(stamp_ns: int, *bodies: np.ndarray) -> float:
+        box2 = box_of(T_v_c2, *bodies)
+        return both.theirs(stamp_ns, box2, 0.01, compared(views, T_v_c2, own, box2, UNKNOWN))
+
     for k in range(30):
         assert both.own(20 * k * MS, box_of(T_v_c1, one), DEPTH, origin, DOWN) < MOST
-        assert both.theirs(20 * k * MS, rigid(T_v_c2), box_of(T_v_c2, one), 0.01, origin, DOWN) < MOST
-    assert both.theirs(600 * MS, rigid(T_v_c2), box_of(T_v_c2, one, two), 0.01, origin, DOWN) > MOST
+        assert theirs(20 * k * MS, one) < MOST
+    assert theirs(600 * MS, one, two) > MOST
     assert both.own(600 * MS, box_of(T_v_c1, one), DEPTH, origin, DOWN) < MOST
 
 
