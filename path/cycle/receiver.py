@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from operator import itemgetter
 
+from path.camera.kernels import lens_of
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.cycle.prior import Prior, Ray, predict
@@ -44,7 +45,7 @@ class ReceiverCycle:
         """``sender``: D1's camera and its place in the marker frame, for ``target_error = "ray"``."""
         self.misses: Counter[MissReason] = Counter()
         self.found = 0
-        self._camera = camera
+        self._lens = lens_of(camera)
         self._config = config
         self._sender = sender
         self._identity = (handoff_id, epoch, target_id)
@@ -120,7 +121,7 @@ class ReceiverCycle:
         drift_m = 0.5 * config.relative_accel_mps2 * beyond_s * beyond_s
         point_v = values[0], values[1], values[2]
         return predict(
-            self._camera,
+            self._lens,
             rigid(T_c2_v),
             covariance,
             point_v,

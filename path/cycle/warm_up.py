@@ -6,10 +6,11 @@ import numpy as np
 
 from path.camera.model import CameraModel
 from path.config import MethodConfig
+from path.cycle.receiver import ReceiverCycle
 from path.cycle.sender import SenderCycle
 from path.geometry.transforms import Pose
-from path.messages import Candidate, Vec3
-from path.observations import Box, Depth
+from path.messages import Candidate, Target
+from path.observations import Box, Depth, Detection, Missed
 from path.target.rivals import SEEN_TIMES, Rival
 
 CAMERA = CameraModel(160, 160, 600.0, 600.0, 80.0, 80.0)
@@ -19,16 +20,20 @@ FRAME_NS = 20_000_000
 
 def warm_up_cycles() -> None:
     """One pair of frames that agree, with something beside the target. Raises RuntimeError when they do not."""
-    T_v_c = Pose(np.eye(3), np.array([0.1, 0.2, 0.3]))
-    sender = SenderCycle(CAMERA, CAMERA, T_v_c, MethodConfig(), handoff_id=1, epoch=1, target_id=1)
+    T_v_c, config = Pose(np.eye(3), np.array([0.1, 0.2, 0.3])), MethodConfig()
+    sender = SenderCycle(CAMERA, CAMERA, T_v_c, config, handoff_id=1, epoch=1, target_id=1)
+    receiver = ReceiverCycle(CAMERA, config, handoff_id=1, epoch=1, target_id=1)
     beside = (Rival(Box(10.0, 60.0, 40.0, 40.0), DEPTH),)
-    frames = range(1, SEEN_TIMES + 2)
-    for frame in frames:
-        sender.observe(frame, frame * FRAME_NS, BOX, DEPTH, DOWN, beside)
-    stamp_ns = frames[-2] * FRAME_NS + FRAME_NS // 2
-    at: Vec3 = (0.1, 0.2, 0.3)
-    candidate = Candidate(1, 1, 1, 1, frames[-2], stamp_ns, BOX, None, at, (1.0, 0.0, 0.0, 0.0), 0.01)
-    sender.offer(candidate, stamp_ns, frames[-1] * FRAME_NS)
-    pairs = sender.evaluate_ready(frames[-1] * FRAME_NS)
-    if not sender.agreed or pairs[0].offsets is None:
+    candidate: Candidate | Missed | None = None
+    for frame in range(1, SEEN_TIMES + 2):
+        stamp_ns = frame * FRAME_NS
+        if isinstance(candidate, Candidate):
+            sender.offer(candidate, candidate.capture_ns, stamp_ns)
+        target = sender.observe(frame, stamp_ns, BOX, DEPTH, DOWN, beside)
+        if isinstance(target, Target):
+            receiver.on_target(target, stamp_ns, stamp_ns)
+        prior = receiver.prior(T_v_c.inverse(), 1e-6 * np.eye(6), stamp_ns + 1)
+        candidate = receiver.candidate(frame, stamp_ns + 1, (Detection(BOX, 1.0), Detection(BOX, 0.5)), prior)
+    pairs = sender.evaluate_ready(SEEN_TIMES * FRAME_NS + FRAME_NS)
+    if not sender.agreed or pairs[-1].offsets is None or not pairs[-1].offsets.rivals_m:
         raise RuntimeError("two boxes of the same place do not agree: reinstall numba")

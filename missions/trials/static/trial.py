@@ -55,6 +55,7 @@ from missions.trials.static.shots import (
     stage_in,
 )
 from missions.trials.static.stage import CAMERA, CONFIGURATIONS, STANDS, Mounts, mounts_of, nominal
+from path.camera.kernels import lens_of
 from path.config import MethodConfig
 from path.cycle.prior import Prior, predict
 from path.geometry.rigid import rigid
@@ -254,7 +255,7 @@ def _draw_view(request: TrialRequest, mounts: Mounts) -> bool:
         return False
     x, y, z = point_v.tolist()
     prior = predict(
-        CAMERA, rigid(pose.T_c_v), pose.covariance, (x, y, z), sighting.target.depth.sigma_m, 0, MethodConfig()
+        lens_of(CAMERA), rigid(pose.T_c_v), pose.covariance, (x, y, z), sighting.target.depth.sigma_m, 0, MethodConfig()
     )
     if not isinstance(prior, Prior):
         return False

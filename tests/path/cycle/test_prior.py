@@ -9,12 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from path.camera.kernels import lens_of
 from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.cycle.prior import TARGET_REACH_M, Prior, Ray, predict, propagate, range_sigma
+from path.cycle.kernels import projected
+from path.cycle.prior import TARGET_REACH_M, Prior, Ray, predict
 from path.geometry.rigid import rigid, transform
 from path.geometry.rotation import exp
 from path.geometry.transforms import Matrix, Pose
+from path.messages import Vec3
 from path.observations import Missed, MissReason
 
 CONFIG = MethodConfig()
@@ -40,9 +43,17 @@ def covariance(t_sigma_m: float = 0.004, r_sigma_rad: float = 0.003) -> Matrix:
     return a @ a.T
 
 
+def propagate(
+    covariance: Matrix, sigma_m: float, sigma_px: float, way_v: Vec3 = (0.0, 0.0, 1.0), across_m: float = -1.0
+) -> tuple[tuple[float, float, float], float]:
+    """The covariance of the point's pixel, and the standard deviation of D2's position."""
+    found = projected(lens_of(CAMERA), rigid(POSE), covariance, POINT, sigma_m, sigma_px, way_v, across_m)
+    return found[3], found[4]
+
+
 def prior_of(**changes: Any) -> Prior | Missed:
     values: dict[str, Any] = {
-        "camera": CAMERA,
+        "lens": lens_of(CAMERA),
         "T_c2_v": rigid(POSE),
         "covariance": covariance(),
         "point_v": POINT,
@@ -57,7 +68,7 @@ def test_nominal_projection_of_the_paper() -> None:
     # the target at D1's principal point at 1 m, v and c1 taken as one frame, yaw about the camera's y axis
     assert NOMINAL.fx == pytest.approx(1386.42, abs=0.01)
     assert NOMINAL.fy == pytest.approx(1388.61, abs=0.01)
-    prior = predict(NOMINAL, rigid(NOMINAL_POSE), covariance(), (0.0, 0.0, 1.0), 0.005, 0, CONFIG)
+    prior = predict(lens_of(NOMINAL), rigid(NOMINAL_POSE), covariance(), (0.0, 0.0, 1.0), 0.005, 0, CONFIG)
     assert isinstance(prior, Prior)
     assert prior.pixel == pytest.approx((540.08, 685.69), abs=0.01)
 
@@ -79,15 +90,14 @@ def test_covariance_follows_the_pose_in_every_direction(direction: np.ndarray) -
     (u0v0, p0), (u1v1, p1) = perturbed(direction, -1e-6), perturbed(direction, 1e-6)
     du, dv = (u1v1 - u0v0) / 2e-6
     moved = np.linalg.norm((p1 - p0) / 2e-6)
-    point_c = transform(rigid(POSE), POINT)
-    (uu, uv, vv), sigma_m = propagate(CAMERA, rigid(POSE), point_c, np.outer(direction, direction), 0.0, 0.0)
+    (uu, uv, vv), sigma_m = propagate(np.outer(direction, direction), 0.0, 0.0)
     assert (uu, uv, vv) == pytest.approx((du * du, du * dv, dv * dv), rel=1e-5, abs=1e-3)
     assert sigma_m == pytest.approx(moved / math.sqrt(3.0), rel=1e-5, abs=1e-7)
 
 
 def test_covariance_of_point_and_detector_adds_up() -> None:
+    (uu, uv, vv), sigma_m = propagate(np.zeros((6, 6)), 0.01, 1.5)
     point_c = transform(rigid(POSE), POINT)
-    (uu, uv, vv), sigma_m = propagate(CAMERA, rigid(POSE), point_c, np.zeros((6, 6)), 0.01, 1.5)
     J = CAMERA.jacobian(np.array([point_c]))[0]
     np.testing.assert_allclose([[uu, uv], [uv, vv]], 1e-4 * J @ J.T + 2.25 * np.eye(2))
     assert sigma_m == 0.0
@@ -142,12 +152,12 @@ def test_what_is_no_prior_says_why(changes: dict[str, Any], reason: MissReason) 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(np.array))
 def test_depth_has_the_covariance_of_the_pose(direction: np.ndarray) -> None:
-    x, y, z = (POSE.R @ np.array(POINT) + POSE.t).tolist()
     before, after = (
         (exp(step * direction[3:]) @ POSE.R @ np.array(POINT) + POSE.t + step * direction[:3])[2]
         for step in (-1e-6, 1e-6)
     )
-    sigma_m = range_sigma(rigid(POSE), (x, y, z), np.outer(direction, direction), 0.0)
+    pose = np.outer(direction, direction)
+    sigma_m = projected(lens_of(CAMERA), rigid(POSE), pose, POINT, 0.0, 0.0, (0.0, 0.0, 1.0), -1.0)[5]
     assert sigma_m == pytest.approx(abs(after - before) / 2e-6, abs=1e-6)
 
 
@@ -169,9 +179,8 @@ def test_the_region_reaches_as_far_away_as_the_target_can_be() -> None:
 def test_a_range_error_moves_the_prior_along_the_line_of_sight_only() -> None:
     direction = np.array([0.8, -0.1, 0.6])
     direction /= np.linalg.norm(direction)
-    ray = Ray((float(direction[0]), float(direction[1]), float(direction[2])), 0.005)
-    T_c2_v, pose = rigid(POSE), covariance(1e-9, 1e-9)
-    (uu, uv, vv), _ = propagate(CAMERA, T_c2_v, transform(T_c2_v, POINT), pose, 0.02, 0.0, ray)
+    way_v, pose = (float(direction[0]), float(direction[1]), float(direction[2])), covariance(1e-9, 1e-9)
+    (uu, uv, vv), _ = propagate(pose, 0.02, 0.0, way_v, 0.005)
     rng = np.random.default_rng(5)
     along, across = rng.normal(0.0, 0.02, 40_000), rng.normal(0.0, 0.005, (40_000, 3))
     across -= np.outer(across @ direction, direction)
@@ -179,7 +188,7 @@ def test_a_range_error_moves_the_prior_along_the_line_of_sight_only() -> None:
     pixels = CAMERA.project(POSE.apply(points))
     sampled = np.cov(pixels.T)
     assert (uu, uv, vv) == pytest.approx((sampled[0, 0], sampled[0, 1], sampled[1, 1]), rel=0.05)
-    (even_uu, _, even_vv), _ = propagate(CAMERA, T_c2_v, transform(T_c2_v, POINT), pose, 0.02, 0.0)
+    (even_uu, _, even_vv), _ = propagate(pose, 0.02, 0.0)
     assert uu * vv - uv * uv < 0.3 * even_uu * even_vv
 
 
