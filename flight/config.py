@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
@@ -9,6 +10,11 @@ from drivers.interfaces import Capability
 from flight.guard.rules import GuardRules
 from flight.guidance import Answer, Vec3
 from path.bounds import Bounds
+
+
+def off_from(home_m: tuple[float, ...] | None, position_n_m: Vec3) -> tuple[float, float]:
+    """Returns how far off, north and east, a drone that stands at home takes itself to be; 0 where no home is known."""
+    return (position_n_m[0] - home_m[0], position_n_m[1] - home_m[1]) if home_m else (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,21 +50,15 @@ class TargetDesignation:
     holds_s: Annotated[float, Bounds(0.0, 36000.0)] = 20.0  # for so long it stands, or goes on driving so
     drift_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.5  # after that it may be this much farther off every second
 
-    def at(self, since_start_s: float, off_m: tuple[float, float] = (0.0, 0.0)) -> Designated:
+    def at(self, since_start_s: float, off_m: Sequence[float] = (0.0, 0.0)) -> Designated:
         """The region in which the object can be so long after the start of the drone's program.
 
-        ``off_m``: how far the drone's own position is off, north and east (``off_at_home``).
+        ``off_m``: how far the drone's own position is off, north and east, first of all (``off_from``).
         """
         age_s = self.age_s + max(0.0, since_start_s)
         north = self.north_m + off_m[0] + self.north_mps * age_s
         place = north, self.east_m + off_m[1] + self.east_mps * age_s, -self.height_m
         return Designated(place, self.radius_m, self.drift_mps * max(0.0, age_s - self.holds_s))
-
-    def off_at_home(self, position_n_m: Vec3) -> tuple[float, float]:
-        """Returns how far off, north and east, a drone at home takes itself to be; 0 where no home is stated."""
-        if self.home_m is None:
-            return 0.0, 0.0
-        return position_n_m[0] - self.home_m[0], position_n_m[1] - self.home_m[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +97,9 @@ class RendezvousConfig:
     # how far apart the drones' reported positions may be wrong, across ...
     positions_within_m: Annotated[float, Bounds(0.0, 20.0)] = 1.1
     heights_within_m: Annotated[float, Bounds(0.0, 20.0)] = 0.9  # ... and in height
+    # where the receiver stands before take-off, north and east, measured like mission.target.home_m: what both drones'
+    # positions are off there is taken out of them; empty: not known
+    home_m: Annotated[tuple[float, ...], Bounds(-1000.0, 1000.0)] = ()
     # from the marker, along the camera's axis, of a drone that sees what is ahead of it
     stand_off_m: Annotated[float, Bounds(0.3, 30.0)] = 1.75
     # at the stand-off, besides the smallest separation, if positions are that wrong
@@ -116,6 +119,10 @@ class RendezvousConfig:
     max_incidence_deg: Annotated[float, Bounds(5.0, 80.0)] = 60.0
     image_margin_px: Annotated[float, Bounds(0.0, 2000.0)] = 80.0
     max_range_m: Annotated[float, Bounds(0.5, 50.0)] = 4.5  # target to D2, its depth camera's useful limit
+
+    def __post_init__(self) -> None:
+        if len(self.home_m) not in (0, 2):
+            raise ValueError("home_m must be two numbers, north and east, or empty")
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,7 +68,7 @@ DRONE: dict[str, Topic] = {
         },
     ),
     "/home": Topic(
-        "the sender stands where the crew put it down, before take-off",
+        "the drone stands where the crew put it down, before take-off",
         {"off_m": numbers("how far its position is off there, north and east in m; 0 where no home is stated")},
     ),
     "/setpoint": Topic(

@@ -86,7 +86,7 @@ class SimGuard:
             armed=autopilot.powered,
             in_air=not autopilot.landed,
             mode=autopilot.mode,
-            position_n_m=drone.estimate.position_n_m,
+            position_n_m=drone.position_n_m,
             battery=autopilot.battery,
             acked=self._acked,
         )

@@ -167,7 +167,7 @@ class SimVehicle:
         return VehicleState(
             stamp_ns=self._newest_ns,
             heartbeat_ns=self._beat_ns,
-            position_n_m=estimate.position_n_m,
+            position_n_m=newest.position_n_m,
             velocity_n_mps=estimate.velocity_n_mps,
             q_n_b=estimate.q_n_b,
             armed=beat.armed,

@@ -20,7 +20,7 @@ from path.compiled import kernel
 Array = NDArray[np.float64]
 
 GUST = slice(0, 3)  # NED, m/s
-WALK = slice(3, 6)  # of the position bias, m
+WANDER = slice(3, 6)  # position, slowly, m
 JITTER = slice(6, 9)  # position noise, m
 VELOCITY_ERROR = slice(9, 12)  # m/s
 TILT_ERROR = slice(12, 15)  # attitude noise, rotation vector in the body, rad
@@ -50,11 +50,12 @@ class WindConfig:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorConfig:
-    """Standard deviations of a GPS-aided estimator's errors. Biases are constant over a run, sampled by seed."""
+    """Standard deviations of a GPS-aided estimator's errors, by seed. The attitude's biases are constant over a run;
+    positions wander as slowly as ``position_time_s`` says, always by as much."""
 
-    position_bias_m: Annotated[float, Bounds(0.0, 50.0)] = 0.25  # per horizontal axis
-    height_bias_m: Annotated[float, Bounds(0.0, 50.0)] = 0.2
-    walk_m_per_sqrt_s: Annotated[float, Bounds(0.0, 5.0, "m/sqrt(s)")] = 0.01
+    position_m: Annotated[float, Bounds(0.0, 50.0)] = 0.5  # per horizontal axis
+    height_m: Annotated[float, Bounds(0.0, 50.0)] = 1.0
+    position_time_s: Annotated[float, Bounds(0.0, 36000.0)] = 1200.0
     position_noise_m: Annotated[float, Bounds(0.0, 10.0)] = 0.02
     position_noise_time_s: Annotated[float, Bounds(0.0, 600.0)] = 0.5
     velocity_error_mps: Annotated[float, Bounds(0.0, 5.0)] = 0.03
@@ -116,7 +117,8 @@ class Sensors:
     """The errors and the wind of every drone, advanced tick by tick.
 
     Attributes:
-        position_bias, attitude_bias: (n, 3), constant but for faults.
+        position_bias: (n, 3), constant: nothing unless positions are told to be apart; ``attitude_bias`` likewise,
+            but drawn.
         attitude_errors: (n, 3) rad; ``velocity_errors`` and ``winds`` likewise, NED m/s.
         estimates: (n, ESTIMATE_SIZE).
     """
@@ -129,18 +131,17 @@ class Sensors:
         self._mean_wind = np.array(wind.mean_n_mps)
         self._decay = np.exp(-tick_s / times)
         self._drive = sigmas * np.sqrt(1.0 - self._decay**2)
-        self._decay[WALK], self._drive[WALK] = 1.0, config.walk_m_per_sqrt_s * math.sqrt(tick_s)
         streams = [[np.random.default_rng(child) for child in seed.spawn(2)] for seed in seeds]
         self._streams = streams
-        bias = np.array([own.standard_normal(6) for _, own in streams])
-        horizontal, height = config.position_bias_m, config.height_bias_m
-        self.position_bias = bias[:, :3] * np.array([horizontal, horizontal, height])
+        self.position_bias = np.zeros((len(seeds), 3))
         tilt, yaw = math.radians(config.tilt_bias_deg), math.radians(config.yaw_bias_deg)
-        self.attitude_bias = bias[:, 3:] * np.array([tilt, tilt, yaw])
+        drawn = np.array([own.standard_normal(6) for _, own in streams])
+        self.attitude_bias = drawn[:, 3:] * np.array([tilt, tilt, yaw])
         start = np.array(
             [np.concatenate((gusts.standard_normal(3), own.standard_normal(12))) for gusts, own in streams]
         )
         self._drift = start * sigmas
+        self._drift[:, WANDER] = drawn[:, :3] * sigmas[WANDER]
         self._normals = np.empty((BLOCK, len(seeds), CHANNELS))
         self._used = BLOCK
         self.velocity_errors = np.zeros((len(seeds), 3))
@@ -149,11 +150,9 @@ class Sensors:
         self.winds = self._mean_wind + self._drift[:, GUST]
 
     def begin_anew(self, row: int, config: EstimatorConfig) -> None:
-        """One drone's estimator is started again: a position solution of its own, without what had wandered."""
-        horizontal, height = config.position_bias_m, config.height_bias_m
-        bias = self._streams[row][1].standard_normal(3)
-        self.position_bias[row] = bias * np.array([horizontal, horizontal, height])
-        self._drift[row, WALK] = 0.0
+        """One drone's estimator is started again: a position solution of its own."""
+        sizes = np.array([config.position_m, config.position_m, config.height_m])
+        self._drift[row, WANDER] = self._streams[row][1].standard_normal(3) * sizes
 
     def tick(self, states: Array) -> Array:
         """One tick later: new wind, new errors, and the estimates (n, ESTIMATE_SIZE) of these states."""
@@ -172,11 +171,11 @@ class Sensors:
 
 
 def _channels(wind: WindConfig, config: EstimatorConfig) -> tuple[Array, Array]:
-    """Stationary standard deviation and correlation time of every column of ``drift``; the walk starts at nothing."""
+    """Stationary standard deviation and correlation time of every column of ``drift``."""
     tilt, yaw = math.radians(config.tilt_noise_deg), math.radians(config.yaw_noise_deg)
     groups = (
         ((wind.gust_mps, wind.gust_mps, 0.5 * wind.gust_mps), wind.gust_time_s),
-        ((0.0, 0.0, 0.0), 1.0),
+        ((config.position_m, config.position_m, config.height_m), config.position_time_s),
         ((config.position_noise_m,) * 3, config.position_noise_time_s),
         ((config.velocity_error_mps, config.velocity_error_mps, config.climb_error_mps), config.velocity_error_time_s),
         ((tilt, tilt, yaw), config.attitude_noise_time_s),

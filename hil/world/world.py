@@ -139,7 +139,7 @@ class WorldConfig:
 
 
 class VehicleTelemetry(NamedTuple):
-    """A drone's words about itself at one tick."""
+    """A drone's words about itself at one tick. The height in ``position_n_m`` is that above its home."""
 
     time_s: float
     estimate: Estimate
@@ -149,6 +149,7 @@ class VehicleTelemetry(NamedTuple):
     armable: bool
     battery: float
     killed: bool = False
+    position_n_m: Vec3 = (0.0, 0.0, 0.0)
 
 
 class SimDrone:
@@ -157,6 +158,8 @@ class SimDrone:
     Attributes:
         autopilot: commands go here, between two calls of ``World.advance``.
         estimate: the newest one, at most a tick old.
+        position_n_m: by that estimate, but the height is that above home: what a drone tells its companion.
+        down_off_m: what it is wrong by besides, downward.
         telemetry: one entry a tick, newest last, the last ``TELEMETRY_TICKS`` of them.
         hears: called before each step of the autopilot with its time: what it was told until then is to be told it.
     """
@@ -164,6 +167,8 @@ class SimDrone:
     def __init__(self, autopilot: Autopilot, state: Array) -> None:
         self.autopilot = autopilot
         self.estimate = Estimate(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        self.position_n_m: Vec3 = (0.0, 0.0, 0.0)
+        self.down_off_m = 0.0
         self.telemetry: deque[VehicleTelemetry] = deque(maxlen=TELEMETRY_TICKS)
         self.hears: Callable[[float], None] | None = None
         self._state = state
@@ -193,9 +198,11 @@ class SimDrone:
         n, e, d, vn, ve, vd, w, x, y, z = row
         self.estimate = Estimate(time_s, (n, e, d), (vn, ve, vd), (w, x, y, z))
         own = self.autopilot
+        self.position_n_m = n, e, d - (d if own.home_n_m is None else own.home_n_m[2]) + self.down_off_m
         said = VehicleTelemetry(
-            time_s, self.estimate, own.mode, own.powered, own.landed, own.armable, own.battery, own.killed
-        )
+            time_s, self.estimate, own.mode, own.powered, own.landed, own.armable, own.battery, own.killed,
+            self.position_n_m,
+        )  # fmt: skip
         self.telemetry.append(said)
 
     def command(self, time_s: float) -> tuple[float, ...]:
@@ -234,6 +241,8 @@ class Fleet(Generic[Name]):
             name: SimDrone(Autopilot(config.autopilot, int(own.generate_state(1)[0])), self._states[i])
             for i, (name, own) in enumerate(zip(homes, autopilots.spawn(len(homes)), strict=True))
         }
+        for name, (_, _, down) in off.items():
+            self._drones[name].down_off_m = down
         self._step = 0
         self._commanded_step = -1
         self._marker_hidden = False

@@ -50,7 +50,7 @@ class Guarding:
             script = Script.CONTROL
         measured_m, self._measured_m = self._measured_m, math.nan
         near = session.peer is not None and session.peer_silence_s() < _PEER_PLACE_S
-        place = session.peer.position_n_m if session.peer is not None and near else NOWHERE
+        place = session.here(session.peer).position_n_m if session.peer is not None and near else NOWHERE
         return Beat(script, session.pilot.setpoints, measured_m, place)
 
     async def confirm(self) -> None:

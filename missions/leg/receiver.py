@@ -124,6 +124,7 @@ class Receiver:
 
     async def _rise(self) -> None:
         """From the ground to where the rendezvous begins."""
+        self._session.note_home(self._config.rendezvous.home_m)
         await take_off(self._session, self._config.receiver_take_off_height_m)
 
     async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
@@ -190,7 +191,7 @@ class Receiver:
     def _peer(self) -> Status:
         peer = self._session.peer
         assert peer is not None, "preflight waits for the sender's first Status"
-        return peer
+        return self._session.here(peer)
 
     def _near(self) -> bool:
         """Returns whether the marker is already nearer than the stand-off, which reported positions put farther on."""

@@ -68,7 +68,6 @@ class Sender:
         self._axis_b: Vec3 = (ahead, right, down)
         self._heading_rad = math.radians(config.heading_deg)
         self._begun_ns = session.now_ns()
-        self._off_m = (0.0, 0.0)  # this drone's own position, as it was at home
         self._track: TargetTrack | None = None
         self._acquisition = Acquisition(self._camera)
         self._watching = True
@@ -86,16 +85,10 @@ class Sender:
         await self._handover.resume()
         await preflight(self._session)
         await self._handover.until_free()
-        self._note_home()
+        self._session.note_home(self._config.target.home_m)
         await take_off(self._session, self._config.take_off_height_m)
         await self.acquire()
         await self.hand_over()
-
-    def _note_home(self) -> None:
-        """Takes what this drone's position is off, where it stands, for what it will be off when it looks."""
-        session = self._session
-        self._off_m = self._config.target.off_at_home(session.vehicle.state.position_n_m)
-        session.log.write("/home", session.now_ns(), {"off_m": self._off_m})
 
     async def acquire(self) -> None:
         """Finds the target from the air above the take-off place, until it is tracked."""
@@ -189,7 +182,9 @@ class Sender:
         peer = self._session.peer
         if peer is None:
             return -1.0
-        _, right_m, _ = from_heading(subtract(peer.position_n_m, state.position_n_m), -self._heading_rad)
+        _, right_m, _ = from_heading(
+            subtract(self._session.here(peer).position_n_m, state.position_n_m), -self._heading_rad
+        )
         return 1.0 if right_m > 0.0 else -1.0
 
     def _may_regain(self) -> bool:
@@ -277,7 +272,7 @@ class Sender:
 
     def _designated(self, stamp_ns: int) -> Designated:
         """The ground on which the object that the operator pointed at can be by a stamp."""
-        return self._config.target.at((stamp_ns - self._begun_ns) * 1e-9, self._off_m)
+        return self._config.target.at((stamp_ns - self._begun_ns) * 1e-9, self._session.off_n_m)
 
     def _cycle_once(self, view: View, R_n_b: Matrix, track: TargetTrack) -> None:
         """One cycle of PATH: follow the box, say where the target is, judge the receiver's answers."""

@@ -6,7 +6,7 @@ import asyncio
 import random
 from collections.abc import Callable, Coroutine
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from drivers.interfaces import (
@@ -20,8 +20,9 @@ from drivers.interfaces import (
 from drivers.rig.parts import Rig, RoleRig
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, answer
-from flight.config import MissionConfig
+from flight.config import MissionConfig, off_from
 from flight.guard.under_guard import UnderGuard
+from flight.guidance import Vec3, add, subtract
 from flight.harness.flights import Emit, Progress
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
@@ -97,6 +98,7 @@ class RoleSession:
         self.claim: TakeResponsibility | None = None
         self.instance: Callable[[], int] = _no_instance  # what a Status of this drone names
         self.observing = False
+        self.off_n_m: Vec3 = (0.0, 0.0, 0.0)  # of this drone's own position, as it was at home
         self.on_message: Callable[[Received], None] = _ignore
         self.on_status: Callable[[Status], None] = _ignore
         self.ended: asyncio.Future[MissionEnd] = asyncio.get_running_loop().create_future()
@@ -109,6 +111,16 @@ class RoleSession:
 
     def now_ns(self) -> int:
         return self.clock.now_ns()
+
+    def note_home(self, home_m: tuple[float, ...] | None) -> None:
+        """Takes what this drone's position is off, where it stands, for what it will be off."""
+        north, east = off_from(home_m, self.vehicle.state.position_n_m)
+        self.off_n_m = north, east, 0.0
+        self.log.write("/home", self.now_ns(), {"off_m": (north, east)})
+
+    def here(self, peer: Status) -> Status:
+        """The other drone's Status, its position in this drone's own frame: each tells it without what it is off."""
+        return replace(peer, position_n_m=add(peer.position_n_m, self.off_n_m))
 
     def peer_silence_s(self) -> float:
         return (self.now_ns() - self.peer_heard_ns) * 1e-9
@@ -247,7 +259,7 @@ class RoleSession:
         return Status(
             role=self.role,
             stamp_ns=now_ns,
-            position_n_m=state.position_n_m,
+            position_n_m=subtract(state.position_n_m, self.off_n_m),
             velocity_n_mps=state.velocity_n_mps,
             yaw_rad=yaw_of(state.q_n_b),
             phase=int(self.phase),

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from flight.config import Designated, TargetDesignation
+from flight.config import Designated, TargetDesignation, off_from
 from flight.guidance import Vec3
 from flight.tracking.association import acquire
 from hil.world.targets import GroundVehicles, LookAlikeConfig, TargetConfig
@@ -83,10 +83,10 @@ def test_one_alone_is_taken_only_where_all_the_ground_is_seen() -> None:
 
 def test_what_a_position_is_off_at_home_is_taken_out_of_the_place() -> None:
     pointed = TargetDesignation(north_mps=0.5, home_m=(1.0, -2.0))
-    off_m = pointed.off_at_home((1.4, -2.7, 0.1))
+    off_m = off_from(pointed.home_m, (1.4, -2.7, 0.1))
     assert off_m == pytest.approx((0.4, -0.7))
     assert pointed.at(2.0, off_m).place_n_m == pytest.approx((5.4, -0.7, -0.1))
-    assert TargetDesignation().off_at_home((1.4, -2.7, 0.1)) == (0.0, 0.0)
+    assert off_from(None, (1.4, -2.7, 0.1)) == off_from((), (1.4, -2.7, 0.1)) == (0.0, 0.0)
 
 
 def test_with_a_known_home_a_position_far_off_takes_the_target_and_without_it_nothing_or_another_one() -> None:
@@ -96,7 +96,7 @@ def test_with_a_known_home_a_position_far_off_takes_the_target_and_without_it_no
     true = Pose(MOUNT.T_b_c.R, MOUNT.T_b_c.t + np.array((2.55, 0.0, -1.5)))
     seen = Seen(0, objects, true, np.random.default_rng(1))
     for pointed, taken in ((TargetDesignation(), 1), (TargetDesignation(home_m=(0.0, 0.0)), 0)):
-        designated = pointed.at(12.0, pointed.off_at_home((-1.2, 0.0, 0.0)))
+        designated = pointed.at(12.0, off_from(pointed.home_m, (-1.2, 0.0, 0.0)))
         found = acquire(seen, Pose(true.R, true.t + away), CAMERA, designated)
         assert not isinstance(found, MissReason)
         there = found[1][0] - away[0]

@@ -157,7 +157,7 @@ def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(tmp_path: P
         assert not last["receiver"]["in_air"]
 
 
-@pytest.mark.parametrize("seed", [9, 12])
+@pytest.mark.parametrize("seed", [0, 5])
 def test_going_around_takes_until_the_drone_is_within_its_bounds_again(tmp_path: Path, seed: int) -> None:
     """Its pilot stops the motors as the approach begins; it falls, and is told only with a heartbeat a second."""
     (tmp_path / "rig.toml").write_text(
@@ -211,11 +211,12 @@ def test_a_program_that_is_killed_and_started_again_goes_by_what_it_wrote_down(
     assert not last["sender"]["in_air"] and not last["receiver"]["in_air"]
 
 
-@pytest.mark.parametrize("seed", [0, 1, 10])  # the receiver comes from the right, the left, the right
+@pytest.mark.parametrize("seed", [0, 7, 10])  # the receiver is to the right, the left, the right of it by then
 def test_a_sender_leaves_away_from_a_receiver_that_died_on_its_way_to_it(tmp_path: Path, seed: int) -> None:
     flown = fly("sim", tmp_path, seed, "kill_receiver@approach+1", errors="exact")  # the side is part of the seed
     (fault,) = flown.run.world["/fault"]
-    after = [record.record for record in flown.run.world["/truth"] if record.stamp_ns >= fault.stamp_ns]
+    leaves_ns = fault.stamp_ns + round(2.8e9)  # once it has heard nothing for ``peer_silence_s``, and followed so long
+    after = [record.record for record in flown.run.world["/truth"] if record.stamp_ns >= leaves_ns]
     places = [(each["sender"]["t"], each["receiver"]["t"]) for each in after]
     (began, other), (ended, _) = places[0], places[-1]
     to_receiver_m, flown_m = other[0] - began[0], ended[0] - began[0]  # east is to the right of the heading

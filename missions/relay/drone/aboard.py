@@ -68,7 +68,8 @@ class Aboard:
         self._rig, self._relay, self._base, self._name = rig, relay, base, name
         self._log, self._emit, self._stop, self._harness, self._store = log, emit, stop, harness, store
         self._me: NamedDrone = next(drone for drone in relay.drones if drone.name == name)
-        self._mission = mission_of(rig)
+        mission = mission_of(rig)  # of a pair, whose homes are not those of these drones
+        self._mission = replace(mission, rendezvous=replace(mission.rendezvous, home_m=()))
         deadlines = self._mission.deadlines
         self._leg_s = deadlines.peer_s + deadlines.receiver_ready_s + deadlines.verify_s
         self._gauge = Gauge(relay.endurance_s, relay.reserve)

@@ -109,8 +109,11 @@ def test_telemetry_comes_late_and_with_the_stamps_of_its_arrival() -> None:
         stamp_s = vehicle.state.stamp_ns * 1e-9 - CLOCK_AHEAD_S
         assert stamp_s == pytest.approx(1.004, abs=1e-6)  # of the tick at 1.000 s
         assert vehicle.state.heartbeat_ns * 1e-9 - CLOCK_AHEAD_S == pytest.approx(1.004, abs=0.0201)
-        estimates = {round(t.time_s, 3): t.estimate for t in harness.world.drone(Role.SENDER).telemetry}
-        assert vehicle.state.position_n_m == estimates[1.0].position_n_m
+        told = {round(t.time_s, 3): t for t in harness.world.drone(Role.SENDER).telemetry}
+        estimates = {time_s: each.estimate for time_s, each in told.items()}
+        assert vehicle.state.position_n_m == told[1.0].position_n_m
+        assert vehicle.state.position_n_m[:2] == estimates[1.0].position_n_m[:2]
+        assert vehicle.state.position_n_m[2] == pytest.approx(0.0, abs=0.2)  # on the ground: above its home
         half_way = vehicle.attitude_at(round((0.994 + CLOCK_AHEAD_S) * 1e9))
         middle = [(a + b) / 2 for a, b in zip(estimates[0.98].q_n_b, estimates[1.0].q_n_b, strict=True)]
         assert half_way == pytest.approx(middle, abs=1e-6)

@@ -136,7 +136,7 @@ def test_attitudes_are_as_much_worse_as_the_level_says() -> None:
         worse = said.times(sizes_of(level))
         assert worse.tilt_bias_deg == pytest.approx(times * said.tilt_bias_deg)
         assert worse.yaw_bias_deg == pytest.approx(times * said.yaw_bias_deg)
-        assert worse.position_bias_m == said.position_bias_m
+        assert worse.position_m == said.position_m
 
 
 def test_a_rig_that_flies_in_the_real_world_has_no_errors_to_choose(rig: Rig) -> None:

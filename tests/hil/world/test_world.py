@@ -124,8 +124,9 @@ def test_a_companion_that_dies_ends_landed_and_disarmed() -> None:
     assert not world.drone(Role.SENDER).on_ground
 
 
-def test_estimates_are_off_by_their_bias_and_noise() -> None:
+def test_estimates_are_off_by_as_much_as_the_table_says_and_positions_wander() -> None:
     errors: list[list[float]] = []
+    later: list[list[float]] = []
     tilts: list[float] = []
     for seed in range(60):
         world = World(WorldConfig(), seed)
@@ -134,8 +135,15 @@ def test_estimates_are_off_by_their_bias_and_noise() -> None:
             estimate, truth = drone.estimate, drone.true_position_n_m
             errors.append([e - t for e, t in zip(estimate.position_n_m, truth, strict=True)])
             tilts += [2.0 * math.degrees(component) for component in estimate.q_n_b[1:3]]
-    spread = np.std(errors, axis=0)
-    assert spread == pytest.approx((0.25, 0.25, 0.2), rel=0.25)
+        world.advance(12.0)
+        estimates = (world.drone(role).estimate.position_n_m for role in Role)
+        truths = (world.drone(role).true_position_n_m for role in Role)
+        later += [[e - t for e, t in zip(*both, strict=True)] for both in zip(estimates, truths, strict=True)]
+    sizes = np.array((0.5, 0.5, 1.0))
+    for spread in (np.std(errors, axis=0), np.std(later, axis=0)):
+        assert spread == pytest.approx(sizes, rel=0.25)
+    wandered = sizes * math.sqrt(2.0 * (1.0 - math.exp(-12.0 / 1200.0)))
+    assert np.std(np.subtract(later, errors), axis=0) == pytest.approx(wandered, rel=0.25)
     assert np.std(tilts) == pytest.approx(math.hypot(0.5, 0.2), rel=0.2)
 
 

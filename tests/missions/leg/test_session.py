@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -18,7 +19,7 @@ from flight.phases import Phase
 from missions.leg.ends import as_end
 from path.messages import Role, Status
 from path.protocol.values import TakeResponsibility
-from tests.missions.leg.session_bench import Bench, for_ever, virtual
+from tests.missions.leg.session_bench import STATE, Bench, for_ever, virtual
 
 
 async def good() -> None:
@@ -166,5 +167,28 @@ def test_statuses_go_on_until_the_vehicle_is_down(rig: Any) -> None:
         await bench.fly(good)
         times = [time_s for time_s, message in bench.link.sent if isinstance(message, Status)]
         assert times[-1] >= 2.9 - 0.1  # the course took 2 s, the recovery one more
+
+    virtual(main())
+
+
+def test_what_a_position_is_off_at_home_is_in_nothing_that_is_told_and_in_all_that_is_heard(rig: Any) -> None:
+    """Two drones that stand 2 m apart, and take themselves to be elsewhere."""
+
+    async def main() -> None:
+        benches = [Bench(rig) for _ in range(2)]
+        for bench, at_m, home_m in zip(benches, ((0.4, -0.7), (3.0, 0.5)), ((0.0, 0.0), (2.0, 0.0)), strict=True):
+            bench.vehicle.state = replace(STATE, position_n_m=(*at_m, -1.5))
+            bench.session.note_home(home_m)
+            bench.session.spawn(bench.session.report())
+        await asyncio.sleep(0.5)
+        one, other = (bench.link.of(Status)[-1] for bench in benches)
+        assert one.position_n_m == pytest.approx((0.0, 0.0, -1.5), abs=2e-3)
+        assert other.position_n_m == pytest.approx((2.0, 0.0, -1.5), abs=2e-3)
+        assert benches[1].session.here(one).position_n_m == pytest.approx((1.0, 0.5, -1.5), abs=2e-3)
+        assert benches[0].log.of("/home") == [{"off_m": (0.4, -0.7)}]
+        benches[0].session.note_home(())
+        assert benches[0].session.here(other) == other
+        for bench in benches:
+            await bench.session.cancel_spawned()
 
     virtual(main())
