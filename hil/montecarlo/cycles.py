@@ -96,13 +96,13 @@ class _Cycles:
     """Both drones in one attempt. ``done``: see ``CyclesRun``."""
 
     def __init__(self, setup: HandoverSetup, believed: Believed, method: MethodConfig) -> None:
-        rig, calibrated = believed.rig, setup.believed
-        mount = calibrated.T_b_v.inverse() @ calibrated.T_b_c1
+        rig = setup.rig
+        own, carried = rig.sender.mount, Mount(rig.receiver.mount.T_b_c, rig.sender.mount.T_b_v)
+        mount = own.T_b_v.inverse() @ own.T_b_c
         self._setup = setup
-        camera_1, camera_2 = calibrated.camera_1, calibrated.camera_2
+        camera_1, camera_2 = rig.sender.camera, rig.receiver.camera
         # the paper's gate decides when to stop; others are told the series afterwards
         method = replace(method, gate="count")
-        carried = Mount(calibrated.T_b_c2, calibrated.T_b_v)
         self._marker = MarkerView(rig.layout, camera_2, carried, method, believed.mission)
         self._window = AgreementWindow(method)
         self._hold_ns = round(method.hold_s * 1e9)

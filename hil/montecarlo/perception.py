@@ -71,7 +71,8 @@ class HandoverView(GeometricView):
 
     def __init__(self, capture: Capture[Snapshot], sensor: Sensor, placed: Placed, seen: np.ndarray, ids: np.ndarray):
         super().__init__(capture, sensor)
-        self._placed, self._outlines, self._ids = placed, seen, ids
+        self._placed = self._placed_for_depth = placed  # both images are of one instant
+        self._outlines, self._ids = seen, ids
 
     def whose(self, box: Box) -> int:
         """The thing that a box is of: that whose outline is the nearest."""

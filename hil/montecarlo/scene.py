@@ -6,13 +6,12 @@ Every group has its own stream of random numbers, so that one fault or another c
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.rig.parts import Rig
+from drivers.rig.parts import Mount, Rig
 from drivers.rig.tables import decode_table
 from flight.config import MissionConfig
 from flight.harness.montecarlo import Attempt, FaultName
@@ -21,14 +20,11 @@ from hil.geometric.noise import ObservationNoise
 from hil.geometric.scene import parts_of
 from hil.geometric.targets import TargetNoise
 from hil.montecarlo.faults import HandoverFaults, direction, draw_faults
-from hil.world.errors import SensorErrors, level_of, other_lens, other_mount, other_print, sizes_of
+from hil.world.errors import Built, as_built, level_of, sizes_of
 from hil.world.kinds import TargetKind
 from hil.world.targets import CROSSING_PAST_M, LookAlikeConfig, TargetConfig
-from path.camera.model import CameraModel
 from path.geometry.rotation import R_from_yaw, exp
 from path.geometry.transforms import Pose
-from path.marker.layout import MarkerLayout
-from path.messages import Role
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator
@@ -41,18 +37,6 @@ CLOCK_SIGMA_S = 0.002
 MOVING_SHARE, SPEED_MPS, TURN_RAD_S = 0.75, (0.05, 0.4), 0.15
 PARKED_NEARER_M = 0.2  # than look-alikes are at first
 CROSSING_MPS, CROSSING_HALF_S = 1.0, 3.5
-
-
-@dataclass(frozen=True, slots=True)
-class HandoverCalibration:
-    """The calibration that both drones believe of themselves."""
-
-    camera_1: CameraModel
-    camera_2: CameraModel
-    T_b_c1: Pose
-    T_b_c2: Pose
-    T_b_v: Pose
-    layout: MarkerLayout
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,13 +82,11 @@ class Believed:
         boxes = {"car": self.noise.targets, "person": self.noise.people, "drone": self.noise.drones}
         return boxes[self.kind]
 
-    def calibrated(self, roll_deg: float) -> HandoverCalibration:
-        rig = self.rig
-        mount = rig.receiver.mount.T_b_c
-        rolled = Pose(mount.R @ exp(np.array([0.0, 0.0, math.radians(roll_deg)])), mount.t)
-        return HandoverCalibration(
-            rig.sender.camera, rig.receiver.camera, rig.sender.mount.T_b_c, rolled, rig.sender.mount.T_b_v, rig.layout
-        )
+    def rolled(self, roll_deg: float) -> Rig:
+        """The rig with D2's camera turned about its optical axis."""
+        receiver, mount = self.rig.receiver, self.rig.receiver.mount
+        turned = Pose(mount.T_b_c.R @ exp(np.array([0.0, 0.0, math.radians(roll_deg)])), mount.T_b_c.t)
+        return replace(self.rig, receiver=replace(receiver, mount=Mount(turned, mount.T_b_v)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,14 +138,11 @@ class Things:
 class LastingErrors:
     """The differences to what is believed, for the whole attempt: the truth where it can be given."""
 
-    true: HandoverCalibration
+    built: Built
     tilt_bias: Array  # (2, 3) of each drone's attitude estimate, rotation vector in the body
     mean_tilt: Array  # (2, 3) roll, pitch, yaw in the mean
     attitude_noise: float  # times what the estimates waver by
     clock_s: float  # D2's stamps as D1 converts them, minus the truth
-    stamp_late_s: tuple[float, float]  # a frame's stamp less its instant, sender and receiver
-    stamp_jitter_s: float
-    sensors: Mapping[Role, SensorErrors]  # of depth, and of the edges of boxes
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,14 +159,14 @@ class Drawn:
 
 def draw(attempt: Attempt, believed: Believed, streams: list[Generator]) -> Drawn:
     """``streams``: of place, things, errors and faults."""
-    calibrated = believed.calibrated(attempt.roll_deg)
+    rig = believed.rolled(attempt.roll_deg)
     place = _place(believed, attempt.reach, streams[0])
-    errors = _errors(believed, calibrated, streams[2])
+    errors = _errors(rig, streams[2])
     names, faults = draw_faults(attempt.fault, streams[3])
     things = _things(attempt, believed, names, streams[1])
     shift, turn = np.zeros(3), np.zeros(3)
     if attempt.wrong is not None:
-        shift, turn = _bias(attempt, believed, calibrated, place, things, streams[1])
+        shift, turn = _bias(attempt, believed, rig, place, things, streams[1])
         if attempt.wrong.kind == "lock":
             faults = replace(faults, swapped=np.array([[-1.0, math.inf]]))
     return Drawn(place, things, errors, faults, shift, turn)
@@ -268,35 +247,23 @@ def _beside(distance_m: float, crossing: bool, rng: Generator) -> tuple[Array, A
     return distance_m * aside - middle_s * velocity, velocity, True, span, math.atan2(velocity[1], velocity[0])
 
 
-def _errors(believed: Believed, calibrated: HandoverCalibration, rng: Generator) -> LastingErrors:
+def _errors(rig: Rig, rng: Generator) -> LastingErrors:
     """From the one table of errors, by the level of the rig (``hil.world.errors``)."""
-    sizes = sizes_of(level_of(believed.rig))
-    true = HandoverCalibration(
-        other_lens(calibrated.camera_1, sizes, rng),
-        other_lens(calibrated.camera_2, sizes, rng),
-        other_mount(calibrated.T_b_c1, sizes, rng),
-        other_mount(calibrated.T_b_c2, sizes, rng),
-        other_mount(calibrated.T_b_v, sizes, rng),
-        other_print(calibrated.layout, sizes, rng),
-    )
-    times = np.array([sizes.tilt_bias, sizes.tilt_bias, sizes.yaw_bias])
-    bias = times * np.array(BIAS_RAD) * rng.standard_normal((2, 3))
-    mean_tilt = np.radians([1.5, 1.5, 1.5]) * rng.standard_normal((2, 3))
-    edges = (sizes.edge_px * rng.standard_normal((2, 4))).tolist()
-    clock_s, depth = CLOCK_SIGMA_S * rng.standard_normal(), 1.0 + sizes.depth * rng.standard_normal()
-    late_1, late_2 = (sizes.attitude_stamp_s * rng.standard_normal(2)).tolist()
-    bias_m = sizes.depth_bias_m * rng.standard_normal()
+    sizes = sizes_of(level_of(rig))
+    bias = np.array([sizes.tilt_bias, sizes.tilt_bias, sizes.yaw_bias]) * np.array(BIAS_RAD)
     return LastingErrors(
-        true=true, tilt_bias=bias, mean_tilt=mean_tilt, attitude_noise=sizes.attitude_noise, clock_s=clock_s,
-        stamp_late_s=(late_1, late_2), stamp_jitter_s=sizes.stamp_jitter_s,
-        sensors={role: SensorErrors(depth, bias_m, edges_px=tuple(own)) for role, own in zip(Role, edges, strict=True)},
-    )  # fmt: skip
+        built=as_built(rig, int(rng.integers(1 << 62))),
+        tilt_bias=bias * rng.standard_normal((2, 3)),
+        mean_tilt=np.radians([1.5, 1.5, 1.5]) * rng.standard_normal((2, 3)),
+        attitude_noise=sizes.attitude_noise,
+        clock_s=CLOCK_SIGMA_S * rng.standard_normal(),
+    )
 
 
 def _bias(
     attempt: Attempt,
     believed: Believed,
-    calibrated: HandoverCalibration,
+    rig: Rig,
     place: Place,
     things: Things,
     rng: Generator,
@@ -307,7 +274,7 @@ def _bias(
     residual = wrong.residual_m * rng.standard_normal(3)
     if wrong.kind == "lock":
         return np.zeros(3), np.zeros(3)
-    R_c_n = (R_from_yaw(place.receiver_yaw_rad) @ calibrated.T_b_c2.R).T
+    R_c_n = (R_from_yaw(place.receiver_yaw_rad) @ rig.receiver.mount.T_b_c.R).T
     # it stays at its distance, or the bias is that of its closest
     away = things.start[1]
     if wrong.crossing:
@@ -316,7 +283,7 @@ def _bias(
     offset = R_c_n @ np.array([away[0], away[1], 0.0]) + residual
     if wrong.kind == "shift":
         return offset, np.zeros(3)
-    to_target = R_c_n @ (-place.sender_n_m - calibrated.T_b_v.t - np.array([0.0, 0.0, believed.middle_m]))
+    to_target = R_c_n @ (-place.sender_n_m - rig.sender.mount.T_b_v.t - np.array([0.0, 0.0, believed.middle_m]))
     return np.zeros(3), _turn_between(to_target, to_target + offset)
 
 

@@ -20,7 +20,8 @@ from hil.geometric.scene import CameraSetup
 from hil.montecarlo.follower import Follower
 from hil.montecarlo.motion import P_W_N, RECEIVER, SENDER, HandoverMotion, HandoverPoses, exp_all, within
 from hil.montecarlo.perception import NOBODY, CameraPath, HandoverCamera, HandoverView
-from hil.montecarlo.scene import Believed, Drawn, draw
+from hil.montecarlo.scene import Believed, Drawn, Generator, draw
+from hil.world.errors import SensorErrors
 from hil.world.kinds import TargetKind
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
@@ -98,16 +99,14 @@ class HandoverSetup:
         seeds = np.random.SeedSequence([attempt.seed, attempt.index]).spawn(STREAMS)
         streams = [np.random.default_rng(seed) for seed in seeds]
         self.drawn: Drawn = draw(attempt, believed, streams[:4])
-        self.believed = believed.calibrated(attempt.roll_deg)
+        self.rig = believed.rolled(attempt.roll_deg)
         self._frame_m, self._middle_m = believed.frame_m, believed.middle_m
         self._motion = HandoverMotion(self.drawn, streams[4])
         faults = self.drawn.faults
         self.clock_ns = round((self.drawn.errors.clock_s + faults.clock_s) * 1e9)
         self.frames = tuple(
-            self._timed(attempt.limit_s, latency, frozen, late_s, streams[5])
-            for latency, frozen, late_s in zip(
-                (SENDER_LATENCY_S, RECEIVER_LATENCY_S), faults.frozen, self.drawn.errors.stamp_late_s, strict=True
-            )
+            self._timed(attempt.limit_s, latency, frozen, self.drawn.errors.built.sensors[role], streams[5])
+            for role, latency, frozen in zip(Role, (SENDER_LATENCY_S, RECEIVER_LATENCY_S), faults.frozen, strict=True)
         )
         look_seeds = streams[6].integers(1 << 62, size=2).tolist()
         self._kind: TargetKind = believed.kind
@@ -115,20 +114,21 @@ class HandoverSetup:
             self._sensor(role, believed.noise, method, seed) for role, seed in zip(Role, look_seeds, strict=True)
         )
         self._T_v_m = believed.rig.layout.markers[0].T_v_m
-        self.follower = Follower(self.believed.camera_1, believed.mission, self.drawn.things, -self._middle_m)
+        self.follower = Follower(self.rig.sender.camera, believed.mission, self.drawn.things, -self._middle_m)
         self._limit_s = attempt.limit_s
         self._prepare(min(HORIZON_S, attempt.limit_s))
 
     def _sensor(self, role: Role, noise: ObservationNoise, method: MethodConfig, seed: int) -> Sensor:
         """A camera as it truly is, with the perception behind it."""
-        true, errors = self.drawn.errors.true, self.drawn.errors.sensors[role]
-        camera, T_b_c = (true.camera_1, true.T_b_c1) if role is Role.SENDER else (true.camera_2, true.T_b_c2)
+        built = self.drawn.errors.built
+        own = built.rig.role(role)
         lapse_rate = noise.marker.lapse_rate + self.drawn.faults.lapse_rate
         noise = replace(noise, marker=noise.marker._replace(lapse_rate=lapse_rate))
-        return Sensor(CameraSetup(role, camera, T_b_c, true.T_b_v, true.layout), noise, method, seed, errors)
+        setup = CameraSetup(role, own.camera, own.mount.T_b_c, own.mount.T_b_v, built.rig.layout)
+        return Sensor(setup, noise, method, seed, built.sensors[role])
 
     def _timed(
-        self, limit_s: float, latency: tuple[float, float], frozen: Array, late_s: float, rng: np.random.Generator
+        self, limit_s: float, latency: tuple[float, float], frozen: Array, sensor: SensorErrors, rng: Generator
     ) -> Timed:
         faults, count = self.drawn.faults, math.ceil(limit_s * RATE_HZ)
         taken = rng.uniform(0.0, 1.0 / RATE_HZ) + np.arange(count) / RATE_HZ
@@ -137,14 +137,15 @@ class HandoverSetup:
         done = np.maximum.accumulate(done)
         heard = done + faults.delay_s + rng.uniform(0.0, faults.jitter_s, count)
         heard[rng.random(count) < faults.loss] = math.inf
-        jitter = np.clip(self.drawn.errors.stamp_jitter_s * rng.standard_normal(count), -0.45 / RATE_HZ, 0.45 / RATE_HZ)
-        stamped = taken + late_s + jitter
+        jitter = np.clip(sensor.stamp_jitter_s * rng.standard_normal(count), -0.45 / RATE_HZ, 0.45 / RATE_HZ)
+        stamped = taken + sensor.stamp_late_s + jitter
         there = ~within(taken, frozen)
         return Timed(first + np.flatnonzero(there), taken[there], done[there], heard[there], stamped[there])
 
     def _prepare(self, horizon_s: float) -> None:
         """Poses of all frames up to a time, and what is before the cameras."""
-        self._horizon_s, drawn, calibrated = horizon_s, self.drawn, self.believed
+        self._horizon_s, drawn = horizon_s, self.drawn
+        own_1, own_2 = self.rig.sender.mount, self.rig.receiver.mount
         faults = drawn.faults
         sender, receiver = (frames.until(horizon_s) for frames in self.frames)
         (things_1, target_1), (things_2, target_2) = (
@@ -160,13 +161,13 @@ class HandoverSetup:
             np.nan
         )  # D2's detector is blind for the target, also where another touches it
         R_n_b1 = at_1.estimated(SENDER)
-        self._R_n_c1 = R_n_b1 @ calibrated.T_b_c1.R
-        self._t_n_c1 = at_1.t_n[SENDER] + at_1.drift + R_n_b1 @ calibrated.T_b_c1.t
-        R_n_c2 = at_2.estimated(RECEIVER) @ calibrated.T_b_c2.R
+        self._R_n_c1 = R_n_b1 @ own_1.T_b_c.R
+        self._t_n_c1 = at_1.t_n[SENDER] + at_1.drift + R_n_b1 @ own_1.T_b_c.t
+        R_n_c2 = at_2.estimated(RECEIVER) @ own_2.T_b_c.R
         self._camera_1 = HandoverCamera(self._sensor_1, self._kind, self.flown_1)
         self._camera_2 = HandoverCamera(self._sensor_2, self._kind, self.flown_2)
         self.seen = HandoverFrames(
-            sender.number, _ns(sender.stamped_s), np.ascontiguousarray((R_n_b1 @ calibrated.T_b_v.R)[:, 2]),
+            sender.number, _ns(sender.stamped_s), np.ascontiguousarray((R_n_b1 @ own_1.T_b_v.R)[:, 2]),
             receiver.number, _ns(receiver.stamped_s) + self.clock_ns, self._gravity_c(R_n_c2, receiver), R_n_c2,
             drawn.shift_c, exp_all(drawn.turn_c[None])[0], *self._reports(receiver),
         )  # fmt: skip
@@ -182,10 +183,10 @@ class HandoverSetup:
     def _gravity_c(self, R_n_c2: Array, receiver: Timed) -> Array:
         """Gravity in D2's camera as D2 believes; while flipped, what makes the other planar solution the likely one."""
         gravity_c = np.ascontiguousarray(R_n_c2[:, 2])
-        true, flown = self.drawn.errors.true, self.flown_2
+        mount, flown = self.drawn.errors.built.rig.receiver.mount, self.flown_2
         for k in np.flatnonzero(within(receiver.taken_s, self.drawn.faults.flipped)).tolist():
-            T_c_w = (Pose(flown.R[k], flown.t[k]) @ true.T_b_c2).inverse()
-            T_w_v = Pose(flown.other_R[k], flown.other_t[k]) @ true.T_b_v
+            T_c_w = (Pose(flown.R[k], flown.t[k]) @ mount.T_b_c).inverse()
+            T_w_v = Pose(flown.other_R[k], flown.other_t[k]) @ mount.T_b_v
             R = mirrored(T_c_w @ T_w_v, self._T_v_m)
             gravity_c[k] = R @ -T_w_v.R[2]
         return gravity_c
@@ -222,10 +223,10 @@ class HandoverSetup:
         """The true circumstances at the beginning."""
         things = self.flown_1.things[0]
         middle = np.array([things[0, 0], things[0, 1], self._middle_m])
-        true = self.drawn.errors.true
-        T_w_c1 = Pose(self.flown_1.R[0], self.flown_1.t[0]) @ true.T_b_c1
-        T_w_c2 = Pose(self.flown_2.R[0], self.flown_2.t[0]) @ true.T_b_c2
-        marker = self.flown_2.other_R[0] @ true.T_b_v.t + self.flown_2.other_t[0]
+        own_1, own_2 = (self.drawn.errors.built.rig.role(role).mount for role in Role)
+        T_w_c1 = Pose(self.flown_1.R[0], self.flown_1.t[0]) @ own_1.T_b_c
+        T_w_c2 = Pose(self.flown_2.R[0], self.flown_2.t[0]) @ own_2.T_b_c
+        marker = self.flown_2.other_R[0] @ own_1.T_b_v.t + self.flown_2.other_t[0]
         others = np.linalg.norm(things[1:, :2] - things[0, :2], axis=1)
         known = others[np.isfinite(others)]
         places = self.drawn.things.at(np.arange(0.0, self._limit_s, CLOSEST_STEP_S))[0]
