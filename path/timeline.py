@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from typing import NamedTuple
 
 Values = tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """One frame's values, or None where the frame gave none. ``frame``: strictly increasing frame number."""
 
     stamp_ns: int
@@ -17,8 +16,7 @@ class Sample:
     values: Values | None
 
 
-@dataclass(frozen=True, slots=True)
-class Between:
+class Between(NamedTuple):
     """Values interpolated at an instant, and the two samples around it (the same one twice when it hits it)."""
 
     before: Sample

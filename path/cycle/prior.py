@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +28,7 @@ AHEAD: Vec3 = (0.0, 0.0, 1.0)
 EVENLY = -1.0  # a point that is known alike in all directions
 
 
-@dataclass(frozen=True, slots=True)
-class Prior:
+class Prior(NamedTuple):
     """The expected place of the target in D2's image.
 
     Attributes:

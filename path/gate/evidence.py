@@ -133,6 +133,7 @@ class EvidenceGate:
         self._strengths: list[float] = []  # of its pairs
         self._identity = Identity()  # of the run under way
         self.judged = BlockCounts()
+        self._counted, self._by_blocks = (0, 0), 0.0  # blocks and setbacks, and what evidence follows from them
 
     @property
     def count(self) -> int:
@@ -149,8 +150,10 @@ class EvidenceGate:
 
     @property
     def evidence(self) -> Evidence:
-        blocks, needed = evidence_of(self.blocks, self._config, self._setbacks), evidence_needed(1, self._config)
-        later = evidence_needed(max(1, self._runs), self._config) - needed
+        counted, needed = (self.blocks, self._setbacks), evidence_needed(1, self._config)
+        if counted != self._counted:
+            self._counted, self._by_blocks = counted, evidence_of(counted[0], self._config, counted[1])
+        blocks, later = self._by_blocks, 0.0 if self._runs <= 1 else evidence_needed(self._runs, self._config) - needed
         # errors that last are drawn once: another run is another chance for an accident, not for them
         return Evidence(min(blocks, self._identity.reached(self._config) + later), needed + later)
 

@@ -123,6 +123,14 @@ def _sized(
 
 
 @kernel
+def located(views: Array, u: float, v: float, z: float) -> tuple[Vec3, float]:
+    """The point at a pixel of D1 at a depth, in the marker's frame, and its distance; NaN when it has no ray."""
+    x, y = ray(views[:LENS_2], u, v)
+    x, y = z * x, z * y
+    return transform(_mount(views), (x, y, z)), math.sqrt(x * x + y * y + z * z)
+
+
+@kernel
 def sized(views: Array, body: Two, w: float, h: float, z: float, point_v: Vec3, gravity_v: Vec3) -> Vec3:
     """Width and height in m of D1's box, and how many times larger one is than the stated size allows."""
     return _sized(views[0], views[1], body, _mount(views), w, h, z, point_v, gravity_v)

@@ -17,8 +17,7 @@ What is safe, and why:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from path.config import MethodConfig
 from path.observations import MissReason
@@ -35,8 +34,7 @@ Offset = tuple[float, float]
 """In D1's image, m at the depth of what it is measured from."""
 
 
-@dataclass(frozen=True, slots=True)
-class Offsets:
+class Offsets(NamedTuple):
     """D2's box, seen by D1, as distances from where each object would have it: the target, and those D1 sees beside it
     (``path.target.rivals``)."""
 
@@ -44,8 +42,7 @@ class Offsets:
     rivals_m: tuple[Offset, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class FramePair:
+class FramePair(NamedTuple):
     """The frames that a comparison used.
 
     Attributes:
@@ -66,8 +63,7 @@ class FramePair:
     placed_iou: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
+class Evidence(NamedTuple):
     """The evidence reached and needed that it is the same object.
 
     Both are log10 of one over the probability of being fooled: 4 is one in ten thousand.

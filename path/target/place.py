@@ -6,7 +6,7 @@ Paper, eqs. target_backprojection, target_virtual.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,8 +76,7 @@ def _central_part(depth_mm: NDArray[np.uint16], box: Box, fraction: float) -> ND
     return depth_mm[top:bottom:step, left:right:step]
 
 
-@dataclass(frozen=True, slots=True)
-class TargetPoint:
+class TargetPoint(NamedTuple):
     """The target in the marker frame (m), its distance along D1's optical axis (m), and its standard deviation (m)."""
 
     point_v_m: Vec3
@@ -94,8 +93,9 @@ def back_project(camera: CameraModel, u: float, v: float, z_m: float) -> Vec3:
 def locate(camera: CameraModel, T_v_c1: Rigid, box: Box, depth: Depth, config: MethodConfig) -> TargetPoint:
     """The target's point in ``v`` (eq. target_virtual) from its box and depth; NaN when the pixel has no ray."""
     u, v = box.center
-    point_c = back_project(camera, u, v, depth.z_m)
-    return TargetPoint(transform(T_v_c1, point_c), depth.z_m, point_sigma(camera, point_c, depth.sigma_m, config))
+    x, y, z = back_project(camera, u, v, depth.z_m)
+    distance_m = math.sqrt(x * x + y * y + z * z)
+    return TargetPoint(transform(T_v_c1, (x, y, z)), z, point_sigma(camera, distance_m, depth, config))
 
 
 def across_sigma(camera: CameraModel, distance_m: float, config: MethodConfig) -> float:
@@ -104,16 +104,13 @@ def across_sigma(camera: CameraModel, distance_m: float, config: MethodConfig) -
     return distance_m * math.hypot(pixels, math.radians(config.mount_sigma_deg))
 
 
-def point_sigma(camera: CameraModel, point_c: Vec3, depth_sigma_m: float, config: MethodConfig) -> float:
+def point_sigma(camera: CameraModel, distance_m: float, depth: Depth, config: MethodConfig) -> float:
     """Standard deviation in m of the point in ``v`` in its least certain direction.
 
     Along the ray there is depth noise, across it pixel noise and the mounting's angle with the target as its lever,
     and the mounting's position in both: the message carries one number, and D2 may look from any side.
     """
-    x, y, z = point_c
-    distance = math.sqrt(x * x + y * y + z * z)
-    along = depth_sigma_m * distance / z
-    across = math.hypot(
-        z * config.pixel_sigma_px / min(camera.fx, camera.fy), math.radians(config.mount_sigma_deg) * distance
-    )
+    along = depth.sigma_m * distance_m / depth.z_m
+    pixels_m = depth.z_m * config.pixel_sigma_px / min(camera.fx, camera.fy)
+    across = math.hypot(pixels_m, math.radians(config.mount_sigma_deg) * distance_m)
     return math.hypot(max(along, across), config.mount_sigma_m)

@@ -161,7 +161,7 @@ def test_duplicates_and_echoes_are_no_evidence() -> None:
     for _ in range(500):
         assert gate.agree(pair_of(29), CLEAR, TAU) is MissReason.DUPLICATE
         assert gate.agree(pair_of(12), CLEAR, TAU) is MissReason.STALE
-        assert gate.agree(replace(pair_of(29), peer_sequence=pair_of(12).peer_sequence), 1.0, TAU) is not None
+        assert gate.agree(pair_of(29)._replace(peer_sequence=pair_of(12).peer_sequence), 1.0, TAU) is not None
         assert gate.disagree(pair_of(12).peer_sequence, 0) is MissReason.STALE
     assert (gate.count, gate.evidence) == before
 
@@ -265,7 +265,7 @@ def test_another_run_is_not_held_against_where_the_boxes_of_the_last_one_lay() -
     aside = Offsets((OWN.apart_m, OWN.apart_m))
     fresh, again = EvidenceGate(METHOD), EvidenceGate(METHOD)
     for index in range(200):
-        again.agree(replace(pair_of(index), offsets=aside), CLEAR, TAU)
+        again.agree(pair_of(index)._replace(offsets=aside), CLEAR, TAU)
     assert again.expire(pair_of(400).capture_ns)
     for index in range(401, 600):
         for gate in (fresh, again):

@@ -84,9 +84,9 @@ def test_a_new_sequence_with_an_old_frame_of_either_side_does_not_count() -> Non
     window = AgreementWindow(SMALL)
     assert window.agree(pair_of(0)) is None
     assert window.agree(pair_of(1)) is None
-    frozen_peer = replace(pair_of(2), capture_ns=pair_of(1).capture_ns)
+    frozen_peer = pair_of(2)._replace(capture_ns=pair_of(1).capture_ns)
     assert window.agree(frozen_peer) is MissReason.STALE
-    frozen_own = replace(pair_of(3), own_frames=pair_of(0).own_frames)
+    frozen_own = pair_of(3)._replace(own_frames=pair_of(0).own_frames)
     assert window.agree(frozen_own) is MissReason.DUPLICATE
     assert window.count == 2
 
@@ -249,7 +249,7 @@ def test_a_miss_of_an_earlier_instant_does_not_let_older_pairs_count() -> None:
     window = AgreementWindow(SMALL)
     assert window.agree(pair_of(10)) is None
     window.restart(pair_of(5).capture_ns)
-    late = replace(pair_of(8), peer_sequence=pair_of(20).peer_sequence)
+    late = pair_of(8)._replace(peer_sequence=pair_of(20).peer_sequence)
     assert window.agree(late) is MissReason.STALE
 
 
@@ -258,8 +258,8 @@ def test_a_frame_that_was_passed_over_is_a_floor_for_what_is_captured() -> None:
     window = AgreementWindow(SMALL)
     assert window.agree(pair_of(0)) is None
     assert window.skip(pair_of(2).peer_sequence, pair_of(2).capture_ns) is None
-    late = replace(pair_of(1), peer_sequence=pair_of(3).peer_sequence)
+    late = pair_of(1)._replace(peer_sequence=pair_of(3).peer_sequence)
     assert window.agree(late) is MissReason.STALE
     assert window.skip(pair_of(4).peer_sequence, pair_of(1).capture_ns) is None  # it does not come down again
-    assert window.agree(replace(pair_of(2), peer_sequence=pair_of(5).peer_sequence)) is MissReason.STALE
+    assert window.agree(pair_of(2)._replace(peer_sequence=pair_of(5).peer_sequence)) is MissReason.STALE
     assert window.agree(pair_of(6)) is None
